@@ -7,7 +7,7 @@ PYTEST_ARGS ?=
 # that tests start would compile every module again.
 unexport PYTHONPATH PYTHONHOME PYTHONDONTWRITEBYTECODE
 
-.PHONY: help run test test-all test-exhaustive test-servers test-browser test-usb soak bench clean
+.PHONY: help run test test-all test-exhaustive test-servers test-browser test-usb soak bench docs clean
 .NOTPARALLEL:
 
 help:
@@ -20,6 +20,7 @@ help:
 	@echo 'make test-usb          USB sound cards of a real kernel, in a virtual machine'
 	@echo 'make soak    the tests that take minutes'
 	@echo 'make bench   measure speed and error on this machine'
+	@echo 'make docs    build the pages of docs/ as a site in out/site'
 	@echo 'make clean   remove what the set-up and the tests made; out/ stays'
 
 run:
@@ -80,6 +81,12 @@ bench:
 	@sh tools/fetch_recordings.sh
 	@sh tools/fetch_sounds.sh
 	.venv/bin/python -m tools.bench --out docs/benchmarks.md $$(.venv/bin/python -c 'import matplotlib' 2>/dev/null && echo --plots docs/images)
+
+docs:
+	@sh tools/setup.sh docs
+	.venv/bin/python -m tools.docs
+	NO_MKDOCS_2_WARNING=1 .venv/bin/python -m mkdocs build --strict --clean
+	@echo 'out/site/index.html'
 
 clean:
 	rm -f audioflinger_hook/transform/*.so audioflinger_hook/plugin/*.so device/*.so

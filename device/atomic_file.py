@@ -75,10 +75,10 @@ class AtomicFile:
         except OSError as error:
             raise self._failure(error) from error
 
-    def overwrite_start(self, content: bytes) -> None:
-        """Overwrite the first bytes of the file; later writes still go to its end."""
+    def overwrite(self, content: bytes, position: int = 0) -> None:
+        """Overwrite bytes from a position on; later writes still go to the file's end."""
         try:
-            written = os.pwrite(self._file_fd, content, 0)
+            written = os.pwrite(self._file_fd, content, position)
         except OSError as error:
             raise self._failure(error) from error
         if written != len(content):
@@ -88,13 +88,18 @@ class AtomicFile:
         """Bytes in the file, as the filesystem counts them."""
         return os.fstat(self._file_fd).st_size
 
-    def commit(self) -> None:
-        """Give the file its name: sync the content, then replace the old file in one step."""
+    def commit(self, *, sync: bool = True) -> None:
+        """Give the file its name: sync the content, then replace the old file in one step.
+
+        sync: whether to wait until the content is on the disk. Without it, a power failure soon
+        after may leave a file of that name that is not whole.
+        """
         if self._file_fd < 0:
             raise WriteError(f"cannot write {self.path}: it was closed before")
         folder = self._folder_fd
         try:
-            os.fsync(self._file_fd)
+            if sync:
+                os.fsync(self._file_fd)
             if self._part is None:
                 try:
                     self._link_as(self._name)

@@ -20,6 +20,8 @@ from typing import Annotated, Any, ClassVar, Self, get_origin, get_type_hints
 
 from device.errors import UsageError
 
+OFF = "off"
+
 
 def no_such(kind: str, name: str, names: Iterable[str], where_none: str) -> str:
     """Return an error text of one line. where_none: advice if nothing of that kind exists.
@@ -101,31 +103,39 @@ class Description(ABC):
 
 @dataclass(frozen=True)
 class Number(Description):
-    """A number from low to high, both included. With `whole`, only whole numbers are allowed."""
+    """A number from low to high, both included. With `whole`, only whole numbers are allowed.
+
+    `off`: the word "off" is allowed as well, and stands for None.
+    """
 
     low: float
     high: float
     unit: str = ""
     whole: bool = False
+    off: bool = False
 
     @property
     def allowed(self) -> str:
         """The range with its unit."""
-        return f"{self.low:g} to {self.high:g} {self.unit}".rstrip()
+        return f"{self.low:g} to {self.high:g} {self.unit}".rstrip() + ", or off" * self.off
 
     def refuse(self, value: object) -> Refusal | None:
         """Refuse values that are no numbers (also True) or out of range (also NaN)."""
+        if self.off and value == OFF:
+            return None
         if isinstance(value, bool) or not isinstance(value, int if self.whole else (int, float)):
             return Refusal(f"is not a {'whole ' * self.whole}number", self.allowed)
         return None if self.low <= value <= self.high else Refusal("is out of range", self.allowed)
 
     def json_schema(self) -> dict[str, Any]:
-        """Return a number with its limits."""
+        """Return a number with its limits; the word "off" is not in it."""
         kind = "integer" if self.whole else "number"
         return {"type": kind, "minimum": self.low, "maximum": self.high}
 
     def typed(self, value: Any) -> Any:
-        """Return a float, or the whole number."""
+        """Return a float, or the whole number; None for "off"."""
+        if self.off and value == OFF:
+            return None
         return value if self.whole else float(value)
 
 

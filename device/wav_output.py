@@ -95,7 +95,7 @@ class WavOutput:
         if file is None:
             return
         header = wav_header(self._samplerate, self._channels, self._frames, self._comment)
-        file.overwrite_start(header)
+        file.overwrite(header)
         size, expected = file.size(), self._size(self._frames, header)
         if size != expected:
             file.abort()

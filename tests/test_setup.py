@@ -22,11 +22,13 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 SCRIPTS = ["tools/setup.sh", "tools/fetch_recordings.sh", "tools/check_kernel.sh", ".ci/run"]
 SCRIPTS += ["tools/fetch_servers.sh", "tools/fetch_usb_mock.sh", "tools/fetch_usb_vm.sh"]
 SCRIPTS += ["tools/system_packages.sh", "tools/fetch_sounds.sh", "tools/fetch_browser.sh"]
+SCRIPTS += ["tools/unpacked_files.sh"]
 TRANSFORM_SOURCES = "audioflinger_hook/transform/native"
 PLUGIN_SOURCES = ROOT / "audioflinger_hook/plugin/native"
 SET_UP = ROOT / "tools/setup.sh"
 FETCH = ROOT / "tools/fetch_recordings.sh"
 FETCH_SOUNDS = ROOT / "tools/fetch_sounds.sh"
+SOURCED = [ROOT / "tools/system_packages.sh", ROOT / "tools/unpacked_files.sh"]
 SOUND_LIST = ROOT / "tools/bench/sounds/real_sounds.txt"
 IN_CI = os.environ.get("CI") == "true"
 
@@ -166,7 +168,7 @@ def test_the_version_is_in_the_changelog():
 # --- the Makefile, the scripts
 
 
-TARGETS = ["help", "run", "test", "test-all", "soak", "bench", "clean"]
+TARGETS = ["help", "run", "test", "test-all", "soak", "bench", "docs", "clean"]
 TARGETS += ["test-exhaustive", "test-servers", "test-usb"]
 
 
@@ -224,7 +226,7 @@ def bare(tmp_path):
     machine = Bare()
     (machine.folder / "tools").mkdir(parents=True)
     machine.bin.mkdir()
-    for script in [SET_UP, FETCH, FETCH_SOUNDS]:
+    for script in [SET_UP, FETCH, FETCH_SOUNDS, *SOURCED]:
         shutil.copy(script, machine.folder / "tools")
     shutil.copy(ROOT / "pyproject.toml", machine.folder)
     for name in PROGRAMS:

@@ -1,6 +1,8 @@
 """A live page on a sound server of its own, and the browser that looks at it.
 
-    python -m tools.live_page [--out docs/images]    the pictures of the page in docs
+    python -m tools.live_page [--out docs/images] [--moving]
+
+writes the pictures of the page in docs, or the moving one (live.webp), of the demo scene.
 
 The tests use `served` and `browser` directly. tools/fetch_servers.sh and tools/fetch_browser.sh
 install what is needed.
@@ -15,10 +17,12 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from base64 import b64decode
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
+from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
@@ -39,6 +43,11 @@ CHROMIUM_OPTIONS = (
     "--disable-sync",
 )
 START_S = 20.0
+MOVING_WIDTH, MOVING_HEIGHT = 1000, 816
+"""Width of the moving picture, and the height of the part of a page of 1280 that it shows."""
+
+MOVING_HZ, MOVING_S, MOVING_AFTER_S = 10.0, 7.5, 5.0
+MOVING_BYTES_MAX = 2_000_000
 VIEWS = [(width, theme) for width in (1280, 390) for theme in ("dark", "light")]
 
 
@@ -53,51 +62,45 @@ def missing_browser() -> list[str]:
 
 
 class Monitor:
-    """A running `cushion monitor`. address: of the page, with its token; stderr: what it wrote."""
+    """A running `cushion monitor`.
 
-    def __init__(self, server: SoundServer, *options: str) -> None:
+    environment: of its process. address: of the page, with its token; "" where it ended instead.
+    stderr: what it has written.
+    """
+
+    def __init__(self, environment: Mapping[str, str], *options: str) -> None:
         self.process = subprocess.Popen(
             [*CUSHION, "monitor", *options],
-            env={**server.environment, "PYTHONPATH": str(ROOT)},
-            cwd=ROOT,
+            env={**environment, "PYTHONPATH": str(ROOT)},
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
             text=True,
         )
         self.stderr = ""
-        self.address = ""
-        self._found = threading.Event()
+        self._told = threading.Event()
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
-        if not self._found.wait(START_S) or not self.address:
+        if not self._told.wait(START_S):
             self.close()
             raise RuntimeError(f"the page does not start: {self.stderr}")
+        self.address = self.stderr.partition("the live page: ")[2].strip()
+        self.base, _, self.token = self.address.partition("#")
+        self.host = self.base.removeprefix("http://").rstrip("/")
+        self.port = int(self.host.rpartition(":")[2] or 0)
 
     @property
-    def base(self) -> str:
-        """The address without the token."""
-        return self.address.partition("#")[0]
-
-    @property
-    def token(self) -> str:
-        """The token."""
-        return self.address.partition("#")[2]
-
-    @property
-    def port(self) -> int:
-        """The port."""
-        return int(self.base.rstrip("/").rpartition(":")[2])
+    def cookie(self) -> str:
+        """The cookie that opens the page."""
+        return f"cushion_{self.port}={self.token}"
 
     def _read(self) -> None:
         assert self.process.stderr is not None
         for line in self.process.stderr:
             self.stderr += line
-            _, found, address = line.partition("the live page: ")
-            if found:
-                self.address = address.strip()
-                self._found.set()
-        self._found.set()
+            if "the live page: " in line:
+                self._told.set()
+        self._told.set()
 
     def close(self) -> int:
         """End it; return its exit code."""
@@ -116,7 +119,7 @@ class Monitor:
 @contextmanager
 def served(server: SoundServer, *options: str) -> Iterator[Monitor]:
     """A page on a free port of this computer."""
-    monitor = Monitor(server, "--listen", "127.0.0.1:0", *options)
+    monitor = Monitor(server.environment, "--listen", "127.0.0.1:0", *options)
     try:
         yield monitor
     finally:
@@ -157,8 +160,9 @@ def player(server: SoundServer, wav: Path, name: str, volume: float = 1.0) -> It
         process.wait()
 
 
-def take_pictures(folder: Path) -> None:
-    """Write pictures of the page while the demo's scene plays."""
+@contextmanager
+def cinema() -> Iterator[tuple[SoundServer, Path, Monitor, Browser]]:
+    """A daemon with its page and a browser; a WAV file of the demo's scene to play."""
     with ExitStack() as stack:
         base = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="cushion-")))
         server = stack.enter_context(SoundServer("pipewire", base / "s"))
@@ -167,12 +171,17 @@ def take_pictures(folder: Path) -> None:
         command = [*CUSHION, "capture", str(capture), "--tap", "scene:demo"]
         subprocess.run(command, env=environment, cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
         wav = next(capture.glob("*.wav"))
-        run = [*CUSHION, "run", "--device", "haptic", "--profile", "cinema"]
+        run = [*CUSHION, "run", "--device", "haptic"]
         daemon = subprocess.Popen(run, env=environment, cwd=ROOT)
         stack.callback(daemon.wait)
         stack.callback(daemon.terminate)
         monitor = stack.enter_context(served(server))
-        chromium = stack.enter_context(browser())
+        yield server, wav, monitor, stack.enter_context(browser())
+
+
+def take_pictures(folder: Path) -> None:
+    """Write a picture of the page for each width and theme."""
+    with cinema() as (server, wav, monitor, chromium):
         for width, theme in VIEWS:
             with player(server, wav, "Film player"), player(server, wav, "Web browser", 0.05):
                 page = open_page(chromium, monitor.address, width, theme)
@@ -182,6 +191,52 @@ def take_pictures(folder: Path) -> None:
                 clip: FloatRect = {"x": 0.0, "y": 0.0, "width": float(width), "height": tall}
                 page.screenshot(path=folder / f"{kind}-{theme}.png", full_page=True, clip=clip)
                 page.close()
+
+
+def take_moving_picture(path: Path) -> None:
+    """Write a moving picture of the upper part of the page, under 2 MB."""
+    from PIL import Image
+
+    shots: list[tuple[float, bytes]] = []
+    with cinema() as (server, wav, monitor, chromium), player(server, wav, "Film player"):
+        page = open_page(chromium, monitor.address, 1280, "dark")
+        page.set_viewport_size({"width": 1280, "height": MOVING_HEIGHT})
+        session = page.context.new_cdp_session(page)
+
+        def keep(shot: dict[str, Any]) -> None:
+            shots.append((shot["metadata"]["timestamp"], b64decode(shot["data"])))
+            session.send("Page.screencastFrameAck", {"sessionId": shot["sessionId"]})
+
+        page.wait_for_timeout(1e3 * MOVING_AFTER_S)
+        session.on("Page.screencastFrame", keep)
+        session.send("Page.startScreencast", {"format": "jpeg", "quality": 95})
+        page.wait_for_timeout(1e3 * MOVING_S)
+        session.send("Page.stopScreencast")
+    print(f"{len(shots) / (shots[-1][0] - shots[0][0]):.1f} pictures a second were drawn")
+    frames = []
+    for number in range(int((shots[-1][0] - shots[0][0]) * MOVING_HZ)):
+        at_s = shots[0][0] + number / MOVING_HZ
+        newest = max((shot for shot in shots if shot[0] <= at_s), key=lambda shot: shot[0])
+        frame = Image.open(BytesIO(newest[1]))
+        size = (MOVING_WIDTH, round(MOVING_WIDTH * frame.height / frame.width))
+        frames.append(frame.resize(size, Image.Resampling.LANCZOS))
+    for quality in (80, 70, 60, 50, 40, 30):
+        made = BytesIO()
+        frames[0].save(
+            made,
+            "WEBP",
+            save_all=True,
+            append_images=frames[1:],
+            duration=round(1e3 / MOVING_HZ),
+            loop=0,
+            quality=quality,
+            method=4,
+        )
+        if made.tell() <= MOVING_BYTES_MAX:
+            path.write_bytes(made.getvalue())
+            print(f"{path}: {made.tell()} bytes, {len(frames)} pictures, quality {quality}")
+            return
+    raise RuntimeError(f"{path} would have {made.tell()} bytes; at most {MOVING_BYTES_MAX}")
 
 
 def open_page(chromium: Browser, address: str, width: int, theme: str) -> Page:
@@ -200,9 +255,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Take the pictures."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=ROOT / "docs/images")
+    parser.add_argument("--moving", action="store_true", help="the moving picture instead")
     options = parser.parse_args(arguments)
     options.out.mkdir(parents=True, exist_ok=True)
-    take_pictures(options.out)
+    if options.moving:
+        take_moving_picture(options.out / "live.webp")
+    else:
+        take_pictures(options.out)
 
 
 if __name__ == "__main__":

@@ -1,8 +1,9 @@
 #!/bin/sh
-# Everything that Haptic Cushion needs on this machine: tools/setup.sh run|test
+# Everything that Haptic Cushion needs on this machine: tools/setup.sh run|test|docs
 #
 #   run    a .venv with the program and the extras `figures`, `live` and `page`
 #   test   the extra `dev` as well
+#   docs   the extra `docs` too
 #
 # PyAudio and a part of the program (audioflinger_hook/transform/native) are compiled during the installation.
 # Where the compiler or a header for that is missing, the system's package manager installs it (Debian,
@@ -16,9 +17,10 @@ set -eu
 
 case ${1-} in
     run) wanted=figures,live,page ;;
-    test) wanted=figures,live,page,dev ;;
+    test) wanted=figures,live,page,films,remote,cluster,dev ;;
+    docs) wanted=figures,live,page,films,remote,cluster,dev,docs ;;
     *)
-        echo 'usage: tools/setup.sh run|test' >&2
+        echo 'usage: tools/setup.sh run|test|docs' >&2
         exit 2
         ;;
 esac

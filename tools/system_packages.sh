@@ -7,13 +7,16 @@
 # By apt-get (Debian, Ubuntu; as root or where sudo asks for no password), without their recommendations and
 # without removing anything. The tests skip where something could not be had.
 
-elevate=
-[ "$(id -u)" -eq 0 ] || elevate='sudo -n'
+as_root() {
+    if [ "$(id -u)" -eq 0 ]; then "$@"; else sudo -n "$@"; fi
+}
 
 say() { printf '%s: %s\n' "$who" "$*" >&2; }
 
+consequence='the tests that need it will skip'
+
 without() {
-    say "none: $*; the tests that need it will skip"
+    say "none: $*; $consequence"
     exit 0
 }
 
@@ -27,8 +30,7 @@ missing_packages() {
 }
 
 apt_get() {
-    # shellcheck disable=SC2086
-    $elevate env DEBIAN_FRONTEND=noninteractive NEEDRESTART_SUSPEND=1 \
+    as_root env DEBIAN_FRONTEND=noninteractive NEEDRESTART_SUSPEND=1 \
         apt-get -q -y -o DPkg::Lock::Timeout=120 "$@" >/dev/null 2>&1 </dev/null
 }
 
@@ -38,7 +40,7 @@ install_packages() {
     missing=$(missing_packages "$@")
     [ -n "$missing" ] || return 0
     command -v apt-get >/dev/null 2>&1 || without "apt-get, which installs it, is not here; missing:$missing"
-    [ -z "$elevate" ] || $elevate true 2>/dev/null ||
+    as_root true 2>/dev/null ||
         without "run as root: apt-get install --no-install-recommends$missing"
     say "installing:$missing"
     # shellcheck disable=SC2086

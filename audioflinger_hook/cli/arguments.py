@@ -101,3 +101,16 @@ def duration(text: str) -> float:
     if not value:
         raise argparse.ArgumentTypeError(f"{text!r} is not a duration; allowed: above 0 seconds")
     return value
+
+
+def band_hz(text: str) -> tuple[float, float]:
+    """Return a band in Hz from LOW:HIGH."""
+    low, colon, high = text.partition(":")
+    try:
+        if not colon:
+            raise ValueError
+        return float(low), float(high)
+    except ValueError:
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is not a band; allowed: LOW:HIGH in Hz, such as 55:200"
+        ) from None

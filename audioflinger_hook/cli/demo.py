@@ -83,6 +83,7 @@ def run(options: argparse.Namespace) -> int:
         played = _play(chain, scene, rig, fast=options.fast)
         heard.close()
         chain.close()
+        played.acceleration.append(rig.acceleration_m_s2)
     except BaseException:
         heard.abort()
         chain.abort()
@@ -95,7 +96,7 @@ def run(options: argparse.Namespace) -> int:
         warn("no report.png: matplotlib is not installed; `pip install matplotlib` brings it")
         drawn = False
     _print_table(out, framework, rig, played, values, drawn)
-    print("to feel your own sound: README.md, 'Feel what your desktop plays'")
+    print("to feel your own sound: docs/live.md")
     return 0
 
 

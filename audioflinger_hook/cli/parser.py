@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from audioflinger_hook import __version__
-from audioflinger_hook.cli.arguments import Parser, count, duration, number_or_off, seconds
+from audioflinger_hook.cli.arguments import Parser, band_hz, count, duration, number_or_off, seconds
 
 NEXT = (
     "next: `cushion setup` leads through the first run, `cushion demo` plays a scene, and "
@@ -78,6 +78,50 @@ def _render(command: Parser) -> None:
     _value(command, "--out-dir", Path, "DIR", "write DIR/IN.wav for every IN, several at once")
     _value(command, "--workers", count, "N", "processes at once; default: the usable cores")
     _rendering(command)
+
+
+def _export(command: Parser) -> None:
+    command.add_argument("input", type=Path, metavar="IN", help="a sound file")
+    command.add_argument("output", type=Path, metavar="OUT", help="the file to write")
+    _exporting(command, "by OUT's ending", None)
+
+
+def _catalogue(command: Parser) -> None:
+    command.usage = "%(prog)s [status] MANIFEST --out URL [options]"
+    command.any_order = True  # `status` and MANIFEST are parsed as one list
+    sounds = "JSON lines or CSV, a folder or a glob; path or URL. status: show what is done"
+    command.add_argument("words", nargs="*", metavar="[status] MANIFEST", help=sounds)
+    _value(command, "--out", str, "URL", "folder of the results, path or URL")
+    _value(command, "--workers", count, "N", "processes at once; default: the usable cores")
+    _value(command, "--shard", str, "I/N", "take one of N equal shares; I is 1 to N")
+    _value(command, "--dask", str, "ADDRESS", "use a Dask cluster; local: one of this machine")
+    _value(command, "--max-failures", count, "N", "stop after more; default: never")
+    _value(command, "--retries", count, "N", "repetitions of failed I/O", 3)
+    _switch(command, "--verify", "know sounds by their SHA-256, not by path, size and time")
+    _value(command, "--track", count, "N", "sound track of films; default: the film's")
+    _value(command, "--language", str, "CODE", "language of the films' sound track, such as eng")
+    _value(command, "--report", Path, "DIR", "write a page with a picture of each item")
+    _exporting(command, "wav", "wav")
+
+
+def _exporting(command: Parser, default: str, format_name: str | None) -> None:
+    """Add the options that `export` and `catalogue` share."""
+    from audioflinger_hook.exports.options import FORMATS
+
+    command.add_argument(
+        "--format",
+        default=format_name,
+        metavar="NAME",
+        help=f"{', '.join(FORMATS)}; default: {default}",
+    )
+    _value(command, "--output-rate", count, "HZ", "rate of a waveform; default: the sound's")
+    band = "band of the target's actuator, such as 55:200; 20-220 Hz is mapped to it"
+    _value(command, "--device-band", band_hz, "LOW:HIGH", band)
+    _keys(command, "form", "channels")
+    _profile(command, live=False)
+    _keys(command, "rig", "damping", "protection", "model", "tolerance")
+    _value(command, "--config", Path, "FILE", CONFIG_HELP)
+    _json(command)
 
 
 def _inspect(command: Parser) -> None:
@@ -257,10 +301,8 @@ def _keys(command: Parser, *fields: str, **more: Any) -> None:
         kind: dict[str, Any] = {"metavar": key.metavar}
         if isinstance(key.description, Switch):
             kind = {"action": "store_true", "default": None}
-        elif key.metavar.endswith("|off"):
-            kind["type"] = number_or_off
         elif isinstance(key.description, Number):
-            kind["type"] = float
+            kind["type"] = number_or_off if key.description.off else float
         command.add_argument(key.flag, dest=key.field, help=key.help, **kind, **more)
 
 
@@ -289,6 +331,16 @@ COMMANDS: dict[str, tuple[Callable[[Parser], None], str, str]] = {
         _render,
         "write the vibration of sound files",
         "film.wav vibration.wav --profile cinema",
+    ),
+    "export": (
+        _export,
+        "write the vibration in a format of other haptic tools",
+        "film.wav film.ahap --device-band 80:230",
+    ),
+    "catalogue": (
+        _catalogue,
+        "write the vibration of whole libraries",
+        "music --out vibration --format flac --output-rate 1000",
     ),
     "inspect": (_inspect, "list the principal frequencies of a sound file", "film.wav --at 12.5"),
     "capture": (_capture, "record the buffers of a sound as delivered", "recorded --seconds 10"),

@@ -25,7 +25,7 @@ SEE_HELP = "see `cushion render --help`"
 
 def run(options: argparse.Namespace) -> int:
     """Render a file, or several into a folder, and report the result."""
-    workers = _workers(options.workers)
+    workers = chosen_workers(options.workers)
     if options.out_dir is not None:
         return _run_several(options, workers)
     options.input, options.output = _one_each(options.files)
@@ -109,8 +109,8 @@ def check_output(path: Path) -> None:
         )
 
 
-def _workers(wanted: int | None) -> int:
-    """Return how many processes may run at once."""
+def chosen_workers(wanted: int | None) -> int:
+    """Return how many processes may run at once. UsageError: out of range."""
     if wanted is None:
         return usable_cores()
     if not 1 <= wanted <= WORKERS_MAX:

@@ -12,6 +12,7 @@ from datetime import datetime
 from pathlib import Path
 
 from audioflinger_hook.cli.check import load_config
+from audioflinger_hook.cli.open_files import allow_open_files
 from audioflinger_hook.cli.replay import capture_files
 from audioflinger_hook.cli.run_reporter import RunReporter
 from audioflinger_hook.cli.signals import Signals, freeze_loaded_objects
@@ -38,6 +39,7 @@ from device.stream import filter_stderr
 
 def run(options: argparse.Namespace) -> int:
     """Run for `--seconds` since it was ready, until the sound ends, or until a signal arrives."""
+    allow_open_files()
     run_config = _run_config(options)
     if not options.debug:
         filter_stderr()
@@ -72,7 +74,7 @@ def run(options: argparse.Namespace) -> int:
 
         def follow_config(_now_s: float) -> str:
             """Reload the config and return the changes."""
-            again, changes = follow(edits.values, supervisor.is_muted)
+            again, changes = follow(edits.values, supervisor.config.muted)
             control.reloaded(again)
             return str(changes)
 
@@ -123,8 +125,6 @@ def _run_config(options: argparse.Namespace, edits: Edits | None = None) -> RunC
         "device_volume_db": options.device_volume_db,
     }
     kept = {n: value for n, value in given.items() if value is not None and n not in edits}
-    if kept.get("device_volume_db") == "off":
-        kept["device_volume_db"] = None
     live = dataclasses.replace(live, **kept)
     if live.device is None:
         raise UsageError(
@@ -185,7 +185,7 @@ def _keep_on(
     reporter.begin(*(address for address, _ in supervisor.endpoints))
     freeze_loaded_objects()
     try:
-        while not supervisor.ended:
+        while not supervisor.input.ended:
             if signals.end:
                 raise KeyboardInterrupt
             now_s = time.monotonic()
@@ -206,8 +206,8 @@ def _keep_on(
             wake.wait(min(supervisor.rest_s, watchdog.check_s or supervisor.rest_s))
     finally:
         reporter.end(supervisor.warnings)
-    if supervisor.summary:
-        print(supervisor.summary)
+    if supervisor.output.summary:
+        print(supervisor.output.summary)
 
 
 def _slept_s() -> float:

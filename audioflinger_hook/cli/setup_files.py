@@ -12,7 +12,7 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from audioflinger_hook.config.file import read_text
+from audioflinger_hook.config import toml_text
 from audioflinger_hook.service import install as service
 from device.atomic_file import make_private_folder, write_bytes_atomically
 from device.errors import UsageError
@@ -70,7 +70,7 @@ def write(path: Path, before: str | None, text: str, *, with_service: bool) -> s
 
 def text_of(path: Path) -> str | None:
     """Return the text of a config file, None if there is none. UsageError: it cannot be read."""
-    return read_text(path) if path.exists() or path.is_symlink() else None
+    return toml_text.text_of(path) if path.exists() or path.is_symlink() else None
 
 
 def undo() -> tuple[list[str], tuple[str, ...]]:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Protocol
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
@@ -38,9 +39,17 @@ class LineConsole(Console):
         raise BrokenPipeError
 
 
+class Advance(Protocol):
+    """Takes the finished and the total amount (None: unknown), and a note to show."""
+
+    def __call__(self, done: float, total: float | None, note: str = "") -> None:
+        """Draw the progress."""
+        ...
+
+
 @contextmanager
-def progress_bar(label: str) -> Iterator[Callable[[float, float | None], None]]:
-    """Yield a function that takes the finished and the total amount (None: unknown).
+def progress_bar(label: str) -> Iterator[Advance]:
+    """Yield a function that takes the finished and the total amount, and a note.
 
     The bar is drawn on stderr if that is a terminal, and removed at the end.
     """
@@ -56,7 +65,8 @@ def progress_bar(label: str) -> Iterator[Callable[[float, float | None], None]]:
     ) as bar:
         task = bar.add_task(label, total=None)
 
-        def advance(done: float, total: float | None) -> None:
-            bar.update(task, completed=done, total=total)
+        def advance(done: float, total: float | None, note: str = "") -> None:
+            text = f"{label}, {note}" if note else label
+            bar.update(task, completed=done, total=total, description=text)
 
         yield advance

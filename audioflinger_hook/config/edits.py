@@ -97,14 +97,20 @@ class _Before:
 class LiveEdits:
     """What was changed since the daemon began, on top of its config file. For one thread.
 
-    values: the edits that apply. unsaved: the keys that the file does not hold like that.
+    values: the edits that apply.
     """
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self.values: dict[str, Any] = {}
-        self.unsaved: frozenset[str] = frozenset()
+        self._saved: dict[str, Any] = {}
         self._undo: deque[dict[str, _Before]] = deque(maxlen=UNDO_MAX)
+
+    @property
+    def unsaved(self) -> frozenset[str]:
+        """The edited keys that were not saved with their present values."""
+        kept = {name for name, value in self.values.items() if (name, value) in self._saved.items()}
+        return frozenset(self.values.keys() - kept)
 
     @property
     def undo_count(self) -> int:
@@ -120,7 +126,6 @@ class LiveEdits:
         document = self._document()
         self._undo.append({name: self._before(name, document) for name in changes})
         self.values.update(changes)
-        self.unsaved |= changes.keys()
 
     def without_last(self) -> dict[str, Any]:
         """Return the edits as they would be without the last change.
@@ -140,8 +145,7 @@ class LiveEdits:
     def undo(self) -> None:
         """Undo the last change; only after `without_last` was checked."""
         self.values = self.without_last()
-        changed = self._undo.pop().keys()
-        self.unsaved = (self.unsaved | changed) & self.values.keys()
+        self._undo.pop()
 
     def save(self) -> None:
         """Write the edits into the file, which is made where it is missing.
@@ -154,7 +158,7 @@ class LiveEdits:
         if changed != text:
             make_private_folder(self._path.parent)
             write_bytes_atomically(self._path, changed.encode())
-        self.unsaved = frozenset()
+        self._saved = dict(self.values)
         for change in self._undo:
             change.update({name: _Before(True, before.value) for name, before in change.items()})
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
-import tomllib
 from dataclasses import astuple, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -21,37 +19,11 @@ from audioflinger_hook.config.schema import (
     rescaled,
 )
 from audioflinger_hook.config.settings import LiveSettings, Settings
+from audioflinger_hook.config.toml_text import Mistake, lines_of_keys, parse, printable, text_of
 from audioflinger_hook.transform import TransformParameters
 from device.drive import ActuatorSettings, wiring_refusals
 from device.errors import UsageError
 from device.values import Described, Refusal, nearest
-
-SYNTAX_ERRORS_MAX = 50
-CONFIG_BYTES_MAX = 1 << 20
-SHOWN_MAX = 200
-
-
-@dataclass(frozen=True)
-class Mistake:
-    """One mistake of a config file.
-
-    key: the key as `section.key`.
-    line: its line, counted from 1; 0 if it has none.
-    value, problem, allowed, nearest: the value, what is wrong with it, what is allowed, and the
-        known name that is most similar.
-    """
-
-    key: str
-    line: int
-    value: str
-    problem: str
-    allowed: str
-    nearest: str = ""
-
-    def __str__(self) -> str:
-        where = f"line {self.line}: " if self.line else ""
-        value = f" = {self.value}" if self.value else ""
-        return f"{where}{self.key}{value} {Refusal(self.problem, self.allowed, self.nearest)}"
 
 
 @dataclass(frozen=True)
@@ -95,7 +67,7 @@ def check(
     then be missing.
     UsageError: the file cannot be read, or is not text.
     """
-    text = read_text(path) if edits is None or path.exists() else ""
+    text = text_of(path) if edits is None or path.exists() else ""
     return check_text(text, path.parent, default_profile, edits)
 
 
@@ -103,9 +75,9 @@ def check_text(
     text: str, folder: Path, default_profile: str, edits: Edits | None = None
 ) -> tuple[Config | None, list[Mistake]]:
     """Return the content of a config file's text, as `check` does. folder: of the file."""
-    document, mistakes = _parse(text)
+    document, mistakes = parse(text)
     apply_edits(document, edits or {})
-    reading = _Reading(_lines_of_keys(text), folder, mistakes, default_profile)
+    reading = _Reading(lines_of_keys(text), folder, mistakes, default_profile)
     reading.read(document)
     reading.find_contradictions()
     if mistakes:
@@ -233,7 +205,7 @@ class _Reading:
         return lines.get(key) or lines.get(section) or lines.get(section.partition("[")[0], 0)
 
     def _add(self, key: str, refusal: Refusal) -> None:
-        where = _printable(key), self._line(key), self.shown.get(key, "")
+        where = printable(key), self._line(key), self.shown.get(key, "")
         self.mistakes.append(Mistake(*where, *astuple(refusal)))
 
 
@@ -250,115 +222,15 @@ def _unknown(section: str, name: str, is_section: bool) -> Refusal:
     return Refusal(wrong, ", ".join(known), HEADERS.get(guess, guess))
 
 
-def read_text(path: Path) -> str:
-    """Return the text of a file. UsageError: it cannot be read, is too long or is not text."""
-    try:
-        if path.exists() and not (path.is_file() or path.is_dir()):
-            raise UsageError(f"{path} is not a regular file; give the path of a config file")
-        with path.open("rb") as file:
-            content = file.read(CONFIG_BYTES_MAX + 1)
-        if len(content) > CONFIG_BYTES_MAX:
-            raise UsageError(f"{path} is over {CONFIG_BYTES_MAX} bytes; a config file is smaller")
-        return content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise UsageError(
-            f"{path} is not UTF-8 text (byte {error.start}); save it as UTF-8"
-        ) from None
-    except OSError as error:
-        raise UsageError(
-            f"{path} cannot be read ({error.strerror}); give the path of a config file"
-        ) from None
-
-
-def _parse(text: str) -> tuple[dict[str, Any], list[Mistake]]:
-    """Return what can be read, and the syntax errors; lines with a syntax error are left out.
-
-    If the header of a section is broken, its name is kept if it has one, so that the keys below
-    still belong to that section.
-    """
-    lines = text.split("\n")
-    mistakes: list[Mistake] = []
-    for _ in range(SYNTAX_ERRORS_MAX):
-        try:
-            return tomllib.loads("\n".join(lines)), mistakes
-        except RecursionError:
-            mistakes.append(Mistake("this file", 0, "", "is nested too deeply", "flat values"))
-            return {}, mistakes
-        except ValueError as error:  # TOMLDecodeError, and numbers of thousands of digits
-            number = _line_of_error(str(error), lines)
-            reason = str(error).partition(" (at")[0].partition(";")[0]
-            shown = _printable(lines[number - 1].strip())
-            mistakes.append(
-                Mistake(shown or "(empty)", number, "", f"is not TOML ({reason})", "key = value")
-            )
-            header = re.match(r"\s*(\[+)\s*([\w-]+)", lines[number - 1])
-            repaired = f"[{header[2]}]" if header else ""
-            if header and header[1] == "[[":
-                repaired = f"[{repaired}]"
-            lines[number - 1] = repaired if repaired != lines[number - 1] else ""
-    mistakes.append(
-        Mistake("the rest", len(lines), "", "was not read: the file has too many errors", "TOML")
-    )
-    return {}, mistakes
-
-
-def _line_of_error(message: str, lines: list[str]) -> int:
-    """Return the number, from 1, of the line that a message of the parser refers to."""
-    filled = [number for number, line in enumerate(lines, 1) if line.strip()] or [1]
-    if at := re.search(r"\(at line (\d+)", message):
-        number = int(at[1])
-        # If a line ended too early, the parser is already on the next line.
-        while number > 1 and not lines[number - 1].strip():
-            number -= 1
-        return number
-    too_long = [number for number in filled if re.search(r"\d{4000}", lines[number - 1])]
-    return too_long[0] if too_long else filled[-1]  # "at end of document"
-
-
-def _lines_of_keys(text: str) -> dict[str, int]:
-    """Return the line of every `key` and `section.key` that the start of a line reveals.
-
-    In an array of tables the names are `section[1].key`, `section[2].key` and so on.
-    """
-    lines: dict[str, int] = {}
-    section = ""
-    tables: dict[str, int] = {}
-    for number, line in enumerate(text.split("\n"), 1):
-        if header := re.match(r"\s*\[+\s*([^\]]+?)\s*\]*\s*(#.*)?$", line):
-            name = _bare(header[1])
-            lines.setdefault(name, number)
-            if line.lstrip().startswith("[["):
-                tables[name] = tables.get(name, 0) + 1
-                name = f"{name}[{tables[name]}]"
-                lines.setdefault(name, number)
-            section = name + "."
-        elif key := re.match(r"\s*([^=#]+?)\s*=", line):
-            name = section + _bare(key[1])
-            lines.setdefault(name, number)
-            lines.setdefault(name.partition(".")[0], number)
-    return lines
-
-
-def _bare(key: str) -> str:
-    """Return a dotted key without quotes and blanks."""
-    return ".".join(part.strip().strip("\"'") for part in key.split("."))
-
-
 def _shown(value: Any) -> str:
     """Return a value roughly as TOML would write it, for a message of one line."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str):
-        return _printable(f'"{value}"')
+        return printable(f'"{value}"')
     if isinstance(value, list):
-        return _printable(f"[{', '.join(map(_shown, value))}]")
+        return printable(f"[{', '.join(map(_shown, value))}]")
     try:
-        return _printable(str(value))
+        return printable(str(value))
     except ValueError:  # an integer of thousands of digits
         return "a number of thousands of digits"
-
-
-def _printable(text: str) -> str:
-    """Return text without line breaks and terminal commands, at most 200 characters."""
-    shown = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
-    return shown if len(shown) <= SHOWN_MAX else shown[:SHOWN_MAX] + "..."

@@ -9,7 +9,7 @@ from audioflinger_hook.config.profiles import LIVE_DEFAULT, values_of
 from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.transform import TransformParameters
 from device.drive import ActuatorSettings
-from device.values import Choice, Described, Description, Switch
+from device.values import OFF, Choice, Described, Description, Number, Switch
 
 ACTUATOR = "actuator"
 SECTIONS = ("", "transform", "applications", ACTUATOR)
@@ -133,7 +133,10 @@ class Key:
 
     def json_schema(self) -> dict[str, Any]:
         """Return the JSON Schema of the key's value."""
-        schema = {"description": self.help, **self.description.json_schema()}
+        schema = self.description.json_schema()
+        if isinstance(self.description, Number) and self.description.off:
+            schema = {"anyOf": [schema, {"enum": [OFF]}]}
+        schema = {"description": self.help, **schema}
         if self.default is None or self.default != self.live_default:
             return schema
         default = list(self.default) if isinstance(self.default, tuple) else self.default

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+from audioflinger_hook.config.kinds import Address, FileName, Names, RigName, Taps
 from audioflinger_hook.config.profiles import OFFLINE_DEFAULT, PROFILES, parameters_of
 from audioflinger_hook.sources import parse_tap
 from audioflinger_hook.sources.address import GRAMMAR as TAPS
@@ -23,11 +24,10 @@ from device.drive import (
 )
 from device.drive.damping.design import resonance_as_damped
 from device.drive.settings import DAMPING, EXPOSURE_CAP, GAIN_MAX_DB, GAIN_MIN_DB, PROTECTION
-from device.errors import UsageError
 from device.rig.parameters import LEAST_TOLERANCE, MODELS, Model
-from device.rig.rig_file import SHIPPED, SUFFIX, read_rig, rig_by_name
+from device.rig.rig_file import SHIPPED, rig_by_name
 from device.server.forwarding import MAX_DELAY_S
-from device.values import Choice, Described, Description, Number, Refusal, Switch, Text
+from device.values import Choice, Described, Number, Refusal, Switch
 
 Channels = Literal["mono", "each"]
 
@@ -43,115 +43,6 @@ ENGINES = ("auto", "native", "python")
 
 OF_PROFILE = TransformParameters()
 """Marks that the chosen profile's parameters apply; compared by identity."""
-
-
-@dataclass(frozen=True)
-class _RigName(Text):
-    """A bundled rig or a rig file, which must be readable and valid."""
-
-    grammar: str = f"{', '.join(SHIPPED)}, or a file, NAME{SUFFIX}"
-
-    def resolved(self, value: object, folder: Path) -> object:
-        is_file = isinstance(value, str) and value not in SHIPPED and value.endswith(SUFFIX)
-        return str(folder / str(value)) if is_file else value
-
-    def refuse(self, value: object) -> Refusal | None:
-        if not isinstance(value, str):
-            return Refusal("is not a name", self.allowed)
-        if value in SHIPPED:
-            return None
-        if not value.endswith(SUFFIX):
-            return Refusal("is not known", self.allowed)
-        try:
-            read_rig(value)
-        except (UsageError, ValueError) as error:  # ValueError: an impossible path
-            return Refusal(f"cannot be used ({error})", self.allowed)
-        return None
-
-
-@dataclass(frozen=True)
-class _FileName(Text):
-    """The path of a file. A value of type `Path` is checked only when the file is opened."""
-
-    def resolved(self, value: object, folder: Path) -> object:
-        return str(folder / value) if isinstance(value, str) and value else value
-
-    def refuse(self, value: object) -> Refusal | None:
-        if isinstance(value, Path):
-            return None
-        if not isinstance(value, str) or not value:
-            return Refusal("is not a path", self.allowed)
-        good = "\0" not in value and Path(value).is_file()
-        return None if good else Refusal("is not a file", self.allowed)
-
-    def typed(self, value: Any) -> Any:
-        return Path(value)
-
-
-@dataclass(frozen=True)
-class _Address(Text):
-    """The address of a tap or a device, as the user writes it."""
-
-    parse: Callable[[str], object] = str
-    what: str = "address"
-
-    def refuse(self, value: object) -> Refusal | None:
-        if not isinstance(value, str):
-            return Refusal(f"is not a {self.what}", self.allowed)
-        try:
-            self.parse(value)
-        except UsageError as error:
-            reason = str(error.args[0]).removeprefix(f"{self.what} {value!r} ")
-            return Refusal(reason.partition("; allowed: ")[0], self.allowed)
-        return None
-
-
-@dataclass(frozen=True)
-class _Taps(_Address):
-    """The address of one tap, or a list of applications."""
-
-    def refuse(self, value: object) -> Refusal | None:
-        taps = [value] if isinstance(value, str) else value
-        if not isinstance(taps, (list, tuple)) or not all(isinstance(tap, str) for tap in taps):
-            return Refusal("is not a tap or a list of taps", self.allowed)
-        if not taps:
-            return Refusal("is an empty list", self.allowed)
-        for tap in taps:
-            if refusal := super().refuse(tap):
-                return refusal
-        if len(taps) > 1 and {parse_tap(tap).kind for tap in taps} != {"app"}:
-            return Refusal(
-                "are several taps, but not all are applications", "one tap, or app:NAME each"
-            )
-        return None
-
-    def json_schema(self) -> dict[str, Any]:
-        one = super().json_schema()
-        return {"anyOf": [one, {"type": "array", "minItems": 1, "items": one}]}
-
-    def typed(self, value: Any) -> Any:
-        return (value,) if isinstance(value, str) else tuple(value)
-
-
-@dataclass(frozen=True)
-class _Names(Description):
-    """A list of names, none of them blank."""
-
-    @property
-    def allowed(self) -> str:
-        return '["NAME", ...]'
-
-    def refuse(self, value: object) -> Refusal | None:
-        names = value if isinstance(value, (list, tuple)) else [None]
-        if all(isinstance(name, str) and name.strip() for name in names):
-            return None
-        return Refusal("must be a list of non-empty strings", self.allowed)
-
-    def json_schema(self) -> dict[str, Any]:
-        return {"type": "array", "items": {"type": "string", "pattern": r"\S"}}
-
-    def typed(self, value: Any) -> Any:
-        return tuple(value)
 
 
 @dataclass(frozen=True)
@@ -201,7 +92,7 @@ class Settings(Described):
             section="transform",
         ),
     ] = "mono"
-    rig: Annotated[str, _RigName("rig that is driven, or its file", change="engine")] = SHIPPED[0]
+    rig: Annotated[str, RigName("rig that is driven, or its file", change="engine")] = SHIPPED[0]
     model: Annotated[
         Model, Choice("model of the simulated rig; auto: the cheapest that suffices", MODELS)
     ] = "auto"
@@ -214,7 +105,7 @@ class Settings(Described):
     ] = GAIN_MAX_DB
     effects_file: Annotated[
         Path | None,
-        _FileName(
+        FileName(
             "which effects run; default: the haptic effect", "the path of an audio_effects.xml"
         ),
     ] = None
@@ -299,11 +190,11 @@ class LiveSettings(Described):
 
     tap: Annotated[
         tuple[str, ...],
-        _Taps("where the sound comes from", TAPS, parse_tap, "tap", change="stream"),
+        Taps("where the sound comes from", TAPS, parse_tap, "tap", change="stream"),
     ] = ("default",)
     device: Annotated[
         str | None,
-        _Address("where the vibration goes", DEVICES, parse_device, "device", change="stream"),
+        Address("where the vibration goes", DEVICES, parse_device, "device", change="stream"),
     ] = None
     offset_ms: Annotated[
         float,
@@ -340,17 +231,24 @@ class LiveSettings(Described):
             DEVICE_VOLUME_MIN_DB,
             0.0,
             "dB",
+            off=True,
             change="nothing",
         ),
     ] = None
     include: Annotated[
         tuple[str, ...],
-        _Names("applications to play; default: all", section="applications", change="stream"),
+        Names("applications to play; default: all", section="applications", change="stream"),
     ] = ()
     exclude: Annotated[
         tuple[str, ...],
-        _Names("applications to leave out", section="applications", change="stream"),
+        Names("applications to leave out", section="applications", change="stream"),
     ] = ()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.device_volume_db is not None:
+            described = self.DESCRIPTIONS["device_volume_db"]
+            object.__setattr__(self, "device_volume_db", described.typed(self.device_volume_db))
 
     @classmethod
     def contradictions(cls, values: Mapping[str, Any]) -> dict[str, Refusal]:

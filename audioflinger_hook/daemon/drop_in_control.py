@@ -10,22 +10,29 @@ from device.server import DropIn, PulseConnection
 
 
 class DropInControl:
-    """The virtual sink that applications play to. For the supervising thread alone.
+    """The virtual sink that applications play to, in drop-in mode. For the supervising thread.
 
-    delay_s: delay of the sound, 0 or more.
+    config: says whether the mode is on.
     """
 
-    @classmethod
-    def of(cls, config: RunConfig) -> DropInControl | None:
-        """Return the control of drop-in mode, or None if the mode is off."""
-        return cls(max(0.0, -config.live.offset_s)) if config.live.drop_in else None
-
-    def __init__(self, delay_s: float) -> None:
-        self._delay_s = delay_s
+    def __init__(self, config: RunConfig) -> None:
         self._drop_in: DropIn | None = None
+        self._restart(config)
+
+    def _restart(self, config: RunConfig) -> None:
+        self._config = config
         self._backoff = Backoff(longest_s=10.0 * LONGEST_WAIT_S)
         self._target: str | None = None
         self._refusal = ""
+
+    def follow(self, config: RunConfig) -> None:
+        """Apply another config."""
+        if config.live.drop_in != self._config.live.drop_in:
+            self.close()
+            self._restart(config)
+        self._config = config
+        if self._drop_in is not None:
+            self._drop_in.delay_s = self._wanted_delay_s
 
     @property
     def delay_s(self) -> float:
@@ -39,7 +46,12 @@ class DropInControl:
         return [f"drop-in: {reason}"] if reason else []
 
     def maintain(self, connection: PulseConnection, haptic_sink: str | None, now_s: float) -> None:
-        """Make the sink if it is missing; raises nothing. haptic_sink: gets no forwarded sound."""
+        """Make the sink if it is missing and wanted; raises nothing.
+
+        haptic_sink: gets no forwarded sound.
+        """
+        if not self._config.live.drop_in:
+            return
         if self._drop_in is not None:
             self._drop_in.spare(haptic_sink)
             self._target = self._drop_in.target_name or self._target
@@ -55,20 +67,18 @@ class DropInControl:
             self._refusal = ""
             self._backoff.succeeded()
 
-    def set_delay(self, delay_s: float) -> None:
-        """Change the delay of the sound."""
-        self._delay_s = delay_s
-        if self._drop_in is not None:
-            self._drop_in.delay_s = delay_s
-
     def close(self) -> None:
         """Remove the sink; the sound continues without it. May be repeated; raises nothing."""
         drop_in, self._drop_in = self._drop_in, None
         if drop_in is not None:
             drop_in.close()
 
+    @property
+    def _wanted_delay_s(self) -> float:
+        return max(0.0, -self._config.live.offset_s)
+
     def _made(self, connection: PulseConnection, haptic_sink: str | None) -> DropIn:
         """Return a new sink, which forwards to the former target if available."""
         names = [sink.name for sink in connection.latest.sinks]
         target = self._target if self._target in names else None
-        return DropIn(connection, target, self._delay_s, haptic_sink=haptic_sink)
+        return DropIn(connection, target, self._wanted_delay_s, haptic_sink=haptic_sink)

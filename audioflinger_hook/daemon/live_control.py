@@ -21,15 +21,17 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from audioflinger_hook.config.edits import EDITABLE, LiveEdits, editable
+from audioflinger_hook.config.profiles import LIVE_DEFAULT
 from audioflinger_hook.config.schema import CHANGES, Key
 from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.daemon.applications import choosing
+from audioflinger_hook.daemon.live_frame import frame_of
 from audioflinger_hook.daemon.run_config import RunConfig
-from audioflinger_hook.daemon.status_report import frame_of
 from audioflinger_hook.daemon.supervisor import Supervisor
 from audioflinger_hook.service.install import own_command
 from audioflinger_hook.service.one_line import one_line
 from device.errors import CushionError, UsageError
+from device.units import db_to_amplitude
 
 WAITING_MAX = 16
 """Requests that may wait for the main thread."""
@@ -58,8 +60,9 @@ class LiveControl:
     supervisor: whose state is shown. edits: changes to its config. follow: applies edits and mute,
     and returns the new config; it raises a CushionError and changes nothing where it cannot. ring:
     wakes the main thread. config: that applies. page: address of a page that watches, "" for none.
+    settings: what pages show of the config.
 
-    The server's threads call `frame`, `news` and `control`, the main thread `work` and `close`.
+    The server's threads call `frame` and `control`, the main thread `work` and `close`.
     """
 
     def __init__(
@@ -76,20 +79,15 @@ class LiveControl:
         self._ring = ring
         self._config = config
         self.page = ""
+        self.settings: dict[str, Any] = {}
         self._tone: subprocess.Popen[bytes] | None = None
         self._waiting: deque[_Request] = deque()
         self._lock = threading.Lock()
-        self._news: tuple[int, dict[str, Any]] = (0, {})
         self._tell()
 
-    def frame(self) -> str:
+    def frame(self, missed: int, *, in_memory: bool) -> tuple[bytes, bool]:
         """Return what changes many times a second; see `frame_of`."""
-        return frame_of(self._supervisor)
-
-    def news(self, seen: int) -> tuple[int, dict[str, Any] | None]:
-        """Return the number of the latest settings, and these unless `seen` is that number."""
-        number, settings = self._news
-        return number, None if number == seen else settings
+        return frame_of(self._supervisor, self._level, missed, in_memory=in_memory)
 
     def watched_by(self, page: str) -> None:
         """Note the address of a page that watches."""
@@ -226,22 +224,20 @@ class LiveControl:
         )
 
     def _tell(self) -> None:
-        """Make the settings that pages show; one object, so that a reader sees all of them."""
-        unsaved = self._edits.unsaved
-        self._news = (
-            self._news[0] + 1,
-            {
-                "keys": [
-                    _shown(name, key, self._value_of(key)) | {"unsaved": name in unsaved}
-                    for name, key in EDITABLE.items()
-                ],
-                "unsaved": len(unsaved),
-                "undo": self._edits.undo_count,
-                "muted": self._config.muted,
-                "tone": self._tone is not None,
-                "recording": self._config.recording is not None,
-            },
-        )
+        """Make the settings that pages show; a new object, by which readers know of the change."""
+        unsaved, config = self._edits.unsaved, self._config
+        self._level = 0.0 if config.muted else db_to_amplitude(config.settings.gain_db)
+        self.settings = {
+            "keys": [
+                _shown(name, key, self._value_of(key)) | {"unsaved": name in unsaved}
+                for name, key in EDITABLE.items()
+            ],
+            "unsaved": len(unsaved),
+            "undo": self._edits.undo_count,
+            "muted": config.muted,
+            "tone": self._tone is not None,
+            "recording": config.recording is not None,
+        }
 
     def _value_of(self, key: Key) -> Any:
         owners = {Settings: self._config.settings, LiveSettings: self._config.live}
@@ -264,7 +260,7 @@ def _shown(name: str, key: Key, value: Any) -> dict[str, Any]:
         "allowed": described.allowed,
         "schema": {k: v for k, v in described.json_schema().items() if k != "description"},
         "unit": getattr(described, "unit", ""),
-        "default": key.default,
+        "default": LIVE_DEFAULT if name == "profile" else key.default,
         "value": value,
         "change": CHANGES[key.change],
     }

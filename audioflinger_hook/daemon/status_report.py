@@ -9,7 +9,6 @@ from dataclasses import replace
 from audioflinger_hook import __version__
 from audioflinger_hook.daemon.engine import Engine
 from audioflinger_hook.daemon.native.figures import with_native
-from audioflinger_hook.daemon.native.page import Shown
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.daemon.supervisor import Supervisor
 from audioflinger_hook.service.meters import level_of
@@ -30,10 +29,6 @@ from audioflinger_hook.service.status import (
 from device.drive.rig_processor import RigProcessor
 from device.units import db_to_amplitude
 
-_FRAME = '{"state": "%s", "sound": [%s], "vibration": [%s], "partials": [%s], "delay_ms": %s}'
-_PAIR = "[%.4g, %.4g]".__mod__
-_TRIPLE = "[%.5g, %.5g, %.4g]".__mod__
-
 
 def status_of(supervisor: Supervisor, now_s: float) -> Status:
     """Return the status at `now_s`. Any thread may call it; audio threads do not wait for it."""
@@ -48,7 +43,7 @@ def status_of(supervisor: Supervisor, now_s: float) -> Status:
         since_s=report.since_s,
         tap=Endpoint(*tap),
         device=Endpoint(*device),
-        xruns=Xruns(*supervisor.xruns),
+        xruns=Xruns(supervisor.input.xruns, supervisor.output.xruns),
         recoveries=report.recoveries,
         warnings=tuple(supervisor.warnings),
         engine_reason=supervisor.engines.switch.reason,
@@ -56,11 +51,11 @@ def status_of(supervisor: Supervisor, now_s: float) -> Status:
         volume_db=supervisor.engines.volume_db,
         device_rate=_device_rate(supervisor),
         applications=supervisor.applications,
-        muted=supervisor.is_muted,
+        muted=supervisor.config.muted,
         principal=tuple(Partial(*partial) for partial in _principal(supervisor)),
     )
     if native is not None and native.audible:
-        return with_native(status, native, supervisor.settings, supervisor.offset_s)
+        return with_native(status, native, supervisor.config.settings, supervisor.offset_s)
     if engine is None:
         return status
     line = engine.delay_line.status
@@ -104,46 +99,8 @@ def status_of(supervisor: Supervisor, now_s: float) -> Status:
 
 
 def _device_rate(supervisor: Supervisor) -> DeviceRateFigures | None:
-    found = supervisor.device_rate
+    found = supervisor.output.measure_rate()
     return DeviceRateFigures(found.nominal_hz, found.measured_hz, found.ppm) if found else None
-
-
-def frame_of(supervisor: Supervisor) -> str:
-    """Return what a page shows many times a second, as JSON.
-
-    Any thread may call it; audio threads do not wait for it. sound, vibration: peak and mean square
-    of each channel and of each actuator. partials: Hz of the sound, Hz of the vibration, amplitude.
-    delay_ms: of the delay line, null with the native engine. All of this costs a few calls, as it
-    is done 30 times a second beside the audio.
-    """
-    engines, state, config = supervisor.engines, supervisor.states.state, supervisor.config
-    engine, native = engines.python, engines.switch.native
-    plays = state is DaemonState.RUNNING
-    delay_ms = "null"
-    shown = None
-    if native is not None and native.audible:
-        shown = native.shown if plays else None
-    elif engine is not None:
-        delay_ms = f"{1e3 * engine.delay_line.status.delay_s:.1f}"
-        shown = _shown_of(engine) if plays else None
-    sound, vibration, partials = shown or ((), (), ())
-    if config.muted:
-        vibration = [(0.0, 0.0)] * len(vibration)
-    return _FRAME % (
-        state.value,
-        ", ".join(map(_PAIR, sound)),
-        ", ".join(map(_PAIR, vibration)),
-        ", ".join(map(_TRIPLE, _as_played(partials, config))),
-        delay_ms,
-    )
-
-
-def _shown_of(engine: Engine) -> Shown:
-    return (
-        engine.sound.meter.channel_readings(),
-        [one.meter.reading() for one in engine.driven or (engine.vibration,)],
-        [*engine.framework.principal],
-    )
 
 
 def _principal(supervisor: Supervisor) -> Sequence[tuple[float, float, float]]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.daemon.applications import applications_in
 from audioflinger_hook.daemon.drop_in_control import DropInControl
 from audioflinger_hook.daemon.endpoints import Endpoints
@@ -19,7 +18,6 @@ from audioflinger_hook.daemon.wake import Nudge, Wake
 from audioflinger_hook.pipeline.framework import Framework, drive_of
 from audioflinger_hook.service.state import Cause, DaemonState, StateKeeper
 from audioflinger_hook.service.status import Application
-from device.alsa.usb_stream import MeasuredRate
 from device.errors import CushionError, LostError, NotFoundError
 from device.server import PulseConnection, ServerSnapshot
 from device.server.snapshot import tap_latency_s
@@ -57,7 +55,7 @@ class Supervisor:
         self.priority = AudioPriority(config.live.realtime)
         self.config_error = ""
         self._endpoints = Endpoints(config, clocks, self.states, self.priority, wake.ring)
-        self._drop_in = DropInControl.of(config)
+        self._drop_in = DropInControl(config)
         self._link = ServerLink(Nudge(wake))
         self._idle_policy = IdlePolicy(now_s)
         self._found: tuple[AudioNode | None, AudioNode | None] = (None, None)
@@ -65,11 +63,13 @@ class Supervisor:
         self._stalls = StallDetector(self.states, clocks.slept_s)
 
     @property
-    def _input(self) -> Input:
+    def input(self) -> Input:
+        """Where the sound comes from."""
         return self._endpoints.input
 
     @property
-    def _output(self) -> Output:
+    def output(self) -> Output:
+        """Where the vibration goes."""
         return self._endpoints.output
 
     @property
@@ -96,38 +96,13 @@ class Supervisor:
         return 0.0 if self.states.ready_s is None else now_s - self.states.ready_s
 
     @property
-    def ended(self) -> bool:
-        """Whether all sound was played, and its vibration as well."""
-        return self._input.ended
-
-    @property
-    def summary(self) -> str:
-        """One line of the output about the whole run, usually empty."""
-        return self._output.summary
-
-    @property
     def endpoints(self) -> tuple[tuple[str, str | None], tuple[str, str | None]]:
         """Tap and device: the configured address, and the name of what is available."""
         source, sink = self._found
         return (
-            (str(self._input), source.name if source else None),
-            (str(self._output), sink.name if sink else None),
+            (str(self.input), source.name if source else None),
+            (str(self.output), sink.name if sink else None),
         )
-
-    @property
-    def xruns(self) -> tuple[int, int]:
-        """Counts of late buffers of tap and output that PortAudio reported."""
-        return self._input.xruns, self._output.xruns
-
-    @property
-    def device_rate(self) -> MeasuredRate | None:
-        """The rate of the device's own clock; None if it is not known. Any thread may ask."""
-        return self._output.measure_rate()
-
-    @property
-    def settings(self) -> Settings:
-        """The settings of the vibration."""
-        return self._config.settings
 
     @property
     def config(self) -> RunConfig:
@@ -135,26 +110,17 @@ class Supervisor:
         return self._config
 
     @property
-    def is_muted(self) -> bool:
-        """Whether no vibration is played."""
-        return self._config.muted
-
-    @property
     def applications(self) -> tuple[Application, ...]:
         """The applications that have a stream; any thread may ask."""
         connection, (source, device) = self._link.connection, self._found
-        haptic = device.name if device and self._output.needs_server else None
+        haptic = device.name if device and self.output.needs_server else None
         seen = connection.latest if connection else None
         return applications_in(seen, self._config.rules, source, haptic)
 
     @property
-    def _delay_s(self) -> float:
-        return max(0.0, self._config.live.offset_s)
-
-    @property
     def offset_s(self) -> float:
         """The user's offset in seconds, less the delay of the sound in drop-in mode."""
-        return self._delay_s - (self._drop_in.delay_s if self._drop_in else 0.0)
+        return max(0.0, self._config.live.offset_s) - self._drop_in.delay_s
 
     @property
     def latencies_s(self) -> tuple[float, float]:
@@ -164,17 +130,17 @@ class Supervisor:
             return 0.0, 0.0
         seen = connection.latest if connection else None
         tap_s = 0.0
-        if seen and self._input.needs_server:
+        if seen and self.input.needs_server:
             tap_s = tap_latency_s(seen, self._config.live.block_frames, source.samplerate)
-        return tap_s, self._output.delay_s(seen)
+        return tap_s, self.output.delay_s(seen)
 
     @property
     def warnings(self) -> list[str]:
         """Problems to tell the user, one line each."""
         recording = self._config.recording
         warnings = list(self.engine.framework.warnings) if self.engine else []
-        warnings += self._drop_in.warnings if self._drop_in else []
-        warnings += [*self._input.warnings, *self._output.warnings]
+        for part in (self._drop_in, self.input, self.output):
+            warnings += part.warnings
         if recording:
             warnings += recording.warnings
             if self.engine and self.engine.framework.bypassed():
@@ -187,17 +153,17 @@ class Supervisor:
 
         LostError, NotFoundError: the first missing item, with advice.
         """
-        if not self._output.needs_server:
-            self._output.locate(None)
-            self._output.set_volume(None)
+        if not self.output.needs_server:
+            self.output.locate(None)
+            self.output.set_volume(None)
         if not self._endpoints.needs_server:
             return
         connection = PulseConnection()
         try:
-            self._locate_tap(connection.latest, self._output.locate(connection.latest))
+            self._locate_tap(connection.latest, self.output.locate(connection.latest))
             self.engines.switch.check(connection.latest)
-            if self._output.needs_server:
-                self._output.set_volume(connection)
+            if self.output.needs_server:
+                self.output.set_volume(connection)
         finally:
             connection.close()
 
@@ -217,14 +183,14 @@ class Supervisor:
             self._found = (None, device)
             source = self._locate_tap(snapshot, device)
             self._found = (source, device)
-            if self._drop_in and connection:
-                haptic = device.name if self._output.needs_server else None
+            if connection:
+                haptic = device.name if self.output.needs_server else None
                 self._drop_in.maintain(connection, haptic, now_s)
         except LostError as error:
             self._lose_server(now_s, str(error))
             return
         except NotFoundError as error:
-            self._input.close()
+            self.input.close()
             self.priority.restore()
             self.engines.switch.lose_links(Cause.TAP_LOST, now_s, str(error))
             self._idle_policy.wake(now_s)
@@ -237,16 +203,16 @@ class Supervisor:
         try:
             self.engines.prepare(source, device, now_s)
             # The input opens first, so that no sound is lost while the output opens.
-            self._input.maintain(connection, now_s)
+            self.input.maintain(connection, now_s)
             assert self.engine is not None
-            self._output.maintain(connection, self.engine.fill, now_s)
+            self.output.maintain(connection, self.engine.fill, now_s)
         except LostError as error:
             if connection and connection.lost:
                 self._lose_server(now_s, str(error))
             return
         except NotFoundError:
             return  # the device or tap has vanished; the next snapshot shows that
-        if self._input.name and self._output.name:
+        if self.input.name and self.output.name:
             self.states.enter(DaemonState.RUNNING, now_s)
             self.engines.end_native(now_s)
 
@@ -275,13 +241,8 @@ class Supervisor:
         if changes.device:
             self._endpoints.retarget_output(config)
             if engine:
-                self._output.set_format(engine.samplerate, engine.drive.outputs)
-        if changes.drop_in:
-            if self._drop_in:
-                self._drop_in.close()
-            self._drop_in = DropInControl.of(config)
-        elif changes.offset and self._drop_in:
-            self._drop_in.set_delay(max(0.0, -config.live.offset_s))
+                self.output.set_format(engine.samplerate, engine.drive.outputs)
+        self._drop_in.follow(config)
         if restarts or changes.blocks:
             self._endpoints.close()
         if restarts and config.recording:
@@ -300,8 +261,7 @@ class Supervisor:
         self.states.enter(DaemonState.STOPPING, now_s)
         self.engines.switch.close()
         self._endpoints.close()
-        if self._drop_in:
-            self._drop_in.close()
+        self._drop_in.close()
         self._link.close()
         self._endpoints.end(keep=keep)
 
@@ -329,31 +289,30 @@ class Supervisor:
     def _lose_server(self, now_s: float, reason: str) -> None:
         if self._link.connection:
             self.states.count(Cause.SERVER_LOST, reason)
-            self._input.close()
-            if self._output.needs_server:  # a card or a file continues with silence
-                self._output.close()
-            if self._drop_in:
-                self._drop_in.close()
+            self.input.close()
+            if self.output.needs_server:  # a card or a file continues with silence
+                self.output.close()
+            self._drop_in.close()
             self.engines.switch.close()
             self._link.close()
         self._found = (None, None)
         self.states.enter(DaemonState.WAITING_FOR_SERVER, now_s, reason)
 
     def _locate_tap(self, snapshot: ServerSnapshot | None, device: AudioNode) -> AudioNode:
-        return self._input.locate(snapshot, device.name if self._output.needs_server else None)
+        return self.input.locate(snapshot, device.name if self.output.needs_server else None)
 
     def _locate_device(self, snapshot: ServerSnapshot | None, now_s: float) -> AudioNode | None:
         """Return the device, or None after entering the state that waits for it."""
         try:
-            return self._output.locate(snapshot)
+            return self.output.locate(snapshot)
         except NotFoundError as error:
-            if self._output.is_open:
+            if self.output.is_open:
                 self.states.recover(Cause.DEVICE_LOST, now_s, str(error))
-            self._output.close()
+            self.output.close()
             self.priority.restore()
             self.engines.switch.lose_links(Cause.DEVICE_LOST, now_s, str(error))
-            if not self._input.needs_server:  # a file waits for the device
-                self._input.close()
+            if not self.input.needs_server:  # a file waits for the device
+                self.input.close()
             self._found = (None, None)
             self._idle_policy.wake(now_s)
             self.states.enter(DaemonState.WAITING_FOR_DEVICE, now_s, str(error))
@@ -363,18 +322,18 @@ class Supervisor:
         self, connection: PulseConnection | None, snapshot: ServerSnapshot | None, now_s: float
     ) -> bool:
         """Rest if nothing plays; return whether the daemon rests."""
-        if not (self._input.may_rest and self._output.may_rest):
+        if not (self.input.may_rest and self.output.may_rest):
             self._idle_policy.wake(now_s)
             return False
         engine = self.engine
-        heard = self._idle_policy.resting and self._input.listen(connection, now_s)
-        players = self._input.players(snapshot)
+        heard = self._idle_policy.resting and self.input.listen(connection, now_s)
+        players = self.input.players(snapshot)
         # Without players, no buffers may arrive that would let the vibration fade.
         over = engine is not None and (engine.faded or not players)
         last_sound_s = engine.last_sound_s if engine and over else now_s
         if not self._idle_policy.update(now_s, players, last_sound_s, heard=heard):
             return False
-        if self.states.enter(DaemonState.IDLE, now_s, self._input.why_silent):
+        if self.states.enter(DaemonState.IDLE, now_s, self.input.why_silent):
             self._endpoints.close()
             if engine:
                 engine.rest()

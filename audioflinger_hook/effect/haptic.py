@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from audioflinger_hook.effect.haptic_parameters import (
     DRAIN,
+    GLIDES,
     HAPTIC_CUSHION,
     HAPTIC_PARAMETERS,
     PRINCIPAL,
@@ -77,6 +78,10 @@ class Vibration:
     def principal(self) -> tuple[tuple[float, float, float], ...]:
         """What the latest hop vibrates, before the gain; any thread may read it."""
         return self._transform.principal
+
+    def take_glides(self) -> FloatArray:
+        """Return what the partials did since the last call, before the gain."""
+        return self._transform.take_glides()
 
     def change(self, transform: HapticTransform) -> None:
         """Change to another transform: the old one fades out over the next block.
@@ -205,6 +210,7 @@ class HapticEffect:
             Command.DUMP: self._dump,
             DRAIN: self._drain,
             PRINCIPAL: self._principal,
+            GLIDES: self._glides,
         }
 
     def process(self, source: MixBuffer, target: MixBuffer) -> int:
@@ -333,6 +339,10 @@ class HapticEffect:
         vibration = self._vibration
         told = vibration.principal if vibration is not None and self._enabled else ()
         return OK, told
+
+    def _glides(self, _: object) -> tuple[int, object]:
+        vibration = self._vibration
+        return (OK, vibration.take_glides()) if vibration is not None else (ENODATA, None)
 
     def _dump(self, _: object) -> tuple[int, object]:
         if self._vibration is None:

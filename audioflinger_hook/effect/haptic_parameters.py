@@ -151,6 +151,10 @@ PRINCIPAL = Command.FIRST_PROPRIETARY + 2
 """Vendor command: replies with what the latest hop vibrates, as `HapticTransform.principal` does.
 It changes nothing, and any thread may send it."""
 
+GLIDES = Command.FIRST_PROPRIETARY + 3
+"""Vendor command: replies with what the partials did since the last one, before the gain, as
+`HapticTransform.take_glides` does. The first one starts the recording. For files only."""
+
 HAPTIC_CUSHION = EffectDescriptor(
     type_uuid=UUID("ba39e606-2bd4-4eb4-9ed7-0e63c0415600"),
     uuid=UUID("e6e06d15-d79b-427b-8572-ef1ff53c4fb1"),
@@ -161,6 +165,10 @@ HAPTIC_CUSHION = EffectDescriptor(
     cpu_load=1_000,
     memory_kb=256,
     parameters=HAPTIC_PARAMETERS,
-    vendor_commands=(VendorCommand(DRAIN, "DRAIN"), VendorCommand(PRINCIPAL, "PRINCIPAL")),
+    vendor_commands=(
+        VendorCommand(DRAIN, "DRAIN"),
+        VendorCommand(PRINCIPAL, "PRINCIPAL"),
+        VendorCommand(GLIDES, "GLIDES"),
+    ),
 )
 """A separate type UUID, since Android's HapticGenerator serves players only."""

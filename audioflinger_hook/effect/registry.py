@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterable
+from functools import lru_cache
 from importlib.metadata import EntryPoint, distributions
+from pathlib import Path
 from uuid import UUID
 
 from audioflinger_hook.effect.control import error_text
@@ -140,6 +143,24 @@ def entry_points(problems: list[str]) -> list[tuple[str, EntryPoint]]:
     A package whose metadata cannot be read is left out and named in `problems`. If several packages
     have one name, only the first on the path counts, as for imports.
     """
+    found, new_problems = _entry_points(tuple((place, _changed_ns(place)) for place in sys.path))
+    problems += new_problems
+    return found
+
+
+def _changed_ns(place: str) -> int:
+    try:
+        return Path(place or ".").stat().st_mtime_ns
+    except OSError:
+        return 0
+
+
+@lru_cache(maxsize=1)  # the search takes 12 ms, which many short files would pay one by one
+def _entry_points(
+    _path: tuple[tuple[str, int], ...],
+) -> tuple[list[tuple[str, EntryPoint]], list[str]]:
+    """Return what is installed, and problems. The path is where, and when each place changed."""
+    problems: list[str] = []
     found: list[tuple[str, EntryPoint]] = []
     seen: set[str] = set()
     for distribution in distributions():
@@ -157,7 +178,7 @@ def entry_points(problems: list[str]) -> list[tuple[str, EntryPoint]]:
         if owner not in seen:
             seen.add(owner)
             found += [(owner, entry) for entry in entries]
-    return found
+    return found, problems
 
 
 def descriptor_problem(descriptor: object) -> str:

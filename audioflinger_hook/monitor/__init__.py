@@ -4,6 +4,7 @@
 | --- | --- |
 | `daemon_link` | the connection to the daemon's socket, made again after each loss |
 | `access` | who may see the page: host, origin, token, cookie |
+| `frames` | what changes many times a second |
 | `clients` | what each browser gets, the newest first |
 | `server` | HTTP and websockets |
 | `metrics` | figures for Prometheus |

@@ -43,7 +43,12 @@ class DaemonLink:
     ) -> None:
         self._tell = tell
         self._pause_s = LINE_SHARE / rate_hz
-        self._watch_request = {"ask": "watch", "rate_hz": rate_hz, "page": page}
+        self._watch_request = {
+            "ask": "watch",
+            "rate_hz": rate_hz,
+            "memory": True,
+            "page": page,
+        }
         self._environ = environ
         self._control = asyncio.Lock()
         self._told = ""

@@ -22,6 +22,7 @@ from websockets.http11 import Request, Response
 from audioflinger_hook.monitor.access import Access, Listen
 from audioflinger_hook.monitor.clients import CLIENTS_MAX, Client, Clients
 from audioflinger_hook.monitor.daemon_link import DaemonLink
+from audioflinger_hook.monitor.frames import Frames
 from audioflinger_hook.monitor.metrics import CONTENT_TYPE, metrics_text
 from device.errors import InternalError, UsageError
 
@@ -104,7 +105,10 @@ class PageServer:
         listen = Listen(self._listen.host, bound.getsockname()[1])
         self._access = Access(listen, self._token)
         address = f"http://{listen.shown_host}:{listen.port}/#{self._token}"
-        self._link = DaemonLink(self._clients.tell, self._rate_hz, address, self._environ)
+        frames = Frames(
+            self._clients.tell, self._rate_hz, lambda: len(self._clients) > 0, self._environ
+        )
+        self._link = DaemonLink(frames.take, self._rate_hz, address, self._environ)
         logger = logging.getLogger("audioflinger_hook.monitor")
         logger.addHandler(logging.NullHandler())
         logger.propagate = False  # An attack must not fill a journal.
@@ -125,7 +129,9 @@ class PageServer:
             logger=logger,
         ):
             on_ready(address)
-            await self._link.run()
+            async with asyncio.TaskGroup() as tasks:
+                tasks.create_task(self._link.run())
+                tasks.create_task(frames.run())
 
     def begin(self) -> bool:
         """Count a connection; return whether there is room for it."""

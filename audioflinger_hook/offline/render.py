@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.offline.sections import Plan, plan_for, sections_of
@@ -24,6 +25,7 @@ from audioflinger_hook.pipeline.step import HapticSink, Pipeline
 from audioflinger_hook.sources import Client, FileTap, TapClient
 from device.drive.channel_map import ChannelMap
 from device.drive.drive import Drive
+from device.drive.exposure import Exposure
 from device.drive.outputs import FADE_S, AlignedOutput, DrivenOutput, FadedOutput
 from device.errors import UsageError
 from device.output import VibrationOutput
@@ -38,6 +40,12 @@ Progress = Callable[[int, int | None], None]
 Wait = Callable[[int], None]
 """Called with the frames done; returns when the next frames are due."""
 
+OpenOutput = Callable[[Path, int, int], VibrationOutput]
+"""Opens the vibration's file: path, rate in Hz and channels of what will be written to it."""
+
+Hear = Callable[[NDArray[np.float32]], None]
+"""Called with the sound of every buffer, (frames, channels), before its vibration is aligned."""
+
 ACCELERATION_COMMENT = (
     f"predicted acceleration, full scale = {ACCELERATION_FULL_SCALE_M_S2:g} m/s^2"
 )
@@ -48,6 +56,7 @@ class RenderReport:
     """What was rendered. Field names contain their units; frames and samples are counts.
 
     strength_db: felt strength against no damping and no protection, None without damping.
+    exposure: of the rig with the largest A(8); None if no rig is damped, protected or capped.
     """
 
     frames: int
@@ -61,6 +70,7 @@ class RenderReport:
     replaced_samples: int
     peak_acceleration_m_s2: float | None = None
     strength_db: float | None = None
+    exposure: Exposure | None = None
     models: list[SecondReport] = field(default_factory=list)  # second by second
     warnings: list[str] = field(default_factory=list)
 
@@ -124,6 +134,8 @@ def render(
     wait: Wait | None = None,
     warnings: Sequence[str] = (),
     fade_s: float = FADE_S,
+    open_output: OpenOutput = WavOutput,
+    hear: Hear | None = None,
 ) -> RenderReport:
     """Write the vibration of a client's sound as float32 WAV of the mix's rate and length.
 
@@ -141,6 +153,8 @@ def render(
     wait: called before every buffer, to keep a pace.
     warnings: warnings about the source, complete when it has ended.
     fade_s: length of the fade at the end in seconds; 0 keeps every sample as it was computed.
+    open_output: opens the vibration's file; default: a float32 WAV.
+    hear: called with the sound of every buffer.
     UsageError: the source cannot be used, or a target cannot be written.
     WriteError: the disk is full or failed.
     InternalError: the haptic effect failed.
@@ -152,12 +166,14 @@ def render(
             client.samplerate, client.channels, settings, hal_frames=OFFLINE_HAL_FRAMES
         )
         rate = framework.samplerate
-        rig, written = _open_outputs(outputs, target, acceleration, framework, fade_s)
+        rig, written = _open_outputs(outputs, target, acceleration, framework, fade_s, open_output)
         chain = Pipeline(client, framework, [one.taken for one in written])
         frames = 0
         while step := chain.step():
             framework.check_haptics()
             frames += len(step.audio)
+            if hear:
+                hear(step.audio)
             if progress:
                 progress(frames, client.frames_expected)
             if wait:
@@ -181,6 +197,7 @@ def render(
         replaced_samples=framework.replaced_samples,
         peak_acceleration_m_s2=rig.peak_acceleration_m_s2 if rig else None,
         strength_db=written[0].drive.strength_db,
+        exposure=_largest_exposure(written[0].drive),
         models=rig.seconds if rig else [],
         warnings=[*framework.warnings, *framework.bypassed(), *warnings],
     )
@@ -232,6 +249,7 @@ def _render_sections(
         replaced_samples=replaced,
         peak_acceleration_m_s2=rig.peak_acceleration_m_s2 if rig else None,
         strength_db=written[0].drive.strength_db,
+        exposure=_largest_exposure(written[0].drive),
         models=rig.seconds if rig else [],
         warnings=[*framework.warnings, *section.warnings],
     )
@@ -243,11 +261,12 @@ def _open_outputs(
     acceleration: Path | None,
     framework: Framework,
     fade_s: float,
+    open_output: OpenOutput = WavOutput,
 ) -> tuple[SimulatedRig | None, list[_Driven]]:
     """Add the files to `outputs`; return the simulated rig, and how each file is driven."""
     rate, settings = framework.samplerate, framework.settings
     channel_map = channel_map_of(settings, framework.haptic_channels)
-    outputs.append(WavOutput(target, rate, channel_map.channels))
+    outputs.append(open_output(target, rate, channel_map.channels))
     rig: SimulatedRig | None = None
     if acceleration is not None:
         recorder = WavOutput(acceleration, rate, channel_map.channels, comment=ACCELERATION_COMMENT)
@@ -276,6 +295,11 @@ def _driven(written: FadedOutput, channel_map: ChannelMap, framework: Framework)
         return _Driven(written, DrivenOutput(aligned, drive, channel_map), drive)
     driven = DrivenOutput(AlignedOutput(written, drive.latency_frames), drive, channel_map)
     return _Driven(written, AlignedOutput(driven, framework.latency_frames), drive)
+
+
+def _largest_exposure(drive: Drive) -> Exposure | None:
+    readings = [processor.exposure() for processor in drive.processors if processor]
+    return max(readings, key=lambda reading: reading.a8_m_s2, default=None)
 
 
 def refuse_same_file(source: Path, target: Path, acceleration: Path | None) -> None:

@@ -12,6 +12,7 @@ from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.effect.chain import BUDGET_SHARE, EffectChains
 from audioflinger_hook.effect.haptic_parameters import (
     DRAIN,
+    GLIDES,
     HAPTIC_CUSHION,
     PRINCIPAL,
     from_settings,
@@ -123,6 +124,17 @@ class Framework:
         """What the latest hop vibrates; see `HapticTransform.principal`. Any thread."""
         status, told = self.haptic.command(PRINCIPAL)
         return told if status == OK and isinstance(told, tuple) else ()
+
+    def take_glides(self) -> NDArray[np.float64]:
+        """Return what the partials did since the last call; see `HapticTransform.take_glides`.
+
+        The first call starts the recording, which is for files only.
+        """
+        status, rows = self.haptic.command(GLIDES)
+        self.check_haptics()
+        if status != OK or not isinstance(rows, np.ndarray):
+            raise InternalError(f"the haptic effect failed: status {status}")
+        return rows
 
     def change(self, settings: Settings) -> None:
         """Use other parameters and another gain from the next cycle on.

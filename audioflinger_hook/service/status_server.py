@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import math
 import os
 import select
 import socket
@@ -36,6 +35,9 @@ WATCHERS_MAX = 4
 """Clients that may watch at a time; the other threads are left for the rest."""
 
 RATE_MAX_HZ = 60.0
+SELDOM_S = 0.25
+"""Time between frames that tell the state alone."""
+
 STATUS_EVERY_S = 2.0
 """A watching client gets frames at its rate, and the whole status as often as this."""
 
@@ -82,14 +84,19 @@ def answer(request: bytes, read: Callable[[], Status]) -> bytes:
 
 
 class Live(Protocol):
-    """What a page shows and changes; the server's threads call it."""
+    """What a page shows and changes; the server's threads call it.
 
-    def frame(self) -> str:
-        """Return what changes many times a second, as JSON."""
-        ...
+    settings: another object after each change.
+    """
 
-    def news(self, seen: int) -> tuple[int, dict[str, Any] | None]:
-        """Return a number, 1 or more, and the settings; None where `seen` is that number."""
+    settings: dict[str, Any]
+
+    def frame(self, missed: int, *, in_memory: bool) -> tuple[bytes, bool]:
+        """Return what changes many times a second, as a line of JSON.
+
+        And whether the next one may come after SELDOM_S. missed: frames that were not sent.
+        in_memory: whether the client reads the native engine's figures by itself.
+        """
         ...
 
     def watched_by(self, page: str) -> None:
@@ -233,11 +240,11 @@ class StatusServer:
             if self._live is not None and isinstance(page := asked.get("page"), str):
                 self._live.watched_by(page)
             try:
-                self._watch(client, 1.0 / rate_hz)
+                self._watch(client, 1.0 / rate_hz, in_memory=asked.get("memory") is True)
             finally:
                 self._watchers.release()
 
-    def _watch(self, client: socket.socket, period_s: float) -> None:
+    def _watch(self, client: socket.socket, period_s: float, *, in_memory: bool) -> None:
         live = self._live
         assert live is not None
         client.setblocking(False)
@@ -249,24 +256,22 @@ class StatusServer:
         ends = select.poll()
         ends.register(client, select.POLLHUP)
         now_s = due_s = self._clock()
-        status_s, seen, missed = -math.inf, 0, 0
+        status_due_s, told, missed, seldom = now_s, None, 0, False
         while True:
             if not rest:
-                # Written into the object: another one would cost more than the rest.
-                frame = live.frame()[:-1].encode()
-                rest = b'{"frame": %b, "missed": %d}}\n' % (frame, missed)
-                seen, settings = live.news(seen)
-                if settings is not None:
-                    rest += json.dumps({"settings": settings}).encode() + b"\n"
-                if now_s - status_s >= STATUS_EVERY_S or settings is not None:
-                    status_s = now_s
-                    rest += b'{"status": ' + answer(_ASK, self._read).rstrip() + b"}\n"
+                rest, seldom = live.frame(missed, in_memory=in_memory)
+                if live.settings is not told:
+                    told, status_due_s = live.settings, now_s
+                    rest += json.dumps({"settings": told}).encode() + b"\n"
+                if now_s >= status_due_s:
+                    status_due_s = now_s + STATUS_EVERY_S
+                    rest += b'{"status": %b}\n' % answer(_ASK, self._read).rstrip()
             try:
                 rest = rest[client.send(rest) :]
             except BlockingIOError:
                 missed += 1
             now_s = self._clock()
-            due_s = max(due_s + period_s, now_s)
+            due_s = max(due_s + (max(period_s, SELDOM_S) if seldom else period_s), now_s)
             if ends.poll(1e3 * (due_s - now_s)) or self._stopping.is_set():
                 return
 

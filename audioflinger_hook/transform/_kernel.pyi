@@ -58,3 +58,10 @@ class LiveKernel:
 
     def reset(self) -> None:
         """Begin a new stream; the counters go on."""
+
+    def take_glides(self) -> bytes:
+        """Return what the slots of all voices did since the last call, as rows of float64.
+
+        A row has the columns of `GLIDE_COLUMNS`. The first call starts the recording and returns
+        nothing. MemoryError: rows were lost, as memory was lacking.
+        """

@@ -12,6 +12,7 @@ import numpy as np
 from audioflinger_hook.transform.arrays import FloatArray, Frames
 from audioflinger_hook.transform.downmix import MonoMix
 from audioflinger_hook.transform.input_stage import channel_rows, fit_block, replace_unusable
+from audioflinger_hook.transform.live.synthesis import GLIDE_COLUMNS
 from audioflinger_hook.transform.live.transform import LiveTransform
 from audioflinger_hook.transform.reference.transform import ReferenceTransform
 from device.layouts import downmix
@@ -53,6 +54,16 @@ class ChannelBank:
         if len(told) > TOLD_MAX:
             told = sorted(told, key=lambda one: one[2])[-TOLD_MAX:]
         return tuple(told)
+
+    def take_glides(self) -> FloatArray:
+        """Return what all partials did since the last call; see `HapticTransform.take_glides`."""
+        found = [
+            rows
+            for voice, one in enumerate(self.transforms)
+            if isinstance(one, LiveTransform)
+            for rows in one.take_glides(voice)
+        ]
+        return np.array(found).reshape(-1, len(GLIDE_COLUMNS))
 
     def process(self, frames: Frames) -> FloatArray:
         """Return (frames, transforms) of vibration for a block; raise as `fit_block`."""

@@ -12,6 +12,7 @@ from audioflinger_hook.transform.channel_bank import ChannelBank
 from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.downmix import MonoMix
 from audioflinger_hook.transform.input_stage import Mixdown, fit_block
+from audioflinger_hook.transform.live.synthesis import GLIDE_COLUMNS
 from audioflinger_hook.transform.live.transform import LiveTransform
 from audioflinger_hook.transform.parameters import TransformParameters, check_format
 from audioflinger_hook.transform.reference.transform import ReferenceTransform
@@ -90,6 +91,10 @@ class KernelStream:
         """What the latest hop of all channels vibrates, at most 16."""
         told: tuple[tuple[float, float, float], ...] = self._kernel.told
         return told
+
+    def take_glides(self) -> FloatArray:
+        """Return what all slots did since the last call; see `HapticTransform.take_glides`."""
+        return np.frombuffer(self._kernel.take_glides()).reshape(-1, len(GLIDE_COLUMNS))
 
     def process(self, frames: Frames) -> FloatArray:
         """Return (frames, channels out) of vibration for a block that `fit_block` takes.
@@ -243,6 +248,21 @@ class HapticTransform:
         those of all. Any thread may read it while another one calls `process`.
         """
         return self._stream.told
+
+    def take_glides(self) -> FloatArray:
+        """Return what the partials of the live form did since the last call, one row a glide.
+
+        The first call starts the recording and returns no rows; the vibration is the same with and
+        without it. Not for live sound: rows are allocated as they come, 72 bytes each.
+
+        Returns
+        -------
+        ndarray
+            (glides, 9) float64 with the columns of `GLIDE_COLUMNS`; `PartialSynthesis` plays them.
+            The frame is counted from the start of the recording, in the vibration as `process`
+            returns it, without the low-pass's delay.
+        """
+        return self._stream.take_glides()
 
     @property
     def past(self) -> tuple[bytes, ...]:

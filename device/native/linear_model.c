@@ -43,8 +43,8 @@ static size_t pass_poles(const double *restrict volts, size_t frames, double lim
 }
 
 /* Computes one quantity from the filtered voltage: three earlier frames, then these. */
-static void apply_taps(const double *restrict recent, size_t frames, const double *taps,
-                    double *restrict moved)
+WIDE static void apply_taps(const double *restrict recent, size_t frames, const double *taps,
+                            double *restrict moved)
 {
     const double newest = taps[0], one = taps[1], two = taps[2], oldest = taps[3];
     for (size_t frame = 0; frame < frames; frame++)

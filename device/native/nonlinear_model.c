@@ -5,6 +5,8 @@
 #include "blocks.h"
 #include "nonlinear_path.h"
 
+#define QUIET 1e-3 /* of the least peak */
+
 /* The state of the linear model, and of that with the Born term: the linear answer to the remainder
  * of the linear model. */
 typedef struct {
@@ -35,6 +37,14 @@ INLINE void compare(const int n, const Model *m, const double *base, const doubl
     found->peak_a = larger(found->peak_a, fabs(whole_a));
 }
 
+/* Whether the linear solution is so small that what it leaves out, of second order, is nothing. */
+INLINE int rests(const Model *m, const double *base)
+{
+    const double pull = fabs(m->pull * base[Q]) * m->per_mass;
+    const double swing = fabs(m->damping * base[U]) * m->per_mass;
+    return fabs(base[Y]) <= QUIET * m->least_y && larger(pull, swing) <= QUIET * m->least_a;
+}
+
 /* Whether the linear model suffices from start to stop, and where both then are. */
 INLINE int suffices(const int n, const Work *work, Path *path, Pair *pair, size_t start, size_t stop,
                     double margin, Difference *found)
@@ -49,12 +59,21 @@ INLINE int suffices(const int n, const Work *work, Path *path, Pair *pair, size_
         bound.peak_y = larger(bound.peak_y, 2.0 * fabs(base[Y]));
         bound.peak_a = larger(bound.peak_a, 2.0 * fabs(base_acceleration(m, base)));
     }
+    int at_rest = n < 4 && rests(m, path->base);
+    for (int row = 0; row < n; row++)
+        at_rest = at_rest && pair->linear[row] == 0.0 && pair->born[row] == 0.0;
     for (size_t at = start; at < stop; at += work->widest) {
         double bases[2][3], linear[2][STATES] = {{0}}, born[2][STATES] = {{0}};
         double g[3][PARTS];
         End end = {.a = 0.0};
         const double volts =
             find_bases(work, path, map, n, at, work->widest, 0, work->ticks, bases);
+        if (at_rest && rests(m, bases[0]) && rests(m, bases[1])) {
+            memcpy(path->base, bases[1], sizeof path->base);
+            path->volts = volts;
+            continue;
+        }
+        at_rest = 0;
         memcpy(g[0], path->g, sizeof g[0]);
         for (int point = 0; point < 2; point++) {
             const double *p = onward + n * n * point;
@@ -129,6 +148,29 @@ INLINE size_t count(const int n, const Work *work, Path *path, Pair *pair, size_
     return blocks;
 }
 
+/* at: the first sample and that after the last, the length of the first block and of the others. */
+WIDE static size_t run_on_ground(const Work *work, Path *path, const size_t at[4])
+{
+    return run(3, work, path, at[0], at[1], at[2], at[3]);
+}
+
+WIDE static size_t run_on_seat(const Work *work, Path *path, const size_t at[4])
+{
+    return run(5, work, path, at[0], at[1], at[2], at[3]);
+}
+
+WIDE static size_t count_on_ground(const Work *work, Path *path, Pair *pair, const size_t at[4],
+                                   double margin)
+{
+    return count(3, work, path, pair, at[0], at[1], at[2], at[3], margin);
+}
+
+WIDE static size_t count_on_seat(const Work *work, Path *path, Pair *pair, const size_t at[4],
+                                 double margin)
+{
+    return count(5, work, path, pair, at[0], at[1], at[2], at[3], margin);
+}
+
 const char nonlinear_motion_doc[] = "Add the non-linear model's answer; see _blocks.pyi.";
 const char linear_suffices_doc[] = "Count the blocks that may be linear; see _blocks.pyi.";
 
@@ -158,7 +200,7 @@ static const char *misfit_of(const Py_buffer *v, const size_t *n, int arrays)
     if (!whole || whole > 24 || widest != (size_t)1 << (whole - 1) ||
         (size_t)v[MAPS].shape[0] < whole || (size_t)v[MAPS].shape[0] > whole + 24)
         return "bases: not one level for each halving to a sample";
-    if (v[MAPS].shape[1] != 2 + 18 + 42 + 30 && v[MAPS].shape[1] != 2 + 50 + 105 + 30)
+    if (v[MAPS].shape[1] != 2 + 18 + 48 + 30 && v[MAPS].shape[1] != 2 + 50 + 120 + 30)
         return "maps: for neither 3 nor 5 states";
     if (((const Path *)v[STATE].buf)->level < 0.0 ||
         !(((const Path *)v[STATE].buf)->level < (double)v[MAPS].shape[0]))
@@ -210,17 +252,15 @@ static PyObject *on_arrays(PyObject *const *arguments, Py_ssize_t count_given, i
             work.sample_s = *(const double *)work.maps / (double)work.widest;
             work.ticks = (size_t)1 << (work.levels - (size_t)views[BASES].shape[0]);
             Path *path = views[STATE].buf;
-            const size_t start = numbers[0], stop = numbers[1], first = numbers[2], each = numbers[3];
             const int large = work.map_size > 100;
             size_t found;
             if (arrays == ARRAYS) {
                 Pair *pair = views[TWO].buf;
-                found = large ? count(5, &work, path, pair, start, stop, first, each, last)
-                              : count(3, &work, path, pair, start, stop, first, each, last);
+                found = large ? count_on_seat(&work, path, pair, numbers, last)
+                              : count_on_ground(&work, path, pair, numbers, last);
             } else {
                 work.mask = (size_t)last;
-                found = large ? run(5, &work, path, start, stop, first, each)
-                              : run(3, &work, path, start, stop, first, each);
+                found = large ? run_on_seat(&work, path, numbers) : run_on_ground(&work, path, numbers);
             }
             done = PyLong_FromSize_t(found);
         }

@@ -10,7 +10,7 @@ INLINE double find_bases(const Work *work, const Path *path, const double *map, 
                          size_t width, size_t inner, size_t ticks, double bases[2][3])
 {
     const int parts = n > 3 ? PARTS : 2;
-    const double *base = map + 2 + 2 * n * n + 7 * n * parts;
+    const double *base = map + 2 + 2 * n * n + 8 * n * parts;
     const double per_h = work->model->inductance;
     const size_t last = at + (width ? width - 1 : 0);
     double volts = work->volts[last];
@@ -32,32 +32,6 @@ INLINE double find_bases(const Work *work, const Path *path, const double *map, 
         }
     }
     return volts;
-}
-
-/* The third divided difference over a step and the middle before it, times the width cubed. */
-typedef struct {
-    double end, middle, node, before;
-} Third;
-
-INLINE Third third_of(double width, double before)
-{
-    if (before == width)
-        return (Third){4.0 / 3.0, -4.0, 4.0, -4.0 / 3.0};
-    const double ratio = before / width, share = 2.0 / (1.0 + ratio), all = 1.0 / (1.0 + 0.5 * ratio);
-    return (Third){2.0 * all, -(4.0 + 2.0 * share) * all,
-                   (2.0 + share * (2.0 + 2.0 / ratio)) * all, -2.0 * share / ratio * all};
-}
-
-INLINE double third(const Third *t, double end, double middle, double node, double before)
-{
-    return t->end * end + t->middle * middle + t->node * node + t->before * before;
-}
-
-INLINE double squares_of(const Third *t, const Path *path, const End ends[2])
-{
-    const double end = ends[1].at.flux, middle = ends[0].at.flux;
-    return third(t, end * end, middle * middle, path->flux * path->flux,
-                 path->middle_flux * path->middle_flux);
 }
 
 /* How far a step is off, over what is allowed. The roughness of the linear solution's flux is known
@@ -146,25 +120,21 @@ INLINE void advance(const int n, const Model *m, Path *path, const double *map, 
                     int smooth, const double bases[2][3], const End ends[2], double volts, double wrong_a)
 {
     const int parts = n > 3 ? PARTS : 2;
-    const double *onward = map + 2 + n * n, *cubic_weights = map + 2 + 2 * n * n + 6 * n * parts;
-    double error[STATES], odd[PARTS];
+    const double *onward = map + 2 + n * n, *cubic_weights = map + 2 + 2 * n * n + 7 * n * parts;
+    double error[STATES], odd[PARTS], base[PARTS] = {0.0};
+    if (smooth)
+        of_base(n, m, path, t, bases, ends, base);
     for (int part = 0; part < parts; part++)
-        odd[part] = third(t, ends[1].g[part], ends[0].g[part], path->g[part], path->middle[part]);
-    if (smooth) {
-        const double flux = third(t, bases[1][Q], bases[0][Q], path->base[Q], path->middle_q);
-        odd[FORCE] -= path->force_q * flux + path->force_qq * squares_of(t, path, ends);
-        odd[VOLTS] -= path->volts_q * flux;
-        if (n > 3)
-            odd[PUSH] -= m->pull * flux;
-    }
+        odd[part] = third(t, ends[1].g[part], ends[0].g[part], path->g[part], path->middle[part]) -
+                    base[part];
     for (int row = 0; row < n; row++) {
-        double old = 0.0, added = 0.0;
+        double old = 0.0, added = 0.0; /* by the cubic: what the parabola would be off */
         for (int column = 0; column < n; column++)
             old += onward[row * n + column] * path->error[column];
         for (int part = 0; part < parts; part++)
             added += cubic_weights[row * parts + part] * odd[part];
         error[row] = old + added;
-        path->d[row] = ends[1].d[row] + added;
+        path->d[row] = ends[1].d[row];
     }
     memcpy(path->error, error, sizeof error);
     const double off = m->pull * error[Q] - m->stiffness * error[Y] - m->damping * error[U];
@@ -279,8 +249,8 @@ INLINE size_t run(const int n, const Work *work, Path *path, size_t start, size_
         Rough rough;
         const double volts = find_bases(work, path, map, n, at, width, inner, ticks, bases);
         const double enough_n = ENOUGH * m->tolerance * larger(path->largest_a, m->least_a) * m->mass;
-        const int sweeps = solve(n, work, path, map, level, at, width, bases, enough_n, ends, &rough);
         const Third t = third_of(map[0], path->width);
+        const int sweeps = solve(n, work, path, map, level, at, width, bases, &t, enough_n, ends, &rough);
         double over = HUGE_VAL;
         if (sweeps) {
             for (int point = 0; point < 2; point++)

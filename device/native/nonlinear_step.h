@@ -138,6 +138,43 @@ INLINE void show(const int n, const Model *m, const double *base, End *end)
                        m->frame_damping * d[FRAME_SPEED]) / m->frame_mass;
 }
 
+/* The third divided difference over a step and the middle before it, times the width cubed. */
+typedef struct {
+    double end, middle, node, before;
+} Third;
+
+INLINE Third third_of(double width, double before)
+{
+    if (before == width)
+        return (Third){4.0 / 3.0, -4.0, 4.0, -4.0 / 3.0};
+    const double ratio = before / width, share = 2.0 / (1.0 + ratio), all = 1.0 / (1.0 + 0.5 * ratio);
+    return (Third){2.0 * all, -(4.0 + 2.0 * share) * all,
+                   (2.0 + share * (2.0 + 2.0 / ratio)) * all, -2.0 * share / ratio * all};
+}
+
+INLINE double third(const Third *t, double end, double middle, double node, double before)
+{
+    return t->end * end + t->middle * middle + t->node * node + t->before * before;
+}
+
+INLINE double squares_of(const Third *t, const Path *path, const End ends[2])
+{
+    const double end = ends[1].at.flux, middle = ends[0].at.flux;
+    return third(t, end * end, middle * middle, path->flux * path->flux,
+                 path->middle_flux * path->middle_flux);
+}
+
+/* What the linear solution's flux adds to that of g: it is as rough as the voltage. */
+INLINE void of_base(const int n, const Model *m, const Path *path, const Third *t,
+                    const double bases[2][3], const End ends[2], double parts[PARTS])
+{
+    const double flux = third(t, bases[1][Q], bases[0][Q], path->base[Q], path->middle_q);
+    parts[FORCE] = path->force_q * flux + path->force_qq * squares_of(t, path, ends);
+    parts[VOLTS] = path->volts_q * flux;
+    if (n > 3)
+        parts[PUSH] = m->pull * flux;
+}
+
 #define MOST_SAMPLES 256
 
 /* What samples of a step have beyond the parabola through its points: the linear solution's flux is
@@ -229,12 +266,21 @@ INLINE void find_rough(const int n, const int parts, const double *weights, cons
 
 /* Solves one step; the number of sweeps, or 0 if it does not converge. */
 INLINE int solve(const int n, const Work *work, const Path *path, const double *map, size_t level,
-                 size_t at, size_t width, const double bases[2][3], double enough_n, End ends[2],
-                 Rough *rough)
+                 size_t at, size_t width, const double bases[2][3], const Third *t, double enough_n,
+                 End ends[2], Rough *rough)
 {
     const Model *m = work->model;
     const int parts = n > 3 ? PARTS : 2, block = n * parts;
-    const double *onward = map + 2, *weights = onward + 2 * n * n;
+    const double *onward = map + 2, *parabola = onward + 2 * n * n, *cubic = parabola + 6 * block;
+    /* Of the cubic through the middle before as well. */
+    double weights[6 * STATES * PARTS];
+    for (int point = 0; point < 2; point++)
+        for (int k = 0; k < block; k++) {
+            const int at_node = 3 * block * point + k, third = block * point + k;
+            weights[at_node] = parabola[at_node] + t->node * cubic[third];
+            weights[at_node + block] = parabola[at_node + block] + t->middle * cubic[third];
+            weights[at_node + 2 * block] = parabola[at_node + 2 * block] + t->end * cubic[third];
+        }
     const int goes_on = path->width == map[0];
     for (int part = 0; part < 2; part++) {
         const double first = path->before[part], middle = path->middle[part], last = path->g[part];
@@ -250,7 +296,8 @@ INLINE int solve(const int n, const Work *work, const Path *path, const double *
             for (int column = 0; column < n; column++)
                 sum += p[row * n + column] * path->d[column];
             for (int part = 0; part < parts; part++)
-                sum += w[row * parts + part] * path->g[part];
+                sum += w[row * parts + part] * path->g[part] +
+                       t->before * cubic[block * point + row * parts + part] * path->middle[part];
             known[point][row] = sum;
         }
     }
@@ -284,6 +331,15 @@ INLINE int solve(const int n, const Work *work, const Path *path, const double *
                       fabs(ends[point].g[VOLTS] - volts) * own[point] * m->pull;
         }
         sweep++;
+        if (sweep == 1 && width > 1) {
+            double base[PARTS];
+            of_base(n, m, path, t, bases, ends, base);
+            for (int point = 0; point < 2; point++)
+                for (int row = 0; row < n; row++)
+                    for (int part = 0; part < parts; part++)
+                        known[point][row] -=
+                            cubic[block * point + row * parts + part] * base[part];
+        }
         if (sweep == 1 && width > 2 && m->linear == 0.0)
             find_rough(n, parts, weights, work, path, level, at, width, bases, ends, known, rough);
     }

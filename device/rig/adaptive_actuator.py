@@ -19,8 +19,9 @@ from device.rig.actuator import QUANTITIES, SEAT_ACCELERATION, LinearActuator, M
 from device.rig.co_energy import energies
 from device.rig.crossfade import crossfade
 from device.rig.equations import FLUX, Equations
-from device.rig.model_levels import ModelLevel, ModelLevels
+from device.rig.model_levels import BlockReport, ModelLevel, ModelLevels
 from device.rig.nonlinear_model import ROWS, STEP_TOLERANCE, Path
+from device.rig.parameters import check_tolerance
 from device.rig.rig import Rig
 from device.rig.thermal import Temperatures
 from device.units import FloatArray, finite_or_zero
@@ -29,7 +30,6 @@ BLOCK_S = 0.1
 FADE_S = 0.01
 MARGIN = 2.0
 """The Born term times this estimates the error without it."""
-HIGHEST_TOLERANCE = 1.0
 
 _FADE_SHARE = 0.25
 """A crossfade may deviate by this share of the tolerance."""
@@ -43,23 +43,12 @@ _TRUSTED = 7
 _FLUX_SHARE = 0.05
 """A difference of flux decays within the linear model's first step, between whose points it is
 interpolated: that errs by up to 4 % of its force, as measured."""
-_SILENT = 1e-4
+_SILENT = 1e-2
 """Share of the tolerance at the least peak, below which d becomes 0."""
 _ABSURD_V = 1e6
 _REPORTS = 4_096
 _PART_BLOCKS = 4
 _NAMES = (*QUANTITIES, SEAT_ACCELERATION)
-
-
-@dataclass(frozen=True)
-class BlockReport:
-    """How one block was computed."""
-
-    frame: int  # number of the block's first frame since the start
-    frames: int
-    level: ModelLevel
-    estimate: float  # measured error as a share of the peak; infinity where it was stepped
-    excursion_peak_m: float
 
 
 @dataclass
@@ -140,6 +129,11 @@ class AdaptiveActuator:
         self._beyond_m, self._trusted = math.inf, 0
         # Volts and linear solution after the last node.
         self._pending = np.empty(0), np.empty((ROWS, 0))
+
+    @property
+    def block_frames(self) -> int:
+        """Frames for which a model is chosen, about 0.1 s."""
+        return self._block
 
     @property
     def stepped_frames(self) -> int:
@@ -253,12 +247,12 @@ class AdaptiveActuator:
             frames = first + (len(estimates) - 1) * each
             if at.level is not level:
                 at.path.begin(at.path.d)
-            self._levels.solve(level, volts, moved, at.path, start, (first, each, frames), mask)
-            if (np.abs(at.path.d) <= self._silent).all() and (
-                np.abs(at.pair) <= self._silent
-            ).all():
+            if not self._levels.passes_linear(volts, moved, at.path, start + frames):
+                self._levels.solve(level, volts, moved, at.path, start, (first, each, frames), mask)
+            at.pair[(np.abs(at.pair) <= self._silent).all(axis=1)] = 0.0
+            if (np.abs(at.path.d) <= self._silent).all():
                 at.path.begin(np.zeros(5))
-                at.pair[:] = 0.0
+                at.pair[0] = 0.0
             rows = estimates
         else:
             if at.level is not level:
@@ -345,12 +339,3 @@ class AdaptiveActuator:
             + self.equations.source_impedance_ohm
         )
         self._at.path.fields["fresh"] = 1.0
-
-
-def check_tolerance(tolerance: float) -> None:
-    """Raise UsageError for a tolerance that is not above 0 and at most 1."""
-    if not 0.0 < tolerance <= HIGHEST_TOLERANCE:
-        raise UsageError(
-            f"tolerance={tolerance!r} must be above 0 and at most {HIGHEST_TOLERANCE:g}; "
-            "0.01 allows 1 % of the peak"
-        )

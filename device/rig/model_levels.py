@@ -8,9 +8,11 @@ Each begins with the same excursion, speed and flux, so any model may follow any
 """
 
 import enum
+from dataclasses import dataclass
 
 import numpy as np
 
+from device import blocks
 from device.rig.equations import EXCURSION, FLUX, FRAME, FRAME_SPEED, SPEED, Equations
 from device.rig.nonlinear_model import NonlinearModel, Path
 from device.rig.passive_step import PassiveStepper
@@ -23,6 +25,17 @@ class ModelLevel(enum.StrEnum):
     LINEAR = "linear"
     NONLINEAR = "non-linear"
     STEPPED = "step by step"
+
+
+@dataclass(frozen=True)
+class BlockReport:
+    """How one block was computed."""
+
+    frame: int  # number of the block's first frame since the start
+    frames: int
+    level: ModelLevel
+    estimate: float  # measured error as a share of the peak; infinity where it was stepped
+    excursion_peak_m: float
 
 
 class ModelLevels:
@@ -55,8 +68,8 @@ class ModelLevels:
         """
         first, each, frames = blocks_of
         lengths = [first, *[each] * ((frames - first) // each)]
-        if level is ModelLevel.LINEAR and self.equations.seat is None and not np.any(path.d):
-            return self._pass_linear(volts, moved, path, start, lengths)
+        if level is ModelLevel.LINEAR and self.passes_linear(volts, moved, path, start + frames):
+            return self._linear_peaks(moved, start, lengths)
         done, rows = 0, np.zeros((0, 4))
         if level is not ModelLevel.STEPPED:
             done, rows = self._model(level).solve(volts, moved, path, start, blocks_of, mask)
@@ -73,16 +86,19 @@ class ModelLevels:
         model.set_resistance()
         return model
 
-    def _pass_linear(
-        self, volts: FloatArray, moved: FloatArray, path: Path, start: int, lengths: list[int]
-    ) -> FloatArray:
-        """The linear solution itself: nothing is added."""
+    def passes_linear(self, volts: FloatArray, moved: FloatArray, path: Path, stop: int) -> bool:
+        """Return whether the linear solution itself is the answer; if so, go on to a sample."""
+        if self.equations.seat is not None or np.any(path.d):
+            return False
+        self._keep_base(volts, moved, path, stop - 1)
+        path.begin(path.d)
+        return True
+
+    def _linear_peaks(self, moved: FloatArray, start: int, lengths: list[int]) -> FloatArray:
         found = np.zeros((len(lengths), 4))
         for row, length in zip(found, lengths, strict=True):
-            row[:2] = np.abs(moved[[0, 3], start : start + length]).max(axis=1)
+            row[:2] = [blocks.peak(moved[k, start : start + length]) for k in (0, 3)]
             start += length
-        self._keep_base(volts, moved, path, start - 1)
-        path.begin(path.d)
         return found
 
     def _keep_base(self, volts: FloatArray, moved: FloatArray, path: Path, sample: int) -> None:

@@ -13,10 +13,10 @@ import numpy as np
 
 from device.errors import UsageError
 from device.rig.actuator import Motion, Quantity
-from device.rig.adaptive_actuator import AdaptiveActuator, check_tolerance
+from device.rig.adaptive_actuator import AdaptiveActuator
 from device.rig.model_levels import ModelLevel
 from device.rig.nonlinear_model import FLOOR, STEP_TOLERANCE
-from device.rig.parameters import Model
+from device.rig.parameters import Model, check_tolerance
 from device.rig.rig import Rig
 from device.units import FloatArray
 

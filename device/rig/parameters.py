@@ -53,6 +53,16 @@ Model = Literal["auto", "linear", "nonlinear"]
 MODELS: tuple[Model, ...] = get_args(Model)
 LEAST_TOLERANCE = 1e-5
 """The smallest error, as a share of the peak, that a user may ask for."""
+_HIGHEST_TOLERANCE = 1.0
+
+
+def check_tolerance(tolerance: float) -> None:
+    """Raise UsageError for a tolerance that is not above 0 and at most 1."""
+    if not 0.0 < tolerance <= _HIGHEST_TOLERANCE:
+        raise UsageError(
+            f"tolerance={tolerance!r} must be above 0 and at most {_HIGHEST_TOLERANCE:g}; "
+            "0.01 allows 1 % of the peak"
+        )
 
 
 class Stage:

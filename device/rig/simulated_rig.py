@@ -21,7 +21,9 @@ from device.units import Float32Array, FloatArray, check_channels
 class SimulatedRig:
     """A `VibrationOutput` that moves one simulated actuator for each channel.
 
-    One thread writes; any thread may read the attributes meanwhile.
+    One thread writes; any thread may read the attributes meanwhile. Actuators that choose a model
+    move by blocks of 0.1 s counted from the start, and by what is left at `close`: so the bytes of
+    a record do not depend on how the vibration was cut.
 
     rig: the rig of all channels, or that of each channel, None where nothing is connected.
     channels: number of channels, 1 or more; None for as many as rigs are listed. recorder: gets
@@ -29,11 +31,11 @@ class SimulatedRig:
     ACCELERATION_FULL_SCALE_M_S2. It is closed or aborted with the rig. tolerance: none for linear
     actuators, else the error that `AdaptiveActuator` may make, with the `model`. clock: CPU time in
     seconds; with it, `seconds` says second by second which model ran, its cost and its true error,
-    for about 5 ms more of CPU a second and actuator. acceleration_m_s2: (frames,
-    channels) of the last block, a new array each time; 0 without a rig. peak_acceleration_m_s2,
-    peak_displacement_m, peak_current_a: largest magnitudes of any channel since the start or
-    `reset`. overcurrent_samples: samples beyond the amplifier's current limit; a real one would
-    limit it or switch off.
+    for about 5 ms more of CPU a second and actuator. acceleration_m_s2: (frames, channels) of what
+    the last `write` or `close` moved, a new array each time; 0 without a rig.
+    peak_acceleration_m_s2, peak_displacement_m, peak_current_a: largest magnitudes of any channel
+    since the start or `reset`. overcurrent_samples: samples beyond the amplifier's current limit; a
+    real one would limit it or switch off.
     """
 
     def __init__(
@@ -73,6 +75,8 @@ class SimulatedRig:
             for one in dict.fromkeys(rigs)
             if one is not None
         ]
+        chosen = [one for one in self.actuators if isinstance(one, AdaptiveActuator)]
+        self._grid_frames = max((one.block_frames for one in chosen), default=0)
         self.reset()
 
     @property
@@ -102,6 +106,7 @@ class SimulatedRig:
         for stage in self._stages:
             stage.reset()
         self.acceleration_m_s2: FloatArray = np.zeros((0, self.channels))
+        self._waiting: FloatArray = np.zeros((0, self.channels))
         self.peak_acceleration_m_s2 = 0.0
         self.peak_displacement_m = 0.0
         self.peak_current_a = 0.0
@@ -112,6 +117,18 @@ class SimulatedRig:
         if self._closed:
             raise InternalError("the simulated rig is closed: nothing can be written to it")
         check_channels(vibration, self.channels)
+        grid = self._grid_frames
+        if not grid:
+            self.acceleration_m_s2 = self._move(vibration)
+            return
+        known: FloatArray = np.concatenate((self._waiting, vibration))
+        whole = len(known) // grid * grid
+        self._waiting = known[whole:].copy()
+        moved = [self._move(known[first : first + grid]) for first in range(0, whole, grid)]
+        self.acceleration_m_s2 = np.concatenate([np.zeros((0, self.channels)), *moved])
+
+    def _move(self, vibration: FloatArray | Float32Array) -> FloatArray:
+        """Move the actuators, and record; return the acceleration."""
         # Channels as rows: each actuator then reads and writes contiguous memory.
         acceleration = np.zeros(vibration.shape[::-1])
         for stage in self._stages:
@@ -127,12 +144,15 @@ class SimulatedRig:
             if stage.record:
                 stage.record.advance(len(vibration))
         self.peak_acceleration_m_s2 = _larger(self.peak_acceleration_m_s2, acceleration)
-        self.acceleration_m_s2 = acceleration.T
         if self._recorder:
-            self._recorder.write(self.acceleration_m_s2 * CONDITIONING_V_PER_M_S2)
+            self._recorder.write(acceleration.T * CONDITIONING_V_PER_M_S2)
+        return acceleration.T
 
     def close(self) -> None:
-        """Finish, and close the recorder."""
+        """Move by what waits for the rest of a block, and close the recorder."""
+        if self._grid_frames and not self._closed:
+            waiting, self._waiting = self._waiting, self._waiting[:0]
+            self.acceleration_m_s2 = self._move(waiting)
         for stage in self._stages:
             if stage.record and not self._closed:
                 stage.record.finish()

@@ -3,8 +3,9 @@
 Over a step h the remainder g is taken as the parabola through the Lobatto points 0, h/2 and h. Then
 d(c h) = P d(0) + sum W_j g_j exactly, with P = exp(A c h) and W_j the integral of exp(A (c h - t))
 times E and the j-th Lagrange polynomial (an exponential integrator: Hochbruck and Ostermann,
-Exponential integrators, Acta Numerica 2010). Between samples the linear solution S follows from the
-same exponential and the straight line of the voltage.
+Exponential integrators, Acta Numerica 2010). The compiled form takes the cubic through the middle
+before as well. Between samples the linear solution S follows from the same exponential and the
+straight line of the voltage.
 """
 
 import math
@@ -44,7 +45,7 @@ class StepMap:
     width_s: float
     onward: FloatArray  # P, (2, states, states)
     weights: FloatArray  # W, (2, 3 points, states, components)
-    cubic: FloatArray  # the integral for t (t - 1/2) (t - 1) at the end, (states, components)
+    cubic: FloatArray  # the integral for t (t - 1/2) (t - 1), (2, states, components)
     base: FloatArray  # S and the volts at 0 and h to S, (2, 3, 5)
 
     def packed(self) -> FloatArray:
@@ -104,8 +105,7 @@ def _step_map(equations: Equations, width_s: float) -> StepMap:
     scale = equations.scale
     rate = scale[:, None] * equations.rate / scale
     entry = scale[:, None] * equations.entry
-    onward, weights, base = [], [], []
-    cubic = np.zeros_like(entry)
+    onward, weights, cubic, base = [], [], [], []
     for share in (0.5, 1.0):
         until_s = share * width_s
         # One exponential gives the integrals for g = 1, t, t^2 / 2, t^3 / 6 (Van Loan 1978).
@@ -118,10 +118,10 @@ def _step_map(equations: Equations, width_s: float) -> StepMap:
         moments = exponential[:n, n:].reshape(n, 4, components) / scale[:, None, None]
         moments *= share ** np.arange(4)[:, None]
         weights.append(np.einsum("kj,nkc->jnc", _PARABOLA, moments[:, :3]))
-        cubic = np.einsum("k,nkc->nc", _CUBIC, moments)
+        cubic.append(np.einsum("k,nkc->nc", _CUBIC, moments))
         # A voltage acts on the flux, as the second component does, in the three states of S.
         base.append(_base_map(equations, until_s, share))
-    return StepMap(width_s, np.array(onward), np.array(weights), cubic, np.array(base))
+    return StepMap(width_s, np.array(onward), np.array(weights), np.array(cubic), np.array(base))
 
 
 def _base_map(equations: Equations, until_s: float, share: float) -> FloatArray:

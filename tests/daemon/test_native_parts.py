@@ -27,7 +27,7 @@ from audioflinger_hook.daemon.handover import (
 )
 from audioflinger_hook.daemon.inputs.applications import Applications
 from audioflinger_hook.daemon.native import abilities
-from audioflinger_hook.daemon.native import page as page_module
+from audioflinger_hook.daemon.native import layout as layout_module
 from audioflinger_hook.daemon.native.abilities import (
     missing_parts,
     why_not_config,
@@ -209,11 +209,11 @@ def test_without_actuators_every_channel_of_the_device_plays() -> None:
 
 
 def test_the_page_has_the_layout_that_the_plugin_reads(tmp_path: Path) -> None:
-    layout_class: Any = page_module._Layout
+    layout_class: Any = layout_module.Layout
     fields = [name for name, _ in layout_class._fields_]
     lines = [f'printf("%zu\\n", offsetof(Page, {name}));' for name in fields]
     program = tmp_path / "layout.c"
-    header = Path(page_module.__file__).parents[2] / "plugin/native/page.h"
+    header = Path(layout_module.__file__).parents[2] / "plugin/native/page.h"
     program.write_text(
         f'#include <stddef.h>\n#include <stdio.h>\n#include "{header}"\n'
         f'int main(void) {{ printf("%zu\\n", sizeof(Page)); {" ".join(lines)} return 0; }}\n'
@@ -226,10 +226,10 @@ def test_the_page_has_the_layout_that_the_plugin_reads(tmp_path: Path) -> None:
 
 def test_a_page_is_private_and_its_file_goes_with_it(tmp_path: Path) -> None:
     path = tmp_path / "page"
-    page = Page(path, 2, 1)
+    page = Page(path, 2, 1, 1)
     assert path.stat().st_mode & 0o777 == 0o600
     with pytest.raises(FileExistsError):
-        Page(path, 2, 1)
+        Page(path, 2, 1, 1)
     page.set_actuator(0, -0.5, 9.0)
     page.set_audible(True)
     assert page.readings().frames == 0
@@ -239,27 +239,27 @@ def test_a_page_is_private_and_its_file_goes_with_it(tmp_path: Path) -> None:
 
 
 def test_partials_that_are_being_written_are_not_read(tmp_path: Path) -> None:
-    page = Page(tmp_path / "page", 2, 1)
+    page = Page(tmp_path / "page", 2, 1, 1)
     told = page._page.partials
     assert page.principal() == []
     told.sequence, told.count = 2, 1
     told.partials[0][:] = (440.0, 100.0, 0.25)
     assert page.principal() == [(440.0, 100.0, 0.25)]
-    assert page.shown(1) == ([(0.0, 0.0)] * 2, [(0.0, 0.0)], page.principal())
+    assert page.reader.shown() == ((2, 1, 1), (*(0.0,) * 6, 440.0, 100.0, 0.25))
     told.sequence = 3  # odd: the plugin is writing
     assert page.principal() == []
-    assert page.shown(1)[2] == []
+    assert page.reader.shown() == ((2, 1, 0), (0.0,) * 6)
     told.sequence, told.count = 4, 1 << 40  # of a plugin gone wrong
-    assert len(page.principal()) == len(page.shown(1)[2]) == page_module.PARTIALS
+    assert len(page.principal()) == layout_module.PARTIALS
     page.close()
 
 
 def test_levels_are_read_for_each_channel_and_actuator(tmp_path: Path) -> None:
-    page = Page(tmp_path / "page", 2, 1)
+    page = Page(tmp_path / "page", 2, 1, 2)
     page._page.readings.channels[1][:] = (0.5, 0.125)
     page._page.actuators[1].peak, page._page.actuators[1].square = 0.25, 0.03
     assert page.channel_readings() == [(0.0, 0.0), (0.5, 0.125)]
-    assert page.actuator_readings(2) == [(0.0, 0.0), (0.25, 0.03)]
+    assert page.reader.shown() == ((2, 2, 0), (0.0, 0.0, 0.5, 0.125, 0.0, 0.0, 0.25, 0.03))
     page.close()
 
 

@@ -29,6 +29,7 @@ import soundfile
 
 from audioflinger_hook import HapticTransform
 from audioflinger_hook.cli import main as cushion
+from audioflinger_hook.transform import TRANSFORM_VERSION
 
 EXCERPT_S = 2.5
 DIGESTS = Path(__file__).with_name("digests.json")
@@ -206,7 +207,9 @@ def cases() -> Iterator[Case]:
 
 
 def quick(name: str) -> bool:
-    """Return whether a case belongs to the quick subset."""
+    """Return whether a case, or what all depend on, belongs to the quick subset."""
+    if name in ("machine", "transform_version"):
+        return True
     chosen = ("bell/live/cinema/each", "bell/reference/paper/mono", "Front_Left/live/game/mono")
     return name.endswith(chosen) or name.startswith(
         ("kernel/48000", "config/Front_Left", "rig/Front_Center")
@@ -227,7 +230,8 @@ def digests(only: Callable[[str], bool] = lambda _name: True) -> dict[str, str]:
     """Return the digests of the cases whose names are asked for, by name."""
     names = [name for name, _ in cases() if only(name)]
     with ProcessPoolExecutor(os.cpu_count()) as pool:
-        return {"machine": machine(), **dict(sorted(pool.map(made, names, chunksize=4)))}
+        found = dict(sorted(pool.map(made, names, chunksize=4)))
+    return {"machine": machine(), "transform_version": str(TRANSFORM_VERSION), **found}
 
 
 def main() -> int:
@@ -238,13 +242,20 @@ def main() -> int:
     parser.add_argument("--quick", action="store_true", help="a dozen of them")
     options = parser.parse_args()
     found = digests(quick if options.quick else lambda _name: True)
+    golden = json.loads(DIGESTS.read_text())
     if options.write:
+        if golden.get("transform_version") == found["transform_version"] and any(
+            name.startswith("render/") and digest != found.get(name)
+            for name, digest in golden.items()
+        ):
+            # else a catalogue would take results of both for the same
+            print("renderings have changed: raise TRANSFORM_VERSION in audioflinger_hook/transform")
+            return 1
         DIGESTS.write_text(json.dumps(found, indent=0, sort_keys=True) + "\n")
         print(f"{len(found)} digests written")
         return 0
-    golden = json.loads(DIGESTS.read_text())
     if options.quick:
-        golden = {name: golden[name] for name in golden if name == "machine" or quick(name)}
+        golden = {name: golden[name] for name in golden if quick(name)}
     wrong = [
         f"{name}: {found.get(name, 'missing')} instead of {golden.get(name, 'nothing')}"
         for name in sorted(golden.keys() | found.keys())

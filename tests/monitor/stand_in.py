@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 import json
-import os
 import socket
-import subprocess
-import sys
-import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -22,7 +18,7 @@ from audioflinger_hook.service.state import DaemonState
 from audioflinger_hook.service.status import Endpoint, Levels, Status
 from audioflinger_hook.service.status_server import StatusServer
 from tests.support.commands import environment
-from tests.support.recordings import ROOT
+from tools.live_page import Monitor
 
 LIMIT_S = 60.0
 
@@ -48,14 +44,19 @@ class Settings:
         self.requests: list[dict[str, Any]] = []
         self.page = ""
         self.frames = 0
+        self.settings = {"keys": [], "unsaved": 0, "undo": 0}
 
-    def frame(self) -> str:
+    def frame(self, missed: int, *, in_memory: bool) -> tuple[bytes, bool]:
         self.frames += 1
-        sound, vibration = [[0.5, 0.125]] * 2, [[0.25, 0.03]]
-        return json.dumps({"sound": sound, "vibration": vibration, "partials": [[440, 100, 0.5]]})
-
-    def news(self, seen: int) -> tuple[int, dict[str, Any] | None]:
-        return 1, None if seen == 1 else {"keys": [], "unsaved": 0, "undo": 0}
+        frame = {
+            "state": "running",
+            "level": 1.0,
+            "sound": [[0.5, 0.125]] * 2,
+            "vibration": [[0.25, 0.03]],
+            "partials": [[440, 100, 0.5]],
+            "missed": missed,
+        }
+        return json.dumps({"frame": frame}).encode() + b"\n", False
 
     def watched_by(self, page: str) -> None:
         self.page = page
@@ -66,9 +67,9 @@ class Settings:
 
 
 @contextmanager
-def daemon_socket(base: Path) -> Iterator[Settings]:
+def daemon_socket(base: Path, live: Settings | None = None) -> Iterator[Settings]:
     """A daemon's socket in the runtime folder `base`."""
-    live = Settings()
+    live = live or Settings()
     with (
         RuntimeFolder({"XDG_RUNTIME_DIR": str(base)}, create=True) as folder,
         StatusServer(folder, lambda: STATUS, time.monotonic, live),
@@ -76,37 +77,11 @@ def daemon_socket(base: Path) -> Iterator[Settings]:
         yield live
 
 
-class Page:
-    """A running `cushion monitor`. address: with the token; stderr: what it has written."""
+class Page(Monitor):
+    """A running `cushion monitor` in the runtime folder `base`, and requests to it."""
 
     def __init__(self, base: Path, *options: str) -> None:
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "audioflinger_hook", "monitor", *options],
-            env=environment(XDG_RUNTIME_DIR=str(base), PYTHONPATH=str(ROOT)),
-            stdin=subprocess.DEVNULL,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        self.stderr = ""
-        self._thread = threading.Thread(target=self._read, daemon=True)
-        self._thread.start()
-        until(lambda: "live page:" in self.stderr or self.process.poll() is not None, "address")
-        self.address = self.stderr.partition("live page: ")[2].partition("\n")[0]
-        self.host, _, self.token = self.address.removeprefix("http://").partition("/#")
-        self.port = int(self.host.rpartition(":")[2] or 0)
-
-    def _read(self) -> None:
-        assert self.process.stderr is not None
-        for line in self.process.stderr:
-            self.stderr += line
-
-    def close(self) -> int:
-        self.process.terminate()
-        code = self.process.wait(LIMIT_S)
-        self._thread.join(LIMIT_S)
-        assert self.process.stderr is not None
-        self.process.stderr.close()
-        return code
+        super().__init__(environment(XDG_RUNTIME_DIR=str(base)), *options)
 
     def connection(self) -> socket.socket:
         return socket.create_connection(("127.0.0.1", self.port), LIMIT_S)
@@ -128,10 +103,6 @@ class Page:
         text = answer.decode("latin-1")
         return (int(text.split()[1]) if text.startswith("HTTP/") else 0), text
 
-    @property
-    def cookie(self) -> str:
-        return f"cushion_{self.port}={self.token}"
-
     def live(self, **headers: str) -> ClientConnection:
         """An open live connection, as the page's own script opens it."""
         sent = {"Origin": f"http://{self.host}", "Cookie": self.cookie, **headers}
@@ -152,14 +123,6 @@ def page(base: Path, *options: str) -> Iterator[Page]:
         yield opened
     finally:
         opened.close()
-
-
-def until(condition: Callable[[], Any], what: str, limit_s: float = LIMIT_S) -> None:
-    """Wait for a condition."""
-    end_s = time.monotonic() + limit_s
-    while not condition():
-        assert time.monotonic() < end_s, f"no {what} within {limit_s} s"
-        os.sched_yield()
 
 
 def everything(live: ClientConnection) -> None:

@@ -18,8 +18,8 @@ import pytest
 
 from audioflinger_hook.service.runtime_folder import FOLDER_NAME
 from audioflinger_hook.service.status_server import NAME
-from tests.monitor.stand_in import LIMIT_S, Page, ask, daemon_socket, message, page, until
-from tests.servers.listening import need
+from tests.monitor.stand_in import LIMIT_S, Page, ask, daemon_socket, message, page
+from tests.servers.listening import need, wait_for
 from tests.support.commands import call
 
 
@@ -48,7 +48,7 @@ def test_a_browser_that_acknowledges_nothing_gets_few_frames_and_then_the_newest
                 found = json.loads(live.recv(timeout=LIMIT_S))
                 frames += [found] if "frame" in found else []
             before = daemon.frames
-            until(lambda: daemon.frames > before + 60, "frames")
+            wait_for(lambda: daemon.frames > before + 60, "frames", LIMIT_S)
             live.send(json.dumps({"ack": 4}))
             found = message(live, "frame")
             assert found["n"] == 5
@@ -175,7 +175,7 @@ def test_a_port_in_use_is_one_line_and_exit_code_2(tmp_path: Path) -> None:
 
 def test_a_page_for_the_network_warns_and_still_needs_the_token(tmp_path: Path) -> None:
     with page(tmp_path, "--listen", "0.0.0.0:0") as served:
-        until(lambda: served.stderr.count("\n") == 2, "warning")
+        wait_for(lambda: served.stderr.count("\n") == 2, "warning", LIMIT_S)
         assert "0.0.0.0 is open to the network, and HTTP is not encrypted" in served.stderr
         own = f"127.0.0.1:{served.port}"
         assert served.request("/", host=own)[0] == 200

@@ -4,7 +4,7 @@ import os
 import subprocess
 import sys
 from dataclasses import replace
-from itertools import combinations
+from itertools import combinations, product
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +18,7 @@ from matplotlib.text import Text
 
 from device.errors import InternalError, UsageError
 from device.rig import PAPER
+from device.rig.parameters import vary
 from tests.support.commands import environment
 from tests.support.signals import FIVE_TONES_HZ
 from tools.paper import __main__ as figures
@@ -139,6 +140,40 @@ def test_the_response_is_that_of_mass_spring_and_friction(drawn):
 def test_the_measured_resonance_is_the_rigs_own(resonance_hz):
     rig = replace(PAPER, actuator=replace(PAPER.actuator, resonance_hz=resonance_hz))
     assert measure_response(rig).resonance_hz == pytest.approx(resonance_hz, rel=0.01)
+
+
+@pytest.mark.exhaustive
+def test_specimens_that_are_a_tenth_off_enclose_the_published_resonance_and_the_drawn_curve(
+    drawn, monkeypatch
+):
+    # The paper gives one number of its Figure 6, about 90 Hz. Level and slopes are compared with
+    # the drawn curve and with the equations.
+    monkeypatch.setattr("tools.paper.response.TAKES", 1)
+    hz = np.arange(15.0, 299.0, 0.5)
+    curves, resonances_hz = {}, []
+    for f0, mass, force_factor in product((0.9, 1.0, 1.1), (0.9, 1.1), (0.9, 1.1)):
+        specimen = vary(PAPER.actuator, mass, mass * f0**2, force_factor)
+        response = measure_response(replace(PAPER, actuator=specimen))
+        curve = np.interp(hz, response.frequency_hz, 20.0 * np.log10(np.abs(response.per_ampere)))
+        curves[f0, mass, force_factor] = curve
+        resonances_hz.append(response.resonance_hz)
+        # The spring gives 40 dB a decade from 15 Hz on, and the mass a flat end; the resonance adds
+        # some to both.
+        low_db, high_db = (
+            np.interp(b, hz, curve) - np.interp(a, hz, curve) for a, b in ((15.0, 25.0), (250, 298))
+        )
+        assert 40.0 * np.log10(25.0 / 15.0) < low_db < 44.0 * np.log10(25.0 / 15.0)
+        assert -8.0 * np.log10(298.0 / 250.0) < high_db < 0.0
+    assert min(resonances_hz) == pytest.approx(81.0, abs=0.5)
+    assert max(resonances_hz) == pytest.approx(99.0, abs=0.5)
+    figure = table(drawn, "figure6")
+    shown_db = np.interp(hz, figure["frequency_hz"], 20.0 * np.log10(figure["magnitude"]))
+    family_db = np.array(list(curves.values()))
+    assert (family_db.min(axis=0) <= shown_db).all()
+    assert (shown_db <= family_db.max(axis=0)).all()
+    # A Bl 10 % off moves the level by as much, everywhere.
+    ratio_db = curves[1.0, 0.9, 1.1] - curves[1.0, 0.9, 0.9]
+    assert ratio_db == pytest.approx(20.0 * np.log10(1.1 / 0.9), abs=0.15)
 
 
 def test_a_rig_without_instruments_cannot_be_measured():

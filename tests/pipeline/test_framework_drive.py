@@ -21,6 +21,9 @@ def test_simulated_rigs_stand_where_the_actuators_are_wired():
     alone = SimulatedRig([PAPER, None, CONSUMER], RATE, tolerance=settings.tolerance)
     wired.write(vibration)
     alone.write(vibration)
+    wired.close()
+    alone.close()
+    assert len(wired.acceleration_m_s2) == 500
     assert np.array_equal(wired.acceleration_m_s2, alone.acceleration_m_s2)
 
 

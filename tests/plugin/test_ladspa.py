@@ -219,7 +219,7 @@ def test_an_actuator_damps_as_the_python_engine_does_and_follows_the_daemons_pag
 ) -> None:
     rig = rig_by_name("paper")
     damping = damping_for(rig.actuator, rig.amplifier.source_impedance_ohm)
-    page = Page(tmp_path / "page", 2, 1)
+    page = Page(tmp_path / "page", 2, 1, 1)
     page.set_damping(3, damping, RATE_HZ)
     page.set_audible(True)
     monkeypatch.setenv("HAPTIC_CUSHION_PAGE", str(page.path))
@@ -248,7 +248,7 @@ def test_damping_that_asks_for_more_than_full_scale_lowers_the_level_and_does_no
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rig = rig_by_name("paper")
-    page = Page(tmp_path / "page", 2, 1)
+    page = Page(tmp_path / "page", 2, 1, 1)
     page.set_damping(0, damping_for(rig.actuator, rig.amplifier.source_impedance_ohm), RATE_HZ)
     page.set_audible(True)
     monkeypatch.setenv("HAPTIC_CUSHION_PAGE", str(page.path))
@@ -278,7 +278,7 @@ def test_the_daemons_transform_mixes_as_the_python_engine_does(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sources: tuple[str, ...], channels: int
 ) -> None:
     weights = source_weights(channels, sources) if sources else None
-    page = Page(tmp_path / "page", channels, max(1, len(sources)), weights)
+    page = Page(tmp_path / "page", channels, max(1, len(sources)), 1, weights)
     monkeypatch.setenv("HAPTIC_CUSHION_PAGE", str(page.path))
     instance = Instance("haptic_cushion_daemon", RATE_HZ)
     sound = np.zeros((len(SOUND), 8), np.float32)

@@ -207,9 +207,12 @@ def arriving(server: SoundServer, source: str) -> Iterator[Arrivals]:
     command = ["parec", *_format(source, 5), "--property=node.dont-reconnect=true"]
     with _process(server, command, stdout=subprocess.PIPE) as process:
         arrivals = Arrivals(process)
-        wait_for(lambda: len(arrivals.frames()) > 0, f"sound from {source}")
-        yield arrivals
-    arrivals.end()
+        try:
+            wait_for(lambda: len(arrivals.frames()) > 0, f"sound from {source}")
+            yield arrivals
+        finally:
+            process.kill()
+            arrivals.end()
 
 
 def _format(device: str, latency_ms: int) -> list[str]:

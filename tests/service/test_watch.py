@@ -13,7 +13,8 @@ from typing import Any
 import pytest
 
 from audioflinger_hook.service.status_server import NAME, PROTOCOL, WATCHERS_MAX
-from tests.monitor.stand_in import LIMIT_S, Settings, daemon_socket, until
+from tests.monitor.stand_in import LIMIT_S, Settings, daemon_socket
+from tests.servers.listening import wait_for
 
 
 @pytest.fixture
@@ -69,7 +70,7 @@ def test_a_client_that_watches_gets_versions_frames_settings_and_the_status(
 def test_without_a_client_nothing_is_computed(live: Settings, folder: Path) -> None:
     with Client(folder, ask="watch") as client:
         client.next_with("frame")
-    until(lambda: not _is_counting(live), "end of the frames")
+    wait_for(lambda: not _is_counting(live), "end of the frames", LIMIT_S)
 
 
 def _is_counting(live: Settings) -> bool:
@@ -112,7 +113,7 @@ def test_a_client_that_does_not_read_misses_frames_and_then_gets_the_newest(
 ) -> None:
     with Client(folder, ask="watch", rate_hz=60) as client:
         client.next_with("frame")
-        until(lambda: live.frames > 20, "frames")
+        wait_for(lambda: live.frames > 20, "frames", LIMIT_S)
         stalled = 0
 
         def has_stalled() -> bool:
@@ -122,7 +123,7 @@ def test_a_client_that_does_not_read_misses_frames_and_then_gets_the_newest(
             stalled += live.frames == before
             return stalled >= 3
 
-        until(has_stalled, "full buffer", 60.0)
+        wait_for(has_stalled, "full buffer", LIMIT_S)
         made = live.frames
         frames = 0
         while client.next_with("frame")["missed"] == 0:

@@ -63,15 +63,19 @@ def environment(**changes: str) -> dict[str, str]:
 
 
 def start(
-    *arguments: object, prelude: str = "", env: Mapping[str, str] = {}, **options: Any
+    *arguments: object,
+    prelude: str = "",
+    env: Mapping[str, str] = {},
+    warnings: str = "error",
+    **options: Any,
 ) -> subprocess.Popen[str]:
     """Start a command and return its process; warnings are errors in it, too.
 
     prelude: Python that runs in the process before the command does; env: variables added to the
-    `environment`; what else is given goes to Popen.
+    `environment`; warnings: what is done with them; what else is given goes to Popen.
     """
     program = ["-c", prelude + RUN] if prelude else ["-m", "audioflinger_hook"]
-    command = [sys.executable, "-W", "error", *program, *map(str, arguments)]
+    command = [sys.executable, "-W", warnings, *program, *map(str, arguments)]
     pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "cwd": "/"}
     child = pipes | {"stdin": subprocess.DEVNULL} | options
     return subprocess.Popen(

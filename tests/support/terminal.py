@@ -23,7 +23,7 @@ class Terminal:
 
     def __init__(self, *arguments: object, **options: Any) -> None:
         self._ours, theirs = os.openpty()
-        streams = {"stdin": theirs, "stdout": theirs, "stderr": theirs}
+        streams: dict[str, Any] = {"stdin": theirs, "stdout": theirs, "stderr": theirs}
         env = {"TERM": "dumb", **options.pop("env", {})}
         self.process = start(*arguments, prelude=CONTROLLED, env=env, **streams, **options)
         os.close(theirs)

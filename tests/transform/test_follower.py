@@ -378,7 +378,7 @@ def test_strength_rig_levels_what_a_resonant_seat_makes_of_tones(rig):
 def test_an_onset_is_as_strong_as_what_follows(samplerate, strength, hz):
     for amplitude in (0.3, 0.01):
         transform = LiveTransform(LiveDesign.of(replace(WIDE, strength=strength), samplerate))
-        transform.follower = follower = Watched(transform.design)
+        transform.levels.follower = follower = Watched(transform.design)
         sound = (
             tone(hz, 0.5, samplerate, amplitude) if hz else white_noise(0.5, samplerate, amplitude)
         )

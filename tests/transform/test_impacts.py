@@ -141,8 +141,8 @@ def test_treble_at_full_scale_loses_less_to_the_limiter_than_it_would_unmoved():
         design = LiveDesign.of(parameters, RATE)
         object.__setattr__(design.loudness, "concentrated", most)
         transform = LiveTransform(design)
-        assert transform.follower
-        transform.follower.programme_db = -30.0
+        assert transform.levels.follower
+        transform.levels.follower.programme_db = -30.0
         felt = transform.process(spread)[RATE // 2 :]
         levels.append(level_db(np.cumsum(felt) * 2 * np.pi * 40.0 / RATE))
     assert levels[1] > levels[0] + 1.0

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from tools.bench.machine import machine_facts
 from tools.bench.report import COMMAND, BenchReport, Missing, Section
 from tools.bench.sections import (
+    catalogue,
     comparison,
     damping,
     fidelity,
@@ -49,6 +50,7 @@ BENCHES: tuple[tuple[str, Bench, float], ...] = (
     ("speech suppression", speech_suppression.speech_suppression, 8.0),
     ("the mixer", mixing.mixing, 6.0),
     ("rendering", rendering.render_speed, 4.0),
+    ("catalogue", catalogue.catalogue, 12.0),
     ("cost against error", frontier.frontier, 4.0),
     ("baselines", comparison.compared, 3.0),
     ("profiles", profiles.profiles, 3.0),

@@ -124,7 +124,7 @@ class Effort:
 
     slow_repeats: of everything but the compiled live form; saving_s: of each sound that savings
     are tried on; rig_timed_s: of the drives on which the rig is timed; real_sounds: most of each
-    class.
+    class; catalogue_shared: length in seconds and count of the files that two workers share.
     """
 
     tones: int = 4
@@ -149,6 +149,8 @@ class Effort:
     hops_timed: int = 2_000
     hops_timed_in_numpy: int = 1_000
     render_s: tuple[float, ...] = (60.0,)
+    catalogue_s: tuple[float, ...] = (1.0, 60.0)
+    catalogue_shared: tuple[float, int] = (20.0, 16)
     rig_s: float = 3.0
     rig_timed_s: float = 0.5
     model_repeats: int = 3
@@ -168,7 +170,7 @@ FULL = Effort(
     cost_s=6.0, cold_s=4.0, saving_repeats=3, saving_s=3.0, mix_rounds=400,
     scaling_s=64.0, channels_s=4.0, hops_timed=30_000, hops_timed_in_numpy=2_000,
     render_s=(60.0, 600.0), rig_s=60.0, rig_timed_s=10.0, model_repeats=7, integrator_repeats=5,
-    real_sounds=99,
+    real_sounds=99, catalogue_s=(1.0, 60.0, 3_600.0), catalogue_shared=(60.0, 32),
 )  # fmt: skip
 
 

@@ -79,8 +79,11 @@ def felt(vibration: FloatArray, rig: Rig, samplerate: int, damping: Damping | No
         drive = Damper(damping, samplerate, 1).process(drive)
     twin = SimulatedRig(rig, samplerate, 1, tolerance=TOLERANCE)
     twin.write(drive)
+    moved = [twin.acceleration_m_s2]
+    twin.close()
+    moved.append(twin.acceleration_m_s2)
     instruments = InstrumentChain(rig, samplerate, _SEED)
-    shown = instruments.acceleration_m_s2(twin.acceleration_m_s2[:, 0])
+    shown = instruments.acceleration_m_s2(np.concatenate(moved)[:, 0])
     return Felt(
         samplerate,
         vibration,

@@ -7,7 +7,7 @@ import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
-from audioflinger_hook.daemon.native.page import ACTUATORS, CHANNELS
+from audioflinger_hook.daemon.native.layout import ACTUATORS, CHANNELS
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.plugin import plugin_path
 from device.server import ServerSnapshot

@@ -9,7 +9,8 @@ from contextlib import suppress
 from itertools import count
 from pathlib import Path
 
-from audioflinger_hook.daemon.native.page import CHANNELS, Page
+from audioflinger_hook.daemon.native.layout import CHANNELS
+from audioflinger_hook.daemon.native.page import Page
 from audioflinger_hook.daemon.native.plan import ChainPlan
 from audioflinger_hook.daemon.native.taps import Ports
 from audioflinger_hook.plugin import plugin_path
@@ -101,7 +102,13 @@ class Chain:
         try:
             files["design"].write_bytes(plan.design.to_bytes())
             files["conf"].write_text(self._config(realtime), "utf-8")
-            self.page = Page(files["page"], plan.tap_channels, plan.outputs, plan.weights)
+            self.page = Page(
+                files["page"],
+                plan.tap_channels,
+                plan.outputs,
+                len(plan.actuators),
+                plan.weights,
+            )
             with files["log"].open("wb") as log:
                 self._process = subprocess.Popen(
                     ["pipewire", "-c", str(files["conf"])],

@@ -13,7 +13,7 @@ from pathlib import Path
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.daemon.inputs.applications import Applications
 from audioflinger_hook.daemon.native.chain import NAME, Chain
-from audioflinger_hook.daemon.native.page import Page, Shown, TransformReadings
+from audioflinger_hook.daemon.native.page import Page, TransformReadings
 from audioflinger_hook.daemon.native.plan import ChainPlan, device_map, device_ports
 from audioflinger_hook.daemon.native.running import RunningChain
 from audioflinger_hook.daemon.native.taps import Tap, tap_of
@@ -105,12 +105,6 @@ class NativeEngine:
     def readings(self) -> TransformReadings | None:
         """Return what the transform reports, None before the first chain."""
         return self._current.chain.page.readings() if self._current else None
-
-    @property
-    def shown(self) -> Shown | None:
-        """What a page shows of the chain that plays, None before the first one."""
-        current = self._current
-        return current.chain.page.shown(len(current.chain.plan.actuators)) if current else None
 
     @property
     def page(self) -> Page | None:

@@ -1,108 +1,19 @@
-"""The page of memory that the daemon and the plugin share; plugin/native/page.h has the layout.
-
-Each value has one writer and is written at once, so neither side waits for the other.
-"""
+"""The page of memory that the daemon and the plugin share."""
 
 from __future__ import annotations
 
-import ctypes
 import mmap
 import os
-import struct
 from dataclasses import dataclass
 from pathlib import Path
 
+from audioflinger_hook.daemon.native.layout import MAGIC, SIZE, Layout, ShownReader
 from audioflinger_hook.service.meters import Level, Reading, level_of
 from audioflinger_hook.transform.downmix import mix_weights
 from device.drive.damping import Damping
 from device.units import FloatArray
 
-MAGIC = 0x3345474150485543
-CHANNELS = 8
-"""Largest number of channels of a tap, and of vibrations."""
-
-ACTUATORS = 32
-PARTIALS = 16
-READ_TRIES = 4
-"""Attempts to read the partials while the plugin writes; writing takes less than 1 µs."""
-
 DELAY_MAX_S = 2.0
-
-
-class _TransformWishes(ctypes.Structure):
-    _fields_ = (
-        ("channels", ctypes.c_uint64),
-        ("outputs", ctypes.c_uint64),
-        ("mixed", ctypes.c_uint64),
-        ("weights", ctypes.c_double * CHANNELS * 2 * CHANNELS),
-    )
-
-
-class _TransformReadings(ctypes.Structure):
-    _fields_ = (
-        ("frames", ctypes.c_uint64),
-        ("replaced", ctypes.c_uint64),
-        ("limited", ctypes.c_uint64),
-        ("sound_peak", ctypes.c_double),
-        ("sound_square", ctypes.c_double),
-        ("vibration_peak", ctypes.c_double),
-        ("vibration_square", ctypes.c_double),
-        ("channels", ctypes.c_double * 2 * CHANNELS),
-    )
-
-
-class _PartialReadings(ctypes.Structure):
-    _fields_ = (
-        ("sequence", ctypes.c_uint64),
-        ("count", ctypes.c_uint64),
-        ("partials", ctypes.c_double * 3 * PARTIALS),
-    )
-
-
-class _ActuatorWishes(ctypes.Structure):
-    _fields_ = (
-        ("gain", ctypes.c_double),
-        ("delay_s", ctypes.c_double),
-        ("audible", ctypes.c_uint64),
-        ("damped", ctypes.c_uint64),
-        ("damping_gain", ctypes.c_double),
-        ("section", ctypes.c_double * 6),
-    )
-
-
-class _ActuatorReadings(ctypes.Structure):
-    _fields_ = (
-        ("frames", ctypes.c_uint64),
-        ("peak", ctypes.c_double),
-        ("square", ctypes.c_double),
-        ("audible", ctypes.c_double),
-    )
-
-
-class _Layout(ctypes.Structure):
-    _fields_ = (
-        ("magic", ctypes.c_uint64),
-        ("size", ctypes.c_uint64),
-        ("sound_gain", ctypes.c_double),
-        ("transform", _TransformWishes),
-        ("readings", _TransformReadings),
-        ("partials", _PartialReadings),
-        ("wishes", _ActuatorWishes * ACTUATORS),
-        ("actuators", _ActuatorReadings * ACTUATORS),
-    )
-
-
-# Read with one call each: a page asks many times a second.
-_PARTIALS, _PARTIALS_AT = struct.Struct(f"=2Q{3 * PARTIALS}d"), _Layout.partials.offset
-_SEQUENCE = struct.Struct("=Q")
-_SHOWN = struct.Struct(f"={2 * CHANNELS}d2Q{3 * PARTIALS}d")  # channels and partials are neighbours
-_CHANNELS = struct.Struct(f"={2 * CHANNELS}d")
-_ACTUATOR, _ACTUATORS_AT = struct.Struct("=Q3d"), _Layout.actuators.offset
-_CHANNELS_AT = _Layout.readings.offset + _TransformReadings.channels.offset
-
-
-Shown = tuple[list[Reading], list[Reading], list[tuple[float, float, float]]]
-"""Readings of channels and of actuators, and the partials."""
 
 
 @dataclass(frozen=True)
@@ -121,24 +32,30 @@ class Page:
 
     The supervising thread calls the methods; any thread may call `readings` and `level`.
 
-    path: of the file; it must not exist. channels: of the tap. outputs: vibrations. weights:
-    (channels, outputs, 2) of the sources' halves; None for the mono mix, or for each channel by
-    itself.
+    path: of the file; it must not exist. channels: of the tap. outputs: vibrations. actuators: that
+    play them. weights: (channels, outputs, 2) of the sources' halves; None for the mono mix, or for
+    each channel by itself. reader: of what a live page shows.
     """
 
     def __init__(
-        self, path: Path, channels: int, outputs: int, weights: FloatArray | None = None
+        self,
+        path: Path,
+        channels: int,
+        outputs: int,
+        actuators: int,
+        weights: FloatArray | None = None,
     ) -> None:
         self.path = path
         self._channels = channels
         flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
         file = os.open(path, flags, 0o600)
         try:
-            os.ftruncate(file, ctypes.sizeof(_Layout))
-            self._memory = mmap.mmap(file, ctypes.sizeof(_Layout))
+            os.ftruncate(file, SIZE)
+            memory = mmap.mmap(file, SIZE)
         finally:
             os.close(file)
-        self._page = page = _Layout.from_buffer(self._memory)
+        self._page = page = Layout.from_buffer(memory)
+        self.reader = ShownReader(memory, channels, actuators)
         page.transform.channels, page.transform.outputs = channels, outputs
         page.transform.mixed = weights is not None
         if weights is not None:
@@ -148,7 +65,7 @@ class Page:
         page.sound_gain = 1.0
         for wishes in page.wishes:
             wishes.gain = 1.0
-        page.size, page.magic = ctypes.sizeof(_Layout), MAGIC
+        page.size, page.magic = SIZE, MAGIC
 
     def set_sound_gain(self, gain: float) -> None:
         """Set the factor on the tap's samples, 0 to 100; it changes over one buffer."""
@@ -196,54 +113,16 @@ class Page:
         found = self._page.actuators[slot]
         return level_of(found.peak, found.square)
 
-    def shown(self, actuators: int) -> Shown:
-        """Return what a page shows, of the first actuators: one read, as it asks often."""
-        for _ in range(READ_TRIES):
-            found = _SHOWN.unpack_from(self._memory, _CHANNELS_AT)
-            (again,) = _SEQUENCE.unpack_from(self._memory, _PARTIALS_AT)
-            sequence = found[2 * CHANNELS]
-            if sequence == again and not sequence % 2:
-                break
-        else:
-            found = (*found[: 2 * CHANNELS + 1], 0)
-        first = 2 * CHANNELS + 2
-        last = first + 3 * min(found[first - 1], PARTIALS)
-        return (
-            [*zip(found[: 2 * self._channels : 2], found[1 : 2 * self._channels : 2], strict=True)],
-            self.actuator_readings(actuators),
-            [
-                *zip(
-                    found[first:last:3],
-                    found[first + 1 : last : 3],
-                    found[first + 2 : last : 3],
-                    strict=True,
-                )
-            ],
-        )
-
-    def actuator_readings(self, count: int) -> list[Reading]:
-        """Return peak and mean square of the first actuators, as they are played."""
-        end = _ACTUATORS_AT + count * _ACTUATOR.size
-        found = _ACTUATOR.iter_unpack(memoryview(self._memory)[_ACTUATORS_AT:end])
-        return [(peak, square) for _, peak, square, _ in found]
-
     def channel_readings(self) -> list[Reading]:
         """Return peak and mean square of each channel of the tap."""
-        numbers = _CHANNELS.unpack_from(self._memory, _CHANNELS_AT)
-        return [*zip(numbers[::2], numbers[1::2], strict=True)][: self._channels]
+        found = self._page.readings.channels[: self._channels]
+        return [(peak, square) for peak, square in found]
 
     def principal(self) -> list[tuple[float, float, float]]:
-        """Return what the latest hop vibrates, as `HapticTransform.principal` does.
-
-        Nothing where the plugin writes at every attempt.
-        """
-        for _ in range(READ_TRIES):
-            sequence, count, *numbers = _PARTIALS.unpack_from(self._memory, _PARTIALS_AT)
-            (again,) = _SEQUENCE.unpack_from(self._memory, _PARTIALS_AT)
-            if sequence == again and not sequence % 2:
-                found = zip(numbers[::3], numbers[1::3], numbers[2::3], strict=True)
-                return [*found][:count]
-        return []
+        """Return what the latest hop vibrates, as `HapticTransform.principal` does."""
+        (_, _, count), numbers = self.reader.shown()
+        found = numbers[len(numbers) - 3 * count :]
+        return [*zip(found[::3], found[1::3], found[2::3], strict=True)]
 
     def close(self) -> None:
         """Remove the file; readings stay. May be repeated."""

@@ -25,7 +25,7 @@ const vibrationMeters = new Meters(find("vibration-meters"), "Vibration", (index
 const connection = new Connection(listen);
 const controls = new Controls(find("controls"), find("all-controls"), (request) => connection.ask(request));
 
-let frame = null, fresh = false, link = { connected: false, text: "" }, status = null, muted = false, toned = false;
+let frame = null, fresh = false, link = { connected: false, text: "" }, status = null, settings = null, muted = false, toned = false;
 let traffic = { overwritten: 0, missed: 0 }, drawn = 0, drawnAt = 0, arrivedAt = 0, counted = performance.now();
 window.cushion = { frames: 0, partials: [] }; // what tests measure
 
@@ -48,18 +48,18 @@ function listen(kind, content) {
     showSettings(content);
   } else if (kind === "link") {
     link = content;
-    if (!link.connected) status = null;
+    if (!link.connected) status = settings = null;
     showState();
   }
 }
 
-/** Levels in dBFS, partials with names, the strongest first. */
+/** Levels in dBFS, partials as they are played, with names, the strongest first. */
 function readable(content) {
   const decibels = (power) => Math.max(-150, 10 * Math.log10(power));
   const levels = (readings) => readings.map(([peak, square]) => [decibels(peak * peak), decibels(square)]);
-  const partials = content.partials.map(([audio, felt, amplitude]) => ({ audio, felt, amplitude }));
+  const partials = content.partials.map(([audio, felt, amplitude]) => ({ audio, felt, amplitude: content.level * amplitude }));
   partials.sort((one, other) => other.amplitude - one.amplitude);
-  return { sound: levels(content.sound), vibration: levels(content.vibration), partials };
+  return { sound: levels(content.sound), vibration: levels(content.level ? content.vibration : content.vibration.map(() => [0, 0])), partials };
 }
 
 function showState() {
@@ -70,7 +70,8 @@ function showState() {
   find("state").dataset.tone = muted && status ? "wait" : tone;
   document.body.dataset.stale = !status;
   for (const id of ["mute", "tone"]) find(id).disabled = !status;
-  if (!status) for (const id of ["undo", "save"]) find(id).disabled = true;
+  find("undo").disabled = !status || !settings?.undo;
+  find("save").disabled = !status || !settings?.unsaved;
 }
 
 function showStatus(content) {
@@ -85,15 +86,14 @@ function showStatus(content) {
   find("engine").textContent = status.engine ? `The ${status.engine} engine plays${why}. Profile ${status.profile}. Version ${status.version}.` : "No engine plays yet.";
 }
 
-function showSettings(settings) {
+function showSettings(content) {
+  settings = content;
   controls.show(settings);
   [muted, toned] = [settings.muted, settings.tone];
   find("mute").textContent = muted ? "Unmute" : "Mute";
   find("mute").setAttribute("aria-pressed", muted);
   find("tone").textContent = toned ? "Stop the tone" : "Start the tone";
   find("tone").setAttribute("aria-pressed", toned);
-  find("undo").disabled = !settings.undo;
-  find("save").disabled = !settings.unsaved;
   find("unsaved").textContent = settings.unsaved ? `${settings.unsaved} not saved` : "as in the config file";
   showState();
 }

@@ -33,7 +33,7 @@ export class Waterfall {
     this.paint(now, c, bottom, ratio);
     context.clearRect(0, 0, width, height);
     this.axes(context, c, width, bottom, place);
-    const turn = this.place(now), wide = this.strip.width;
+    const wide = this.strip.width, turn = (this.place(now) + 1) % wide; // what is newest lies before it
     const left = (wide - turn) / ratio; // the oldest begins where the newest has ended
     context.drawImage(this.strip, turn, 0, wide - turn, this.strip.height, GUTTER, 0, left, height);
     if (turn > 0) context.drawImage(this.strip, 0, 0, turn, this.strip.height, GUTTER + left, 0, turn / ratio, height);
@@ -58,9 +58,9 @@ export class Waterfall {
     this.clear(context, from, now);
     context.fillStyle = c.vibration;
     this.past.forEach(({ at, partials }, index) => {
-      const end = this.past[index + 1]?.at ?? now;
-      // Painted already, followed by a pause, or newer than this picture.
-      if (end <= from || end - at > PAUSE_MS || at >= end) return;
+      const next = this.past[index + 1]?.at ?? now, end = Math.min(next, now); // a frame may be newer than this picture
+      // Painted already, followed by a pause, or newer.
+      if (end <= from || next - at > PAUSE_MS || at >= end) return;
       const x = this.place(Math.max(at, from)), wide = Math.max(1, (this.place(end) - x + this.strip.width) % this.strip.width);
       for (const one of partials) {
         const strong = strength(one.amplitude);

@@ -12,6 +12,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -102,7 +103,7 @@ class LiveDesign:
     def of(
         cls, parameters: TransformParameters, samplerate: int, *, find_onsets: bool = True
     ) -> LiveDesign:
-        """Return the design for parameters at a samplerate.
+        """Return the design for parameters at a samplerate. It is read-only and may be shared.
 
         parameters: what shapes the vibration.
         samplerate: frames a second.
@@ -110,46 +111,7 @@ class LiveDesign:
             sustained sound.
         UsageError: the band cannot be filtered at this samplerate.
         """
-        grid = LiveGrid.at(parameters, samplerate)
-        spectrum = Spectrum.of(parameters, samplerate)
-        bins = int((parameters.band_high_hz + BAND_MARGIN_HZ) / spectrum.bin_hz)
-        bins = min(spectrum.bins, bins)
-        live = replace(parameters, threshold_hz=parameters.live_threshold_hz)
-        full_scale_r = parameters.unit_strength_hz(samplerate) / STRAIGHT_LINES
-        mapping = VibrationMapping.of(parameters, full_scale_r)
-        onsets = OnsetDesign.of(parameters, grid, mapping, samplerate, find_onsets)
-        synthesis = SynthesisDesign.of(parameters, grid, samplerate)
-        smoothing_frames = synthesis.delay_s(LATENCY_AT_HZ, samplerate) * samplerate
-        # A measured amplitude is that of the window's centre. It follows half a hop later, at the
-        # end of a glide that takes half its own length on average.
-        glide_hops = 0.5 + (ATTACK_HOPS + 1.0) / 4.0
-        tonal_frames = grid.window_frames / 2 + glide_hops * grid.hop_frames + smoothing_frames
-        onset_frames = (1.0 + onsets.delay_ticks) * grid.tick_frames + smoothing_frames
-        suppression_db = parameters.speech_suppression_db
-        return cls(
-            samplerate=samplerate,
-            latency_frames=round(onset_frames if find_onsets else tonal_frames),
-            tonal_latency_frames=round(tonal_frames),
-            grid=grid,
-            input=InputDesign.of(parameters, samplerate),
-            analysis=AnalysisDesign.of(live, spectrum, bins),
-            mapping=mapping,
-            onsets=onsets,
-            tracking=TrackingDesign.of(parameters, grid.hop_s),
-            synthesis=synthesis,
-            loudness=LoudnessDesign.of(
-                parameters,
-                grid.hop_s,
-                spectrum,
-                bins,
-                samplerate / onsets.short_length,
-                onsets.short_hz,
-            ),
-            # Without suppression these numbers are not used.
-            speech=SpeechDesign.of(
-                suppression_db, spectrum.bin_hz, bins, grid.hop_s if suppression_db else 1.0
-            ),
-        )
+        return _designed(parameters, samplerate, find_onsets)
 
     def settings(self) -> dict[str, blob.Value]:
         """Return the input of the compiled kernel: numbers and tables of all sections, by name."""
@@ -218,3 +180,47 @@ def _taken(values: dict[str, blob.Value], name: str, kind: type) -> Any:
     if not isinstance(value, kind):
         raise UsageError(f"the design lacks {name}, or holds it as something else")
     return value
+
+
+@lru_cache(maxsize=8)  # 15 ms, which many short files would pay one by one
+def _designed(parameters: TransformParameters, samplerate: int, find_onsets: bool) -> LiveDesign:
+    grid = LiveGrid.at(parameters, samplerate)
+    spectrum = Spectrum.of(parameters, samplerate)
+    bins = int((parameters.band_high_hz + BAND_MARGIN_HZ) / spectrum.bin_hz)
+    bins = min(spectrum.bins, bins)
+    live = replace(parameters, threshold_hz=parameters.live_threshold_hz)
+    full_scale_r = parameters.unit_strength_hz(samplerate) / STRAIGHT_LINES
+    mapping = VibrationMapping.of(parameters, full_scale_r)
+    onsets = OnsetDesign.of(parameters, grid, mapping, samplerate, find_onsets)
+    synthesis = SynthesisDesign.of(parameters, grid, samplerate)
+    smoothing_frames = synthesis.delay_s(LATENCY_AT_HZ, samplerate) * samplerate
+    # A measured amplitude is that of the window's centre. It follows half a hop later, at the
+    # end of a glide that takes half its own length on average.
+    glide_hops = 0.5 + (ATTACK_HOPS + 1.0) / 4.0
+    tonal_frames = grid.window_frames / 2 + glide_hops * grid.hop_frames + smoothing_frames
+    onset_frames = (1.0 + onsets.delay_ticks) * grid.tick_frames + smoothing_frames
+    suppression_db = parameters.speech_suppression_db
+    return LiveDesign(
+        samplerate=samplerate,
+        latency_frames=round(onset_frames if find_onsets else tonal_frames),
+        tonal_latency_frames=round(tonal_frames),
+        grid=grid,
+        input=InputDesign.of(parameters, samplerate),
+        analysis=AnalysisDesign.of(live, spectrum, bins),
+        mapping=mapping,
+        onsets=onsets,
+        tracking=TrackingDesign.of(parameters, grid.hop_s),
+        synthesis=synthesis,
+        loudness=LoudnessDesign.of(
+            parameters,
+            grid.hop_s,
+            spectrum,
+            bins,
+            samplerate / onsets.short_length,
+            onsets.short_hz,
+        ),
+        # Without suppression these numbers are not used.
+        speech=SpeechDesign.of(
+            suppression_db, spectrum.bin_hz, bins, grid.hop_s if suppression_db else 1.0
+        ),
+    )

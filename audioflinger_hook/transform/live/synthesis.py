@@ -13,6 +13,13 @@ from scipy.signal import lfilter
 from audioflinger_hook.transform.arrays import FloatArray, strided_windows
 from audioflinger_hook.transform.design.synthesis import LiveGrid, SynthesisDesign, glide_turns
 
+GLIDE_COLUMNS = (
+    "frame", "frames", "voice", "slot", "start_hz", "end_hz", "start_amplitude", "end_amplitude",
+    "start_phase",
+)  # fmt: skip
+"""Columns of recorded glides: first frame and number of frames of a hop or, for partials of an
+onset, of a tick; channel of vibration; slot; Hz of vibration, amplitudes in full scale, cycles."""
+
 
 @dataclass(frozen=True)
 class Glides:
@@ -32,6 +39,19 @@ class Glides:
     def silent(cls, hops: int, slots: int) -> Glides:
         """Return glides in which every slot is idle."""
         return cls(*np.zeros((5, hops, slots)))
+
+    def row(self, hop: int, slot: int) -> tuple[float, ...]:
+        """Return the numbers of one slot in one hop, in the order of the fields."""
+        return tuple(
+            float(values[hop, slot])
+            for values in (
+                self.start_hz,
+                self.end_hz,
+                self.start_amplitude,
+                self.end_amplitude,
+                self.start_phase,
+            )
+        )
 
     def hops(self, first: int, last: int) -> Glides:
         """Return the hops from first up to last as a view."""

@@ -10,12 +10,12 @@ from audioflinger_hook.transform.arrays import FloatArray, IntArray, strided_win
 from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.input_stage import BandPass
 from audioflinger_hook.transform.live.analysis import LiveAnalysis
+from audioflinger_hook.transform.live.levels import Levels
 from audioflinger_hook.transform.live.loudness import LoudnessFollower
 from audioflinger_hook.transform.live.onset_partials import OnsetPartials
 from audioflinger_hook.transform.live.onsets import OnsetDetector, Ticks
 from audioflinger_hook.transform.live.partials import PartialTracker
-from audioflinger_hook.transform.live.speech import SpeechSuppressor
-from audioflinger_hook.transform.live.synthesis import Glides, Synthesizer, limit_amplitudes
+from audioflinger_hook.transform.live.synthesis import Glides, Synthesizer
 from audioflinger_hook.transform.principal import Principals
 from audioflinger_hook.transform.spectrum import ComplexArray, Spectrum
 
@@ -50,6 +50,8 @@ class LiveTransform:
 
     Attributes
     ----------
+    levels : Levels
+        How strongly partials vibrate.
     told : tuple
         (Hz of the sound, Hz of vibration, amplitude) of what the latest hop vibrates.
     """
@@ -63,6 +65,8 @@ class LiveTransform:
         self.limited_frames = 0
         self.onset_after_frames = grid.window_frames
         self.told: tuple[tuple[float, float, float], ...] = ()
+        self._heard_frames = 0
+        self._glides: list[tuple[float, ...]] | None = None
         self._grid = grid
         self._mapping = design.mapping
         self._spectrum = Spectrum(
@@ -71,12 +75,7 @@ class LiveTransform:
         self._analysis = LiveAnalysis(design.analysis)
         self._silence = design.input.silence
         self._ceiling = synthesis.ceiling
-        self.follower: LoudnessFollower | None = None
-        if design.loudness.loudness_weights.size:
-            self.follower = LoudnessFollower(design.loudness)
-        self._speech: SpeechSuppressor | None = None
-        if design.speech.speech_db > 0.0:
-            self._speech = SpeechSuppressor(design.speech)
+        self.levels = Levels(design)
         self._bandpass = BandPass(
             design.input.band_b, design.input.band_a, design.input.denormal_guard
         )
@@ -110,16 +109,17 @@ class LiveTransform:
         self._tracker.reset()
         self._onset_partials.reset()
         self._synthesizer.reset()
-        if self.follower:
-            self.follower.reset()
-        if self._speech:
-            self._speech.reset()
+        self.levels.reset()
+
+    @property
+    def follower(self) -> LoudnessFollower | None:
+        """The follower of the loudness, None if none is followed."""
+        return self.levels.follower
 
     @property
     def asleep(self) -> bool:
         """Whether nothing is played, and what was heard has no effect any more."""
-        forgotten = self._speech is None or self._speech.at_rest
-        return self._tracker.idle and not self._ringing and forgotten
+        return self._tracker.idle and not self._ringing and self.levels.at_rest
 
     @property
     def frames_to_hop(self) -> int:
@@ -135,6 +135,7 @@ class LiveTransform:
             joined = np.concatenate((self._past, filtered))
             self._past = joined[joined.size - self._past.size :]
             self._hop_peak = max(self._hop_peak, float(np.abs(filtered).max()))
+            self._heard_frames += self._pending_frames
             self._pending_frames = 0
             self._ready = np.zeros(self._grid.tick_frames)
         self._tick = 0
@@ -190,16 +191,39 @@ class LiveTransform:
         if not heard.any() and not seen.bands.any() and self.asleep:
             if self._find_onsets:
                 self._detector.rest(ticks)
-            if self.follower and full.size:
-                self.follower.rest()
+            if full.size:
+                self.levels.rest()
             self._tick = (self._tick + ticks) % grid.ticks
+            self._heard_frames += sound.size
             return np.zeros(sound.size)
         found = self._analyse(joined, full[heard])
         glides = self._glide(found, seen, full, heard, ticks)
+        if self._glides is not None:
+            hops, fresh, _ = glides
+            self._record(hops, (full + 1) * grid.tick_frames, grid.hop_frames, 0)
+            ends = (np.arange(ticks) + 1) * grid.tick_frames
+            self._record(fresh, ends, grid.tick_frames, self._tracker.slots)
+        self._heard_frames += sound.size
         vibration, limited = self._synthesizer.play(*glides, self._tick)
         self._tick = (self._tick + ticks) % grid.ticks
         self.limited_frames += limited
         return vibration
+
+    def take_glides(self, voice: int) -> list[tuple[float, ...]]:
+        """Return rows of `GLIDE_COLUMNS` since the last call; the first call starts recording."""
+        if self._glides is None:
+            self._heard_frames = -self._pending_frames
+        rows, self._glides = self._glides or [], []
+        return [(frame, frames, voice, *rest) for frame, frames, *rest in rows]
+
+    def _record(self, glides: Glides, starts: IntArray, frames: int, first_slot: int) -> None:
+        """Add the slots that sound. starts: of each hop, in frames from this batch's first."""
+        assert self._glides is not None
+        sounding = (glides.start_amplitude != 0.0) | (glides.end_amplitude != 0.0)
+        for hop, slot in zip(*(places.tolist() for places in sounding.nonzero()), strict=True):
+            start = self._heard_frames + int(starts[hop])
+            row = glides.row(hop, slot)
+            self._glides.append((start, frames, first_slot + slot, *row))
 
     def _audible(self, peaks: FloatArray, full: IntArray) -> BoolArray:
         """Return of each full hop whether its window may hold anything principal."""
@@ -228,7 +252,7 @@ class LiveTransform:
             ]
         )
         spectra = self._spectrum.transform(windows)
-        loudness = self.follower.loudness_db(spectra) if self.follower else [0.0] * full.size
+        loudness = self.levels.loudness_db(spectra)
         found = self._analysis.strongest(spectra)
         edges = found.boundaries(full.size).tolist()
         hz = self._mapping.vibration_hz(found.audio_hz)
@@ -282,20 +306,16 @@ class LiveTransform:
         """Write the hop that follows what was found; None: of a window in which nothing can be."""
         self._onset_partials.hand_over(self._tracker)
         strength = 1.0
-        if self.follower and found:
-            strength = self.follower.strength(found.loudness_db)
-        elif self.follower:
-            self.follower.rest()
-        if self._speech and found:
-            self._speech.add_hop(found.spectrum)
-        elif self._speech:
-            self._speech.add_silence()
+        if found:
+            strength = self.levels.hear(found.spectrum, found.loudness_db)
+        else:
+            self.levels.hear_silence()
         count = found.hz.size if found and strength > 0.0 else 0
         left = 1.0
         self.told = ()
         if found and count:
             left = self._mapping.level_ratio(found.principal.amplitude, found.principal.r)
-            amplitude, limited = self._level(found.principal, found.hz, strength)
+            amplitude, limited = self.levels.amplitudes(found.principal, found.hz, strength)
             if limited:
                 self.limited_frames += self._grid.hop_frames
             audio_hz, hz, gain = found.principal.audio_hz, found.hz, found.gain
@@ -321,38 +341,6 @@ class LiveTransform:
         elif self._ringing:
             self._ringing -= 1
 
-    def _level(self, found: Principals, hz: FloatArray, strength: float) -> tuple[FloatArray, bool]:
-        """Return the amplitudes of one hop's partials, and whether they were limited.
-
-        strength: what the follower makes of their loudness.
-        """
-        amplitude = self._mapping.amplitudes(found.amplitude, found.r)
-        gain, tilt = 1.0, np.ones(hz.size)
-        if self.follower:
-            # What is felt well takes less of the room under full scale.
-            felt = self.follower.felt_weight(hz)
-            tilt = np.sqrt(felt)
-            felt *= amplitude * tilt
-            gain = self.follower.gain_for(strength, float((felt * felt).sum()))
-        if self._speech:
-            # Before the amplitude mapping, so that what speech loses is not missing from the rest;
-            # after the follower, which would turn the rest up.
-            left = self._speech.gains(found.audio_hz)
-            amplitude = self._mapping.amplitudes(found.amplitude * left, found.r * left)
-        amplitude = amplitude * tilt * gain
-        if self.follower:
-            amplitude = self.follower.concentrated(amplitude, hz, self._ceiling)
-        return limit_amplitudes(amplitude, self._ceiling)
-
     def _onset_amplitude(self, hz: float, weight: float, level: float) -> float:
-        """Return the amplitude of what begins at a vibration frequency in Hz.
-
-        weight: the share of its level that the amplitude mapping leaves.
-        """
-        amplitude = weight * level
-        if self.follower:
-            amplitude = weight * self.follower.onset_strength(self._detector.power, level)
-        if self._speech:
-            audio_hz = np.array([self._mapping.audio_hz(hz)])
-            amplitude *= float(self._speech.gains(audio_hz, coarse=True)[0])
-        return amplitude
+        """Return the amplitude of what begins now; see `Levels.onset_amplitude`."""
+        return self.levels.onset_amplitude(hz, weight, level, self._detector.power)

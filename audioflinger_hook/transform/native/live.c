@@ -9,6 +9,7 @@
 #include "live.h"
 
 #include "common.h"
+#include "levels.h"
 #include "scaling.h"
 
 /* ------------------------------------------------------------------------------------- analysis */
@@ -68,76 +69,6 @@ static size_t analyse_window(Live *live, Voice *voice, double *strength)
 
 /* -------------------------------------------------------------------------------------- one hop */
 
-/* Set the amplitudes of what was found by the level law: P_k r_k over a full-scale tone's r, or by
- * the energy of each. */
-static void strengthen(Live *live, size_t count)
-{
-    const Settings *s = &live->settings;
-    double sum_r = 0.0;
-    for (size_t one = 0; one < count; one++)
-        sum_r += live->found.r[one];
-    for (size_t one = 0; one < count; one++) {
-        const double r = live->found.r[one];
-        live->amplitude[one] = s->by_energy ? sqrt(live->found.amplitude[one] * r / s->full_scale_r)
-                                            : r * r / (sum_r * s->full_scale_r);
-        /* What is felt well takes less of the room under full scale. */
-        if (loudness_is_on(s))
-            live->amplitude[one] *= sqrt(table_at(s->felt_weights, s->gain_step_hz, live->hz[one]));
-    }
-}
-
-static void lower_speech(Live *live, const Voice *voice, size_t count)
-{
-    for (size_t one = 0; one < count; one++) {
-        const double left =
-            speech_gain(&live->settings, voice->speech, live->found.audio_hz[one]);
-        live->found.amplitude[one] *= left;
-        live->found.r[one] *= left;
-    }
-}
-
-/* Set the amplitudes of what was found, scaled down where their sum would pass the ceiling; return
- * whether it would. */
-static int set_levels(Live *live, Voice *voice, double strength, size_t count)
-{
-    const Settings *s = &live->settings;
-    double total = 0.0;
-    strengthen(live, count);
-    double gain = 1.0;
-    if (loudness_is_on(s) && count)
-        gain = loudness_gain(s, &voice->follower, strength, live->hz, live->amplitude, count);
-    /* Before the law of level, so that what speech loses is not missing from the rest; after the
-     * follower, which would turn the rest up. */
-    if (s->speech_db > 0.0) {
-        lower_speech(live, voice, count);
-        strengthen(live, count);
-    }
-    for (size_t one = 0; one < count; one++)
-        total += live->amplitude[one] *= gain;
-    if (loudness_is_on(s))
-        total = loudness_concentrate(s, live->hz, live->amplitude, count, total);
-    const int limited = !(total <= s->ceiling);
-    if (limited)
-        for (size_t one = 0; one < count; one++)
-            live->amplitude[one] *= s->ceiling / total;
-    return limited;
-}
-
-/* What the law leaves of the level of what was found, 1 of one tone. */
-static double left_by_law(const Live *live, size_t count)
-{
-    double sum_r = 0.0, fourths = 0.0, energy = 0.0;
-    if (live->settings.by_energy || !count)
-        return 1.0;
-    for (size_t one = 0; one < count; one++) {
-        const double r = live->found.r[one];
-        sum_r += r;
-        fourths += r * r * r * r;
-        energy += live->found.amplitude[one] * r;
-    }
-    return sqrt(fourths / (sum_r * sum_r * energy * live->settings.full_scale_r));
-}
-
 /* Tell what is felt of a hop; where there are too many, the weakest is left out. */
 static void tell(Live *live, size_t count)
 {
@@ -163,10 +94,10 @@ static void tell(Live *live, size_t count)
 static void follow(Live *live, Voice *voice, double strength, size_t count)
 {
     const Settings *s = &live->settings;
-    const double left = tracking_holds(s, &voice->slots) ? left_by_law(live, count) : 1.0;
+    const double left = tracking_holds(s, &voice->slots) ? levels_left_by_law(live, count) : 1.0;
     for (size_t one = 0; one < count; one++)
         live->hz[one] = felt_hz(s, live->found.audio_hz[one]);
-    if (set_levels(live, voice, strength, count))
+    if (levels_set(live, voice, strength, count))
         live->limited += s->hop_frames;
     tell(live, count);
     double total = 0.0;
@@ -177,6 +108,11 @@ static void follow(Live *live, Voice *voice, double strength, size_t count)
     const Partials partials = {live->found.audio_hz, live->hz, live->amplitude, count};
     tracking_follow(s, &voice->slots, &live->glides, partials, larger(0.0, s->ceiling - total),
                     left, &voice->onsets, live->tracking_space);
+}
+
+static size_t number_of(const Live *live, const Voice *voice)
+{
+    return (size_t)(voice - live->voices);
 }
 
 /* Compute the next hop of the partials. */
@@ -212,6 +148,8 @@ static void end_hop(Live *live, Voice *voice)
         memset(voice->hop, 0, s->steps * sizeof(double));
         return;
     }
+    const GlidePlace place = {number_of(live, voice), 0, tracking_slots(s), s->hop_frames};
+    glide_log_add(&live->log, place, &live->glides);
     synthesis_hop(s, &live->glides, voice->hop);
 }
 
@@ -249,6 +187,9 @@ static void advance(Live *live, Voice *voice)
     if (fresh) {
         *voice->ringing = (double)s->ring_hops;
         onset_partials_play(s, voice->fresh, told, &voice->slots, &live->fresh_glides);
+        const GlidePlace place = {number_of(live, voice), tracking_slots(s), s->fresh_max,
+                                  s->tick_frames};
+        glide_log_add(&live->log, place, &live->fresh_glides);
     }
     if (*voice->ringing > 0.0) {
         const double *hop = voice->hop + (full ? 0 : (live->tick + 1) * s->tick_steps);
@@ -379,6 +320,7 @@ void live_process(Live *live, Sound sound, size_t frames, double *vibration)
         vibration += part * live->voices_count;
         frames -= part;
         live->filled += part;
+        live->log.frame += part;
         live->oldest = (live->oldest + part) % s->window_frames;
         if (live->filled == s->tick_frames) {
             live->filled = 0;

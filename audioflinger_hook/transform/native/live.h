@@ -9,6 +9,7 @@
 #include "analysis.h"
 #include "downmix.h"
 #include "fft.h"
+#include "glide_log.h"
 #include "loudness.h"
 #include "onset_partials.h"
 #include "input_stage.h"
@@ -61,6 +62,7 @@ typedef struct {
     size_t silent;       /* frames that were exactly 0 of late, up to window_frames */
     uint64_t replaced, limited, delivered;
     Told told;
+    GlideLog log; /* no state: off until Python switches it on */
 
     double *mono, *side, *windowed, *real, *imaginary, *fft_space, *synthesis_space, *onset_space;
     double *speech_space;

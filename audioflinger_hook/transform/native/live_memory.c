@@ -158,6 +158,7 @@ void live_close(Live *live)
     free(live->voices);
     free(live->state);
     free(live->work);
+    glide_log_clear(&live->log);
     live->voices = NULL;
     live->state = NULL;
     live->work = NULL;

@@ -199,9 +199,30 @@ static PyObject *kernel_get_told(LiveKernel *self, void *Py_UNUSED(closure))
     return partials;
 }
 
+PyDoc_STRVAR(take_glides_doc, "Return the glides played since the last call; see _kernel.pyi.");
+
+static PyObject *kernel_take_glides(LiveKernel *self, PyObject *Py_UNUSED(none))
+{
+    GlideLog *log = &self->live.log;
+    if (!log->on) {
+        log->on = 1;
+        log->frame = 0;
+    }
+    if (log->incomplete) {
+        glide_log_clear(log);
+        return PyErr_NoMemory();
+    }
+    const Py_ssize_t size = (Py_ssize_t)(log->count * sizeof *log->rows);
+    PyObject *rows = PyBytes_FromStringAndSize((const char *)log->rows, size);
+    if (rows)
+        log->count = 0;
+    return rows;
+}
+
 static PyMethodDef KERNEL_METHODS[] = {
     {"process", (PyCFunction)(void (*)(void))kernel_process, METH_FASTCALL, process_doc},
     {"reset", (PyCFunction)kernel_reset, METH_NOARGS, reset_doc},
+    {"take_glides", (PyCFunction)kernel_take_glides, METH_NOARGS, take_glides_doc},
     {NULL, NULL, 0, NULL},
 };
 

@@ -211,21 +211,24 @@ class Governor:
         p, channels = self._prediction, self._channels
         (stop, current_stop), _ = self._halves(self._ahead)
         then = p.moved_freely @ self._end
-        then[..., channels : 2 * channels] += stop
-        then[..., 2 * channels :] += stop
+        self._add_stop(then, stop)
         tail = p.tail @ then[:, self._of_state]
         parts = [now[:, : -p.states], then[:, : -p.states], tail]
         if max(self._known.loudest, self._ahead.loudest) > self._level:
             parts += self._levels()
         if self._current_a is not None:
             next_current = p.current_freely @ self._end
-            next_current[..., channels : 2 * channels] += current_stop
-            next_current[..., 2 * channels :] += current_stop
+            self._add_stop(next_current, current_stop)
             parts += [current / self._current_a, next_current / self._current_a]
         whole = np.vstack([part.reshape(-1, 3 * channels) for part in parts])
         # Contiguous rows take a third of the time in what follows.
         a, b, alone = np.ascontiguousarray(whole.T).reshape(3, channels, -1)
         return a, b, np.abs(alone).max(axis=1)
+
+    def _add_stop(self, free: FloatArray, stop: FloatArray) -> None:
+        """Add what the next block's fall does, per gain and without any gain, in place."""
+        free[..., self._channels : 2 * self._channels] += stop
+        free[..., 2 * self._channels :] += stop
 
     def _levels(self) -> list[FloatArray]:
         """Return the drive of both blocks as a share of the level."""

@@ -6,6 +6,8 @@ appendix A; Terminal Types 2.0; MIDI Devices 1.0 appendix A.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 _TYPES = {
     0x01: "device",
     0x02: "configuration",
@@ -189,6 +191,10 @@ def position_names(channel_config: int) -> tuple[str, ...]:
 
     channel_config: wChannelConfig or bmChannelConfig. Bits without a position are "bit 29".
     """
-    names = {**dict(enumerate(_POSITIONS)), 31: "raw data"}
-    bits = (bit for bit in range(channel_config.bit_length()) if channel_config >> bit & 1)
-    return tuple(names.get(bit) or f"bit {bit}" for bit in bits)
+    return named_bits(channel_config, {**dict(enumerate(_POSITIONS)), 31: "raw data"}, "bit")
+
+
+def named_bits(bits: int, names: Mapping[int, str], unnamed: str) -> tuple[str, ...]:
+    """The names of the bits that are set, the lowest first; unnamed: such as "bit" of "bit 29"."""
+    found = (bit for bit in range(bits.bit_length()) if bits >> bit & 1)
+    return tuple(names.get(bit) or f"{unnamed} {bit}" for bit in found)

@@ -162,6 +162,17 @@ class Endpoint(Descriptor):
         return (self.max_packet & 0x7FF) * (1 + (self.max_packet >> 11 & 3))
 
 
+def _first(raw: bytes, name: str, kind: int, least_bytes: int) -> Block:
+    """Return the descriptor that the bytes begin with. DescriptorError: it is another."""
+    length = raw[0] if raw else 0
+    block = Block(0, bytes(raw[:length]), name, Findings(strict=True))
+    if len(block.raw) < least_bytes:
+        block.note(f"bLength is {length} of {len(raw)} bytes", f"{least_bytes} bytes or more")
+    if block.type != kind:
+        block.note(f"bDescriptorType is 0x{block.type:02x}", f"0x{kind:02x}")
+    return block
+
+
 def parse_device(raw: bytes) -> DeviceDescriptor:
     """Return the device descriptor at the beginning of the bytes.
 
@@ -175,13 +186,7 @@ def parse_device(raw: bytes) -> DeviceDescriptor:
     DescriptorError
         They do not begin with a device descriptor.
     """
-    findings = Findings(strict=True)
-    length = raw[0] if raw else 0
-    block = Block(0, bytes(raw[:length]), "device", findings)
-    if len(block.raw) < DEVICE_BYTES:
-        block.note(f"bLength is {length} of {len(raw)} bytes", f"{DEVICE_BYTES} bytes or more")
-    if block.type != DEVICE:
-        block.note(f"bDescriptorType is 0x{block.type:02x}", f"0x{DEVICE:02x}")
+    block = _first(raw, "device", DEVICE, DEVICE_BYTES)
     return DeviceDescriptor(0, block.raw, *struct.unpack_from("<H4B3H4B", block.raw, 2))
 
 
@@ -190,19 +195,12 @@ def read_header(raw: bytes) -> ConfigurationHeader:
 
     DescriptorError: they do not begin with one of at least 9 bytes.
     """
-    length = raw[0] if raw else 0
-    block = Block(0, raw[:length], "configuration", Findings(strict=True))
-    if len(block.raw) >= DEVICE_BYTES and block.type == DEVICE:
+    if len(raw) >= DEVICE_BYTES <= raw[0] and raw[1] == DEVICE:
         raise DescriptorError(
             "offset 0, device: a device descriptor; allowed: a configuration descriptor; "
-            f"leave out the first {length} bytes"
+            f"leave out the first {raw[0]} bytes"
         )
-    if len(block.raw) < CONFIGURATION_BYTES:
-        block.note(
-            f"bLength is {length} of {len(raw)} bytes", f"{CONFIGURATION_BYTES} bytes or more"
-        )
-    if block.type != CONFIGURATION:
-        block.note(f"bDescriptorType is 0x{block.type:02x}", f"0x{CONFIGURATION:02x}")
+    block = _first(raw, "configuration", CONFIGURATION, CONFIGURATION_BYTES)
     fields = block.raw
     return ConfigurationHeader(
         offset=0,

@@ -11,6 +11,7 @@ from functools import partial
 from typing import ClassVar
 
 from device.usb.descriptors.blocks import Block, Descriptor, Reader
+from device.usb.descriptors.names import named_bits
 
 TYPE_I, EXTENDED_TYPE_I = 0x01, 0x81
 
@@ -79,7 +80,7 @@ class StreamGeneral(Descriptor):
         """What the bytes of a sample mean: "PCM", "IEEE float" and so on."""
         if self.uac == 1:
             return (_ENCODINGS_1.get(self.formats) or f"format 0x{self.formats:04x}",)
-        return _named(self.formats, _ENCODINGS_2)
+        return named_bits(self.formats, _ENCODINGS_2, "format bit")
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,12 +102,7 @@ class StreamGeneral3(Descriptor):
     @property
     def encodings(self) -> tuple[str, ...]:
         """What the bytes of a sample mean."""
-        return _named(self.formats, _ENCODINGS_3)
-
-
-def _named(formats: int, encodings: dict[int, str]) -> tuple[str, ...]:
-    bits = (bit for bit in range(formats.bit_length()) if formats >> bit & 1)
-    return tuple(encodings.get(bit) or f"format bit {bit}" for bit in bits)
+        return named_bits(self.formats, _ENCODINGS_3, "format bit")
 
 
 @dataclass(frozen=True, slots=True)

@@ -425,6 +425,22 @@ def test_quiet_blocks_after_loud_ones_go_back_to_the_linear_model():
     }
 
 
+def test_what_a_loud_part_left_behind_is_dropped_while_quiet_sound_goes_on():
+    times = times_of(FS, 2.0)
+    volts = np.where(times < 0.5, 12.0, 0.05) * np.sin(math.tau * 70.0 * times)
+    got = AdaptiveActuator(PAPER, FS, 1e-2).move(volts).acceleration_m_s2
+    alone = LinearActuator(PAPER.actuator, FS).move(volts).acceleration_m_s2
+    later = slice(round(0.85 * FS), None)
+    assert np.array_equal(got[later], alone[later])
+    # What is dropped shows nowhere: by then it is a hundredth of the tolerance at 1 % of Xmax.
+    least = FLOOR * PAPER.actuator.x_max_m * PAPER.actuator.resonance_rad_s**2
+    true = AdaptiveActuator(PAPER, FS, level=ModelLevel.NONLINEAR, step_tolerance=1e-6).move(volts)
+    last = slice(round(0.7 * FS), None)
+    assert np.abs(got - true.acceleration_m_s2)[last].max() <= 1e-2 * max(
+        least, np.abs(true.acceleration_m_s2[last]).max()
+    )
+
+
 # At 5e-2 the linear model is off by almost all that is allowed before the change.
 @pytest.mark.parametrize(
     "tolerance",

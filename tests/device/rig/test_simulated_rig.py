@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import soundfile
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from device.errors import InternalError, UsageError, WriteError
@@ -18,6 +18,9 @@ from device.rig.instruments import ACCELERATION_FULL_SCALE_M_S2, CONDITIONING_V_
 from device.rig.parameters import AmplifierParameters, DacParameters
 from device.rig.simulated_rig import SimulatedRig
 from device.wav_output import WavOutput
+
+LOUD = replace(PAPER, amplifier=replace(PAPER.amplifier, gain=12.0, output_limit_v=50.0))
+"""The rig with a stronger amplifier: full scale is beyond the linear model."""
 
 
 def steady(frames, frequency_hz=90.0, samplerate=48_000):
@@ -136,6 +139,31 @@ def test_peaks_counts_and_record_do_not_depend_on_the_blocks(sizes):
         twins.append((peaks, twin.clipped_samples, twin.replaced_samples, record))
     assert twins[0] == twins[1]
     assert np.isfinite(twins[0][0]).all()
+
+
+@settings(deadline=None, max_examples=10)
+@given(st.lists(st.integers(0, 9_000), min_size=1, max_size=8))
+def test_a_record_of_chosen_models_has_the_same_bytes_however_it_was_cut(sizes):
+    # From silence to beyond the linear model and back: the choice changes between blocks.
+    frames = sum(sizes)
+    level = np.sin(np.linspace(0.0, math.pi, frames)) ** 3
+    vibration = np.column_stack([level * steady(frames), 0.3 * level * steady(frames, 50.0)])
+    twins = []
+    for blocks in ([vibration], np.split(vibration, np.cumsum(sizes)[:-1])):
+        recorder = Recorder()
+        twin = SimulatedRig(LOUD, 48_000, 2, recorder=recorder, tolerance=0.01)
+        moved = []
+        for block in blocks:
+            twin.write(block)
+            moved.append(twin.acceleration_m_s2)
+        twin.close()
+        moved.append(twin.acceleration_m_s2)
+        record = np.concatenate(recorder.blocks)
+        assert np.array_equal(np.concatenate(moved) * CONDITIONING_V_PER_M_S2, record)
+        peaks = (twin.peak_acceleration_m_s2, twin.peak_displacement_m, twin.peak_current_a)
+        twins.append((peaks, twin.clipped_samples, record.tobytes()))
+        assert len(record) == frames
+    assert twins[0] == twins[1]
 
 
 def test_a_recorded_acceleration_is_a_wav_file_in_volts(tmp_path):

@@ -13,8 +13,8 @@ from scipy.signal import butter, sosfilt
 from audioflinger_hook.transform import FloatArray
 from device.rig import PAPER, Rig
 from device.rig.actuator import Motion
-from device.rig.adaptive_actuator import AdaptiveActuator, BlockReport
-from device.rig.model_levels import ModelLevel
+from device.rig.adaptive_actuator import AdaptiveActuator
+from device.rig.model_levels import BlockReport, ModelLevel
 from device.rig.nonlinear_model import FLOOR
 from device.rig.parameters import ActuatorParameters
 from tools.bench.cost import Timings, interleaved
@@ -28,6 +28,8 @@ NO_BLOCK = Must("<=", 0.0)
 NO_CLICK = Must("<=", -80.0)
 OWN_COST = Must("<=", 1.1)
 EXCURSION = Must("<=", 1e-4)
+SELECTED_MS = Must("<=", 1.05)
+"""Of a second of bursts, silence or quiet music: 0.15 of a non-linear model in NumPy, 7 ms."""
 BURST_S = 0.25
 FULL_V = 40.0
 """Loudest burst of one tone: at some frequencies the actuator reaches its stops."""
@@ -35,6 +37,7 @@ FADED_ABOVE_HZ = 800.0
 REPEATS = 5
 TRUE_STEPS = 1e-6
 TIMED_TOLERANCE = 1e-2
+QUIET = ("80 % silence", "quiet music")
 
 
 def model_selection(bench: Workbench) -> Section:
@@ -54,6 +57,7 @@ def model_selection(bench: Workbench) -> Section:
         beyond = float(np.count_nonzero(shares > 1.0))
         frames = sum(rig.frames_by_level.values())
         column = f"{rig.tolerance:g}"
+        limit_ms = SELECTED_MS if rig.tolerance == TIMED_TOLERANCE else None
         rows += [
             Row("blocks beyond the tolerance", beyond, f"of {shares.size}", column, NO_BLOCK),
             Row("worst block, of the tolerance", float(shares.max()), "", column),
@@ -62,7 +66,7 @@ def model_selection(bench: Workbench) -> Section:
             share = 100.0 * rig.frames_by_level[model] / frames
             rows.append(Row(f"{model}, share of the time", share, "%", column))
         rows += [
-            Row("a second of signal", 1e3 * timing.median_s / timed_s, "ms", column),
+            Row("a second of signal", 1e3 * timing.median_s / timed_s, "ms", column, limit_ms),
             Row("cost, of all non-linear", _times(timing, whole_timing), "times", column, OWN_COST),
             Row("clicks above 800 Hz", _clicks_db(rig.tolerance), "dB", column, NO_CLICK),
         ]
@@ -97,10 +101,11 @@ def drives_and_scenes(bench: Workbench) -> Section:
         shares = shares_of_tolerance(chosen, volts, true)
         ms = [1e3 * timing.median_s / duration_s for timing in timings]
         ratio = _times(timings[1], timings[0])
+        limit_ms = SELECTED_MS if name in QUIET else None
         rows += [
             Row(name, ms[0], "ms", "non-linear, a second"),
             Row(name, error, "", "error of its excursion", EXCURSION),
-            Row(name, ms[1], "ms", f"selected at {TIMED_TOLERANCE:g}, a second"),
+            Row(name, ms[1], "ms", f"selected at {TIMED_TOLERANCE:g}, a second", limit_ms),
             Row(name, ratio, "times", "of the non-linear", OWN_COST),
             Row(name, float(shares.max()), "", "worst block, of the tolerance", Must("<=", 1.0)),
         ]

@@ -64,7 +64,7 @@ def render_speed(bench: Workbench) -> Section:
     with tempfile.TemporaryDirectory(prefix="cushion-bench-") as folder:
         for duration_s in bench.effort.render_s:
             source = Path(folder) / "sound.wav"
-            _write_sound(source, duration_s)
+            write_sound(source, duration_s)
             for measure in (_whole_command, _a_core, _several_files):
                 rows += measure(source, f"{duration_s / 60:g} min", duration_s)
     return Section(
@@ -151,7 +151,7 @@ def _environment() -> dict[str, str]:
     return os.environ | {"PYTHONPATH": path}
 
 
-def _write_sound(path: Path, duration_s: float) -> None:
+def write_sound(path: Path, duration_s: float) -> None:
     """Write the looped demo scene, 16 bit, piece by piece."""
     demo = np.clip(demo_sound(), -1.0, 1.0)
     left = round(duration_s * SAMPLERATE)

@@ -75,7 +75,7 @@ class _Believer(SpeechSuppressor):
 def heard(sound: FloatArray, samplerate: int = SAMPLERATE) -> Heard:
     """Return what the live form believes of (frames,) with suppression on."""
     form = LiveTransform(LiveDesign.of(ON, samplerate))
-    speech = form._speech = _Believer(form)
+    speech = form.levels.speech = _Believer(form)
     form.process(sound)
     hops = len(speech.beliefs)
     pieces = sound[: hops * form._grid.hop_frames].reshape(hops, -1)

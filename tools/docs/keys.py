@@ -1,19 +1,13 @@
-"""Print the table of config keys, or write it: `python -m tools.readme_keys --write`."""
+"""The tables of config keys in docs/config.md, from the schema."""
 
 from __future__ import annotations
 
-import argparse
 from itertools import groupby
-from pathlib import Path
 
 from audioflinger_hook.config.schema import CHANGES, HEADERS, KEYS, Key
 
-README = Path(__file__).resolve().parents[1] / "README.md"
-BEGIN = "<!-- keys: written by python -m tools.readme_keys --write -->\n"
-END = "<!-- end of keys -->\n"
 
-
-def keys_table() -> str:
+def keys_tables() -> str:
     """Return every key of the config with what is allowed, default, option, meaning and change."""
     parts = []
     for section, keys in groupby(KEYS, key=lambda key: key.section):
@@ -24,13 +18,6 @@ def keys_table() -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def with_table(page: str) -> str:
-    """Return a page with the table between its two marks."""
-    before, _, rest = page.partition(BEGIN)
-    _, _, after = rest.partition(END)
-    return f"{before}{BEGIN}\n{keys_table()}\n{END}{after}"
-
-
 def _row(key: Key) -> str:
     flag = f"`{key.flag}`" if key.flag else ""
     default = f"`{key.shown_default}`" if key.shown_default else ""
@@ -39,17 +26,3 @@ def _row(key: Key) -> str:
     cells = (f"`{key.name}`", described.allowed, default, flag, described.meaning)
     shown = [cell.replace("|", "\\|") for cell in (*cells, CHANGES[key.change])]
     return f"| {' | '.join(shown)} |"
-
-
-def main() -> None:
-    """Print the table, or write README.md."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--write", action="store_true", help="write README.md")
-    if parser.parse_args().write:
-        README.write_text(with_table(README.read_text()))
-    else:
-        print(keys_table(), end="")
-
-
-if __name__ == "__main__":
-    main()

@@ -1,0 +1,98 @@
+"""Paths and URLs of sounds and results, and texts from which credentials are removed."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+from device.errors import CushionError, UsageError
+
+EXTRA = "URLs need fsspec; pip install 'haptic-cushion[remote]', and for s3:// also s3fs"
+REMOVED = "[removed]"
+NO_CREDENTIALS = (
+    "holds credentials; allowed: a URL without password, query and fragment; give credentials to "
+    "the storage library by its own settings"
+)
+
+_SCHEME = re.compile(r"^[A-Za-z][A-Za-z0-9+.-]*://")
+_USERINFO = re.compile(r"(?<=://)[^/\s@]*@|[\w.+-]+:[^\s/@'\"]+@")
+_QUERY = re.compile(r"(://[^\s?#'\"]*)[?#][^\s'\"]*")
+_SECRET_NAME = re.compile(r"KEY|SECRET|TOKEN|PASSW|CREDENTIAL|SIGNATURE|SAS", re.IGNORECASE)
+_SECRET_PAIR = re.compile(
+    r"(?i)\b((?:x-amz-|aws_?)?(?:\w*(?:key|secret|token|passw\w*|credential|signature|authorization)"
+    r"\w*))(\"?'?\s*[=:]\s*)[^\s,;&]+"
+)
+_KEY_ID = re.compile(r"\b(?:AKIA|ASIA)[A-Z0-9]{8,}\b")
+_SHORTEST_SECRET = 6
+
+
+def is_url(address: str) -> bool:
+    """Return whether an address is a URL, not a path."""
+    return bool(_SCHEME.match(address))
+
+
+def credentials_in(url: str) -> bool:
+    """Return whether a URL holds a password, or a query or fragment, which may be a signature."""
+    if not is_url(url):
+        return False
+    try:
+        parts = urlsplit(url)
+        return parts.password is not None or bool(parts.query or parts.fragment or "?" in url)
+    except ValueError:
+        return True
+
+
+def scrubbed(text: str) -> str:
+    """Return a text without what may be a credential; whitespace becomes single spaces.
+
+    Removed: users and passwords in URLs, queries and fragments of URLs, values that are named like
+    secrets, and values of environment variables that are named like secrets.
+    """
+    text = " ".join(text.split())
+    for name, value in os.environ.items():
+        if len(value) >= _SHORTEST_SECRET and _SECRET_NAME.search(name) and os.sep not in value:
+            text = text.replace(value, REMOVED)
+    text = _USERINFO.sub(f"{REMOVED}@", text)
+    text = _QUERY.sub(rf"\1?{REMOVED}", text)
+    text = _SECRET_PAIR.sub(rf"\1\2{REMOVED}", text)
+    return _KEY_ID.sub(REMOVED, text)
+
+
+def parse_address(text: str, what: str) -> str:
+    """Return a URL, or an absolute path; `file://` becomes a path.
+
+    UsageError: it holds credentials, or is empty.
+    """
+    if not text or "\0" in text:
+        raise UsageError(f"{what} = {text!r} is not a path or URL; name one")
+    if credentials_in(text):
+        raise UsageError(f"{what} = {scrubbed(text)} {NO_CREDENTIALS}")
+    if text.startswith("file://"):
+        text = text.removeprefix("file://")
+    return text.rstrip("/") if is_url(text) else os.path.normpath(Path(text).absolute())
+
+
+def filesystem_of(url: str, refuse: Callable[[str], CushionError] = UsageError) -> tuple[Any, str]:
+    """Return the fsspec filesystem of a URL, without a cache of listings, and the path in it."""
+    try:
+        import fsspec
+    except ImportError:
+        raise refuse(f"{scrubbed(url)}: {EXTRA}") from None
+    try:
+        filesystem, path = fsspec.core.url_to_fs(url, use_listings_cache=False)
+    except (ImportError, ValueError, TypeError) as error:
+        raise refuse(f"{scrubbed(url)} cannot be used ({scrubbed(str(error))})") from None
+    return filesystem, path
+
+
+def known_scheme(url: str) -> bool:
+    """Return whether a library for such URLs is known."""
+    try:
+        import fsspec
+    except ImportError:
+        raise UsageError(f"{scrubbed(url)}: {EXTRA}") from None
+    return url.partition("://")[0].lower() in fsspec.available_protocols()

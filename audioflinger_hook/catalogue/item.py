@@ -1,0 +1,168 @@
+"""One item of a catalogue: the sound, what part of it, and the name of its result."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import PurePosixPath
+from typing import Annotated, Any, ClassVar
+from urllib.parse import urlsplit
+
+from audioflinger_hook.catalogue.addresses import (
+    NO_CREDENTIALS,
+    credentials_in,
+    is_url,
+    known_scheme,
+    scrubbed,
+)
+from audioflinger_hook.config.profiles import PROFILES
+from device.values import Choice, Described, Description, Number, Refusal, Text
+
+LONGEST_S = 1e7
+ALIASES = {
+    "audio_filepath": "audio",  # NeMo
+    "offset": "start_s",
+    "start": "start_s",  # lhotse
+    "duration": "duration_s",
+    "channel": "channels",
+}
+"""Names of NeMo and lhotse, and ours."""
+
+RESERVED = re.compile(r"catalogue|failed(-\d+-of-\d+)?")
+"""Names of the run's own files in the output folder."""
+
+NAME_BYTES_MAX = 200
+
+
+@dataclass(frozen=True)
+class _Audio(Text):
+    """A path or a URL without credentials."""
+
+    grammar: str = "a path, or a URL of a storage that fsspec knows"
+
+    def refuse(self, value: object) -> Refusal | None:
+        if (refusal := super().refuse(value)) or not isinstance(value, str):
+            return refusal
+        if "\0" in value:
+            return Refusal("holds a null byte", self.allowed)
+        if credentials_in(value):
+            wrong, _, allowed = NO_CREDENTIALS.partition("; allowed: ")
+            return Refusal(wrong, allowed)
+        if is_url(value) and not known_scheme(value):
+            return Refusal("has an unknown scheme", self.allowed)
+        return None
+
+
+@dataclass(frozen=True)
+class _Name(Text):
+    """A relative path without "..": where the result will be in the output folder."""
+
+    grammar: str = "a relative path without . and .., such as album/song"
+
+    def refuse(self, value: object) -> Refusal | None:
+        if not isinstance(value, str) or not value:
+            return Refusal("is not a name", self.allowed)
+        parts = value.split("/")
+        if any(part in ("", ".", "..") for part in parts) or not value.isprintable():
+            return Refusal("is not a name of a result", self.allowed)
+        if max(len(os.fsencode(part)) for part in parts) > NAME_BYTES_MAX:
+            return Refusal("is too long", f"up to {NAME_BYTES_MAX} bytes between two slashes")
+        if RESERVED.fullmatch(value):
+            return Refusal("is the name of a file of the run itself", "another name")
+        return None
+
+
+@dataclass(frozen=True)
+class _Channels(Description):
+    """How channels are taken, or the channels to take."""
+
+    @property
+    def allowed(self) -> str:
+        return "mono, each, or channel numbers counted from 0"
+
+    def refuse(self, value: object) -> Refusal | None:
+        if value in ("mono", "each"):
+            return None
+        good = isinstance(value, tuple) and len(value) > 0
+        numbers = value if isinstance(value, tuple) else ()
+        if good and all(type(one) is int and 0 <= one < 64 for one in numbers):
+            return None
+        return Refusal("is not a choice of channels", self.allowed)
+
+    def json_schema(self) -> dict[str, Any]:
+        numbers = {"type": "array", "items": {"type": "integer", "minimum": 0}}
+        return {"anyOf": [{"enum": ["mono", "each"]}, {"type": "integer"}, numbers]}
+
+
+@dataclass(frozen=True)
+class Item(Described):
+    """One sound of a catalogue. The fields are those of a manifest's line.
+
+    line: its line in the manifest, or its number in a folder, counted from 1.
+    """
+
+    NAMES: ClassVar[tuple[str, ...]]
+    NUMBERS: ClassVar[tuple[str, ...]] = ("start_s", "duration_s", "track")
+
+    audio: Annotated[str, _Audio("the sound: path or URL")]
+    id: Annotated[str, _Name("name of the result")]
+    line: int
+    start_s: Annotated[float, Number("where to begin", 0.0, LONGEST_S, "s")] = 0.0
+    duration_s: Annotated[
+        float | None, Number("how long, at most; default: to the end", 1e-3, LONGEST_S, "s")
+    ] = None
+    channels: Annotated[
+        str | tuple[int, ...] | None, _Channels("as --channels, or which channels to take")
+    ] = None
+    profile: Annotated[str | None, Choice("as --profile", tuple(PROFILES))] = None
+    track: Annotated[int | None, Number("sound track of a film, from 1", 1, 999, whole=True)] = None
+    language: Annotated[str | None, Text("language of a film's sound track")] = None
+
+    @property
+    def picked(self) -> tuple[int, ...]:
+        """Channels to take; none: all."""
+        return self.channels if isinstance(self.channels, tuple) else ()
+
+    def row(self) -> dict[str, Any]:
+        """Return the line of a manifest that gives this item."""
+        row = {name: getattr(self, name) for name in self.NAMES}
+        return {name: value for name, value in row.items() if value not in (None, 0.0)}
+
+
+Item.NAMES = tuple(field.name for field in fields(Item) if field.name != "line")
+
+
+def default_id(audio: str, start_s: object, root: str = "") -> str:
+    """Return the name of a result that has none: the sound's path without its ending.
+
+    start_s: added to the name if it is not 0. root: beginning of the path that is left out.
+    """
+    path = audio.removeprefix(root) if root else audio
+    path = urlsplit(path).path if is_url(path) else path
+    parts = [part for part in PurePosixPath(path).parts if part not in ("/", ".", "..")]
+    name = str(PurePosixPath(*parts).with_suffix("")) if parts else ""
+    if isinstance(start_s, (int, float)) and start_s > 0.0:
+        name += f"-{start_s:.6f}".rstrip("0").rstrip(".") + "s"
+    return name
+
+
+def shown(value: object) -> str:
+    """Return a value of a manifest as text for a message, cut and without credentials."""
+    text = scrubbed(str(value))
+    return repr(text if len(text) <= 80 else f"{text[:77]}...")
+
+
+def typed(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a row's values with the types of the fields, as far as they have them."""
+    found = {name: value for name, value in values.items() if value is not None}
+    channels = found.get("channels")
+    if type(channels) is int:
+        found["channels"] = (channels,)
+    elif isinstance(channels, list):
+        found["channels"] = tuple(channels)
+    for name in ("start_s", "duration_s"):
+        if type(found.get(name)) is int:
+            found[name] = float(found[name])
+    return found

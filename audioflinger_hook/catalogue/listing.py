@@ -1,0 +1,72 @@
+"""Sounds in folders of this machine."""
+
+from __future__ import annotations
+
+import fnmatch
+import glob
+import os
+from collections.abc import Iterator
+from pathlib import Path, PurePosixPath
+
+from audioflinger_hook.sources.film import FILMS
+from device.errors import UsageError
+
+SOUNDS = FILMS.union(
+    f".{ending}"
+    for ending in (
+        "wav", "wave", "rf64", "w64", "flac", "ogg", "oga", "opus", "mp3", "aif", "aiff", "au",
+        "caf", "aac", "ac3", "eac3", "dts", "wma",
+    )
+)  # fmt: skip
+"""Endings of the files that are taken from a folder."""
+
+
+def walk(folder: str, out: str) -> Iterator[str]:
+    """Yield every file of a folder and those in it, in order, without hidden ones and `out`."""
+    try:
+        with os.scandir(folder) as entries:
+            names = sorted((entry.name, entry.is_dir()) for entry in entries)
+    except OSError as error:
+        raise UsageError(f"{folder} cannot be listed ({error.strerror})") from None
+    for name, is_folder in names:
+        path = f"{folder.rstrip('/')}/{name}"
+        if name.startswith(".") or path == out:
+            continue
+        if not is_folder:
+            yield path
+        elif not Path(path).is_symlink():  # a link may lead back
+            yield from walk(path, out)
+
+
+def fixed_part(pattern: str) -> str:
+    """Return the folders before the first wildcard of a glob."""
+    parts = pattern.split("/")
+    first = next(index for index, part in enumerate(parts) if glob.has_magic(part))
+    return "/".join(parts[:first])
+
+
+def matches(path: str, pattern: str) -> bool:
+    """Return whether a path matches a glob, in which `**` stands for any number of folders."""
+    return _parts_match(path.split("/"), pattern.split("/"))
+
+
+def _parts_match(path: list[str], pattern: list[str]) -> bool:
+    if not pattern:
+        return not path
+    if pattern[0] == "**":
+        return any(_parts_match(path[n:], pattern[1:]) for n in range(len(path) + 1))
+    return (
+        bool(path)
+        and fnmatch.fnmatchcase(path[0], pattern[0])
+        and _parts_match(path[1:], pattern[1:])
+    )
+
+
+def is_sound(path: str) -> bool:
+    """Return whether a file's name has the ending of a sound or film."""
+    return ending_of(path) in SOUNDS
+
+
+def ending_of(path: str) -> str:
+    """Return the ending of a path or URL in small letters, with its dot."""
+    return PurePosixPath(path).suffix.lower()

@@ -1,0 +1,360 @@
+"""Manifests: JSON lines, CSV, a folder or a glob, read as a stream of items."""
+
+from __future__ import annotations
+
+import csv
+import glob
+import gzip
+import io
+import json
+import os
+import tempfile
+import zlib
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from functools import lru_cache
+from hashlib import blake2b
+from pathlib import Path
+from struct import Struct
+from typing import IO, Any
+
+import numpy as np
+
+from audioflinger_hook.catalogue.addresses import (
+    filesystem_of,
+    is_url,
+    parse_address,
+    scrubbed,
+)
+from audioflinger_hook.catalogue.item import ALIASES, Item, default_id, shown, typed
+from audioflinger_hook.catalogue.listing import (
+    SOUNDS,
+    ending_of,
+    fixed_part,
+    is_sound,
+    matches,
+    walk,
+)
+from device.errors import UsageError
+from device.values import counted, nearest
+
+SHOWN_MAX = 100
+"""Mistakes that are listed; all are counted."""
+
+LINE_MAX = 1 << 20
+PARTITIONS, SPOOLED_BYTES = 64, 1 << 16
+"""All ids are divided by their hashes; what is beyond these bytes goes to temporary files."""
+
+_ENTRY = Struct("<QQ")
+_SIMILAR = ("audio", "start_s", "duration_s", "channels", "profile", "language", "audio_filepath")
+
+
+@dataclass
+class Mistakes:
+    """Mistakes of a manifest: the first hundred, and the count of all."""
+
+    shown: list[str] = field(default_factory=list)
+    count: int = 0
+
+    def add(self, where: str, text: str) -> None:
+        """Add a mistake of one line."""
+        self.count += 1
+        if len(self.shown) < SHOWN_MAX:
+            self.shown.append(f"{where}: {text}")
+
+
+class Manifest:
+    """The items of a manifest, in order; each iteration reads it again.
+
+    Parameters
+    ----------
+    address : str
+        A file of JSON lines (also .gz) or CSV (.csv), a folder, a glob, or one sound file; path or
+        URL.
+    out : str
+        The folder of the results. Sounds inside it are no items.
+
+    Raises
+    ------
+    UsageError
+        There is no such manifest, or the address holds credentials.
+    """
+
+    def __init__(self, address: str, out: str) -> None:
+        self.address = parse_address(address, "MANIFEST")
+        self._name = scrubbed(self.address)
+        self._folder = self.address.rpartition("/")[0]
+        self.out = out
+        self._remote = filesystem_of(self.address) if is_url(self.address) else None
+        self.is_listing = False
+        self._root = ""
+        self._sources = self._kind()
+        if self.address == out:
+            raise UsageError(f"--out={scrubbed(out)} is the folder of the sounds; name another")
+
+    def check(self) -> tuple[int, Mistakes]:
+        """Return the number of items, and every mistake, in memory that does not grow."""
+        mistakes, count = Mistakes(), 0
+        with ExitStack() as stack:
+            parts = [
+                stack.enter_context(tempfile.SpooledTemporaryFile(SPOOLED_BYTES))
+                for _ in range(PARTITIONS)
+            ]
+            for item in self.items(mistakes):
+                count += 1
+                name = int.from_bytes(blake2b(os.fsencode(item.id), digest_size=8).digest())
+                parts[name % PARTITIONS].write(_ENTRY.pack(name, item.line))
+            for part in parts:
+                self._find_twins(part, mistakes)
+        if not count and not mistakes.count:
+            raise UsageError(f"{scrubbed(self.address)} has no items; give a manifest of sounds")
+        return count, mistakes
+
+    def items(self, mistakes: Mistakes | None = None) -> Iterator[Item]:
+        """Yield the items without a mistake; `mistakes` takes the others."""
+        mistakes = mistakes if mistakes is not None else Mistakes()
+        for line, row in self._rows(mistakes):
+            where = f"{self._name}:{line}"
+            values = self._values(where, row, mistakes)
+            if values is None:
+                continue
+            named = "id" in values
+            if not named:
+                given = str(values.get("audio"))
+                values["id"] = default_id(given, values.get("start_s"), self._root)
+            values["line"] = line
+            if isinstance(values.get("audio"), str):
+                values["audio"] = self._absolute(values["audio"])
+            try:
+                item = Item(**values)
+            except (UsageError, TypeError):
+                refusals = Item.refusals(values)
+                if not named and "audio" in refusals:
+                    refusals.pop("id", None)  # it was made from the audio's name
+                for name, refusal in refusals.items():
+                    value = f"={shown(values[name])}" if name in values else ""
+                    mistakes.add(where, f"{name}{value} {refusal}")
+                continue
+            if f"{item.audio}/".startswith(f"{self.out}/"):
+                audio = shown(item.audio)
+                mistakes.add(where, f"audio={audio} is in the output folder; name another")
+                continue
+            yield item
+
+    def _absolute(self, audio: str) -> str:
+        """Return a sound's path or URL; a relative path is relative to the manifest."""
+        if not audio or is_url(audio):
+            return audio
+        if audio.startswith("/"):
+            return os.path.normpath(audio)
+        joined = f"{self._folder}/{audio}"
+        return joined if is_url(joined) else os.path.normpath(joined)
+
+    # ------------------------------------------------------------------------------------- rows
+
+    def _kind(self) -> str:
+        """Return what the manifest is: "folder", "glob", "one", "csv" or "lines"."""
+        path = self.address
+        ending = ending_of(path.removesuffix(".gz"))
+        if self._remote:
+            filesystem, inside = self._remote
+            try:
+                is_folder = filesystem.isdir(inside)
+                there = is_folder or filesystem.exists(inside)
+            except Exception as error:
+                said = f"{type(error).__name__}: {scrubbed(str(error))}"
+                raise UsageError(f"{self._name} cannot be read ({said})") from None
+        else:
+            is_folder, there = Path(path).is_dir(), Path(path).exists()
+        if is_folder:
+            self._root, self.is_listing = f"{path}/", True
+            return "folder"
+        if not there and glob.has_magic(path):
+            self._root, self.is_listing = f"{fixed_part(path)}/", True
+            return "glob"
+        if not there:
+            raise UsageError(f"{self._name} does not exist; give a manifest, a folder or a glob")
+        if ending in SOUNDS:
+            self._root, self.is_listing = f"{path.rpartition('/')[0]}/", True
+            return "one"
+        return "csv" if ending == ".csv" else "lines"
+
+    def _rows(self, mistakes: Mistakes) -> Iterator[tuple[int, dict[str, Any]]]:
+        if self._sources in ("csv", "lines"):
+            try:
+                with self._opened() as file:
+                    rows = self._csv if self._sources == "csv" else self._lines
+                    yield from rows(file, mistakes)
+            except (OSError, EOFError, UnicodeDecodeError, zlib.error) as error:
+                said = scrubbed(getattr(error, "strerror", None) or str(error))
+                raise UsageError(f"{self._name} cannot be read ({said})") from None
+            return
+        for number, audio in enumerate(self._found(), 1):
+            yield number, {"audio": audio}
+
+    @contextmanager
+    def _opened(self) -> Iterator[IO[bytes]]:
+        with ExitStack() as stack:
+            if self._remote:
+                filesystem, inside = self._remote
+                # Its own readline has no limit of length.
+                raw: Any = io.BufferedReader(stack.enter_context(filesystem.open(inside, "rb")))
+            else:
+                raw = stack.enter_context(Path(self.address).open("rb"))
+            if self.address.endswith(".gz"):
+                raw = stack.enter_context(gzip.GzipFile(fileobj=raw))
+            yield raw
+
+    def _lines(self, file: IO[bytes], mistakes: Mistakes) -> Iterator[tuple[int, dict[str, Any]]]:
+        line = 0
+        while text := file.readline(LINE_MAX):
+            line += 1
+            where = f"{self._name}:{line}"
+            if len(text) == LINE_MAX and not text.endswith(b"\n"):
+                mistakes.add(where, f"is longer than {LINE_MAX} bytes; give one object a line")
+                return
+            if not text.strip():
+                continue
+            try:
+                row = json.loads(text.decode("utf-8-sig" if line == 1 else "utf-8"))
+            except UnicodeDecodeError:
+                mistakes.add(where, "is not UTF-8; save the manifest as UTF-8")
+                continue
+            except (ValueError, RecursionError) as error:
+                said = getattr(error, "msg", "is nested too deeply")
+                mistakes.add(where, f"is not JSON ({said}); give one object a line")
+                continue
+            if not isinstance(row, dict):
+                mistakes.add(where, 'is not an object; allowed: {"audio": "PATH or URL", ...}')
+                continue
+            yield line, row
+
+    def _csv(self, file: IO[bytes], mistakes: Mistakes) -> Iterator[tuple[int, dict[str, Any]]]:
+        with io.TextIOWrapper(file, "utf-8-sig", errors="surrogateescape", newline="") as text:
+            yield from self._table(csv.reader(text, strict=True), mistakes)
+
+    def _table(self, reader: Any, mistakes: Mistakes) -> Iterator[tuple[int, dict[str, Any]]]:
+        header: list[str] = []
+        while True:
+            where = f"{self._name}:{reader.line_num + 1}"
+            try:
+                row = next(reader, None)
+            except csv.Error as error:
+                mistakes.add(where, f"is not CSV ({error})")
+                return
+            if row is None:
+                return
+            if not header:
+                header = [name.strip() for name in row]
+                named = [ALIASES.get(name, name) for name in header]
+                if "audio" not in named:
+                    mistakes.add(where, f"the header has no column audio; it is {shown(header)}")
+                    return
+                continue
+            if not row:
+                continue
+            if len(row) != len(header):
+                expected = counted(len(header), "columns")
+                mistakes.add(
+                    where, f"has {counted(len(row), 'columns')}; the header has {expected}"
+                )
+                continue
+            cells = dict(zip(header, row, strict=True))
+            yield (
+                reader.line_num,
+                {name: _number(name, cell) for name, cell in cells.items() if cell},
+            )
+
+    def _found(self) -> Iterator[str]:
+        """Yield the sounds of a folder or a glob, in order of their names."""
+        if self._sources == "one":
+            yield self.address
+        elif self._remote:
+            filesystem, inside = self._remote
+            pattern = self._sources == "glob"
+            names = filesystem.glob(inside) if pattern else filesystem.find(inside)
+            for name in sorted(names):
+                audio = str(filesystem.unstrip_protocol(name))
+                if (pattern or is_sound(name)) and not audio.startswith(f"{self.out}/"):
+                    yield audio
+        elif self._sources == "glob":
+            for path in walk(self._root.rstrip("/"), self.out):
+                if matches(path, self.address):
+                    yield path
+        else:
+            for path in walk(self.address, self.out):
+                if is_sound(path):
+                    yield path
+
+    def _values(self, where: str, row: dict[str, Any], mistakes: Mistakes) -> dict[str, Any] | None:
+        """Return a row's values by our names; None, and the mistakes, if they contradict."""
+        row = _from_lhotse(row)
+        values: dict[str, Any] = {}
+        before = mistakes.count
+        for name, value in row.items():
+            ours = ALIASES.get(name, name)
+            if ours in Item.NAMES:
+                if ours not in values:
+                    values[ours] = value
+                elif values[ours] != value:
+                    both = f"{shown(values[ours])} and {shown(value)}"
+                    mistakes.add(where, f"{ours} is given twice, as {both}; leave one out")
+            elif guess := _meant(name):
+                mistakes.add(where, f"{shown(name)} is not known; did you mean {guess}?")
+        return typed(values) if mistakes.count == before else None
+
+    def _find_twins(self, part: tempfile.SpooledTemporaryFile[bytes], mistakes: Mistakes) -> None:
+        """Find two items with one id, in one partition of all ids."""
+        part.seek(0)
+        entries = np.frombuffer(part.read(), [("name", "<u8"), ("line", "<u8")])
+        entries = entries[np.lexsort((entries["line"], entries["name"]))]
+        again = np.flatnonzero(entries["name"][1:] == entries["name"][:-1])
+        for index in again[:SHOWN_MAX]:
+            first, second = entries["line"][index], entries["line"][index + 1]
+            what = "item" if self.is_listing else "line"
+            advice = "list them in a manifest with an id each" if self.is_listing else "give ids"
+            mistakes.add(f"{self._name}:{second}", f"has the same id as {what} {first}; {advice}")
+        mistakes.count += max(0, len(again) - SHOWN_MAX)
+
+
+@lru_cache(maxsize=1024)
+def _meant(name: str) -> str:
+    """Return the known name that differs so little that it is meant, "" for another column."""
+    known = nearest(name, _SIMILAR)
+    return known if known and _differ_little(name, known) else ""
+
+
+def _differ_little(name: str, known: str) -> bool:
+    plain = name.lower().replace("-", "_").strip()
+    return plain in (known, f"{known}s", known.removesuffix("s"), known.removesuffix("_s")) or (
+        abs(len(name) - len(known)) <= 1
+        and sum(a != b for a, b in zip(plain, known, strict=False)) <= 2
+    )
+
+
+def _from_lhotse(row: dict[str, Any]) -> dict[str, Any]:
+    """Return the row with the audio of a lhotse recording or cut, if it is one."""
+    recording = row.get("recording", row)
+    sources = recording.get("sources") if isinstance(recording, dict) else None
+    if not isinstance(sources, list) or len(sources) != 1 or not isinstance(sources[0], dict):
+        return row
+    source = sources[0]
+    if source.get("type") not in ("file", "url"):
+        return row
+    return {**row, "audio": source.get("source")}
+
+
+def _number(name: str, cell: str) -> Any:
+    """Return the value of a cell of CSV, a number where the column has numbers."""
+    ours = ALIASES.get(name, name)
+    try:
+        if ours == "track":
+            return int(cell)
+        if ours in Item.NUMBERS:
+            return float(cell)
+        if ours == "channels" and cell not in ("mono", "each"):
+            return [int(one) for one in cell.split()]
+    except ValueError:
+        pass
+    return cell

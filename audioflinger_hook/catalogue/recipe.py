@@ -1,0 +1,112 @@
+"""How a run makes its results, and the key that tells whether a result is still the right one."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Any
+
+from audioflinger_hook.catalogue.item import Item
+from audioflinger_hook.config.settings import Settings
+from audioflinger_hook.exports.options import FORMATS, ExportOptions
+from audioflinger_hook.transform import TRANSFORM_VERSION
+from device.errors import UsageError
+from device.rig.rig_file import SHIPPED
+
+VERSION = f"{TRANSFORM_VERSION}.1"
+"""Version of the transform, and of everything else that decides a result's bytes."""
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """How every result of a run is made.
+
+    out: folder of the results, path or URL.
+    settings: how vibration is made.
+    options: format of the results.
+    track, language: of films, for items that name none.
+    verify: whether sounds are known by their SHA-256, not by path, size and time.
+    version: version of the program that made the recipe.
+    """
+
+    out: str
+    settings: Settings
+    options: ExportOptions
+    track: int | None = None
+    language: str | None = None
+    verify: bool = False
+    version: str = VERSION
+
+    def name(self, item: Item) -> str:
+        """Return the name of an item's result in the folder of the results."""
+        return item.id + FORMATS[self.options.format].suffixes[0]
+
+    def settings_of(self, item: Item) -> Settings:
+        """Return the settings for one item."""
+        channels = item.channels if isinstance(item.channels, str) else None
+        return _chosen(self.settings, item.profile, channels)
+
+    def key(self, item: Item, identity: Mapping[str, Any]) -> str:
+        """Return the hash of everything that decides a result's bytes, 32 hexadecimal digits.
+
+        identity: what the sound is known by.
+        """
+        part = [
+            item.start_s,
+            item.duration_s,
+            item.picked,
+            item.track or self.track,
+            item.language or self.language,
+        ]
+        mine = json.dumps([self._digest_of(self.settings_of(item)), part, identity], sort_keys=True)
+        return hashlib.sha256(mine.encode()).hexdigest()[:32]
+
+    def described(self) -> dict[str, Any]:
+        """Return the recipe for people to read."""
+        return {
+            "version": self.version,
+            **asdict(self.options),
+            "settings": json.loads(json.dumps(asdict(self.settings), default=str)),
+        }
+
+    def _digest_of(self, settings: Settings) -> str:
+        known = self._digests
+        if settings not in known:
+            document = [
+                self.version,
+                asdict(self.options),
+                asdict(settings),
+                [_content_of(path) for path in _files_of(settings)],
+            ]
+            text = json.dumps(document, sort_keys=True, default=str)
+            known[settings] = hashlib.sha256(text.encode()).hexdigest()
+        return known[settings]
+
+    @cached_property
+    def _digests(self) -> dict[Settings, str]:
+        return {}
+
+
+@lru_cache(maxsize=64)
+def _chosen(settings: Settings, profile: str | None, channels: str | None) -> Settings:
+    given = {"profile": profile, "channels": channels}
+    given = {name: value for name, value in given.items() if value is not None}
+    return settings.choosing(**given) if given else settings
+
+
+def _files_of(settings: Settings) -> list[str]:
+    """Return the files that the settings name: rigs and the effects file."""
+    named = [settings.rig, *(actuator.rig for actuator in settings.actuators)]
+    files = [name for name in named if name is not None and name not in SHIPPED]
+    return [*files, *([str(settings.effects_file)] if settings.effects_file else [])]
+
+
+def _content_of(path: str) -> str:
+    try:
+        return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+    except OSError as error:
+        raise UsageError(f"{path} cannot be read ({error.strerror})") from error

@@ -1,0 +1,268 @@
+"""The work on one item: look at its record, and render it if there is no right result yet."""
+
+from __future__ import annotations
+
+import errno
+import json
+import math
+import pickle
+import platform
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Literal
+
+from audioflinger_hook.catalogue.addresses import is_url, scrubbed
+from audioflinger_hook.catalogue.item import Item
+from audioflinger_hook.catalogue.measures import VibrationMeter
+from audioflinger_hook.catalogue.recipe import VERSION, Recipe
+from audioflinger_hook.catalogue.storage import (
+    RECORD,
+    Storage,
+    identity_of,
+    local_copy,
+    sha256_of,
+    storage_of,
+)
+from audioflinger_hook.catalogue.timing import Timing, has_errno
+from audioflinger_hook.exports.export import export
+from audioflinger_hook.sources import FileTap, TapClient
+from audioflinger_hook.sources.film import FILMS, FilmTap
+from audioflinger_hook.sources.part import PartTap
+from device.errors import CushionError, InternalError, UsageError
+
+State = Literal["rendered", "skipped", "failed"]
+
+FIGURES = (
+    "frames", "samplerate", "channels", "peak", "leak_above_250_hz_db", "limited_samples",
+    "replaced_samples", "warnings",
+)  # fmt: skip
+"""What a record takes from the report of an export."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one item.
+
+    record: of its result, as in the file beside it; empty if the item failed.
+    error, exit_code: why it failed, in one line, and the exit code of that kind of error.
+    stops: whether every other item would fail in the same way, as on a full disk.
+    """
+
+    item: Item
+    state: State
+    seconds: float
+    record: dict[str, Any] = field(default_factory=dict)
+    error: str = ""
+    exit_code: int = 0
+    stops: bool = False
+
+
+def do_batch(recipe: bytes, items: Sequence[Item], timing: Timing) -> list[Outcome]:
+    """Return the outcomes of some items, in order. Any thread of any process.
+
+    recipe: a pickled `Recipe`.
+    """
+    unpickled = _unpickled(recipe)
+    return [do_item(unpickled, item, timing) for item in items]
+
+
+@lru_cache(maxsize=4)
+def _unpickled(recipe: bytes) -> Recipe:
+    found: Recipe = pickle.loads(recipe)
+    return found
+
+
+def do_item(recipe: Recipe, item: Item, timing: Timing) -> Outcome:
+    """Return the outcome of one item; no error is raised, except an interruption."""
+    start_s = timing.clock()
+    try:
+        if recipe.version != VERSION:
+            raise UsageError(
+                f"this worker has version {VERSION}, the run has version {recipe.version}; "
+                "install the same version of cushion on all machines"
+            )
+        state, record = timing.repeated(lambda: _do(recipe, item, timing))
+        return Outcome(item, state, timing.clock() - start_s, record)
+    except CushionError as error:
+        found = error
+    except Exception as error:
+        said = f"{type(error).__name__}: {error}; this is a fault of cushion, please report it"
+        found = InternalError(said)
+        found.__cause__ = error
+    text = scrubbed(str(found))
+    shown = scrubbed(item.audio)
+    full = has_errno(found, errno.ENOSPC, errno.EDQUOT)
+    return Outcome(
+        item,
+        "failed",
+        timing.clock() - start_s,
+        error=text if shown in text else f"{shown}: {text}",
+        exit_code=found.exit_code,
+        stops=full or recipe.version != VERSION,
+    )
+
+
+def record_of(recipe: Recipe, item: Item, storage: Storage) -> tuple[str | None, dict[str, Any]]:
+    """Return the key that an item's result must have, and the record of a result that has it.
+
+    The key is None if the sound's SHA-256 must be known and the sound is remote; the record is
+    empty if there is no right and whole result.
+    """
+    name = recipe.name(item)
+    key = _key(recipe, item)
+    if key is None:
+        return None, {}
+    return key, _right_record(storage, name, key)
+
+
+def _do(recipe: Recipe, item: Item, timing: Timing) -> tuple[State, dict[str, Any]]:
+    storage = _storage(recipe.out)
+    key, record = record_of(recipe, item, storage)
+    if record:
+        return "skipped", record
+    with local_copy(item.audio) as path:
+        if key is None:
+            key = recipe.key(item, {"sha256": sha256_of(path)})
+            if record := _right_record(storage, recipe.name(item), key):
+                return "skipped", record
+        return "rendered", _render(recipe, item, storage, path, key, timing)
+
+
+def _render(
+    recipe: Recipe, item: Item, storage: Storage, path: Path, key: str, timing: Timing
+) -> dict[str, Any]:
+    """Make an item's result and its record, and return the record."""
+    start_s = timing.clock()
+    settings = recipe.settings_of(item)
+    name = recipe.name(item)
+
+    def make(target: Path) -> dict[str, Any]:
+        tap = open_sound(path, item, recipe)
+        meter = VibrationMeter(settings.rig)
+        report = export(
+            TapClient(tap),
+            target,
+            settings,
+            recipe.options,
+            warnings=tap.warnings,
+            watch=meter.watch,
+        )
+        found = {one: getattr(report, one) for one in FIGURES}
+        found["warnings"] = [str(one).replace(str(path), item.audio) for one in report.warnings]
+        return {**found, **meter.measures()}
+
+    try:
+        figures, made = storage.put(name, make)
+    except CushionError as error:
+        if is_url(item.audio) and str(path) in str(error):
+            # The user knows the URL, not the temporary copy.
+            error.args = (str(error).replace(str(path), scrubbed(item.audio)),)
+        raise
+    record = {
+        "key": key,
+        "version": VERSION,
+        "audio": item.audio,
+        "bytes": made.size,
+        "sha256": made.sha256,
+        "stamp": made.stamp,
+        "profile": settings.profile,
+        **{name: _finite(value) for name, value in figures.items()},
+        "seconds": round(timing.clock() - start_s, 4),
+        "host": platform.node(),
+    }
+    _write_record(storage, name, record)
+    return record
+
+
+def open_sound(path: Path, item: Item, recipe: Recipe) -> SoundTap:
+    """Return a tap on an item's sound. UsageError: it cannot be read, or has no such part."""
+    tap, skipped = _open(path, item, recipe)
+    if not (item.start_s or item.duration_s or item.picked):
+        return tap
+    try:
+        part = PartTap(tap, item.start_s, item.duration_s, item.picked, skipped)
+    except UsageError:
+        tap.close()
+        raise
+    part.warnings = tap.warnings
+    return part
+
+
+SoundTap = FileTap | FilmTap | PartTap
+
+
+def _open(path: Path, item: Item, recipe: Recipe) -> tuple[FileTap | FilmTap, int]:
+    """Return a tap on the whole sound, and the number of frames that it leaves out."""
+    track, language = item.track or recipe.track, item.language or recipe.language
+    is_film = item.track or item.language or path.suffix.lower() in FILMS
+    if is_film and path.is_file() and path.stat().st_size:
+        return FilmTap(path, track=track, language=language), 0
+    try:
+        tap = FileTap(path)
+    except UsageError as error:
+        if "is not a sound file" not in str(error):
+            raise
+        try:
+            return FilmTap(
+                path, track=track, language=language
+            ), 0  # AAC, WMA and others that libsndfile does not read
+        except UsageError:
+            raise error from None
+    first = round(item.start_s * tap.samplerate)
+    if not (0 < first < (tap.frames_expected or 0) and tap.divisible):
+        return tap, 0
+    tap.close()
+    return FileTap(path, first=first), first
+
+
+@lru_cache(maxsize=4)
+def _storage(address: str) -> Storage:
+    return storage_of(address)
+
+
+def _key(recipe: Recipe, item: Item) -> str | None:
+    if recipe.verify:
+        if is_url(item.audio):
+            return None
+        return recipe.key(item, {"sha256": sha256_of(Path(item.audio))})
+    found = identity_of(item.audio)
+    if found is None:
+        FileTap(Path(item.audio)).close()  # its error says what is wrong
+        raise UsageError(f"{item.audio} cannot be read; check the path")
+    return recipe.key(item, {"audio": item.audio, "size": found.size, "stamp": found.stamp})
+
+
+def _right_record(storage: Storage, name: str, key: str) -> dict[str, Any]:
+    """Return the record of a whole result with this key; empty if there is none."""
+    text = storage.read(name + RECORD)
+    if text is None:
+        return {}
+    try:
+        record = json.loads(text)
+        if record["key"] != key:
+            return {}
+        size, stamp, sha256 = record["bytes"], record["stamp"], record["sha256"]
+    except (ValueError, TypeError, KeyError, RecursionError):
+        return {}  # torn, or not ours
+    found = storage.stamp(name)
+    if found is None or found.size not in (None, size):
+        return {}
+    if found.stamp != stamp:
+        # A copied folder has other times, but may hold the same bytes.
+        restamped = storage.restamped(name, sha256)
+        if restamped is None:
+            return {}
+        record["stamp"] = restamped
+        _write_record(storage, name, record)
+    return dict(record)
+
+
+def _write_record(storage: Storage, name: str, record: dict[str, Any]) -> None:
+    text = json.dumps(record, allow_nan=False, separators=(",", ":"))
+    storage.write(name + RECORD, text.encode() + b"\n")
+
+
+def _finite(value: Any) -> Any:
+    return None if isinstance(value, float) and not math.isfinite(value) else value

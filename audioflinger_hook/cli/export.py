@@ -1,0 +1,54 @@
+"""`cushion export`: the vibration of a sound file in a format of other haptic tools."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+
+from audioflinger_hook.cli.render import chosen_settings
+from audioflinger_hook.cli.terminal import level_text, progress_bar, warn
+from audioflinger_hook.exports.export import ExportOptions, ExportReport, export, format_of
+from audioflinger_hook.offline.render import refuse_same_file
+from audioflinger_hook.sources import FileTap, TapClient
+from device.errors import UsageError
+from device.values import counted
+
+
+def run(options: argparse.Namespace) -> int:
+    """Export a file and report the result."""
+    if str(options.output) == "-":
+        raise UsageError("OUT = '-': standard output cannot take the file; name a file")
+    wanted = ExportOptions(
+        options.format or format_of(options.output), options.output_rate, options.device_band
+    )
+    refuse_same_file(options.input, options.output, None)
+    settings = chosen_settings(options)
+    tap = FileTap(options.input)
+    with progress_bar(options.input.name) as progress:
+        report = export(
+            TapClient(tap), options.output, settings, wanted, progress, warnings=tap.warnings
+        )
+    for warning in report.warnings:
+        warn(warning)
+    if options.json:
+        print(json.dumps(dataclasses.asdict(report), indent=2))
+    else:
+        print(f"{options.output}: {summary(report)}")
+    return 0
+
+
+def summary(report: ExportReport) -> str:
+    """Return the report as one line."""
+    parts = [
+        f"{report.duration_s:.2f} s of vibration as {report.format}",
+        f"{counted(report.channels, 'channels')} at {report.samplerate} Hz",
+        f"{counted(report.bytes, 'bytes')}",
+        f"peak {level_text(report.peak)}",
+    ]
+    if report.limited_samples:
+        parts.append(f"{counted(report.limited_samples, 'samples')} limited")
+    if report.replaced_samples:
+        parts.append(f"{counted(report.replaced_samples, 'unusable samples')} set to 0")
+    parts += [f"{name.replace('_', ' ')} {value:.3g}" for name, value in report.error.items()]
+    return ", ".join(parts)

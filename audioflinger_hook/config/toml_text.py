@@ -1,0 +1,139 @@
+"""The text of a config file: what TOML makes of it, the line of each key, and each syntax error."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from device.errors import UsageError
+from device.values import Refusal
+
+SYNTAX_ERRORS_MAX = 50
+CONFIG_BYTES_MAX = 1 << 20
+SHOWN_MAX = 200
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """One mistake of a config file.
+
+    key: the key as `section.key`.
+    line: its line, counted from 1; 0 if it has none.
+    value, problem, allowed, nearest: the value, what is wrong with it, what is allowed, and the
+        known name that is most similar.
+    """
+
+    key: str
+    line: int
+    value: str
+    problem: str
+    allowed: str
+    nearest: str = ""
+
+    def __str__(self) -> str:
+        where = f"line {self.line}: " if self.line else ""
+        value = f" = {self.value}" if self.value else ""
+        return f"{where}{self.key}{value} {Refusal(self.problem, self.allowed, self.nearest)}"
+
+
+def text_of(path: Path) -> str:
+    """Return the text of a file. UsageError: it cannot be read, is too long or is not text."""
+    try:
+        if path.exists() and not (path.is_file() or path.is_dir()):
+            raise UsageError(f"{path} is not a regular file; give the path of a config file")
+        with path.open("rb") as file:
+            content = file.read(CONFIG_BYTES_MAX + 1)
+        if len(content) > CONFIG_BYTES_MAX:
+            raise UsageError(f"{path} is over {CONFIG_BYTES_MAX} bytes; a config file is smaller")
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise UsageError(
+            f"{path} is not UTF-8 text (byte {error.start}); save it as UTF-8"
+        ) from None
+    except OSError as error:
+        raise UsageError(
+            f"{path} cannot be read ({error.strerror}); give the path of a config file"
+        ) from None
+
+
+def parse(text: str) -> tuple[dict[str, Any], list[Mistake]]:
+    """Return what can be read, and the syntax errors; lines with a syntax error are left out.
+
+    If the header of a section is broken, its name is kept if it has one, so that the keys below
+    still belong to that section.
+    """
+    lines = text.split("\n")
+    mistakes: list[Mistake] = []
+    for _ in range(SYNTAX_ERRORS_MAX):
+        try:
+            return tomllib.loads("\n".join(lines)), mistakes
+        except RecursionError:
+            mistakes.append(Mistake("this file", 0, "", "is nested too deeply", "flat values"))
+            return {}, mistakes
+        except ValueError as error:  # TOMLDecodeError, and numbers of thousands of digits
+            number = _line_of_error(str(error), lines)
+            reason = str(error).partition(" (at")[0].partition(";")[0]
+            shown = printable(lines[number - 1].strip())
+            mistakes.append(
+                Mistake(shown or "(empty)", number, "", f"is not TOML ({reason})", "key = value")
+            )
+            header = re.match(r"\s*(\[+)\s*([\w-]+)", lines[number - 1])
+            repaired = f"[{header[2]}]" if header else ""
+            if header and header[1] == "[[":
+                repaired = f"[{repaired}]"
+            lines[number - 1] = repaired if repaired != lines[number - 1] else ""
+    mistakes.append(
+        Mistake("the rest", len(lines), "", "was not read: the file has too many errors", "TOML")
+    )
+    return {}, mistakes
+
+
+def _line_of_error(message: str, lines: list[str]) -> int:
+    """Return the number, from 1, of the line that a message of the parser refers to."""
+    filled = [number for number, line in enumerate(lines, 1) if line.strip()] or [1]
+    if at := re.search(r"\(at line (\d+)", message):
+        number = int(at[1])
+        # If a line ended too early, the parser is already on the next line.
+        while number > 1 and not lines[number - 1].strip():
+            number -= 1
+        return number
+    too_long = [number for number in filled if re.search(r"\d{4000}", lines[number - 1])]
+    return too_long[0] if too_long else filled[-1]  # "at end of document"
+
+
+def lines_of_keys(text: str) -> dict[str, int]:
+    """Return the line of every `key` and `section.key` that the start of a line reveals.
+
+    In an array of tables the names are `section[1].key`, `section[2].key` and so on.
+    """
+    lines: dict[str, int] = {}
+    section = ""
+    tables: dict[str, int] = {}
+    for number, line in enumerate(text.split("\n"), 1):
+        if header := re.match(r"\s*\[+\s*([^\]]+?)\s*\]*\s*(#.*)?$", line):
+            name = _bare(header[1])
+            lines.setdefault(name, number)
+            if line.lstrip().startswith("[["):
+                tables[name] = tables.get(name, 0) + 1
+                name = f"{name}[{tables[name]}]"
+                lines.setdefault(name, number)
+            section = name + "."
+        elif key := re.match(r"\s*([^=#]+?)\s*=", line):
+            name = section + _bare(key[1])
+            lines.setdefault(name, number)
+            lines.setdefault(name.partition(".")[0], number)
+    return lines
+
+
+def _bare(key: str) -> str:
+    """Return a dotted key without quotes and blanks."""
+    return ".".join(part.strip().strip("\"'") for part in key.split("."))
+
+
+def printable(text: str) -> str:
+    """Return text without line breaks and terminal commands, at most 200 characters."""
+    shown = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+    return shown if len(shown) <= SHOWN_MAX else shown[:SHOWN_MAX] + "..."

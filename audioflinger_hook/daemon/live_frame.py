@@ -1,0 +1,71 @@
+"""What a page shows many times a second, as a line of JSON.
+
+Each frame is computed after a pause in which other programs used the processor's caches. So it
+costs what it touches: numbers are read at once and put into one form at once. What the native
+engine shows lies in memory, where a client of this computer reads it without the daemon.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from itertools import chain
+
+from audioflinger_hook.daemon.engine import Engine
+from audioflinger_hook.daemon.native.layout import Shown
+from audioflinger_hook.daemon.supervisor import Supervisor
+from audioflinger_hook.service.state import DaemonState
+
+_IN_MEMORY = (
+    b'{"frame": {"state": "%s", "level": %.4g, '
+    b'"memory": {"name": "%s", "channels": %d, "actuators": %d}, "missed": %d}}\n'
+)
+
+
+def frame_of(
+    supervisor: Supervisor, level: float, missed: int, *, in_memory: bool
+) -> tuple[bytes, bool]:
+    """Return `{"frame": ...}` with a line break, and whether the next one may come later.
+
+    Any thread may call it; audio threads do not wait for it. sound, vibration: peak and mean square
+    of each channel and of each actuator. partials: Hz of the sound, Hz of the vibration, and
+    amplitude before the level. memory, instead of these: the page of the native engine, a file of
+    the daemon's folder that `ShownReader` reads.
+
+    level: factor on the vibration, 0 while it is muted. missed: frames that were not sent.
+    in_memory: whether the client reads that file.
+    """
+    state = supervisor.states.state
+    plays = state is DaemonState.RUNNING
+    native, engine = supervisor.engines.switch.native, supervisor.engines.python
+    page = native.page if native is not None and native.audible else None
+    shown: Shown = ((0, 0, 0), ())
+    if page is not None and in_memory:
+        name, reader = page.path.name.encode(), page.reader
+        counts = reader.channels, reader.actuators
+        return _IN_MEMORY % (state.value.encode(), level, name, *counts, missed), True
+    if page is not None and plays:
+        shown = page.reader.shown()
+    elif engine is not None and plays:
+        shown = _shown_of(engine)
+    return _form(*shown[0]) % (state.value.encode(), level, *shown[1], missed), not plays
+
+
+@cache
+def _form(channels: int, actuators: int, partials: int) -> bytes:
+    """Return the form of a frame; an engine shows a few dozen different ones."""
+    pairs, triples = "[%.4g, %.4g]", "[%.5g, %.5g, %.4g]"
+    return (
+        '{"frame": {"state": "%s", "level": %.4g, '
+        f'"sound": [{", ".join([pairs] * channels)}], '
+        f'"vibration": [{", ".join([pairs] * actuators)}], '
+        f'"partials": [{", ".join([triples] * partials)}], '
+        '"missed": %d}}\n'
+    ).encode()
+
+
+def _shown_of(engine: Engine) -> Shown:
+    channels = engine.sound.meter.channel_readings()
+    actuators = [one.meter.reading() for one in engine.driven or (engine.vibration,)]
+    partials = engine.framework.principal
+    counts = len(channels), len(actuators), len(partials)
+    return counts, (*chain(*channels), *chain(*actuators), *chain(*partials))

@@ -1,0 +1,140 @@
+"""AHAP 1.0 for Apple's Core Haptics: continuous events, their curves, and transients.
+
+Limits: a continuous event lasts 30 s at most; a curve has 16 points at most; at most 60 points a
+second; times of a curve's points are relative to the curve. A player multiplies intensities of
+curve and event and adds their sharpness, also for transients, so transients are divided by the
+curve. Intensity is the square root of amplitude.
+"""
+
+from __future__ import annotations
+
+import json
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from audioflinger_hook.exports.band import band_text, to_device_hz
+from audioflinger_hook.exports.envelope import PERCEPTUAL, Envelope, Limits, envelope_of
+from audioflinger_hook.exports.glides import VibrationCurve
+from audioflinger_hook.exports.parametric import Composed, Job
+from device.units import FloatArray
+
+CONTINUOUS_MAX_S = 30.0
+CURVE_POINTS_MAX = 16
+SHARPNESS_LOW_HZ, SHARPNESS_HIGH_HZ = 65.0, 300.0
+"""Frequencies of sharpness 0 and 1; the scale is linear. Apple publishes none: this is the common
+reading."""
+
+LIMITS = Limits(spacing_s=1 / 59, longest_s=2.0, law=PERCEPTUAL)
+SHORTEST_S = 0.001
+DECIMALS = 5
+
+
+def compose(curve: VibrationCurve, duration_s: float, job: Job) -> tuple[bytes, Composed]:
+    """Return the content of an AHAP file, and its errors."""
+    length_s = max(SHORTEST_S, duration_s)
+    envelope = envelope_of(curve, length_s, LIMITS)
+    band_hz = job.options.device_band_hz
+    hz = to_device_hz(envelope.hz, band_hz)
+    sharpness = sharpness_of(hz)
+    pattern = [
+        *_continuous(length_s),
+        *_curves("HapticIntensityControl", envelope.time_s, envelope.level),
+        *_curves("HapticSharpnessControl", envelope.time_s, sharpness),
+        *_transients(envelope, sharpness, band_hz),
+    ]
+    document = {
+        "Version": 1.0,
+        "Metadata": {
+            "Project": "Haptic Cushion",
+            "Description": (
+                "HapticIntensity is the square root of amplitude; sharpness 0 to 1 is "
+                f"{SHARPNESS_LOW_HZ:g} to {SHARPNESS_HIGH_HZ:g} Hz, linear; {band_text(band_hz)}"
+            ),
+        },
+        "Pattern": pattern,
+    }
+    text = json.dumps(document, separators=(",", ":"))
+    return text.encode(), Composed(envelope.error, _warnings(envelope, hz))
+
+
+def sharpness_of(hz: FloatArray) -> FloatArray:
+    """Return the sharpness, 0 to 1, of a device's frequencies."""
+    share = (hz - SHARPNESS_LOW_HZ) / (SHARPNESS_HIGH_HZ - SHARPNESS_LOW_HZ)
+    return np.clip(share, 0.0, 1.0)
+
+
+def _continuous(duration_s: float) -> list[dict[str, Any]]:
+    edges = [*np.arange(0.0, duration_s, CONTINUOUS_MAX_S).tolist(), duration_s]
+    if len(edges) > 2 and edges[-1] - edges[-2] < SHORTEST_S:
+        edges.pop()
+    return [
+        {"Event": {"Time": _rounded(first), "EventType": "HapticContinuous",
+                   "EventDuration": _rounded(min(CONTINUOUS_MAX_S, end - first)),
+                   "EventParameters": _parameters(1.0, 0.0)}}
+        for first, end in pairwise(edges)
+    ]  # fmt: skip
+
+
+def _curves(name: str, time_s: FloatArray, values: FloatArray) -> list[dict[str, Any]]:
+    """Return the curves of one parameter; each begins where the last one ends, or with a step."""
+    curves = []
+    first = 0
+    while first < time_s.size - 1:
+        step = np.flatnonzero(np.diff(time_s[first : first + CURVE_POINTS_MAX]) <= 0.0)
+        end = min(first + CURVE_POINTS_MAX, time_s.size)
+        if step.size:
+            end = first + int(step[0]) + 1
+        start_s = _rounded(time_s[first])
+        points = [
+            {"Time": _rounded(at - start_s), "ParameterValue": _rounded(value)}
+            for at, value in zip(time_s[first:end], values[first:end], strict=True)
+        ]
+        curves.append(
+            {"ParameterCurve": {"ParameterID": name, "Time": start_s,
+                                "ParameterCurveControlPoints": points}}
+        )  # fmt: skip
+        # The next curve repeats the last point, unless the level steps there.
+        first = end if step.size else end - 1
+    return curves
+
+
+def _transients(
+    envelope: Envelope, sharpness: FloatArray, band_hz: tuple[float, float] | None
+) -> list[dict[str, Any]]:
+    events = []
+    for one in envelope.transients:
+        level = envelope.level[one.place]
+        intensity = min(1.0, float(np.sqrt(one.amplitude)) / max(level, 1e-6))
+        wanted = sharpness_of(to_device_hz(np.array(one.hz), band_hz))
+        added = float(np.clip(wanted - sharpness[one.place], 0.0, 1.0))
+        events.append(
+            {"Event": {"Time": _rounded(one.time_s), "EventType": "HapticTransient",
+                       "EventParameters": _parameters(intensity, added)}}
+        )  # fmt: skip
+    return events
+
+
+def _parameters(intensity: float, sharpness: float) -> list[dict[str, Any]]:
+    return [
+        {"ParameterID": "HapticIntensity", "ParameterValue": _rounded(intensity)},
+        {"ParameterID": "HapticSharpness", "ParameterValue": _rounded(sharpness)},
+    ]
+
+
+def _warnings(envelope: Envelope, hz: FloatArray) -> tuple[str, ...]:
+    found = []
+    low = float(np.average(hz < SHARPNESS_LOW_HZ, weights=envelope.level + 1e-12))
+    if low > 0.1 and envelope.level.any():
+        found.append(
+            f"{low:.0%} of the vibration is under {SHARPNESS_LOW_HZ:g} Hz, where AHAP's sharpness "
+            "is 0; --device-band 80:230 keeps its frequencies apart"
+        )
+    if envelope.clipped_points:
+        found.append(f"{envelope.clipped_points} points beyond full scale were limited")
+    return tuple(found)
+
+
+def _rounded(value: float) -> float:
+    return round(float(value), DECIMALS) + 0.0

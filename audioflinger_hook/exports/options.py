@@ -1,0 +1,193 @@
+"""What can be exported: formats, options and their allowed values, and the report."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from device.drive.exposure import Exposure
+from device.errors import UsageError
+from device.values import nearest
+
+VIBRATION_LOW_HZ, VIBRATION_HIGH_HZ = 20.0, 220.0
+"""Band of the vibration, which `device_band_hz` maps to another one."""
+
+DEVICE_MIN_HZ, DEVICE_MAX_HZ = 20.0, 1_000.0
+DEVICE_SPAN_MIN_HZ = 10.0
+OUTPUT_RATE_MIN_HZ, OUTPUT_RATE_MAX_HZ = 1_000, 768_000
+
+
+@dataclass(frozen=True)
+class Format:
+    """An export format.
+
+    Attributes
+    ----------
+    suffixes : tuple of str
+        Endings of file names that choose this format; the first is the usual one.
+    description : str
+        What a file holds.
+    parametric : bool
+        Whether it holds envelopes or partials instead of a waveform.
+    channels_max : int
+        Most channels of vibration.
+    whole : bool
+        Whether its file is made as a whole, so that the sound may last 3 hours at most.
+    """
+
+    suffixes: tuple[str, ...]
+    description: str
+    parametric: bool = False
+    channels_max: int = 1
+    whole: bool = False
+
+
+FORMATS: dict[str, Format] = {
+    "wav": Format((".wav", ".wave", ".rf64"), "vibration, float32", channels_max=64),
+    "flac": Format((".flac",), "vibration, 24 bits", channels_max=8),
+    "ogg-haptic": Format(
+        (".ogg", ".oga"),
+        "the sound, with vibration as Android's haptic channels",
+        channels_max=2,
+    ),
+    "ahap": Format((".ahap",), "curves and transients of Core Haptics", True, whole=True),
+    "haptic": Format((".haptic",), "envelopes of Meta and Lofelt", True, whole=True),
+    "vibration-xml": Format((".xml",), "vibration effect of Android 16", True, whole=True),
+    "hjif": Format((".hjif",), "partials of ISO/IEC 23090-31", True, channels_max=64, whole=True),
+    "partials": Format((".jsonl",), "partial tracks, JSON lines", True, channels_max=64),
+}
+"""Every format by its name."""
+
+
+@dataclass(frozen=True)
+class ExportOptions:
+    """How a sound is exported.
+
+    Attributes
+    ----------
+    format : str
+        A name in `FORMATS`.
+    output_rate_hz : int or None
+        Rate of the file, 1 000 to 768 000 Hz; None: that of the sound. Waveforms only.
+    device_band_hz : tuple of float or None
+        Band that the target's actuator plays; 20-220 Hz is mapped to it. Parametric formats only.
+
+    Raises
+    ------
+    UsageError
+        A value is out of range, or the format cannot hold it.
+    """
+
+    format: str
+    output_rate_hz: int | None = None
+    device_band_hz: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        if self.format not in FORMATS:
+            guess = nearest(self.format, FORMATS)
+            raise UsageError(
+                f"format {self.format!r} is not known; "
+                f"{f'did you mean {guess!r}? ' if guess else ''}allowed: {', '.join(FORMATS)}"
+            )
+        parametric, rate = FORMATS[self.format].parametric, self.output_rate_hz
+        if rate is not None:
+            if parametric:
+                raise UsageError(
+                    f"output_rate_hz={rate} does not fit the format {self.format}, which holds no "
+                    f"waveform; leave it out, or choose one of {_names(parametric=False)}"
+                )
+            if self.format == "ogg-haptic":
+                raise UsageError(
+                    f"output_rate_hz={rate} does not fit the format ogg-haptic, which holds the "
+                    "sound at its own rate; leave it out, or choose wav or flac"
+                )
+            if not OUTPUT_RATE_MIN_HZ <= rate <= OUTPUT_RATE_MAX_HZ:
+                raise UsageError(
+                    f"output_rate_hz={rate} is out of range; allowed: {OUTPUT_RATE_MIN_HZ} to "
+                    f"{OUTPUT_RATE_MAX_HZ} Hz; 1000 Hz holds all of the vibration"
+                )
+        if self.device_band_hz is not None:
+            self._check_band(*self.device_band_hz)
+
+    def _check_band(self, low_hz: float, high_hz: float) -> None:
+        given = f"device_band_hz={low_hz:g}:{high_hz:g}"
+        if not FORMATS[self.format].parametric:
+            raise UsageError(
+                f"{given} does not fit the format {self.format}, which holds the waveform as it is "
+                f"felt; leave it out, or choose one of {_names(parametric=True)}"
+            )
+        inside = low_hz >= DEVICE_MIN_HZ and high_hz <= DEVICE_MAX_HZ
+        if not (inside and high_hz - low_hz >= DEVICE_SPAN_MIN_HZ):
+            raise UsageError(
+                f"{given} is out of range; allowed: LOW:HIGH from {DEVICE_MIN_HZ:g} to "
+                f"{DEVICE_MAX_HZ:g} Hz, {DEVICE_SPAN_MIN_HZ:g} Hz or more apart, such as 55:200"
+            )
+
+
+@dataclass(frozen=True)
+class ExportReport:
+    """What was exported. Field names contain their units; frames and samples are counts.
+
+    Attributes
+    ----------
+    frames, samplerate, channels : int
+        Of the file if it is a waveform, otherwise of the vibration that it describes.
+    peak : float
+        Largest magnitude of the vibration; 1.0 is full scale.
+    leak_above_250_hz_db : float or None
+        Energy of the vibration above 250 Hz in dB of all its energy; None for silence.
+    exposure : Exposure or None
+        Of the rig, if it is damped, protected or capped.
+    limited_samples : int
+        Samples that the limiter or the format's full scale has changed.
+    error : dict
+        Measured error of a parametric format against the partials that it was made from.
+    """
+
+    format: str
+    frames: int
+    samplerate: int
+    channels: int
+    duration_s: float
+    profile: str
+    peak: float
+    leak_above_250_hz_db: float | None
+    limited_samples: int
+    replaced_samples: int
+    bytes: int
+    exposure: Exposure | None = None
+    error: dict[str, float] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+
+
+def format_of(path: Path) -> str:
+    """Return the name of the format that a file's ending chooses.
+
+    UsageError: no format has this ending.
+    """
+    known = {suffix: name for name, one in FORMATS.items() for suffix in one.suffixes}
+    name = path.name.lower()
+    fitting = [suffix for suffix in known if name.endswith(suffix)]
+    if fitting:
+        return known[max(fitting, key=len)]
+    guess = nearest(path.suffix.lower(), known)
+    raise UsageError(
+        f"OUT = '{path}' has no ending of a known format; "
+        f"{f'did you mean {guess}? ' if guess else ''}allowed: {', '.join(known)}; "
+        "or name the format with --format"
+    )
+
+
+def _names(*, parametric: bool) -> str:
+    return ", ".join(name for name, one in FORMATS.items() if one.parametric == parametric)
+
+
+def check_channel_count(name: str, channels: int) -> None:
+    """Raise UsageError if a format cannot hold this many channels of vibration."""
+    most = FORMATS[name].channels_max
+    if channels > most:
+        enough = [other for other, one in FORMATS.items() if one.channels_max >= channels]
+        raise UsageError(
+            f"the format {name} cannot hold {channels} channels of vibration; allowed: 1 to "
+            f"{most}; use channels = mono, fewer actuators, or one of: {', '.join(enough)}"
+        )

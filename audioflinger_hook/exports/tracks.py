@@ -1,0 +1,159 @@
+"""Partials as tracks: points of time, frequency, amplitude and phase, from birth to end."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from audioflinger_hook.exports.band import to_device_hz
+from audioflinger_hook.exports.glides import (
+    FRAME,
+    FRAMES,
+    SLOT,
+    START_LEVEL,
+    aligned_s,
+    analytic,
+    at_rest,
+    first_fresh_slot,
+    low_pass,
+    rising,
+)
+from audioflinger_hook.exports.simplify import simplify
+from audioflinger_hook.transform.design import LiveDesign
+from device.units import FloatArray
+
+ROWS_MAX = 1_000
+"""A longer track is cut, so that memory does not depend on its length. The parts overlap: their sum
+is the whole."""
+
+RING_S = 0.06
+"""Time that the low-pass rings after a track; it is kept while it is above `FAINT`."""
+
+FAINT = 0.003
+POINT_S = 0.002
+LEVEL_TOLERANCE, HZ_TOLERANCE = 0.01, 0.3
+"""Largest error of the straight lines: of amplitude, as a share of the track's largest, and of
+frequency in Hz where the track is loudest, more where it is weak."""
+
+LONGEST_S = 0.1
+"""Points are at most this far apart, so that straight lines of frequency keep the phase."""
+
+
+@dataclass(frozen=True)
+class PartialTrack:
+    """A partial; amplitude and frequency are linear between its points.
+
+    Attributes
+    ----------
+    number : int
+        Of the track, counted from 0 in its channel.
+    onset : bool
+        Whether an onset gave birth to it. It ends where the analysis takes over.
+    time_s, hz, amplitude, turns : ndarray
+        (n,) time in the aligned vibration; vibration frequency; full scale; phase in cycles, not
+        wrapped, of a cosine.
+    """
+
+    number: int
+    onset: bool
+    time_s: FloatArray
+    hz: FloatArray
+    amplitude: FloatArray
+    turns: FloatArray
+
+    def turns_at(self, time_s: FloatArray) -> FloatArray:
+        """Return the phase in cycles at some times within the track."""
+        place = np.clip(np.searchsorted(self.time_s, time_s, "right") - 1, 0, self.hz.size - 2)
+        length = np.diff(self.time_s)[place]
+        since = time_s - self.time_s[place]
+        slope = np.diff(self.hz)[place] / length
+        # What the straight line of frequency misses is spread over the time between two points.
+        missed = np.diff(self.turns)[place] - length * (self.hz[place] + 0.5 * slope * length)
+        turns: FloatArray = self.turns[place] + since * (
+            self.hz[place] + 0.5 * slope * since + missed / length
+        )
+        return turns
+
+    def on_device(self, band_hz: tuple[float, float] | None) -> PartialTrack:
+        """Return the track with the frequencies that a device plays, continuous in phase."""
+        if band_hz is None:
+            return self
+        hz = to_device_hz(self.hz, band_hz)
+        turned = np.cumsum(np.diff(self.time_s) * (hz[1:] + hz[:-1]) / 2)
+        turns = self.turns[0] + np.concatenate(([0.0], turned))
+        return PartialTrack(self.number, self.onset, self.time_s, hz, self.amplitude, turns)
+
+
+class TrackReader:
+    """Joins the glides of one channel to tracks, block by block. Use from one thread.
+
+    design: of the transform. gain: factor on all amplitudes.
+    """
+
+    def __init__(self, design: LiveDesign, gain: float) -> None:
+        self._design = design
+        self._gain = gain
+        self._open: dict[int, list[tuple[list[float], bool]]] = {}
+        self._count = 0
+
+    def add(self, rows: FloatArray, frame: int) -> Iterator[PartialTrack]:
+        """Yield the tracks that end before this frame; all rows that begin before it are there."""
+        rows = rows[np.lexsort((rows[:, SLOT], rows[:, FRAME]))]
+        rises = rising(self._design, rows)
+        for row, rise in zip(rows.tolist(), rises.tolist(), strict=True):
+            slot = int(row[SLOT])
+            mine = self._open.get(slot)
+            if mine:
+                last = mine[-1][0]
+                joined = last[FRAME] + last[FRAMES] == row[FRAME] and row[START_LEVEL] > 0.0
+                if not joined or len(mine) >= ROWS_MAX:
+                    yield from self._end(slot)
+            self._open.setdefault(slot, []).append((row, rise))
+        for slot, mine in list(self._open.items()):
+            last = mine[-1][0]
+            if last[FRAME] + last[FRAMES] + self._design.grid.hop_frames < frame:
+                yield from self._end(slot)
+
+    def rest(self) -> Iterator[PartialTrack]:
+        """Yield the tracks that last to the end."""
+        for slot in list(self._open):
+            yield from self._end(slot)
+
+    def _end(self, slot: int) -> Iterator[PartialTrack]:
+        """Yield the track of a slot as the low-pass leaves it; none if it is silent."""
+        mine, design = self._open.pop(slot), self._design
+        rows = np.array([row for row, _ in mine])
+        glides, glide_hz = analytic(design, rows, np.array([rise for _, rise in mine]))
+        low_rate_hz = design.samplerate / design.grid.decimation
+        ring = np.zeros(round(RING_S * low_rate_hz), np.complex128)
+        signal, _ = low_pass(design, np.concatenate((glides.ravel(), ring)), at_rest(design))
+        amplitude = self._gain * np.abs(signal)
+        loudest = float(amplitude.max())
+        audible = np.flatnonzero(amplitude > FAINT * loudest)
+        if not loudest or audible[-1] - audible[0] < 2:
+            return
+        part = slice(int(audible[0]), int(audible[-1]) + 1)
+        turns = np.unwrap(np.angle(signal[part])) / (2.0 * np.pi)
+        known_hz = np.concatenate((glide_hz.ravel(), np.full(ring.size, glide_hz[-1, -1])))[part]
+        # Where the low-pass begins and rings, the phase may turn at any rate.
+        hz = np.clip(np.gradient(turns) * low_rate_hz, 0.8 * known_hz, 1.25 * known_hz)
+        start_s = aligned_s(design, rows[0, FRAME])
+        times = start_s + np.arange(part.start, part.stop) / low_rate_hz
+        amplitude = amplitude[part]
+        tolerance = np.column_stack(
+            (np.full(hz.size, LEVEL_TOLERANCE * loudest),
+             HZ_TOLERANCE * np.sqrt(loudest / amplitude))
+        )  # fmt: skip
+        kept = simplify(
+            times,
+            np.column_stack((amplitude, hz)),
+            tolerance,
+            max(1, round(POINT_S * low_rate_hz)),
+            round(LONGEST_S * low_rate_hz),
+        )
+        onset = slot >= first_fresh_slot(design)
+        columns = (values[kept] for values in (times, hz, amplitude, turns))
+        yield PartialTrack(self._count, onset, *columns)
+        self._count += 1

@@ -1,0 +1,130 @@
+"""Frames for the browsers, at a steady rate, from two places.
+
+The daemon sends the figures of its Python engine. Those of the native engine lie in a file of the
+daemon's folder, which is read here: so the daemon does nothing for each frame.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import mmap
+import os
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from typing import Any
+
+from audioflinger_hook.daemon.native.layout import ACTUATORS, CHANNELS, ShownReader
+from audioflinger_hook.service.runtime_folder import RuntimeFolder
+from device.errors import CushionError
+
+REST_S = 0.1
+"""Sound that stands still for so long has ended: the longest buffer takes 43 ms."""
+
+
+class Frames:
+    """Passes messages of the daemon on, and completes its frames. For one thread, its event loop.
+
+    tell: called with each message, (kind, content). rate_hz: frames a second. has_readers: whether
+    anybody looks.
+    """
+
+    def __init__(
+        self,
+        tell: Callable[[str, dict[str, Any]], None],
+        rate_hz: float,
+        has_readers: Callable[[], bool],
+        environ: Mapping[str, str] = os.environ,
+    ) -> None:
+        self._tell = tell
+        self._period_s = 1.0 / rate_hz
+        self._has_readers = has_readers
+        self._environ = environ
+        self._frame: dict[str, Any] | None = None
+        self._sent_s = -math.inf
+        self._where: object = None
+        self._memory: mmap.mmap | None = None
+        self._reader: ShownReader | None = None
+        self._frames, self._moved_s = 0, -math.inf
+        self._old_sequence = -1
+
+    def take(self, kind: str, content: dict[str, Any]) -> None:
+        """Take a message of the daemon."""
+        if kind == "link":
+            self._frame = None
+            self._follow(None)
+        if kind != "frame":
+            self._tell(kind, content)
+            return
+        where = content.pop("memory", None)
+        self._frame = {"sound": [], "vibration": [], "partials": []} | content
+        self._follow(where)
+        if self._reader is None:
+            self._send(self._frame)
+
+    async def run(self) -> None:
+        """Send frames until cancelled: what is read here, or again what was sent before."""
+        loop = asyncio.get_running_loop()
+        due_s = loop.time()
+        while True:
+            due_s = max(due_s + self._period_s, loop.time())
+            await asyncio.sleep(due_s - loop.time())
+            if self._frame is None or not self._has_readers():
+                continue
+            if self._reader is not None:
+                self._send(self._frame | self._read(self._reader, loop.time()))
+            elif loop.time() - self._sent_s > 1.5 * self._period_s:
+                self._send(self._frame)
+
+    def _send(self, frame: dict[str, Any]) -> None:
+        self._sent_s = asyncio.get_running_loop().time()
+        self._tell("frame", frame)
+
+    def _read(self, reader: ShownReader, now_s: float) -> dict[str, Any]:
+        """Return levels and partials; nothing while no sound is processed."""
+        frames = reader.frames
+        if frames != self._frames:
+            self._frames, self._moved_s = frames, now_s
+        if now_s - self._moved_s > REST_S:
+            self._old_sequence = reader.sequence
+            return {}
+        (channels, actuators, partials), exact = reader.shown()
+        numbers = [float(f"{number:.5g}") for number in exact]
+        of_vibration = 2 * channels
+        of_partials = of_vibration + 2 * actuators
+        if reader.sequence == self._old_sequence:  # of the sound before the pause
+            partials = 0
+        return {
+            "sound": _grouped(numbers[:of_vibration], 2),
+            "vibration": _grouped(numbers[of_vibration:of_partials], 2),
+            "partials": _grouped(numbers[of_partials : of_partials + 3 * partials], 3),
+        }
+
+    def _follow(self, where: Any) -> None:
+        """Read another file; None: none. A file that is not as it should be is not read."""
+        if where == self._where:
+            return
+        self._where = where
+        self._reader = None
+        if self._memory is not None:
+            self._memory.close()
+            self._memory = None
+        if where is None:
+            return
+        with suppress(CushionError, OSError, ValueError, KeyError, TypeError):
+            name, channels, actuators = where["name"], where["channels"], where["actuators"]
+            if "/" in name or not 1 <= channels <= CHANNELS or not 1 <= actuators <= ACTUATORS:
+                return
+            with RuntimeFolder(self._environ, create=False) as folder:
+                flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+                file = os.open(name, flags, dir_fd=folder.fd)
+            try:
+                self._memory = mmap.mmap(file, 0, access=mmap.ACCESS_READ)
+            finally:
+                os.close(file)
+            reader = ShownReader(self._memory, channels, actuators)
+            self._reader = reader if reader.is_known else None
+
+
+def _grouped(numbers: list[float], size: int) -> list[list[float]]:
+    return [numbers[at : at + size] for at in range(0, len(numbers), size)]

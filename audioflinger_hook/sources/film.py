@@ -1,0 +1,178 @@
+"""A tap on a sound track of a film, or of any file that FFmpeg reads; needs the extra `films`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from audioflinger_hook.sources.file import BLOCKSIZE_FRAMES
+from audioflinger_hook.transform.parameters import check_format
+from device.errors import UsageError
+
+FILMS = frozenset(
+    f".{ending}"
+    for ending in (
+        "mka", "mkv", "mp4", "m4v", "m4a", "mov", "avi", "webm", "mpg", "mpeg", "ts", "m2ts",
+        "vob", "wmv", "flv", "ogv",
+    )
+)  # fmt: skip
+"""Endings of the names of files that libsndfile does not read, or takes for something else."""
+
+GAP_S = 0.02
+"""A longer gap between the times of two packets is filled with silence; a shorter one is jitter."""
+
+GAP_MAX_S = 24 * 3600.0
+"""A longer gap is a broken time stamp and is not filled."""
+
+EXTRA = "sound tracks of films need PyAV; pip install 'haptic-cushion[films]'"
+
+
+class FilmTap:
+    """The frames of one sound track, as float32, aligned with the film's beginning.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    track : int, optional
+        The sound track, counted from 1. Default: the file's default track.
+    language : str, optional
+        Language of the track, as in the file, such as "eng".
+
+    Attributes
+    ----------
+    warnings : list of str
+        Warnings for the user, one line each; complete at the end of the file.
+
+    Raises
+    ------
+    UsageError
+        The file cannot be read, has no such sound track, or no sound in it.
+    """
+
+    format_changed = False
+    discontinuity = False
+
+    def __init__(self, path: Path, *, track: int | None = None, language: str | None = None):
+        try:
+            import av
+        except ImportError:
+            raise UsageError(f"{path}: {EXTRA}") from None
+        self.warnings: list[str] = []
+        self._path = path
+        self._errors = (av.error.FFmpegError, ValueError)
+        try:
+            self._container: Any = av.open(str(path), metadata_errors="replace")
+        except (*self._errors, OSError) as error:
+            raise UsageError(f"{path} cannot be read as a film ({_reason(error)})") from None
+        try:
+            stream = self._chosen(track, language)
+            self.samplerate = int(stream.codec_context.sample_rate)
+            self.channels = int(stream.codec_context.channels)
+            check_format(self.samplerate, self.channels)
+            self._layout = stream.codec_context.layout
+            self._start_s = (self._container.start_time or 0) / av.time_base
+            length_s = (self._container.duration or 0) / av.time_base
+            self.frames_expected = round(length_s * self.samplerate) or None
+            self._buffers = self._buffered(stream)
+            self._next: NDArray[np.float32] | None = next(self._buffers, None)
+            if self._next is None:
+                raise UsageError(f"{path} has no sound in its track; {' '.join(self.warnings)}")
+        except UsageError as error:
+            self.close()
+            named = str(path) in str(error)
+            raise error if named else UsageError(f"{path}: {error}") from None
+
+    def read(self) -> NDArray[np.float32] | None:
+        """Return the next buffer, or None at the end."""
+        buffer, self._next = self._next, next(self._buffers, None)
+        return buffer
+
+    def close(self) -> None:
+        """Close the file."""
+        self._container.close()
+
+    def _chosen(self, track: int | None, language: str | None) -> Any:
+        """Return the stream that is asked for."""
+        streams = list(self._container.streams.audio)
+        spoken = [stream.metadata.get("language", "und") for stream in streams]
+        there = ", ".join(f"{n} ({word})" for n, word in enumerate(spoken, 1))
+        if not streams:
+            raise UsageError(f"{self._path} has no sound track; leave this film out")
+        if track is not None:
+            if not 1 <= track <= len(streams):
+                raise UsageError(f"{self._path} has no sound track {track}; there are {there}")
+            if language not in (None, spoken[track - 1]):
+                raise UsageError(f"sound track {track} of {self._path} is not {language}: {there}")
+            return streams[track - 1]
+        if language is None:
+            return self._container.streams.best("audio") or streams[0]
+        if language not in spoken:
+            raise UsageError(f"{self._path} has no sound track in {language!r}; there are {there}")
+        return streams[spoken.index(language)]
+
+    def _buffered(self, stream: Any) -> Iterator[NDArray[np.float32]]:
+        """Yield buffers of one size, but for the last."""
+        waiting: list[NDArray[np.float32]] = []
+        frames = 0
+        for part in self._parts(stream):
+            waiting.append(part)
+            frames += len(part)
+            if frames >= BLOCKSIZE_FRAMES:
+                yield np.concatenate(waiting)
+                waiting, frames = [], 0
+        if frames:
+            yield np.concatenate(waiting)
+
+    def _parts(self, stream: Any) -> Iterator[NDArray[np.float32]]:
+        """Yield the frames as decoded, with silence where the film has no sound."""
+        import av
+
+        even = av.AudioResampler("flt", self._layout, self.samplerate)
+        done = 0
+        for decoded in self._decoded(stream):
+            if decoded.time is not None:
+                due = round((decoded.time - self._start_s) * self.samplerate)
+                gap = due - done
+                if GAP_S * self.samplerate < gap < GAP_MAX_S * self.samplerate:
+                    done = due
+                    for first in range(0, gap, BLOCKSIZE_FRAMES):
+                        silent = min(BLOCKSIZE_FRAMES, gap - first)
+                        yield np.zeros((silent, self.channels), np.float32)
+            try:
+                resampled = even.resample(decoded)
+            except self._errors as error:
+                self._note(error)
+                return
+            for frame in resampled:
+                part: NDArray[Any] = frame.to_ndarray().reshape(-1, self.channels)
+                done += len(part)
+                yield part
+
+    def _decoded(self, stream: Any) -> Iterator[Any]:
+        """Yield what can be decoded; damaged packets are left out, with one warning."""
+        packets = self._container.demux(stream)
+        while True:
+            try:
+                packet = next(packets, None)
+                if packet is None:
+                    return
+            except self._errors as error:
+                self._note(error)
+                return
+            try:
+                yield from packet.decode()
+            except self._errors as error:
+                self._note(error)
+
+    def _note(self, error: Exception) -> None:
+        if not self.warnings:
+            self.warnings.append(f"{self._path} is damaged ({_reason(error)}); its sound was taken")
+
+
+def _reason(error: Exception) -> str:
+    return str(getattr(error, "strerror", None) or error).strip() or type(error).__name__

@@ -1,0 +1,38 @@
+/* The glides of all voices as they are played, for those who write down what vibrates. */
+
+#ifndef CUSHION_GLIDE_LOG_H
+#define CUSHION_GLIDE_LOG_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#include "tracking.h"
+
+/* What one slot does in one hop, or in one tick of fresh partials. Only numbers: Python reads rows. */
+typedef struct {
+    double frame;  /* the first, counted from the start of the recording */
+    double frames; /* of the hop or the tick */
+    double voice, slot;
+    double start_hz, end_hz, start_amplitude, end_amplitude, start_phase;
+} GlideRow;
+
+typedef struct {
+    int on;         /* live streams never switch it on: rows are allocated as they come */
+    int incomplete; /* memory was lacking */
+    uint64_t frame; /* frames since it was switched on */
+    size_t count, room;
+    GlideRow *rows;
+} GlideLog;
+
+/* What part of a stream some glides belong to. first_slot: number of the first of them. */
+typedef struct {
+    size_t voice, first_slot, slots, frames;
+} GlidePlace;
+
+/* Add the glides that sound. */
+void glide_log_add(GlideLog *log, GlidePlace place, const Glides *glides);
+
+/* Forget all rows, and free them. */
+void glide_log_clear(GlideLog *log);
+
+#endif

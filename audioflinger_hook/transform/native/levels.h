@@ -1,0 +1,15 @@
+/* How strong each partial of a hop is. */
+
+#ifndef CUSHION_LEVELS_H
+#define CUSHION_LEVELS_H
+
+#include "live.h"
+
+/* Set the amplitudes of what was found, scaled down where their sum would pass the ceiling; return
+ * whether it would. */
+int levels_set(Live *live, Voice *voice, double strength, size_t count);
+
+/* What the law leaves of the level of what was found, 1 of one tone. */
+double levels_left_by_law(const Live *live, size_t count);
+
+#endif

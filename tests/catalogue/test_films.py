@@ -1,0 +1,185 @@
+"""Sound tracks of films, made here with PyAV."""
+
+from fractions import Fraction
+
+import av
+import numpy as np
+import pytest
+import soundfile
+
+from audioflinger_hook.sources.film import FilmTap
+from device.errors import UsageError
+from tests.support.catalogues import manifest, record
+from tests.support.commands import call
+
+RATE = 48_000
+PIECE = 1_024
+
+
+def film(
+    path, tracks=(("eng", 1.0, 300.0),), *, codec="flac", picture=True, start_s=0.0, hole=None
+):
+    """Write a film; each track is (language, length in seconds, tone in Hz).
+
+    start_s: how long after the picture the sound begins. hole: (from, to) in seconds without sound.
+    """
+    with av.open(str(path), "w") as container:
+        if picture:
+            video = container.add_stream("mpeg4", rate=25)
+            video.width, video.height, video.pix_fmt = 64, 64, "yuv420p"
+        streams = []
+        for language, _, _ in tracks:
+            stream = container.add_stream(codec, rate=RATE, layout="stereo")
+            stream.metadata["language"] = language
+            streams.append(stream)
+        if picture:
+            for number in range(25):
+                frame = av.VideoFrame.from_ndarray(np.zeros((64, 64, 3), np.uint8), "rgb24")
+                frame.pts, frame.time_base = number, Fraction(1, 25)
+                container.mux(video.encode(frame))
+            container.mux(video.encode())
+        for stream, (_, length_s, tone_hz) in zip(streams, tracks, strict=True):
+            frames = round(length_s * RATE)
+            sound = tone(frames, tone_hz)
+            for first in range(0, frames, PIECE):
+                if hole and hole[0] * RATE <= first < hole[1] * RATE:
+                    continue
+                piece = np.clip(sound[first : first + PIECE], -1.0, 1.0)
+                packed = np.ascontiguousarray((piece * 32_767).astype(np.int16).reshape(1, -1))
+                heard = av.AudioFrame.from_ndarray(packed, format="s16", layout="stereo")
+                heard.sample_rate = RATE
+                heard.time_base = Fraction(1, RATE)
+                heard.pts = first + round(start_s * RATE)
+                container.mux(stream.encode(heard))
+            container.mux(stream.encode())
+    return path
+
+
+def tone(frames, tone_hz):
+    """Return a stereo tone with a slow swell."""
+    time_s = np.arange(frames) / RATE
+    wave = 0.4 * np.sin(2 * np.pi * tone_hz * time_s) * (0.6 + 0.4 * np.sin(20.0 * time_s))
+    return np.column_stack([wave, 0.5 * wave])
+
+
+def read(tap):
+    """Return all frames of a tap."""
+    parts = []
+    while (part := tap.read()) is not None:
+        parts.append(part)
+    tap.close()
+    return np.concatenate(parts)
+
+
+def main_hz(frames):
+    """Return the strongest frequency of the first channel."""
+    spectrum = np.abs(np.fft.rfft(frames[:, 0] * np.hanning(len(frames))))
+    return float(np.argmax(spectrum) * RATE / len(frames))
+
+
+@pytest.mark.parametrize("ending", ["mkv", "mp4"])
+def test_a_lossless_track_is_read_to_the_last_sample(tmp_path, ending):
+    path = film(tmp_path / f"a.{ending}")
+    expected = (tone(RATE, 300.0) * 32_767).astype(np.int16) / 32_768
+    assert np.array_equal(read(FilmTap(path)), expected.astype(np.float32))
+
+
+def test_a_film_gives_the_bytes_of_its_sound_as_a_file(tmp_path):
+    film(tmp_path / "a.mkv")
+    soundfile.write(tmp_path / "a.wav", read(FilmTap(tmp_path / "a.mkv")), RATE, subtype="FLOAT")
+    assert call("render", tmp_path / "a.wav", tmp_path / "alone.wav").code == 0
+    listed = manifest(tmp_path / "l.jsonl", {"audio": "a.mkv"})
+    assert call("catalogue", listed, "--out", tmp_path / "out").code == 0
+    assert (tmp_path / "out/a.wav").read_bytes() == (tmp_path / "alone.wav").read_bytes()
+
+
+def test_track_and_language_can_be_chosen(tmp_path):
+    tracks = (("eng", 0.5, 200.0), ("fra", 0.5, 400.0), ("eng", 0.5, 800.0))
+    path = film(tmp_path / "a.mkv", tracks)
+    for chosen, tone_hz in (
+        ({"track": 1}, 200.0),
+        ({"track": 3}, 800.0),
+        ({"language": "fra"}, 400.0),
+        ({"language": "eng"}, 200.0),
+        ({"track": 3, "language": "eng"}, 800.0),
+    ):
+        assert main_hz(read(FilmTap(path, **chosen))) == pytest.approx(tone_hz, abs=5.0), chosen
+    lines = [{"audio": "a.mkv", "id": "one"}, {"audio": "a.mkv", "id": "two", "track": 3}]
+    listed = manifest(tmp_path / "l.jsonl", *lines)
+    out = tmp_path / "out"
+    assert call("catalogue", listed, "--out", out, "--language", "fra").code == 2
+    assert record(out, "one.wav")["frames"] == RATE // 2
+    assert call("catalogue", listed, "--out", out, "--language", "eng").code == 0
+
+
+@pytest.mark.parametrize(
+    ("chosen", "words"),
+    [
+        ({"track": 2}, "has no sound track 2; there are 1 (eng)"),
+        ({"language": "deu"}, "has no sound track in 'deu'; there are 1 (eng)"),
+        ({"track": 1, "language": "deu"}, "is not deu"),
+    ],
+)
+def test_a_track_that_is_not_there_is_refused_with_those_that_are(tmp_path, chosen, words):
+    path = film(tmp_path / "a.mkv")
+    with pytest.raises(UsageError) as error:
+        FilmTap(path, **chosen)
+    assert words in str(error.value)
+
+
+def test_sound_that_begins_late_or_pauses_keeps_its_place(tmp_path):
+    late = read(FilmTap(film(tmp_path / "late.mkv", start_s=0.5)))
+    first = int(np.flatnonzero(np.abs(late[:, 0]) > 1e-3)[0])
+    assert first == pytest.approx(0.5 * RATE, abs=0.002 * RATE)  # Matroska counts milliseconds
+    paused = read(FilmTap(film(tmp_path / "hole.mkv", codec="pcm_s16le", hole=(0.3, 0.6))))
+    assert len(paused) == pytest.approx(RATE, abs=0.002 * RATE)
+    assert not paused[round(0.34 * RATE) : round(0.58 * RATE)].any()
+    assert paused[round(0.7 * RATE) :].any()
+
+
+def test_aac_is_aligned_within_a_packet(tmp_path):
+    got = read(FilmTap(film(tmp_path / "a.mp4", codec="aac")))
+    expected = tone(RATE, 300.0)
+    # correlation tells the delay: the tone's swell makes it unique
+    size = 1 << 18
+    spectrum = np.fft.rfft(got[:, 0], size) * np.conj(np.fft.rfft(expected[:, 0], size))
+    lag = int(np.argmax(np.fft.irfft(spectrum)))
+    assert min(lag, size - lag) <= PIECE
+
+
+def test_a_film_without_sound_and_a_broken_film_fail_alone(tmp_path):
+    film(tmp_path / "good.mkv")
+    film(tmp_path / "mute.mkv", ())
+    whole = film(tmp_path / "torn.mp4").read_bytes()
+    (tmp_path / "torn.mp4").write_bytes(whole[: len(whole) // 3])
+    (tmp_path / "text.mkv").write_text("no film")
+    (tmp_path / "empty.mkv").touch()
+    done = call("catalogue", tmp_path, "--out", tmp_path / "out", "--workers", 1)
+    assert done.code == 2
+    told = sorted(line for line in done.stderr.splitlines() if "error" in line)
+    assert [path.split(".")[0].rpartition("/")[2] for path in told] == [
+        "empty", "mute", "text", "torn",
+    ]  # fmt: skip
+    assert "has no sound track" in told[1]
+    assert "fault of cushion" not in done.stderr
+    assert (tmp_path / "out/good.wav").exists()
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_damaged_films_never_raise_anything_else(tmp_path, seed):
+    content = bytearray(film(tmp_path / "a.mkv").read_bytes())
+    random = np.random.default_rng(seed)
+    for place in random.integers(200, len(content), 60):
+        content[place] = random.integers(256)
+    (tmp_path / "a.mkv").write_bytes(content)
+    done = call("catalogue", tmp_path / "a.mkv", "--out", tmp_path / "out", "--workers", 1)
+    assert done.code in (0, 2)
+    assert "fault of cushion" not in done.stderr
+
+
+def test_without_pyav_the_error_names_the_extra(tmp_path, monkeypatch):
+    path = film(tmp_path / "a.mkv")
+    monkeypatch.setitem(__import__("sys").modules, "av", None)
+    done = call("catalogue", path, "--out", tmp_path / "out", "--workers", 1)
+    assert done.code == 2
+    assert "pip install 'haptic-cushion[films]'" in done.stderr

@@ -1,0 +1,258 @@
+"""What README.md and the pages of docs/ say is what happens."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+import soundfile
+
+from audioflinger_hook import __version__
+from audioflinger_hook.cli.parser import COMMANDS, build_parser
+from audioflinger_hook.config import file as config
+from audioflinger_hook.config.profiles import LIVE_DEFAULT
+from audioflinger_hook.config.schema import ACTUATOR, KEYS
+from audioflinger_hook.config.settings import LiveSettings, Settings
+from audioflinger_hook.transform import TransformParameters
+from device.drive import ActuatorSettings
+from device.drive.settings import DELAY_MAX_MS, GAIN_MIN_DB
+from device.errors import UsageError
+from tests.support.parameters import CHOICES, LIMITS
+from tools.docs.__main__ import outdated
+from tools.docs.commands import parser_of
+
+ROOT = Path(__file__).resolve().parents[2]
+README = "README.md"
+PAGES = (README, *sorted(path.relative_to(ROOT).as_posix() for path in ROOT.glob("docs/**/*.md")))
+CONFIG, EFFECTS, ACTUATORS = "docs/config.md", "docs/effects.md", "docs/actuators.md"
+ACTUATOR_KEYS = tuple(ActuatorSettings.DESCRIPTIONS)
+README_WORDS_MAX = 1_000  # a page that is read in four minutes
+USAGE = re.compile(r"\[options\]|^cushion (COMMAND|NAME)")  # a line that shows a form, not a call
+
+
+def text_of(page: str) -> str:
+    """Return the text of a page."""
+    return (ROOT / page).read_text()
+
+
+def block(language: str, page: str) -> str:
+    """Return the first block of a language on a page."""
+    found = re.search(rf"```{language}\n(.*?)```", text_of(page), re.DOTALL)
+    assert found, f"{page} has no {language} block"
+    return found[1]
+
+
+def test_the_library_example_runs_and_says_what_it_should() -> None:
+    ran = subprocess.run(
+        [sys.executable, "-W", "error", "-c", block("python", README)],
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=ROOT,
+    )
+    assert ran.stdout == "7.3 ms late, peak 0.46\n"
+
+
+def test_the_config_example_is_valid_complete_and_the_default(tmp_path: Path) -> None:
+    path = tmp_path / "config.toml"
+    path.write_text(block("toml", CONFIG))
+    found, problems = config.check(path)
+    assert problems == []
+    assert found == config.Config(Settings(profile=LIVE_DEFAULT), LiveSettings(device="sink:NAME"))
+    for key in KEYS:
+        if key.section == ACTUATOR:
+            continue
+        # A key without a default stands there as a comment, and so may a profile's.
+        comment = "(# )?" if key.owner is TransformParameters or key.default is None else ""
+        shown = rf"^{comment}{key.name} = "
+        assert re.search(shown, block("toml", CONFIG), re.MULTILINE), f"{key.name} is missing"
+
+
+def test_the_generated_parts_are_those_of_the_schema_the_parser_and_the_code() -> None:
+    assert outdated() == [], "run `python -m tools.docs --write`"
+    for key in KEYS:
+        assert f"\n| `{key.name}` |" in text_of(CONFIG)
+
+
+def test_the_example_of_several_actuators_is_valid_and_names_every_key(tmp_path: Path) -> None:
+    example = block("toml", ACTUATORS)
+    path = tmp_path / "config.toml"
+    path.write_text(example)
+    done, problems = config.check(path)
+    assert problems == []
+    assert done is not None
+    assert [actuator.source for actuator in done.settings.actuators] == ["left", "right"]
+    told = {key for key in ACTUATOR_KEYS if re.search(rf"^{key} = ", example, re.MULTILINE)}
+    assert told == {*ACTUATOR_KEYS} - {"damping"}  # named beside rig and protection
+    for limit in (GAIN_MIN_DB, DELAY_MAX_MS):
+        assert f"{limit:g}" in example
+
+
+def test_every_limit_in_the_config_example_is_the_real_one() -> None:
+    for key, limits in LIMITS.items():
+        assert f"{limits.low:g} to {limits.high:g}" in line_of(key)
+
+
+def test_every_parameter_of_the_config_example_stands_there_with_its_default() -> None:
+    for key in TransformParameters.DESCRIPTIONS:
+        said = line_of(key).removeprefix("# ")
+        assert tomllib.loads(said)[key] == getattr(TransformParameters(), key)
+
+
+def test_every_choice_of_the_config_example_names_all_its_words() -> None:
+    for key, choice in CHOICES.items():
+        assert all(f'"{word}"' in line_of(key) for word in choice.words)
+
+
+def line_of(key: str) -> str:
+    """Return the line of the config example that a parameter stands on."""
+    found = re.search(rf"^(# )?{key} = .*", block("toml", CONFIG), re.MULTILINE)
+    assert found, key
+    return found[0]
+
+
+def installed(folder: Path) -> Path:
+    """Put the own effect of docs/effects.md where an installer would, and return that folder."""
+    project = tomllib.loads(block("toml", EFFECTS))["project"]
+    (folder / "gentle.py").write_text(block("python", EFFECTS))
+    facts = folder / f"{project['name']}-{project['version']}.dist-info"
+    facts.mkdir()
+    (facts / "METADATA").write_text(
+        f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: {project['version']}\n"
+    )
+    lines = []
+    for group, entries in project["entry-points"].items():
+        lines += [f"[{group}]", *(f"{name} = {value}" for name, value in entries.items())]
+    (facts / "entry_points.txt").write_text("\n".join(lines))
+    return folder
+
+
+@pytest.mark.exhaustive
+def test_the_effect_of_one_s_own_runs_before_the_haptic_effect_and_halves_it(
+    tmp_path: Path,
+) -> None:
+    site = tmp_path / "site"
+    site.mkdir()
+    path = os.pathsep.join((str(installed(site)), str(ROOT)))
+    (tmp_path / "audio_effects.xml").write_text(block("xml", EFFECTS))
+    chosen = re.findall(r"```toml\n(effects_file.*?)```", text_of(EFFECTS), re.DOTALL)
+    (tmp_path / "config.toml").write_text("".join(chosen))
+    time_s = np.arange(48_000) / 48_000
+    soundfile.write(tmp_path / "sound.wav", 0.4 * np.sin(2 * np.pi * 440 * time_s), 48_000)
+
+    def cushion(*arguments: str) -> str:
+        ran = subprocess.run(
+            [sys.executable, "-m", "audioflinger_hook", *arguments],
+            capture_output=True,
+            text=True,
+            check=True,
+            cwd=tmp_path,
+            env=os.environ | {"PYTHONPATH": path},
+        )
+        assert ran.stderr == ""
+        return ran.stdout
+
+    dump = cushion("dump", "--tap", "scene:demo", "--config", "config.toml")
+    assert re.findall(r"Effect \d: (.*)", dump) == ["Gentle", "Haptic Cushion"]
+    cushion("render", "sound.wav", "plain.wav")
+    cushion("render", "sound.wav", "halved.wav", "--config", "config.toml")
+    plain, halved = (
+        np.abs(soundfile.read(tmp_path / name)[0]).max() for name in ("plain.wav", "halved.wav")
+    )
+    assert halved == pytest.approx(plain / 2, rel=0.02)
+
+
+def test_the_command_table_names_exactly_the_commands_that_exist() -> None:
+    named = set(
+        re.findall(r"^\| \[`cushion ([\w-]+)`\]", text_of("docs/commands.md"), re.MULTILINE)
+    )
+    usage = build_parser().format_help()
+    found = re.findall(r"^    ([\w-]+)(?: |$)", usage, re.MULTILINE)
+    assert named == set(found)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_the_command_reference_names_every_option_of_the_help(command: str) -> None:
+    page = text_of("docs/commands.md")
+    section = page.partition(f"\n## cushion {command}\n")[2].partition("\n## ")[0]
+    said = parser_of(command).format_help()
+    options = set(re.findall(r"(?<![\w-])--[a-z][\w-]*", said.partition("example:")[0]))
+    shown = set(re.findall(r"^\| (?:`|<code>)(--[a-z][\w-]*)", section, re.MULTILINE))
+    assert shown == options - {"--help", "--debug"}
+
+
+def links_of(page: str) -> list[str]:
+    """Return the targets of a page's links, without those to other sites."""
+    targets = re.findall(r"\]\(([^)\s]+)\)", without_code(text_of(page)))
+    return [target for target in targets if "://" not in target]
+
+
+def without_code(text: str) -> str:
+    """Return a page without its blocks and spans of code."""
+    return re.sub(
+        r"`[^`\n]*`", "", re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE)
+    )
+
+
+def anchors_of(page: str) -> set[str]:
+    """Return the anchors that a page offers: those of its headings, as a forge makes them."""
+    text = re.sub(r"^```.*?^```", "", text_of(page), flags=re.DOTALL | re.MULTILINE)
+    headings = re.findall(r"^#+ (.+)$", text, re.MULTILINE)
+    slugs = {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+    return slugs | set(re.findall(r'<a id="([^"]+)">', text))
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_every_link_leads_to_a_file_and_a_heading_that_exist(page: str) -> None:
+    for link in links_of(page):
+        name, _, anchor = link.partition("#")
+        target = ((ROOT / page).parent / name).resolve() if name else ROOT / page
+        assert target.exists(), link
+        if anchor:
+            assert anchor in anchors_of(target.relative_to(ROOT).as_posix()), link
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_every_command_line_is_one_that_the_parser_accepts(page: str) -> None:
+    for line in commands_in(text_of(page)):
+        filled = re.sub(r"\$\w+", "1", line)  # what the shell fills in
+        _, *words = shlex.split(filled, comments=True)
+        if len(words) == 1 and words[0] in COMMANDS:
+            continue  # a command's name alone, in a sentence
+        try:
+            build_parser().parse_args(words)
+        except UsageError as error:
+            pytest.fail(f"{page}: {line}: {error}")
+
+
+def commands_in(text: str) -> list[str]:
+    """Return the lines of a page's code, in blocks, that call cushion."""
+    joined = text.replace("\\\n", " ")
+    found = re.findall(r"^(?: {4}|\$ )?((?:\.venv/bin/)?cushion .*)$", joined, re.MULTILINE)
+    spans = re.findall(r"(?<!\[)`((?:\.venv/bin/)?cushion [a-z][^`\n]*)`", text)
+    lines = [line for line in (*found, *spans) if not USAGE.search(line)]
+    return [line for line in lines if len(line.split()) > 1]
+
+
+def test_the_readme_is_short_and_names_the_commands_that_do_the_set_up() -> None:
+    assert len(text_of(README).split()) <= README_WORDS_MAX
+    assert all(f"`make {goal}`" in text_of(README) for goal in ("run", "test"))
+
+
+def test_the_citation_names_the_version_of_the_program() -> None:
+    assert f"\nversion: {__version__}\n" in text_of("CITATION.cff")
+
+
+@pytest.mark.parametrize("page", ["architecture", "decisions", "transform", "benchmarks"])
+def test_every_file_that_a_page_names_exists(page: str) -> None:
+    files = [path.relative_to(ROOT).as_posix() for path in ROOT.glob("*/**/*.py")]
+    named = re.findall(r"`([\w/]+/\w+\.py)`", (ROOT / "docs" / f"{page}.md").read_text())
+    missing = [name for name in named if not any(f"/{file}".endswith(f"/{name}") for file in files)]
+    assert not missing

@@ -1,0 +1,186 @@
+"""Every format is what its readers take, and keeps its limits for any vibration."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import mutagen.oggvorbis
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from audioflinger_hook.config.settings import Settings
+from audioflinger_hook.exports import ahap, haptic_clip, vibration_xml
+from audioflinger_hook.exports.glides import Onset, VibrationCurve
+from audioflinger_hook.exports.options import FORMATS, ExportOptions
+from audioflinger_hook.exports.parametric import Job
+from audioflinger_hook.transform.design import LiveDesign
+from device.errors import UsageError
+from tests.support.exports import CHECKS, RATE_HZ, check, exported, read_wave, scene
+
+PARAMETRIC = [name for name, one in FORMATS.items() if one.parametric]
+DESIGN = LiveDesign.of(Settings().parameters, RATE_HZ)
+
+
+@pytest.mark.parametrize("name", PARAMETRIC)
+@pytest.mark.parametrize("profile", ["paper", "cinema"])
+def test_a_scene_gives_a_file_that_keeps_the_rules(name: str, profile: str, tmp_path: Path) -> None:
+    report = exported(scene(), tmp_path / "out", name, profile=profile)
+    check(name, (tmp_path / "out").read_bytes())
+    assert report.bytes == (tmp_path / "out").stat().st_size
+    assert report.peak > 0.0
+
+
+@pytest.mark.parametrize("name", PARAMETRIC)
+@pytest.mark.parametrize("frames", [1, 47, 4_801])
+@pytest.mark.parametrize("level", [0.0, 1.0])
+def test_short_sounds_and_silence_give_files_that_keep_the_rules(
+    name: str, frames: int, level: float, tmp_path: Path
+) -> None:
+    sound = np.full((frames, 1), level, np.float32)
+    exported(sound, tmp_path / "out", name)
+    check(name, (tmp_path / "out").read_bytes())
+
+
+@pytest.mark.parametrize("name", PARAMETRIC)
+def test_equal_sounds_give_equal_files(name: str, tmp_path: Path) -> None:
+    for out in ("a", "b"):
+        exported(scene(), tmp_path / out, name)
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+
+
+curves = st.builds(
+    lambda levels, hz, times, rate: (levels, hz, times, rate),
+    st.lists(st.floats(0.0, 1.3), min_size=1, max_size=400),
+    st.lists(st.floats(15.0, 230.0), min_size=1, max_size=20),
+    st.lists(st.floats(0.0, 1.0), max_size=12),
+    st.sampled_from([500.0, 525.0]),
+)
+
+
+def curve_of(parts: Any, repeats: int) -> VibrationCurve:
+    """Return a curve of random levels, each held for some samples, with onsets anywhere."""
+    levels, hz, times, rate = parts
+    amplitude = np.repeat(np.array(levels, np.float32), repeats)
+    at_hz = np.resize(np.repeat(np.array(hz, np.float32), 9), amplitude.size)
+    found: list[Onset] = []
+    for share in sorted(times):
+        time_s = share * amplitude.size / rate
+        if time_s > 0.0 and (not found or time_s - found[-1].time_s >= 0.06):
+            found.append(Onset(time_s, 0.0, 1.0, hz[0]))
+    return VibrationCurve(rate, 0.0, amplitude, at_hz, tuple(found))
+
+
+@pytest.mark.parametrize(
+    ("name", "compose"),
+    [
+        ("ahap", ahap.compose),
+        ("haptic", haptic_clip.compose),
+        ("vibration-xml", vibration_xml.compose),
+    ],
+)
+@settings(max_examples=60, deadline=None)
+@given(
+    parts=curves, repeats=st.sampled_from([1, 3, 40]), band=st.sampled_from([None, (55.0, 200.0)])
+)
+def test_any_curve_keeps_the_rules(
+    name: str, compose: Any, parts: Any, repeats: int, band: tuple[float, float] | None
+) -> None:
+    curve = curve_of(parts, repeats)
+    options = ExportOptions(name, device_band_hz=band)
+    job = Job(Path("out"), Settings(), options, DESIGN, 1, 1.0)
+    content, composed = compose(curve, curve.amplitude.size / curve.rate_hz, job)
+    check(name, content)
+    assert all(np.isfinite(value) for value in composed.error.values())
+
+
+@pytest.mark.parametrize("name", PARAMETRIC)
+def test_a_device_band_moves_all_frequencies_into_it(name: str, tmp_path: Path) -> None:
+    exported(scene(), tmp_path / "out", name, device_band_hz=(80.0, 230.0))
+    content = (tmp_path / "out").read_bytes()
+    check(name, content)
+    if name == "partials":
+        lines = [json.loads(line) for line in content.splitlines()]
+        hz = [point[1] for line in lines if line["type"] == "track" for point in line["points"]]
+        assert 80.0 <= min(hz) <= max(hz) <= 230.0
+    if name == "hjif":
+        assert all(80 <= hz <= 230 for hz in _keys(json.loads(content), "frequency_modulation"))
+
+
+def _keys(document: Any, key: str) -> list[Any]:
+    if isinstance(document, dict):
+        mine = [document[key]] if key in document else []
+        return mine + [one for value in document.values() for one in _keys(value, key)]
+    if isinstance(document, list):
+        return [one for value in document for one in _keys(value, key)]
+    return []
+
+
+@pytest.mark.parametrize("channels", ["mono", "each"])
+def test_ogg_has_the_sound_first_and_the_vibration_last(channels: Any, tmp_path: Path) -> None:
+    sound = scene(channels=2)
+    sound[:, 1] *= 0.25
+    exported(sound, tmp_path / "out.ogg", "ogg-haptic", channels=channels)
+    exported(sound, tmp_path / "out.wav", "wav", channels=channels)
+    vibration, _ = read_wave(tmp_path / "out.wav")
+    # libsndfile keeps the order of the bitstream, as Android does
+    frames, rate_hz = read_wave(tmp_path / "out.ogg")
+    assert (frames.shape, rate_hz) == ((len(sound), 2 + vibration.shape[1]), RATE_HZ)
+    wanted = np.hstack((sound, vibration))
+    for column in range(wanted.shape[1]):
+        error = np.std(frames[:, column] - wanted[:, column]) / np.std(wanted[:, column])
+        assert error < 0.1  # Vorbis is lossy; another channel would give more than 0.5
+    tags = mutagen.oggvorbis.OggVorbis(tmp_path / "out.ogg")
+    assert tags["ANDROID_HAPTIC"] == [str(vibration.shape[1])]
+    assert tags.info is not None
+    assert tags.info.length == pytest.approx(len(sound) / RATE_HZ)
+
+
+def test_equal_sounds_give_equal_ogg_files(tmp_path: Path) -> None:
+    for out in ("a", "b"):
+        exported(scene(), tmp_path / out, "ogg-haptic")
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+
+
+@pytest.mark.parametrize("name", [name for name, one in FORMATS.items() if one.channels_max == 1])
+def test_a_format_of_one_channel_refuses_two(name: str, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"cannot hold 2 channels.*allowed: 1 to 1"):
+        exported(scene(0.1, channels=2), tmp_path / "out", name, channels="each")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("name", PARAMETRIC)
+@pytest.mark.parametrize(
+    "asked", [{"form": "reference"}, {"damping": "auto"}, {"protection": "on"}]
+)
+def test_what_needs_a_waveform_is_refused(name: str, asked: Any, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"allowed: .* or .*wav"):
+        exported(scene(0.1), tmp_path / "out", name, **asked)
+    assert not (tmp_path / "out").exists()
+
+
+def test_every_parametric_format_has_a_check() -> None:
+    assert set(CHECKS) == set(PARAMETRIC)
+
+
+def test_transients_of_ahap_undo_what_the_curve_takes_from_them(tmp_path: Path) -> None:
+    exported(scene(), tmp_path / "out", "ahap")
+    pattern = json.loads((tmp_path / "out").read_bytes())["Pattern"]
+    transients = [
+        one["Event"]
+        for one in pattern
+        if one.get("Event", {}).get("EventType") == "HapticTransient"
+    ]
+    assert transients
+    curves = [one["ParameterCurve"] for one in pattern if "ParameterCurve" in one]
+    starts = {
+        one["Time"]: one["ParameterCurveControlPoints"][0]["ParameterValue"]
+        for one in curves
+        if one["ParameterID"] == "HapticIntensityControl"
+    }
+    for event in transients:
+        # A curve begins with every transient, and its value there is no less than the pulse.
+        assert starts[event["Time"]] > 0.0

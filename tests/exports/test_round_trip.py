@@ -1,0 +1,72 @@
+"""What a player makes of a file is the vibration that it was made from."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import soundfile
+
+from tests.support.exports import RATE_HZ, exported, read_wave, scene
+from tools.exports.measures import Likeness, births_in, likeness
+from tools.exports.renderers import RENDERERS
+
+PLAYED_HZ = 2_000
+LONGEST_S = 10
+ENVELOPE = 0.95
+ONSET_MS = 5.0
+SOUNDS = Path(__file__).resolve().parents[2] / ".cache/sounds"
+
+
+def round_trip(sound: Any, rate_hz: int, profile: str, folder: Path) -> dict[str, Likeness]:
+    """Return how near what each format plays is to the vibration of a sound."""
+    exported(sound, folder / "v.wav", "wav", rate_hz, profile=profile, output_rate_hz=PLAYED_HZ)
+    original = read_wave(folder / "v.wav")[0][:, 0]
+    exported(sound, folder / "partials", "partials", rate_hz, profile=profile)
+    births_s = births_in((folder / "partials").read_bytes())
+    found = {}
+    for name, play in RENDERERS.items():
+        exported(sound, folder / name, name, rate_hz, profile=profile)
+        made = play((folder / name).read_bytes(), original.size / PLAYED_HZ, PLAYED_HZ)
+        found[name] = likeness(original, made[: original.size], PLAYED_HZ, births_s)
+    return found
+
+
+@pytest.mark.parametrize("profile", ["paper", "cinema"])
+def test_a_scene_comes_back_with_its_envelope_and_its_onsets(profile: str, tmp_path: Path) -> None:
+    for name, found in round_trip(scene(), RATE_HZ, profile, tmp_path).items():
+        assert found.envelope >= ENVELOPE, name
+        assert len(found.onset_errors_ms) >= 1, name
+        assert max(map(abs, found.onset_errors_ms)) <= ONSET_MS, name
+
+
+def test_partial_tracks_come_back_as_the_wave_itself(tmp_path: Path) -> None:
+    exported(scene(), tmp_path / "v.wav", "wav", output_rate_hz=PLAYED_HZ)
+    original = read_wave(tmp_path / "v.wav")[0][:, 0]
+    exported(scene(), tmp_path / "partials", "partials")
+    content = (tmp_path / "partials").read_bytes()
+    made = RENDERERS["partials"](content, original.size / PLAYED_HZ, PLAYED_HZ)
+    error_db = 20 * np.log10(np.std(made - original) / np.std(original))
+    assert error_db < -20.0  # phases are right: a wrong one gives +3 dB
+
+
+@pytest.mark.exhaustive
+@pytest.mark.skipif(not SOUNDS.is_dir(), reason="no sounds: run tools/fetch_sounds.sh")
+@pytest.mark.parametrize("profile", ["paper", "cinema"])
+@pytest.mark.parametrize("kind", sorted(one.name for one in SOUNDS.glob("*")) or ["none"])
+def test_real_sounds_come_back(kind: str, profile: str, tmp_path: Path) -> None:
+    errors: dict[str, list[float]] = {name: [] for name in RENDERERS}
+    files = sorted((SOUNDS / kind).iterdir())
+    assert files
+    for file in files:
+        with soundfile.SoundFile(file) as opened:
+            sound = opened.read(LONGEST_S * opened.samplerate, dtype="float32", always_2d=True)
+            rate_hz = opened.samplerate
+        for name, found in round_trip(sound, rate_hz, profile, tmp_path).items():
+            assert found.envelope >= ENVELOPE, f"{file.name} as {name}"
+            errors[name] += found.onset_errors_ms
+    for name, found_ms in errors.items():
+        if found_ms:
+            assert np.mean(np.abs(found_ms) <= ONSET_MS) >= 0.9, name

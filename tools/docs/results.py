@@ -1,0 +1,99 @@
+"""The tables in docs/results.md, from the figures in docs/benchmarks.md."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+BENCHMARKS = Path(__file__).resolve().parents[2] / "docs/benchmarks.md"
+PROFILES = ("cinema", "game", "music", "paper")
+BASELINES = ("band-pass", "envelope", "centroid", "octave fold")
+
+DELAY = (
+    ("on PipeWire, native engine", "Live latency", r"PipeWire [\d.]+, native, quantum 256"),
+    ("on PipeWire, Python engine", "Live latency", r"PipeWire [\d.]+, 512 frames"),
+    ("on PulseAudio, Python engine", "Live latency", r"PulseAudio [\d.]+, 512 frames"),
+)
+ACCURACY = (
+    ("onset lag of tone bursts, mean", "Onset lag", "lag, mean"),
+    ("onset lag, 95th percentile", "Onset lag", "lag, 95th percentile"),
+    ("frequency of a steady tone, worst error", "Steady tones", "worst frequency error, 150 .*"),
+    ("level of a steady tone, worst error", "Steady tones", "worst level error, 150 .*"),
+    ("distortion and noise of a steady tone, worst", "Steady tones", r"worst THD\+N, 150 .*"),
+    ("energy above 250 Hz, worst recording", "Energy above 250 Hz", "worst recording"),
+    (
+        "principal frequencies as in the reference form",
+        "Principal frequencies",
+        "precision, all .*",
+    ),
+    ("principal frequencies of it that are found", "Principal frequencies", "recall, all .*"),
+)
+QUALITY = (
+    ("pairs of sounds within 3 dB of the wanted ratio", "in a programme: pairs within 3 dB"),
+    ("sounds that are not felt at all", "sounds not felt at all"),
+    ("sounds that are not felt at all, 20 dB softer", "sounds not felt at all, at -20 dB"),
+    ("drums: half of the peak after, 95 %", "drums: half of the peak, 95th percentile"),
+    ("drums: peak off that of the sound, median", "drums: peak off the sound's, median"),
+    ("steady chord: modulation at 4 to 16 Hz", "steady A-major chord: modulation at 4 to 16 Hz"),
+)
+
+
+def results_tables() -> str:
+    """Return the main figures by subject, and every limit that is not met."""
+    page = BENCHMARKS.read_text()
+    parts = [
+        "## Delay and CPU",
+        _delay(page),
+        "![Share of bursts that vibrate by a time](images/lag.png)",
+    ]
+    parts += ["## Accuracy", _accuracy(page)]
+    parts += ["## Quality on real sounds, against other methods", _quality(page)]
+    parts += ["![Felt over heard, a drum, a swell and a chord, by profile](images/real_sounds.png)"]
+    parts += ["![CPU time of a second of each scene](images/cost.png)"]
+    failed = re.findall(r"^  - (not met: .*)$", page, re.MULTILINE)
+    parts += ["## Limits that are not met", "\n".join(f"- {line[9:]}" for line in failed)]
+    return "\n\n".join(parts) + "\n"
+
+
+def figure(page: str, section: str, row: str, column: str) -> str:
+    """Return one cell of the benchmarks; LookupError if there is no such cell. row: a pattern."""
+    body = page.partition(f"\n## {section}\n")[2].partition("\n## ")[0]
+    lines = [[cell.strip() for cell in line.split("|")[1:-1]] for line in body.splitlines()]
+    tables = [cells for cells in lines if cells]
+    head: list[str] = []
+    for place, cells in enumerate(tables):
+        if place + 1 < len(tables) and set(tables[place + 1][0]) == {"-"}:
+            head = cells
+        elif head and re.fullmatch(row, cells[0]) and column in head:
+            return cells[head.index(column)]
+    raise LookupError(f"docs/benchmarks.md has no {row!r}, {column!r} in {section!r}")
+
+
+def _table(head: tuple[str, ...], rows: list[list[str]]) -> str:
+    lines = [head, ("---",) * len(head), *rows]
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
+
+
+def _delay(page: str) -> str:
+    rows = []
+    for shown, section, row in DELAY:
+        native = "native engine" in shown
+        cpu = figure(page, section, row, "CPU of the native engine" if native else "CPU")
+        rows.append([shown, figure(page, section, row, "lag"), cpu])
+    return _table(("profile `paper`", "delay of the vibration", "CPU"), rows)
+
+
+def _accuracy(page: str) -> str:
+    return _table(
+        ("live form, profile `paper`", "measured"),
+        [[shown, figure(page, section, row, "live")] for shown, section, row in ACCURACY],
+    )
+
+
+def _quality(page: str) -> str:
+    columns = (*PROFILES, *BASELINES)
+    rows = [
+        [shown, *(figure(page, "On real sounds", re.escape(row), name) for name in columns)]
+        for shown, row in QUALITY
+    ]
+    return _table(("", *columns), rows)

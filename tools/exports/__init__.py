@@ -1,0 +1,1 @@
+"""Exported files played back, measured against the vibration, and drawn."""
