@@ -11,6 +11,7 @@ import contextlib
 import hashlib
 import os
 import secrets
+import socket
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -28,8 +29,15 @@ T = TypeVar("T")
 RECORD = ".json"
 """Ending of a record's name, after the name of its result."""
 
+PART = ".part+"
+"""How the name of a result under way begins; host, process and a random number follow."""
+
 ATOMIC = frozenset({"s3", "s3a", "gs", "gcs", "az", "abfs", "abfss", "adl", "memory"})
 """Storages in which an upload appears whole; elsewhere it is uploaded and then renamed."""
+
+
+def _part_start(process: int) -> str:
+    return f"{PART}{socket.gethostname()}+{process}+"
 
 
 @dataclass(frozen=True)
@@ -100,6 +108,7 @@ class LocalStorage:
 
     def __init__(self, root: Path) -> None:
         self._root = root
+        self._tidy: set[Path] = set()  # folders without parts of dead processes
 
     def prepare(self) -> None:
         """Make the folder, if the folder above it exists."""
@@ -147,8 +156,9 @@ class LocalStorage:
             target.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise WriteError(f"cannot make the folder {target.parent}: {error.strerror}") from error
-        part = target.with_name(f".{secrets.token_hex(6)}.part{target.suffix}")
+        part = target.with_name(f"{_part_start(os.getpid())}{secrets.token_hex(6)}{target.suffix}")
         try:
+            self._tidy_up(target.parent)
             result = make(part)
             stamp, sha256 = _local_stamp(part), _sha256(part)
             self.delete(name + RECORD)
@@ -158,6 +168,16 @@ class LocalStorage:
         finally:
             part.unlink(missing_ok=True)
         return result, Made(stamp.size or 0, stamp.stamp, sha256)
+
+    def _tidy_up(self, folder: Path) -> None:
+        """Delete, once, what processes of this machine were making there when they were killed."""
+        if folder in self._tidy:
+            return
+        self._tidy.add(folder)
+        for part in folder.glob(f"{PART}{socket.gethostname()}+*"):
+            process = part.name.split("+")[-2]
+            if process.isdigit() and not Path("/proc", process).exists():
+                part.unlink(missing_ok=True)
 
     def restamped(self, name: str, sha256: str) -> str | None:
         """Return the stamp of a copy of the same bytes."""

@@ -103,7 +103,9 @@ def test_a_capture_of_the_demo_replays_to_what_the_demo_writes(tmp_path):
     done = cushion("demo", "--fast", "--out", tmp_path / "out", prelude=prelude)
     assert done.code == 0
     captured(tmp_path / "cap", "scene:demo")
-    report = replayed(tmp_path / "cap", tmp_path / "again.wav", "--profile", LIVE_DEFAULT)
+    config = tmp_path / "config.toml"
+    config.write_text(f'profile = "{LIVE_DEFAULT}"\n[transform]\nstrength = "rig"\n')
+    report = replayed(tmp_path / "cap", tmp_path / "again.wav", "--config", config)
     assert report["buffers"] == -(-15 * RATE // 256)
     assert (tmp_path / "again.wav").read_bytes() == (tmp_path / "out/vibration.wav").read_bytes()
 

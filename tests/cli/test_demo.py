@@ -105,7 +105,9 @@ def test_the_demo_goes_the_way_that_rendering_its_sound_goes(demo, tmp_path):
     _, out = demo
     assert np.array_equal(vibration(out / "scene.wav"), mixdown(demo_scene()))
     felt = tmp_path / "acceleration.wav"
-    options = ("--profile", LIVE_DEFAULT, "--acceleration", felt)
+    config = tmp_path / "config.toml"
+    config.write_text('[transform]\nstrength = "rig"\n')
+    options = ("--profile", LIVE_DEFAULT, "--config", config, "--acceleration", felt)
     done = call("render", out / "scene.wav", tmp_path / "vibration.wav", *options)
     assert done.code == 0
     assert (tmp_path / "vibration.wav").read_bytes() == (out / "vibration.wav").read_bytes()
