@@ -80,7 +80,7 @@ bench:
 	@sh tools/setup.sh test
 	@sh tools/fetch_recordings.sh
 	@sh tools/fetch_sounds.sh
-	.venv/bin/python -m tools.bench --out docs/benchmarks.md $$(.venv/bin/python -c 'import matplotlib' 2>/dev/null && echo --plots docs/images)
+	.venv/bin/python -m tools.bench --out docs/benchmarks.md --tables docs/benchmarks $$(.venv/bin/python -c 'import matplotlib' 2>/dev/null && echo --plots docs/images)
 
 docs:
 	@sh tools/setup.sh docs

@@ -9,10 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from audioflinger_hook.config.settings import Settings
+from audioflinger_hook.daemon.live_memory import LiveMemory
 from audioflinger_hook.daemon.soft_fade import SoftFade
 from audioflinger_hook.pipeline.framework import Framework, drive_of
 from audioflinger_hook.pipeline.step import Pipeline
-from audioflinger_hook.service.meters import BufferClock, BufferedLevelMeter
+from audioflinger_hook.service.meters import BufferClock, BufferedLevelMeter, LevelMeter
 from audioflinger_hook.sources import Client
 from device.clock import DelayLine
 from device.clock.frame_clock import STALLED_S
@@ -67,6 +68,7 @@ class Engine:
     levels of the mix, and of the vibration before the drive. driven: level of each named actuator.
     before_fill: called by `fill` before it reads; set it before the first `fill`. fade: of what
     `fill` writes; silent: whether it begins with silence. mute: the user's fade, after that one.
+    live: what a live page reads, None for nothing; set it before the first `advance`.
     """
 
     def __init__(
@@ -111,6 +113,7 @@ class Engine:
         self.before_fill: Callable[[], None] = lambda: None
         self.fade = SoftFade(output_samplerate, audible=not silent)
         self.mute = SoftFade(output_samplerate)
+        self.live: LiveMemory | None = None
         self.filled_s = -math.inf
         self.faded = True
         self.last_sound_s = now_s
@@ -182,6 +185,9 @@ class Engine:
             self._on_step(audio, vibration, now_s)
         self.buffers += 1
         self.frames += len(audio)
+        if self.live is not None and self.live.is_due(self.frames):
+            principal = self.framework.principal
+            self.live.show(self.frames, self.sound.meter, self.driven_meters, principal)
         self.buffer_times.add(self._clocks.used_s() - began_s, len(vibration) / self.samplerate)
         return True
 
@@ -205,6 +211,11 @@ class Engine:
         self._drop_ahead()
         self.sound.reset()
         self.vibration.reset()
+
+    @property
+    def driven_meters(self) -> list[LevelMeter]:
+        """The level of each actuator; of the vibration, where none has a name."""
+        return [gathered.meter for gathered in self.driven or (self.vibration,)]
 
     @property
     def read_ahead(self) -> Float32Array:

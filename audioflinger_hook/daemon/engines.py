@@ -11,6 +11,7 @@ from audioflinger_hook.daemon.engine import Clocks, Engine
 from audioflinger_hook.daemon.engine_switch import EngineSwitch
 from audioflinger_hook.daemon.handover import Dip, Handover
 from audioflinger_hook.daemon.inputs.base import AudioNode
+from audioflinger_hook.daemon.live_memory import live_memory
 from audioflinger_hook.daemon.outputs.base import StreamOutput
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.service.state import StateKeeper
@@ -27,8 +28,8 @@ class Engines:
     """The engines of one run; one of them plays. For the supervising thread alone.
 
     config: what to do. endpoints: of the Python engine. states: the daemon's state. folder:
-    private, for files of the native engine; None: only the Python engine. on_change: called by
-    another thread when PipeWire's graph changes.
+    private, for files of the native engine and of a live page; None: only the Python engine, and no
+    such file. on_change: called by another thread when PipeWire's graph changes.
 
     volume_db: the listener's volume that is undone, 0 dB for 100 %. python: what the audio threads
     run; None before the first sound, and while the native engine plays. switch: the choice, and the
@@ -47,6 +48,7 @@ class Engines:
         self._config = config
         self._clocks = clocks
         self._endpoints = endpoints
+        self._folder = folder
         self._handover = Handover()
         self._dip = Dip()
         self._heard_before_s = 0.0
@@ -100,9 +102,19 @@ class Engines:
 
     def drop(self) -> None:
         """Forget the Python engine, so that `prepare` makes another one."""
+        self._close_live()
         self._heard_before_s, self.python = self.heard_s, None
         self._handover.reset()
         self._dip.end()
+
+    def close(self) -> None:
+        """End the native engine, and remove the file of the live page."""
+        self.switch.close()
+        self._close_live()
+
+    def _close_live(self) -> None:
+        if self.python is not None and self.python.live is not None:
+            self.python.live.close()
 
     def native_plays(
         self,
@@ -207,6 +219,8 @@ class Engines:
                 on_step=on_step,
                 on_mix=on_mix,
             )
+            actuators = len(engine.driven_meters)
+            engine.live = live_memory(self._folder, engine.samplerate, engine.channels, actuators)
             engine.mute.audible = not self._config.muted
             feed.serve(engine)
             self._endpoints.output.set_format(engine.samplerate, engine.drive.outputs)

@@ -1,8 +1,8 @@
 """What a page shows many times a second, as a line of JSON.
 
 Each frame is computed after a pause in which other programs used the processor's caches. So it
-costs what it touches: numbers are read at once and put into one form at once. What the native
-engine shows lies in memory, where a client of this computer reads it without the daemon.
+costs what it touches: numbers are read at once and put into one form at once. What an engine shows
+lies in memory as well, where a client of this computer reads it without the daemon.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ def frame_of(
 
     Any thread may call it; audio threads do not wait for it. sound, vibration: peak and mean square
     of each channel and of each actuator. partials: Hz of the sound, Hz of the vibration, and
-    amplitude before the level. memory, instead of these: the page of the native engine, a file of
-    the daemon's folder that `ShownReader` reads.
+    amplitude before the level. memory, instead of these: the page of the engine that plays, a file
+    of the daemon's folder that `ShownReader` reads.
 
     level: factor on the vibration, 0 while it is muted. missed: frames that were not sent.
     in_memory: whether the client reads that file.
@@ -38,6 +38,9 @@ def frame_of(
     plays = state is DaemonState.RUNNING
     native, engine = supervisor.engines.switch.native, supervisor.engines.python
     page = native.page if native is not None and native.audible else None
+    if page is None and in_memory and engine is not None and engine.live is not None:
+        engine.live.watch()
+        page = engine.live.page
     shown: Shown = ((0, 0, 0), ())
     if page is not None and in_memory:
         name, reader = page.path.name.encode(), page.reader
@@ -65,7 +68,7 @@ def _form(channels: int, actuators: int, partials: int) -> bytes:
 
 def _shown_of(engine: Engine) -> Shown:
     channels = engine.sound.meter.channel_readings()
-    actuators = [one.meter.reading() for one in engine.driven or (engine.vibration,)]
+    actuators = [meter.reading() for meter in engine.driven_meters]
     partials = engine.framework.principal
     counts = len(channels), len(actuators), len(partials)
     return counts, (*chain(*channels), *chain(*actuators), *chain(*partials))

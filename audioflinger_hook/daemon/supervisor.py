@@ -259,7 +259,7 @@ class Supervisor:
         WriteError: the file cannot be kept; everything else is closed by then.
         """
         self.states.enter(DaemonState.STOPPING, now_s)
-        self.engines.switch.close()
+        self.engines.close()
         self._endpoints.close()
         self._drop_in.close()
         self._link.close()

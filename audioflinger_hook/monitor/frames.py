@@ -1,7 +1,7 @@
 """Frames for the browsers, at a steady rate, from two places.
 
-The daemon sends the figures of its Python engine. Those of the native engine lie in a file of the
-daemon's folder, which is read here: so the daemon does nothing for each frame.
+What an engine shows lies in a file of the daemon's folder, which is read here: so the daemon does
+nothing for each frame. The daemon sends what no file can hold: taps of over 8 channels.
 """
 
 from __future__ import annotations
@@ -18,8 +18,9 @@ from audioflinger_hook.daemon.native.layout import ACTUATORS, CHANNELS, ShownRea
 from audioflinger_hook.service.runtime_folder import RuntimeFolder
 from device.errors import CushionError
 
-REST_S = 0.1
-"""Sound that stands still for so long has ended: the longest buffer takes 43 ms."""
+REST_S = 0.15
+"""Sound that stands still for so long has ended: the Python engine's buffers take up to 43 ms, and
+its streams may be some tens of ms late."""
 
 
 class Frames:

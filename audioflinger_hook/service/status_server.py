@@ -95,7 +95,7 @@ class Live(Protocol):
         """Return what changes many times a second, as a line of JSON.
 
         And whether the next one may come after SELDOM_S. missed: frames that were not sent.
-        in_memory: whether the client reads the native engine's figures by itself.
+        in_memory: whether the client reads the engine's figures by itself.
         """
         ...
 

@@ -1,5 +1,6 @@
 """The bench where something is not there: what, in every section, and an exit code that tells."""
 
+import csv
 import json
 
 import fastjsonschema
@@ -322,6 +323,29 @@ def test_json_writes_no_file(monkeypatch, tmp_path):
     assert (done.code, done.stderr) == (0, "")
     assert json.loads(done.stdout)["sections"][0]["title"] == "Fine"
     assert list(tmp_path.iterdir()) == []
-    for option in ("--out", "--plots"):
+    for option in ("--out", "--plots", "--tables"):
         assert bench_command("--json", option, tmp_path / "new").code == 2
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_tables_hold_every_row_as_json_and_as_csv(monkeypatch, tmp_path):
+    done = ran(
+        monkeypatch, tmp_path, ("what works", fine), options=["--tables", tmp_path / "tables"]
+    )
+    assert done.code == 0
+    report = json.loads((tmp_path / "tables.json").read_text())
+    (section,) = report["sections"]
+    with (tmp_path / "tables.csv").open(newline="") as file:
+        lines = list(csv.DictReader(file))
+    assert len(lines) == len(section["rows"]) >= 1
+    for line, row in zip(lines, section["rows"], strict=True):
+        assert (line["section"], line["row"]) == (section["title"], row["name"])
+        assert float(line["value"] or "nan") == pytest.approx(row["value"] or 0.0, rel=1e-5)
+        assert line["met"] == {None: "", True: "yes", False: "no"}[row["met"]]
+
+
+def test_tables_without_a_folder_are_refused_before_anything_is_measured(monkeypatch, tmp_path):
+    monkeypatch.setattr(bench, "BENCHES", (("broken", broken, 1.0),))
+    done = bench_command("--tables", tmp_path / "none" / "tables")
+    assert (done.code, done.stdout) == (2, "")
+    assert "does not exist" in done.stderr

@@ -3,35 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import soundfile
 
 from tests.support.exports import RATE_HZ, exported, read_wave, scene
-from tools.exports.measures import Likeness, births_in, likeness
 from tools.exports.renderers import RENDERERS
+from tools.exports.round_trip import PLAYED_HZ, round_trip
 
-PLAYED_HZ = 2_000
 LONGEST_S = 10
 ENVELOPE, LEAST_ENVELOPE = 0.95, 0.8
 ONSET_MS = 5.0
 SOUNDS = Path(__file__).resolve().parents[2] / ".cache/sounds"
-
-
-def round_trip(sound: Any, rate_hz: int, profile: str, folder: Path) -> dict[str, Likeness]:
-    """Return how near what each format plays is to the vibration of a sound."""
-    exported(sound, folder / "v.wav", "wav", rate_hz, profile=profile, output_rate_hz=PLAYED_HZ)
-    original = read_wave(folder / "v.wav")[0][:, 0]
-    exported(sound, folder / "partials", "partials", rate_hz, profile=profile)
-    births_s = births_in((folder / "partials").read_bytes())
-    found = {}
-    for name, play in RENDERERS.items():
-        exported(sound, folder / name, name, rate_hz, profile=profile)
-        made = play((folder / name).read_bytes(), original.size / PLAYED_HZ, PLAYED_HZ)
-        found[name] = likeness(original, made[: original.size], PLAYED_HZ, births_s)
-    return found
 
 
 @pytest.mark.parametrize("profile", ["paper", "cinema"])

@@ -1,8 +1,8 @@
 """Measure speed and error on this machine: python -m tools.bench [--quick] [--json] [--out FILE]
 
-Prints the report as Markdown, or with --json as one JSON document. It writes no file unless --out
-or --plots names one. Exit codes: 0 done; 2 wrong usage, something could not be measured, or a file
-could not be written; 130 interrupted.
+Prints the report as Markdown, or with --json as one JSON document. It writes no file unless --out,
+--tables or --plots names one. Exit codes: 0 done; 2 wrong usage, something could not be measured,
+or a file could not be written; 130 interrupted.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from device.errors import CushionError, UsageError
 from device.values import counted
 from tools.bench.figures.pictures import draw_all, need_matplotlib, shown_in
 from tools.bench.run import run_bench
+from tools.bench.tables import write_tables
 
 EXIT_INTERRUPTED = 130
 
@@ -45,18 +46,23 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--quick", action="store_true", help="the same rows from less material, in a minute"
     )
-    parser.add_argument("--json", action="store_true", help="print JSON; no --out, no --plots")
+    parser.add_argument("--json", action="store_true", help="print JSON; writes no files")
     parser.add_argument(
         "--plots", type=Path, metavar="DIR", help="draw the pictures into this folder"
     )
     parser.add_argument("--out", type=Path, metavar="FILE", help="write the report into this file")
+    parser.add_argument(
+        "--tables", type=Path, metavar="STEM", help="write the tables into STEM.json and STEM.csv"
+    )
     return parser
 
 
 def _run(options: argparse.Namespace) -> int:
-    if options.json and (options.out or options.plots):
-        raise UsageError("--json writes no files; leave out --out and --plots")
+    if options.json and (options.out or options.plots or options.tables):
+        raise UsageError("--json writes no files; leave out --out, --plots and --tables")
     target: Path | None = _writable(options.out) if options.out else None
+    if options.tables:
+        _writable(options.tables.with_suffix(".csv"))
     if options.plots:
         need_matplotlib()
         _make_folder(options.plots)
@@ -72,16 +78,19 @@ def _run(options: argparse.Namespace) -> int:
             f"{counted(len(report.missing), 'rows')} could not be measured, so no report was "
             "written; see the reasons above"
         )
+    written = write_tables(report, options.tables) if options.tables else []
     if target:
         write_bytes_atomically(target, page.encode())
-        print(f"written to {target}", file=sys.stderr)
+        written.append(target)
+    for path in written:
+        print(f"written to {path}", file=sys.stderr)
     return 0
 
 
 def _writable(target: Path) -> Path:
     """Return the target; an error that would stop the writing is raised before anything runs."""
     if not target.parent.is_dir():
-        raise UsageError(f"the folder {target.parent} does not exist; name another with --out")
+        raise UsageError(f"the folder {target.parent} does not exist; name another one")
     AtomicFile(target).abort()
     return target
 

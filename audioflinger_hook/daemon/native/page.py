@@ -4,10 +4,18 @@ from __future__ import annotations
 
 import mmap
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from audioflinger_hook.daemon.native.layout import MAGIC, SIZE, Layout, ShownReader
+from audioflinger_hook.daemon.native.layout import (
+    ACTUATORS,
+    MAGIC,
+    PARTIALS,
+    SIZE,
+    Layout,
+    ShownReader,
+)
 from audioflinger_hook.service.meters import Level, Reading, level_of
 from audioflinger_hook.transform.downmix import mix_weights
 from device.drive.damping import Damping
@@ -66,6 +74,31 @@ class Page:
         for wishes in page.wishes:
             wishes.gain = 1.0
         page.size, page.magic = SIZE, MAGIC
+
+    def show(
+        self,
+        frames: int,
+        channels: Sequence[Reading],
+        actuators: Sequence[Reading],
+        partials: Sequence[tuple[float, float, float]],
+    ) -> None:
+        """Write what a live page shows, as the plugin does; for an engine without a plugin.
+
+        frames: processed so far. channels, actuators: their peaks and mean squares. partials: at
+        most PARTIALS of them count.
+        """
+        page = self._page
+        for slot, reading in enumerate(channels[: self._channels]):
+            page.readings.channels[slot][:] = reading
+        for slot, (peak, square) in enumerate(actuators[:ACTUATORS]):
+            page.actuators[slot].peak, page.actuators[slot].square = peak, square
+        shown = page.partials
+        shown.sequence += 1  # odd: a reader tries again
+        shown.count = min(len(partials), PARTIALS)
+        for slot, partial in enumerate(partials[:PARTIALS]):
+            shown.partials[slot][:] = partial
+        shown.sequence += 1
+        page.readings.frames = frames
 
     def set_sound_gain(self, gain: float) -> None:
         """Set the factor on the tap's samples, 0 to 100; it changes over one buffer."""

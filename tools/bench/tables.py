@@ -1,0 +1,50 @@
+"""The report's tables for programs: one JSON document, and CSV with a line for each row."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from pathlib import Path
+
+from device.atomic_file import write_bytes_atomically
+from tools.bench.report import BenchReport
+
+COLUMNS = (
+    "section", "row", "column", "value", "unit", "low", "high", "must", "met", "note",
+)  # fmt: skip
+
+
+def write_tables(report: BenchReport, stem: Path) -> list[Path]:
+    """Write STEM.json and STEM.csv, and return their paths. WriteError: one cannot be written.
+
+    The series behind the pictures are left out, as they are many megabytes.
+    """
+    document = report.to_json()
+    for section in document["sections"]:
+        del section["series"]
+    written = {
+        stem.with_suffix(".json"): json.dumps(document, indent=1) + "\n",
+        stem.with_suffix(".csv"): _csv(report),
+    }
+    for path, text in written.items():
+        write_bytes_atomically(path, text.encode())
+    return [*written]
+
+
+def _csv(report: BenchReport) -> str:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    for section in report.sections:
+        for row in section.rows:
+            must = row.must.shown(row.unit) if row.must else ""
+            met = "" if row.met is None else "yes" if row.met else "no"
+            numbers = [
+                "" if each is None else f"{each:.6g}" for each in (row.value, row.low, row.high)
+            ]
+            writer.writerow(
+                [section.title, row.name, row.column, numbers[0], row.unit, *numbers[1:], must,
+                 met, row.note]
+            )  # fmt: skip
+    return text.getvalue()
