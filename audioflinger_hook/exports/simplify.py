@@ -41,7 +41,7 @@ def simplify(
         low, high = first + spacing, end - spacing
         if low > high:
             return
-        part = np.arange(low, high + 1)
+        part = slice(low, high + 1)
         share = ((times[part] - times[first]) / (times[end] - times[first]))[:, None]
         line = values[first] + share * (values[end] - values[first])
         error = (np.abs(values[part] - line) / tolerance[part]).max(axis=1)
