@@ -94,7 +94,26 @@ def test_thirty_pictures_a_second_are_drawn(room: Room) -> None:
     assert statistics.median(rates) >= FRAMES_PER_S - 1.0
 
 
+@pytest.fixture
+def engine(room: Room, request: pytest.FixtureRequest) -> Iterator[None]:
+    """The engine that the test names plays, chosen by the page."""
+    page = room.open()
+    with playing(room.server, "desktop", tone(TONE_HZ, 60.0)):
+        page.get_by_role("radio", name=request.param).check()
+        words = f"The {request.param} engine plays"
+        wait_for(lambda: words in page.inner_text("footer"), words, 30.0)
+        wait_for(lambda: page.is_enabled("#undo"), "the choice")
+    page.context.close()
+    yield
+    page = room.open()
+    page.click("#undo")
+    wait_for(lambda: page.is_disabled("#save"), "the engine of before")
+    page.context.close()
+
+
 @pytest.mark.calm
+@pytest.mark.parametrize("engine", ["native", "python"], indirect=True)
+@pytest.mark.usefixtures("engine")
 def test_a_page_costs_the_daemon_half_a_percent_and_nothing_once_it_is_closed(room: Room) -> None:
     pid = room.daemon.process.pid
     alone, watched, after = [], [], []
@@ -112,8 +131,14 @@ def test_a_page_costs_the_daemon_half_a_percent_and_nothing_once_it_is_closed(ro
     room.monitor = Monitor(room.server.environment, "--listen", "127.0.0.1:0")
     medians = [statistics.median(one) for one in (alone, watched, after)]
     print("percent of a core: alone {:.2f}, watched {:.2f}, closed {:.2f}".format(*medians))
-    assert medians[1] - medians[0] <= GROWTH_PERCENT
-    assert medians[2] - medians[0] <= 0.1  # what the same measurement differs by
+    # Of neighbours, as the machine's speed drifts from round to round.
+    rounds = list(zip(alone, watched, after, strict=True))
+    growth = statistics.median(during - (before + later) / 2 for before, during, later in rounds)
+    remains = statistics.median(later - before for before, _, later in rounds)
+    same = statistics.median(abs(one - two) for one, two in zip(after, alone[1:], strict=False))
+    print(f"a page: {growth:+.2f}, once closed: {remains:+.2f}, the same twice: {same:.2f}")
+    assert growth <= GROWTH_PERCENT
+    assert remains <= max(0.1, same)  # what the same measurement differs by
 
 
 def lost(room: Room) -> int:
@@ -121,23 +146,6 @@ def lost(room: Room) -> int:
     status = room.daemon.status()
     assert status is not None
     return status.xruns.tap + status.xruns.output + status.delay_line.underflows
-
-
-@pytest.fixture
-def engine(room: Room, request: pytest.FixtureRequest) -> Iterator[None]:
-    """The engine that the test names plays, chosen by the page."""
-    page = room.open()
-    with playing(room.server, "desktop", tone(TONE_HZ, 60.0)):
-        page.get_by_role("radio", name=request.param).check()
-        words = f"The {request.param} engine plays"
-        wait_for(lambda: words in page.inner_text("footer"), words, 30.0)
-        wait_for(lambda: page.is_enabled("#undo"), "the choice")
-    page.context.close()
-    yield
-    page = room.open()
-    page.click("#undo")
-    wait_for(lambda: page.is_disabled("#save"), "the engine of before")
-    page.context.close()
 
 
 @pytest.mark.calm
