@@ -78,7 +78,7 @@ class ThisProcess:
 
 
 class LocalWorkers:
-    """Processes of this machine; when one dies, all are started anew.
+    """Processes of this machine; when one dies, all are started again.
 
     Parameters
     ----------

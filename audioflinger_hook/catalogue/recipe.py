@@ -1,4 +1,4 @@
-"""How a run makes its results, and the key that tells whether a result is still the right one."""
+"""How a run makes its results, and the key that shows whether a result is still the right one."""
 
 from __future__ import annotations
 

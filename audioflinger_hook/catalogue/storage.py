@@ -281,7 +281,7 @@ class RemoteStorage:
 
 @contextmanager
 def remote_errors(shown: str, kind: type[StorageError]) -> Iterator[None]:
-    """Turn every error of a storage library into one of ours, without credentials in its text."""
+    """Turn each error of a storage library into a `CushionError`, without credentials in it."""
     try:
         yield
     except CushionError:

@@ -129,7 +129,7 @@ def _server(snapshot: ServerSnapshot | None) -> dict[str, Any]:
 
 
 def _show(document: dict[str, Any]) -> None:
-    """Print each device's name on a line of its own, whole, so that it can be copied."""
+    """Print each device's full name on a separate line, so that it can be copied."""
     if document["server"]:
         _section(document["server"], map(_sink_lines, document["sinks"]))
     _section("USB", map(_usb_lines, document["usb"]))

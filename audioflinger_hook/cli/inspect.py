@@ -16,7 +16,7 @@ HEADER = (
 
 
 def run(options: argparse.Namespace) -> int:
-    """Print the units of a file as they are found, as a table or as one JSON list."""
+    """Print each unit of a file when it is found, as a table or as one JSON list."""
     as_json: bool = options.json
     units = inspect_file(options.input, at_s=options.at, warn=warn)
     first = next(units, None)  # errors come before anything is printed

@@ -182,7 +182,7 @@ def _usb(command: Parser) -> None:
     names = "usb:VID:PID[:SERIAL][@PORT]; default: all"
     command.add_argument("device", nargs="?", metavar="DEVICE", help=names)
     _value(command, "--hex", Path, "FILE", "decode a file: raw, lsusb -v or hex; - is stdin")
-    taken = "also read volumes and sample rates; the card cannot play meanwhile"
+    taken = "also read volumes and sample rates; the card cannot play in that time"
     _switch(command, "--take-over", taken)
     _value(command, "--volume-db", float, "DB", "set: volume, up to 0")
     _value(command, "--samplerate", count, "HZ", "set: samplerate")

@@ -86,7 +86,7 @@ class RunReporter:
     def tell_page(self, address: str) -> None:
         """Report the address of a page that serves, once; "" for none.
 
-        The part after `#` opens it, so only a terminal is told that.
+        The part after `#` opens it, so only a terminal shows that part.
         """
         shown = address if sys.stderr.isatty() else address.partition("#")[0]
         if shown and shown != self._page:

@@ -51,7 +51,7 @@ NOTHING_WRITTEN = "nothing was written"
 
 
 def run(options: argparse.Namespace) -> int:
-    """Ask, write and tell what comes next; or undo the last set-up."""
+    """Ask, write the config and print the next commands; or undo the last set-up."""
     if options.undo:
         return _undo()
     if not options.yes and not sys.stdin.isatty():
@@ -81,7 +81,7 @@ def run(options: argparse.Namespace) -> int:
         print(f"\n{path} will {'be' if before is None else 'change'}:")
         print(_difference(before, text), end="")
         if not options.yes and not agree("Write it?", default=before is None):
-            print(f"{path} stays as it is; {NOTHING_WRITTEN}.")
+            print(f"{path} is unchanged; {NOTHING_WRITTEN}.")
             return 0
     installs = not options.no_service and (
         options.yes or agree("Start the daemon at every login?", default=True)
@@ -114,8 +114,8 @@ def _known_profile(name: str | None) -> str | None:
 class Choice:
     """The output, and what was found out about it.
 
-    level_db: the level that was felt, None if nobody was asked. channels: of its shakers, empty for
-    all, or those of the config.
+    level_db: the level at which the user felt the tone, None without a question. channels: of its
+    shakers, empty for all, or those of the config.
     """
 
     output: Output
@@ -194,8 +194,8 @@ def _first(outputs: list[Output]) -> Output:
         return sure[0]
     names = ", ".join(output.address for output in outputs) or "none is connected"
     raise UsageError(
-        "--yes chooses an output by itself only if one alone is known to have voice coils; name "
-        f"one with --device: {names}"
+        "--yes chooses an output only if exactly one is known to have voice coils; name one with "
+        f"--device: {names}"
     )
 
 
@@ -246,7 +246,7 @@ def _ask_profile(yes: bool, before: str | None) -> str:
 
 
 def _profile_values(profile: str) -> dict[str, Any]:
-    """Return the keys of a profile; none for "", which leaves them as they are."""
+    """Return the keys of a profile; none for "", which changes nothing."""
     if profile == SPEECH_FREE:
         values = {"transform.speech_suppression_db": SPEECH_SUPPRESSION_DB}
         return {"profile": LIVE_DEFAULT, **values}
@@ -301,7 +301,7 @@ def _tell(path: Path, text: str, has_service: bool) -> None:
     rows = [
         *rows,
         ("cushion monitor --open", "shows it, and changes it while it plays"),
-        ("cushion status", "tells what it does"),
+        ("cushion status", "shows what it does"),
         ("cushion setup --undo", "restores what was before"),
     ]
     for command, does in rows:

@@ -44,7 +44,7 @@ def write(path: Path, before: str | None, text: str, *, with_service: bool) -> s
     WriteError: the disk is full or failed.
     """
     if text_of(path) != before:
-        raise UsageError(f"{path} was changed meanwhile and is left alone; run setup again")
+        raise UsageError(f"{path} was changed during the set-up and is left alone; run setup again")
     changes = text != before
     backup = None
     if changes:

@@ -18,7 +18,7 @@ TONE_HZ = 60.0
 FIRST_DB, STEP_DB = -24.0, 6.0
 FADE_IN_S = 2.0
 LONGEST_S = 30.0
-"""A tone that nobody answers fades out: a coil gets warm."""
+"""A tone without an answer fades out: a coil gets warm."""
 
 UNASKED_S = 4.0
 
@@ -46,7 +46,7 @@ def try_output(
     *,
     ask: bool,
 ) -> tuple[Felt, float | None]:
-    """Play the tone on a device and on no other; return the answer, and the level that was felt.
+    """Play the tone on a device and on no other; return the answer, and the level.
 
     actuators: whose channels play it; without, those with coils.
     ask: False plays the softest tone for a moment and returns `Felt.YES` without a level.

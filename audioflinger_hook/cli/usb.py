@@ -175,7 +175,7 @@ def _formats(
     active: Configuration | None,
     settings: dict[str, Any] | None,
 ) -> list[dict[str, Any]]:
-    """Return the formats of a configuration; driver and device tell of the active one."""
+    """Return the formats of a configuration; driver and device report the active one."""
     if configuration is not active:
         return formats_of(configuration)
     asked = [RateRange(**each) for each in (settings or {}).get("samplerates", [])]

@@ -31,7 +31,7 @@ def formats_of(
     """Return the formats for JSON, in the order of the descriptors.
 
     configuration: the one in use. device: whose driver is asked; None for a dump. asked: rates of
-    its clock, as the device told them.
+    its clock, as the device reported them.
     """
     listed = by_setting(device, root) if device else {}
     decoded = playback_formats(configuration) if configuration else ()
@@ -111,7 +111,7 @@ def _decoded(
 
 
 def _listed(setting: tuple[int, int], each: UsbFormat, uac: int | None) -> dict[str, Any]:
-    """Return a format that the driver lists and the descriptors do not tell."""
+    """Return a format that the driver lists and the descriptors do not contain."""
     is_dsd = any(name.startswith("DSD_") for name in each.formats)
     return {
         "interface": setting[0],

@@ -107,7 +107,7 @@ class _Reading:
         self.refused: set[tuple[type[Described], str]] = set()
 
     def read(self, document: dict[str, Any]) -> None:
-        """Check every value by itself."""
+        """Check every value separately."""
         top = {name: value for name, value in document.items() if name not in HEADERS}
         self._read_table("", "", top)
         for section in SECTIONS[1:]:

@@ -24,7 +24,7 @@ class ProfileValue:
 
 BY_ENERGY = ProfileValue("energy", "noise and chords as strong as a tone of the same energy")
 FOLLOWED = ProfileValue(54.0, "whispers are felt, too; silence and noise of the room are not")
-FLOOR = ProfileValue(-68.0, "soft sounds are felt at a low volume; hiss that nobody hears is not")
+FLOOR = ProfileValue(-68.0, "soft sounds are felt at a low volume; inaudible hiss is not")
 FELT = ProfileValue("felt", "as strong as a seated body feels it, whatever its frequency")
 DEEP = ProfileValue(20.0, "sub-bass is felt, down to the lowest notes")
 LOWER = ProfileValue("jnd", "lower vibration: a seated body feels it better, an amplifier has room")
@@ -43,7 +43,7 @@ PROFILES: dict[str, dict[str, ProfileValue]] = {
     "paper": {},
     "cinema": {
         **FOLLOWING,
-        "merge_ratio": ProfileValue(0.6, "tones that a body cannot tell apart would warble"),
+        "merge_ratio": ProfileValue(0.6, "tones that a body cannot distinguish would warble"),
         "loudness_target_db": ProfileValue(-19.8, "a subwoofer's tone at -12 dBFS is felt at -18"),
     },
     "game": {
@@ -57,7 +57,7 @@ PROFILES: dict[str, dict[str, ProfileValue]] = {
     "music": {
         **FOLLOWING,
         "dynamics": ProfileValue(0.5, "music has a small range of loudness: keep half of it"),
-        "merge_ratio": ProfileValue(0.6, "tones that a body cannot tell apart would warble"),
+        "merge_ratio": ProfileValue(0.6, "tones that a body cannot distinguish would warble"),
         "loudness_target_db": ProfileValue(-22.5, "room for half of the loudness of loud passages"),
     },
 }

@@ -87,7 +87,7 @@ class Settings(Described):
     channels: Annotated[
         Channels,
         Choice(
-            "transform the mono mix of all channels, or each channel by itself",
+            "transform the mono mix of all channels, or each channel separately",
             ("mono", "each"),
             section="transform",
         ),
@@ -152,7 +152,7 @@ class Settings(Described):
 
     @property
     def transform_parameters(self) -> TransformParameters:
-        """The parameters; with strength "rig" and no resonance, that of the rig as it is damped.
+        """The parameters; strength "rig" without a resonance gets that of the damped rig.
 
         UsageError: the rig's file cannot be read any more.
         """

@@ -24,7 +24,7 @@ class SoftFade:
         self._step = 1.0 / (FADE_S * samplerate)
 
     def apply(self, out: Float32Array) -> None:
-        """Multiply the next frames; at full level they stay as they are, bit for bit."""
+        """Multiply the next frames; at full level they stay the same, bit for bit."""
         wanted = 1.0 if self.audible else 0.0
         if self.position == wanted:
             if not wanted:

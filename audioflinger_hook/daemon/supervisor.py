@@ -136,7 +136,7 @@ class Supervisor:
 
     @property
     def warnings(self) -> list[str]:
-        """Problems to tell the user, one line each."""
+        """Problems to show the user, one line each."""
         recording = self._config.recording
         warnings = list(self.engine.framework.warnings) if self.engine else []
         for part in (self._drop_in, self.input, self.output):

@@ -11,7 +11,7 @@ from device.units import FloatArray
 def to_device_hz(hz: FloatArray, band_hz: tuple[float, float] | None) -> FloatArray:
     """Return the frequencies that the device plays for frequencies of vibration.
 
-    band_hz: lowest and highest frequency of the device; None: frequencies stay as they are.
+    band_hz: lowest and highest frequency of the device; None: frequencies do not change.
     """
     if band_hz is None:
         return hz

@@ -39,7 +39,7 @@ FRAME, FRAMES, VOICE, SLOT, START_HZ, END_HZ, START_LEVEL, END_LEVEL, START_PHAS
 
 @dataclass(frozen=True)
 class Onset:
-    """Where vibration begins or is struck anew.
+    """Where vibration begins or is struck again.
 
     before, after: the envelope on both sides, in full scale; hz: of what begins.
     """

@@ -1,4 +1,4 @@
-"""HJIF of ISO/IEC 23090-31 (MPEG haptics): each partial is a wave in a band of its own.
+"""HJIF of ISO/IEC 23090-31 (MPEG haptics): each partial is a wave in a separate band.
 
 An effect has one whole frequency in Hz, so that players which integrate frequency and players
 which do not agree. Where a partial drifts from that by a tenth of a cycle, another effect goes on

@@ -48,7 +48,7 @@ class OggHapticOutput:
         self.samplerate = samplerate
         self.channels = haptic_channels
         self._waiting: tuple[deque[Float32Array], ...] = (deque(), deque())
-        """Sound and vibration whose other part is not there yet."""
+        """Sound and vibration whose other part has not come."""
         self._file = SoundFileOutput(
             path,
             samplerate,

@@ -1,4 +1,4 @@
-"""The live page: shows and changes a running daemon, from a process of its own.
+"""The live page: shows and changes a running daemon, from a separate process.
 
 | module | contents |
 | --- | --- |

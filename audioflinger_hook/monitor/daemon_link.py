@@ -31,7 +31,7 @@ class DaemonLink:
 
     tell: called with each message of the daemon, (kind, content, its text): "hello", "frame",
     "status", "settings"; and with ("link", ...) when the connection changes, whose content is
-    {"connected": ..., "text": ...}. page: address that the daemon tells its user.
+    {"connected": ..., "text": ...}. page: address that the daemon shows its user.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""Renders several files at once, each by itself, on several cores."""
+"""Renders several files at once, each separately, on several cores."""
 
 from __future__ import annotations
 

@@ -55,7 +55,7 @@ ACCELERATION_COMMENT = (
 class RenderReport:
     """What was rendered. Field names contain their units; frames and samples are counts.
 
-    strength_db: felt strength against no damping and no protection, None without damping.
+    strength_db: perceived strength against no damping and no protection, None without damping.
     exposure: of the rig with the largest A(8); None if no rig is damped, protected or capped.
     """
 

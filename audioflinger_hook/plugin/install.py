@@ -162,7 +162,7 @@ def install(places: Places, profile: str, device: str | None, rates_hz: tuple[in
 def remove(places: Places) -> list[Path]:
     """Remove what `install` wrote, and return what was removed. May be repeated.
 
-    UsageError: a foreign file is in a place of ours; nothing was removed.
+    UsageError: a foreign file is where ours belongs; nothing was removed.
     """
     _refuse_foreign(places)
     found = [places.plugin, *sorted(places.designs.glob("*.design")), places.chain]

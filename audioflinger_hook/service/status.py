@@ -20,7 +20,7 @@ class Endpoint:
 
 @dataclass(frozen=True)
 class DeviceRateFigures:
-    """Rate of a USB device's own clock, as its feedback tells. ppm: how much faster than nominal.
+    """Rate of a USB device's own clock, by its feedback. ppm: how much faster than nominal.
 
     nominal_hz: as the device was opened.
     """
@@ -50,7 +50,7 @@ class Partial:
 
 @dataclass(frozen=True)
 class Application:
-    """An application that has a stream: whether it plays, and whether it is felt."""
+    """An application that has a stream: whether it plays, and whether it vibrates."""
 
     name: str
     plays: bool
@@ -114,7 +114,7 @@ class ProtectionFigures:
     gain, least_gain: current and smallest gain of the drive, 0 to 1. limited_by: cause of the gain,
     "" for none. excursion_mm: predicted amplitude. coil_c: predicted temperature in degrees C, None
     if the rig lacks thermal data. makeup_db: gain by which damping makes up for what it takes, 0
-    without damping. strength_db: felt strength against no damping and no protection, None if
+    without damping. strength_db: perceived strength against no damping and no protection, None if
     unknown.
     """
 

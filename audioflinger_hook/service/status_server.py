@@ -36,7 +36,7 @@ WATCHERS_MAX = 4
 
 RATE_MAX_HZ = 60.0
 SELDOM_S = 0.25
-"""Time between frames that tell the state alone."""
+"""Time between frames that contain only the state."""
 
 STATUS_EVERY_S = 2.0
 """A watching client gets frames at its rate, and the whole status as often as this."""
@@ -95,7 +95,7 @@ class Live(Protocol):
         """Return what changes many times a second, as a line of JSON.
 
         And whether the next one may come after SELDOM_S. missed: frames that were not sent.
-        in_memory: whether the client reads the engine's figures by itself.
+        in_memory: whether the client reads the engine's figures directly.
         """
         ...
 
@@ -119,8 +119,8 @@ class StatusServer:
 
     No client can raise an error or keep others waiting. One thread makes, enters and leaves the
     server. Hold the `DaemonLock` first: the lock, not the socket, ensures that only one daemon
-    runs. `read` is called on the server's threads; if it raises, the client is told. live: what
-    clients may watch and control; None: nothing.
+    runs. `read` is called on the server's threads; if it raises, the client gets an error. live:
+    what clients may watch and control; None: nothing.
 
     UsageError: a running daemon answers there, or another kind of file has the socket's name.
     InternalError: the system provides no socket.

@@ -22,7 +22,7 @@ from audioflinger_hook.transform.haptic import Form, HapticTransform, Implementa
 from audioflinger_hook.transform.parameters import TransformParameters
 
 TRANSFORM_VERSION = 1
-"""Raised whenever the bytes of a vibration change: results of older versions are made anew."""
+"""Raised whenever the bytes of a vibration change: results of older versions are made again."""
 
 __all__ = [
     "TRANSFORM_VERSION",

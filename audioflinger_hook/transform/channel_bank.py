@@ -18,7 +18,7 @@ from audioflinger_hook.transform.reference.transform import ReferenceTransform
 from device.layouts import downmix
 
 TOLD_MAX = 16
-"""Largest number of partials that are told, as in the kernel."""
+"""Largest number of partials that are reported, as in the kernel."""
 
 
 class ChannelBank:

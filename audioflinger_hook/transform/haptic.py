@@ -46,8 +46,8 @@ class KernelStream:
 
     design: all numbers and tables.
     channels: channels of the sound.
-    each: whether every channel is transformed by itself, instead of their mono mix.
-    RuntimeError: the kernel is not there: see `kernel_warning`.
+    each: whether every channel is transformed separately, instead of their mono mix.
+    RuntimeError: the kernel is missing: see `kernel_warning`.
     """
 
     def __init__(self, design: LiveDesign, channels: int, each: bool) -> None:
@@ -293,7 +293,7 @@ class HapticTransform:
         return self._stream.process(self._mixdown.process(frames) if self._mixdown else frames)
 
     def finish(self) -> FloatArray:
-        """Return the last `latency_frames` of vibration, (frames, channels_out); start anew."""
+        """Return the last `latency_frames` of vibration, (frames, channels_out); start again."""
         if self._mixdown:
             self._mixdown.reset()
         return self._stream.finish()

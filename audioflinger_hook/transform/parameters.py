@@ -92,8 +92,8 @@ class TransformParameters(Described):
     strength: Annotated[
         str,
         Choice(
-            "vibration as strong as it is loud in full scale (flat), as a seated body feels it "
-            "(felt), or felt and levelled over the rig's resonance (rig)",
+            "measure of strength: full scale (flat), sensitivity of a seated body (felt), or that "
+            "with the rig's resonance levelled (rig)",
             ("flat", "felt", "rig"),
         ),
     ] = "flat"

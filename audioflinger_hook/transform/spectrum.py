@@ -49,7 +49,7 @@ class Spectrum:
     def transform(self, windows: FloatArray) -> ComplexArray:
         """Return 2 X[k] / sum(w) of each row: (rows, N) to (rows, bins), complex128.
 
-        Each row is transformed by itself: its bytes do not depend on the other rows.
+        Each row is transformed separately: its bytes do not depend on the other rows.
         """
         return np.asarray(rfft(windows * self.window, self.fft_length, axis=1))
 

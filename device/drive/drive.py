@@ -93,7 +93,7 @@ class Drive:
 
     @property
     def strength_db(self) -> float | None:
-        """Least felt strength of the damped actuators, see `RigProcessor`; None without any."""
+        """Least perceived strength of damped actuators, see `RigProcessor`; None without any."""
         found = [one.strength_db for one in self.processors if one]
         return min((one for one in found if one is not None), default=None)
 

@@ -108,7 +108,7 @@ class RigProcessor:
 
     @property
     def strength_db(self) -> float | None:
-        """Felt strength so far, against the same vibration without damping and protection, in dB.
+        """Perceived strength so far in dB, against no damping and no protection.
 
         It is the ratio of the Wk-weighted r.m.s.; None without damping or before any vibration.
         """

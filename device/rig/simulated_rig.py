@@ -21,9 +21,9 @@ from device.units import Float32Array, FloatArray, check_channels
 class SimulatedRig:
     """A `VibrationOutput` that moves one simulated actuator for each channel.
 
-    One thread writes; any thread may read the attributes meanwhile. Actuators that choose a model
-    move by blocks of 0.1 s counted from the start, and by what is left at `close`: so the bytes of
-    a record do not depend on how the vibration was cut.
+    One thread writes; any thread may read the attributes at any time. Actuators that choose a model
+    move by blocks of 0.1 s counted from the start, and by the rest at `close`. The bytes of a
+    record therefore do not depend on how the vibration was cut.
 
     rig: the rig of all channels, or that of each channel, None where nothing is connected.
     channels: number of channels, 1 or more; None for as many as rigs are listed. recorder: gets

@@ -1,4 +1,4 @@
-"""PipeWire's graph: which ports there are, how they are linked, and links of our own.
+"""PipeWire's graph: which ports there are, how they are linked, and links that we make.
 
 `pw-link --monitor` reports every change, so nothing is polled. A link belongs to the ports that it
 joins: when one of them vanishes, the link vanishes, and the server makes no other one. So a stream

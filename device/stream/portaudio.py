@@ -1,6 +1,6 @@
 """The process's one PyAudio instance: opens and closes streams within time limits.
 
-Each call that may wait for a sound server runs on a thread of its own, so a server that hangs
+Each call that may wait for a sound server runs on a separate thread, so a server that hangs
 blocks that thread and not the caller.
 """
 

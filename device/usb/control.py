@@ -26,7 +26,7 @@ from device.volume_limit import MAX_VOLUME_DB
 class ControlState:
     """What a device was set to, to set it so again. By channel, 0 is the master.
 
-    volumes: in 1/256 dB; mutes; samplerate: Hz, None where it did not tell.
+    volumes: in 1/256 dB; mutes; samplerate: Hz, None where it did not report it.
     """
 
     volumes: tuple[tuple[int, int], ...] = ()

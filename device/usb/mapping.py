@@ -79,7 +79,7 @@ def sinks_of(
 def is_sink_of(identity: UsbIdentity, sink: Sink) -> bool:
     """Whether a sink plays on a device of this name, judged by the sink's data alone.
 
-    A name with a port needs a sink that tells its port.
+    A name with a port needs a sink that reports its port.
     """
     known = identity_of(sink)
     if not known.is_usb(identity.vendor_id, identity.product_id):

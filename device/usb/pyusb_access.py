@@ -27,7 +27,7 @@ _TOTAL_LENGTH = slice(2, 4)
 def libusb() -> Any:
     """Return PyUSB's backend, chosen once: PyUSB keeps one a process, and a second disturbs it.
 
-    NoLibusbError: there is none; it is looked for again at the next call.
+    NoLibusbError: there is none; the next call searches again.
     """
     try:
         from usb.backend import libusb1

@@ -94,7 +94,7 @@ def set_feature(
 def samplerate(playback: PlaybackFormat, what: What = "now") -> Request:
     """Return how to ask for the samplerate: of the endpoint in 1.0, of its clock source in 2.0.
 
-    UsbAccessError: 2.0, and nobody knows which of several clocks it is, or there is none.
+    UsbAccessError: 2.0, and it is unknown which of several clocks it is, or there is none.
     """
     if playback.uac == 1 and what != "now":
         raise UsbAccessError("a device of USB Audio 1.0 lists its samplerates in its descriptors")

@@ -171,10 +171,10 @@ def test_a_first_setup_is_undone_by_removing_what_it_made(home: Path) -> None:
     assert not path.exists()
 
 
-def test_a_config_that_changed_meanwhile_is_left_alone(home: Path) -> None:
+def test_a_config_that_changed_during_the_questions_is_left_alone(home: Path) -> None:
     path = home / "config.toml"
     path.write_text("gain_db = -1.0\n")
-    with pytest.raises(UsageError, match="changed meanwhile"):
+    with pytest.raises(UsageError, match="changed during the set-up"):
         setup_files.write(path, None, "gain_db = -2.0\n", with_service=False)
     assert path.read_text() == "gain_db = -1.0\n"
 

@@ -49,7 +49,7 @@ class NativeEngine:
     The supervising thread calls the methods; any thread may read the attributes.
 
     folder: private, for files. states: counts what was lost and came back. on_change: called by
-    another thread when the graph changes. audible: whether the chain is linked and felt.
+    another thread when the graph changes. audible: whether the chain is linked and plays.
     NotFoundError: a program of PipeWire is missing.
     """
 

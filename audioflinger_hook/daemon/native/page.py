@@ -36,13 +36,13 @@ class TransformReadings:
 
 
 class Page:
-    """The shared page in a file of its own, which `close` removes.
+    """The shared page in a separate file, which `close` removes.
 
     The supervising thread calls the methods; any thread may call `readings` and `level`.
 
     path: of the file; it must not exist. channels: of the tap. outputs: vibrations. actuators: that
     play them. weights: (channels, outputs, 2) of the sources' halves; None for the mono mix, or for
-    each channel by itself. reader: of what a live page shows.
+    each channel separately. reader: of what a live page shows.
     """
 
     def __init__(

@@ -1,6 +1,6 @@
-"""Partials that a body cannot tell apart become one.
+"""Partials that a body cannot distinguish become one.
 
-A seated body tells two vibrations apart if their frequencies differ by a third or more (Merchel,
+A seated body distinguishes two vibrations if their frequencies differ by a third or more (Merchel,
 Altinsoy and Stamm, Internoise 2011). Closer partials are felt as one that beats. Beats that the
 mapping of frequencies has made are not in the sound.
 """

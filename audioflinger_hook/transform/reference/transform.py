@@ -165,7 +165,7 @@ class ReferenceTransform:
         return ready[: mono.size]
 
     def finish(self) -> FloatArray:
-        """Return the `latency_frames` still owed, and begin anew."""
+        """Return the `latency_frames` still owed, and begin again."""
         owed = np.concatenate((self._ready, self._render(self.cut_last())))
         self.reset()
         return owed[: self.latency_frames]

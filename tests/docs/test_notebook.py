@@ -1,0 +1,106 @@
+"""The notebook of the examples runs without Jupyter and gives the outputs that it is kept with."""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+NOTEBOOK = ROOT / "examples/first_steps.ipynb"
+LINES_MAX = 30  # a cell that is read at a glance
+PICTURES_MAX_BYTES = 400_000
+END_OF_CELL = "--- end of the cell"
+
+Cell = dict[str, Any]
+
+
+@pytest.fixture(scope="module")
+def notebook() -> Cell:
+    """The notebook's JSON."""
+    found: Cell = json.loads(NOTEBOOK.read_text())
+    return found
+
+
+@pytest.fixture(scope="module")
+def code_cells(notebook: Cell) -> list[Cell]:
+    """Its code cells, in order."""
+    return [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
+
+
+def printed(cell: Cell) -> str:
+    """Return the text that a cell printed when it was run in Jupyter."""
+    streams = [one for one in cell["outputs"] if one["output_type"] == "stream"]
+    assert {one["name"] for one in streams} <= {"stdout"}
+    return "".join("".join(one["text"]) for one in streams)
+
+
+def pictures(cell: Cell) -> list[bytes]:
+    """Return the PNG files that a cell shows."""
+    shown = [one["data"] for one in cell["outputs"] if one["output_type"] == "display_data"]
+    return [base64.b64decode("".join(data["image/png"])) for data in shown]
+
+
+def test_the_notebook_has_the_format_4_and_names_no_machine(notebook: Cell) -> None:
+    assert notebook["nbformat"] == 4
+    assert notebook["nbformat_minor"] >= 5
+    assert notebook["metadata"] == {
+        "kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"},
+        "language_info": {"name": "python"},
+    }
+    assert all(cell["metadata"] == {} for cell in notebook["cells"])
+    identities = [cell["id"] for cell in notebook["cells"]]
+    assert len(set(identities)) == len(identities)
+    assert all(re.fullmatch(r"[a-zA-Z0-9_-]{1,64}", identity) for identity in identities)
+    assert not re.search(r"/(home|root|tmp|work|opt|usr|Users)/", NOTEBOOK.read_text())
+
+
+def test_all_cells_were_run_once_in_order_without_an_error(code_cells: list[Cell]) -> None:
+    counts = [cell["execution_count"] for cell in code_cells]
+    assert counts == [*range(1, len(code_cells) + 1)]
+    kinds = {output["output_type"] for cell in code_cells for output in cell["outputs"]}
+    assert kinds == {"stream", "display_data"}
+
+
+def test_its_cells_are_short_and_its_pictures_small(notebook: Cell, code_cells: list[Cell]) -> None:
+    assert all("".join(cell["source"]).count("\n") < LINES_MAX for cell in notebook["cells"])
+    shown = [picture for cell in code_cells for picture in pictures(cell)]
+    assert len(shown) == 4
+    assert all(picture.startswith(b"\x89PNG\r\n\x1a\n") for picture in shown)
+    assert sum(map(len, shown)) < PICTURES_MAX_BYTES
+
+
+def test_each_cell_prints_what_it_printed_and_draws_where_it_drew(
+    code_cells: list[Cell], tmp_path: Path
+) -> None:
+    parts = []
+    for cell in code_cells:
+        # the ";" of a last line hides its value in Jupyter
+        parts += ["".join(cell["source"]), f"print(len(plt.get_fignums()), {END_OF_CELL!r})"]
+        parts.append("plt.close('all')")
+    program = tmp_path / "cells.py"
+    program.write_text("\n".join(parts))
+    ran = subprocess.run(
+        [sys.executable, "-W", "error", program.name],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        env=os.environ | {"MPLBACKEND": "agg", "PYTHONPATH": str(ROOT)},
+    )
+    assert (ran.returncode, ran.stderr) == (0, "")
+    found = ran.stdout.split(f" {END_OF_CELL}\n")
+    kept = [f"{printed(cell)}{len(pictures(cell))}" for cell in code_cells]
+    assert found == [*kept, ""]
+    assert [path.name for path in tmp_path.iterdir()] == ["cells.py"], "it writes no file"
+
+
+def test_the_page_of_examples_and_the_page_for_researchers_link_to_it() -> None:
+    for page in ("docs/examples.md", "docs/get-started/researcher.md"):
+        assert "examples/first_steps.ipynb" in (ROOT / page).read_text()
