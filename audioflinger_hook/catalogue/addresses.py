@@ -23,8 +23,10 @@ _USERINFO = re.compile(r"(?<=://)[^/\s@]*@|[\w.+-]+:[^\s/@'\"]+@")
 _QUERY = re.compile(r"(://[^\s?#'\"]*)[?#][^\s'\"]*")
 _SECRET_NAME = re.compile(r"KEY|SECRET|TOKEN|PASSW|CREDENTIAL|SIGNATURE|SAS", re.IGNORECASE)
 _SECRET_PAIR = re.compile(
-    r"(?i)\b((?:x-amz-|aws_?)?(?:\w*(?:key|secret|token|passw\w*|credential|signature|authorization)"
-    r"\w*))(\"?'?\s*[=:]\s*)[^\s,;&]+"
+    r"(?i)\b(sig|\w*(?:key|secret|token|passw|credential|signature|authorization|cookie)\w*)"
+    r"(\\?[\"']?\s*[=:]\s*)"
+    # The value: in quotes, which may be those of a text in a text, or a word, also after a scheme.
+    r"(?:\\?\"[^\"]*\"|\\?'[^']*'|(?:(?:bearer|basic|digest|token)\s+)?[^\s,;&]+)"
 )
 _KEY_ID = re.compile(r"\b(?:AKIA|ASIA)[A-Z0-9]{8,}\b")
 _SHORTEST_SECRET = 6
@@ -54,7 +56,10 @@ def scrubbed(text: str) -> str:
     """
     text = " ".join(text.split())
     for name, value in os.environ.items():
-        if len(value) >= _SHORTEST_SECRET and _SECRET_NAME.search(name) and os.sep not in value:
+        if len(value) >= _SHORTEST_SECRET and _SECRET_NAME.search(name):
+            # Keys may hold slashes, as paths do.
+            if os.sep in value and Path(value).exists():
+                continue
             text = text.replace(value, REMOVED)
     text = _USERINFO.sub(f"{REMOVED}@", text)
     text = _QUERY.sub(rf"\1?{REMOVED}", text)

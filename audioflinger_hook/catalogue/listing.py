@@ -30,12 +30,22 @@ def walk(folder: str, out: str) -> Iterator[str]:
         raise UsageError(f"{folder} cannot be listed ({error.strerror})") from None
     for name, is_folder in names:
         path = f"{folder.rstrip('/')}/{name}"
-        if name.startswith(".") or path == out:
+        if name.startswith(".") or (is_folder and is_same(path, out)):
             continue
         if not is_folder:
             yield path
         elif not Path(path).is_symlink():  # a link may lead back
             yield from walk(path, out)
+
+
+def is_same(path: str, other: str) -> bool:
+    """Return whether two paths lead to the same file or folder, also through links."""
+    if path == other:
+        return True
+    try:
+        return Path(path).samefile(other)
+    except (OSError, ValueError):  # one of them is a URL or not there
+        return False
 
 
 def fixed_part(pattern: str) -> str:

@@ -32,6 +32,7 @@ from audioflinger_hook.catalogue.listing import (
     SOUNDS,
     ending_of,
     fixed_part,
+    is_same,
     is_sound,
     matches,
     walk,
@@ -86,11 +87,12 @@ class Manifest:
         self._name = scrubbed(self.address)
         self._folder = self.address.rpartition("/")[0]
         self.out = out
+        self._true_out = out if is_url(out) else os.path.realpath(out)
         self._remote = filesystem_of(self.address) if is_url(self.address) else None
         self.is_listing = False
         self._root = ""
         self._sources = self._kind()
-        if self.address == out:
+        if is_same(self.address, out):
             raise UsageError(f"--out={scrubbed(out)} is the folder of the sounds; name another")
 
     def check(self) -> tuple[int, Mistakes]:
@@ -136,7 +138,7 @@ class Manifest:
                     value = f"={shown(values[name])}" if name in values else ""
                     mistakes.add(where, f"{name}{value} {refusal}")
                 continue
-            if f"{item.audio}/".startswith(f"{self.out}/"):
+            if self._is_in_out(item.audio):
                 audio = shown(item.audio)
                 mistakes.add(where, f"audio={audio} is in the output folder; name another")
                 continue
@@ -150,6 +152,15 @@ class Manifest:
             return os.path.normpath(audio)
         joined = f"{self._folder}/{audio}"
         return joined if is_url(joined) else os.path.normpath(joined)
+
+    def _is_in_out(self, audio: str) -> bool:
+        """Return whether a sound is in the output folder, also through a link to a folder."""
+        if f"{audio}/".startswith(f"{self.out}/"):
+            return True
+        if is_url(audio) or is_url(self.out):
+            return False
+        folder = _true_folder(audio.rpartition("/")[0])
+        return f"{folder}/".startswith(f"{self._true_out.rstrip('/')}/")
 
     # ------------------------------------------------------------------------------------- rows
 
@@ -316,6 +327,12 @@ class Manifest:
             advice = "list them in a manifest with an id each" if self.is_listing else "give ids"
             mistakes.add(f"{self._name}:{second}", f"has the same id as {what} {first}; {advice}")
         mistakes.count += max(0, len(again) - SHOWN_MAX)
+
+
+@lru_cache(maxsize=1024)
+def _true_folder(folder: str) -> str:
+    """Return a folder's path without links."""
+    return os.path.realpath(folder)
 
 
 @lru_cache(maxsize=1024)

@@ -16,6 +16,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path, PurePosixPath
 from typing import Any, Protocol, TypeVar
 
@@ -30,14 +31,24 @@ RECORD = ".json"
 """Ending of a record's name, after the name of its result."""
 
 PART = ".part+"
-"""How the name of a result under way begins; host, process and a random number follow."""
+"""How the name of a result under way begins. Host, the numbering of its processes, process and a
+random number follow: containers of one host number their processes on their own."""
 
 ATOMIC = frozenset({"s3", "s3a", "gs", "gcs", "az", "abfs", "abfss", "adl", "memory"})
 """Storages in which an upload appears whole; elsewhere it is uploaded and then renamed."""
 
 
+@cache
+def _machine_start() -> str:
+    """Return how the names of parts begin that processes make which this one can see."""
+    numbering = 0
+    with contextlib.suppress(OSError):
+        numbering = Path("/proc/self/ns/pid").stat().st_ino
+    return f"{PART}{socket.gethostname()}+{numbering}+"
+
+
 def _part_start(process: int) -> str:
-    return f"{PART}{socket.gethostname()}+{process}+"
+    return f"{_machine_start()}{process}+"
 
 
 @dataclass(frozen=True)
@@ -174,7 +185,9 @@ class LocalStorage:
         if folder in self._tidy:
             return
         self._tidy.add(folder)
-        for part in folder.glob(f"{PART}{socket.gethostname()}+*"):
+        # Some file systems have parts of parts, see `AtomicFile`: a dot and the name, and more.
+        start = _machine_start()
+        for part in [*folder.glob(f"{start}*"), *folder.glob(f".{start}*")]:
             process = part.name.split("+")[-2]
             if process.isdigit() and not Path("/proc", process).exists():
                 part.unlink(missing_ok=True)

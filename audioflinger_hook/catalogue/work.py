@@ -15,6 +15,7 @@ from typing import Any, Literal
 
 from audioflinger_hook.catalogue.addresses import is_url, scrubbed
 from audioflinger_hook.catalogue.item import Item
+from audioflinger_hook.catalogue.listing import is_same
 from audioflinger_hook.catalogue.measures import VibrationMeter
 from audioflinger_hook.catalogue.recipe import VERSION, Recipe
 from audioflinger_hook.catalogue.storage import (
@@ -137,6 +138,8 @@ def _render(
     start_s = timing.clock()
     settings = recipe.settings_of(item)
     name = recipe.name(item)
+    if is_same(item.audio, f"{recipe.out}/{name}"):  # a link in the folder of the sounds
+        raise UsageError(f"{item.audio} is the file that its result would replace; name another id")
 
     def make(target: Path) -> dict[str, Any]:
         tap = open_sound(path, item, recipe)

@@ -20,6 +20,7 @@ from audioflinger_hook.catalogue.executors import (
     ThisProcess,
 )
 from audioflinger_hook.catalogue.item import Item
+from audioflinger_hook.catalogue.listing import is_same
 from audioflinger_hook.catalogue.manifest import Manifest
 from audioflinger_hook.catalogue.page import Page
 from audioflinger_hook.catalogue.recipe import Recipe
@@ -122,6 +123,8 @@ def _work(job: _Job, total: int, options: argparse.Namespace) -> int:
     job.timing.repeated(lambda: storage.write(RECIPE, described.encode()))
     index, shards = job.shard
     name = "failed.jsonl" if shards == 1 else f"failed-{index}-of-{shards}.jsonl"
+    # A run on the list of failures itself that ends early must not forget the rest of it.
+    on_failures = is_same(job.manifest.address, f"{job.recipe.out}/{name}")
     summary = Summary()
     stopped = ""
     with ExitStack() as stack:
@@ -141,10 +144,12 @@ def _work(job: _Job, total: int, options: argparse.Namespace) -> int:
                     if stopped := _reason_to_stop(batch, summary, options.max_failures):
                         break
         except BaseException:
-            with suppress(CushionError):
-                failures.save(storage, name)
+            if not on_failures:
+                with suppress(CushionError):
+                    failures.save(storage, name)
             raise
-        job.timing.repeated(lambda: failures.save(storage, name))
+        if not (stopped and on_failures):
+            job.timing.repeated(lambda: failures.save(storage, name))
         if page:
             page.write(options.report, summary)
     if stopped:

@@ -69,8 +69,12 @@ def run(options: argparse.Namespace) -> int:
             return again, changes
 
         def follow_edits(values: Edits, muted: bool) -> RunConfig:
-            """Apply what a page changes."""
-            return follow(values, muted)[0]
+            """Apply what a page changes; another mute, whatever state the file is in."""
+            if muted == supervisor.config.muted:
+                return follow(values, muted)[0]
+            again = dataclasses.replace(supervisor.config, muted=muted)
+            supervisor.follow(again, time.monotonic())
+            return again
 
         def follow_config(_now_s: float) -> str:
             """Reload the config and return the changes."""

@@ -31,13 +31,13 @@ from device.alsa import find_playback, list_cards
 from device.alsa.cards import list_playbacks
 from device.drive import ActuatorSettings
 from device.errors import LostError, NotFoundError, UsageError
-from device.server import PulseConnection
+from device.server import PulseConnection, ServerSnapshot
 from device.stream import PcmConfig, filter_stderr
 from device.usb import find_devices
 from device.values import nearest
 
 SPEECH_FREE = "speech-free"
-SPEECH_SUPPRESSION_DB = 12.0
+SPEECH_KEY, SPEECH_SUPPRESSION_DB = "transform.speech_suppression_db", 12.0
 
 PLAYED = {
     "cinema": "films, and everything else",
@@ -73,7 +73,7 @@ def run(options: argparse.Namespace) -> int:
     values: dict[str, Any] = {"device": choice.output.address}
     if choice.level_db is not None:
         values["gain_db"] = choice.level_db
-    values |= _profile_values(profile or _ask_profile(options.yes, before))
+    values |= _profile_values(profile or _ask_profile(options.yes, before), before)
     text = _new_text(path, before, values, choice.channels)
     if text == before:
         print(f"\n{path} says this already.")
@@ -135,7 +135,7 @@ def _choose_output(
         while True:
             outputs = _outputs(connection)
             if named is not None:
-                output = _named(named, outputs, connection)
+                output = _named(named, outputs, connection.latest)
             else:
                 output = _first(outputs) if options.yes else _ask_output(outputs)
             _warn_of_sound(output, options.yes, named is not None)
@@ -170,7 +170,7 @@ def _outputs(connection: PulseConnection) -> list[Output]:
     return list_outputs(connection.latest, find_devices().devices, playbacks)
 
 
-def _named(device: DeviceAddress, outputs: list[Output], connection: PulseConnection) -> Output:
+def _named(device: DeviceAddress, outputs: list[Output], snapshot: ServerSnapshot) -> Output:
     """Return the output of a name. NotFoundError: there is none of this name."""
     if device.kind not in ("sink", "usb", "hw"):
         raise UsageError(
@@ -180,9 +180,10 @@ def _named(device: DeviceAddress, outputs: list[Output], connection: PulseConnec
     if device.kind == "hw":
         find_playback(device.name)
     else:
-        sink = device.sink(connection.latest)
+        sink = device.sink(snapshot)
         for output in outputs:
-            if parse_device(output.address).sink(connection.latest) == sink:
+            listed = parse_device(output.address)
+            if listed.kind != "hw" and listed.sink(snapshot) == sink:
                 return replace(output, address=str(device))
     return Output(str(device), device.name, 0, "the named output")
 
@@ -245,12 +246,17 @@ def _ask_profile(yes: bool, before: str | None) -> str:
     return profiles[pick("Played:", [f"{PLAYED[name]} ({name})" for name in profiles], 0)]
 
 
-def _profile_values(profile: str) -> dict[str, Any]:
-    """Return the keys of a profile; none for "", which changes nothing."""
+def _profile_values(profile: str, before: str | None = None) -> dict[str, Any]:
+    """Return the keys of a profile; None removes a key, and "" changes none.
+
+    before: the config's text. What an earlier set-up wrote for `SPEECH_FREE` ends with it.
+    """
     if profile == SPEECH_FREE:
-        values = {"transform.speech_suppression_db": SPEECH_SUPPRESSION_DB}
-        return {"profile": LIVE_DEFAULT, **values}
-    return {"profile": profile} if profile else {}
+        return {"profile": LIVE_DEFAULT, SPEECH_KEY: SPEECH_SUPPRESSION_DB}
+    values: dict[str, Any] = {"profile": profile} if profile else {}
+    if profile and before and _of(_document(before), SPEECH_KEY) == SPEECH_SUPPRESSION_DB:
+        values[SPEECH_KEY] = None
+    return values
 
 
 def _new_text(
@@ -260,7 +266,7 @@ def _new_text(
     if before is None:
         text = commented_text(values, channels)
     else:
-        document = tomllib.loads(before.removeprefix("\ufeff"))
+        document = _document(before)
         changes = {name: value for name, value in values.items() if _of(document, name) != value}
         text = edited_text(before, changes) if changes else before
         if channels:
@@ -269,6 +275,10 @@ def _new_text(
     if mistakes:
         raise UsageError(f"{path} would have a mistake: {mistakes[0]}; {NOTHING_WRITTEN}")
     return text
+
+
+def _document(text: str) -> dict[str, Any]:
+    return tomllib.loads(text.removeprefix("\ufeff"))
 
 
 def _of(document: dict[str, Any], name: str) -> Any:

@@ -56,7 +56,7 @@ class EngineSwitch:
         self._seen_s: float | None = None
         self._played_s = -QUIET_S
         self._refused: dict[str, str] = {}
-        self._volume_of: int | None = None
+        self._volume_of: tuple[PulseConnection, int] | None = None
         self.sound_gain = 1.0
         self.native: NativeEngine | None = None
         self.reason = "nothing has played yet"
@@ -169,9 +169,10 @@ class EngineSwitch:
 
     def _set_volume(self, device: Sink, connection: PulseConnection, volume: DeviceVolume) -> None:
         set_volume = partial(connection.set_sink_volume_db, device.name)
-        if self._volume_of != device.index:
-            self._volume_of = device.index
+        opened = connection, device.index  # another server may give the same index
+        if self._volume_of != opened:
             volume.set(set_volume)
+            self._volume_of = opened
         else:
             volume.update(set_volume)
 

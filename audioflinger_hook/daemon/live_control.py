@@ -45,6 +45,9 @@ KEYS_MAX = 16
 TONE_S = 20.0
 """A test tone ends by itself after this time: the page that started it may be gone."""
 
+TONE_END_S = 2.0
+"""Longest wait for a tone that is stopped; its fade takes 0.1 s."""
+
 
 @dataclass(eq=False)
 class _Request:
@@ -57,10 +60,10 @@ class _Request:
 class LiveControl:
     """Requests of pages, carried out by the main thread; a `Live` of the status server.
 
-    supervisor: whose state is shown. edits: changes to its config. follow: applies edits and mute,
-    and returns the new config; it raises a CushionError and changes nothing where it cannot. ring:
-    wakes the main thread. config: that applies. page: address of a page that watches, "" for none.
-    settings: what pages show of the config.
+    supervisor: whose state is shown. edits: changes to its config. follow: applies edits, or
+    another mute alone, and returns the new config; it raises a CushionError and changes nothing
+    where it cannot. ring: wakes the main thread. config: that applies. page: address of a page that
+    watches, "" for none. settings: what pages show of the config.
 
     The server's threads call `frame` and `control`, the main thread `work` and `close`.
     """
@@ -128,7 +131,11 @@ class LiveControl:
         """End the test tone."""
         if self._tone is not None:
             self._tone.terminate()
-            self._tone.wait()
+            try:
+                self._tone.wait(TONE_END_S)
+            except subprocess.TimeoutExpired:  # a sound server that hangs must not stop the daemon
+                self._tone.kill()
+                self._tone.wait()
             self._tone = None
 
     def _carry_out(self, asked: dict[str, Any]) -> dict[str, Any]:
@@ -180,7 +187,8 @@ class LiveControl:
     def _mute(self, muted: object) -> None:
         if not isinstance(muted, bool):
             raise UsageError("mute takes true or false")
-        self._apply(self._edits.values, muted)
+        if muted != self._config.muted:
+            self._apply(self._edits.values, muted)
 
     def _undo(self) -> None:
         self._apply(self._edits.without_last(), self._config.muted)
@@ -190,8 +198,8 @@ class LiveControl:
         self._config = self._follow(edits, muted)
 
     def _play_tone(self, wanted: object) -> None:
-        self.close()
         if wanted is None or wanted is False:
+            self.close()
             return
         chosen = wanted if isinstance(wanted, dict) else {}
         hz, level = chosen.get("hz", 60.0), chosen.get("level", 0.2)
@@ -208,6 +216,7 @@ class LiveControl:
                 f"{one_line(address)} cannot play a test tone; allowed: a sink or a USB device of "
                 "the sound server that is there",
             )
+        self.close()
         # A process of its own, as for any application: nothing of the audio threads changes.
         self._tone = subprocess.Popen(
             [

@@ -107,6 +107,7 @@ class Access:
 
         hosts: all Host headers. own_address: this end of the connection, as an IP address.
         """
+        own_address = own_address.removeprefix("::ffff:")  # IPv4 that came by an IPv6 socket
         own = f"[{own_address}]" if ":" in own_address else own_address
         known = self._hosts | {f"{own}:{self._port}"}
         if len(hosts) == 1 and hosts[0].lower() in known:

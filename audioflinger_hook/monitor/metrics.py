@@ -37,7 +37,7 @@ class Source(Protocol):
 
 
 def metrics_text(source: Source) -> bytes:
-    """Return all metrics; without a daemon, `cushion_up` is 0 and the rest is left out."""
+    """Return all metrics; without a daemon's status, `cushion_up` is 0 and the rest left out."""
     registry = CollectorRegistry()
     registry.register(_Collector(source))
     return generate_latest(registry)
@@ -50,6 +50,8 @@ class _Collector:
     def collect(self) -> Iterator[Metric]:
         source = self._source
         status = source.latest.get("status")
+        if status is not None and "error" in status:  # it could not be told
+            status = None
         yield _gauge("cushion_up", "Whether a daemon answers.", float(status is not None))
         yield _gauge("cushion_page_clients", "Browsers that are connected.", len(source))
         yield _counter(

@@ -259,7 +259,11 @@ class StatusServer:
         status_due_s, told, missed, seldom = now_s, None, 0, False
         while True:
             if not rest:
-                rest, seldom = live.frame(missed, in_memory=in_memory)
+                try:
+                    rest, seldom = live.frame(missed, in_memory=in_memory)
+                except Exception as error:  # an engine that ends meanwhile must not end this thread
+                    client.send(_error(f"no frame: {type(error).__name__}: {error}"))
+                    return
                 if live.settings is not told:
                     told, status_due_s = live.settings, now_s
                     rest += json.dumps({"settings": told}).encode() + b"\n"

@@ -5,6 +5,7 @@ import json
 import os
 import random
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -13,7 +14,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from audioflinger_hook.catalogue.storage import PART
+from audioflinger_hook.catalogue.storage import PART, LocalStorage
 from tests.support.catalogues import library, manifest, results, rows
 from tests.support.commands import call, cushion, environment, start, until
 
@@ -100,6 +101,24 @@ def test_a_killed_client_loses_nothing_and_leaves_no_process(sounds, expected, t
     assert json.loads(done.stdout)["skipped"] == len(before)
     assert results(out) == expected
     assert before.items() <= finished(out).items()
+
+
+def test_only_parts_of_dead_processes_that_this_one_can_see_are_removed(tmp_path):
+    out = tmp_path / "out"
+    out.mkdir()
+    host, numbering = socket.gethostname(), Path("/proc/self/ns/pid").stat().st_ino
+    with subprocess.Popen(["true"]) as ended:
+        pass
+    dead = f"{PART}{host}+{numbering}+{ended.pid}+0123.wav"
+    kept = [
+        f"{PART}{host}+{numbering}+{os.getpid()}+0123.wav",
+        f"{PART}{host}+{numbering + 1}+{ended.pid}+0123.wav",  # of another container
+        f"{PART}other+{numbering}+{ended.pid}+0123.wav",
+    ]
+    for name in (dead, f".{dead}.4567.part", *kept):
+        (out / name).touch()
+    LocalStorage(out).put("a.wav", lambda path: path.write_bytes(b"a"))
+    assert sorted(path.name for path in out.iterdir()) == sorted(["a.wav", *kept])
 
 
 @pytest.mark.parametrize(

@@ -210,6 +210,21 @@ def test_a_hundred_mistakes_are_listed_and_all_are_counted(tmp_path):
     assert done.stderr.endswith("1134 more mistakes in the manifest\n")
 
 
+def test_an_output_folder_that_a_link_names_is_known(tmp_path):
+    library(library(tmp_path / "music", 1) / "new", 1)
+    (tmp_path / "link").symlink_to("music")
+    with pytest.raises(UsageError, match="is the folder of the sounds"):
+        Manifest(str(tmp_path / "music"), str(tmp_path / "link"))
+    found = items(tmp_path / "music", str(tmp_path / "link/new"))
+    assert [item.id for item in found] == ["s00"]
+    audio = ("music/s00.wav", "link/new/s00.wav")
+    listed = manifest(tmp_path / "l.jsonl", *({"audio": one} for one in audio))
+    for out in ("link", "music"):
+        _, wrong = Manifest(str(listed), str(tmp_path / out)).check()
+        assert wrong.count == 2
+        assert all("is in the output folder" in text for text in wrong.shown)
+
+
 @pytest.mark.parametrize("content", ["", "\n\n", "audio,id\n"])
 def test_a_manifest_without_items_is_refused(tmp_path, content):
     path = tmp_path / ("l.csv" if "audio" in content else "l.jsonl")

@@ -7,6 +7,7 @@ import re
 import pytest
 import s3fs
 
+from audioflinger_hook.catalogue.addresses import scrubbed
 from tests.support.catalogues import library, manifest, results
 from tests.support.commands import call, cushion
 from tests.support.s3_server import BUCKET, KEY, SECRET, s3_server
@@ -145,6 +146,25 @@ def test_credentials_in_addresses_are_refused_and_never_shown(tmp_path, argument
     written = [path.read_text() for path in tmp_path.rglob("*.json*") if path.name != "list.jsonl"]
     for text in (done.stdout, done.stderr, *written):
         assert not re.search(r"hidden\d", text)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "sent Authorization: Bearer hidden1",
+        "headers {'Authorization': 'Bearer hidden1', 'Cookie': 'a=hidden2; b=hidden3'}",
+        '{"password": "hidden1 hidden2"}',
+        'told "{\\"access_token\\": \\"hidden1 hidden2\\"}"',
+        "GET /a/blob.wav?sv=2020&sig=hidden1%3D",
+        "signed with aB1/hidden1/+xyz",
+    ],
+)
+def test_what_storages_say_of_credentials_is_left_out(text, monkeypatch):
+    monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "aB1/hidden1/+xyz")
+    monkeypatch.setenv("SOME_KEY_FILE", "/etc/hosts")
+    found = scrubbed(f"/etc/hosts: {text}")
+    assert "hidden" not in found
+    assert found.startswith("/etc/hosts: ")
 
 
 def test_without_fsspec_local_paths_work_and_urls_name_the_extra(tmp_path):

@@ -226,6 +226,29 @@ def test_one_bad_file_ends_nothing_and_the_list_of_failures_is_a_manifest(tmp_pa
     assert summary(folder, "--out", out, "--workers", 1)[0]["skipped"] == 4
 
 
+def test_a_result_never_replaces_the_sound_that_it_is_made_of(tmp_path):
+    out = library(tmp_path / "music", 1)
+    before = (out / "s00.wav").read_bytes()
+    (tmp_path / "links").mkdir()
+    (tmp_path / "links/s00.wav").symlink_to(out / "s00.wav")
+    assert summary(tmp_path / "links", "--out", out, "--workers", 1)[0]["failed"] == 1
+    assert (out / "s00.wav").read_bytes() == before
+    assert "is the file that its result would replace" in rows(out / "failed.jsonl")[0]["error"]
+
+
+def test_a_run_on_the_list_of_failures_that_ends_early_keeps_the_list(tmp_path):
+    folder, out = library(tmp_path / "in"), tmp_path / "out"
+    for index in range(3):
+        (folder / f"s0{index}.wav").write_text("no sound")
+    assert summary(folder, "--out", out, "--workers", 1)[0]["failed"] == 3
+    again = (out / "failed.jsonl", "--out", out, "--workers", 1)
+    assert summary(*again, "--max-failures", 0)[0]["failed"] == 1
+    assert [row["id"] for row in rows(out / "failed.jsonl")] == ["s00", "s01", "s02"]
+    shutil.copy(folder / "s03.wav", folder / "s01.wav")
+    assert summary(*again)[0]["failed"] == 2
+    assert [row["id"] for row in rows(out / "failed.jsonl")] == ["s00", "s02"]
+
+
 def test_a_failed_item_keeps_everything_that_its_line_said(tmp_path):
     line = {
         "audio": "gone.mkv", "id": "x/y", "start_s": 1.5, "duration_s": 2.0, "channels": [0, 1],

@@ -8,13 +8,22 @@ import numpy as np
 import pytest
 
 from audioflinger_hook.cli import setup_files
-from audioflinger_hook.cli.outputs import COILS, SOUND, USB, advice_for, list_outputs
-from audioflinger_hook.cli.setup import PLAYED, SPEECH_FREE
+from audioflinger_hook.cli.outputs import (
+    CARD,
+    COILS,
+    SOUND,
+    USB,
+    Output,
+    advice_for,
+    list_outputs,
+)
+from audioflinger_hook.cli.setup import PLAYED, SPEECH_FREE, _named, _new_text, _profile_values
 from audioflinger_hook.cli.tone import Tone
 from audioflinger_hook.config.commented import commented_text
 from audioflinger_hook.config.file import check_text
 from audioflinger_hook.config.profiles import LIVE_DEFAULT, PROFILES
 from audioflinger_hook.config.schema import keys_of
+from device.address import parse_device
 from device.errors import UsageError
 from device.server import ServerSnapshot
 from device.server.snapshot import Sink
@@ -100,6 +109,14 @@ def test_voice_coils_come_first_and_what_plays_the_sound_last() -> None:
     assert "channels 3 and 4" in found[0].note
 
 
+def test_a_named_output_is_found_behind_a_card_that_no_server_uses() -> None:
+    seen = snapshot(sink("speakers"))
+    card = Output("hw:Card,0", "a card", CARD, "")
+    speakers = Output("sink:speakers", "", SOUND, "plays the sound")
+    found = _named(parse_device("speakers"), [card, speakers], seen)
+    assert found.plays_the_sound
+
+
 def test_our_own_sinks_are_no_outputs() -> None:
     assert list_outputs(snapshot(sink("cushion"), sink(FALLBACK_SINK)), (), ()) == []
 
@@ -136,6 +153,20 @@ def test_a_new_config_holds_every_top_level_key_and_says_what_was_chosen(device:
     given = [line for line in lines if line.partition(" = ")[0] in keys_of("") and " = " in line]
     bare = "\n".join(given)
     assert check_text(bare, Path(), LIVE_DEFAULT)[1] == []  # every default is a valid value
+
+
+@pytest.mark.parametrize("profile", ["cinema", "game"])
+def test_another_choice_ends_what_was_written_to_leave_out_speech(home: Path, profile: str) -> None:
+    path = home / "config.toml"
+    first = {"device": "sink:haptic", **_profile_values(SPEECH_FREE)}
+    text = _new_text(path, None, first, ())
+    text = _new_text(path, text, _profile_values(profile, text), ())
+    found, _ = check_text(text, home, LIVE_DEFAULT)
+    assert found is not None
+    assert found.settings.profile == profile
+    assert found.settings.parameters.speech_suppression_db == 0.0
+    own = text + "speech_suppression_db = 6.0\n"  # its section is the last one
+    assert _new_text(path, own, _profile_values(profile, own), ()) == own
 
 
 def test_undoing_gives_back_each_earlier_state_and_keeps_later_edits(home: Path) -> None:

@@ -3,16 +3,27 @@
 from __future__ import annotations
 
 import json
+import signal
 import socket
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 
+from audioflinger_hook.config.edits import LiveEdits
+from audioflinger_hook.config.settings import LiveSettings, Settings
+from audioflinger_hook.daemon import live_control
+from audioflinger_hook.daemon.live_control import LiveControl
+from audioflinger_hook.daemon.run_config import RunConfig
+from audioflinger_hook.daemon.supervisor import Supervisor
 from audioflinger_hook.service.status_server import NAME
+from audioflinger_hook.sources import TapAddress
+from device.address import DeviceAddress
 from tests.servers.listening import wait_for
 from tests.support.commands import environment
 from tests.support.recordings import ROOT
@@ -171,6 +182,61 @@ def test_mute_silences_and_is_not_saved(daemon: Daemon) -> None:
     assert "mute" not in daemon.config.read_text()
     assert daemon.ask(mute=False) == {"done": True}
     assert not daemon.watch("status")["muted"]
+
+
+def test_mute_works_while_the_file_has_mistakes_and_changes_nothing_else(daemon: Daemon) -> None:
+    text, before = daemon.config.read_text(), daemon.value("gain_db")
+    try:
+        daemon.config.write_text(f"{text}profile = 7\n")
+        assert "profile" in daemon.ask(set={"gain_db": -7.0})["error"]
+        assert daemon.ask(mute=True) == {"done": True}
+        assert daemon.settings()["muted"]
+        daemon.config.write_text("gain_db = 0.0\n")
+        assert daemon.ask(mute=False) == {"done": True}
+        assert daemon.value("gain_db") == before
+    finally:
+        daemon.config.write_text(text)
+
+
+@pytest.fixture
+def control(tmp_path: Path) -> Iterator[LiveControl]:
+    """What controls a daemon on a sink; nothing carries out its requests but `work`."""
+    config = RunConfig(
+        TapAddress("default"), DeviceAddress("sink", "a"), Settings(), LiveSettings()
+    )
+    supervisor = cast(Supervisor, SimpleNamespace(endpoints=(("default", "b"), ("sink:a", "a"))))
+    edits = LiveEdits(tmp_path / "config.toml")
+    made = LiveControl(supervisor, edits, lambda *_: config, lambda: None, config)
+    yield made
+    made.close()
+
+
+def play(control: LiveControl, program: str) -> subprocess.Popen[bytes]:
+    """Let a program be the test tone that plays, once it has said that it runs."""
+    control._tone = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE)
+    assert control._tone.stdout is not None
+    assert control._tone.stdout.readline() == b"on\n"
+    control._tone.stdout.close()
+    return control._tone
+
+
+def test_a_tone_that_is_refused_leaves_the_one_that_plays(control: LiveControl) -> None:
+    tone = play(control, "import time; print('on', flush=True); time.sleep(60)")
+    refused = threading.Thread(target=control.control, args=({"tone": {"hz": 5}},))
+    refused.start()
+    while refused.is_alive():
+        control.work()
+    assert tone.poll() is None
+
+
+def test_a_tone_that_does_not_end_is_killed(
+    control: LiveControl, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(live_control, "TONE_END_S", 0.1)
+    ignore = "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); "
+    tone = play(control, f"{ignore}print('on', flush=True); time.sleep(10)")
+    control.close()
+    assert tone.returncode == -signal.SIGKILL
 
 
 def test_a_file_that_cannot_be_written_is_told_and_nothing_is_lost(daemon: Daemon) -> None:

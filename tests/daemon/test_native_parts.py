@@ -7,7 +7,8 @@ import shutil
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from audioflinger_hook.config.settings import LiveSettings, Settings
+from audioflinger_hook.daemon.engine_switch import EngineSwitch
 from audioflinger_hook.daemon.handover import (
     DIP_S,
     DRAINED_S,
@@ -38,13 +40,16 @@ from audioflinger_hook.daemon.native.page import Page
 from audioflinger_hook.daemon.native.plan import ChainPlan, device_map, device_ports
 from audioflinger_hook.daemon.native.ports import in_mixing_order, port_names
 from audioflinger_hook.daemon.native.taps import tap_of, why_not_applications
+from audioflinger_hook.daemon.outputs.base import DeviceVolume
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.daemon.soft_fade import FADE_S, SoftFade
 from audioflinger_hook.mixer.layouts import layout
+from audioflinger_hook.service.state import StateKeeper
 from audioflinger_hook.sources import parse_tap
 from device.address import parse_device
 from device.drive import ActuatorSettings
 from device.errors import UsageError
+from device.server import PulseConnection
 from device.server.snapshot import ServerSnapshot, Sink, Source, Stream
 
 STEREO = "front-left,front-right"
@@ -331,3 +336,20 @@ def test_the_native_engine_is_silent_until_streams_have_joined_or_do_not_open() 
     assert dip.is_over(1.06 + OPENED_S)
     dip.end()
     assert not dip.is_under_way
+
+
+def test_the_volume_is_set_again_on_another_server_that_gives_the_same_index(
+    tmp_path: Path,
+) -> None:
+    config = RunConfig(
+        parse_tap("default"), parse_device("sink:dac"), Settings(), LiveSettings(device="dac")
+    )
+    switch = EngineSwitch(config, tmp_path, StateKeeper(0.0), lambda: None)
+    volume, levels_db = DeviceVolume(-6.0), list[tuple[str, float]]()
+    for name in "ab":
+        server = SimpleNamespace(
+            set_sink_volume_db=lambda _sink, level_db, name=name: levels_db.append((name, level_db))
+        )
+        for _ in range(2):
+            switch._set_volume(sink(), cast(PulseConnection, server), volume)
+    assert levels_db == [("a", -6.0), ("b", -6.0)]

@@ -49,8 +49,11 @@ def test_a_server_that_is_lost_meanwhile_is_no_refusal_of_the_device() -> None:
     def lose(wanted_db: float) -> None:
         raise LostError("gone")
 
+    volume, levels_db = DeviceVolume(-6.0), list[float]()
     with pytest.raises(LostError):
-        DeviceVolume(-6.0).set(lose)
+        volume.set(lose)
+    volume.update(levels_db.append)
+    assert levels_db == [-6.0]
 
 
 def test_more_than_the_rig_allows_is_never_set_and_that_is_told() -> None:

@@ -13,7 +13,8 @@ import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from audioflinger_hook.monitor.access import TOKEN_NAME, Access, Listen, load_token
-from audioflinger_hook.monitor.clients import CLIENTS_MAX
+from audioflinger_hook.monitor.clients import CLIENTS_MAX, Clients
+from audioflinger_hook.monitor.metrics import metrics_text
 from audioflinger_hook.monitor.server import CONNECTIONS_MAX, FILES, MESSAGE_BYTES_MAX
 from audioflinger_hook.service.runtime_folder import RuntimeFolder
 from device.errors import UsageError
@@ -333,6 +334,16 @@ def test_another_name_of_this_computer_works_where_the_network_may_connect() -> 
     assert access.refuse_host([f"{os.uname().nodename.lower()}:8765"], "192.0.2.1") == ""
     assert access.refuse_host(["192.0.2.1:8765"], "192.0.2.9") != ""
     assert access.refuse_origin(["http://192.0.2.1:8765"], "192.0.2.1:8765", needed=True) == ""
+    access = Access(Listen.parse("[::]:8765"), "0" * 32)
+    assert access.refuse_host(["192.0.2.1:8765"], "::ffff:192.0.2.1") == ""
+    assert access.refuse_host(["[2001:db8::1]:8765"], "2001:db8::1") == ""
+    assert access.refuse_host(["192.0.2.9:8765"], "::ffff:192.0.2.1") != ""
+
+
+def test_metrics_of_a_daemon_whose_status_cannot_be_told_say_that_it_is_not_up() -> None:
+    clients = Clients()
+    clients.tell("status", {"error": "the status is not available: OSError"})
+    assert b"cushion_up 0.0" in metrics_text(clients)
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,12 @@ from typing import Any
 
 import pytest
 
-from audioflinger_hook.service.status_server import NAME, PROTOCOL, WATCHERS_MAX
+from audioflinger_hook.service.status_server import (
+    CLIENTS_MAX,
+    NAME,
+    PROTOCOL,
+    WATCHERS_MAX,
+)
 from tests.monitor.stand_in import LIMIT_S, Settings, daemon_socket
 from tests.servers.listening import wait_for
 
@@ -140,6 +145,23 @@ def test_requests_are_answered_in_order(live: Settings, folder: Path) -> None:
             client.ask(ask="control", set={"gain_db": -number})
         assert [client.next() for _ in range(9)] == [{"done": True}] * 9
     assert [asked["set"]["gain_db"] for asked in live.requests] == [-n for n in range(10)]
+
+
+def test_a_frame_that_cannot_be_made_costs_no_thread(
+    live: Settings, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(_missed: int, *, in_memory: bool) -> tuple[bytes, bool]:
+        raise AttributeError("the engine has ended")
+
+    with monkeypatch.context() as broken:
+        broken.setattr(live, "frame", fail)
+        for _ in range(CLIENTS_MAX + 1):
+            with Client(folder, ask="watch") as client:
+                assert client.next()["hello"]
+                assert "the engine has ended" in client.next()["error"]
+                assert client.lines.readline() == b""
+    with Client(folder, ask="watch") as client:
+        assert client.next_with("frame")["state"] == "running"
 
 
 def test_a_request_over_4_kib_is_refused(live: Settings, folder: Path) -> None:

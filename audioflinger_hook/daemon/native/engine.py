@@ -76,12 +76,14 @@ class NativeEngine:
     @property
     def plan(self) -> ChainPlan | None:
         """What the chain does, None before the first one."""
-        return self._current.chain.plan if self._current else None
+        current = self._current  # another thread may ask
+        return current.chain.plan if current else None
 
     @property
     def process_id(self) -> int:
         """Number of the chain's process, 0 for none."""
-        return self._current.chain.process_id if self._current else 0
+        current = self._current
+        return current.chain.process_id if current else 0
 
     @property
     def is_steady(self) -> bool:
@@ -104,16 +106,19 @@ class NativeEngine:
 
     def readings(self) -> TransformReadings | None:
         """Return what the transform reports, None before the first chain."""
-        return self._current.chain.page.readings() if self._current else None
+        current = self._current
+        return current.chain.page.readings() if current else None
 
     @property
     def page(self) -> Page | None:
         """The page of the chain that plays, None before the first one."""
-        return self._current.chain.page if self._current else None
+        current = self._current
+        return current.chain.page if current else None
 
     def level(self, slot: int) -> Level:
         """Return the level of an actuator."""
-        return self._current.chain.page.level(slot) if self._current else Level()
+        current = self._current
+        return current.chain.page.level(slot) if current else Level()
 
     def follow(self, config: RunConfig) -> None:
         """Use another config; what the plugin cannot change itself needs a new chain."""

@@ -255,22 +255,24 @@ class DeviceVolume:
 
         NotFoundError: it cannot be set, so the device must not play. LostError: the server is lost.
         """
-        self._last, self.warning = (self.wanted_db, self.limit_db), ""
-        if self.wanted_db is None:
-            return
-        if self.wanted_db > self.limit_db:
+        self._last, self.warning = None, ""
+        if self.wanted_db is not None:
+            self._set(self.wanted_db, set_volume)
+        self._last = (self.wanted_db, self.limit_db)
+
+    def _set(self, wanted_db: float, set_volume: SetVolume) -> None:
+        if wanted_db > self.limit_db:
             self.warning = (
-                f"device_volume_db = {self.wanted_db:g}: the rig allows at most "
+                f"device_volume_db = {wanted_db:g}: the rig allows at most "
                 f"{self.limit_db:g} dB, which is set instead"
             )
         try:
-            set_volume(min(self.wanted_db, self.limit_db))
+            set_volume(min(wanted_db, self.limit_db))
         except LostError:
             raise
         except CushionError as error:
-            self._last = None
             raise NotFoundError(
-                f"device_volume_db = {self.wanted_db:g} cannot be set, so nothing is played and a "
+                f"device_volume_db = {wanted_db:g} cannot be set, so nothing is played and a "
                 f"mute stays: {error}; choose another level, or --device-volume-db off, which "
                 "plays with the device's own level and mute"
             ) from None
