@@ -17,7 +17,7 @@ from audioflinger_hook.transform import TRANSFORM_VERSION
 from device.errors import UsageError
 from device.rig.rig_file import SHIPPED
 
-VERSION = f"{TRANSFORM_VERSION}.1"
+VERSION = f"{TRANSFORM_VERSION}.2"
 """Version of the transform, and of everything else that decides a result's bytes."""
 
 
