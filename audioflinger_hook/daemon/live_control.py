@@ -187,6 +187,8 @@ class LiveControl:
     def _mute(self, muted: object) -> None:
         if not isinstance(muted, bool):
             raise UsageError("mute takes true or false")
+        if muted:  # the tone is a program of its own, which the engine's mute does not reach
+            self.close()
         if muted != self._config.muted:
             self._apply(self._edits.values, muted)
 

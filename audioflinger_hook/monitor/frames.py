@@ -114,6 +114,8 @@ class Frames:
             return
         with suppress(CushionError, OSError, ValueError, KeyError, TypeError):
             name, channels, actuators = where["name"], where["channels"], where["actuators"]
+            if not isinstance(channels, int) or not isinstance(actuators, int):
+                return
             if "/" in name or not 1 <= channels <= CHANNELS or not 1 <= actuators <= ACTUATORS:
                 return
             with RuntimeFolder(self._environ, create=False) as folder:

@@ -229,6 +229,15 @@ def test_a_tone_that_is_refused_leaves_the_one_that_plays(control: LiveControl) 
     assert tone.poll() is None
 
 
+def test_mute_ends_the_test_tone_as_well(control: LiveControl) -> None:
+    tone = play(control, "import time; print('on', flush=True); time.sleep(60)")
+    muting = threading.Thread(target=control.control, args=({"mute": True},))
+    muting.start()
+    while muting.is_alive():
+        control.work()
+    assert tone.poll() is not None
+
+
 def test_a_tone_that_does_not_end_is_killed(
     control: LiveControl, monkeypatch: pytest.MonkeyPatch
 ) -> None:

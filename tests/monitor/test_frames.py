@@ -95,6 +95,7 @@ def test_the_daemon_makes_few_frames_for_a_client_that_reads_its_memory(
         {"name": "memory", "channels": 9, "actuators": 1},
         {"name": "memory", "channels": 2, "actuators": 1 << 40},
         {"name": "memory", "channels": "2", "actuators": 1},
+        {"name": "memory", "channels": 2.0, "actuators": 1},
         {"name": 5, "channels": 2, "actuators": 1},
         {},
     ],
