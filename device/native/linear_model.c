@@ -83,6 +83,7 @@ static size_t move(const Py_buffer *views, size_t start, size_t stop, double lim
     const size_t quantities = (size_t)views[WEIGHTS].shape[0], all = (size_t)views[VOLTS].shape[0];
     double filtered[TAPS + TOGETHER], *moved = views[MOVED].buf;
     size_t replaced = 0;
+    const unsigned long long numbers = flush_tiny_numbers();
     while (start < stop) {
         const size_t left = stop - start, frames = left < TOGETHER ? left : TOGETHER;
         memcpy(filtered, last, TAPS * sizeof(double));
@@ -93,6 +94,7 @@ static size_t move(const Py_buffer *views, size_t start, size_t stop, double lim
         memcpy(last, filtered + frames, TAPS * sizeof(double));
         start += frames;
     }
+    usual_numbers(numbers);
     return replaced;
 }
 

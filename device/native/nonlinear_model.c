@@ -254,6 +254,7 @@ static PyObject *on_arrays(PyObject *const *arguments, Py_ssize_t count_given, i
             Path *path = views[STATE].buf;
             const int large = work.map_size > 100;
             size_t found;
+            const unsigned long long tiny = flush_tiny_numbers();
             if (arrays == ARRAYS) {
                 Pair *pair = views[TWO].buf;
                 found = large ? count_on_seat(&work, path, pair, numbers, last)
@@ -262,6 +263,7 @@ static PyObject *on_arrays(PyObject *const *arguments, Py_ssize_t count_given, i
                 work.mask = (size_t)last;
                 found = large ? run_on_seat(&work, path, numbers) : run_on_ground(&work, path, numbers);
             }
+            usual_numbers(tiny);
             done = PyLong_FromSize_t(found);
         }
     }

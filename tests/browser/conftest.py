@@ -94,7 +94,9 @@ def room() -> Iterator[Room]:
             served(server) as monitor,
             browser() as chromium,
         ):
-            yield Room(server, daemon, monitor, chromium, config)
+            made = Room(server, daemon, monitor, chromium, config)
+            yield made
+            made.monitor.close()  # tests replace it
 
 
 @pytest.fixture

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import StateSpace, lsim
 
+from device import blocks
 from device.errors import UsageError
 from device.rig import PAPER
 from device.rig.actuator import QUANTITIES, LinearActuator
@@ -310,6 +311,20 @@ def test_in_silence_the_actuator_comes_to_rest_before_numbers_turn_denormal(chan
     mechanical = np.abs(motion[:, [0, 1, 3]])
     smallest = mechanical[mechanical > 0].min()
     assert smallest > 1e-250  # denormal below 2e-308
+
+
+@pytest.mark.skipif(blocks.compiled is None, reason="the compiled model alone has this setting")
+def test_no_part_of_the_compiled_state_stays_denormal_while_the_rest_decays():
+    # The current's own pole decays fifty times as fast as the motion: at 48 kHz it would stay at
+    # the smallest number, with which each sample takes several times as long.
+    actuator = LinearActuator(PAPER.actuator, 48_000.0)
+    actuator.move(np.ones(480))
+    for _ in range(35):
+        actuator.move(np.zeros(480))
+        state = np.abs(actuator._state)
+        assert not np.any((state > 0.0) & (state < np.finfo(np.float64).smallest_normal))
+    assert state.max() > 1e-20  # the motion still decays
+    assert np.nextafter(0.0, 1.0) > 0.0  # the setting ends with the call
 
 
 @pytest.mark.parametrize("samplerate", [0, -1, math.nan, math.inf])
