@@ -29,7 +29,7 @@ from tools.live_page import Monitor
 TONE_HZ = 440.0
 FRAMES_PER_S = 30.0
 STOPPED_S = 3
-ROUNDS = 5
+ROUNDS = 11
 ROUND_S = 4.0
 GROWTH_PERCENT = 0.5
 SOAK_S = 600.0
@@ -154,7 +154,7 @@ def lost(room: Room) -> int:
 def test_eight_clients_one_of_them_stopped_lose_no_buffer(room: Room, tmp_path: Path) -> None:
     verdict, is_shown = Verdict("vibration without a gap"), False
     with (
-        playing(room.server, "desktop", tone(TONE_HZ, 200.0)),
+        playing(room.server, "desktop", tone(TONE_HZ, 400.0)),
         recording(room.server, "haptic.monitor", tmp_path / "felt", stays=True) as felt,
         witness_tone(tmp_path) as witness,
         ExitStack() as stack,
