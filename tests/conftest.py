@@ -33,6 +33,7 @@ def pytest_configure(config):
     settings.load_profile("cushion")
 
 
+@pytest.hookimpl(optionalhook=True)  # pytest-xdist may be missing
 def pytest_xdist_auto_num_workers():
     """Return half as many workers again as there are processors: some tests wait."""
     return (os.cpu_count() or 1) * 3 // 2

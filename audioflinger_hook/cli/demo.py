@@ -96,7 +96,7 @@ def run(options: argparse.Namespace) -> int:
         warn("no report.png: matplotlib is not installed; `pip install matplotlib` brings it")
         drawn = False
     _print_table(out, framework, rig, played, values, drawn)
-    print("to feel your own sound: docs/live.md")
+    print("to feel your own sound, type: cushion setup")
     return 0
 
 
