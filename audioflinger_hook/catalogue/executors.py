@@ -67,7 +67,7 @@ class ThisProcess:
         return future
 
     def lost_worker(self, error: BaseException) -> bool:
-        """Return False: without this process nobody would ask."""
+        """Return False: only this process hands out work."""
         return False
 
     def __enter__(self) -> ThisProcess:

@@ -308,7 +308,7 @@ def remote_errors(shown: str, kind: type[StorageError]) -> Iterator[None]:
 
 @contextmanager
 def local_copy(audio: str) -> Iterator[Path]:
-    """Yield the path of a sound, downloaded if it is remote, for as long as it is needed."""
+    """Yield the path of a sound; a remote one is downloaded and removed afterwards."""
     if not is_url(audio):
         yield Path(audio)
         return

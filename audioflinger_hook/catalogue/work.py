@@ -44,7 +44,7 @@ FIGURES = (
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one item.
+    """The result of one item.
 
     record: of its result, as in the file beside it; empty if the item failed.
     error, exit_code: why it failed, in one line, and the exit code of that kind of error.

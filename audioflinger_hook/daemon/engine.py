@@ -223,7 +223,7 @@ class Engine:
         return self._read[self._start : self._end]
 
     def fill(self, out: Float32Array, now_s: float) -> None:
-        """Write what is played next into `out`, (frames, actuators)."""
+        """Write the next vibration into `out`, (frames, actuators)."""
         if now_s - self.filled_s > STALLED_S:  # the vibration read ahead is older than the gap
             self._drop_ahead()
         self.filled_s = now_s

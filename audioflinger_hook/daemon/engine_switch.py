@@ -102,7 +102,7 @@ class EngineSwitch:
         *,
         linked: bool,
     ) -> bool:
-        """Keep the native engine running; return whether it plays, or can as soon as it is linked.
+        """Keep the native engine running; return whether it plays, or can play once it is linked.
 
         Raises nothing: a lost engine starts again, and `auto` gives up after some failures.
         """
