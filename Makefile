@@ -81,6 +81,7 @@ bench:
 	@sh tools/fetch_recordings.sh
 	@sh tools/fetch_sounds.sh
 	.venv/bin/python -m tools.bench --out docs/benchmarks.md --tables docs/benchmarks $$(.venv/bin/python -c 'import matplotlib' 2>/dev/null && echo --plots docs/images)
+	@echo '.venv/bin/python -m tools.docs --write   puts the new figures into the other pages'
 
 docs:
 	@sh tools/setup.sh docs

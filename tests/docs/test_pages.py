@@ -76,7 +76,7 @@ def test_the_config_example_is_valid_complete_and_the_default(tmp_path: Path) ->
 
 
 def test_the_generated_parts_are_those_of_the_schema_the_parser_and_the_code() -> None:
-    assert outdated() == [], "run `python -m tools.docs --write`"
+    assert not outdated(), "run `python -m tools.docs --write`"
     for key in KEYS:
         assert f"\n| `{key.name}` |" in text_of(CONFIG)
 

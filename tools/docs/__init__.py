@@ -1,1 +1,1 @@
-"""Generated parts of the pages in docs/: `python -m tools.docs --write`."""
+"""Generated parts and figures of README.md and docs/: `python -m tools.docs --write`."""

@@ -1,56 +1,69 @@
-"""Check the generated parts of docs/, or write them: `python -m tools.docs [--write]`."""
+"""Check the generated parts of the pages, or write them: `python -m tools.docs [--write]`."""
 
 from __future__ import annotations
 
 import argparse
 import sys
+from difflib import unified_diff
 from pathlib import Path
 
 from tools.docs.api import api_reference
 from tools.docs.commands import commands_reference
 from tools.docs.errors import errors_list
+from tools.docs.figures import SENTENCES, Benchmarks, corrected, figures
 from tools.docs.keys import keys_tables
-from tools.docs.results import results_tables
+from tools.docs.results import exports_table, results_tables
 
-DOCS = Path(__file__).resolve().parents[2] / "docs"
+ROOT = Path(__file__).resolve().parents[2]
 BEGIN = "<!-- from here: written by python -m tools.docs --write -->\n"
 END = "<!-- to here -->\n"
 GENERATED = {
-    "api.md": api_reference,
-    "commands.md": commands_reference,
-    "config.md": keys_tables,
-    "errors.md": errors_list,
-    "results.md": results_tables,
+    "docs/api.md": api_reference,
+    "docs/commands.md": commands_reference,
+    "docs/config.md": keys_tables,
+    "docs/errors.md": errors_list,
+    "docs/exports.md": exports_table,
+    "docs/results.md": results_tables,
 }
 """Page: the function that returns its generated part."""
 
 
-def with_generated(name: str) -> str:
-    """Return a page of docs/ with what its generated part should be now."""
-    page = (DOCS / name).read_text()
-    before, begin, rest = page.partition(BEGIN)
-    _, end, after = rest.partition(END)
-    if not begin or not end:
-        raise ValueError(f"docs/{name} lacks the marks {BEGIN!r} and {END!r}")
-    return f"{before}{BEGIN}\n{GENERATED[name]()}\n{END}{after}"
+def as_it_should_be(name: str) -> str:
+    """Return a page with its generated part, and with the benchmarks' figures in its sentences."""
+    page = (ROOT / name).read_text()
+    if name in GENERATED:
+        before, begin, rest = page.partition(BEGIN)
+        _, end, after = rest.partition(END)
+        if not begin or not end:
+            raise ValueError(f"{name} lacks the marks {BEGIN!r} and {END!r}")
+        page = f"{before}{BEGIN}\n{GENERATED[name]()}\n{END}{after}"
+    return corrected(name, page, SENTENCES.get(name, ()), figures(Benchmarks()))
 
 
-def outdated() -> list[str]:
-    """Return the pages whose generated part is not what it should be."""
-    return [name for name in GENERATED if (DOCS / name).read_text() != with_generated(name)]
+def outdated() -> dict[str, str]:
+    """Return the pages that are not as they should be: what to take from each and what to add."""
+    found = {}
+    for name in sorted({*GENERATED, *SENTENCES}):
+        now, wanted = (ROOT / name).read_text(), as_it_should_be(name)
+        if now != wanted:
+            lines = unified_diff(
+                now.splitlines(), wanted.splitlines(), name, name, n=0, lineterm=""
+            )
+            found[name] = "\n".join(lines)
+    return found
 
 
 def main() -> int:
-    """Write the outdated pages, or name them; exit code 1 if there are any."""
+    """Write the outdated pages, or show what is to change; exit code 1 if there are any."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--write", action="store_true", help="write the pages")
     write = parser.parse_args().write
-    names = outdated()
-    for name in names:
+    found = outdated()
+    for name, change in found.items():
         if write:
-            (DOCS / name).write_text(with_generated(name))
-        print(f"docs/{name} {'written' if write else 'is outdated'}")
-    return 0 if write else bool(names)
+            (ROOT / name).write_text(as_it_should_be(name))
+        print(f"{name} written" if write else change)
+    return 0 if write else bool(found)
 
 
 if __name__ == "__main__":

@@ -1,11 +1,12 @@
-"""The tables in docs/results.md, from the figures in docs/benchmarks.md."""
+"""The tables in docs/results.md and docs/exports.md, from those in docs/benchmarks.md."""
 
 from __future__ import annotations
 
 import re
 from pathlib import Path
 
-BENCHMARKS = Path(__file__).resolve().parents[2] / "docs/benchmarks.md"
+ROOT = Path(__file__).resolve().parents[2]
+BENCHMARKS = ROOT / "docs/benchmarks.md"
 PROFILES = ("cinema", "game", "music", "paper")
 BASELINES = ("band-pass", "envelope", "centroid", "octave fold")
 
@@ -36,6 +37,14 @@ QUALITY = (
     ("drums: peak off that of the sound, median", "drums: peak off the sound's, median"),
     ("steady chord: modulation at 4 to 16 Hz", "steady A-major chord: modulation at 4 to 16 Hz"),
 )
+EXPORTS = (
+    ("lowest r", "envelope, lowest"),
+    ("median r", "envelope, median"),
+    ("sounds with r of 0.95 or more", "sounds of 0.95 or more"),
+    ("onsets", "onsets in time"),
+    ("largest error of an onset", "onset, largest error"),
+)
+FORMATS = ("partials", "vibration-xml", "hjif", "ahap", "haptic")
 
 
 def results_tables() -> str:
@@ -53,6 +62,16 @@ def results_tables() -> str:
     failed = re.findall(r"^  - (not met: .*)$", page, re.MULTILINE)
     parts += ["## Limits that are not met", "\n".join(f"- {line[9:]}" for line in failed)]
     return "\n\n".join(parts) + "\n"
+
+
+def exports_table() -> str:
+    """Return how well each parametric format holds the vibration."""
+    page = BENCHMARKS.read_text()
+    rows = [
+        [f"`{name}`", *(figure(page, "Exports", row, name) for _, row in EXPORTS)]
+        for name in FORMATS
+    ]
+    return _table(("format", *(shown for shown, _ in EXPORTS)), rows) + "\n"
 
 
 def figure(page: str, section: str, row: str, column: str) -> str:

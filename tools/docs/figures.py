@@ -1,0 +1,167 @@
+"""Figures of the benchmarks in the sentences of the pages."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from math import ceil, floor
+from pathlib import Path
+from typing import Any
+
+from tools.docs.results import BASELINES, ROOT
+
+NAME = re.compile(r"{\w+}")
+NUMBER = r"(-?\d+(?:\.\d+)?)"
+NATIVE = r"PipeWire [\d.]+, native, .*"
+PYTHON = r"\w+ [\d.]+,( quantum \d+,)? 512 frames"
+LOST = "sounds not felt at all"
+PAIRS = "in a programme: pairs within 3 dB"
+SHOTS = "shots: peak off the sound's, median"
+
+SENTENCES = {
+    "README.md": (
+        "A 4.2 kHz tone arrives at {high_tone_db} dB",
+        "With `cinema`, {pairs} % of pairs of sounds are within 3 dB",
+        "reaches {baseline_pairs} %.",
+        "`cinema` loses {lost} of {sounds} sounds",
+        "On PipeWire it arrives {cinema_ms} ms after its sound, "
+        "for {cpu_least} to {cpu_most} % of a core",
+        "On PulseAudio it takes [about {pulse_ms} ms]",
+        "distortion under {thdn_db} dB",
+        "is under {above_250_db} dB on {recordings} recordings",
+        "Damping takes {damped_db} dB off",
+        "half of the single shots have their peak more than {shot_ms} ms from that of the sound",
+    ),
+    "docs/results.md": (
+        "`cinema` and `music` add {cinema_later_ms} ms, and `game` {game_later_ms} ms",
+    ),
+    "docs/live.md": (
+        "It arrives {cinema_ms} ms after its sound, for {cpu_least} to {cpu_most} % of a core.",
+        "which takes {python_least_ms} to {python_most_ms} ms, "
+        "and {python_cpu_least} to {python_cpu_most} % of a core",
+        "vibration arrives about {pulse_ms} ms after its sound on PulseAudio, "
+        "and {pipewire_ms} ms on PipeWire",
+        "delays onsets by {cinema_ms} ms (`paper`: {paper_ms}, `game`: {game_ms})",
+        "changes of sustained sound by {sustained_ms} ms",
+    ),
+    "docs/plugin.md": ("({cinema_ms} ms; `paper` {paper_ms}, `game` {game_ms})",),
+    "docs/transform.md": (
+        "latency of onsets, {latency_ms} ms",
+        "`tonal_latency_frames`, {sustained_ms} ms",
+    ),
+    "docs/exports.md": ("over {sounds} sounds of eight classes",),
+    "docs/catalogue.md": (
+        "one core renders {hours_of_seconds} hours of sound in clips of a second, "
+        "or {hours_of_minutes} hours in files of a minute",
+        "takes {done_ms} ms",
+        "{memory_1_mb} MB for a minute, {memory_10_mb} MB for ten",
+    ),
+    "docs/get-started/films.md": (
+        "the vibration follows {cinema_ms} ms after the sound",
+        "On PulseAudio it takes about {pulse_ms} ms",
+        "--offset-ms=-{pulse_ms}",
+    ),
+    "docs/troubleshooting.md": ("cushion run --drop-in --offset-ms=-{pulse_ms}",),
+    "docs/get-started/gamer.md": ("On PipeWire it is {game_ms} ms with this profile",),
+}
+"""Page: its sentences with figures, each by its name in `figures`."""
+
+
+class Benchmarks:
+    """The values of docs/benchmarks.json, or of another file of that form."""
+
+    def __init__(self, path: Path = ROOT / "docs/benchmarks.json") -> None:
+        document = json.loads(path.read_text())
+        self._rows = {section["title"]: section["rows"] for section in document["sections"]}
+
+    def rows(self, section: str, row: str, column: str) -> list[dict[str, Any]]:
+        """Return the rows whose name fits a pattern, in a column; LookupError: there is none."""
+        found = [
+            each
+            for each in self._rows[section]
+            if each["column"] == column and re.fullmatch(row, each["name"])
+        ]
+        if not found:
+            raise LookupError(f"the benchmarks have no {row!r}, {column!r} in {section!r}")
+        return found
+
+    def all(self, section: str, row: str, column: str) -> list[float]:
+        """Return the values of these rows."""
+        return [float(each["value"]) for each in self.rows(section, row, column)]
+
+    def one(self, section: str, row: str, column: str = "live") -> float:
+        """Return the value of the only such row."""
+        [value] = self.all(section, row, column)
+        return value
+
+
+def figures(found: Benchmarks) -> dict[str, str]:
+    """Return the figures of the sentences by name, rounded as the pages say them."""
+    native = found.all("Live latency", NATIVE, "CPU of the native engine")
+    python = found.all("Live latency", PYTHON, "lag")
+    paper, cinema, game = (
+        found.one("Profiles", "latency", name) for name in ("paper", "cinema", "game")
+    )
+    lag = found.one("Live latency", r"PipeWire [\d.]+, native, quantum 256", "lag") - paper
+    later = cinema - paper  # the table of live latency is of `paper`
+    pulse, pipewire = (
+        found.one("Live latency", rf"{server} [\d.]+, 512 frames", "lag") + later
+        for server in ("PulseAudio", "PipeWire")
+    )
+    undamped, damped = (
+        found.one("Residual vibration", f"voltage drive{how}", "exact")
+        for how in ("", ", automatic")
+    )
+    numbers = {
+        "high_tone_db": round(found.one("Baselines", "4.2 kHz, level .*"), 1),
+        "pairs": round(found.one("On real sounds", PAIRS, "cinema")),
+        "baseline_pairs": round(
+            max(found.one("On real sounds", PAIRS, name) for name in BASELINES)
+        ),
+        "lost": found.one("On real sounds", LOST, "cinema"),
+        "sounds": int(found.rows("On real sounds", LOST, "cinema")[0]["unit"].removeprefix("of ")),
+        "recordings": found.one("Recordings", "recordings used", "found"),
+        "thdn_db": ceil(found.one("Steady tones", r"worst THD\+N, 150 .*")),
+        "above_250_db": ceil(found.one("Energy above 250 Hz", "worst recording")),
+        "damped_db": round(undamped - damped, 1),
+        "shot_ms": floor(found.one("On real sounds", SHOTS, "cinema")),
+        "paper_ms": round(paper + lag),
+        "cinema_ms": round(cinema + lag),
+        "game_ms": round(game + lag),
+        "cinema_later_ms": round(later, 1),
+        "game_later_ms": round(game - paper, 1),
+        "latency_ms": round(found.one("Onset lag", "declared latency"), 1),
+        "sustained_ms": round(found.one("Onset lag", "sustained levels follow after"), 1),
+        "pulse_ms": round(pulse),
+        "pipewire_ms": round(pipewire),
+        "python_least_ms": floor(min(python) + later),
+        "python_most_ms": ceil(max(python) + later),
+        "python_cpu_most": round(max(found.all("Live latency", PYTHON, "CPU")), 1),
+        "python_cpu_least": round(min(found.all("Live latency", PYTHON, "CPU")), 1),
+        "cpu_least": floor(10 * min(native)) / 10,
+        "cpu_most": ceil(10 * max(native)) / 10,
+        "hours_of_seconds": found.one("Catalogue", "1 s", "wav"),
+        "hours_of_minutes": found.one("Catalogue", "1 min", "wav"),
+        "done_ms": round(found.one("Catalogue", "a done item", "CPU time"), 2),
+        "memory_1_mb": round(found.one("Rendering a file", "1 min", "peak memory")),
+        "memory_10_mb": round(found.one("Rendering a file", "10 min", "peak memory")),
+    }
+    return {name: f"{value:g}" for name, value in numbers.items()}
+
+
+def corrected(page: str, text: str, sentences: tuple[str, ...], numbers: Mapping[str, str]) -> str:
+    """Return a page's text with the numbers of its sentences, wherever their lines break.
+
+    ValueError: the page does not have a sentence exactly once.
+    """
+    for sentence in sentences:
+        names = [name[1:-1] for name in NAME.findall(sentence)]
+        pieces = [r"\s+".join(map(re.escape, piece.split(" "))) for piece in NAME.split(sentence)]
+        found = [*re.finditer(NUMBER.join(pieces), text)]
+        if len(found) != 1:
+            raise ValueError(f"{page} says {sentence!r} {len(found)} times; say it there once")
+        for place in range(len(names), 0, -1):
+            begin, end = found[0].span(place)
+            text = text[:begin] + numbers[names[place - 1]] + text[end:]
+    return text
