@@ -1,14 +1,16 @@
-"""Paths and URLs of sounds and results, and texts from which credentials are removed."""
+"""Paths and URLs of sounds and results, and texts and errors without credentials in them."""
 
 from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
+from audioflinger_hook.catalogue.timing import StorageError
 from device.errors import CushionError, UsageError
 
 EXTRA = "URLs need fsspec; pip install 'haptic-cushion[remote]', and for s3:// also s3fs"
@@ -101,3 +103,17 @@ def known_scheme(url: str) -> bool:
     except ImportError:
         raise UsageError(f"{scrubbed(url)}: {EXTRA}") from None
     return url.partition("://")[0].lower() in fsspec.available_protocols()
+
+
+@contextmanager
+def remote_errors(shown: str, kind: type[StorageError]) -> Iterator[None]:
+    """Turn each error of a storage library into a `CushionError`, without credentials in it."""
+    try:
+        yield
+    except CushionError:
+        raise
+    except FileNotFoundError:
+        raise UsageError(f"{shown} does not exist; check bucket, folder and name") from None
+    except Exception as error:
+        said = scrubbed(f"{type(error).__name__}: {error}".removesuffix(": "))
+        raise kind(f"{shown}: the storage failed ({said})") from None

@@ -21,15 +21,6 @@ from audioflinger_hook.config.profiles import PROFILES
 from device.values import Choice, Described, Description, Number, Refusal, Text
 
 LONGEST_S = 1e7
-ALIASES = {
-    "audio_filepath": "audio",  # NeMo
-    "offset": "start_s",
-    "start": "start_s",  # lhotse
-    "duration": "duration_s",
-    "channel": "channels",
-}
-"""Names of NeMo and lhotse, and ours."""
-
 RESERVED = re.compile(r"catalogue|failed(-\d+-of-\d+)?")
 """Names of the run's own files in the output folder."""
 

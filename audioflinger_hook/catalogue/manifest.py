@@ -27,7 +27,8 @@ from audioflinger_hook.catalogue.addresses import (
     parse_address,
     scrubbed,
 )
-from audioflinger_hook.catalogue.item import ALIASES, Item, default_id, shown, typed
+from audioflinger_hook.catalogue.columns import ALIASES, cell_value, values_of
+from audioflinger_hook.catalogue.item import Item, default_id, shown
 from audioflinger_hook.catalogue.listing import (
     SOUNDS,
     ending_of,
@@ -38,7 +39,7 @@ from audioflinger_hook.catalogue.listing import (
     walk,
 )
 from device.errors import UsageError
-from device.values import counted, nearest
+from device.values import counted
 
 SHOWN_MAX = 100
 """Mistakes that are listed; all are counted."""
@@ -48,7 +49,6 @@ PARTITIONS, SPOOLED_BYTES = 64, 1 << 16
 """All ids are divided by their hashes; what is beyond these bytes goes to temporary files."""
 
 _ENTRY = Struct("<QQ")
-_SIMILAR = ("audio", "start_s", "duration_s", "channels", "profile", "language", "audio_filepath")
 
 
 @dataclass
@@ -118,8 +118,10 @@ class Manifest:
         mistakes = mistakes if mistakes is not None else Mistakes()
         for line, row in self._rows(mistakes):
             where = f"{self._name}:{line}"
-            values = self._values(where, row, mistakes)
-            if values is None:
+            values, wrong = values_of(row)
+            for text in wrong:
+                mistakes.add(where, text)
+            if wrong:
                 continue
             named = "id" in values
             if not named:
@@ -274,7 +276,7 @@ class Manifest:
             cells = dict(zip(header, row, strict=True))
             yield (
                 reader.line_num,
-                {name: _number(name, cell) for name, cell in cells.items() if cell},
+                {name: cell_value(name, cell) for name, cell in cells.items() if cell},
             )
 
     def _found(self) -> Iterator[str]:
@@ -298,23 +300,6 @@ class Manifest:
                 if is_sound(path):
                     yield path
 
-    def _values(self, where: str, row: dict[str, Any], mistakes: Mistakes) -> dict[str, Any] | None:
-        """Return a row's values by our names; None, and the mistakes, if they contradict."""
-        row = _from_lhotse(row)
-        values: dict[str, Any] = {}
-        before = mistakes.count
-        for name, value in row.items():
-            ours = ALIASES.get(name, name)
-            if ours in Item.NAMES:
-                if ours not in values:
-                    values[ours] = value
-                elif values[ours] != value:
-                    both = f"{shown(values[ours])} and {shown(value)}"
-                    mistakes.add(where, f"{ours} is given twice, as {both}; leave one out")
-            elif guess := _meant(name):
-                mistakes.add(where, f"{shown(name)} is not known; did you mean {guess}?")
-        return typed(values) if mistakes.count == before else None
-
     def _find_twins(self, part: tempfile.SpooledTemporaryFile[bytes], mistakes: Mistakes) -> None:
         """Find two items with one id, in one partition of all ids."""
         part.seek(0)
@@ -333,45 +318,3 @@ class Manifest:
 def _true_folder(folder: str) -> str:
     """Return a folder's path without links."""
     return os.path.realpath(folder)
-
-
-@lru_cache(maxsize=1024)
-def _meant(name: str) -> str:
-    """Return the known name that differs so little that it is meant, "" for another column."""
-    known = nearest(name, _SIMILAR)
-    return known if known and _differ_little(name, known) else ""
-
-
-def _differ_little(name: str, known: str) -> bool:
-    plain = name.lower().replace("-", "_").strip()
-    return plain in (known, f"{known}s", known.removesuffix("s"), known.removesuffix("_s")) or (
-        abs(len(name) - len(known)) <= 1
-        and sum(a != b for a, b in zip(plain, known, strict=False)) <= 2
-    )
-
-
-def _from_lhotse(row: dict[str, Any]) -> dict[str, Any]:
-    """Return the row with the audio of a lhotse recording or cut, if it is one."""
-    recording = row.get("recording", row)
-    sources = recording.get("sources") if isinstance(recording, dict) else None
-    if not isinstance(sources, list) or len(sources) != 1 or not isinstance(sources[0], dict):
-        return row
-    source = sources[0]
-    if source.get("type") not in ("file", "url"):
-        return row
-    return {**row, "audio": source.get("source")}
-
-
-def _number(name: str, cell: str) -> Any:
-    """Return the value of a cell of CSV, a number where the column has numbers."""
-    ours = ALIASES.get(name, name)
-    try:
-        if ours == "track":
-            return int(cell)
-        if ours in Item.NUMBERS:
-            return float(cell)
-        if ours == "channels" and cell not in ("mono", "each"):
-            return [int(one) for one in cell.split()]
-    except ValueError:
-        pass
-    return cell

@@ -8,7 +8,6 @@ says how the result's file is known again (`stamp`), so it never describes anoth
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import os
 import secrets
 import socket
@@ -18,12 +17,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path, PurePosixPath
-from typing import Any, Protocol, TypeVar
+from typing import Protocol, TypeVar
 
-from audioflinger_hook.catalogue.addresses import filesystem_of, is_url, scrubbed
+from audioflinger_hook.catalogue.addresses import filesystem_of, is_url, remote_errors, scrubbed
+from audioflinger_hook.catalogue.stamps import Stamp, digest, local_stamp, remote_stamp
 from audioflinger_hook.catalogue.timing import StorageError, UnreadableError
 from device.atomic_file import AtomicFile
-from device.errors import CushionError, UsageError, WriteError
+from device.errors import UsageError, WriteError
 
 T = TypeVar("T")
 
@@ -49,14 +49,6 @@ def _machine_start() -> str:
 
 def _part_start(process: int) -> str:
     return f"{_machine_start()}{process}+"
-
-
-@dataclass(frozen=True)
-class Stamp:
-    """What a file is known by: bytes (None if unknown), and times or an etag, as text."""
-
-    size: int | None
-    stamp: str
 
 
 @dataclass(frozen=True)
@@ -138,7 +130,7 @@ class LocalStorage:
     def stamp(self, name: str) -> Stamp | None:
         """Return size, time and number of a file."""
         try:
-            return _local_stamp(self._root / name)
+            return local_stamp(self._root / name)
         except (FileNotFoundError, NotADirectoryError):
             return None
 
@@ -171,7 +163,7 @@ class LocalStorage:
         try:
             self._tidy_up(target.parent)
             result = make(part)
-            stamp, sha256 = _local_stamp(part), _sha256(part)
+            stamp, sha256 = local_stamp(part), digest(part)
             self.delete(name + RECORD)
             part.replace(target)
         except OSError as error:
@@ -195,7 +187,7 @@ class LocalStorage:
     def restamped(self, name: str, sha256: str) -> str | None:
         """Return the stamp of a copy of the same bytes."""
         path = self._root / name
-        return _local_stamp(path).stamp if _sha256(path) == sha256 else None
+        return local_stamp(path).stamp if digest(path) == sha256 else None
 
 
 class RemoteStorage:
@@ -221,7 +213,7 @@ class RemoteStorage:
         """Return size and etag of a file, or what the storage has in place of an etag."""
         with self._errors(name):
             try:
-                return _remote_stamp(self._files.info(self._path(name)))
+                return remote_stamp(self._files.info(self._path(name)))
             except FileNotFoundError:
                 return None
 
@@ -251,7 +243,7 @@ class RemoteStorage:
         with tempfile.TemporaryDirectory(prefix="cushion-") as folder:
             path = Path(folder) / f"result{PurePosixPath(name).suffix}"
             result = make(path)
-            size, sha256 = path.stat().st_size, _sha256(path)
+            size, sha256 = path.stat().st_size, digest(path)
             self.delete(name + RECORD)
             self._upload(path, name)
         found = self.stamp(name)
@@ -293,20 +285,6 @@ class RemoteStorage:
 
 
 @contextmanager
-def remote_errors(shown: str, kind: type[StorageError]) -> Iterator[None]:
-    """Turn each error of a storage library into a `CushionError`, without credentials in it."""
-    try:
-        yield
-    except CushionError:
-        raise
-    except FileNotFoundError:
-        raise UsageError(f"{shown} does not exist; check bucket, folder and name") from None
-    except Exception as error:
-        said = scrubbed(f"{type(error).__name__}: {error}".removesuffix(": "))
-        raise kind(f"{shown}: the storage failed ({said})") from None
-
-
-@contextmanager
 def local_copy(audio: str) -> Iterator[Path]:
     """Yield the path of a sound; a remote one is downloaded and removed afterwards."""
     if not is_url(audio):
@@ -318,47 +296,3 @@ def local_copy(audio: str) -> Iterator[Path]:
         with remote_errors(scrubbed(audio), UnreadableError):
             filesystem.get_file(inside, str(path))
         yield path
-
-
-def identity_of(audio: str) -> Stamp | None:
-    """Return what a sound is known by, None if there is no such file."""
-    if is_url(audio):
-        filesystem, inside = filesystem_of(audio)
-        with remote_errors(scrubbed(audio), UnreadableError):
-            return _remote_stamp(filesystem.info(inside))
-    try:
-        found = Path(audio).stat()
-    except (OSError, ValueError):
-        return None
-    return Stamp(found.st_size, str(found.st_mtime_ns))
-
-
-def sha256_of(path: Path) -> str:
-    """Return the SHA-256 of a file's content. UsageError: it cannot be read."""
-    try:
-        return _sha256(path)
-    except OSError as error:
-        raise UsageError(f"{path} cannot be read ({error.strerror})") from error
-
-
-def _local_stamp(path: Path) -> Stamp:
-    found = path.stat()
-    return Stamp(found.st_size, f"{found.st_mtime_ns}-{found.st_ino}")
-
-
-_STAMPS = (
-    "ETag", "etag", "md5Hash", "content_md5", "generation", "version", "VersionId", "mtime",
-    "LastModified", "last_modified", "modified", "updated", "created",
-)  # fmt: skip
-"""What storages call the etag of a file, or whatever else changes with its content."""
-
-
-def _remote_stamp(info: dict[str, Any]) -> Stamp:
-    found = [f"{name}={info[name]}" for name in _STAMPS if info.get(name)]
-    size = info.get("size")
-    return Stamp(None if size is None else int(size), found[0] if found else "")
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -18,14 +18,8 @@ from audioflinger_hook.catalogue.item import Item
 from audioflinger_hook.catalogue.listing import is_same
 from audioflinger_hook.catalogue.measures import VibrationMeter
 from audioflinger_hook.catalogue.recipe import VERSION, Recipe
-from audioflinger_hook.catalogue.storage import (
-    RECORD,
-    Storage,
-    identity_of,
-    local_copy,
-    sha256_of,
-    storage_of,
-)
+from audioflinger_hook.catalogue.stamps import identity_of, sha256_of
+from audioflinger_hook.catalogue.storage import RECORD, Storage, local_copy, storage_of
 from audioflinger_hook.catalogue.timing import Timing, has_errno
 from audioflinger_hook.exports.export import export
 from audioflinger_hook.sources import FileTap, TapClient
