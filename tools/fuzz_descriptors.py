@@ -31,7 +31,7 @@ ROOT = Path(__file__).resolve().parents[1]
 BYTES_USUAL_MAX = 2_048
 MISSING = (
     "fuzz_descriptors: error: atheris is not installed; `pip install atheris` "
-    "(where there is no wheel of it, it needs clang)"
+    "(it needs clang where it has no wheel)"
 )
 
 

@@ -1,8 +1,8 @@
 """How late live vibration is: tools/latency.py [--kind pulse|pipewire|both] [--seconds S] ...
 
-Starts a sound server of its own (tools/sound_server.py) with `cushion run` on it, plays a sound
-that swells irregularly, records what is heard and what is felt side by side, and tells by how much
-one comes after the other, transform included. With --here it measures the daemon that is running
+Starts a separate sound server (tools/sound_server.py) with `cushion run` on it, and plays a sound
+that swells irregularly. It records sound and vibration side by side, and reports how much later the
+vibration comes, transform included. With --here it measures the daemon that is running
 on this desktop: by whatever plays there to some milliseconds, with --play as well as elsewhere.
 """
 
@@ -39,7 +39,7 @@ LOOP_S = 60.0
 MONITOR = ".monitor"
 
 DEFAULT = Settings(profile=LIVE_DEFAULT)
-"""Settings of a daemon that is told none."""
+"""Settings of a daemon without a config file."""
 
 
 def main() -> int:
@@ -217,7 +217,7 @@ def _told(record: LiveRecord) -> str:
     lines += [
         f"  lag: median {ms(record.lag_median_ms)}, 5 % under {ms(record.lag_p5_ms)}, 95 % under "
         f"{ms(record.lag_p95_ms)}, {ms(record.growth_ms, '+')} over the run, "
-        f"{ms(record.hidden_growth_ms, '+')} of which the daemon does not tell",
+        f"{ms(record.hidden_growth_ms, '+')} of which the daemon does not report",
         f"  the daemon: {ms(record.budget_ms)} in all, of it transform {ms(record.transform_ms)}, "
         f"delay line {ms(record.delay_ms)} (target {ms(record.target_ms)}); {record.resyncs} "
         f"resyncs, {record.underflows} underflows, {record.overflows} overflows, "

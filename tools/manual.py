@@ -1,6 +1,6 @@
 """The manual page and the completions of `cushion`, made from its parser.
 
-`python -m tools.manual` compares the files in share/ with the parser; `--write` makes them anew.
+`python -m tools.manual` compares the files in share/ with the parser; `--write` writes them.
 """
 
 from __future__ import annotations
@@ -249,7 +249,7 @@ def files() -> dict[Path, str]:
 def main() -> int:
     """Compare or write; return 1 if a file differs."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--write", action="store_true", help="make the files anew")
+    parser.add_argument("--write", action="store_true", help="write the files")
     options = parser.parse_args()
     different = 0
     for name, text in files().items():

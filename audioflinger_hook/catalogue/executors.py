@@ -1,6 +1,6 @@
 """Where batches run: in this process, in processes of this machine, or on a Dask cluster.
 
-Each is a `concurrent.futures.Executor`. Dask has one of its own, so nothing else is needed.
+Each is a `concurrent.futures.Executor`; Dask offers one, too.
 """
 
 from __future__ import annotations

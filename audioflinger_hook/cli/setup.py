@@ -159,8 +159,8 @@ def _choose_output(
                 return None
             if named is not None:
                 raise NotFoundError(
-                    f"nothing was felt from {output.address}, and {NOTHING_WRITTEN}; check its "
-                    "amplifier and cables, or name another --device"
+                    f"you reported no vibration from {output.address}, and {NOTHING_WRITTEN}; "
+                    "check its amplifier and cables, or name another --device"
                 )
             connection.snapshot()
 

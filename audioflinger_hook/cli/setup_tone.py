@@ -23,9 +23,9 @@ LONGEST_S = 30.0
 UNASKED_S = 4.0
 
 ANSWERS = {
-    "yes": "felt, and strong enough",
+    "yes": "it vibrates, and strongly enough",
     "louder": "6 dB more",
-    "no": "nothing is felt",
+    "no": "it does not vibrate",
     "stop": "stop the tone and end",
 }
 

@@ -23,11 +23,11 @@ class ProfileValue:
 
 
 BY_ENERGY = ProfileValue("energy", "noise and chords as strong as a tone of the same energy")
-FOLLOWED = ProfileValue(54.0, "whispers are felt, too; silence and noise of the room are not")
-FLOOR = ProfileValue(-68.0, "soft sounds are felt at a low volume; inaudible hiss is not")
+FOLLOWED = ProfileValue(54.0, "whispers vibrate, too; silence and the noise of the room do not")
+FLOOR = ProfileValue(-68.0, "soft sounds vibrate at a low volume; inaudible hiss does not")
 FELT = ProfileValue("felt", "as strong as a seated body feels it, whatever its frequency")
-DEEP = ProfileValue(20.0, "sub-bass is felt, down to the lowest notes")
-LOWER = ProfileValue("jnd", "lower vibration: a seated body feels it better, an amplifier has room")
+DEEP = ProfileValue(20.0, "sub-bass vibrates, down to the lowest notes")
+LOWER = ProfileValue("jnd", "a seated body feels lower vibration better, and amplifiers have room")
 
 FOLLOWING = {
     "level_law": BY_ENERGY,

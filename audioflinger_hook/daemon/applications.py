@@ -1,4 +1,4 @@
-"""Which applications have a stream, whether they play, and whether they are felt. Pure."""
+"""Which applications have a stream, whether they play, and whether they vibrate. Pure."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from device.server import AppRules, ServerSnapshot
 from device.server.app_rules import app_name
 
 APPLICATIONS_MAX = 32
-"""Largest number of applications that are told."""
+"""Largest number of applications in the status."""
 
 
 def applications_in(

@@ -113,8 +113,8 @@ class ExportOptions:
         given = f"device_band_hz={low_hz:g}:{high_hz:g}"
         if not FORMATS[self.format].parametric:
             raise UsageError(
-                f"{given} does not fit the format {self.format}, which holds the waveform as it is "
-                f"felt; leave it out, or choose one of {_names(parametric=True)}"
+                f"{given} does not fit the format {self.format}, which holds a waveform; "
+                f"leave it out, or choose one of {_names(parametric=True)}"
             )
         inside = low_hz >= DEVICE_MIN_HZ and high_hz <= DEVICE_MAX_HZ
         if not (inside and high_hz - low_hz >= DEVICE_SPAN_MIN_HZ):

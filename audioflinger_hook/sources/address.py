@@ -69,7 +69,8 @@ def parse_tap(text: str) -> TapAddress:
     if not colon:
         if "/" in text or Path(text).suffix.lower() in SOUND_SUFFIXES:
             raise UsageError(
-                f"tap {text!r} is no name of a sink; did you mean file:{text}? allowed: {GRAMMAR}"
+                f"tap {text!r} is not the name of a sink; did you mean file:{text}? allowed: "
+                f"{GRAMMAR}"
             )
         kind, name = "sink", text
     else:

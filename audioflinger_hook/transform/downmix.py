@@ -1,6 +1,6 @@
 """The mono mix of a sound's channels; where its halves cancel, the sum of their powers instead.
 
-Two opposite channels (L = -R) have no mean. Power tells where that is so. With the mean m of the
+Two opposite channels (L = -R) have no mean. Power shows where that is so. With the mean m of the
 halves L' and R' and half of their difference s, the power of both halves is that of m plus that of
 s. While the share of m is under `CANCELS_FROM`, s is added to m with a factor from 0 to 1. Sound
 whose mean keeps more than that share keeps every bit of it.
@@ -23,8 +23,8 @@ POWER_S = 0.05
 """Time constant of the powers that are compared."""
 
 NEWEST_S, EVIDENCE_S = 0.000_25, 0.000_062_5
-"""Power of late, and how long it must have been there before it counts as cancelled: among the
-first samples of any sound some are opposite by chance. From silence, opposite channels are added
+"""The newest power, and how long it must have lasted before it counts as cancelled: among the first
+samples of any sound some are opposite by chance. From silence, opposite channels are added
 from 0.6 ms on and fully after 3 ms."""
 
 EVIDENCE_FRAMES = 3

@@ -127,7 +127,7 @@ class ModelRecord:
         return motion
 
     def advance(self, frames: int) -> None:
-        """Say that all actuators have moved by so many frames; end a second that is full."""
+        """Count frames by which all actuators have moved; end a second that is full."""
         before = self._frames // self._samplerate
         self._frames += frames
         if self._frames // self._samplerate > before:

@@ -1,11 +1,11 @@
 """The non-linear model: exponential steps over the linear part, fixed-point sweeps over the rest.
 
 A step from one node to the next asks for g at its middle and its end (step_maps.py). It begins with
-the parabola of the step before; each sweep evaluates g at both points and puts d there anew, with g
-as the cubic through these, the node and the middle before. Two sweeps suffice where g is small
-against the linear part, and no derivative of g is needed. What that cubic has beyond a parabola
-measures the step's error: where it is too large, or sweeps do not converge, the step is halved,
-down to shares of a sample.
+the parabola of the step before; each sweep evaluates g at both points and computes d there again,
+with g as the cubic through these, the node and the middle before. Two sweeps suffice where g is
+small against the linear part, and no derivative of g is needed. What that cubic has beyond a
+parabola measures the step's error: where it is too large, or sweeps do not converge, the step is
+halved, down to shares of a sample.
 
 One compiled function does that (native/nonlinear_model.c); `ReadableModel` is the same by parabolas
 and without means of speed: it is what to read first, what tests compare with, and what runs where

@@ -49,7 +49,7 @@ class StepMap:
     base: FloatArray  # S and the volts at 0 and h to S, (2, 3, 5)
 
     def packed(self) -> FloatArray:
-        """Return all of it in one row, and the share of a peak that is forgotten meanwhile."""
+        """Return all of it in one row, and the share of a peak that is forgotten in a step."""
         parts = (self.onward, self.weights, self.cubic, self.base)
         first = [self.width_s, min(1.0, self.width_s / _FORGOTTEN_S)]
         return np.concatenate([first, *(part.ravel() for part in parts)])

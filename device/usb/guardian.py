@@ -2,7 +2,7 @@
 
 Reads lines of JSON from standard input, of which the last one counts, until it is closed. Then it
 restores the state and attaches the driver; what is wrong is one line on standard output. A device
-that was pulled out meanwhile is in order.
+that was unplugged in the meantime needs nothing.
 """
 
 from __future__ import annotations

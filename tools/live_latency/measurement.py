@@ -222,7 +222,7 @@ def _listen(
             for recording in recordings:
                 recording.drain()
                 if not recording.running:
-                    raise LostError(f"{recording.source!r} is gone; start the server anew")
+                    raise LostError(f"{recording.source!r} is gone; start the server again")
             if start_s <= now_s <= end_s:
                 polls.poll(now_s)
             if progress:

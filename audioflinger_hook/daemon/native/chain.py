@@ -1,4 +1,4 @@
-"""One chain in PipeWire's graph: the plugin in a process of its own, and its files."""
+"""One chain in PipeWire's graph: the plugin in a separate process, and its files."""
 
 from __future__ import annotations
 

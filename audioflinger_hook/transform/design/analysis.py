@@ -57,7 +57,7 @@ LOWEST_HZ = 70.0
 """What the onset window's lowest bin stands for: it holds half a period of 70 Hz at most."""
 
 QUIETEST, WEAKEST = 0.02, 0.5
-"""Shares of the weakest steady tone that is principal. Below the first no onset is looked for;
+"""Shares of the weakest steady tone that is principal. Below the first no onset is searched;
 below the second none is played."""
 
 GROUPS_MAX = 4
@@ -81,9 +81,9 @@ class InputDesign:
     band_a: FloatArray
     """Band-pass: the denominator."""
     mix_slow: float
-    """Share of a new sample in the powers that tell whether the mono mix cancels, ..."""
+    """Share of a new sample in the powers that show whether the mono mix cancels, ..."""
     mix_newest: float
-    """... in the power of late, ..."""
+    """... in the newest power, ..."""
     mix_evidence: float
     """... and of that in the power of the mean."""
     mix_weights: FloatArray = field(default_factory=downmix_table)
@@ -195,7 +195,7 @@ class OnsetDesign:
     band_edges: FloatArray
     """Bins: the first of each band, and past the last."""
     rise: float = 4.0
-    """A band rises where its power is this many times the highest of late (6 dB) ..."""
+    """A band rises where its power is this many times its recent maximum (6 dB) ..."""
     minor: float = 0.01
     """... and more than this share of all power: side lobes of the window are less."""
     risen_share: float = 0.5

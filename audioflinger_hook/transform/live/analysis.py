@@ -33,7 +33,7 @@ from audioflinger_hook.transform.principal import (
 from audioflinger_hook.transform.spectrum import ComplexArray, magnitude
 
 TWICE_BELOW = 20
-"""Peaks under this bin, 210 Hz, are cleared once more, by what the first time has made of them. So
+"""Peaks under this bin, 210 Hz, are cleared again, by what the first time has made of them. So
 near to its image a peak is pulled so far that the image is first looked up in a wrong place."""
 
 PEAK_FLOOR = 1e-6
@@ -44,7 +44,7 @@ PEAK_CURVED = 1e-6
 """The three A^0.2 around a top are curved at least by this share of it ..."""
 
 APART_FROM = 1.0 + 1e-9
-"""... and two amplitudes are told apart from this ratio on, so that rounding decides nothing
+"""... and two amplitudes count as different from this ratio on, so that rounding decides nothing
 between equals: the spectrum of a single sample is flat."""
 
 LOWER_FIRST = 1e-10

@@ -59,11 +59,12 @@ class OnsetPartials:
         return not any(self._sounding)
 
     def start(self, tracker: PartialTracker, ticks_left: int) -> None:
-        """Let what the detector has heard begin begin.
+        """Start the partials of the onset that the detector has found.
 
-        Where the last onset is told anew, its partials become these, in the middle of their
-        vibration, and those too many die. Where partials are merged, one that starts near to a
-        partial of the tracker joins it: it has its frequency and its phase, so that both add up.
+        Where the detector reports the last onset again, its partials become these, in the middle of
+        their vibration, and those left over die. Where partials are merged, one that starts near
+        to a partial of the tracker joins it: it has its frequency and its phase, so that both add
+        up.
         ticks_left: to the end of the hop that the tracker has written last.
         """
         young = [one for one in self._sounding if one and one.age < self._design.heard_ticks]
@@ -106,7 +107,7 @@ class OnsetPartials:
         return max(0.0, self._ceiling - taken)
 
     def play(self, glides: Glides, tick: int, tracker: PartialTracker) -> None:
-        """Write one tick of `glides`; while the detector is still told more, follow that.
+        """Write one tick of `glides`; while the detector still learns more, follow that.
 
         The first ticks of an onset are emphasised as far as there is room under full scale.
         """
@@ -144,7 +145,7 @@ class OnsetPartials:
         return one.hz if one.joins else hz
 
     def hand_over(self, tracker: PartialTracker) -> None:
-        """Let those that are told as well as they can be go over to the tracker."""
+        """Hand those partials over to the tracker that the detector no longer improves."""
         for slot, one in enumerate(self._sounding):
             if one is not None and one.age >= self._design.heard_ticks:
                 power = self._detector.recent_power(one.group)
@@ -153,7 +154,7 @@ class OnsetPartials:
                 self._sounding[slot] = None
 
     def held_amplitude(self, held: Held) -> float:
-        """Return the amplitude at which a partial is to be held, by what its bands have of late."""
+        """Return the amplitude at which a partial is held, by the recent power of its bands."""
         if held.power <= 0.0:
             return 0.0
         share = self._detector.recent_power(held.group) / held.power

@@ -130,8 +130,8 @@ class PartialTracker:
 
         audio_hz, hz (of vibration), amplitude: (partials,), ascending in frequency. room: what
         partials that are held may add to the sum of amplitudes. held_amplitude: what those are to
-        have now. left: what the law leaves of the level of what this window shows, which tells
-        tones apart that were one for an onset.
+        have now. left: what the law leaves of the level of what this window shows, which separates
+        tones that were one for an onset.
         """
         dominance = np.ones(hz.size)
         if self._design.merge_ratio and hz.size:

@@ -129,7 +129,7 @@ class FeatureUnit(Entity):
     string_index: int
 
     def access(self, channel: int, control: FeatureControl) -> Access:
-        """What the host may do with a channel's control; ABSENT of a channel that is not there."""
+        """What the host may do with a channel's control; ABSENT for a missing channel."""
         if not 0 <= channel < len(self.controls):
             return Access.ABSENT
         if self.uac == 1:

@@ -124,7 +124,7 @@ class StreamFormat(Descriptor):
 
 @dataclass(frozen=True, slots=True)
 class OtherFormat(Descriptor):
-    """A format that is no stream of samples, type II for example; it is named and kept."""
+    """A format without a stream of samples, type II for example; it is named and kept."""
 
     format_type: int
 

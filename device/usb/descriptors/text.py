@@ -83,8 +83,8 @@ def is_full_speed(
 ) -> bool | None:
     """Whether the device counts intervals in ms, as at full and low speed; None if unknown.
 
-    Without its speed, its descriptors tell (USB 2.0, 5.5.3 to 5.8.3): only at full speed a device
-    is older than 2.0 or has short bulk packets; only above it are packets that long.
+    If its speed is unknown, its descriptors show it (USB 2.0, 5.5.3 to 5.8.3). Only at full speed a
+    device is older than 2.0 or has short bulk packets. Only above it are packets that long.
     """
     if speed_mbit_s:
         return speed_mbit_s < _HIGH_SPEED_MBIT_S

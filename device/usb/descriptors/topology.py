@@ -151,8 +151,8 @@ def topologies(configuration: Configuration) -> dict[int, Topology]:
     """The audio function of every control and streaming interface, by interface number.
 
     The association that spans a streaming interface decides. Where none with a control interface
-    does, a header of the same version lists it (1.0); one that nobody claims belongs to the control
-    interface before it, or else to the first.
+    does, a header of the same version lists it (1.0). One that no header lists belongs to the
+    control interface before it, or else to the first.
     """
     functions: dict[int, Topology] = {}
     for interface in configuration.interfaces:

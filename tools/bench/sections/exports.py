@@ -35,9 +35,9 @@ def exports(bench: Workbench) -> Section:
                 found[name].append(alike)
     return Section(
         TITLE,
-        f"Each file is played by a renderer of ours and compared with the vibration of `{PROFILE}` "
-        f"that it was made from; the first {LONGEST_S:g} s of each sound. Envelope: correlation "
-        f"over 50 ms. Onsets: share of clear ones that are within {ONSET_MS:g} ms.",
+        "Our renderer plays each file, and the result is compared with the vibration of "
+        f"`{PROFILE}` that it was made from; the first {LONGEST_S:g} s of each sound. Envelope: "
+        f"correlation over 50 ms. Onsets: share of clear ones that are within {ONSET_MS:g} ms.",
         tuple(row for name, alike in found.items() for row in _rows(name, alike)),
         footnote=f"Sounds: {len(sounds)}, fetched by {SOUNDS_COMMAND}.",
     )
