@@ -31,7 +31,7 @@ SENTENCES = {
         "distortion under {thdn_db} dB",
         "is under {above_250_db} dB on {recordings} recordings",
         "Damping takes {damped_db} dB off",
-        "half of the single shots have their peak more than {shot_ms} ms from that of the sound",
+        "Half of the single shots have their peak more than {shot_ms} ms from that of the sound",
     ),
     "docs/results.md": (
         "`cinema` and `music` add {cinema_later_ms} ms, and `game` {game_later_ms} ms",
