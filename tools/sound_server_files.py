@@ -57,6 +57,11 @@ def write_configuration(kind: str, folder: Path, socket: Path) -> dict[str, str]
     }
 
 
+# as on a desktop: without it, other work on the machine costs streams a cycle now and then
+_REALTIME = (
+    "{ name = libpipewire-module-rt args = { nice.level = -11 } flags = [ ifexists nofail ] }"
+)
+
 PIPEWIRE_CONF = f"""
 context.properties = {{
     core.daemon = true
@@ -72,6 +77,7 @@ context.spa-libs = {{
     support.* = support/libspa-support
 }}
 context.modules = [
+    {_REALTIME}
     {{ name = libpipewire-module-protocol-native }}
     {{ name = libpipewire-module-metadata }}
     {{ name = libpipewire-module-spa-node-factory }}
@@ -91,24 +97,25 @@ context.objects = [
 """
 
 # without vm.overrides: a virtual machine is to behave as a desktop does
-PIPEWIRE_PULSE_CONF = """
-context.spa-libs = {
+PIPEWIRE_PULSE_CONF = f"""
+context.spa-libs = {{
     audio.convert.* = audioconvert/libspa-audioconvert
     support.* = support/libspa-support
-}
+}}
 context.modules = [
-    { name = libpipewire-module-protocol-native }
-    { name = libpipewire-module-client-node }
-    { name = libpipewire-module-adapter }
-    { name = libpipewire-module-metadata }
-    { name = libpipewire-module-protocol-pulse }
+    {_REALTIME}
+    {{ name = libpipewire-module-protocol-native }}
+    {{ name = libpipewire-module-client-node }}
+    {{ name = libpipewire-module-adapter }}
+    {{ name = libpipewire-module-metadata }}
+    {{ name = libpipewire-module-protocol-pulse }}
 ]
-pulse.properties = {
+pulse.properties = {{
     server.address = [ "@ADDRESS@" ]
     pulse.min.req = 64/48000
     pulse.min.frag = 64/48000
     pulse.min.quantum = 64/48000
-}
+}}
 """
 
 # the policy of a desktop, without devices, without a session bus, without a memory
