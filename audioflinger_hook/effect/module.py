@@ -126,7 +126,9 @@ class EffectModule(EffectControl):
             self._blame(f"answered process with {answer_text(status)}; allowed: OK (0), ENODATA")
             return None
         if not self._lent.is_back(source) or not (mixed is lent or self._mixed.is_back(target)):
-            self._blame("exchanged or reshaped the arrays that it was lent")
+            self._blame(
+                "exchanged or reshaped its arrays; write into them, as in target.audio[:] = ..."
+            )
             return None
         if _spoiled(mixed, source, target):
             self._blame("made samples that are not finite")

@@ -252,11 +252,11 @@ MISBEHAVIOURS = [
     (lambda source, target: True, "answered process with bool; allowed: OK (0), ENODATA"),
     (lambda source, target: np.zeros(3), "answered process with ndarray; allowed: OK (0), ENODATA"),
     (lambda source, target: EINVAL, "answered process with -22; allowed: OK (0), ENODATA"),
-    (exchange, "exchanged or reshaped the arrays that it was lent"),
-    (drop, "exchanged or reshaped the arrays that it was lent"),
+    (exchange, "exchanged or reshaped its arrays; write into them, as in target.audio[:] = ..."),
+    (drop, "exchanged or reshaped its arrays; write into them, as in target.audio[:] = ..."),
     pytest.param(
         reshape,
-        "exchanged or reshaped the arrays that it was lent",
+        "exchanged or reshaped its arrays; write into them, as in target.audio[:] = ...",
         marks=pytest.mark.filterwarnings("ignore::DeprecationWarning"),
     ),
 ]
@@ -367,7 +367,10 @@ def test_an_engine_that_spoils_what_it_kept_is_blamed_and_the_sound_goes_on():
     exchange(kept[0], kept[0])
     buffer = noise()
     chains.process(0, buffer, 0.0)
-    assert module.bypassed == "exchanged or reshaped the arrays that it was lent"
+    assert (
+        module.bypassed
+        == "exchanged or reshaped its arrays; write into them, as in target.audio[:] = ..."
+    )
     assert buffer.samples.tobytes() == noise().samples.tobytes()
 
 

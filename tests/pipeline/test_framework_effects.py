@@ -150,7 +150,7 @@ def test_the_command_takes_effects_of_other_packages_from_the_file_that_the_conf
         ("raise KeyError('lost')", "raised KeyError: 'lost' in process"),
         ("return 'fine'", "answered process with str; allowed: OK (0), ENODATA"),
         ("source.audio[:] = float('nan'); return OK", "made samples that are not finite"),
-        ("target.audio = None; return OK", "exchanged or reshaped the arrays"),
+        ("target.audio = None; return OK", "exchanged or reshaped its arrays"),
     ],
 )
 def test_an_effect_that_fails_is_bypassed_and_named_and_we_go_on(
