@@ -13,11 +13,17 @@ from audioflinger_hook.config import file as config
 from audioflinger_hook.config.edits import Edits
 from audioflinger_hook.config.profiles import LIVE_DEFAULT, OFFLINE_DEFAULT
 from audioflinger_hook.config.schema import json_schema
+from audioflinger_hook.config.settings import Settings
+from audioflinger_hook.config.toml_text import Mistake
+from audioflinger_hook.pipeline.framework import Framework
 from device.errors import UsageError
+
+SAMPLERATE = 48_000
+"""Of the mix with which an effects file is tried."""
 
 
 def run(options: argparse.Namespace) -> int:
-    """Check a config file; return exit code 2 if it has mistakes."""
+    """Check a config file and its effects file; return exit code 2 if it has mistakes."""
     path: Path | None = options.config
     as_json: bool = options.json
     if options.schema:
@@ -29,15 +35,31 @@ def run(options: argparse.Namespace) -> int:
             print("[]" if as_json else f"{path} does not exist: the defaults apply")
             return 0
     found, mistakes = config.check(path, LIVE_DEFAULT)
+    warnings, wrong = _problems_of_effects(found.settings) if found else ([], [])
+    mistakes += wrong
     if as_json:
         print(json.dumps([dataclasses.asdict(mistake) for mistake in mistakes], indent=2))
-    elif found is not None:
+    elif not (mistakes or warnings):
         print(f"{path}: no mistakes")
     if found is not None and found.warning:
         warn(f"{path}: {found.warning}")
+    for warning in warnings:
+        warn(warning)
     for mistake in mistakes:
         complain(f"{path}: {mistake}")
     return UsageError.exit_code if mistakes else 0
+
+
+def _problems_of_effects(settings: Settings) -> tuple[list[str], list[Mistake]]:
+    """Return warnings and mistakes of the effects file, if the settings name one."""
+    path = settings.effects_file
+    if path is None:
+        return [], []
+    try:
+        return Framework(SAMPLERATE, 2, settings).warnings, []
+    except UsageError as error:
+        allowed = "an audio_effects.xml that applies the haptic effect"
+        return [], [Mistake("effects_file", 0, f'"{path}"', f"cannot be used: {error}", allowed)]
 
 
 def load_config(

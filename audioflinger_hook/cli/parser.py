@@ -26,6 +26,7 @@ EXIT_CODES = (
 
 
 CONFIG_HELP = "take the settings from this file"
+ACCELERATION_HELP = "also write the simulated acceleration; its full scale is 100 m/s²"
 SEE_DEVICES = "see `cushion devices`"
 SINKS = f"sink:NAME or usb:VID:PID; {SEE_DEVICES}"
 
@@ -276,7 +277,7 @@ def _rendering(command: Parser) -> None:
     _keys(command, "form", "channels")
     _profile(command, live=False)
     _keys(command, "rig", "damping", "protection", "model", "tolerance")
-    _value(command, "--acceleration", Path, "FILE", "also write the simulated acceleration")
+    _value(command, "--acceleration", Path, "FILE", ACCELERATION_HELP)
     _value(command, "--config", Path, "FILE", CONFIG_HELP)
     _json(command)
 

@@ -203,15 +203,22 @@ def _keep_on(
             report = supervisor.states.report(now_s)
             reporter.tell_engine(*supervisor.engines.playing)
             reporter.tell_page(control.page)
-            reporter.report(report, supervisor.states.notes(), supervisor.warnings, now_s)
+            notes, warnings = supervisor.states.notes(), _warnings(supervisor)
+            reporter.report(report, notes, warnings, now_s)
             reporter.show_meter(lambda: status_of(supervisor, time.monotonic()), now_s)
             if watchdog.due(supervisor.engines.buffers, report.state, now_s):
                 reporter.notifier.send("WATCHDOG=1")
             wake.wait(min(supervisor.rest_s, watchdog.check_s or supervisor.rest_s))
     finally:
-        reporter.end(supervisor.warnings)
+        reporter.end(_warnings(supervisor))
     if supervisor.output.summary:
         print(supervisor.output.summary)
+
+
+def _warnings(supervisor: Supervisor) -> list[str]:
+    """Return what the terminal is to show, also which effects are bypassed."""
+    engine = supervisor.engine
+    return [*(engine.framework.bypass_warnings() if engine else ()), *supervisor.warnings]
 
 
 def _slept_s() -> float:

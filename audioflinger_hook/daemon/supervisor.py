@@ -273,6 +273,8 @@ class Supervisor:
             self._idle_policy.wake(now_s)
         if self.engine:
             self._stalls.count_resyncs(self.engine.delay_line.status.resyncs)
+            if self.input.needs_server:  # a file may take its time
+                self.engine.framework.look_for_blocked(now_s)
 
     def _connected(self, now_s: float) -> PulseConnection | None:
         """Return the connection, None while the server cannot be reached."""

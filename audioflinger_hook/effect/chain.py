@@ -33,8 +33,8 @@ class EffectChains:
 
     Effects may be added before or after `set_format`. The caller clears the haptic channels
     before every mix. All calls come from the thread that steps the mixer, except `sessions`,
-    `modules`, `bypassed` and `dump`, which only read. `process` and `end_of_cycle` neither raise,
-    block nor log.
+    `modules`, `effects`, `bypassed` and `dump`, which only read. `process` and `end_of_cycle`
+    neither raise, block nor log.
 
     clock: seconds, read before and after each effect. budget_share: one effect may take this share
     of a buffer's length; more counts as an overrun. With inf, for offline work, no effect is
@@ -100,11 +100,14 @@ class EffectChains:
     def bypassed(self) -> list[str]:
         """Return `session, effect: reason` of every bypassed effect."""
         return [
-            f"session {session}, {module.descriptor.name}: {module.bypassed}"
-            for session in self._sessions
-            for module in self.modules(session)
+            f"session {module.session}, {module.descriptor.name}: {module.bypassed}"
+            for module in self.effects()
             if module.bypassed
         ]
+
+    def effects(self) -> list[EffectModule]:
+        """Return all effects in running order."""
+        return [module for session in self._sessions for module in self.modules(session)]
 
     def process(
         self, session: int, buffer: MixBuffer, now_s: float, target: MixBuffer | None = None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from enum import Enum, auto
+from pathlib import PurePath
 
 import numpy as np
 
@@ -61,8 +62,9 @@ class EffectControl:
     `enable` and `disable` only set the state. `update_state` sends it to the engine at the end of
     the next cycle, so it takes effect with the buffer after that cycle. An engine that refuses its
     configuration (`refusal`) is bypassed until it accepts one. An engine with a `fault` is bypassed
-    until it is enabled again, after a new INIT and SET_CONFIG. `complaint` is the last refusal or
-    fault. `readings` are the lines with which the engine last described its own state.
+    until it is enabled again, after a new INIT and SET_CONFIG. `given_up`: why another thread does
+    not wait for the engine. `complaint` is the last refusal or fault. `readings` are the lines with
+    which the engine last described its own state.
 
     All calls come from the thread that steps the mixer, between buffers. None raises, except
     KeyboardInterrupt, which is the user's. Any thread may read the attributes.
@@ -73,7 +75,7 @@ class EffectControl:
         self.session = session
         self.access = Access.WRITE
         self.state = EffectState.IDLE
-        self.fault = self.refusal = self.complaint = ""
+        self.fault = self.refusal = self.complaint = self.given_up = ""
         self.faults = self.refusals = 0
         self.readings: tuple[str, ...] = ()
         self.config: EffectConfig | None = None
@@ -93,7 +95,7 @@ class EffectControl:
     @property
     def bypassed(self) -> str:
         """Why the effect is bypassed, whether enabled or not; "" if it is not bypassed."""
-        return self.fault or self.refusal
+        return self.fault or self.given_up or self.refusal
 
     def enable(self) -> int:
         """Start it with the buffer after the next. Returns OK, or EINVAL if destroyed."""
@@ -169,10 +171,12 @@ class EffectControl:
         except KeyboardInterrupt:
             raise
         except BaseException as error:
-            self._blame(f"raised {error_text(error)} in {name}", bypass=bypass)
+            raised = f"raised {error_text(error)} in {name}{place_text(error)}"
+            self._blame(raised, bypass=bypass)
             return EINVAL, None
         if type(answer) is not tuple or len(answer) != 2 or not is_status(answer[0]):
-            self._blame(f"answered {name} with nonsense", bypass=bypass)
+            wrong = f"answered {name} with {answer_text(answer)}; allowed: (status, reply)"
+            self._blame(wrong, bypass=bypass)
             return EINVAL, None
         return answer
 
@@ -203,7 +207,7 @@ class EffectControl:
 
     def _forgive(self) -> None:
         """Lift the bypass after a fault; the counters continue."""
-        self.fault = ""
+        self.fault = self.given_up = ""
 
     def _blame(self, reason: str, *, bypass: bool = True) -> None:
         """Count a failure, keep its reason and, if asked to, bypass the engine."""
@@ -295,3 +299,18 @@ def error_text(error: BaseException) -> str:
     except BaseException:
         words = ""
     return f"{type(error).__name__}: {words}".removesuffix(": ")
+
+
+def place_text(error: BaseException) -> str:
+    """Return ` (FILE, line N)` of the line that raised an exception; never raises."""
+    raised = error.__traceback__
+    while raised is not None and raised.tb_next is not None:
+        raised = raised.tb_next
+    if raised is None:
+        return ""
+    return f" ({PurePath(raised.tb_frame.f_code.co_filename).name}, line {raised.tb_lineno})"
+
+
+def answer_text(answer: object) -> str:
+    """Return a wrong answer in few words; never raises, whatever the answer is."""
+    return str(answer) if answer is None or type(answer) is int else type(answer).__name__

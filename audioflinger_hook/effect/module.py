@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 from audioflinger_hook.effect.control import (
     EffectControl,
     EffectState,
+    answer_text,
     error_text,
     is_status,
+    place_text,
 )
 from audioflinger_hook.effect.interface import ENODATA, OK, Access, EffectConfig, EffectEngine
 from audioflinger_hook.mixer.mix_buffer import MixBuffer
@@ -36,7 +38,7 @@ class EffectModule(EffectControl):
     An engine that raises, answers nonsense, spoils arrays or overruns its time is bypassed and
     counted, and the sound passes unchanged. `misfits` counts buffers whose layout is not the
     configured one. budget_s: seconds that a whole buffer may take, measured by `clock`; inf
-    offline.
+    offline. calls: how often the engine was called; inside: whether it is being called now.
     """
 
     def __init__(
@@ -48,7 +50,8 @@ class EffectModule(EffectControl):
         budget_s: float,
     ) -> None:
         self.budget_s = budget_s
-        self.misfits = self.buffers = self.overruns = 0
+        self.misfits = self.buffers = self.overruns = self.calls = 0
+        self.inside = False
         self.worst_s = 0.0
         self._clock = clock
         self._late = 0
@@ -74,9 +77,13 @@ class EffectModule(EffectControl):
         if not in_place:
             np.add(target.samples, source.samples, out=target.samples)
 
+    def give_up(self, reason: str) -> None:
+        """Bypass an engine that does not return. The one method for another thread."""
+        self.given_up = reason
+
     def _ready(self, source: MixBuffer, in_place: bool) -> bool:
         """Return whether the engine can take a buffer: engine configured, no fault, sizes match."""
-        if self.config is None or not self._accepted or self.fault:
+        if self.config is None or not self._accepted or self.bypassed:
             return False
         access = Access.WRITE if in_place else Access.ACCUMULATE
         if access is not self.access:
@@ -99,20 +106,29 @@ class EffectModule(EffectControl):
         lent = self._lent.of(source)
         mixed = lent if source is target else self._mixed.of(target)
         began = self._clock()
+        self.calls += 1
+        self.inside = True
         try:
             with np.errstate(all="ignore"):
                 status: object = self._engine.process(lent, mixed)
         except KeyboardInterrupt:
             raise
         except BaseException as error:
-            self._blame(f"raised {error_text(error)} in process")
+            self._blame(f"raised {error_text(error)} in process{place_text(error)}")
+            return None
+        finally:
+            self.inside = False
+        if self.given_up:
+            self._blame(self.given_up)
             return None
         self._count_time(self._clock() - began, source.frames)
         if not is_status(status) or status not in (OK, ENODATA):
-            self._blame("answered process with nonsense")
+            self._blame(f"answered process with {answer_text(status)}; allowed: OK (0), ENODATA")
             return None
         if not self._lent.is_back(source) or not (mixed is lent or self._mixed.is_back(target)):
-            self._blame("exchanged or reshaped the arrays that it was lent")
+            self._blame(
+                "exchanged or reshaped its arrays; write into them, as in target.audio[:] = ..."
+            )
             return None
         if _spoiled(mixed, source, target):
             self._blame("made samples that are not finite")

@@ -204,5 +204,5 @@ def export_parametric(
         replaced_samples=framework.replaced_samples,
         bytes=target.stat().st_size,
         error=composed.error,
-        warnings=[*framework.warnings, *framework.bypassed(), *warnings, *composed.warnings],
+        warnings=[*framework.warnings, *framework.bypass_warnings(), *warnings, *composed.warnings],
     )

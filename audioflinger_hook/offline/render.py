@@ -199,7 +199,7 @@ def render(
         strength_db=written[0].drive.strength_db,
         exposure=_largest_exposure(written[0].drive),
         models=rig.seconds if rig else [],
-        warnings=[*framework.warnings, *framework.bypassed(), *warnings],
+        warnings=[*framework.warnings, *framework.bypass_warnings(), *warnings],
     )
 
 

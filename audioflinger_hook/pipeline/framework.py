@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from audioflinger_hook.config.settings import Settings
+from audioflinger_hook.effect.block_watch import BlockWatch
 from audioflinger_hook.effect.chain import BUDGET_SHARE, EffectChains
 from audioflinger_hook.effect.haptic_parameters import (
     DRAIN,
@@ -42,8 +43,8 @@ OFFLINE_HAL_FRAMES = 32_768
 class Framework:
     """One mix with the effects that audio_effects.xml lists, including the haptic effect.
 
-    The thread that steps the mix calls all methods but `change`, which another thread calls; any
-    thread may call `dump` and the properties.
+    The thread that steps the mix calls all methods but `change` and `look_for_blocked`, which
+    another thread calls; any thread may call `dump`, `bypassed` and the properties.
 
     samplerate: rate of the mix in Hz. channels: channels of the mix. The mix has one haptic
     channel; with `settings.channels` = "each", as many as it has channels; with named actuators,
@@ -72,6 +73,7 @@ class Framework:
             clock or (lambda: 0.0), budget_share=BUDGET_SHARE if clock else float("inf")
         )
         self.haptic = self._add_effects()
+        self._block_watch = BlockWatch()
         self._wanted = self._taken = self._parameters(self.settings)
         uncompiled = kernel_warning()
         if uncompiled and self.settings.form == "live":
@@ -179,6 +181,18 @@ class Framework:
     def bypassed(self) -> list[str]:
         """Return `session, effect: reason` of every bypassed effect."""
         return self._chains.bypassed()
+
+    def bypass_warnings(self) -> list[str]:
+        """Return a line for the user about every bypassed effect."""
+        return [f"effect bypassed: {reason}" for reason in self.bypassed()]
+
+    def look_for_blocked(self, now_s: float) -> None:
+        """Bypass other effects that keep the audio thread; call it at least every 0.1 s.
+
+        For one other thread, and only while sound that is also played elsewhere is processed.
+        """
+        others = [effect for effect in self._chains.effects() if effect is not self.haptic]
+        self._block_watch.look(others, now_s)
 
     def dump(self, cycle_times_s: Sequence[float] = ()) -> str:
         """Describe thread, tracks, chains and effects as `dumpsys media.audio_flinger` would.

@@ -76,7 +76,7 @@ def _rows(status: Status) -> list[tuple[str, Text]]:
     if status.exposure and not status.actuators:
         rows.append(("exposure", _exposure(status.exposure)))
     if status.effects_bypassed:
-        names = ", ".join(one_line(name, 60) for name in status.effects_bypassed)
+        names = ", ".join(one_line(name) for name in status.effects_bypassed)
         rows.append(("bypassed", Text(names, "red")))
     shown = status.warnings[-WARNINGS_MAX:]
     if status.warnings[:-WARNINGS_MAX]:

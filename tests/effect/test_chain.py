@@ -249,11 +249,12 @@ def test_a_dump_names_what_is_bypassed_and_what_complained():
     chains, module = running(probe)
     probe.replies[Command.DUMP] = (3, None)
     assert module.command(Command.DUMP) == (EINVAL, None)
-    assert "      Last complaint: answered DUMP with nonsense" in chains.dump()
+    complaint = "answered DUMP with tuple; allowed: (status, reply)"
+    assert f"      Last complaint: {complaint}" in chains.dump()
     probe.act = lambda source, target: 3
     chains.process(0, noise(), 0.0)
     dump = chains.dump()
-    assert "      Bypassed: answered process with nonsense" in dump
+    assert "      Bypassed: answered process with 3; allowed: OK (0), ENODATA" in dump
     assert any("faults 2" in line for line in dump)
 
 

@@ -148,9 +148,9 @@ def test_the_command_takes_effects_of_other_packages_from_the_file_that_the_conf
     ("misbehave", "reason"),
     [
         ("raise KeyError('lost')", "raised KeyError: 'lost' in process"),
-        ("return 'fine'", "answered process with nonsense"),
+        ("return 'fine'", "answered process with str; allowed: OK (0), ENODATA"),
         ("source.audio[:] = float('nan'); return OK", "made samples that are not finite"),
-        ("target.audio = None; return OK", "exchanged or reshaped the arrays"),
+        ("target.audio = None; return OK", "exchanged or reshaped its arrays"),
     ],
 )
 def test_an_effect_that_fails_is_bypassed_and_named_and_we_go_on(
@@ -190,6 +190,22 @@ def test_an_effect_that_takes_too_long_is_bypassed_after_three_buffers(site, eff
     assert "overruns 3, faults 1," in framework.dump()
 
 
+def test_another_effect_that_waits_is_passed_by_but_never_ours(site, effects_file):
+    waits = "[FRAMEWORK[0].look_for_blocked(n * 0.1) for n in range(5)]"
+    busy = "FRAMEWORK[0].haptic.inside = True"  # as when the machine has no time for its thread
+    waiting = OTHER.replace("MISBEHAVE", f"{busy}; {waits}").replace(
+        "SEEN = [0]", "SEEN, FRAMEWORK = [0], [None]"
+    )
+    site("other_package", waiting, entry("other_package:LIBRARY"))
+    path = effects_file("cushion", "other", effects=[OURS, OTHERS], applied=["other", "ours"])
+    framework = Framework(RATE, 2, Settings(effects_file=path))
+    sys.modules["other_package"].FRAMEWORK[0] = framework
+    steps_of(TapClient(FramesTap(music(4_800), RATE, 480)), framework)
+    assert framework.bypassed() == [
+        "session 0, Other: kept the audio thread for over 0.4 s in process"
+    ]
+
+
 def test_sound_that_is_not_played_as_it_is_made_has_all_the_time_there_is(site, effects_file):
     late = "sum(range(1_000_000))"  # over 5 ms, whatever the machine
     site("other_package", OTHER.replace("MISBEHAVE", late), entry("other_package:LIBRARY"))
@@ -211,14 +227,33 @@ def test_a_rendering_warns_of_an_effect_that_was_bypassed(tmp_path, site, effect
     done = call("render", source, out, "--config", tmp_path / "config.toml", "--json")
     assert done.code == 0
     assert done.stderr == (
-        "cushion: warning: session 0, Other: raised KeyError: 'lost' in process\n"
+        "cushion: warning: effect bypassed: session 0, Other: "
+        "raised KeyError: 'lost' in process (other_package.py, line 18)\n"
     )
     assert json.loads(done.stdout)["warnings"] == [
-        "session 0, Other: raised KeyError: 'lost' in process"
+        "effect bypassed: session 0, Other: "
+        "raised KeyError: 'lost' in process (other_package.py, line 18)"
     ]
     latency = Framework(RATE, 2).latency_frames
     unfaded = slice(0, -round(FADE_S * RATE))
     assert np.array_equal(vibration(out)[unfaded], transformed(frames)[latency:][unfaded])
+
+
+def test_a_check_of_the_config_names_the_mistakes_of_its_effects_file(tmp_path, effects_file):
+    (tmp_path / "config.toml").write_text('effects_file = "audio_effects.xml"\n')
+    effects_file("cushion", effects=[OURS], applied=["ours"])
+    done = call("check", "--config", tmp_path / "config.toml")
+    assert (done.code, done.stderr) == (0, "")
+    assert done.stdout.endswith("config.toml: no mistakes\n")
+    effects_file("cushion", effects=[OURS], applied=["gentle", "ours"])
+    done = call("check", "--config", tmp_path / "config.toml")
+    assert (done.code, done.stdout) == (0, "")
+    assert "effect='gentle' is an unknown effect; left out" in done.stderr
+    effects_file("cushion", effects=[OURS], applied=[])
+    done = call("check", "--config", tmp_path / "config.toml", "--json")
+    assert done.code == 2
+    assert "does not apply the haptic effect" in done.stderr
+    assert [found["key"] for found in json.loads(done.stdout)] == ["effects_file"]
 
 
 # --- what is left out

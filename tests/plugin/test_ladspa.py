@@ -340,6 +340,15 @@ def refused(folder: Path, rate_hz: int = RATE_HZ) -> str:
     return done.stderr
 
 
+def test_a_host_may_end_what_was_not_instantiated_as_ffmpeg_does() -> None:
+    code = (
+        "from tests.plugin.hosting import descriptors; "
+        "[face.cleanup(None) for face in descriptors().values()]"
+    )
+    folder = Path(__file__).parents[2]
+    assert subprocess.run([sys.executable, "-c", code], cwd=folder).returncode == 0
+
+
 def test_a_missing_or_unusable_design_is_refused_with_one_line(tmp_path: Path) -> None:
     said = refused(tmp_path)
     assert "no design of profile paper for 48000 Hz" in said

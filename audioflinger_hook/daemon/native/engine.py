@@ -222,7 +222,7 @@ class NativeEngine:
     def _note_moves(self, tap: Tap) -> None:
         before, self._tap = self._tap, tap
         if before is not None and before.node != tap.node and self._config.tap.kind == "default":
-            self._states.count(Cause.DEFAULT_CHANGED, f"the tap moves to {tap.name}")
+            self._states.count(Cause.DEFAULT_CHANGED, f"the tap is now: {tap.name}")
 
     def _check(self, players: frozenset[int], now_s: float) -> None:
         """Drop chains that have ended or hang; raise LostError for the playing one."""

@@ -72,6 +72,8 @@ typedef struct {
 static void cleanup(void *instance)
 {
     Instance *made = instance;
+    if (!made) /* FFmpeg ends what it could not instantiate, too */
+        return;
     effect_close(made->effect);
     actuator_close(made->actuator);
     daemon_transform_close(made->transform);
