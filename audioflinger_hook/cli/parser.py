@@ -5,13 +5,21 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
-from typing import Any
 
 from audioflinger_hook import __version__
-from audioflinger_hook.cli.arguments import Parser, band_hz, count, duration, number_or_off, seconds
+from audioflinger_hook.cli.arguments import Parser, count, duration, seconds
+from audioflinger_hook.cli.options import (
+    CONFIG_HELP,
+    add_exporting,
+    add_json,
+    add_keys,
+    add_profile,
+    add_rendering,
+    add_switch,
+    add_value,
+)
 
 NEXT = (
     "next: `cushion setup` leads through the first run, `cushion demo` plays a scene, and "
@@ -25,8 +33,6 @@ EXIT_CODES = (
 )
 
 
-CONFIG_HELP = "take the settings from this file"
-ACCELERATION_HELP = "also write the simulated acceleration; its full scale is 100 m/s²"
 SEE_DEVICES = "see `cushion devices`"
 SINKS = f"sink:NAME or usb:VID:PID; {SEE_DEVICES}"
 
@@ -34,7 +40,7 @@ SINKS = f"sink:NAME or usb:VID:PID; {SEE_DEVICES}"
 def build_parser() -> Parser:
     """Return the parser; in the parsed options, `run` is the function of the command."""
     parser = Parser(prog="cushion", description=DESCRIPTION, epilog=EXIT_CODES)
-    _switch(parser, "--debug", "show tracebacks")
+    add_switch(parser, "--debug", "show tracebacks")
     parser.add_argument("--version", action="version", version=f"cushion {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND")
     for name, (add_options, does, example) in COMMANDS.items():
@@ -53,7 +59,7 @@ def _add(
     shown = f"example: cushion {name}{' ' if example else ''}{example}"
     command = commands.add_parser(name, help=does, description=does, epilog=shown)
     command.add_options = add_options
-    _switch(command, "--debug", "show tracebacks")
+    add_switch(command, "--debug", "show tracebacks")
 
     def run(options: argparse.Namespace) -> int:
         # Imported only when run: some imports take a second.
@@ -64,10 +70,10 @@ def _add(
 
 
 def _demo(command: Parser) -> None:
-    _value(command, "--out", Path, "DIR", "folder to write to", Path("out"))
-    _profile(command, live=True)
-    _keys(command, "model", "tolerance")
-    _switch(command, "--fast", "do not wait for real time")
+    add_value(command, "--out", Path, "DIR", "folder to write to", Path("out"))
+    add_profile(command, live=True)
+    add_keys(command, "model", "tolerance")
+    add_switch(command, "--fast", "do not wait for real time")
 
 
 def _render(command: Parser) -> None:
@@ -76,15 +82,15 @@ def _render(command: Parser) -> None:
     command.any_order = True
     files = "a sound file; a float32 WAV to write"
     command.add_argument("files", nargs="*", type=Path, metavar="IN OUT", help=files)
-    _value(command, "--out-dir", Path, "DIR", "write DIR/IN.wav for every IN, several at once")
-    _value(command, "--workers", count, "N", "processes at once; default: the usable cores")
-    _rendering(command)
+    add_value(command, "--out-dir", Path, "DIR", "write DIR/IN.wav for every IN, several at once")
+    add_value(command, "--workers", count, "N", "processes at once; default: the usable cores")
+    add_rendering(command)
 
 
 def _export(command: Parser) -> None:
     command.add_argument("input", type=Path, metavar="IN", help="a sound file")
     command.add_argument("output", type=Path, metavar="OUT", help="the file to write")
-    _exporting(command, "by OUT's ending", None)
+    add_exporting(command, "by OUT's ending", None)
 
 
 def _catalogue(command: Parser) -> None:
@@ -92,49 +98,29 @@ def _catalogue(command: Parser) -> None:
     command.any_order = True  # `status` and MANIFEST are parsed as one list
     sounds = "JSON lines or CSV, a folder or a glob; path or URL. status: show what is done"
     command.add_argument("words", nargs="*", metavar="[status] MANIFEST", help=sounds)
-    _value(command, "--out", str, "URL", "folder of the results, path or URL")
-    _value(command, "--workers", count, "N", "processes at once; default: the usable cores")
-    _value(command, "--shard", str, "I/N", "take one of N equal shares; I is 1 to N")
-    _value(command, "--dask", str, "ADDRESS", "use a Dask cluster; local: one of this machine")
-    _value(command, "--max-failures", count, "N", "stop after more; default: never")
-    _value(command, "--retries", count, "N", "repetitions of failed I/O", 3)
-    _switch(command, "--verify", "know sounds by their SHA-256, not by path, size and time")
-    _value(command, "--track", count, "N", "sound track of films; default: the film's")
-    _value(command, "--language", str, "CODE", "language of the films' sound track, such as eng")
-    _value(command, "--report", Path, "DIR", "write a page with a picture of each item")
-    _exporting(command, "wav", "wav")
-
-
-def _exporting(command: Parser, default: str, format_name: str | None) -> None:
-    """Add the options that `export` and `catalogue` share."""
-    from audioflinger_hook.exports.options import FORMATS
-
-    command.add_argument(
-        "--format",
-        default=format_name,
-        metavar="NAME",
-        help=f"{', '.join(FORMATS)}; default: {default}",
-    )
-    _value(command, "--output-rate", count, "HZ", "rate of a waveform; default: the sound's")
-    band = "band of the target's actuator, such as 55:200; 20-220 Hz is mapped to it"
-    _value(command, "--device-band", band_hz, "LOW:HIGH", band)
-    _keys(command, "form", "channels")
-    _profile(command, live=False)
-    _keys(command, "rig", "damping", "protection", "model", "tolerance")
-    _value(command, "--config", Path, "FILE", CONFIG_HELP)
-    _json(command)
+    add_value(command, "--out", str, "URL", "folder of the results, path or URL")
+    add_value(command, "--workers", count, "N", "processes at once; default: the usable cores")
+    add_value(command, "--shard", str, "I/N", "take one of N equal shares; I is 1 to N")
+    add_value(command, "--dask", str, "ADDRESS", "use a Dask cluster; local: one of this machine")
+    add_value(command, "--max-failures", count, "N", "stop after more; default: never")
+    add_value(command, "--retries", count, "N", "repetitions of failed I/O", 3)
+    add_switch(command, "--verify", "know sounds by their SHA-256, not by path, size and time")
+    add_value(command, "--track", count, "N", "sound track of films; default: the film's")
+    add_value(command, "--language", str, "CODE", "language of the films' sound track, such as eng")
+    add_value(command, "--report", Path, "DIR", "write a page with a picture of each item")
+    add_exporting(command, "wav", "wav")
 
 
 def _inspect(command: Parser) -> None:
     command.add_argument("input", type=Path, metavar="IN", help="a sound file")
-    _value(command, "--at", seconds, "SECONDS", "list only the unit at that time")
-    _json(command)
+    add_value(command, "--at", seconds, "SECONDS", "list only the unit at that time")
+    add_json(command)
 
 
 def _capture(command: Parser) -> None:
     command.add_argument("folder", type=Path, metavar="OUTDIR", help="a new or empty folder")
     taps = "default, sink:NAME, file:PATH, capture:DIR or scene:demo"
-    _value(command, "--tap", str, "TAP", taps, "default")
+    add_value(command, "--tap", str, "TAP", taps, "default")
     stop = "stop after S seconds; default: when the sound ends"
     command.add_argument("--seconds", type=duration, default=math.inf, metavar="S", help=stop)
 
@@ -142,39 +128,39 @@ def _capture(command: Parser) -> None:
 def _replay(command: Parser) -> None:
     command.add_argument("folder", type=Path, metavar="DIR", help="a capture")
     command.add_argument("output", type=Path, metavar="OUT", help="float32 WAV to write")
-    _value(command, "--speed", str, "1|max", "real time, or as fast as possible", "max")
-    _rendering(command)
+    add_value(command, "--speed", str, "1|max", "real time, or as fast as possible", "max")
+    add_rendering(command)
 
 
 def _dump(command: Parser) -> None:
-    _value(command, "--tap", str, "TAP", "file:PATH, capture:DIR or scene:demo", "scene:demo")
-    _value(command, "--at", seconds, "SECONDS", "how much sound to play first; default: 1")
-    _value(command, "--config", Path, "FILE", CONFIG_HELP)
+    add_value(command, "--tap", str, "TAP", "file:PATH, capture:DIR or scene:demo", "scene:demo")
+    add_value(command, "--at", seconds, "SECONDS", "how much sound to play first; default: 1")
+    add_value(command, "--config", Path, "FILE", CONFIG_HELP)
 
 
 def _run(command: Parser) -> None:
-    _keys(command, "tap", action="append")
-    _keys(command, "device")
-    _value(command, "--record", Path, "DIR", "record the run in a new folder")
-    _keys(command, "drop_in", "engine")
-    _value(command, "--config", Path, "FILE", "default: ~/.config/cushion/config.toml")
+    add_keys(command, "tap", action="append")
+    add_keys(command, "device")
+    add_value(command, "--record", Path, "DIR", "record the run in a new folder")
+    add_keys(command, "drop_in", "engine")
+    add_value(command, "--config", Path, "FILE", "default: ~/.config/cushion/config.toml")
     stop = "stop after S seconds; default: never"
     command.add_argument("--seconds", type=duration, default=math.inf, metavar="S", help=stop)
-    _keys(command, "offset_ms", "device_volume_db")
-    _profile(command, live=True)
-    _keys(command, "rig", "damping", "protection", "model", "tolerance")
-    _switch(command, "--wait", "wait until server, device and tap are available")
+    add_keys(command, "offset_ms", "device_volume_db")
+    add_profile(command, live=True)
+    add_keys(command, "rig", "damping", "protection", "model", "tolerance")
+    add_switch(command, "--wait", "wait until server, device and tap are available")
 
 
 def _status(command: Parser) -> None:
-    _switch(command, "--watch", "repeat until interrupted")
-    _json(command)
+    add_switch(command, "--watch", "repeat until interrupted")
+    add_json(command)
 
 
 def _monitor(command: Parser) -> None:
-    _value(command, "--listen", str, "HOST:PORT", "address to serve at", "127.0.0.1:8765")
-    _switch(command, "--open", "open it in a browser")
-    _value(command, "--rate", float, "HZ", "frames a second, 1 to 60", 30.0)
+    add_value(command, "--listen", str, "HOST:PORT", "address to serve at", "127.0.0.1:8765")
+    add_switch(command, "--open", "open it in a browser")
+    add_value(command, "--rate", float, "HZ", "frames a second, 1 to 60", 30.0)
 
 
 def _usb(command: Parser) -> None:
@@ -182,57 +168,61 @@ def _usb(command: Parser) -> None:
     command.add_argument("does", choices=("describe", "set"), metavar="describe|set", help=does)
     names = "usb:VID:PID[:SERIAL][@PORT]; default: all"
     command.add_argument("device", nargs="?", metavar="DEVICE", help=names)
-    _value(command, "--hex", Path, "FILE", "decode a file: raw, lsusb -v or hex; - is stdin")
+    add_value(command, "--hex", Path, "FILE", "decode a file: raw, lsusb -v or hex; - is stdin")
     taken = "also read volumes and sample rates; the card cannot play in that time"
-    _switch(command, "--take-over", taken)
-    _value(command, "--volume-db", float, "DB", "set: volume, up to 0")
-    _value(command, "--samplerate", count, "HZ", "set: samplerate")
+    add_switch(command, "--take-over", taken)
+    add_value(command, "--volume-db", float, "DB", "set: volume, up to 0")
+    add_value(command, "--samplerate", count, "HZ", "set: samplerate")
     command.add_argument("--mute", choices=("on", "off"), metavar="on|off", help="set: mute")
-    _json(command)
+    add_json(command)
 
 
 def _test_tone(command: Parser) -> None:
     command.add_argument("--device", required=True, metavar="DEVICE", help=SINKS)
-    _value(command, "--hz", float, "HZ", "frequency", 60.0)
-    _value(command, "--level", float, "L", "amplitude, up to 1", 0.2)
-    _value(command, "--seconds", float, "S", "duration", 2.0)
+    add_value(command, "--hz", float, "HZ", "frequency", 60.0)
+    add_value(command, "--level", float, "L", "amplitude, up to 1", 0.2)
+    add_value(command, "--seconds", float, "S", "duration", 2.0)
 
 
 def _calibrate(command: Parser) -> None:
     command.add_argument(
         "--device", required=True, metavar="DEVICE", help=f"{SEE_DEVICES}; or twin"
     )
-    _value(command, "--input", str, "INPUT", "input that records: source:NAME or hw:CARD[,DEVICE]")
+    add_value(
+        command, "--input", str, "INPUT", "input that records: source:NAME or hw:CARD[,DEVICE]"
+    )
     channels = "input channels in order: acceleration, current, voltage, loopback, or -"
-    _value(command, "--channels", str, "A,B,...", channels)
-    _value(command, "--input-full-scale-v", float, "V", "peak volts at the input's full scale")
+    add_value(command, "--channels", str, "A,B,...", channels)
+    add_value(command, "--input-full-scale-v", float, "V", "peak volts at the input's full scale")
     sensitivity = "sensitivity of the accelerometer"
-    _value(command, "--acceleration-mv-per-m-s2", float, "MV", sensitivity)
-    _value(command, "--shunt-ohm", float, "OHM", "resistance of the shunt resistor, up to 10")
-    _value(command, "--voltage-ratio", float, "X", "volts at the coil per volt at the input", 1.0)
-    _value(command, "--moving-mass-kg", float, "KG", "moving mass, if it was weighed; gives Bl")
-    _value(command, "--output-channel", int, "N", "output channel to play on, from 1", 1)
-    _value(command, "--level", float, "L", "part of full scale, up to 0.25; default: 0.05")
-    _switch(command, "--loud", "allow a --level up to 1")
-    _value(command, "--rig", str, "NAME|FILE", "known values of the rig", "paper")
-    _switch(command, "--seat", "simulated rig: mount it in a seat")
+    add_value(command, "--acceleration-mv-per-m-s2", float, "MV", sensitivity)
+    add_value(command, "--shunt-ohm", float, "OHM", "resistance of the shunt resistor, up to 10")
+    add_value(
+        command, "--voltage-ratio", float, "X", "volts at the coil per volt at the input", 1.0
+    )
+    add_value(command, "--moving-mass-kg", float, "KG", "moving mass, if it was weighed; gives Bl")
+    add_value(command, "--output-channel", int, "N", "output channel to play on, from 1", 1)
+    add_value(command, "--level", float, "L", "part of full scale, up to 0.25; default: 0.05")
+    add_switch(command, "--loud", "allow a --level up to 1")
+    add_value(command, "--rig", str, "NAME|FILE", "known values of the rig", "paper")
+    add_switch(command, "--seat", "simulated rig: mount it in a seat")
     share = "simulated rig: part of Xmax, up to 0.15; default: 0.05"
-    _value(command, "--share", float, "S", share)
-    _value(command, "--low-hz", float, "HZ", "lowest frequency", 15.0)
-    _value(command, "--high-hz", float, "HZ", "highest frequency", 400.0)
-    _value(command, "--seconds", duration, "S", "duration of each sweep", 5.0)
-    _value(command, "--out", Path, "FILE", "rig file to write")
-    _json(command)
+    add_value(command, "--share", float, "S", share)
+    add_value(command, "--low-hz", float, "HZ", "lowest frequency", 15.0)
+    add_value(command, "--high-hz", float, "HZ", "highest frequency", 400.0)
+    add_value(command, "--seconds", duration, "S", "duration of each sweep", 5.0)
+    add_value(command, "--out", Path, "FILE", "rig file to write")
+    add_json(command)
 
 
 def _setup(command: Parser) -> None:
-    _switch(command, "--yes", "ask nothing: take the options, and what is likely")
-    _value(command, "--device", str, "DEVICE", f"{SEE_DEVICES}; default: ask")
+    add_switch(command, "--yes", "ask nothing: take the options, and what is likely")
+    add_value(command, "--device", str, "DEVICE", f"{SEE_DEVICES}; default: ask")
     named = "cinema, game, music, paper or speech-free; default: ask"
-    _value(command, "--profile", str, "NAME", named)
-    _switch(command, "--no-test", "play no tone")
-    _switch(command, "--no-service", "install no service")
-    _switch(command, "--undo", "restore what was before the last setup")
+    add_value(command, "--profile", str, "NAME", named)
+    add_switch(command, "--no-test", "play no tone")
+    add_switch(command, "--no-service", "install no service")
+    add_switch(command, "--undo", "restore what was before the last setup")
 
 
 def _plugin(command: Parser) -> None:
@@ -251,78 +241,23 @@ def _plugin(command: Parser) -> None:
         metavar="NAME",
         help=f"of the PipeWire chain: {', '.join(PROFILES)}; default: {LIVE_DEFAULT}",
     )
-    _value(command, "--device", str, "NODE", "also write a PipeWire chain that plays to this sink")
-    _value(command, "--rate", int, "HZ", "also write settings for this sample rate")
+    add_value(
+        command, "--device", str, "NODE", "also write a PipeWire chain that plays to this sink"
+    )
+    add_value(command, "--rate", int, "HZ", "also write settings for this sample rate")
 
 
 def _install_service(command: Parser) -> None:
-    _value(command, "--device", str, "DEVICE", f"{SEE_DEVICES}; default: the config's")
-    _value(command, "--tap", str, "TAP", "where the sound comes from; default: the config's")
-    _switch(command, "--remove", "remove the unit")
-    _switch(command, "--udev", "print a rule for USB devices; without a device, only that")
+    add_value(command, "--device", str, "DEVICE", f"{SEE_DEVICES}; default: the config's")
+    add_value(command, "--tap", str, "TAP", "where the sound comes from; default: the config's")
+    add_switch(command, "--remove", "remove the unit")
+    add_switch(command, "--udev", "print a rule for USB devices; without a device, only that")
 
 
 def _check(command: Parser) -> None:
-    _value(command, "--config", Path, "FILE", "default: ~/.config/cushion/config.toml")
-    _switch(command, "--schema", "print the JSON Schema of the config, for editors")
-    _json(command)
-
-
-def _json(command: Parser) -> None:
-    _switch(command, "--json", "print one JSON document on stdout")
-
-
-def _rendering(command: Parser) -> None:
-    """Add the options that `render` and `replay` share."""
-    _keys(command, "form", "channels")
-    _profile(command, live=False)
-    _keys(command, "rig", "damping", "protection", "model", "tolerance")
-    _value(command, "--acceleration", Path, "FILE", ACCELERATION_HELP)
-    _value(command, "--config", Path, "FILE", CONFIG_HELP)
-    _json(command)
-
-
-def _profile(command: Parser, *, live: bool) -> None:
-    """Add `--profile`, and `default_profile` to the parsed options. live: which default it is."""
-    from audioflinger_hook.config.profiles import LIVE_DEFAULT, OFFLINE_DEFAULT
-    from audioflinger_hook.config.schema import option
-
-    default = LIVE_DEFAULT if live else OFFLINE_DEFAULT
-    key = replace(option("profile"), default=default, live_default=default)
-    command.add_argument(key.flag, dest=key.field, help=key.help, metavar=key.metavar)
-    command.set_defaults(default_profile=default)
-
-
-def _keys(command: Parser, *fields: str, **more: Any) -> None:
-    """Add the options for keys of the config file. more: further arguments of `add_argument`."""
-    from audioflinger_hook.config.schema import option
-    from device.values import Number, Switch
-
-    for key in map(option, fields):
-        kind: dict[str, Any] = {"metavar": key.metavar}
-        if isinstance(key.description, Switch):
-            kind = {"action": "store_true", "default": None}
-        elif isinstance(key.description, Number):
-            kind["type"] = number_or_off if key.description.off else float
-        command.add_argument(key.flag, dest=key.field, help=key.help, **kind, **more)
-
-
-def _value(
-    command: Parser,
-    flag: str,
-    kind: Callable[[str], Any],
-    metavar: str,
-    meaning: str,
-    default: object = None,
-) -> None:
-    """Add an option with a value. Its help shows the default, unless the default is None."""
-    shown = f"{default:g}" if isinstance(default, float) else default
-    described = meaning if default is None else f"{meaning}; default: {shown}"
-    command.add_argument(flag, type=kind, default=default, metavar=metavar, help=described)
-
-
-def _switch(command: Parser, flag: str, meaning: str) -> None:
-    command.add_argument(flag, action="store_true", help=meaning)
+    add_value(command, "--config", Path, "FILE", "default: ~/.config/cushion/config.toml")
+    add_switch(command, "--schema", "print the JSON Schema of the config, for editors")
+    add_json(command)
 
 
 COMMANDS: dict[str, tuple[Callable[[Parser], None], str, str]] = {
@@ -354,7 +289,7 @@ COMMANDS: dict[str, tuple[Callable[[Parser], None], str, str]] = {
     ),
     "status": (_status, "show the state of the running daemon", "--watch"),
     "monitor": (_monitor, "serve the live page of the running daemon", "--open"),
-    "devices": (_json, "list outputs and playing applications", ""),
+    "devices": (add_json, "list outputs and playing applications", ""),
     "usb": (_usb, "decode a USB audio device, or a dump of one", "describe usb:152a:8750"),
     "test-tone": (
         _test_tone,
