@@ -19,7 +19,7 @@ from device.alsa.cards import PlaybackDevice, list_playbacks
 from device.alsa.use import why_blocked
 from device.errors import CushionError
 from device.server import PulseConnection, ServerSnapshot
-from device.server.identity import identity_of, is_own_stream
+from device.server.identity import identity_of, is_ours
 from device.stream import filter_stderr
 from device.usb import Found, UsbAudioDevice, find_devices, identify
 from device.usb.descriptors import parse_whole, playback_formats
@@ -123,7 +123,7 @@ def _server(snapshot: ServerSnapshot | None) -> dict[str, Any]:
                 "paused": stream.corked,
             }
             for stream in snapshot.sink_inputs
-            if not is_own_stream(stream)
+            if not is_ours(stream)
         ],
     }
 
