@@ -106,6 +106,7 @@ def _server(snapshot: ServerSnapshot | None) -> dict[str, Any]:
                 "samplerate": sink.samplerate,
                 "channels": sink.channels,
                 "default": sink.name == snapshot.default_sink,
+                "weakened": sink.weakened,
                 "identity": asdict(identity_of(sink)),
                 "advice": advice_for(sink),
             }
@@ -149,9 +150,13 @@ def _section(title: str, blocks: Iterable[list[str]]) -> None:
 
 
 def _sink_lines(sink: dict[str, Any]) -> list[str]:
-    mark = ", the default" if sink["default"] else ""
-    what = f"{sink['description']}, {sink['samplerate']} Hz, {sink['channels']} channels{mark}"
-    return [sink["device"], what, *filter(None, [sink["advice"]])]
+    marks = "the default" if sink["default"] else "", sink["weakened"]
+    what = f"{sink['description']}, {sink['samplerate']} Hz, {sink['channels']} channels"
+    return [
+        sink["device"],
+        ", ".join(filter(None, (what, *marks))),
+        *filter(None, [sink["advice"]]),
+    ]
 
 
 def _usb_lines(device: dict[str, Any]) -> list[str]:
