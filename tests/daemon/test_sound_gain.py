@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from audioflinger_hook.daemon.capture_queue import UNDONE_MAX_DB, SoundGain, undoing
+from audioflinger_hook.daemon.capture_queue import SoundGain, undone_db
 
 
 def test_frames_stay_the_same_object_without_a_volume() -> None:
@@ -17,7 +17,7 @@ def test_frames_stay_the_same_object_without_a_volume() -> None:
 
 def test_a_volume_is_undone_over_one_buffer_and_exactly_from_then_on() -> None:
     gain, frames = SoundGain(), np.full((100, 2), 0.1, np.float32)
-    gain.wanted = undoing(-20.0)
+    gain.wanted = 10.0
     changing, after = gain.apply(frames), gain.apply(frames)
     assert np.all(np.diff(changing[:, 0]) > 0.0)
     assert np.ptp(np.diff(changing[:, 0])) < 1e-6
@@ -32,10 +32,17 @@ def test_the_change_goes_on_after_a_buffer_without_frames() -> None:
     assert gain.apply(np.ones((4, 1), np.float32))[0, 0] == pytest.approx(1.25)
 
 
-@pytest.mark.parametrize("volume_db", [-math.inf, -200.0, -UNDONE_MAX_DB])
-def test_no_more_than_the_limit_is_undone(volume_db: float) -> None:
-    assert undoing(volume_db) == pytest.approx(10.0 ** (UNDONE_MAX_DB / 20.0))
+@pytest.mark.parametrize(("server", "limit_db"), [("PulseAudio", 40.0), ("PipeWire", 80.0)])
+@pytest.mark.parametrize("volume_db", [-math.inf, -200.0, -80.0])
+def test_no_more_than_the_servers_samples_bear_is_undone(
+    volume_db: float, server: str, limit_db: float
+) -> None:
+    assert undone_db(volume_db, server) == -limit_db
+
+
+def test_a_volume_of_10_percent_is_undone_wholly_on_pipewire() -> None:
+    assert undone_db(-60.0, "PipeWire") == -60.0
 
 
 def test_a_volume_above_full_is_undone_as_well() -> None:
-    assert undoing(11.0) == pytest.approx(10.0 ** (-11.0 / 20.0))
+    assert undone_db(11.0, "PulseAudio") == 11.0
