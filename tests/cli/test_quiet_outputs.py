@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 
 from audioflinger_hook.cli import devices, test_tone
+from audioflinger_hook.cli.outputs import list_outputs
 from audioflinger_hook.daemon.outputs.base import DeviceVolume
 from audioflinger_hook.daemon.outputs.sink import SinkOutput
 from device.server import ServerSnapshot
@@ -42,6 +43,11 @@ def test_a_test_tone_says_why_it_may_not_be_felt() -> None:
     assert "`pactl set-sink-mute dac 0`" in silent
     (heard,) = test_tone._warnings(DAC, snapshot(DAC, default="dac"))
     assert "the default output" in heard
+
+
+def test_setup_lists_a_muted_output_as_muted() -> None:
+    (output,) = list_outputs(snapshot(MUTED), (), ())
+    assert "now muted" in output.note
 
 
 @pytest.mark.parametrize(("sink", "warns"), [(MUTED, True), (DOWN, False), (None, False)])
