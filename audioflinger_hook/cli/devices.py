@@ -19,7 +19,8 @@ from device.alsa.cards import PlaybackDevice, list_playbacks
 from device.alsa.use import why_blocked
 from device.errors import CushionError
 from device.server import PulseConnection, ServerSnapshot
-from device.server.identity import identity_of, is_ours
+from device.server.app_rules import is_application
+from device.server.identity import identity_of
 from device.stream import filter_stderr
 from device.usb import Found, UsbAudioDevice, find_devices, identify
 from device.usb.descriptors import parse_whole, playback_formats
@@ -124,7 +125,7 @@ def _server(snapshot: ServerSnapshot | None) -> dict[str, Any]:
                 "paused": stream.corked,
             }
             for stream in snapshot.sink_inputs
-            if not is_ours(stream)
+            if is_application(stream)
         ],
     }
 

@@ -13,7 +13,7 @@ from typing import TypeVar
 
 from device.errors import NotFoundError
 from device.server.snapshot import ServerSnapshot, Sink, Source, Stream
-from device.stream.pcms import APPLICATION_ID, FALLBACK_SINK, NODES, ROLE, TAG
+from device.stream.pcms import APPLICATION_ID, FALLBACK_SINK, ROLE, TAG
 from device.values import no_such
 
 Device = TypeVar("Device", Sink, Source)
@@ -67,7 +67,6 @@ def is_ours(stream: Stream) -> bool:
         stream.role == ROLE
         or stream.properties.get("application.id") == APPLICATION_ID
         or is_cushion_stream(stream)
-        or stream.properties.get("node.name", "").startswith(NODES)
         or is_own_stream(stream)
     )
 

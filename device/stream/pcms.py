@@ -115,9 +115,6 @@ def _make(parent: Path) -> tuple[Path, int]:
 # media.role (no other program's), application.id and application.name of all our streams
 ROLE, APPLICATION_ID, APPLICATION_NAME = "haptic", "haptic-cushion", "Haptic Cushion"
 
-NODES = ("haptic-cushion-", "haptic-cushion.")
-"""How the names of PipeWire nodes of the native engine, and of the plugin's own chain, begin."""
-
 FALLBACK_SINK = "cushion_refuge"
 """Name of the silent sink that catches our output: see `FallbackSink`."""
 

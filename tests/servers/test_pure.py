@@ -26,7 +26,6 @@ from device.server.identity import (
     find_sink,
     find_source,
     identity_of,
-    is_ours,
     is_own_stream,
 )
 from device.server.snapshot import Event, ServerSnapshot, Sink, Source, Stream, _kind
@@ -135,18 +134,6 @@ def test_a_stream_of_another_machine_with_our_process_id_is_not_ours() -> None:
     assert is_own_stream(stream)
     there = {"application.process.host": "another-machine"}
     assert not is_own_stream(Stream(1, 1, "", "", "", "", "", os.getpid(), False, False, there))
-
-
-@pytest.mark.parametrize("node", ["haptic-cushion-812-1.vibration", "haptic-cushion.vibration"])
-def test_vibration_that_pipewire_plays_for_us_is_ours_though_it_names_no_application(
-    node: str,
-) -> None:
-    assert is_ours(playback_of(node))
-    assert not is_ours(playback_of("haptic-cushions"))
-
-
-def playback_of(node: str) -> Stream:
-    return Stream(1, 1, "dac", "", "", "", "", None, False, False, {"node.name": node})
 
 
 def test_the_kind_of_a_server_is_in_its_name() -> None:
