@@ -50,7 +50,9 @@ def undone_db(volume_db: float, server: str) -> float:
 class SoundGain:
     """A factor on the frames of a tap, which changes over one buffer.
 
-    The capture's thread calls `apply`; any thread may set `wanted`.
+    A factor above 1 brings no sample over full scale. A volume may rise before the server reports
+    it, and the factor of the old one would be far too large for a moment. The capture's thread
+    calls `apply`; any thread may set `wanted`.
     """
 
     def __init__(self) -> None:
@@ -64,9 +66,11 @@ class SoundGain:
             return frames
         self._reached = wanted
         if wanted == before:
-            return frames * np.float32(wanted)
-        steps = np.arange(1, len(frames) + 1, dtype=np.float32) / np.float32(len(frames))
-        return frames * (np.float32(before) + np.float32(wanted - before) * steps)[:, None]
+            changed = frames * np.float32(wanted)
+        else:
+            steps = np.arange(1, len(frames) + 1, dtype=np.float32) / np.float32(len(frames))
+            changed = frames * (np.float32(before) + np.float32(wanted - before) * steps)[:, None]
+        return np.clip(changed, -1.0, 1.0, out=changed) if max(wanted, before) > 1.0 else changed
 
 
 class Feed:

@@ -25,11 +25,21 @@ def test_a_volume_is_undone_over_one_buffer_and_exactly_from_then_on() -> None:
     assert after == pytest.approx(1.0, rel=1e-6)
 
 
+def test_no_sample_goes_over_full_scale_where_a_volume_rose_before_its_factor_fell() -> None:
+    gain = SoundGain()
+    gain.wanted = 1000.0
+    assert gain.apply(np.full((4, 1), 0.5, np.float32)).max() == 1.0
+    assert gain.apply(np.full((4, 1), -0.5, np.float32)).min() == -1.0
+    gain.wanted = 1.0
+    gain.apply(np.ones((4, 1), np.float32))
+    assert gain.apply(np.full((4, 1), 1.5, np.float32)).max() == 1.5
+
+
 def test_the_change_goes_on_after_a_buffer_without_frames() -> None:
     gain = SoundGain()
     gain.wanted = 2.0
     assert len(gain.apply(np.zeros((0, 2), np.float32))) == 0
-    assert gain.apply(np.ones((4, 1), np.float32))[0, 0] == pytest.approx(1.25)
+    assert gain.apply(np.full((4, 1), 0.4, np.float32))[0, 0] == pytest.approx(0.5)
 
 
 @pytest.mark.parametrize(("server", "limit_db"), [("PulseAudio", 40.0), ("PipeWire", 80.0)])
