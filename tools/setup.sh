@@ -170,7 +170,7 @@ packages_for() {
             apt-get:venv) echo "$name-venv" ;;
             apt-get:compiler) echo gcc libc6-dev ;;
             apt-get:Python.h) echo "$name-dev" ;;
-            apt-get:portaudio.h) echo portaudio19-dev ;;
+            apt-get:portaudio.h) echo portaudio19-dev libasound2-plugins ;; # the second for live sound
             dnf:Python.h) echo "$name-devel" ;;
             zypper:Python.h) echo "$short-devel" ;;
             pacman:Python.h | pacman:venv) echo python ;;

@@ -19,7 +19,8 @@ from device.alsa.cards import PlaybackDevice, list_playbacks
 from device.alsa.use import why_blocked
 from device.errors import CushionError
 from device.server import PulseConnection, ServerSnapshot
-from device.server.identity import identity_of, is_own_stream
+from device.server.app_rules import is_application
+from device.server.identity import identity_of
 from device.stream import filter_stderr
 from device.usb import Found, UsbAudioDevice, find_devices, identify
 from device.usb.descriptors import parse_whole, playback_formats
@@ -106,6 +107,7 @@ def _server(snapshot: ServerSnapshot | None) -> dict[str, Any]:
                 "samplerate": sink.samplerate,
                 "channels": sink.channels,
                 "default": sink.name == snapshot.default_sink,
+                "weakened": sink.weakened,
                 "identity": asdict(identity_of(sink)),
                 "advice": advice_for(sink),
             }
@@ -123,7 +125,7 @@ def _server(snapshot: ServerSnapshot | None) -> dict[str, Any]:
                 "paused": stream.corked,
             }
             for stream in snapshot.sink_inputs
-            if not is_own_stream(stream)
+            if is_application(stream)
         ],
     }
 
@@ -149,9 +151,13 @@ def _section(title: str, blocks: Iterable[list[str]]) -> None:
 
 
 def _sink_lines(sink: dict[str, Any]) -> list[str]:
-    mark = ", the default" if sink["default"] else ""
-    what = f"{sink['description']}, {sink['samplerate']} Hz, {sink['channels']} channels{mark}"
-    return [sink["device"], what, *filter(None, [sink["advice"]])]
+    marks = "the default" if sink["default"] else "", sink["weakened"]
+    what = f"{sink['description']}, {sink['samplerate']} Hz, {sink['channels']} channels"
+    return [
+        sink["device"],
+        ", ".join(filter(None, (what, *marks))),
+        *filter(None, [sink["advice"]]),
+    ]
 
 
 def _usb_lines(device: dict[str, Any]) -> list[str]:

@@ -46,7 +46,8 @@ def run(options: argparse.Namespace) -> int:
                 page = f'<!doctype html><meta http-equiv="refresh" content="0; url={to}">\n'
                 write_bytes_atomically(path, page.encode())
                 path.chmod(0o600)
-                webbrowser.open(path.as_uri())
+                if not webbrowser.open(path.as_uri()):
+                    warn("no browser could be started; open this address in one")
 
         asyncio.run(_until_signal(server.run(tell)))
     return 0

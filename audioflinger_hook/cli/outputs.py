@@ -110,6 +110,8 @@ def _of_sink(sink: Sink, snapshot: ServerSnapshot, devices: Sequence[UsbAudioDev
         rank, note = SURROUND, f"a card with {sink.channels} channels"
     else:
         rank, note = OTHER, "another output"
+    if sink.weakened:
+        note += f"; now {sink.weakened}: change that in the sound settings first"
     address = _usb_address(sink, devices)
     if any(one != sink and _usb_address(one, devices) == address for one in snapshot.sinks):
         address = ""  # its other sinks have the same address

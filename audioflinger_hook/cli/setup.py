@@ -19,7 +19,7 @@ from audioflinger_hook.cli.check import load_config
 from audioflinger_hook.cli.outputs import COILS, Output, list_outputs, shaker_pair
 from audioflinger_hook.cli.questions import agree, name_some, pick
 from audioflinger_hook.cli.setup_tone import Felt, try_output
-from audioflinger_hook.cli.terminal import warn
+from audioflinger_hook.cli.terminal import as_typed, warn
 from audioflinger_hook.cli.tone import PCM
 from audioflinger_hook.config import file as config
 from audioflinger_hook.config.commented import actuator_text, commented_text
@@ -307,12 +307,13 @@ def _tell(path: Path, text: str, has_service: bool) -> None:
     )
     print("next, type:")
     begin = [(f"{command}", "") for command in service.START]
-    rows = begin if has_service else [("cushion run", "plays it; Ctrl+C ends it")]
+    rows = begin if has_service else [(as_typed("run"), "plays it; Ctrl+C ends it")]
     rows = [
         *rows,
-        ("cushion monitor --open", "shows it, and changes it while it plays"),
-        ("cushion status", "shows what it does"),
-        ("cushion setup --undo", "restores what was before"),
+        (as_typed("monitor --open"), "shows it, and changes it while it plays"),
+        (as_typed("status"), "shows what it does"),
+        (as_typed("setup --undo"), "restores what was before"),
     ]
+    width = max(24, 2 + max(len(command) for command, does in rows if does))
     for command, does in rows:
-        print(f"    {command:<24}{does}".rstrip())
+        print(f"    {command:<{width}}{does}".rstrip())

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import math
+import shlex
+import shutil
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Protocol
 
 from rich.console import Console
@@ -22,6 +25,16 @@ def warn(message: str) -> None:
 def complain(message: str) -> None:
     """Print an error of one line on stderr, if the command goes on with its other items."""
     print(f"cushion: error: {message}", file=sys.stderr, flush=True)
+
+
+def as_typed(command: str) -> str:
+    """Return a command of ours, such as "setup", as this user can type it.
+
+    `cushion setup` where the shell finds cushion, else with the path that it was started by.
+    """
+    started = Path(sys.argv[0])
+    known = started.name != "cushion" or shutil.which("cushion")
+    return f"{'cushion' if known else shlex.quote(str(started))} {command}"
 
 
 def level_text(amplitude: float) -> str:

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
 from contextlib import ExitStack, closing
 
+from audioflinger_hook.cli.terminal import warn
 from audioflinger_hook.cli.tone import FADE_S, PCM, open_tone
+from audioflinger_hook.daemon.outputs.sink import muted
 from device.address import parse_device
 from device.errors import UsageError
-from device.server import PulseConnection
+from device.server import PulseConnection, ServerSnapshot
+from device.server.snapshot import Sink
 from device.stream import PcmConfig, filter_stderr
 
 LIMIT_HZ = (20.0, 220.0)
@@ -34,6 +38,22 @@ def run(options: argparse.Namespace) -> int:
         connection = stack.enter_context(closing(PulseConnection()))
         player = stack.enter_context(open_tone(device, pcms.pcms[PCM], connection, options.hz))
         player.tone.play(options.level, options.seconds)
-        print(f"{player.name}: {options.hz:g} Hz", flush=True)
+        how = f"{options.hz:g} Hz for {options.seconds:g} s, at {options.level:.0%} of full scale"
+        print(f"{player.name}: {how}", flush=True)
+        for warning in _warnings(device.sink(connection.latest), connection.latest):
+            warn(warning)
         player.wait_ended()
     return 0
+
+
+def _warnings(sink: Sink, snapshot: ServerSnapshot) -> Iterator[str]:
+    """Yield why the tone may not be felt."""
+    if sink.mute:
+        yield muted(sink.name)
+    elif sink.weakened:
+        yield f"{sink.name} has {sink.weakened}, which makes the vibration weaker"
+    if sink.name == snapshot.default_sink:
+        yield (
+            f"{sink.name} is the default output, where the computer's sound plays; vibration needs "
+            "another one, see `cushion devices`"
+        )

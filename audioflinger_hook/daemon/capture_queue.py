@@ -12,7 +12,7 @@ import numpy as np
 from audioflinger_hook.daemon.engine import Engine
 from audioflinger_hook.daemon.recording import RunRecording
 from audioflinger_hook.sources import PushTap, TapClient
-from device.units import Float32Array, db_to_amplitude
+from device.units import Float32Array
 
 UNASKED_S = 0.05
 """If the output has not called for this time, the capture's thread mixes."""
@@ -20,6 +20,9 @@ UNASKED_S = 0.05
 
 UNDONE_MAX_DB = 40.0
 """Largest volume that is undone: below it, a sink of 16 bits has mostly noise left."""
+
+PIPEWIRE_UNDONE_MAX_DB = 80.0
+"""The same on PipeWire, which mixes in floats: a volume of 5 %."""
 
 
 class FrameReceiver(Protocol):
@@ -38,15 +41,18 @@ class FrameReceiver(Protocol):
         ...
 
 
-def undoing(volume_db: float) -> float:
-    """Return the factor on samples that undoes a volume, 0 dB for 100 %."""
-    return db_to_amplitude(-max(-UNDONE_MAX_DB, volume_db))
+def undone_db(volume_db: float, server: str) -> float:
+    """Return how much of a volume, 0 dB for 100 %, is undone on "PulseAudio" or "PipeWire"."""
+    limit_db = PIPEWIRE_UNDONE_MAX_DB if server == "PipeWire" else UNDONE_MAX_DB
+    return max(-limit_db, volume_db)
 
 
 class SoundGain:
     """A factor on the frames of a tap, which changes over one buffer.
 
-    The capture's thread calls `apply`; any thread may set `wanted`.
+    A factor above 1 brings no sample over full scale. A volume may rise before the server reports
+    it, and the factor of the old one would be far too large for a moment. The capture's thread
+    calls `apply`; any thread may set `wanted`.
     """
 
     def __init__(self) -> None:
@@ -60,9 +66,11 @@ class SoundGain:
             return frames
         self._reached = wanted
         if wanted == before:
-            return frames * np.float32(wanted)
-        steps = np.arange(1, len(frames) + 1, dtype=np.float32) / np.float32(len(frames))
-        return frames * (np.float32(before) + np.float32(wanted - before) * steps)[:, None]
+            changed = frames * np.float32(wanted)
+        else:
+            steps = np.arange(1, len(frames) + 1, dtype=np.float32) / np.float32(len(frames))
+            changed = frames * (np.float32(before) + np.float32(wanted - before) * steps)[:, None]
+        return np.clip(changed, -1.0, 1.0, out=changed) if max(wanted, before) > 1.0 else changed
 
 
 class Feed:

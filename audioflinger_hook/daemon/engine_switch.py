@@ -23,6 +23,7 @@ from audioflinger_hook.service.state import Cause, DaemonState, StateKeeper
 from device.errors import CushionError, LostError, NotFoundError
 from device.server import PulseConnection, ServerSnapshot
 from device.server.snapshot import Sink, Source
+from device.stream.pulse_plugin import missing_plugin
 
 FAILURES_MAX = 3
 """Starts of the native engine that may fail in a row until `auto` takes the Python engine."""
@@ -76,12 +77,14 @@ class EngineSwitch:
             self.native.follow(config)
 
     def check(self, snapshot: ServerSnapshot | None) -> None:
-        """Raise NotFoundError if the native engine is required and impossible."""
-        reason = self._why_python(snapshot) if self.is_required else ""
-        if reason:
+        """Raise NotFoundError if the engine is impossible on this machine."""
+        reason = self._why_python(snapshot)
+        if reason and self.is_required:
             raise NotFoundError(
                 f"engine = 'native' is impossible: {reason}; allowed then: auto, python"
             )
+        if reason and self._config.needs_plugin and (missing := missing_plugin()):
+            raise NotFoundError(f"the Python engine ({reason}) cannot play: {missing}")
 
     def takes_native(self, source: AudioNode, snapshot: ServerSnapshot | None) -> bool:
         """Return whether the native engine is to compute; sets `reason`."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from audioflinger_hook.daemon.capture_queue import undoing
+from audioflinger_hook.daemon.capture_queue import undone_db
 from audioflinger_hook.daemon.endpoints import Endpoints
 from audioflinger_hook.daemon.engine import Clocks, Engine
 from audioflinger_hook.daemon.engine_switch import EngineSwitch
@@ -16,6 +16,7 @@ from audioflinger_hook.daemon.outputs.base import StreamOutput
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.service.state import StateKeeper
 from device.server import PulseConnection, ServerSnapshot
+from device.units import db_to_amplitude
 
 HANDOVER_TICK_S = 0.02
 """Time between ticks during a change of engine."""
@@ -156,8 +157,8 @@ class Engines:
         """
         self.volume_db = 0.0
         if snapshot is not None and self._config.settings.parameters.loudness_db > 0.0:
-            self.volume_db = self._endpoints.input.volume_db(snapshot)
-        self._endpoints.feed.gain.wanted = self.switch.sound_gain = undoing(self.volume_db)
+            self.volume_db = undone_db(self._endpoints.input.volume_db(snapshot), snapshot.kind)
+        self._endpoints.feed.gain.wanted = self.switch.sound_gain = db_to_amplitude(-self.volume_db)
 
     def may_open(self, now_s: float) -> bool:
         """Return whether streams of the Python engine may open.

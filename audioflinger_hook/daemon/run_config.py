@@ -59,9 +59,16 @@ class RunConfig:
     @property
     def needs_server(self) -> bool:
         """Whether the sound server provides the sound or takes the vibration."""
-        return self.tap_is_live or (
-            self.device.kind in SERVER_DEVICES and not self.device_is_a_card
-        )
+        return self.tap_is_live or self._plays_to_server
+
+    @property
+    def needs_plugin(self) -> bool:
+        """Whether the Python engine reaches the sound server through ALSA's plugin."""
+        return self._plays_to_server or (self.tap_is_live and self.rules is None)
+
+    @property
+    def _plays_to_server(self) -> bool:
+        return self.device.kind in SERVER_DEVICES and not self.device_is_a_card
 
     @property
     def rules(self) -> AppRules | None:

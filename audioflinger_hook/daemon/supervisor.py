@@ -206,12 +206,12 @@ class Supervisor:
             self.input.maintain(connection, now_s)
             assert self.engine is not None
             self.output.maintain(connection, self.engine.fill, now_s)
-        except LostError as error:
+        except (LostError, NotFoundError) as error:
             if connection and connection.lost:
                 self._lose_server(now_s, str(error))
+            else:  # if the device or tap has vanished, the next snapshot shows that
+                self._explain(error, now_s)
             return
-        except NotFoundError:
-            return  # the device or tap has vanished; the next snapshot shows that
         if self.input.name and self.output.name:
             self.states.enter(DaemonState.RUNNING, now_s)
             self.engines.end_native(now_s)
@@ -299,6 +299,11 @@ class Supervisor:
             self._link.close()
         self._found = (None, None)
         self.states.enter(DaemonState.WAITING_FOR_SERVER, now_s, reason)
+
+    def _explain(self, error: CushionError, now_s: float) -> None:
+        """Say why no stream opens, in the present state, unless it plays already."""
+        if self.states.state is not DaemonState.RUNNING:
+            self.states.enter(self.states.state, now_s, str(error))
 
     def _locate_tap(self, snapshot: ServerSnapshot | None, device: AudioNode) -> AudioNode:
         return self.input.locate(snapshot, device.name if self.output.needs_server else None)

@@ -160,7 +160,8 @@ def _open(path: Path) -> soundfile.SoundFile:
     except (soundfile.LibsndfileError, OSError, TypeError, ValueError) as error:
         raise UsageError(
             f"{path} is not a sound file that can be read ({_reason(error)}); "
-            "allowed: WAV, FLAC, Ogg, MP3, AIFF and other formats of libsndfile"
+            "allowed: WAV, FLAC, Ogg, MP3, AIFF and other formats of libsndfile; the sound of a "
+            "film becomes one by `ffmpeg -i FILM sound.wav`"
         ) from None
 
 

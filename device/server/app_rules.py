@@ -97,7 +97,7 @@ class AppRules:
         return tuple(
             stream
             for stream in snapshot.sink_inputs
-            if not (is_ours(stream) or _is_of_server(stream))
+            if is_application(stream)
             and stream.device_index is not None
             and (haptic_sink is None or stream.device_name != haptic_sink)
             and (not self.include or any(rule.matches(stream) for rule in self.include))
@@ -110,7 +110,9 @@ def app_name(stream: Stream) -> str:
     return stream.application or stream.binary or stream.media
 
 
-def _is_of_server(stream: Stream) -> bool:
-    return stream.role in _SERVER_ROLES or any(
+def is_application(stream: Stream) -> bool:
+    """Whether a stream is neither ours nor a loopback or virtual sink of the server's."""
+    of_server = stream.role in _SERVER_ROLES or any(
         name in stream.properties for name in _SERVER_PROPERTIES
     )
+    return not (of_server or is_ours(stream))

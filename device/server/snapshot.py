@@ -27,7 +27,7 @@ class Sink:
     index: the server's, never reused. module: index of the module that made it, or None.
     channel_map: such as "front-left,front-right". volume_db: 0 for 100 %. volume_in_monitor:
     whether its monitor carries this volume. flat_volumes: whether the volumes of streams that play
-    to it contain its own.
+    to it contain its own. mute: whether it is muted.
     """
 
     index: int
@@ -42,6 +42,13 @@ class Sink:
     volume_db: float = 0.0
     volume_in_monitor: bool = False
     flat_volumes: bool = False
+    mute: bool = False
+
+    @property
+    def weakened(self) -> str:
+        """What makes it softer, as text: "muted", or such as "volume 30 %"; "" for neither."""
+        percent = round(100.0 * 10.0 ** (self.volume_db / 60.0))
+        return "muted" if self.mute else f"volume {percent} %" if percent < 100 else ""
 
     @property
     def positions(self) -> tuple[str, ...]:
@@ -181,6 +188,7 @@ def _sink(item: Any, kind: str) -> Sink:
         volume_db=decibels(_loudest(item)),
         volume_in_monitor=pipewire_says if kind == "PipeWire" else not in_hardware,
         flat_volumes=bool(item.flags & FLAT_VOLUMES),
+        mute=bool(item.mute),
         **_device(item),
     )
 

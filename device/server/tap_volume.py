@@ -46,5 +46,13 @@ class TapVolume:
         return self._stream_db + carried_db + decibels(monitor.volume)
 
 
+def muted_sink(snapshot: ServerSnapshot, monitor: Source) -> str:
+    """Return the name of a sink that is muted or at 0 %, and its monitor with it; "" for others."""
+    sink = _sink(snapshot, monitor.monitor_of)
+    if sink is None or not sink.volume_in_monitor:
+        return ""
+    return sink.name if sink.mute or sink.volume_db == -math.inf else ""
+
+
 def _sink(snapshot: ServerSnapshot, name: str | None) -> Sink | None:
     return next((sink for sink in snapshot.sinks if sink.name == name), None)

@@ -76,7 +76,7 @@ def open_stream(pcm: Pcm, setup: StreamSetup, callback: Callback) -> OpenStream:
 
     Any thread but a callback's may call this; openings are serialised. LostError: no server
     answers, the device is missing, ended or in use, or the time limit has passed. NotFoundError:
-    PyAudio or PortAudio is not installed.
+    PyAudio, PortAudio or ALSA's plugin for sound servers is not installed.
     """
     what = f"{pcm.target} for {'playback' if setup.output else 'capture'}"
     side = "output" if setup.output else "input"
@@ -127,6 +127,8 @@ def open_stream(pcm: Pcm, setup: StreamSetup, callback: Callback) -> OpenStream:
                 close_stream(opened)
                 raise
     except (OSError, ValueError) as error:
+        if missing := pcm.target.missing():
+            raise NotFoundError(missing) from None
         # PyAudio's text for an error, or its number
         reason = str(error.args[-1]) if error.args else type(error).__name__
         name = setup.sample_format.value

@@ -7,7 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from audioflinger_hook.cli.devices import _server
 from audioflinger_hook.cli.usb_formats import by_setting, format_text, formats_of
+from device.server.snapshot import ServerSnapshot, Stream
 from device.usb import UsbAudioDevice, find_devices
 from device.usb.descriptors import RateRange, parse_configuration
 from tests.support import usb_builder
@@ -29,6 +31,20 @@ def device(tmp_path: Path) -> UsbAudioDevice:
     UsbTree(tmp_path / "machine").plug(card=1)
     (found,) = find_devices(tmp_path / "machine").devices
     return found
+
+
+def test_what_plays_is_applications_alone() -> None:
+    def stream(index: int, application: str, **known: str) -> Stream:
+        return Stream(index, 1, "dac", application, "", "", "", None, False, False, known)
+
+    streams = (
+        stream(1, "", **{"node.link-group": "filter-chain-812-7"}),  # the native engine
+        stream(2, "", **{"pulse.module.id": "9"}),  # drop-in mode
+        stream(3, "Haptic Cushion", **{"application.id": "haptic-cushion"}),
+        stream(4, "mpv"),
+    )
+    found = _server(ServerSnapshot("PipeWire", "1.4.2", "", "", (), (), streams, (), 0))
+    assert [application["name"] for application in found["applications"]] == ["mpv"]
 
 
 def test_rates_of_each_setting_are_those_that_the_driver_offers(

@@ -23,7 +23,7 @@ from audioflinger_hook.mixer.pcm import PcmFormat, decode
 from audioflinger_hook.service.state import Cause, DaemonState
 from audioflinger_hook.sources import TapAddress
 from device.address import DeviceAddress, parse_device
-from device.errors import NotFoundError, UsageError
+from device.errors import LostError, NotFoundError, UsageError
 from device.stream import portaudio
 from device.units import Float32Array
 from tests.support.alsa_files import ToFile
@@ -114,6 +114,19 @@ def rig(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Rig]:
     rig = Rig(tmp_path, monkeypatch)
     yield rig
     rig.close()
+
+
+def test_a_daemon_that_cannot_open_a_stream_says_why(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def hangs(*_: object) -> None:
+        raise LostError("the server hangs")
+
+    monkeypatch.setattr(rig.supervisor.output, "maintain", hangs)
+    rig.cards.plug(30, "DAC", stream=ONLY_96K)
+    rig.run(0.2)
+    report = rig.supervisor.states.report(time.monotonic())
+    assert (report.state, report.reason) == (DaemonState.STARTING, "the server hangs")
 
 
 @pytest.mark.exhaustive

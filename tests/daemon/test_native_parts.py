@@ -6,6 +6,7 @@ import ctypes
 import shutil
 import subprocess
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -16,6 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from audioflinger_hook.config.settings import LiveSettings, Settings
+from audioflinger_hook.daemon import engine_switch
 from audioflinger_hook.daemon.engine_switch import EngineSwitch
 from audioflinger_hook.daemon.handover import (
     DIP_S,
@@ -48,7 +50,7 @@ from audioflinger_hook.service.state import StateKeeper
 from audioflinger_hook.sources import parse_tap
 from device.address import parse_device
 from device.drive import ActuatorSettings
-from device.errors import UsageError
+from device.errors import NotFoundError, UsageError
 from device.server import PulseConnection
 from device.server.snapshot import ServerSnapshot, Sink, Source, Stream
 
@@ -353,3 +355,24 @@ def test_the_volume_is_set_again_on_another_server_that_gives_the_same_index(
         for _ in range(2):
             switch._set_volume(sink(), cast(PulseConnection, server), volume)
     assert levels_db == [("a", -6.0), ("b", -6.0)]
+
+
+@pytest.mark.parametrize(
+    ("tap", "device", "is_refused"),
+    [
+        ("default", "sink:dac", True),
+        ("app:mpv", "sink:dac", True),
+        ("default", "hw:DAC", True),
+        ("app:mpv", "hw:DAC", False),
+    ],
+)
+def test_a_python_engine_that_lacks_alsas_plugin_is_refused_at_the_start(
+    tap: str, device: str, is_refused: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(engine_switch, "missing_plugin", lambda: "the plugin is missing")
+    live = LiveSettings(tap=(tap,), engine="python")
+    config = RunConfig(parse_tap(tap), parse_device(device), Settings(), live)
+    switch = EngineSwitch(config, tmp_path, StateKeeper(0.0), lambda: None)
+    refused = pytest.raises(NotFoundError, match=r"engine = 'python'.*the plugin is missing")
+    with refused if is_refused else nullcontext():
+        switch.check(None)

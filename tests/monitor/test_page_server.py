@@ -194,6 +194,17 @@ def test_a_page_ends_on_a_signal_and_keeps_its_token_for_the_next_one(tmp_path: 
         assert second.process.wait(LIMIT_S) == 130
 
 
+def test_where_there_is_no_browser_to_open_the_words_say_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with page(tmp_path, "--open") as served:
+        served.process.send_signal(signal.SIGINT)
+    assert "no browser could be started; open this address in one" in served.stderr
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [

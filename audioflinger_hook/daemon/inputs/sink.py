@@ -17,7 +17,7 @@ from device.server import PulseConnection, ServerSnapshot
 from device.server.forwarding import reachable_sinks
 from device.server.identity import default_monitor, find_tagged, is_cushion_stream, monitor_of
 from device.server.snapshot import Source
-from device.server.tap_volume import TapVolume
+from device.server.tap_volume import TapVolume, muted_sink
 from device.stream import AudioPriority, CaptureStream
 from device.stream.pcms import Pcm, ServerDevice
 from device.stream.portaudio import BLOCK_FRAMES
@@ -63,6 +63,7 @@ class SinkInput(Input):
         )
         self._volume = TapVolume()
         self._found: Source | None = None
+        self._muted = ""
         self._source: Source | None = None
 
     @property
@@ -79,6 +80,16 @@ class SinkInput(Input):
     def xruns(self) -> int:
         """Count of late or lost buffers that PortAudio reported."""
         return self._capture.xruns
+
+    @property
+    def warnings(self) -> list[str]:
+        """One line if the sink is muted and its monitor is silent for that."""
+        if not self._muted:
+            return []
+        return [
+            f"{self._muted} is muted or at 0 %, so its sound cannot be felt; unmute it, and set a "
+            "low volume instead, which does not change the vibration"
+        ]
 
     def configure(self, config: RunConfig) -> None:
         """Take the block length of streams that are opened later."""
@@ -110,6 +121,7 @@ class SinkInput(Input):
                 "there would feed back; tap another sink, or remove that connection"
             )
         self._found = source
+        self._muted = muted_sink(snapshot, source)
         return source
 
     def players(self, snapshot: ServerSnapshot | None) -> frozenset[int]:

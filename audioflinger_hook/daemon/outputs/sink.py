@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from contextlib import suppress
 from functools import partial
@@ -21,10 +22,24 @@ from device.usb import find_devices
 from device.usb.mapping import device_of_sink, hw_names
 
 
+def muted(name: str) -> str:
+    """Return the warning that a sink is muted."""
+    return (
+        f"{name} is muted, so no vibration comes out; unmute it in the sound settings, or with "
+        f"`pactl set-sink-mute {shlex.quote(name)} 0`"
+    )
+
+
 class SinkOutput(StreamOutput[Sink]):
     """A sink of the server as the haptic device. For the supervising thread alone."""
 
     needs_server = True
+
+    @property
+    def warnings(self) -> list[str]:
+        """Why the volume differs from the configured one, and whether the sink is muted."""
+        found = self._found
+        return super().warnings + ([muted(found.name)] if found and found.mute else [])
 
     def retarget(self, config: RunConfig) -> bool:
         """Play to another sink."""

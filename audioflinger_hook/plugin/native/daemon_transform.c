@@ -127,10 +127,17 @@ static void apply_gain(DaemonTransform *transform, size_t frames)
         return;
     const size_t channels = (size_t)transform->wishes.channels;
     transform->sound_gain = wanted;
+    const int loud = wanted > 1.0 || before > 1.0; /* no sample over full scale then */
     for (size_t frame = 0; frame < frames; frame++) {
         const float gain = (float)(before + (wanted - before) * (double)(frame + 1) / (double)frames);
-        for (size_t channel = 0; channel < channels; channel++)
-            transform->samples[frame * channels + channel] *= gain;
+        for (size_t channel = 0; channel < channels; channel++) {
+            float *const sample = &transform->samples[frame * channels + channel];
+            *sample *= gain;
+            if (loud && *sample > 1.0f)
+                *sample = 1.0f;
+            else if (loud && *sample < -1.0f)
+                *sample = -1.0f;
+        }
     }
 }
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from device.server.snapshot import ServerSnapshot, Sink, Source, Stream, decibels
-from device.server.tap_volume import TapVolume
+from device.server.tap_volume import TapVolume, muted_sink
 
 DESK = Sink(1, "desk", "", "desk.monitor", 48_000, 2, None, {}, volume_in_monitor=True)
 MONITOR = Source(2, "desk.monitor", "", "desk", 48_000, 2, {})
@@ -77,3 +77,17 @@ def test_the_servers_scale_is_cubic() -> None:
     assert decibels(1.0) == 0.0
     assert decibels(0.5) == pytest.approx(-18.06, abs=0.01)  # what pactl says of 50 %
     assert decibels(0.0) == -math.inf
+
+
+@pytest.mark.parametrize(
+    ("sink", "name"),
+    [
+        (DESK, ""),
+        (replace(DESK, mute=True), "desk"),
+        (replace(DESK, volume_db=-math.inf), "desk"),
+        (replace(DESK, mute=True, volume_in_monitor=False), ""),
+        (replace(DESK, name="other", mute=True), ""),
+    ],
+)
+def test_a_muted_sink_is_named_where_its_monitor_is_silent_too(sink: Sink, name: str) -> None:
+    assert muted_sink(snapshot(sink=sink), MONITOR) == name

@@ -11,8 +11,8 @@ import pytest
 
 from audioflinger_hook.mixer.pcm import PcmFormat, decode
 from audioflinger_hook.mixer.pcm import encode as mixer_encode
-from device.errors import LostError
-from device.stream.pcms import CardDevice, PcmConfig, ServerDevice
+from device.errors import LostError, NotFoundError
+from device.stream.pcms import CardDevice, PcmConfig, ServerDevice, Target
 from device.stream.sample_format import SampleFormat
 from device.stream.streams import PlaybackStream
 from device.units import Float32Array
@@ -104,6 +104,22 @@ def test_a_card_that_is_not_there_is_an_error_that_says_what_may_be_wrong(
         PlaybackStream(pcm, RATE, 2, lambda *_: None, sample_format=SampleFormat.S16)
     assert "2 channels at 48000 Hz in S16_LE" in str(error.value)
     assert "the card was unplugged" in str(error.value)
+
+
+class WithoutPlugin(Target):
+    """A target of a plugin that ALSA lacks."""
+
+    definition = "type nobodys"
+
+    def missing(self) -> str:
+        return "its plugin is missing; install it"
+
+
+def test_what_is_missing_is_named_and_not_the_device_blamed(pcms: PcmConfig) -> None:
+    pcm = pcms.pcms["cushion_card"]
+    pcm.target = WithoutPlugin()
+    with pytest.raises(NotFoundError, match=r"^its plugin is missing; install it$"):
+        PlaybackStream(pcm, RATE, 2, lambda *_: None)
 
 
 def test_a_name_is_led_to_another_card_without_a_new_list_of_devices(
