@@ -28,7 +28,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     arguments = sys.argv[1:] if arguments is None else list(arguments)
     debug = "--debug" in arguments
-    signal.signal(signal.SIGTERM, _interrupt)
+    _end_softly()
     _prepare_streams()
     try:
         code = _run(arguments)
@@ -37,7 +37,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except CushionError as error:
         return _report(error, debug)
     except KeyboardInterrupt:
-        print("cushion: interrupted", file=sys.stderr)
+        try:
+            print("cushion: interrupted", file=sys.stderr)
+            sys.stdout.flush()
+        except OSError:  # the terminal was closed
+            _discard_stdout()
         return EXIT_INTERRUPTED
     except BrokenPipeError:
         # The reader of our output is gone, so nothing more can be printed.
@@ -93,6 +97,17 @@ def _report(error: CushionError, debug: bool) -> int:
     return error.exit_code
 
 
-def _interrupt(_signal: int, _frame: FrameType | None) -> None:
-    """Treat a request to end as KeyboardInterrupt, so that no file is left half-written."""
+def _end_softly() -> None:
+    """End by KeyboardInterrupt after SIGTERM, and if the terminal was closed.
+
+    So no file is left half-written, and no stream or module stays on the sound server.
+    """
+    signal.signal(signal.SIGTERM, _interrupt)
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # as `nohup` sets it
+        signal.signal(signal.SIGHUP, _interrupt)
+
+
+def _interrupt(number: int, _frame: FrameType | None) -> None:
+    if number == signal.SIGHUP:  # the shell sends another one
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
     raise KeyboardInterrupt

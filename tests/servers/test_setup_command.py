@@ -127,6 +127,32 @@ def test_an_interrupted_setup_has_written_nothing_and_is_silent(
 
 
 @on_pulse
+@pytest.mark.parametrize("question", ["Output:", "Felt it?"])
+def test_a_closed_terminal_ends_the_setup_and_leaves_nothing_on_the_server(
+    server: SoundServer, tmp_path: Path, question: str
+) -> None:
+    sinks, modules = server.names("sinks"), server.pactl("list", "short", "modules")
+    with (
+        recording(server, "haptic.monitor", tmp_path / "haptic") as felt,
+        set_up(server) as terminal,
+    ):
+        answer_until(terminal, question)
+        if question == "Felt it?":
+            wait_for(lambda: felt_now(felt), "vibration")
+        terminal.close()
+        assert terminal.wait() == 130
+        wait_for(lambda: not felt_now(felt), "silence")
+        vibration = felt()
+    # It fades out: at 60 Hz and -24 dB a sample differs from the one before by 0.0005.
+    assert np.abs(np.diff(vibration, axis=0)).max(initial=0.0) < 0.001
+    assert server.names("sinks") == sinks
+    assert server.pactl("list", "short", "modules") == modules
+    runtime = Path(server.environment["XDG_RUNTIME_DIR"]) / "cushion"
+    assert not list(runtime.glob("cushion-alsa-*"))
+    assert written(server) == []
+
+
+@on_pulse
 def test_ctrl_d_interrupts_too(server: SoundServer) -> None:
     with set_up(server) as terminal:
         terminal.expect("Output:")
