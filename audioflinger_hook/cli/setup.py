@@ -32,7 +32,7 @@ from device.alsa.cards import list_playbacks
 from device.drive import ActuatorSettings
 from device.errors import LostError, NotFoundError, UsageError
 from device.server import PulseConnection, ServerSnapshot
-from device.stream import PcmConfig, filter_stderr
+from device.stream import PcmConfig, filter_stderr, need_server_plugin
 from device.usb import find_devices
 from device.values import nearest
 
@@ -132,6 +132,8 @@ def _choose_output(
     with ExitStack() as stack:
         pcms = stack.enter_context(closing(PcmConfig(PCM)))
         connection = stack.enter_context(closing(PulseConnection()))
+        if not options.no_test and (named is None or named.kind != "hw"):
+            need_server_plugin()
         while True:
             outputs = _outputs(connection)
             if named is not None:

@@ -13,7 +13,7 @@ PyAudio is loaded by the first opening.
 
 from device.stream.callback_thread import AudioPriority
 from device.stream.pcms import PcmConfig
-from device.stream.portaudio import filter_stderr
+from device.stream.portaudio import filter_stderr, need_server_plugin
 from device.stream.sample_format import SampleFormat
 from device.stream.streams import CaptureStream, PlaybackStream
 
@@ -24,4 +24,5 @@ __all__ = [
     "PlaybackStream",
     "SampleFormat",
     "filter_stderr",
+    "need_server_plugin",
 ]

@@ -13,6 +13,7 @@ from audioflinger_hook.config import file as config
 from audioflinger_hook.config.profiles import LIVE_DEFAULT
 from tests.servers.daemons import FELT, environment, felt_now, pitch_hz
 from tests.servers.listening import RATE_HZ, recording, wait_for
+from tests.support.commands import cushion, refused
 from tests.support.terminal import Terminal
 from tools.sound_server import SoundServer
 
@@ -104,6 +105,20 @@ def test_a_first_run_vibrates_where_it_was_told_and_writes_what_was_answered(
     assert (found.settings.profile, found.settings.gain_db) == ("game", -18.0)
     assert "will go to sink:haptic, with profile game at -18 dB" in terminal.shown
     assert "cushion run " in terminal.shown
+
+
+@on_pulse
+def test_without_alsas_plugin_for_servers_it_says_what_to_install_before_it_asks(
+    server: SoundServer, tmp_path: Path
+) -> None:
+    without = environment(server) | {"ALSA_PLUGIN_DIR": str(tmp_path)}
+    with Terminal("setup", env=without) as terminal:
+        assert terminal.wait() == 3, terminal.shown
+    assert "plugin for sound servers" in terminal.shown
+    assert "libasound2-plugins" in terminal.shown
+    assert "Output:" not in terminal.shown
+    tone = cushion("test-tone", "--device", "sink:haptic", env=without)
+    assert "libasound2-plugins" in refused(tone, code=3)
 
 
 @on_pulse
