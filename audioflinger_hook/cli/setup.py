@@ -19,7 +19,7 @@ from audioflinger_hook.cli.check import load_config
 from audioflinger_hook.cli.outputs import COILS, Output, list_outputs, shaker_pair
 from audioflinger_hook.cli.questions import agree, name_some, pick
 from audioflinger_hook.cli.setup_tone import Felt, try_output
-from audioflinger_hook.cli.terminal import warn
+from audioflinger_hook.cli.terminal import program_name, warn
 from audioflinger_hook.cli.tone import PCM
 from audioflinger_hook.config import file as config
 from audioflinger_hook.config.commented import actuator_text, commented_text
@@ -309,12 +309,14 @@ def _tell(path: Path, text: str, has_service: bool) -> None:
     )
     print("next, type:")
     begin = [(f"{command}", "") for command in service.START]
-    rows = begin if has_service else [("cushion run", "plays it; Ctrl+C ends it")]
+    name = program_name()
+    rows = begin if has_service else [(f"{name} run", "plays it; Ctrl+C ends it")]
     rows = [
         *rows,
-        ("cushion monitor --open", "shows it, and changes it while it plays"),
-        ("cushion status", "shows what it does"),
-        ("cushion setup --undo", "restores what was before"),
+        (f"{name} monitor --open", "shows it, and changes it while it plays"),
+        (f"{name} status", "shows what it does"),
+        (f"{name} setup --undo", "restores what was before"),
     ]
+    width = len(f"{name} monitor --open  ")
     for command, does in rows:
-        print(f"    {command:<24}{does}".rstrip())
+        print(f"    {command:<{width}}{does}".rstrip())

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import math
+import shlex
+import shutil
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import Protocol
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from device.units import amplitude_to_db
+
+NAME = "cushion"
 
 
 def warn(message: str) -> None:
@@ -22,6 +27,21 @@ def warn(message: str) -> None:
 def complain(message: str) -> None:
     """Print an error of one line on stderr, if the command goes on with its other items."""
     print(f"cushion: error: {message}", file=sys.stderr, flush=True)
+
+
+def program_name(argv0: str | None = None, path: str | None = None) -> str:
+    """Return what to type to start this program again: `cushion`, or its path as it was typed.
+
+    argv0: how it was started, default `sys.argv[0]`. path: where the shell looks, default `PATH`.
+    """
+    typed = sys.argv[0] if argv0 is None else argv0
+    program, found = Path(typed), shutil.which(NAME, path=path)
+    if program.name != NAME or not program.is_file():
+        return NAME
+    with suppress(OSError):
+        if found is not None and program.samefile(found):
+            return NAME
+    return shlex.quote(typed)
 
 
 def level_text(amplitude: float) -> str:
