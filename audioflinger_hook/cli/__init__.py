@@ -11,6 +11,7 @@ import sys
 import traceback
 from collections.abc import Sequence
 from types import FrameType
+from typing import TextIO
 
 from audioflinger_hook.cli.parser import NEXT, build_parser
 from device.errors import CushionError, InternalError, WriteError
@@ -41,15 +42,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print("cushion: interrupted", file=sys.stderr)
             sys.stdout.flush()
         except OSError:  # the terminal was closed
-            _discard_stdout()
+            _discard(sys.stdout, sys.stderr)
         return EXIT_INTERRUPTED
     except BrokenPipeError:
         # The reader of our output is gone, so nothing more can be printed.
-        _discard_stdout()
+        _discard(sys.stdout)
         return 0
     except Exception as error:
         if isinstance(error, OSError) and error.errno in STDOUT_ERRORS and not error.filename:
-            _discard_stdout()
+            _discard(sys.stdout)
             full = f"cannot write to standard output ({error.strerror})"
             return _report(WriteError(full), debug)
         fault = f"{type(error).__name__}: {error}; this is a fault of cushion, please report it"
@@ -84,9 +85,10 @@ def _prepare_streams() -> None:
             stream.reconfigure(errors="backslashreplace")
 
 
-def _discard_stdout() -> None:
+def _discard(*streams: TextIO) -> None:
     """Drop buffered output, so that the interpreter does not try to write it at its end."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    for stream in streams:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def _report(error: CushionError, debug: bool) -> int:

@@ -177,6 +177,23 @@ def test_ctrl_d_interrupts_too(server: SoundServer) -> None:
 
 
 @on_pulse
+def test_a_tone_without_questions_is_stopped_by_ctrl_c_too(
+    server: SoundServer, tmp_path: Path
+) -> None:
+    with (
+        recording(server, "desktop.monitor", tmp_path / "desktop") as heard,
+        recording(server, "haptic.monitor", tmp_path / "haptic") as felt,
+        set_up(server, "--yes", "--device", "haptic") as terminal,
+    ):
+        wait_for(lambda: felt_now(felt), "vibration")
+        terminal.press(CTRL_C)
+        assert terminal.wait() == 130, terminal.shown
+        wait_for(lambda: not felt_now(felt), "silence")
+        assert not np.any(heard())
+    assert written(server) == []
+
+
+@on_pulse
 def test_a_tone_that_is_stopped_ends_the_setup_with_nothing_written(
     server: SoundServer, tmp_path: Path
 ) -> None:
@@ -216,7 +233,6 @@ def test_the_only_sink_plays_the_sound_so_it_is_asked_before_anything_is_heard(
     assert written(server) == []
 
 
-@on_pulse
 def test_a_device_that_vanishes_under_the_tone_is_reported_and_nothing_plays_elsewhere(
     server: SoundServer, tmp_path: Path
 ) -> None:
