@@ -242,8 +242,7 @@ def test_a_device_that_vanishes_under_the_tone_is_reported_and_nothing_plays_els
     ):
         answer_until(terminal, "Felt it?")
         server.remove("haptic")
-        terminal.type("louder")
-        terminal.expect("the device was lost")
+        terminal.expect("the device was lost")  # nothing was answered
         terminal.expect("Output:")
         terminal.press(CTRL_C)
         assert terminal.wait() == 130
