@@ -150,8 +150,8 @@ def need_server_plugin() -> None:
         reason = ctypes.create_string_buffer(_REASON_BYTES)
         if not load(_SERVER_PLUGIN, os.RTLD_NOW, reason, ctypes.c_size_t(_REASON_BYTES)):
             raise NotFoundError(
-                "ALSA's plugin for sound servers cannot be loaded; install it: `sudo apt-get install "
-                "libasound2-plugins` on Debian and Ubuntu, alsa-plugins-pulseaudio on Fedora, "
+                "ALSA's plugin for sound servers cannot be loaded; install it: "
+                "`sudo apt-get install libasound2-plugins` on Debian and Ubuntu, alsa-plugins-pulseaudio on Fedora, "
                 "alsa-plugins on others"
             )
 
