@@ -151,8 +151,8 @@ def need_server_plugin() -> None:
         if not load(_SERVER_PLUGIN, os.RTLD_NOW, reason, ctypes.c_size_t(_REASON_BYTES)):
             raise NotFoundError(
                 "ALSA's plugin for sound servers cannot be loaded; install it: "
-                "`sudo apt-get install libasound2-plugins` on Debian and Ubuntu, alsa-plugins-pulseaudio on Fedora, "
-                "alsa-plugins on others"
+                "`sudo apt-get install libasound2-plugins` on Debian and Ubuntu, "
+                "alsa-plugins-pulseaudio on Fedora, alsa-plugins on others"
             )
 
 
