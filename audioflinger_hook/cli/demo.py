@@ -18,7 +18,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from audioflinger_hook.cli.terminal import LineConsole, level_text, program_name, warn
+from audioflinger_hook.cli.terminal import LineConsole, as_typed, level_text, warn
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.offline.inspection import inspect_tap
 from audioflinger_hook.offline.render import ACCELERATION_COMMENT
@@ -96,7 +96,7 @@ def run(options: argparse.Namespace) -> int:
         warn("no report.png: matplotlib is not installed; `pip install matplotlib` brings it")
         drawn = False
     _print_table(out, framework, rig, played, values, drawn)
-    print(f"to feel your own sound, type: {program_name()} setup")
+    print(f"to feel your own sound, type: {as_typed('setup')}")
     return 0
 
 

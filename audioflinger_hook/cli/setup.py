@@ -19,7 +19,7 @@ from audioflinger_hook.cli.check import load_config
 from audioflinger_hook.cli.outputs import COILS, Output, list_outputs, shaker_pair
 from audioflinger_hook.cli.questions import agree, name_some, pick
 from audioflinger_hook.cli.setup_tone import Felt, try_output
-from audioflinger_hook.cli.terminal import program_name, warn
+from audioflinger_hook.cli.terminal import as_typed, warn
 from audioflinger_hook.cli.tone import PCM
 from audioflinger_hook.config import file as config
 from audioflinger_hook.config.commented import actuator_text, commented_text
@@ -32,7 +32,8 @@ from device.alsa.cards import list_playbacks
 from device.drive import ActuatorSettings
 from device.errors import LostError, NotFoundError, UsageError
 from device.server import PulseConnection, ServerSnapshot
-from device.stream import PcmConfig, filter_stderr, need_server_plugin
+from device.stream import PcmConfig, filter_stderr
+from device.stream.pulse_plugin import missing_plugin
 from device.usb import find_devices
 from device.values import nearest
 
@@ -132,8 +133,9 @@ def _choose_output(
     with ExitStack() as stack:
         pcms = stack.enter_context(closing(PcmConfig(PCM)))
         connection = stack.enter_context(closing(PulseConnection()))
-        if not options.no_test and (named is None or named.kind != "hw"):
-            need_server_plugin()
+        on_server = named is None or named.kind != "hw"
+        if on_server and not options.no_test and (missing := missing_plugin()):
+            raise NotFoundError(missing)
         while True:
             outputs = _outputs(connection)
             if named is not None:
@@ -309,14 +311,13 @@ def _tell(path: Path, text: str, has_service: bool) -> None:
     )
     print("next, type:")
     begin = [(f"{command}", "") for command in service.START]
-    name = program_name()
-    rows = begin if has_service else [(f"{name} run", "plays it; Ctrl+C ends it")]
+    rows = begin if has_service else [(as_typed("run"), "plays it; Ctrl+C ends it")]
     rows = [
         *rows,
-        (f"{name} monitor --open", "shows it, and changes it while it plays"),
-        (f"{name} status", "shows what it does"),
-        (f"{name} setup --undo", "restores what was before"),
+        (as_typed("monitor --open"), "shows it, and changes it while it plays"),
+        (as_typed("status"), "shows what it does"),
+        (as_typed("setup --undo"), "restores what was before"),
     ]
-    width = len(f"{name} monitor --open  ")
+    width = max(24, 2 + max(len(command) for command, does in rows if does))
     for command, does in rows:
         print(f"    {command:<{width}}{does}".rstrip())

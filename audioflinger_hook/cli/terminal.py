@@ -7,7 +7,7 @@ import shlex
 import shutil
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Protocol
 
@@ -15,8 +15,6 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from device.units import amplitude_to_db
-
-NAME = "cushion"
 
 
 def warn(message: str) -> None:
@@ -29,19 +27,14 @@ def complain(message: str) -> None:
     print(f"cushion: error: {message}", file=sys.stderr, flush=True)
 
 
-def program_name(argv0: str | None = None, path: str | None = None) -> str:
-    """Return what to type to start this program again: `cushion`, or its path as it was typed.
+def as_typed(command: str) -> str:
+    """Return a command of ours, such as "setup", as this user can type it.
 
-    argv0: how it was started, default `sys.argv[0]`. path: where the shell looks, default `PATH`.
+    `cushion setup` where the shell finds cushion, else with the path that it was started by.
     """
-    typed = sys.argv[0] if argv0 is None else argv0
-    program, found = Path(typed), shutil.which(NAME, path=path)
-    if program.name != NAME or not program.is_file():
-        return NAME
-    with suppress(OSError):
-        if found is not None and program.samefile(found):
-            return NAME
-    return shlex.quote(typed)
+    started = Path(sys.argv[0])
+    known = started.name != "cushion" or shutil.which("cushion")
+    return f"{'cushion' if known else shlex.quote(str(started))} {command}"
 
 
 def level_text(amplitude: float) -> str:

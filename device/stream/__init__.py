@@ -5,6 +5,7 @@
 | `streams` | `CaptureStream`, `PlaybackStream`: one block per callback |
 | `portaudio` | the one PyAudio instance; opens and closes streams within a time limit, in silence |
 | `pcms` | `PcmConfig`: named ALSA devices, and the sinks, monitors and cards they open |
+| `pulse_plugin` | whether ALSA has its plugin for sound servers |
 | `sample_format` | `SampleFormat`, and the encoder from float frames to integers |
 | `callback_thread` | `AudioPriority`, and Python's state of a thread between callbacks |
 
@@ -13,7 +14,7 @@ PyAudio is loaded by the first opening.
 
 from device.stream.callback_thread import AudioPriority
 from device.stream.pcms import PcmConfig
-from device.stream.portaudio import filter_stderr, need_server_plugin
+from device.stream.portaudio import filter_stderr
 from device.stream.sample_format import SampleFormat
 from device.stream.streams import CaptureStream, PlaybackStream
 
@@ -24,5 +25,4 @@ __all__ = [
     "PlaybackStream",
     "SampleFormat",
     "filter_stderr",
-    "need_server_plugin",
 ]

@@ -21,6 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from device.errors import UsageError
+from device.stream.pulse_plugin import missing_plugin
 
 PREFIX = "cushion-alsa-"
 _ATTEMPTS = 10
@@ -237,6 +238,10 @@ class Target:
     def __str__(self) -> str:
         return "nowhere"
 
+    def missing(self) -> str:
+        """Return what this machine lacks to open it, and how to get it; "" for nothing."""
+        return ""
+
     @property
     def definition(self) -> str:
         """The content of `pcm.NAME { }` in ALSA's configuration."""
@@ -257,6 +262,10 @@ class ServerDevice(Target):
 
     def __str__(self) -> str:
         return self.device
+
+    def missing(self) -> str:
+        """Return that ALSA's plugin for sound servers is missing; "" if it is there."""
+        return missing_plugin()
 
     @property
     def definition(self) -> str:

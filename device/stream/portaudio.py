@@ -20,7 +20,7 @@ from typing import Any, TypeVar
 
 from device.errors import InternalError, LostError, NotFoundError
 from device.extras import not_installed
-from device.stream.pcms import Pcm, ServerDevice
+from device.stream.pcms import Pcm
 from device.stream.sample_format import SampleFormat
 
 BLOCK_FRAMES = 256
@@ -127,8 +127,8 @@ def open_stream(pcm: Pcm, setup: StreamSetup, callback: Callback) -> OpenStream:
                 close_stream(opened)
                 raise
     except (OSError, ValueError) as error:
-        if isinstance(pcm.target, ServerDevice):
-            need_server_plugin()
+        if missing := pcm.target.missing():
+            raise NotFoundError(missing) from None
         # PyAudio's text for an error, or its number
         reason = str(error.args[-1]) if error.args else type(error).__name__
         name = setup.sample_format.value
@@ -137,26 +137,6 @@ def open_stream(pcm: Pcm, setup: StreamSetup, callback: Callback) -> OpenStream:
             f"cannot open {what} with {setup.channels} channels at {setup.samplerate} Hz"
             f"{in_format} ({reason}): {pcm.target.trouble}"
         ) from None
-
-
-def need_server_plugin() -> None:
-    """Raise NotFoundError if ALSA's plugin for sound servers is missing. Any thread.
-
-    Desktops with PipeWire often lack it, as their own programs do without.
-    """
-    with suppress(OSError, AttributeError):  # PortAudio came with an ALSA of its own
-        load = ctypes.CDLL("libasound.so.2").snd_dlopen
-        load.restype = ctypes.c_void_p
-        reason = ctypes.create_string_buffer(_REASON_BYTES)
-        if not load(_SERVER_PLUGIN, os.RTLD_NOW, reason, ctypes.c_size_t(_REASON_BYTES)):
-            raise NotFoundError(
-                "ALSA's plugin for sound servers cannot be loaded; install it: "
-                "`sudo apt-get install libasound2-plugins` on Debian and Ubuntu, "
-                "alsa-plugins-pulseaudio on Fedora, alsa-plugins on others"
-            )
-
-
-_SERVER_PLUGIN, _REASON_BYTES = b"libasound_module_pcm_pulse.so", 256
 
 
 def close_stream(opened: OpenStream) -> bool:

@@ -18,7 +18,6 @@ from audioflinger_hook.cli.outputs import (
     list_outputs,
 )
 from audioflinger_hook.cli.setup import PLAYED, SPEECH_FREE, _named, _new_text, _profile_values
-from audioflinger_hook.cli.terminal import program_name
 from audioflinger_hook.cli.tone import Tone
 from audioflinger_hook.config.commented import commented_text
 from audioflinger_hook.config.file import check_text
@@ -265,17 +264,6 @@ def test_damaged_records_are_reported_before_anything_is_written(home: Path) -> 
         setup_files.write(path, "gain_db = -1.0\n", "gain_db = -2.0\n", with_service=True)
     assert list(path.parent.iterdir()) == [path]
     assert path.read_text() == "gain_db = -1.0\n"
-
-
-def test_the_command_to_type_next_is_one_that_the_shell_finds(home: Path) -> None:
-    own, other = home / "my env/bin/cushion", home / "bin/cushion"
-    for program in (own, other):
-        program.parent.mkdir(parents=True)
-        program.touch(0o755)
-    assert program_name(str(own), f"{own.parent}:{other.parent}") == "cushion"
-    assert program_name(str(own), f"{other.parent}:{own.parent}") == f"'{own}'"
-    assert program_name(str(other), "") == str(other)
-    assert program_name("-c", "") == "cushion"
 
 
 def test_a_tone_fades_in_without_a_step_and_ends_by_itself() -> None:

@@ -221,9 +221,9 @@ class NativeEngine:
 
     def _note_moves(self, tap: Tap) -> None:
         before, self._tap = self._tap, tap
-        if before is None or self._config.tap.kind != "default":
+        if before is not None and not (before.node and tap.node):  # applications have no node
             return
-        if before.node and tap.node and before.node != tap.node:  # applications have none
+        if before is not None and before.node != tap.node and self._config.tap.kind == "default":
             self._states.count(Cause.DEFAULT_CHANGED, f"the tap moves to {tap.name}")
 
     def _check(self, players: frozenset[int], now_s: float) -> None:
