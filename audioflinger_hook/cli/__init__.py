@@ -11,6 +11,7 @@ import sys
 import traceback
 from collections.abc import Sequence
 from types import FrameType
+from typing import TextIO
 
 from audioflinger_hook.cli.parser import NEXT, build_parser
 from device.errors import CushionError, InternalError, WriteError
@@ -28,7 +29,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     arguments = sys.argv[1:] if arguments is None else list(arguments)
     debug = "--debug" in arguments
-    signal.signal(signal.SIGTERM, _interrupt)
+    _end_softly()
     _prepare_streams()
     try:
         code = _run(arguments)
@@ -37,15 +38,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except CushionError as error:
         return _report(error, debug)
     except KeyboardInterrupt:
-        print("cushion: interrupted", file=sys.stderr)
+        try:
+            print("cushion: interrupted", file=sys.stderr)
+            sys.stdout.flush()
+        except OSError:  # the terminal was closed
+            _discard(sys.stdout, sys.stderr)
         return EXIT_INTERRUPTED
     except BrokenPipeError:
         # The reader of our output is gone, so nothing more can be printed.
-        _discard_stdout()
+        _discard(sys.stdout)
         return 0
     except Exception as error:
         if isinstance(error, OSError) and error.errno in STDOUT_ERRORS and not error.filename:
-            _discard_stdout()
+            _discard(sys.stdout)
             full = f"cannot write to standard output ({error.strerror})"
             return _report(WriteError(full), debug)
         fault = f"{type(error).__name__}: {error}; this is a fault of cushion, please report it"
@@ -80,9 +85,10 @@ def _prepare_streams() -> None:
             stream.reconfigure(errors="backslashreplace")
 
 
-def _discard_stdout() -> None:
+def _discard(*streams: TextIO) -> None:
     """Drop buffered output, so that the interpreter does not try to write it at its end."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    for stream in streams:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def _report(error: CushionError, debug: bool) -> int:
@@ -93,6 +99,17 @@ def _report(error: CushionError, debug: bool) -> int:
     return error.exit_code
 
 
-def _interrupt(_signal: int, _frame: FrameType | None) -> None:
-    """Treat a request to end as KeyboardInterrupt, so that no file is left half-written."""
+def _end_softly() -> None:
+    """End by KeyboardInterrupt after SIGTERM, and if the terminal was closed.
+
+    So no file is left half-written, and no stream or module stays on the sound server.
+    """
+    signal.signal(signal.SIGTERM, _interrupt)
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # as `nohup` sets it
+        signal.signal(signal.SIGHUP, _interrupt)
+
+
+def _interrupt(number: int, _frame: FrameType | None) -> None:
+    if number == signal.SIGHUP:  # the shell sends another one
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
     raise KeyboardInterrupt

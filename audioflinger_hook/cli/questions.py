@@ -2,20 +2,36 @@
 
 from __future__ import annotations
 
+import select
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+
+from device.errors import CushionError
+
+CHECK_S = 0.1
 
 
-def choose(question: str, answers: Mapping[str, str], default: str = "") -> str:
+def _nothing() -> None:
+    pass
+
+
+def choose(
+    question: str,
+    answers: Mapping[str, str],
+    default: str = "",
+    meanwhile: Callable[[], None] = _nothing,
+) -> str:
     """Ask until one of the answers is given, and return it.
 
     answers: what may be typed, with its meaning; a first letter stands for its word. default: the
-    answer to an empty line, "" for none.
+    answer to an empty line, "" for none. meanwhile: called again and again until a line is typed;
+    what it raises ends the question.
     KeyboardInterrupt: the terminal was closed, or Ctrl+D typed.
     """
     by_letter = {answer[0]: answer for answer in answers if answer.isalpha()}
     while True:
-        given = _read(f"{question} [{default}] " if default else f"{question} ").strip().lower()
+        prompt = f"{question} [{default}] " if default else f"{question} "
+        given = _read(prompt, meanwhile).strip().lower()
         given = given or default
         if given in answers:
             return given
@@ -60,12 +76,17 @@ def name_some(question: str, names: Sequence[str]) -> tuple[str, ...]:
         print(f"Please type all, or some of: {', '.join(names)}.")
 
 
-def _read(prompt: str) -> str:
+def _read(prompt: str, meanwhile: Callable[[], None] = _nothing) -> str:
     # `input` would print it through C's stderr, which a command with audio streams silences.
     print(prompt, end="", flush=True)
     try:
+        while not select.select([sys.stdin], [], [], CHECK_S)[0]:
+            meanwhile()
         return input()
     except EOFError:
         print()
         sys.stdout.flush()
         raise KeyboardInterrupt from None
+    except CushionError:
+        print(flush=True)
+        raise

@@ -33,6 +33,7 @@ from device.drive import ActuatorSettings
 from device.errors import LostError, NotFoundError, UsageError
 from device.server import PulseConnection, ServerSnapshot
 from device.stream import PcmConfig, filter_stderr
+from device.stream.pulse_plugin import missing_plugin
 from device.usb import find_devices
 from device.values import nearest
 
@@ -132,6 +133,9 @@ def _choose_output(
     with ExitStack() as stack:
         pcms = stack.enter_context(closing(PcmConfig(PCM)))
         connection = stack.enter_context(closing(PulseConnection()))
+        on_server = named is None or named.kind != "hw"
+        if on_server and not options.no_test and (missing := missing_plugin()):
+            raise NotFoundError(missing)
         while True:
             outputs = _outputs(connection)
             if named is not None:

@@ -1,8 +1,8 @@
 """What `cushion setup` writes, and how it is undone: the config file and the service.
 
 Each set-up is recorded before it writes, in `setup-undo.json` of the state folder. Undoing takes
-the last record. Nothing is lost: a replaced config stays beside it, and so does one that was edited
-after the set-up that is undone.
+the last record; so does a set-up that fails half-way. Nothing is lost: a replaced config stays
+beside it, and so does one that was edited after the set-up that is undone.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from pathlib import Path
 from audioflinger_hook.config import toml_text
 from audioflinger_hook.service import install as service
 from device.atomic_file import make_private_folder, write_bytes_atomically
-from device.errors import UsageError
+from device.errors import CushionError, UsageError
 
 RECORDS_MAX = 20
 """Set-ups that can be undone; older ones cannot."""
@@ -41,11 +41,14 @@ def write(path: Path, before: str | None, text: str, *, with_service: bool) -> s
 
     before: the text that the file had while the questions were asked; None if there was no file.
     UsageError: the file has changed since, or a folder cannot be written.
-    WriteError: the disk is full or failed.
+    WriteError: the disk is full or failed. After an error or an interruption all is as before.
     """
     if text_of(path) != before:
         raise UsageError(f"{path} was changed during the set-up and is left alone; run setup again")
     changes = text != before
+    if not changes and not with_service:
+        return ""
+    earlier = _records()
     backup = None
     if changes:
         make_private_folder(path.parent)
@@ -59,12 +62,19 @@ def write(path: Path, before: str | None, text: str, *, with_service: bool) -> s
         unit_changed=with_service,
         unit=service.installed_text() if with_service else None,
     )
-    if changes or with_service:
-        _save([*_records(), record])
-    if changes:
-        write_bytes_atomically(path, text.encode())
-    if with_service:
-        service.install(["--wait"], systemd=service.systemd_version())
+    try:
+        _save([*earlier, record])
+        if changes:
+            write_bytes_atomically(path, text.encode())
+        if with_service:
+            service.install(["--wait"], systemd=service.systemd_version())
+    except BaseException:
+        with suppress(CushionError):  # where this fails too, `cushion setup --undo` does it later
+            if record in _records():
+                _take_back(record, earlier)
+            else:
+                _remove_backup(record)
+        raise
     return str(backup or "")
 
 
@@ -81,21 +91,29 @@ def undo() -> tuple[list[str], tuple[str, ...]]:
     records = _records()
     if not records:
         raise UsageError("there is nothing to undo: `cushion setup` has written nothing")
-    record = records[-1]
+    return _take_back(records[-1], records[:-1])
+
+
+def _take_back(record: Record, earlier: list[Record]) -> tuple[list[str], tuple[str, ...]]:
+    """Restore what was before a set-up; return what `undo` returns."""
     done: list[str] = []
     commands: tuple[str, ...] = ()
     if record.written is not None:
         done += _restore_config(record)
     if record.unit_changed:
         restored = service.restore(record.unit)
-        what = "removed" if record.unit is None else "as it was before"
+        what = "removed" if restored.changed and record.unit is None else "as it was before"
         done.append(f"{restored.path}: {what}")
         commands = restored.commands if restored.changed else ()
-    _save(records[:-1])
+    _save(earlier)
+    _remove_backup(record)
+    return done, commands
+
+
+def _remove_backup(record: Record) -> None:
     if record.backup is not None:
         with suppress(OSError):
             Path(record.backup).unlink()
-    return done, commands
 
 
 def _restore_config(record: Record) -> list[str]:
@@ -109,8 +127,10 @@ def _restore_config(record: Record) -> list[str]:
                 f"{record.backup} cannot be read ({error.strerror}), so {path} is left alone"
             ) from error
     done = []
-    now = path.read_bytes() if text_of(path) is not None else None
-    if now not in ((record.written or "").encode(), before, None):
+    now = _bytes_of(path)
+    if now == before:
+        return [f"{path}: as it was before"]
+    if now not in ((record.written or "").encode(), None):
         kept = _free_name(path, "undone")
         write_bytes_atomically(kept, now or b"")
         done.append(f"{kept}: your later changes")
@@ -123,6 +143,16 @@ def _restore_config(record: Record) -> list[str]:
     make_private_folder(path.parent)
     write_bytes_atomically(path, before)
     return [*done, f"{path}: as it was before"]
+
+
+def _bytes_of(path: Path) -> bytes | None:
+    """Return a file's content, None if there is none. UsageError: it cannot be read."""
+    try:
+        return path.read_bytes()
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        raise UsageError(f"cannot read {path}: {error.strerror}; move it away first") from error
 
 
 def _free_name(path: Path, word: str) -> Path:
@@ -153,6 +183,10 @@ def _records() -> list[Record]:
 
 def _save(records: list[Record]) -> None:
     path = _records_path()
+    if not records:
+        with suppress(OSError):  # else what follows says why
+            path.unlink(missing_ok=True)
+            return
     make_private_folder(path.parent)
     kept = [asdict(record) for record in records[-RECORDS_MAX:]]
     write_bytes_atomically(path, json.dumps(kept, indent=1).encode())

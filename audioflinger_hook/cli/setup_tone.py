@@ -68,7 +68,8 @@ def _ask(player: TonePlayer) -> tuple[Felt, float | None]:
     level_db = FIRST_DB
     while True:
         player.tone.play(db_to_amplitude(level_db), LONGEST_S, FADE_IN_S)
-        answer = choose(f"{level_db:g} dB. Felt it? yes, louder, no, stop:", ANSWERS)
+        question = f"{level_db:g} dB. Felt it? yes, louder, no, stop:"
+        answer = choose(question, ANSWERS, meanwhile=player.check)
         if answer == "stop":
             return Felt.STOPPED, None
         player.check()

@@ -150,6 +150,7 @@ class Workers(Generic[Result]):
         # BrokenPipeError: the parent process is gone, and nobody wants the result.
         with suppress(KeyboardInterrupt, BrokenPipeError):
             signal.signal(signal.SIGINT, signal.SIG_IGN)
+            signal.signal(signal.SIGHUP, signal.SIG_IGN)
             signal.signal(signal.SIGTERM, _interrupt_once)
             signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
             theirs.send((True, self._work(item, report_share)))

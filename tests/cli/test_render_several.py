@@ -212,6 +212,7 @@ def two_under_way(process, folder):
         pytest.param(
             "SIGTERM", "its whole group, as a terminal does", marks=pytest.mark.exhaustive
         ),
+        pytest.param("SIGHUP", "its whole group, as a terminal does", marks=pytest.mark.exhaustive),
     ],
 )
 def test_an_interruption_ends_every_worker_and_leaves_nothing_half_written(

@@ -220,6 +220,52 @@ def test_a_backup_that_is_gone_leaves_the_config_alone(home: Path) -> None:
     assert path.read_text() == "gain_db = -2.0\n"
 
 
+@pytest.mark.parametrize("obstacle", ["config/systemd", "state/cushion"])
+@pytest.mark.parametrize("mine", [None, "gain_db = -1.0  # mine\n"])
+def test_a_setup_that_fails_half_way_leaves_everything_as_it_was(
+    home: Path, obstacle: str, mine: str | None
+) -> None:
+    path = home / "config/cushion/config.toml"
+    path.parent.mkdir(parents=True)
+    if mine is not None:
+        path.write_text(mine)
+    (home / obstacle).parent.mkdir(exist_ok=True)
+    (home / obstacle).write_text("in the way of a folder")
+    with pytest.raises(UsageError, match="cannot"):
+        setup_files.write(path, mine, "gain_db = -2.0\n", with_service=True)
+    found = {str(each.relative_to(home)) for each in home.rglob("*") if each.is_file()}
+    assert found == {obstacle} | ({"config/cushion/config.toml"} if mine else set())
+    assert setup_files.text_of(path) == mine
+    (home / obstacle).unlink()
+    with pytest.raises(UsageError, match="nothing to undo"):
+        setup_files.undo()
+
+
+@pytest.mark.parametrize("mine", [None, "gain_db = -1.0\n"])
+def test_later_changes_that_are_no_text_are_kept_too(home: Path, mine: str | None) -> None:
+    path = home / "config.toml"
+    if mine is not None:
+        path.write_text(mine)
+    setup_files.write(path, mine, "gain_db = -2.0\n", with_service=False)
+    path.write_bytes(b"\xff\x00")
+    setup_files.undo()
+    assert path.with_name("config.toml.undone").read_bytes() == b"\xff\x00"
+    assert setup_files.text_of(path) == mine
+
+
+def test_damaged_records_are_reported_before_anything_is_written(home: Path) -> None:
+    path = home / "config/cushion/config.toml"
+    path.parent.mkdir(parents=True)
+    path.write_text("gain_db = -1.0\n")
+    records = home / "state/cushion/setup-undo.json"
+    records.parent.mkdir(parents=True)
+    records.write_text("[[")
+    with pytest.raises(UsageError, match="move it away"):
+        setup_files.write(path, "gain_db = -1.0\n", "gain_db = -2.0\n", with_service=True)
+    assert list(path.parent.iterdir()) == [path]
+    assert path.read_text() == "gain_db = -1.0\n"
+
+
 def test_a_tone_fades_in_without_a_step_and_ends_by_itself() -> None:
     tone = Tone(50.0, 48_000, [1])
     tone.play(0.5, 1.0, 0.5)

@@ -254,6 +254,26 @@ def test_only_the_chosen_application_is_felt_and_each_of_its_streams(
     assert any(abs(hz - once_hz) > 10 for hz in peaks)
 
 
+def test_leaving_an_application_out_is_not_told_as_a_change_of_the_default(
+    pipewire: SoundServer, tmp_path: Path
+) -> None:
+    config = tmp_path / "config.toml"
+    config.write_text("gain_db = 0\n")
+    with (
+        playing(pipewire, "desktop", tone(110.0, 240.0), name="player"),
+        running(pipewire, "--config", str(config), engine="native") as daemon,
+        recording(pipewire, "haptic.monitor", tmp_path / "felt") as felt,
+    ):
+        wait_until_felt(felt)
+        config.write_text('[applications]\nexclude = ["player"]\n')
+        daemon.process.send_signal(signal.SIGHUP)
+        wait_for(lambda: not felt_now(felt), "silence")
+        config.write_text("gain_db = 0\n")
+        daemon.process.send_signal(signal.SIGHUP)
+        wait_until_felt(felt)
+        assert "default-changed" not in daemon.stderr
+
+
 @pytest.mark.parametrize(
     ("before", "after", "least", "most", "offset_ms"),
     [

@@ -96,14 +96,15 @@ def cushion(*arguments: object, **options: Any) -> Done:
 def call(*arguments: object) -> Done:
     """Run a command inside this process."""
     stdout, stderr = io.StringIO(), io.StringIO()
-    handler = signal.getsignal(signal.SIGTERM)
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)}
     try:
         with contextlib.redirect_stdout(stdout), contextlib.redirect_stderr(stderr):
             code = main([str(argument) for argument in arguments])
     except SystemExit as end:  # --help and --version
         code = int(end.code or 0)
     finally:
-        signal.signal(signal.SIGTERM, handler)
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
     return Done(code, stdout.getvalue(), stderr.getvalue())
 
 

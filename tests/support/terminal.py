@@ -41,7 +41,7 @@ class Terminal:
     ) -> None:
         self.process.kill()
         self.process.wait()
-        os.close(self._ours)
+        self.close()
 
     def expect(self, text: str) -> None:
         """Read on until a text is printed."""
@@ -59,8 +59,16 @@ class Terminal:
         """Press a key, such as b"\\x03" for Ctrl+C."""
         os.write(self._ours, key)
 
+    def close(self) -> None:
+        """Close the terminal, as with its window; nothing more is shown."""
+        if self._ours >= 0:
+            os.close(self._ours)
+            self._ours = -1
+
     def wait(self) -> int:
         """Read until the command ends; return its exit code."""
+        if self._ours < 0:
+            return self.process.wait(DEADLINE_S)
         deadline_s = time.monotonic() + DEADLINE_S
         while self.process.poll() is None:
             assert time.monotonic() < deadline_s, self.shown

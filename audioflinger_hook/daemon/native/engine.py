@@ -221,6 +221,8 @@ class NativeEngine:
 
     def _note_moves(self, tap: Tap) -> None:
         before, self._tap = self._tap, tap
+        if before is not None and not (before.node and tap.node):  # applications have no node
+            return
         if before is not None and before.node != tap.node and self._config.tap.kind == "default":
             self._states.count(Cause.DEFAULT_CHANGED, f"the tap is now: {tap.name}")
 
