@@ -50,11 +50,12 @@ test-servers:
 	@sh tools/setup.sh test
 	@sh tools/fetch_recordings.sh
 	@sh tools/fetch_servers.sh
-	@# Most tests wait for sound to play; what is measured exactly has the machine for itself.
+	@# Most tests wait for sound to play; what is measured exactly shares the machine with one other.
 	@failed=0; \
-	.venv/bin/python -m pytest -m "servers and not calm" -n 2 --dist loadfile $(PYTEST_ARGS) \
+	.venv/bin/python -m pytest -m "servers and not calm" -n 3 --dist loadfile $(PYTEST_ARGS) \
 	    tests/servers || failed=1; \
-	.venv/bin/python -m pytest -m "servers and calm" $(PYTEST_ARGS) tests/servers || failed=1; \
+	.venv/bin/python -m pytest -m "servers and calm" -n 2 --dist loadfile $(PYTEST_ARGS) \
+	    tests/servers || failed=1; \
 	exit $$failed
 
 test-browser:
