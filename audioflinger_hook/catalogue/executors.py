@@ -132,8 +132,9 @@ class LocalWorkers:
 
 
 def _begin_worker() -> None:
-    """Prepare a worker: the main process handles Ctrl-C, and no worker outlives it."""
+    """Prepare a worker: the main process handles Ctrl-C and SIGHUP, and no worker outlives it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _interrupt_once)
     parent = multiprocessing.parent_process()
     if parent is None:

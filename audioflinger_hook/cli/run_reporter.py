@@ -7,7 +7,8 @@ import os
 import re
 import shutil
 import sys
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Iterator
+from contextlib import contextmanager
 
 from audioflinger_hook.cli.terminal import warn
 from audioflinger_hook.service.state import Note, StateReport
@@ -70,7 +71,8 @@ class RunReporter:
             kind = re.sub(r"\d+", "0", warning)
             if kind not in told:
                 self._clear_meter()
-                warn(warning)
+                with self._closed_unnoticed():
+                    warn(warning)
             self._warnings[kind] = told.get(kind, warning)
 
     def tell_engine(self, engine: str, reason: str) -> None:
@@ -98,8 +100,9 @@ class RunReporter:
         if self._has_meter and now_s - self._drawn_s >= METER_S:
             self._drawn_s = now_s
             width = shutil.get_terminal_size().columns - 1
-            sys.stderr.write(f"\r\x1b[K{meter_line(status(), width)}")
-            sys.stderr.flush()
+            with self._closed_unnoticed():
+                sys.stderr.write(f"\r\x1b[K{meter_line(status(), width)}")
+                sys.stderr.flush()
 
     def reload(self, follow_config: Callable[[float], str], now_s: float) -> str:
         """Reload the config and report the changes; return why it failed, or ""."""
@@ -121,15 +124,27 @@ class RunReporter:
         self._has_meter = False
         for warning in warnings:
             if warning not in self._warnings.values():
-                warn(warning)
+                with self._closed_unnoticed():
+                    warn(warning)
 
     def _clear_meter(self) -> None:
         if self._has_meter:
-            sys.stderr.write("\r\x1b[K")
+            with self._closed_unnoticed():
+                sys.stderr.write("\r\x1b[K")
+                sys.stderr.flush()
 
     def _print(self, text: str) -> None:
         self._clear_meter()
-        print(f"cushion: {text}", file=sys.stderr, flush=True)
+        with self._closed_unnoticed():
+            print(f"cushion: {text}", file=sys.stderr, flush=True)
+
+    @contextmanager
+    def _closed_unnoticed(self) -> Iterator[None]:
+        """Let a terminal that was closed end the run by its signal alone, not by a failed write."""
+        try:
+            yield
+        except OSError:
+            self._has_meter = False
 
 
 class RateLimit:

@@ -65,11 +65,12 @@ class SoundGain:
         if wanted == before == 1.0 or not len(frames):
             return frames
         self._reached = wanted
-        if wanted == before:
-            changed = frames * np.float32(wanted)
-        else:
+        factor: Float32Array | np.float32 = np.float32(wanted)
+        if wanted != before:
             steps = np.arange(1, len(frames) + 1, dtype=np.float32) / np.float32(len(frames))
-            changed = frames * (np.float32(before) + np.float32(wanted - before) * steps)[:, None]
+            factor = (np.float32(before) + np.float32(wanted - before) * steps)[:, None]
+        with np.errstate(over="ignore", invalid="ignore"):  # of broken samples
+            changed: Float32Array = frames * factor
         return np.clip(changed, -1.0, 1.0, out=changed) if max(wanted, before) > 1.0 else changed
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 
@@ -155,9 +156,12 @@ class Engines:
 
         The profile's promise is that a volume changes nothing. Elsewhere it counts as it is heard.
         """
-        self.volume_db = 0.0
+        before_db, self.volume_db = self.volume_db, 0.0
         if snapshot is not None and self._config.settings.parameters.loudness_db > 0.0:
-            self.volume_db = undone_db(self._endpoints.input.volume_db(snapshot), snapshot.kind)
+            volume_db = self._endpoints.input.volume_db(snapshot)
+            # nothing is heard at 0 %; the largest factor would make what follows a burst
+            silent = volume_db == -math.inf
+            self.volume_db = before_db if silent else undone_db(volume_db, snapshot.kind)
         self._endpoints.feed.gain.wanted = self.switch.sound_gain = db_to_amplitude(-self.volume_db)
 
     def may_open(self, now_s: float) -> bool:

@@ -35,7 +35,7 @@ WORKERS_MAX = 256
 AHEAD = 2
 """Items per process that may be started before the result of the first has been taken."""
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 class WorkerLost(Exception):

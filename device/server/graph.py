@@ -60,6 +60,7 @@ class Graph:
                 text=True,
                 errors="replace",
                 preexec_fn=ends_with_us,
+                process_group=0,  # signals of the terminal are the daemon's
             )
         except OSError as error:
             raise NotFoundError(
@@ -124,6 +125,7 @@ class Graph:
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
+                process_group=0,
             )
             self._requests[arguments] = request, now_s
 

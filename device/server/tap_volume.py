@@ -7,12 +7,16 @@ from collections.abc import Collection
 
 from device.server.snapshot import NOWHERE, ServerSnapshot, Sink, Source, decibels
 
+APART_DB = 20.0
+"""A stream that is turned up so much more than the one that counts would be far too strong."""
+
 
 class TapVolume:
     """Follows the volumes that lower or raise the sound of one tap. For one thread.
 
     Volumes of several streams cannot be told apart in their mix. The one that has played longest
-    counts as long as it plays, so that a short notification changes nothing.
+    counts as long as it plays, so that a short notification changes nothing. While another one is
+    turned up by over `APART_DB` more, that one counts.
     """
 
     def __init__(self) -> None:
@@ -35,6 +39,9 @@ class TapVolume:
         if streams:
             self._stream = self._stream if self._stream in streams else min(streams)
             stream = streams[self._stream]
+            loudest = max(streams.values(), key=lambda one: one.volume_db)
+            if loudest.volume_db > stream.volume_db + APART_DB:
+                stream = loudest
             self._stream_db = stream.volume_db
             sink = _sink(snapshot, stream.device_name)
             if sink is not None and sink.flat_volumes:

@@ -7,12 +7,17 @@ import pty
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
+import numpy as np
 import pytest
+import soundfile
 
 from audioflinger_hook.cli.signals import Signals
 from audioflinger_hook.daemon.wake import Wake
+from tests.support.commands import DEADLINE_S
 from tests.support.recordings import ROOT
+from tests.support.terminal import Terminal
 
 WAITER = """
 import sys
@@ -79,3 +84,16 @@ def test_a_terminal_that_is_closed_ends_it_unless_it_was_started_to_go_on(ignore
         process.wait()
         assert process.stderr is not None
         process.stderr.close()
+
+
+def test_a_terminal_that_is_closed_ends_a_run_whose_meter_it_shows_like_ctrl_c(
+    tmp_path: Path,
+) -> None:
+    sound, felt = tmp_path / "sound.wav", tmp_path / "felt.wav"
+    soundfile.write(sound, np.full(48_000 * 60, 0.1), 48_000)
+    run = ("run", "--tap", f"file:{sound}", "--device", f"wav:{felt}")
+    with Terminal(*run, env={"TERM": "xterm"}) as terminal:
+        terminal.expect("█")
+        terminal.close()
+        assert terminal.process.wait(DEADLINE_S) == 130
+    assert soundfile.info(felt).frames > 0

@@ -121,6 +121,7 @@ class Chain:
                     stdout=log,
                     stderr=log,
                     preexec_fn=ends_with_us,
+                    process_group=0,  # signals of the terminal are the daemon's
                 )
         except FileNotFoundError as error:
             self.close()

@@ -91,3 +91,11 @@ def test_the_servers_scale_is_cubic() -> None:
 )
 def test_a_muted_sink_is_named_where_its_monitor_is_silent_too(sink: Sink, name: str) -> None:
     assert muted_sink(snapshot(sink=sink), MONITOR) == name
+
+
+def test_a_stream_at_5_percent_does_not_make_another_one_far_too_strong() -> None:
+    tap = TapVolume()
+    quiet, full = stream(7, -78.0), stream(9, 0.0)
+    assert followed(tap, quiet) == -78.0
+    assert followed(tap, quiet, full) == 0.0
+    assert followed(tap, quiet) == -78.0
