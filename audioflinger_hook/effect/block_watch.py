@@ -9,7 +9,7 @@ from audioflinger_hook.effect.module import EffectModule
 
 BLOCKED_S, BLOCKED_LOOKS = 0.4, 4
 """A call that lasts this long, and is found in this many looks, blocks: a stream is lost at 0.5 s.
-A process that was stopped or starved looks less often, so that it blames nobody."""
+A process that was stopped or starved looks less often, so that no effect is bypassed for it."""
 
 ALWAYS_LOOKS = 30
 """An effect that is found at work in so many looks in a row takes nearly all of the time."""

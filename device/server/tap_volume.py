@@ -14,7 +14,7 @@ APART_DB = 20.0
 class TapVolume:
     """Follows the volumes that lower or raise the sound of one tap. For one thread.
 
-    Volumes of several streams cannot be told apart in their mix. The one that has played longest
+    Volumes of several streams cannot be separated in their mix. The one that has played longest
     counts as long as it plays, so that a short notification changes nothing. While another one is
     turned up by over `APART_DB` more, that one counts.
     """

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -11,6 +11,7 @@ import pytest
 
 from audioflinger_hook.config import file as config
 from audioflinger_hook.config.profiles import LIVE_DEFAULT
+from device.units import Float32Array
 from tests.servers.daemons import FELT, environment, felt_now, pitch_hz
 from tests.servers.listening import RATE_HZ, recording, wait_for
 from tests.support.commands import cushion, refused
@@ -121,19 +122,28 @@ def test_without_alsas_plugin_for_servers_it_says_what_to_install_before_it_asks
     assert "libasound2-plugins" in refused(tone, code=3)
 
 
+@contextmanager
+def asked(
+    server: SoundServer, question: str, folder: Path
+) -> Iterator[tuple[Terminal, Callable[[], Float32Array]]]:
+    """A set-up that waits at a question, and what is felt meanwhile; the tone plays by then."""
+    with (
+        recording(server, "haptic.monitor", folder / "haptic") as felt,
+        set_up(server) as terminal,
+    ):
+        answer_until(terminal, question)
+        if question == "Felt it?":
+            wait_for(lambda: felt_now(felt), "vibration")
+        yield terminal, felt
+
+
 @on_pulse
 @pytest.mark.parametrize("question", STEPS)
 @pytest.mark.parametrize("key", [CTRL_C])
 def test_an_interrupted_setup_has_written_nothing_and_is_silent(
     server: SoundServer, tmp_path: Path, question: str, key: bytes
 ) -> None:
-    with (
-        recording(server, "haptic.monitor", tmp_path / "haptic") as felt,
-        set_up(server) as terminal,
-    ):
-        answer_until(terminal, question)
-        if question == "Felt it?":
-            wait_for(lambda: felt_now(felt), "vibration")
+    with asked(server, question, tmp_path) as (terminal, felt):
         terminal.press(key)
         assert terminal.wait() == 130, terminal.shown
         assert terminal.shown.endswith("cushion: interrupted\n")
@@ -147,13 +157,7 @@ def test_a_closed_terminal_ends_the_setup_and_leaves_nothing_on_the_server(
     server: SoundServer, tmp_path: Path, question: str
 ) -> None:
     sinks, modules = server.names("sinks"), server.pactl("list", "short", "modules")
-    with (
-        recording(server, "haptic.monitor", tmp_path / "haptic") as felt,
-        set_up(server) as terminal,
-    ):
-        answer_until(terminal, question)
-        if question == "Felt it?":
-            wait_for(lambda: felt_now(felt), "vibration")
+    with asked(server, question, tmp_path) as (terminal, felt):
         terminal.close()
         assert terminal.wait() == 130
         wait_for(lambda: not felt_now(felt), "silence")
