@@ -15,7 +15,7 @@ from audioflinger_hook.daemon.native.abilities import (
     why_not_tap,
 )
 from audioflinger_hook.daemon.native.engine import NativeEngine
-from audioflinger_hook.daemon.native.taps import why_not_applications
+from audioflinger_hook.daemon.native.taps import Tap, tap_of
 from audioflinger_hook.daemon.outputs.base import DeviceVolume
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.daemon.timing import QUIET_S
@@ -31,14 +31,21 @@ FAILURES_MAX = 3
 UNSEEN_S = 2.0
 """How long tap or device may be missing in PipeWire's graph until `auto` gives up."""
 
+START_S = 5.0
+"""How long a start may take until another way is taken: the monitor's tap, then Python."""
+
+PROVEN_S = 5.0
+"""How long the native engine must play until earlier failures no longer count."""
+
 
 class EngineSwitch:
     """Chooses the engine, and runs the native one. For the supervising thread alone.
 
     config: what to do. folder: private, for files of the native engine; None: Python always.
     states: the daemon's state. on_change: called by another thread when the graph changes.
-    reason: why the Python engine computes, "" while the native one does. sound_gain: the factor
-    that undoes the listener's volume.
+    reason: why the Python engine computes, "" while the native one does. monitor_gain,
+    streams_gain: factors on the sound of a monitor, or of the streams themselves, by which the
+    listener's volumes count as they should.
     """
 
     def __init__(
@@ -54,11 +61,14 @@ class EngineSwitch:
         self._on_change = on_change
         self._problem = ""
         self._failures = 0
+        self._failed_s = 0.0
+        self._monitor_reason = ""
         self._seen_s: float | None = None
+        self._began_s: float | None = None
         self._played_s = -QUIET_S
         self._refused: dict[str, str] = {}
         self._volume_of: tuple[PulseConnection, int] | None = None
-        self.sound_gain = 1.0
+        self.monitor_gain = self.streams_gain = 1.0
         self.native: NativeEngine | None = None
         self.reason = "nothing has played yet"
 
@@ -70,7 +80,7 @@ class EngineSwitch:
     def follow(self, config: RunConfig) -> None:
         """Use another config."""
         if config != self._config:
-            self._problem, self._failures = "", 0
+            self._problem, self._failures, self._monitor_reason = "", 0, ""
             self._refused.clear()
         self._config = config
         if self.native is not None:
@@ -89,8 +99,6 @@ class EngineSwitch:
     def takes_native(self, source: AudioNode, snapshot: ServerSnapshot | None) -> bool:
         """Return whether the native engine is to compute; sets `reason`."""
         reason = self._why_python(snapshot) or why_not_tap(source.channels)
-        if not reason and snapshot is not None and isinstance(source, Applications):
-            reason = why_not_applications(source, snapshot)
         self.reason = reason or ("" if self.is_required else self._problem)
         return not self.reason
 
@@ -114,21 +122,18 @@ class EngineSwitch:
         try:
             native = self._opened()
             self._set_volume(device, connection, volume)
-            native.set_sound_gain(self.sound_gain)
-            plays = native.maintain(source, device, players, now_s, linked=linked)
+            native.set_sound_gains(streams=self.streams_gain, monitor=self.monitor_gain)
+            plays = native.maintain(source, device, now_s, linked=linked)
         except CushionError as error:
             self._fail(error, now_s)
             return False
-        if native.plan is not None:
-            self._failures = 0
         if not linked:
             return plays
-        if plays and players:
-            native.mend_links(connection.latest.events, now_s)
-        self._note_unseen(native, source, device, now_s)
-        if players:
+        self._note_unseen(native, tap_of(source, self._config.rules), device, now_s)
+        self._note_start(native, plays, now_s)
+        if players or native.is_fed:
             self._played_s = now_s
-        if plays and linked:
+        if plays:
             quiet = now_s - self._played_s > QUIET_S
             state = DaemonState.IDLE if quiet else DaemonState.RUNNING
             reason = source.why_silent if isinstance(source, Applications) else NOTHING
@@ -153,7 +158,7 @@ class EngineSwitch:
         if self.native is not None:
             self.native.close()
         self.native = None
-        self._seen_s = None
+        self._seen_s = self._began_s = None
 
     def _why_python(self, snapshot: ServerSnapshot | None) -> str:
         if self._config.live.engine == "python":
@@ -167,7 +172,13 @@ class EngineSwitch:
     def _opened(self) -> NativeEngine:
         if self.native is None:
             assert self._folder is not None
-            self.native = NativeEngine(self._config, self._folder, self._states, self._on_change)
+            self.native = NativeEngine(
+                self._config,
+                self._folder,
+                self._states,
+                self._on_change,
+                monitor_reason=self._monitor_reason,
+            )
         return self.native
 
     def _set_volume(self, device: Sink, connection: PulseConnection, volume: DeviceVolume) -> None:
@@ -182,23 +193,48 @@ class EngineSwitch:
     def _fail(self, error: CushionError, now_s: float) -> None:
         lost = isinstance(error, LostError)
         played = self.native is not None and self._failures == 0 and lost
-        self._failures += 1
+        self._failures, self._failed_s = self._failures + 1, now_s
         if played:
             self._states.recover(Cause.ENGINE_LOST, now_s, str(error))
         if self.native is not None and self.native.is_lost:
             self.close()
         if not lost or self._failures >= FAILURES_MAX:
-            self._problem = f"the native engine failed: {error}"
-            self.close()
-            if self.is_required:
-                self._states.enter(DaemonState.RECOVERING, now_s, self._problem)
+            self._give_up(f"the native engine failed: {error}", now_s)
+        elif self._failures == FAILURES_MAX - 1:
+            self._monitor_reason = f"the native engine failed: {error}"
+            if self.native is not None:
+                self.native.use_monitor(self._monitor_reason)
 
-    def _note_unseen(
-        self, native: NativeEngine, source: Source | Applications, device: Sink, now_s: float
-    ) -> None:
-        missing = native.unseen(source, device)
+    def _give_up(self, problem: str, now_s: float) -> None:
+        """Leave the rest to the Python engine, or try on where the config allows no other."""
+        self._problem = problem
+        self.close()
+        if self.is_required:
+            self._failures = 0
+            self._states.enter(DaemonState.RECOVERING, now_s, problem)
+
+    def _note_unseen(self, native: NativeEngine, tap: Tap, device: Sink, now_s: float) -> None:
+        missing = native.unseen(tap, device)
         if not missing or self._seen_s is None:
             self._seen_s = now_s
         elif now_s - self._seen_s > UNSEEN_S:
-            self._problem = f"PipeWire's graph has no node {missing!r}: it is of another server"
-            self.close()
+            self._give_up(
+                f"PipeWire's graph has no node {missing!r}: it is of another server", now_s
+            )
+
+    def _note_start(self, native: NativeEngine, plays: bool, now_s: float) -> None:
+        """Take another way if a start takes too long, and forget failures once it has played."""
+        if self._began_s is None or plays:
+            self._began_s = now_s
+        if plays:
+            if now_s - self._failed_s > PROVEN_S:
+                self._failures = 0
+        elif now_s - self._began_s > START_S:
+            self._began_s = now_s
+            problem = f"the native engine did not start within {START_S:g} s"
+            if native.monitor_reason:
+                self._give_up(problem, now_s)
+            else:
+                self._monitor_reason = problem
+                native.use_monitor(problem)
+                self._states.enter(self._states.state, now_s, f"{problem}; trying the monitor")

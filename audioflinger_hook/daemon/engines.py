@@ -157,12 +157,21 @@ class Engines:
         The profile's promise is that a volume changes nothing. Elsewhere it counts as it is heard.
         """
         before_db, self.volume_db = self.volume_db, 0.0
-        if snapshot is not None and self._config.settings.parameters.loudness_db > 0.0:
-            volume_db = self._endpoints.input.volume_db(snapshot)
-            # nothing is heard at 0 %; the largest factor would make what follows a burst
-            silent = volume_db == -math.inf
-            self.volume_db = before_db if silent else undone_db(volume_db, snapshot.kind)
-        self._endpoints.feed.gain.wanted = self.switch.sound_gain = db_to_amplitude(-self.volume_db)
+        tap, streams_db, is_felt = self._endpoints.input, 0.0, True
+        if snapshot is not None:
+            is_felt = not tap.is_muted(snapshot)
+            streams_db = tap.monitor_db(snapshot)
+            if self._config.settings.parameters.loudness_db > 0.0:
+                volume_db = tap.volume_db(snapshot)
+                # nothing is heard at 0 %; the largest factor would make what follows a burst
+                silent = volume_db == -math.inf
+                self.volume_db = before_db if silent else undone_db(volume_db, snapshot.kind)
+                streams_db = (
+                    -undone_db(volume_db - streams_db, snapshot.kind) if not silent else 0.0
+                )
+        gain = db_to_amplitude(-self.volume_db) if is_felt else 0.0
+        self._endpoints.feed.gain.wanted = self.switch.monitor_gain = gain
+        self.switch.streams_gain = db_to_amplitude(streams_db) if is_felt else 0.0
 
     def may_open(self, now_s: float) -> bool:
         """Return whether streams of the Python engine may open.

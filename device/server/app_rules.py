@@ -86,6 +86,11 @@ class AppRules:
         self.include = tuple(Rule.parse(text) for text in include)
         self.exclude = tuple(Rule.parse(text) for text in exclude)
 
+    def take(self, stream: Stream) -> bool:
+        """Whether the rules select a stream, whatever it is and wherever it plays."""
+        included = not self.include or any(rule.matches(stream) for rule in self.include)
+        return included and not any(rule.matches(stream) for rule in self.exclude)
+
     def select(
         self, snapshot: ServerSnapshot, haptic_sink: str | None = None
     ) -> tuple[Stream, ...]:
@@ -100,8 +105,7 @@ class AppRules:
             if is_application(stream)
             and stream.device_index is not None
             and (haptic_sink is None or stream.device_name != haptic_sink)
-            and (not self.include or any(rule.matches(stream) for rule in self.include))
-            and not any(rule.matches(stream) for rule in self.exclude)
+            and self.take(stream)
         )
 
 

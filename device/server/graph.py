@@ -1,161 +1,208 @@
-"""PipeWire's graph: which ports there are, how they are linked, and links that we make.
+"""PipeWire's graph: its nodes, ports and links, as `pw-dump` describes them.
 
-`pw-link --monitor` reports every change, so nothing is polled. A link belongs to the ports that it
-joins: when one of them vanishes, the link vanishes, and the server makes no other one. So a stream
-that nothing else links can never play to another device.
+`pw-dump` prints the same JSON on every version from 0.3 to 1.6. Objects are known by their ids,
+since names need not be unique. The server uses an id again at once, so an object that has gone is
+forgotten at once.
 """
 
 from __future__ import annotations
 
-import re
-import subprocess
-import threading
-from collections import Counter
-from collections.abc import Callable, Iterable
-from contextlib import suppress
-from itertools import product
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
 
-from device.errors import NotFoundError
-from device.process import ends_with_us
+LinkPair = tuple[int, int]
+"""Ids of an output port and of the input port that it is linked to."""
 
-PROGRAM = "pw-link"
-ANSWER_S = 0.5
-"""Longest time that one request may take; one that hangs is made again."""
 
-RETRY_S = 0.1
-"""Time between two equal requests."""
+@dataclass(frozen=True, slots=True)
+class Node:
+    """A node. media_class: such as "Audio/Sink"; "" for none. state: such as "running"."""
 
-_LINE = re.compile(r"([=+-])\s+(\d+)\s+(.*\S)\s*$")
-_JOINS = " -> "
+    id: int
+    name: str
+    media_class: str
+    state: str
+    properties: Mapping[str, Any]
 
-Link = tuple[str, str]
-"""An output port and an input port, as NODE:PORT."""
+
+@dataclass(frozen=True, slots=True)
+class Port:
+    """A port. name: such as "playback_FL". channel: such as "FL", "" if unknown."""
+
+    id: int
+    node_id: int
+    name: str
+    channel: str
+    is_input: bool
+    is_monitor: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Link:
+    """A link between two ports. state: such as "active" or "paused"."""
+
+    id: int
+    output_id: int
+    input_id: int
+    output_node_id: int
+    input_node_id: int
+    state: str
+
+    @property
+    def pair(self) -> LinkPair:
+        """The two ports."""
+        return self.output_id, self.input_id
 
 
 class Graph:
-    """Ports and links of the graph, kept up to date by a thread.
+    """The objects of one server. Not safe for several threads: `GraphWatch` holds its lock.
 
-    The thread that makes it calls the methods; any thread may read `ports`, `links` and `lost`.
-
-    on_change: called by the thread of this object after each change; must return at once.
-    ports: names of all ports, as NODE:PORT. links: all links. lost: whether the graph is gone; make
-    another object to connect again.
-    NotFoundError: `pw-link` is not installed.
+    nodes, ports, links: by id. version: of the server, "" while it is unknown. clock_hz: the rate
+    that the server prefers, 0 while it is unknown; a stream may have it choose another one.
     """
 
-    def __init__(self, on_change: Callable[[], None]) -> None:
-        self.ports: frozenset[str] = frozenset()
-        self.links: frozenset[Link] = frozenset()
-        self.lost = False
-        self._on_change = on_change
-        self._known: dict[str, str | Link] = {}
-        self._requests: dict[tuple[str, ...], tuple[subprocess.Popen[bytes], float]] = {}
-        self._asked_s: dict[tuple[str, ...], float] = {}
-        try:
-            self._process = subprocess.Popen(
-                [PROGRAM, "--monitor", "--output", "--input", "--links", "--id"],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.DEVNULL,
-                text=True,
-                errors="replace",
-                preexec_fn=ends_with_us,
-                process_group=0,  # signals of the terminal are the daemon's
-            )
-        except OSError as error:
-            raise NotFoundError(
-                f"{PROGRAM} cannot be run ({error.strerror}); install pipewire-bin"
-            ) from None
-        self._thread = threading.Thread(target=self._read, name="graph", daemon=True)
-        self._thread.start()
+    def __init__(self) -> None:
+        self.nodes: dict[int, Node] = {}
+        self.ports: dict[int, Port] = {}
+        self.links: dict[int, Link] = {}
+        self.version = ""
+        self.clock_hz = 0
+        self._clients: dict[int, Mapping[str, Any]] = {}
+        self._ports_of: dict[int, set[int]] = {}
+        self._links_of: dict[int, set[int]] = {}
 
-    def ports_of(self, node: str, prefix: str) -> frozenset[str]:
-        """Return a node's ports whose names begin with a prefix, such as "playback_"."""
-        start = f"{node}:{prefix}"
-        return frozenset(port for port in self.ports if port.startswith(start))
+    def apply(self, objects: Iterable[Any]) -> None:
+        """Take one document of `pw-dump`: the objects that are new, have changed or are gone."""
+        for item in objects:
+            if isinstance(item, dict) and isinstance(item.get("id"), int):
+                self._apply_one(item)
 
-    def ensure(self, wanted: Iterable[Link], nodes: Iterable[str], now_s: float) -> None:
-        """Ask for exactly these links of nodes. Does not wait: a later call shows the result.
+    def sink(self, name: str) -> Node | None:
+        """Return the sink of this name, None if there is none."""
+        return next((node for node in self.sinks() if node.name == name), None)
 
-        Streams of one program may have equal names: all ports of a name are linked.
+    def sinks(self) -> Iterator[Node]:
+        """Return all nodes that play what is linked to them."""
+        return (
+            node
+            for node in self.nodes.values()
+            if node.media_class in ("Audio/Sink", "Audio/Duplex")
+        )
 
-        nodes: whose other links are removed.
-        """
-        self._reap(now_s)
-        wanted, known = set(wanted), dict(self._known)
-        starts = tuple(f"{node}:" for node in nodes)
-        ids: dict[str, list[str]] = {}
-        made = Counter(item for item in known.values() if isinstance(item, tuple))
-        for number, item in known.items():
-            if isinstance(item, str):
-                ids.setdefault(item, []).append(number)
-            elif item not in wanted and any(port.startswith(starts) for port in item):
-                self.remove((number,), now_s)
-        for link in wanted:
-            outputs, inputs = (ids.get(port, []) for port in link)
-            if made[link] < len(outputs) * len(inputs):
-                for pair in product(outputs, inputs):
-                    self._request(("--passive", *pair), now_s)
+    def node_named(self, name: str) -> Node | None:
+        """Return the node of this name, None if there is none; for names that are our own."""
+        return next((node for node in self.nodes.values() if node.name == name), None)
 
-    def remove(self, links: Iterable[str], now_s: float) -> None:
-        """Ask to remove links by their numbers; `ensure` makes them again."""
-        for number in links:
-            self._request(("--disconnect", number), now_s)
+    def ports_of(self, node_id: int, prefix: str = "") -> dict[str, int]:
+        """Return the ids of a node's ports by their names without this prefix, such as "input_"."""
+        ports = (self.ports[port_id] for port_id in self._ports_of.get(node_id, ()))
+        start = len(prefix)
+        return {port.name[start:]: port.id for port in ports if port.name.startswith(prefix)}
 
-    def close(self) -> None:
-        """Stop watching; links stay. May be repeated; raises nothing."""
-        self._process.kill()
-        self._process.wait()
-        self._thread.join(ANSWER_S)
-        if self._process.stdout:
-            self._process.stdout.close()
-        for request, _ in self._requests.values():
-            request.kill()
-            request.wait()
-        self._requests.clear()
+    def links_of(self, node_id: int) -> Iterator[Link]:
+        """Return the links from and to a node."""
+        return (self.links[link_id] for link_id in self._links_of.get(node_id, ()))
 
-    def _request(self, arguments: tuple[str, ...], now_s: float) -> None:
-        asked_s = self._asked_s.get(arguments, -RETRY_S)
-        if arguments in self._requests or now_s - asked_s < RETRY_S:
+    def properties_of(self, node: Node) -> dict[str, str]:
+        """Return the properties of a node and of the client that made it, as text."""
+        client = self._clients.get(_number(node.properties.get("client.id")), {})
+        return {key: str(value) for key, value in {**client, **node.properties}.items()}
+
+    def _apply_one(self, item: Mapping[str, Any]) -> None:
+        number, kind, info = item["id"], str(item.get("type", "")), item.get("info")
+        if kind.endswith(":Metadata"):
+            self._read_settings(item)
             return
-        self._asked_s[arguments] = now_s
-        with suppress(OSError):
-            request = subprocess.Popen(
-                [PROGRAM, *arguments],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-                process_group=0,
+        if not isinstance(info, dict):
+            self._forget(number)
+            return
+        properties = info.get("props") or {}
+        if kind.endswith(":Node"):
+            self._forget_other(number, self.nodes)
+            self.nodes[number] = Node(
+                number,
+                str(properties.get("node.name", "")),
+                str(properties.get("media.class", "")),
+                str(info.get("state", "")),
+                properties,
             )
-            self._requests[arguments] = request, now_s
+        elif kind.endswith(":Port"):
+            self._forget_other(number, self.ports)
+            self._add_port(number, info, properties)
+        elif kind.endswith(":Link"):
+            self._forget_other(number, self.links)
+            self._add_link(number, info)
+        elif kind.endswith(":Client"):
+            self._forget_other(number, self._clients)
+            self._clients[number] = properties
+        elif kind.endswith(":Core"):
+            self.version = str(info.get("version", ""))
 
-    def _reap(self, now_s: float) -> None:
-        for arguments, (request, began_s) in tuple(self._requests.items()):
-            if request.poll() is None and now_s - began_s < ANSWER_S:
-                continue
-            request.kill()
-            request.wait()
-            del self._requests[arguments]
-        self._asked_s = {key: s for key, s in self._asked_s.items() if now_s - s < ANSWER_S}
+    def _read_settings(self, item: Mapping[str, Any]) -> None:
+        if (item.get("props") or {}).get("metadata.name") == "settings":
+            found = {one.get("key"): one.get("value") for one in item.get("metadata") or ()}
+            forced_hz = _number(found.get("clock.force-rate"))
+            self.clock_hz = max(0, forced_hz if forced_hz > 0 else _number(found.get("clock.rate")))
 
-    def _read(self) -> None:
-        assert self._process.stdout is not None
-        with suppress(ValueError, OSError):
-            for line in self._process.stdout:
-                if found := _LINE.match(line):
-                    self._take(*found.groups())
-        self.lost = True
-        self._on_change()
+    def _add_port(self, number: int, info: Mapping[str, Any], properties: Any) -> None:
+        self._drop_port(number)
+        port = Port(
+            number,
+            _number(properties.get("node.id")),
+            str(properties.get("port.name", "")),
+            str(properties.get("audio.channel", "")),
+            is_input=info.get("direction") == "input",
+            is_monitor=str(properties.get("port.monitor")).lower() == "true",
+        )
+        self.ports[number] = port
+        self._ports_of.setdefault(port.node_id, set()).add(number)
 
-    def _take(self, sign: str, number: str, what: str) -> None:
-        if sign == "-":
-            self._known.pop(number, None)
-        elif _JOINS in what:
-            output, _, put = what.partition(_JOINS)
-            self._known[number] = output, put
-        else:
-            self._known[number] = what
-        known = self._known.values()
-        self.ports = frozenset(item for item in known if isinstance(item, str))
-        self.links = frozenset(item for item in known if isinstance(item, tuple))
-        self._on_change()
+    def _add_link(self, number: int, info: Mapping[str, Any]) -> None:
+        self._drop_link(number)
+        link = Link(
+            number,
+            _number(info.get("output-port-id")),
+            _number(info.get("input-port-id")),
+            _number(info.get("output-node-id")),
+            _number(info.get("input-node-id")),
+            str(info.get("state", "")),
+        )
+        self.links[number] = link
+        for node_id in (link.output_node_id, link.input_node_id):
+            self._links_of.setdefault(node_id, set()).add(number)
+
+    def _forget_other(self, number: int, kind: Mapping[int, Any]) -> None:
+        """Forget what had this id before, if that was an object of another kind."""
+        if number not in kind:
+            self._forget(number)
+
+    def _forget(self, number: int) -> None:
+        self._drop_port(number)
+        self._drop_link(number)
+        self.nodes.pop(number, None)
+        self._clients.pop(number, None)
+
+    def _drop_port(self, number: int) -> None:
+        if port := self.ports.pop(number, None):
+            _discard(self._ports_of, port.node_id, number)
+
+    def _drop_link(self, number: int) -> None:
+        if link := self.links.pop(number, None):
+            for node_id in {link.output_node_id, link.input_node_id}:
+                _discard(self._links_of, node_id, number)
+
+
+def _number(value: Any) -> int:
+    try:
+        return int(value)
+    except (TypeError, ValueError):
+        return -1
+
+
+def _discard(index: dict[int, set[int]], key: int, number: int) -> None:
+    numbers = index.get(key)
+    if numbers is not None:
+        numbers.discard(number)
+        if not numbers:
+            del index[key]

@@ -46,19 +46,21 @@ class TapVolume:
             sink = _sink(snapshot, stream.device_name)
             if sink is not None and sink.flat_volumes:
                 self._stream_db -= sink.volume_db
-        if monitor is None:
-            return self._stream_db
-        sink = _sink(snapshot, monitor.monitor_of)
-        carried_db = sink.volume_db if sink is not None and sink.volume_in_monitor else 0.0
-        return self._stream_db + carried_db + decibels(monitor.volume)
+        return self._stream_db + (monitor_volume_db(snapshot, monitor) if monitor else 0.0)
 
 
-def muted_sink(snapshot: ServerSnapshot, monitor: Source) -> str:
-    """Return the name of a sink that is muted or at 0 %, and its monitor with it; "" for others."""
+def monitor_volume_db(snapshot: ServerSnapshot, monitor: Source) -> float:
+    """Return the volume that a monitor's sound has beyond that of the streams, in dB."""
     sink = _sink(snapshot, monitor.monitor_of)
-    if sink is None or not sink.volume_in_monitor:
-        return ""
-    return sink.name if sink.mute or sink.volume_db == -math.inf else ""
+    carried_db = sink.volume_db if sink is not None and sink.volume_in_monitor else 0.0
+    return carried_db + decibels(monitor.volume)
+
+
+def muted_sink(snapshot: ServerSnapshot, sink_name: str | None) -> str:
+    """Return the name of the sink if it is muted or at 0 %; "" for others."""
+    sink = _sink(snapshot, sink_name)
+    muted = sink is not None and (sink.mute or sink.volume_db == -math.inf)
+    return sink.name if sink is not None and muted else ""
 
 
 def _sink(snapshot: ServerSnapshot, name: str | None) -> Sink | None:

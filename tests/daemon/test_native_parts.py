@@ -29,7 +29,6 @@ from audioflinger_hook.daemon.handover import (
     Dip,
     Handover,
 )
-from audioflinger_hook.daemon.inputs.applications import Applications
 from audioflinger_hook.daemon.native import abilities
 from audioflinger_hook.daemon.native import layout as layout_module
 from audioflinger_hook.daemon.native.abilities import (
@@ -39,9 +38,9 @@ from audioflinger_hook.daemon.native.abilities import (
     why_not_tap,
 )
 from audioflinger_hook.daemon.native.page import Page
-from audioflinger_hook.daemon.native.plan import ChainPlan, device_map, device_ports
+from audioflinger_hook.daemon.native.plan import ChainPlan, device_map
 from audioflinger_hook.daemon.native.ports import in_mixing_order, port_names
-from audioflinger_hook.daemon.native.taps import tap_of, why_not_applications
+from audioflinger_hook.daemon.native.taps import tap_of
 from audioflinger_hook.daemon.outputs.base import DeviceVolume
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.daemon.soft_fade import FADE_S, SoftFade
@@ -52,7 +51,7 @@ from device.address import parse_device
 from device.drive import ActuatorSettings
 from device.errors import NotFoundError, UsageError
 from device.server import PulseConnection
-from device.server.snapshot import ServerSnapshot, Sink, Source, Stream
+from device.server.snapshot import ServerSnapshot, Sink, Source
 
 STEREO = "front-left,front-right"
 SURROUND = "front-left,front-right,front-center,lfe,rear-left,rear-right"
@@ -66,12 +65,6 @@ def sink(channel_map: str = STEREO) -> Sink:
 def monitor(channel_map: str = STEREO) -> Source:
     count = channel_map.count(",") + 1
     return Source(2, "desk.monitor", "Desk", "desk", 48_000, count, {}, channel_map)
-
-
-def stream(index: int, node: str, application: str = "player") -> Stream:
-    properties = {"node.name": node} if node else {}
-    none: dict[str, Any] = {"role": "", "media": "", "process_id": None, "corked": False}
-    return Stream(index, 1, "desk", application, "", mute=False, properties=properties, **none)
 
 
 def config(settings: Settings | None = None, **live: Any) -> RunConfig:
@@ -155,34 +148,6 @@ def test_ports_come_in_the_order_in_which_the_mixer_counts_channels(channels: in
     assert port_names("", channels) == unknown
 
 
-def test_a_sinks_monitor_is_tapped_channel_by_channel() -> None:
-    tap = tap_of(monitor(SURROUND), ())
-    assert tap.node == "desk"
-    assert [sorted(ports) for ports in tap.ports] == [
-        [f"desk:monitor_{name}"] for name in ("FL", "FR", "FC", "LFE", "RL", "RR")
-    ]
-
-
-def test_applications_are_mixed_by_position_mono_everywhere_and_surround_to_its_side() -> None:
-    found = Applications((stream(1, "A"), stream(2, "B")), 48_000, 2, channel_map=STEREO)
-    ports = ["A:output_FL", "A:output_FR", "A:output_RL", "A:output_FC", "B:output_MONO"]
-    tap = tap_of(found, [*ports, "C:output_FL", "A:input_FL"])
-    both = ["A:output_FC", "B:output_MONO"]
-    assert [sorted(ports) for ports in tap.ports] == [
-        sorted(["A:output_FL", "A:output_RL", *both]),
-        sorted(["A:output_FR", *both]),
-    ]
-
-
-def test_another_stream_of_the_same_name_is_never_tapped_along() -> None:
-    chosen, other = stream(1, "A"), stream(2, "A", "other")
-    seen = ServerSnapshot("PipeWire", "1.0.0", "", "", (), (), (chosen, other), (), 0)
-    assert "called 'A'" in why_not_applications(Applications((chosen,), 48_000, 2), seen)
-    assert why_not_applications(Applications((chosen, other), 48_000, 2), seen) == ""
-    nameless = Applications((stream(3, ""),), 48_000, 2)
-    assert "no node" in why_not_applications(nameless, seen)
-
-
 def test_a_plan_routes_each_actuator_to_its_source() -> None:
     settings = Settings(
         actuators=(
@@ -191,7 +156,7 @@ def test_a_plan_routes_each_actuator_to_its_source() -> None:
             ActuatorSettings((2,), "right"),
         )
     )
-    plan = ChainPlan.of(settings, tap_of(monitor(SURROUND), ()))
+    plan = ChainPlan.of(settings, tap_of(monitor(SURROUND), None), 48_000)
     assert plan.sources == ("left", "right")
     assert plan.actuators == (1, 0, 1)
     weights = plan.weights
@@ -204,11 +169,10 @@ def test_a_plan_routes_each_actuator_to_its_source() -> None:
 
 
 def test_without_actuators_every_channel_of_the_device_plays() -> None:
-    plan = ChainPlan.of(Settings(), tap_of(monitor(), ()))
+    plan = ChainPlan.of(Settings(), tap_of(monitor(), None), 48_000)
     assert (plan.outputs, plan.actuators, plan.weights) == (1, (0,), None)
     assert device_map(Settings(), plan, sink(SURROUND)).sources == (0,) * 6
-    assert device_ports(sink()) == ("dac:playback_FL", "dac:playback_FR")
-    each = ChainPlan.of(Settings(channels="each"), tap_of(monitor(), ()))
+    each = ChainPlan.of(Settings(channels="each"), tap_of(monitor(), None), 48_000)
     assert (each.outputs, each.actuators) == (2, (0, 1))
 
 

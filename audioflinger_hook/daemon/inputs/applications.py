@@ -19,8 +19,9 @@ from device.errors import CushionError, LostError, NotFoundError
 from device.server import AppCaptures, PulseConnection, ServerSnapshot
 from device.server.app_capture import AppCapture, EndReason
 from device.server.app_rules import app_name
+from device.server.identity import default_monitor
 from device.server.snapshot import Stream
-from device.server.tap_volume import TapVolume
+from device.server.tap_volume import TapVolume, muted_sink
 from device.stream import AudioPriority
 from device.units import Float32Array
 
@@ -39,6 +40,7 @@ class Applications:
     """The captured applications, and the format of their mix.
 
     left_out: count of applications beyond CAPTURES_MAX. channel_map: positions of the channels.
+    sink: the sink that they play to; "" if they may play to any.
     """
 
     streams: tuple[Stream, ...]
@@ -46,6 +48,7 @@ class Applications:
     channels: int
     left_out: int = 0
     channel_map: str = ""
+    sink: str = ""
 
     @property
     def name(self) -> str:
@@ -113,6 +116,7 @@ class ApplicationsInput(Input):
         rules = config.rules
         assert rules is not None
         self._rules = rules
+        self._of_default_sink = config.tap.kind == "default"
         self._states = states
         self._feed = feed
         self._captures: AppCaptures | None = None
@@ -157,15 +161,21 @@ class ApplicationsInput(Input):
         if config.rules is None:
             return False
         self._rules, self.address = config.rules, _address(config)
+        self._of_default_sink = config.tap.kind == "default"
         return True
 
     def locate(self, snapshot: ServerSnapshot | None, device: str | None) -> Applications:
         """Return the applications to capture; device: the vibration's sink, never captured.
 
-        The mix has the default sink's format, so that the server converts little.
+        The mix has the default sink's format, so that the server converts little. With the tap
+        `default` only what plays to that sink counts, as without rules.
         """
         assert snapshot is not None
         streams = self._rules.select(snapshot, device)
+        sink = ""
+        if self._of_default_sink:
+            sink = default_monitor(snapshot, device).monitor_of or ""
+            streams = tuple(stream for stream in streams if stream.device_name == sink)
         default = next((s for s in snapshot.sinks if s.name == snapshot.default_sink), None)
         self._found = Applications(
             streams[:CAPTURES_MAX],
@@ -173,6 +183,7 @@ class ApplicationsInput(Input):
             default.channels if default else DEFAULT_CHANNELS,
             max(0, len(streams) - CAPTURES_MAX),
             default.channel_map if default else "front-left,front-right",
+            sink,
         )
         return self._found
 
@@ -183,6 +194,10 @@ class ApplicationsInput(Input):
     def volume_db(self, snapshot: ServerSnapshot) -> float:
         """Return the volume of the application that has played longest."""
         return self._volume.follow(snapshot, self.players(snapshot))
+
+    def is_muted(self, snapshot: ServerSnapshot) -> bool:
+        """Whether the sink that they must play to is muted or at 0 %."""
+        return bool(muted_sink(snapshot, self._found.sink))
 
     def maintain(self, connection: PulseConnection | None, now_s: float) -> None:
         """Capture exactly the located applications.

@@ -118,6 +118,14 @@ class Input(Endpoint):
         """Return the volume that its sound carries, as far as it is known; 0 dB for 100 %."""
         return 0.0
 
+    def monitor_db(self, snapshot: ServerSnapshot) -> float:
+        """Return the part of `volume_db` that its monitor adds to the streams' own volumes."""
+        return 0.0
+
+    def is_muted(self, snapshot: ServerSnapshot) -> bool:
+        """Whether the listener has muted what is tapped, so that nothing is to be felt."""
+        return False
+
     def listen(self, connection: PulseConnection | None, now_s: float) -> bool:
         """Return whether sound arrived while the input is closed; raises nothing.
 

@@ -17,7 +17,7 @@ from device.server import PulseConnection, ServerSnapshot
 from device.server.forwarding import reachable_sinks
 from device.server.identity import default_monitor, find_tagged, is_cushion_stream, monitor_of
 from device.server.snapshot import Source
-from device.server.tap_volume import TapVolume, muted_sink
+from device.server.tap_volume import TapVolume, monitor_volume_db, muted_sink
 from device.stream import AudioPriority, CaptureStream
 from device.stream.pcms import Pcm, ServerDevice
 from device.stream.portaudio import BLOCK_FRAMES
@@ -83,7 +83,7 @@ class SinkInput(Input):
 
     @property
     def warnings(self) -> list[str]:
-        """One line if the sink is muted and its monitor is silent for that."""
+        """One line if the sink is muted, as nothing of it is felt then."""
         if not self._muted:
             return []
         return [
@@ -121,7 +121,7 @@ class SinkInput(Input):
                 "there would feed back; tap another sink, or remove that connection"
             )
         self._found = source
-        self._muted = muted_sink(snapshot, source)
+        self._muted = muted_sink(snapshot, source.monitor_of)
         return source
 
     def players(self, snapshot: ServerSnapshot | None) -> frozenset[int]:
@@ -138,6 +138,14 @@ class SinkInput(Input):
     def volume_db(self, snapshot: ServerSnapshot) -> float:
         """Return the volumes of sink, monitor and stream that the monitor carries."""
         return self._volume.follow(snapshot, self.players(snapshot), self._found)
+
+    def monitor_db(self, snapshot: ServerSnapshot) -> float:
+        """Return the volumes of sink and monitor that the monitor carries."""
+        return monitor_volume_db(snapshot, self._found) if self._found else 0.0
+
+    def is_muted(self, snapshot: ServerSnapshot) -> bool:
+        """Whether the sink is muted or at 0 %."""
+        return bool(self._found and muted_sink(snapshot, self._found.monitor_of))
 
     def listen(self, connection: PulseConnection | None, now_s: float) -> bool:
         """Return whether sound arrived; listens while applications may play.

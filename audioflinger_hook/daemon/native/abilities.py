@@ -11,7 +11,7 @@ from audioflinger_hook.daemon.native.layout import ACTUATORS, CHANNELS
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.plugin import plugin_path
 from device.server import ServerSnapshot
-from device.server.graph import PROGRAM
+from device.server.graph_watch import EDITOR, READER
 
 SERVER = "PipeWire"
 VERSION_MIN = (0, 3, 50)
@@ -25,7 +25,7 @@ def missing_parts() -> str:
     """Return what this machine lacks for the native engine, and how to get it; "" for nothing."""
     if plugin_path() is None:
         return "the plugin is not built; run `make run` with a C compiler"
-    for program in ("pipewire", PROGRAM):
+    for program in ("pipewire", READER, EDITOR):
         if shutil.which(program) is None:
             return f"the program {program} is missing; install pipewire and pipewire-bin"
     folders = [folder for pattern in MODULE_FOLDERS for folder in Path("/").glob(pattern[1:])]

@@ -12,11 +12,12 @@ from pathlib import Path
 from audioflinger_hook.daemon.native.layout import CHANNELS
 from audioflinger_hook.daemon.native.page import Page
 from audioflinger_hook.daemon.native.plan import ChainPlan
-from audioflinger_hook.daemon.native.taps import Ports
+from audioflinger_hook.daemon.native.taps import OUT
+from audioflinger_hook.daemon.native.wiring import ChainEnds
 from audioflinger_hook.plugin import plugin_path
 from device.errors import InternalError, LostError, NotFoundError
 from device.process import ends_with_us
-from device.server.graph import Graph, Link
+from device.server.graph import Graph
 
 NAME = "haptic-cushion"
 """Beginning of the names of all nodes and files."""
@@ -45,7 +46,6 @@ context.modules = [
         args = {{
             node.description = "Haptic Cushion"
             media.name = "Haptic Cushion"
-            audio.rate = {samplerate}
             filter.graph = {{
                 nodes = [
 {nodes}
@@ -153,28 +153,13 @@ class Chain:
 
     def is_in(self, graph: Graph) -> bool:
         """Whether all of its ports are in the graph."""
-        return len(graph.ports_of(self.tap, "input_")) >= self.plan.tap_channels and len(
-            graph.ports_of(self.vibration, "output_")
-        ) >= len(self.plan.actuators)
+        vibration = graph.node_named(self.vibration)
+        outputs = graph.ports_of(vibration.id, OUT) if vibration else {}
+        return bool(self.ends().tap_ports(graph)) and len(outputs) >= len(self.plan.actuators)
 
-    def links(
-        self,
-        tap_ports: Ports,
-        device_ports: tuple[str, ...],
-        played: tuple[int | None, ...],
-    ) -> set[Link]:
-        """Return its links from the tap and to the device; played: each channel's actuator."""
-        taken = {
-            (port, f"{self.tap}:input_AUX{n}")
-            for n, mixed in enumerate(tap_ports)
-            for port in mixed
-        }
-        given = {
-            (f"{self.vibration}:output_AUX{actuator}", port)
-            for port, actuator in zip(device_ports, played, strict=True)
-            if actuator is not None
-        }
-        return taken | given
+    def ends(self, played: tuple[int | None, ...] = (), *, linked: bool = False) -> ChainEnds:
+        """Return its nodes and how they are to be linked, as `ChainEnds` takes them."""
+        return ChainEnds(self.tap, self.vibration, self.plan.tap_channels, played, linked)
 
     def close(self) -> None:
         """End the process and remove its files. May be repeated; raises nothing."""
@@ -214,7 +199,6 @@ class Chain:
         assert plan.tap_channels <= CHANNELS
         return _CONFIG.format(
             realtime=_REALTIME if realtime else "",
-            samplerate=plan.samplerate,
             nodes="\n".join(indent + line for line in nodes),
             links="\n".join(indent + line for line in links),
             inputs=" ".join(f'"transform:In {n + 1}"' for n in range(plan.tap_channels)),

@@ -14,30 +14,34 @@ from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.daemon.inputs.applications import Applications
 from audioflinger_hook.daemon.native.chain import NAME, Chain
 from audioflinger_hook.daemon.native.page import Page, TransformReadings
-from audioflinger_hook.daemon.native.plan import ChainPlan, device_map, device_ports
+from audioflinger_hook.daemon.native.plan import ChainPlan, device_map
+from audioflinger_hook.daemon.native.ports import port_names
 from audioflinger_hook.daemon.native.running import RunningChain
-from audioflinger_hook.daemon.native.taps import Tap, tap_of
+from audioflinger_hook.daemon.native.taps import MONITOR, PLAYBACK, Tap, tap_of
+from audioflinger_hook.daemon.native.wiring import ChainEnds, ChainWiring
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.daemon.timing import Backoff
 from audioflinger_hook.service.meters import Level
 from audioflinger_hook.service.state import Cause, StateKeeper
 from device.drive import ActuatorSettings
 from device.drive.rig_processor import damping_for
-from device.errors import LostError, UsageError
+from device.errors import LostError, NotFoundError, UsageError
 from device.rig import rig_by_name
-from device.server.graph import Graph, Link
-from device.server.paused_links import PausedLinks
+from device.server.graph_watch import GraphWatch
 from device.server.snapshot import Sink, Source
 from device.units import db_to_amplitude
 
 FADE_S = 0.4
 """Longest wait for a chain to fade out. Its fade takes 40 ms; a graph that stands still, longer."""
 
-STUCK_S = 5.0
-"""A chain that processes nothing for so long although applications play is started again."""
+STUCK_S = 1.0
+"""A chain that processes nothing for so long although a stream plays is replaced."""
 
 START_S = 5.0
 """Longest time from the start of a process to its ports."""
+
+REFUSED_S = 0.5
+"""A link from a stream that is missing for so long is refused; then the monitor is tapped."""
 
 LONGEST_WAIT_S = 1.0
 """Longest time between two starts."""
@@ -49,27 +53,36 @@ class NativeEngine:
     The supervising thread calls the methods; any thread may read the attributes.
 
     folder: private, for files. states: counts what was lost and came back. on_change: called by
-    another thread when the graph changes. audible: whether the chain is linked and plays.
+    another thread when the graph changes. monitor_reason: why the sink's monitor is tapped instead
+    of the streams that play to it; "" for the streams. audible: whether the chain is linked and
+    plays. is_fed: whether a stream plays that is tapped.
     NotFoundError: a program of PipeWire is missing.
     """
 
     def __init__(
-        self, config: RunConfig, folder: Path, states: StateKeeper, on_change: Callable[[], None]
+        self,
+        config: RunConfig,
+        folder: Path,
+        states: StateKeeper,
+        on_change: Callable[[], None],
+        monitor_reason: str = "",
     ) -> None:
         self._config = config
         self._folder = folder
         self._states = states
-        self._graph = Graph(on_change)
-        self._paused_links = PausedLinks()
+        self._watch = GraphWatch(on_change)
         self._current: RunningChain | None = None
         self._next: RunningChain | None = None
         self._leaving: list[RunningChain] = []
         self._backoff = Backoff(longest_s=LONGEST_WAIT_S)
         self._tap: Tap | None = None
+        self._wiring = ChainWiring()
         self._has_played = False
         self._faded_s = math.inf
         self._sound_gain = 1.0
-        self.audible = False
+        self._must_use_monitor = bool(monitor_reason)
+        self.monitor_reason = monitor_reason
+        self.audible = self.is_fed = False
         for left_over in folder.glob(f"{NAME}-*"):  # of a daemon that was killed
             left_over.unlink(missing_ok=True)
 
@@ -93,16 +106,19 @@ class NativeEngine:
     @property
     def is_lost(self) -> bool:
         """Whether the graph is gone, so that another engine must be made."""
-        return self._graph.lost
+        return self._watch.lost
 
-    def unseen(self, found: Source | Applications, device: Sink) -> str:
+    def unseen(self, tap: Tap, device: Sink) -> str:
         """Return the name of a node that the graph does not show, "" if it shows both."""
-        if not self._graph.ports:
-            return ""
-        node = tap_of(found, ()).node
-        if node and not self._graph.ports_of(node, "monitor_"):
-            return node
-        return "" if self._graph.ports_of(device.name, "playback_") else device.name
+        with self._watch.lock:
+            graph = self._watch.graph
+            if not graph.ports:
+                return ""
+            source = graph.sink(tap.sink) if tap.sink else None
+            if tap.sink and not (source and graph.ports_of(source.id, MONITOR)):
+                return tap.sink
+            sink = graph.sink(device.name)
+            return "" if sink and graph.ports_of(sink.id, PLAYBACK) else device.name
 
     def readings(self) -> TransformReadings | None:
         """Return what the transform reports, None before the first chain."""
@@ -123,70 +139,64 @@ class NativeEngine:
     def follow(self, config: RunConfig) -> None:
         """Use another config; what the plugin cannot change itself needs a new chain."""
         self._config = config
-        for running in filter(None, (self._current, self._next)):
+        for running in self._running():
             self._set_actuators(running.chain)
 
-    def set_sound_gain(self, gain: float) -> None:
-        """Set the factor on the tap's sound."""
-        self._sound_gain = gain
-        for running in filter(None, (self._current, self._next)):
-            running.chain.page.set_sound_gain(gain)
+    def set_sound_gains(self, *, streams: float, monitor: float) -> None:
+        """Set the factors on the sound of streams and of a monitor; the tap's is used."""
+        self._sound_gain = monitor if self.monitor_reason else streams
+        for running in self._running():
+            running.chain.page.set_sound_gain(self._sound_gain)
+
+    def use_monitor(self, reason: str) -> None:
+        """Tap the sink's monitor from now on, for this reason."""
+        self._must_use_monitor, self.monitor_reason = True, reason
 
     def maintain(
-        self,
-        found: Source | Applications,
-        device: Sink,
-        players: frozenset[int],
-        now_s: float,
-        *,
-        linked: bool,
+        self, found: Source | Applications, device: Sink, now_s: float, *, linked: bool
     ) -> bool:
         """Start, link and check the chain; return whether it plays, or could if it were linked.
 
-        players: streams that play into the tap. linked: whether it may be linked. Links join the
-        graph's groups, which costs other streams of these devices some samples.
+        linked: whether it may be linked. Links join the graph's groups, which costs other streams
+        of these devices some samples.
         LostError: the chain or the graph is gone; the next call starts again.
+        NotFoundError: the server refuses links from the applications that are to be tapped.
         UsageError: the device lacks a channel.
         """
         self._faded_s = math.inf
-        self._end_leaving(now_s)
-        tap = tap_of(found, self._graph.ports)
+        tap = tap_of(found, self._config.rules)
         self._note_moves(tap)
-        if self._graph.lost:
+        if self._watch.lost:
             raise LostError("the connection to PipeWire's graph was lost")
-        self._check(players, now_s)
-        plan = ChainPlan.of(self._config.settings, tap)
-        if self._current is None or self._current.chain.plan != plan:
-            self._begin_next(plan, now_s)
-        if not linked:
-            waiting = self._current or self._next
-            return waiting is not None and waiting.chain.is_in(self._graph)
-        self._link(tap, device, now_s)
+        with self._watch.lock:
+            self._end_leaving(now_s)
+            self._check(now_s)
+            self._make_chains(tap, now_s)
+            self._wire(tap, device if linked else None, now_s)
+            if not linked:
+                waiting = self._current or self._next
+                return waiting is not None and waiting.chain.is_in(self._watch.graph)
+            self._note_links(now_s)
+            self._choose_way(now_s)
         self._adopt_next(now_s)
         self._let_play(now_s)
         return self.audible
 
-    def mend_links(self, events: int, now_s: float) -> None:
-        """Make links again that the server has left paused; events: of the server until now."""
-        if self._current is not None:
-            nodes = (self._current.chain.tap, self._current.chain.vibration)
-            self._graph.remove(self._paused_links.look(events, nodes, now_s), now_s)
-
     def lose_links(self, now_s: float) -> bool:
         """Remove all links, as tap or device is away; return whether the engine had played."""
         played, self._has_played = self._has_played, False
-        self._end_leaving(now_s)
-        for running in filter(None, (self._current, self._next)):
+        for running in self._running():
             running.chain.page.set_audible(False)
-            self._graph.ensure((), (running.chain.tap, running.chain.vibration), now_s)
-        self.audible = False
-        for running in filter(None, (self._current, self._next)):
             running.linked_s = math.inf
+        self.audible = False
+        with self._watch.lock:
+            self._end_leaving(now_s)
+            self._wire(None, None, now_s)
         return played
 
     def fade_out(self, now_s: float) -> bool:
         """Let the vibration end softly; return whether it has ended. Repeat it until then."""
-        chains = [running for running in (self._current, self._next) if running]
+        chains = self._running()
         for running in chains:
             running.chain.page.set_audible(False)
         self.audible = False
@@ -205,28 +215,37 @@ class NativeEngine:
 
         Only after `fade_out`.
         """
-        self._leaving += filter(None, (self._current, self._next))
+        self._leaving += self._running()
         self._current = self._next = None
-        still_in = [one for one in self._leaving if not one.has_left(self._graph, now_s)]
+        with self._watch.lock:
+            self._wire(None, None, now_s)
+            still_in = [one for one in self._leaving if not one.has_left(self._watch.graph, now_s)]
         return not still_in
 
     def close(self) -> None:
         """End everything. May be repeated; raises nothing."""
-        for running in (*filter(None, (self._current, self._next)), *self._leaving):
+        for running in (*self._running(), *self._leaving):
             running.chain.close()
         self._current = self._next = None
         self._leaving.clear()
         self.audible = False
-        self._graph.close()
+        self._watch.close()
+
+    def _running(self) -> list[RunningChain]:
+        return [one for one in (self._current, self._next) if one is not None]
 
     def _note_moves(self, tap: Tap) -> None:
         before, self._tap = self._tap, tap
-        if before is not None and not (before.node and tap.node):  # applications have no node
+        if before == tap:
             return
-        if before is not None and before.node != tap.node and self._config.tap.kind == "default":
+        if not self._must_use_monitor:
+            self.monitor_reason = ""
+        if before is None or not (before.sink and tap.sink) or before.sink == tap.sink:
+            return
+        if self._config.tap.kind == "default":
             self._states.count(Cause.DEFAULT_CHANGED, f"the tap is now: {tap.name}")
 
-    def _check(self, players: frozenset[int], now_s: float) -> None:
+    def _check(self, now_s: float) -> None:
         """Drop chains that have ended or hang; raise LostError for the playing one."""
         for running in (self._next, self._current):
             if running is None:
@@ -235,15 +254,15 @@ class NativeEngine:
                 running.chain.check()
                 if running.chain.is_stopped:
                     raise LostError("the native engine's process was stopped")
-                if running.linked_s == math.inf and now_s - running.began_s > START_S:
-                    graph_has_it = running.chain.is_in(self._graph)
-                    if not graph_has_it:
-                        raise LostError("the native engine did not appear in PipeWire's graph")
-                frames = running.chain.page.frames
-                if frames != running.frames or not players or running.linked_s == math.inf:
-                    running.frames, running.moved_s = frames, now_s
-                elif now_s - running.moved_s > STUCK_S:
-                    raise LostError("the native engine processes nothing")
+                if (
+                    running.linked_s == math.inf
+                    and now_s - running.began_s > START_S
+                    and not running.chain.is_in(self._watch.graph)
+                ):
+                    raise LostError("the native engine did not appear in PipeWire's graph")
+                self._note_frames(running, now_s)
+                if running is self._next and self._is_stuck(running, now_s):
+                    raise LostError("the native engine processes nothing although sound plays")
             except LostError:
                 self._backoff.failed(now_s)
                 running.chain.close()
@@ -253,6 +272,34 @@ class NativeEngine:
                     self._current = None
                     self.audible = False
                 raise
+
+    def _note_frames(self, running: RunningChain, now_s: float) -> None:
+        frames = running.chain.page.frames
+        if frames != running.frames or not self.is_fed or running.linked_s == math.inf:
+            running.frames, running.moved_s = frames, now_s
+
+    def _is_stuck(self, running: RunningChain, now_s: float) -> bool:
+        return now_s - running.moved_s > STUCK_S
+
+    def _make_chains(self, tap: Tap, now_s: float) -> None:
+        """Begin another chain where the present one is for something else, or is stuck."""
+        current, following = self._current, self._next
+        plan = ChainPlan.of(self._config.settings, tap, self._samplerate())
+        wanted = current is None or current.chain.plan != plan
+        if wanted or (current is not None and self._is_stuck(current, now_s)):
+            self._begin_next(plan, now_s)
+        elif following is not None and following.linked_s == math.inf:
+            following.chain.close()  # the present one has gone on by itself
+            self._next = None
+
+    def _samplerate(self) -> int:
+        """Return the rate at which the host runs the plugin; before it does, the server's."""
+        for running in reversed(self._running()):
+            if running.chain.page.samplerate:
+                return running.chain.page.samplerate
+            if running is self._next:
+                return running.chain.plan.samplerate
+        return self._watch.graph.clock_hz or 48_000
 
     def _begin_next(self, plan: ChainPlan, now_s: float) -> None:
         if self._next is not None and self._next.chain.plan == plan:
@@ -268,34 +315,75 @@ class NativeEngine:
         self._set_damping(chain)
         self._set_actuators(chain)
 
-    def _link(self, tap: Tap, device: Sink, now_s: float) -> None:
-        wanted: set[Link] = set()
-        nodes: list[str] = []
-        for running in filter(None, (self._current, self._next)):
-            chain = running.chain
-            nodes += [chain.tap, chain.vibration]
-            if not chain.is_in(self._graph) or chain.plan.tap_channels != tap.channels:
-                continue
-            try:
-                played = device_map(self._config.settings, chain.plan, device).sources
-            except UsageError:
-                if running is self._next or self._next is None:
-                    raise
-                continue
-            wanted |= chain.links(tap.ports, device_ports(device), played)
-        self._graph.ensure(wanted, nodes, now_s)
-        for running in filter(None, (self._current, self._next)):
-            own = {link for link in wanted if running.chain.name in f"{link[0]} {link[1]}"}
-            linked = bool(own) and own <= self._graph.links
-            if linked and running.linked_s == math.inf:
-                running.linked_s = running.moved_s = now_s
-                self._backoff.succeeded()
-            elif not linked:
+    def _wire(self, tap: Tap | None, device: Sink | None, now_s: float) -> None:
+        """Have the chains linked to tap and device, or to nothing without a device."""
+        ends = [one.chain.ends() for one in self._leaving]
+        for running in self._running():
+            ends.append(self._ends(running, tap, device))
+        self._wiring = ChainWiring(
+            chains=tuple(ends),
+            tap=tap,
+            device=device.name if device else "",
+            device_positions=port_names(device.channel_map, device.channels) if device else (),
+            by_monitor=bool(self.monitor_reason),
+        )
+        self._watch.keeper.wiring = self._wiring
+        self._watch.keeper.update(now_s)
+        self.is_fed = self._wiring.is_fed(self._watch.graph)
+
+    def _ends(self, running: RunningChain, tap: Tap | None, device: Sink | None) -> ChainEnds:
+        plan = running.chain.plan
+        if tap is None or device is None or plan.tap_channels != tap.channels:
+            return running.chain.ends()
+        try:
+            played = device_map(self._config.settings, plan, device).sources
+        except UsageError:
+            if running is self._next or self._next is None:
+                raise
+            return running.chain.ends()
+        return running.chain.ends(played, linked=True)
+
+    def _note_links(self, now_s: float) -> None:
+        """Note since when each chain is linked. Streams come and go; the device must be there."""
+        graph, keeper = self._watch.graph, self._watch.keeper
+        ends = {chain.tap: chain for chain in self._wiring.chains}
+        for running in self._running():
+            chain = ends[running.chain.tap]
+            wanted = self._wiring.device_links(graph, chain) if chain.linked else set()
+            if len(wanted) < sum(actuator is not None for actuator in chain.played):
+                wanted = set()  # the device's ports are not all there yet
+            if self._wiring.by_monitor and chain.linked:
+                from_tap = self._wiring.tap_links(graph, chain)
+                wanted = wanted | from_tap if from_tap else set()
+            if wanted and chain.tap_ports(graph) and keeper.are_there(wanted):
+                if running.linked_s == math.inf:
+                    running.linked_s = running.moved_s = now_s
+                    self._backoff.succeeded()
+            else:
                 running.linked_s = math.inf
+
+    def _choose_way(self, now_s: float) -> None:
+        """Tap the monitor where links from streams are refused, until nothing plays."""
+        tap, graph = self._wiring.tap, self._watch.graph
+        assert tap is not None
+        if self.monitor_reason:
+            if not self._must_use_monitor and not any(tap.tapped_links(graph, self._wiring.device)):
+                self.monitor_reason = ""
+            return
+        wanted: set[tuple[int, int]] = set()
+        for chain in self._wiring.chains:
+            if chain.linked:
+                wanted |= self._wiring.tap_links(graph, chain)
+        if self._watch.keeper.missing_for_s(wanted, now_s) <= REFUSED_S:
+            return
+        refused = "PipeWire does not make the links from the streams that play"
+        if not tap.has_monitor:
+            raise NotFoundError(f"{refused}, so applications cannot be chosen")
+        self.monitor_reason = refused
 
     def _end_leaving(self, now_s: float) -> None:
         for running in tuple(self._leaving):
-            if running.has_left(self._graph, now_s):
+            if running.has_left(self._watch.graph, now_s):
                 self._leaving.remove(running)
                 running.chain.close()
 
@@ -314,7 +402,7 @@ class NativeEngine:
         """Fade the chains in or out: the next one takes over when it has settled."""
         takes_over = self._next is not None and self._next.is_settled(now_s)
         self.audible = False
-        for running in filter(None, (self._current, self._next)):
+        for running in self._running():
             chosen = self._next if takes_over else self._current
             plays = running is chosen and running.linked_s < math.inf
             running.chain.page.set_audible(plays)

@@ -10,7 +10,7 @@ import ctypes
 import mmap
 import struct
 
-MAGIC = 0x3345474150485543
+MAGIC = 0x3445474150485543
 CHANNELS = 8
 """Largest number of channels of a tap, and of vibrations."""
 
@@ -34,6 +34,8 @@ class _TransformReadings(ctypes.Structure):
         ("frames", ctypes.c_uint64),
         ("replaced", ctypes.c_uint64),
         ("limited", ctypes.c_uint64),
+        ("samplerate", ctypes.c_uint64),
+        ("cycle_frames", ctypes.c_uint64),
         ("sound_peak", ctypes.c_double),
         ("sound_square", ctypes.c_double),
         ("vibration_peak", ctypes.c_double),

@@ -26,11 +26,16 @@ DELAY_MAX_S = 2.0
 
 @dataclass(frozen=True)
 class TransformReadings:
-    """What the transform reports: frames so far, counts of samples, levels."""
+    """What the transform reports: frames so far, counts of samples, the graph's cycle, levels.
+
+    samplerate: of the host in Hz; 0 before there is a transform. cycle_frames: of the latest cycle.
+    """
 
     frames: int
     replaced_samples: int
     limited_samples: int
+    samplerate: int
+    cycle_frames: int
     sound: Level
     vibration: Level
 
@@ -126,6 +131,11 @@ class Page:
         """Frames that the transform has processed."""
         return int(self._page.readings.frames)
 
+    @property
+    def samplerate(self) -> int:
+        """Hz of the host, 0 before there is a transform."""
+        return int(self._page.readings.samplerate)
+
     def faded_out(self, actuators: int) -> bool:
         """Whether the first actuators are all silent."""
         return all(one.audible == 0.0 for one in self._page.actuators[:actuators])
@@ -137,6 +147,8 @@ class Page:
             int(found.frames),
             int(found.replaced),
             int(found.limited),
+            int(found.samplerate),
+            int(found.cycle_frames),
             level_of(found.sound_peak, found.sound_square),
             level_of(found.vibration_peak, found.vibration_square),
         )

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 from audioflinger_hook.config.settings import Settings
-from audioflinger_hook.daemon.native.ports import port_names
 from audioflinger_hook.daemon.native.taps import Tap
 from audioflinger_hook.mixer.layouts import source_weights
 from audioflinger_hook.transform import TransformParameters
@@ -21,9 +20,9 @@ from device.units import FloatArray
 class ChainPlan:
     """The fixed part of a chain; another plan needs another chain.
 
-    samplerate: of the tap in Hz. tap_channels: of the tap. sources: of vibrations, empty for one of
-    the mono mix, or one for each channel. outputs: vibrations. actuators: for each, the number of
-    its vibration. parameters: of the transform.
+    samplerate: of the graph in Hz. tap_channels: of the tap. sources: of vibrations, empty for one
+    of the mono mix, or one for each channel. outputs: vibrations. actuators: for each, the number
+    of its vibration. parameters: of the transform.
     """
 
     samplerate: int
@@ -34,8 +33,8 @@ class ChainPlan:
     parameters: TransformParameters
 
     @classmethod
-    def of(cls, settings: Settings, tap: Tap) -> ChainPlan:
-        """Return the plan for the settings and a tap."""
+    def of(cls, settings: Settings, tap: Tap, samplerate: int) -> ChainPlan:
+        """Return the plan for the settings, a tap and the graph's rate."""
         sources = settings.sources
         each = settings.channels == "each"
         outputs = len(sources) or (tap.channels if each else 1)
@@ -45,9 +44,7 @@ class ChainPlan:
             routed = tuple(range(outputs))
         # As in the Python engine, the mix alone needs no weights.
         mixed = () if sources in ((), ("mix",)) else sources
-        return cls(
-            tap.samplerate, tap.channels, mixed, outputs, routed, settings.transform_parameters
-        )
+        return cls(samplerate, tap.channels, mixed, outputs, routed, settings.transform_parameters)
 
     @property
     def weights(self) -> FloatArray | None:
@@ -60,15 +57,9 @@ class ChainPlan:
         return _design(self.parameters, self.samplerate)
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=8)
 def _design(parameters: TransformParameters, samplerate: int) -> LiveDesign:
     return LiveDesign.of(parameters, samplerate)
-
-
-def device_ports(sink: Sink) -> tuple[str, ...]:
-    """Return the names of a sink's input ports, in the order of its channels."""
-    names = port_names(sink.channel_map, sink.channels)
-    return tuple(f"{sink.name}:playback_{name}" for name in names)
 
 
 def device_map(settings: Settings, plan: ChainPlan, sink: Sink) -> ChannelMap:

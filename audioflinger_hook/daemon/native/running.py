@@ -44,14 +44,12 @@ class RunningChain:
         return self.linked_s < math.inf and (heard or now_s - self.linked_s > SETTLED_S)
 
     def has_left(self, graph: Graph, now_s: float) -> bool:
-        """Remove its links; return whether they are gone. Repeat it until then.
+        """Whether the links are gone that are not wanted any more.
 
         A process that ends while its nodes are linked keeps the cycle waiting, which costs all
         other streams of the device a cycle: a click.
         """
         self.left_s = min(self.left_s, now_s)
-        nodes = self.chain.tap, self.chain.vibration
-        graph.ensure((), nodes, now_s)
-        starts = tuple(f"{node}:" for node in nodes)
-        linked = any(port.startswith(starts) for link in graph.links for port in link)
+        nodes = [graph.node_named(name) for name in (self.chain.tap, self.chain.vibration)]
+        linked = any(node and any(graph.links_of(node.id)) for node in nodes)
         return not linked or now_s - self.left_s > LEAVE_S

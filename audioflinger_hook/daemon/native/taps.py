@@ -1,70 +1,132 @@
-"""What a chain taps: the monitor of a sink, or single applications, as ports of the graph."""
+"""What a chain taps, as links of the graph: the streams that play to a sink, or its monitor.
+
+Streams are tapped by mirroring: for each link from X to the sink there is one from X to the tap. So
+what is mixed at the sink is mixed at the tap, whoever linked it. The monitor of a sink that drives
+the graph is read one cycle later, and cannot leave applications out.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 from audioflinger_hook.daemon.inputs.applications import Applications
 from audioflinger_hook.daemon.native.ports import in_mixing_order, port_names
-from device.server import ServerSnapshot
+from device.server import AppRules
+from device.server.graph import Graph, Link, LinkPair, Node
 from device.server.snapshot import Source, Stream
 
-Ports = tuple[frozenset[str], ...]
-"""For each channel of the tap: the output ports that are mixed into it, as NODE:PORT."""
+OUT, IN, PLAYBACK, MONITOR = "output_", "input_", "playback_", "monitor_"
+"""Beginnings of the names of ports."""
 
 
 @dataclass(frozen=True)
 class Tap:
-    """A tap: its name, its format, and the node whose ports must exist ("" for none)."""
+    """A tap.
+
+    Attributes
+    ----------
+    name : str
+        For messages.
+    positions : tuple[str, ...]
+        Its channels in the mixer's order, such as ("FL", "FR").
+    sink : str
+        Node that the tapped streams play to; "" for any sink but the device's.
+    rules : AppRules or None
+        Which streams are tapped; None for all.
+    """
 
     name: str
-    samplerate: int
-    channels: int
-    node: str
-    ports: Ports
+    positions: tuple[str, ...]
+    sink: str
+    rules: AppRules | None = None
+
+    @property
+    def channels(self) -> int:
+        """How many channels it has."""
+        return len(self.positions)
+
+    @property
+    def has_monitor(self) -> bool:
+        """Whether the monitor of one sink has the same sound."""
+        return bool(self.sink) and self.rules is None
+
+    def mirrored(self, graph: Graph, device: str, inputs: tuple[int, ...]) -> Iterator[LinkPair]:
+        """Return the links that mirror those to the sink.
+
+        device: node of the sink that the vibration goes to. inputs: ids of the tap's ports.
+        """
+        for link in self.tapped_links(graph, device):
+            for channel in channels_of(graph.ports[link.input_id].channel, self.positions):
+                yield link.output_id, inputs[channel]
+
+    def tapped_links(self, graph: Graph, device: str) -> Iterator[Link]:
+        """Return the links to the sink whose sound is tapped."""
+        haptic = graph.sink(device)
+        avoided = haptic.id if haptic else None
+        for sink in graph.sinks():
+            if sink.id == avoided or self.sink not in ("", sink.name):
+                continue
+            for link in graph.links_of(sink.id):
+                if link.input_node_id == sink.id and self._takes(graph, link, avoided):
+                    yield link
+
+    def monitored(self, graph: Graph, inputs: tuple[int, ...]) -> Iterator[LinkPair]:
+        """Return the links from the sink's monitor. inputs: ids of the tap's ports."""
+        sink = graph.sink(self.sink)
+        ports = graph.ports_of(sink.id, MONITOR) if sink else {}
+        for position, port in zip(self.positions, inputs, strict=True):
+            if position in ports:
+                yield ports[position], port
+
+    def _takes(self, graph: Graph, link: Link, avoided: int | None) -> bool:
+        """Whether a link to the sink is mirrored."""
+        output, node = graph.ports.get(link.output_id), graph.nodes.get(link.output_node_id)
+        if output is None or node is None or link.input_id not in graph.ports:
+            return False
+        if output.is_monitor and node.id == avoided:  # it would feed back
+            return False
+        return self.rules is None or self.rules.take(stream_of(graph, node))
 
 
-def tap_of(found: Source | Applications, graph_ports: Iterable[str]) -> Tap:
-    """Return the tap of a located source; graph_ports: all ports that there are."""
-    names = in_mixing_order(port_names(found.channel_map, found.channels))
+def tap_of(found: Source | Applications, rules: AppRules | None) -> Tap:
+    """Return the tap of a located source. rules: which applications are tapped, None for all."""
+    positions = in_mixing_order(port_names(found.channel_map, found.channels))
     if isinstance(found, Source):
-        node = found.monitor_of or ""
-        ports = tuple(frozenset((f"{node}:monitor_{name}",)) for name in names)
-        return Tap(found.name, found.samplerate, found.channels, node, ports)
-    nodes = {node_of(stream) for stream in found.streams}
-    outputs = [port for port in graph_ports if port.partition(":output_")[0] in nodes]
-    taken = tuple(
-        frozenset(port for port in outputs if name in _targets(port.rpartition("_")[2], names))
-        for name in names
+        return Tap(found.name, positions, found.monitor_of or "")
+    return Tap(found.name, positions, found.sink, rules)
+
+
+def stream_of(graph: Graph, node: Node) -> Stream:
+    """Return a node as a stream, for the rules that choose applications."""
+    known = graph.properties_of(node)
+    process_id = known.get("application.process.id", "")
+    return Stream(
+        index=int(known.get("object.serial", node.id)),
+        device_index=None,
+        device_name="",
+        application=known.get("application.name", node.name),
+        binary=known.get("application.process.binary", ""),
+        role=known.get("media.role", ""),
+        media=known.get("media.name", ""),
+        process_id=int(process_id) if process_id.isdecimal() else None,
+        corked=node.state != "running",
+        mute=False,
+        properties=known,
     )
-    return Tap(found.name, found.samplerate, found.channels, "", taken)
 
 
-def why_not_applications(found: Applications, snapshot: ServerSnapshot) -> str:
-    """Return why these applications cannot be tapped by their ports, "" if they can."""
-    chosen = {stream.index for stream in found.streams}
-    nodes = {node_of(stream) for stream in found.streams}
-    if "" in nodes:
-        return "an application has no node in PipeWire's graph"
-    for stream in snapshot.sink_inputs:
-        if stream.index not in chosen and node_of(stream) in nodes:
-            return f"another stream is called {node_of(stream)!r}, too"
-    return ""
+def channels_of(position: str, positions: tuple[str, ...]) -> tuple[int, ...]:
+    """Return the channels of the tap that a port of the sink goes to.
 
-
-def node_of(stream: Stream) -> str:
-    """Return the name of a stream's node."""
-    return stream.properties.get("node.name", "")
-
-
-def _targets(position: str, names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the channels of the tap that an application's channel goes to.
-
-    A channel that the tap lacks goes to its side, one without a side to all channels.
+    A position that the tap lacks goes to its side, one without a side to all channels.
     """
-    if position in names:
-        return (position,)
+    if position in positions:
+        return (positions.index(position),)
     side = position[-1:]
-    same = tuple(name for name in names if name[-1:] == side and side in ("L", "R"))
-    return same or names
+    same = tuple(
+        channel
+        for channel, name in enumerate(positions)
+        if name[-1:] == side and side in ("L", "R")
+    )
+    return same or tuple(range(len(positions)))

@@ -23,6 +23,7 @@ struct DaemonTransform {
     LevelMeter channels[PAGE_CHANNELS]; /* of the sound */
     uint64_t frames, replaced, hops;
     double sound_gain; /* of the last frame */
+    int is_silent;     /* the design is for another samplerate: the daemon makes another chain */
     float samples[PIECE_FRAMES * PAGE_CHANNELS];
     MixPowers powers[PAGE_CHANNELS]; /* of the mixes */
     double mean[PIECE_FRAMES], side[PIECE_FRAMES];
@@ -35,6 +36,23 @@ static int wishes_fit(const TransformWishes *wishes)
     const uint64_t channels = wishes->channels, outputs = wishes->outputs;
     return channels >= 1 && channels <= PAGE_CHANNELS && outputs >= 1 && outputs <= PAGE_CHANNELS &&
            (wishes->mixed || outputs == 1 || outputs == channels);
+}
+
+/* Read the design of the daemon's page. A host that runs at another rate than the daemon expected is
+ * told so by the page, and gets silence until the daemon has made a chain for its rate. */
+static int open_design(DaemonTransform *transform, unsigned long samplerate)
+{
+    const char *path = getenv("HAPTIC_CUSHION_DESIGN");
+    if (!transform->page || !path)
+        return design_find(&transform->design, "paper", samplerate);
+    PAGE_STORE(transform->page->readings.samplerate, samplerate);
+    const char *problem = design_read(&transform->design, path);
+    if (problem) {
+        fprintf(stderr, "haptic_cushion: the design %s cannot be used: %s\n", path, problem);
+        return 0;
+    }
+    transform->is_silent = transform->design.samplerate != samplerate;
+    return 1;
 }
 
 DaemonTransform *daemon_transform_open(unsigned long samplerate)
@@ -55,7 +73,7 @@ DaemonTransform *daemon_transform_open(unsigned long samplerate)
     }
     const size_t channels = (size_t)(wishes->mixed ? wishes->outputs : wishes->channels);
     const int each = wishes->mixed || wishes->outputs > 1;
-    if (!design_find(&transform->design, "paper", samplerate) ||
+    if (!open_design(transform, samplerate) ||
         live_open(&transform->live, &transform->design.settings, channels, each)) {
         daemon_transform_close(transform);
         return NULL;
@@ -203,7 +221,10 @@ static void tell(DaemonTransform *transform)
 void daemon_transform_process(DaemonTransform *transform, float *const *inputs,
                               float *const *outputs, size_t frames)
 {
-    for (size_t done = 0; done < frames;) {
+    for (size_t output = 0; transform->is_silent && output < PAGE_CHANNELS; output++)
+        if (outputs[output])
+            memset(outputs[output], 0, frames * sizeof *outputs[output]);
+    for (size_t done = 0; !transform->is_silent && done < frames;) {
         const size_t left = frames - done, part = left < PIECE_FRAMES ? left : PIECE_FRAMES;
         process_piece(transform, inputs, outputs, done, part);
         done += part;
@@ -212,6 +233,7 @@ void daemon_transform_process(DaemonTransform *transform, float *const *inputs,
     if (transform->page) {
         TransformReadings *readings = &transform->page->readings;
         PAGE_STORE(readings->frames, transform->frames);
+        PAGE_STORE(readings->cycle_frames, frames);
         PAGE_STORE(readings->replaced, transform->replaced + transform->live.replaced);
         PAGE_STORE(readings->limited, transform->live.limited);
         PAGE_STORE(readings->sound_peak, transform->sound.peak);

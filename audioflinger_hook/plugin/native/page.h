@@ -8,7 +8,7 @@
 
 #include <stdint.h>
 
-#define PAGE_MAGIC UINT64_C(0x3345474150485543) /* "CUHPAGE3" */
+#define PAGE_MAGIC UINT64_C(0x3445474150485543) /* "CUHPAGE4" */
 #define PAGE_CHANNELS 8
 #define PAGE_ACTUATORS 32
 #define PAGE_PARTIALS 16
@@ -25,6 +25,8 @@ typedef struct {
 
 typedef struct {
     uint64_t frames, replaced, limited;
+    uint64_t samplerate;   /* Hz; of the host: all is silent where the design is for another one */
+    uint64_t cycle_frames; /* of the latest call */
     double sound_peak, sound_square;         /* of the tap */
     double vibration_peak, vibration_square; /* of the transform */
     double channels[PAGE_CHANNELS][2];       /* peak and square of each of the tap's */

@@ -85,12 +85,12 @@ def test_the_servers_scale_is_cubic() -> None:
         (DESK, ""),
         (replace(DESK, mute=True), "desk"),
         (replace(DESK, volume_db=-math.inf), "desk"),
-        (replace(DESK, mute=True, volume_in_monitor=False), ""),
+        (replace(DESK, mute=True, volume_in_monitor=False), "desk"),
         (replace(DESK, name="other", mute=True), ""),
     ],
 )
-def test_a_muted_sink_is_named_where_its_monitor_is_silent_too(sink: Sink, name: str) -> None:
-    assert muted_sink(snapshot(sink=sink), MONITOR) == name
+def test_a_muted_sink_is_named_whether_its_monitor_is_silent_or_not(sink: Sink, name: str) -> None:
+    assert muted_sink(snapshot(sink=sink), MONITOR.monitor_of) == name
 
 
 def test_a_stream_at_5_percent_does_not_make_another_one_far_too_strong() -> None:

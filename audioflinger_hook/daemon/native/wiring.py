@@ -1,0 +1,105 @@
+"""Which links of the graph the chains have: from what they tap, and to the device. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Set
+from dataclasses import dataclass
+
+from audioflinger_hook.daemon.native.taps import IN, OUT, PLAYBACK, Tap
+from device.server.graph import Graph, LinkPair
+
+
+@dataclass(frozen=True)
+class ChainEnds:
+    """The nodes of one chain, and how they are linked.
+
+    Attributes
+    ----------
+    tap, vibration : str
+        Names of its nodes.
+    channels : int
+        Of its tap.
+    played : tuple[int | None, ...]
+        For each channel of the device: the actuator that it plays, None for none.
+    linked : bool
+        Whether it is to be linked at all.
+    """
+
+    tap: str
+    vibration: str
+    channels: int
+    played: tuple[int | None, ...] = ()
+    linked: bool = False
+
+    def tap_ports(self, graph: Graph) -> tuple[int, ...]:
+        """Return the ids of the tap's ports in order; () until all are there."""
+        node = graph.node_named(self.tap)
+        ports = graph.ports_of(node.id, IN) if node else {}
+        names = [f"AUX{channel}" for channel in range(self.channels)]
+        return tuple(ports[name] for name in names) if ports.keys() >= set(names) else ()
+
+
+@dataclass(frozen=True)
+class ChainWiring:
+    """What is to be linked: all chains to one tap and to one device.
+
+    Attributes
+    ----------
+    chains : tuple[ChainEnds, ...]
+        All chains that run.
+    tap : Tap or None
+        What is tapped; None for nothing.
+    device : str
+        Node of the sink that the vibration goes to.
+    device_positions : tuple[str, ...]
+        Its channels, such as ("FL", "FR").
+    by_monitor : bool
+        Whether the sink's monitor is tapped, else its streams.
+    """
+
+    chains: tuple[ChainEnds, ...] = ()
+    tap: Tap | None = None
+    device: str = ""
+    device_positions: tuple[str, ...] = ()
+    by_monitor: bool = False
+
+    def nodes(self, graph: Graph) -> Set[int]:
+        """Return the ids of the chains' nodes."""
+        names = {name for chain in self.chains for name in (chain.tap, chain.vibration)}
+        return {node.id for node in graph.nodes.values() if node.name in names}
+
+    def links(self, graph: Graph) -> Set[LinkPair]:
+        """Return the links of all chains."""
+        found: set[LinkPair] = set()
+        for chain in self.chains:
+            if chain.linked:
+                found |= self.tap_links(graph, chain) | self.device_links(graph, chain)
+        return found
+
+    def tap_links(self, graph: Graph, chain: ChainEnds) -> set[LinkPair]:
+        """Return the links to a chain's tap."""
+        inputs = chain.tap_ports(graph)
+        if self.tap is None or not inputs or chain.channels != self.tap.channels:
+            return set()
+        if self.by_monitor:
+            return set(self.tap.monitored(graph, inputs))
+        return set(self.tap.mirrored(graph, self.device, inputs))
+
+    def device_links(self, graph: Graph, chain: ChainEnds) -> set[LinkPair]:
+        """Return the links from a chain to the device."""
+        node, sink = graph.node_named(chain.vibration), graph.sink(self.device)
+        if node is None or sink is None:
+            return set()
+        outputs, inputs = graph.ports_of(node.id, OUT), graph.ports_of(sink.id, PLAYBACK)
+        return {
+            (outputs[f"AUX{actuator}"], inputs[position])
+            for position, actuator in zip(self.device_positions, chain.played, strict=True)
+            if actuator is not None and f"AUX{actuator}" in outputs and position in inputs
+        }
+
+    def is_fed(self, graph: Graph) -> bool:
+        """Whether a stream plays that is tapped, as far as the graph shows."""
+        tap = self.tap
+        return tap is not None and any(
+            link.state == "active" for link in tap.tapped_links(graph, self.device)
+        )

@@ -1,0 +1,141 @@
+"""Follows PipeWire's graph and keeps our links in it.
+
+`pw-dump --monitor` reports every change, so nothing is polled. One `pw-cli` that stays open makes
+and removes links within a millisecond; they belong to it, so they vanish with the program, however
+that ends.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from typing import Any
+
+from device.errors import NotFoundError
+from device.process import ends_with_us
+from device.server.graph import Graph
+from device.server.link_keeper import LinkKeeper
+
+READER, EDITOR = "pw-dump", "pw-cli"
+"""Programs of PipeWire that report and change the graph."""
+
+READ_BYTES = 1 << 16
+END_S = 0.5
+"""Longest wait for the thread's end."""
+
+
+class GraphWatch:
+    """The graph as it is now, and the links that are wanted in it.
+
+    One thread makes it and calls the methods. Hold `lock` while `graph` or `keeper` is used.
+
+    on_change: called by the thread of this object after changes; it must return at once.
+    lost: whether the connection is gone; make another object to connect again.
+    NotFoundError: a program of PipeWire is not installed.
+    """
+
+    def __init__(self, on_change: Callable[[], None]) -> None:
+        self.lock = threading.RLock()
+        self.graph = Graph()
+        self.lost = False
+        self._on_change = on_change
+        self._process = _started(
+            [READER, "--monitor", "--no-colors"], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE
+        )
+        self._editor = Editor()
+        self.keeper = LinkKeeper(self.graph, self._editor.send)
+        self._thread = threading.Thread(target=self._follow, name="graph", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """End the connection; our links vanish. May be repeated; raises nothing."""
+        self._process.kill()
+        self._process.wait()
+        self._thread.join(END_S)
+        if self._process.stdout:
+            self._process.stdout.close()
+        self._editor.close()
+
+    def _follow(self) -> None:
+        assert self._process.stdout is not None
+        with suppress(ValueError, OSError):
+            for documents in _documents(self._process.stdout.fileno()):
+                with self.lock:
+                    for document in documents:
+                        self.graph.apply(document)
+                    self.keeper.update(time.monotonic())
+                self._on_change()
+        self.lost = True
+        self._on_change()
+
+
+class Editor:
+    """One running `pw-cli`, started again if it has ended."""
+
+    def __init__(self) -> None:
+        self._process: subprocess.Popen[bytes] | None = None
+        self._start()
+
+    def send(self, command: str) -> None:
+        """Send one command. Never waits and raises nothing: a lost command is sent again later."""
+        if self._process is None or self._process.poll() is not None:
+            self.close()
+            with suppress(NotFoundError):
+                self._start()
+        if self._process is not None and self._process.stdin is not None:
+            with suppress(OSError):
+                os.write(self._process.stdin.fileno(), f"{command}\n".encode())
+
+    def restart(self) -> None:
+        """Replace a program that does not answer; links that it made vanish."""
+        self.close()
+
+    def close(self) -> None:
+        """End it, and with it all links that it made. May be repeated; raises nothing."""
+        process, self._process = self._process, None
+        if process is not None:
+            process.kill()
+            process.wait()
+            if process.stdin is not None:
+                with suppress(OSError):
+                    process.stdin.close()
+
+    def _start(self) -> None:
+        self._process = _started([EDITOR], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL)
+        assert self._process.stdin is not None
+        os.set_blocking(self._process.stdin.fileno(), False)
+
+
+def _started(command: list[str], *, stdin: int, stdout: int) -> subprocess.Popen[bytes]:
+    try:
+        return subprocess.Popen(
+            command,
+            bufsize=0,
+            stdin=stdin,
+            stdout=stdout,
+            stderr=subprocess.DEVNULL,
+            preexec_fn=ends_with_us,
+            process_group=0,  # signals of the terminal are the daemon's
+        )
+    except OSError as error:
+        raise NotFoundError(
+            f"{command[0]} cannot be run ({error.strerror}); install pipewire-bin"
+        ) from None
+
+
+def _documents(file: int) -> Iterator[list[Any]]:
+    """Return the JSON arrays that arrive, all that are complete at a time.
+
+    Each array begins and ends with a line of its own, and only its brackets are in the first
+    column.
+    """
+    waiting = b""
+    while block := os.read(file, READ_BYTES):
+        *whole, waiting = (waiting + block).split(b"\n]\n")
+        if whole:
+            yield [json.loads(text + b"\n]") for text in whole]

@@ -1,0 +1,120 @@
+"""Keeps exactly the links that are wanted at our nodes of PipeWire's graph."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Set
+from typing import Protocol
+
+from device.server.graph import Graph, LinkPair
+
+RETRY_S = 0.1
+"""Time between two equal requests."""
+
+HOLDS_S = 0.2
+"""A link that lasts so long has been accepted; one that vanishes earlier counts as missing."""
+
+PAUSED_S = 0.3
+"""How long a link may be paused beside an active one of the same nodes.
+
+PipeWire 0.3.65 resumes one of several links between two nodes and forgets the others, so their
+channels are silent until the links are made again.
+"""
+
+
+class Wiring(Protocol):
+    """What is to be linked. The methods are called with the graph's lock held."""
+
+    def nodes(self, graph: Graph) -> Set[int]:
+        """Return the ids of our nodes, which have no other links than the wanted ones."""
+        ...
+
+    def links(self, graph: Graph) -> Set[LinkPair]:
+        """Return the wanted links."""
+        ...
+
+
+class NoWiring:
+    """Nothing is to be linked, and no node is ours."""
+
+    def nodes(self, graph: Graph) -> Set[int]:
+        """Return no node."""
+        return frozenset()
+
+    def links(self, graph: Graph) -> Set[LinkPair]:
+        """Return no link."""
+        return frozenset()
+
+
+class LinkKeeper:
+    """Asks for links that are missing and for the end of others. Waits for nothing.
+
+    Both the graph's thread, after each change, and the supervising thread, for what was not done,
+    call the methods, with the graph's lock held.
+
+    send: takes one command of `pw-cli`. wiring: what is to be linked; set it and call `update`.
+    """
+
+    def __init__(self, graph: Graph, send: Callable[[str], None]) -> None:
+        self._graph = graph
+        self._send = send
+        self._asked_s: dict[tuple[str, LinkPair | int], float] = {}
+        self._missing_s: dict[LinkPair, float] = {}
+        self._present_s: dict[LinkPair, float] = {}
+        self._paused_s: dict[int, float] = {}
+        self.wiring: Wiring = NoWiring()
+
+    def update(self, now_s: float) -> None:
+        """Send what is due now."""
+        graph = self._graph
+        wanted, nodes = self.wiring.links(graph), self.wiring.nodes(graph)
+        links = {link.id: link for node_id in nodes for link in graph.links_of(node_id)}
+        present = {link.pair for link in links.values()}
+        self._asked_s = {what: s for what, s in self._asked_s.items() if now_s - s < RETRY_S}
+        for link in links.values():
+            if link.pair not in wanted:
+                self._ask("destroy", link.id, f"destroy {link.id}", now_s)
+        for pair in wanted - present:
+            command = f"create-link -1 {pair[0]} -1 {pair[1]}"
+            properties = "{ link.passive=true object.linger=false }"
+            self._ask("create", pair, f"{command} {properties}", now_s)
+        self._note_times(wanted, present, now_s)
+        self._renew_paused(links.keys(), now_s)
+
+    def are_there(self, pairs: Set[LinkPair]) -> bool:
+        """Whether all of these wanted links were there at the latest update."""
+        return pairs <= self._present_s.keys()
+
+    def missing_for_s(self, pairs: Set[LinkPair], now_s: float) -> float:
+        """Return how long the one of these links has been missing that has been so for longest."""
+        return max((now_s - self._missing_s.get(pair, now_s) for pair in pairs), default=0.0)
+
+    def _ask(self, kind: str, what: LinkPair | int, command: str, now_s: float) -> None:
+        if (kind, what) not in self._asked_s:
+            self._asked_s[kind, what] = now_s
+            self._send(command)
+
+    def _note_times(self, wanted: Set[LinkPair], present: Set[LinkPair], now_s: float) -> None:
+        missing, there = self._missing_s, self._present_s
+        self._present_s = {pair: there.get(pair, now_s) for pair in wanted & present}
+        self._missing_s = {
+            pair: missing.get(pair, now_s)
+            for pair in wanted
+            if now_s - self._present_s.get(pair, now_s) < HOLDS_S
+            and (pair not in present or pair in missing)
+        }
+
+    def _renew_paused(self, link_ids: Set[int], now_s: float) -> None:
+        """Remove links that the server has left paused; the next update makes them again."""
+        active = {
+            (link.output_node_id, link.input_node_id)
+            for link in map(self._graph.links.__getitem__, link_ids)
+            if link.state == "active"
+        }
+        before, self._paused_s = self._paused_s, {}
+        for link_id in link_ids:
+            link = self._graph.links[link_id]
+            ends = link.output_node_id, link.input_node_id
+            if link.state == "paused" and ends in active:
+                since_s = self._paused_s[link_id] = before.get(link_id, now_s)
+                if now_s - since_s > PAUSED_S:
+                    self._ask("destroy", link_id, f"destroy {link_id}", now_s)

@@ -1,0 +1,95 @@
+"""What the native engine taps, and how its chains are linked; on graphs that need no server."""
+
+from __future__ import annotations
+
+import pytest
+
+from audioflinger_hook.daemon.inputs.applications import Applications
+from audioflinger_hook.daemon.native.taps import Tap, channels_of, tap_of
+from audioflinger_hook.daemon.native.wiring import ChainEnds, ChainWiring
+from device.server import AppRules
+from device.server.snapshot import Source
+from tests.support.graphs import desktop, link, play, port
+
+INPUTS = (41, 42)
+DESK = Tap("desk.monitor", ("FL", "FR"), "desk")
+
+
+def test_each_link_to_the_sink_has_its_mirror_whoever_made_it() -> None:
+    graph = desktop()
+    play(graph, 60, "player", 10)
+    play(graph, 70, "player", 10)  # of the same name
+    play(graph, 80, "player", 30)  # to another sink
+    assert set(DESK.mirrored(graph, "dac", INPUTS)) == {(61, 41), (62, 42), (71, 41), (72, 42)}
+
+
+def test_the_vibration_never_comes_back_by_the_devices_monitor() -> None:
+    graph = desktop()
+    graph.apply([link(90, 23, 11, graph), link(91, 33, 11, graph)])  # monitors of dac and tv
+    assert set(DESK.mirrored(graph, "dac", INPUTS)) == {(33, 41)}
+
+
+def test_rules_choose_among_the_streams_of_the_sink_by_program_and_client() -> None:
+    graph = desktop()
+    play(graph, 60, "a", 10, **{"application.name": "Game"})
+    play(graph, 70, "b", 10, **{"application.process.binary": "mpv"})
+    play(graph, 80, "Game", 30)  # by its node's name, as a JACK client has it
+    one = Applications((), 48_000, 2, channel_map="front-left,front-right", sink="desk")
+    for rules, outputs in (
+        (AppRules(("game",)), {61, 62}),
+        (AppRules(exclude=("game",)), {71, 72}),
+        (AppRules(("*",), ("binary:mpv",)), {61, 62}),
+    ):
+        mirrored = tap_of(one, rules).mirrored(graph, "dac", INPUTS)
+        assert {output for output, _ in mirrored} == outputs
+    anywhere = tap_of(Applications((), 48_000, 2, channel_map=one.channel_map), AppRules(("game",)))
+    assert {out for out, _ in anywhere.mirrored(graph, "dac", INPUTS)} == {61, 62, 81, 82}
+    assert not anywhere.has_monitor
+
+
+@pytest.mark.parametrize(
+    ("position", "channels"),
+    [("FR", (1,)), ("RL", (0,)), ("SR", (1,)), ("FC", (0, 1)), ("MONO", (0, 1)), ("", (0, 1))],
+)
+def test_a_position_that_the_tap_lacks_goes_to_its_side_or_everywhere(
+    position: str, channels: tuple[int, ...]
+) -> None:
+    assert channels_of(position, ("FL", "FR")) == channels
+
+
+def test_the_monitor_is_tapped_channel_by_channel_in_the_mixers_order() -> None:
+    graph = desktop()
+    source = Source(2, "desk.monitor", "", "desk", 48_000, 2, {}, "front-right,front-left")
+    tap = tap_of(source, None)
+    assert tap.positions == ("FL", "FR")
+    assert list(tap.monitored(graph, INPUTS)) == [(13, 41), (14, 42)]
+
+
+def chain(*, linked: bool = True) -> ChainEnds:
+    return ChainEnds("chain.tap", "chain.vibration", 2, (0, None), linked)
+
+
+def test_a_chain_is_linked_from_the_streams_to_the_devices_channels() -> None:
+    graph = desktop()
+    play(graph, 60, "player", 10)
+    wiring = ChainWiring((chain(),), DESK, "dac", ("FL", "FR"))
+    assert wiring.links(graph) == {(61, 41), (62, 42), (51, 21)}
+    assert wiring.nodes(graph) == {40, 50}
+    assert wiring.is_fed(graph)
+    by_monitor = ChainWiring((chain(),), DESK, "dac", ("FL", "FR"), by_monitor=True)
+    assert by_monitor.links(graph) == {(13, 41), (14, 42), (51, 21)}
+
+
+def test_a_chain_that_is_leaving_has_no_links_but_is_ours() -> None:
+    graph = desktop()
+    wiring = ChainWiring((chain(linked=False),), DESK, "dac", ("FL", "FR"))
+    assert wiring.links(graph) == set()
+    assert wiring.nodes(graph) == {40, 50}
+    assert not wiring.is_fed(graph)
+
+
+def test_a_chain_of_another_number_of_channels_is_not_linked_to_the_tap() -> None:
+    graph = desktop()
+    graph.apply([port(43, 40, "input_AUX2")])
+    surround = ChainEnds("chain.tap", "chain.vibration", 3, (0, None), linked=True)
+    assert ChainWiring((surround,), DESK, "dac", ("FL", "FR")).links(graph) == {(51, 21)}

@@ -1,0 +1,162 @@
+"""PipeWire's graph from what `pw-dump` prints, and the requests that keep our links in it."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Set
+from typing import Any
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from device.server.graph import Graph, LinkPair
+from device.server.graph_watch import _documents
+from device.server.link_keeper import HOLDS_S, PAUSED_S, RETRY_S, LinkKeeper
+from tests.support.graphs import desktop, gone, link, node, play, port
+
+
+class OneLink:
+    """One link from a monitor of `desk` to the chain's tap."""
+
+    def __init__(self, *pairs: LinkPair) -> None:
+        self.pairs = frozenset(pairs or ((13, 41),))
+
+    def nodes(self, graph: Graph) -> Set[int]:
+        return {40}
+
+    def links(self, graph: Graph) -> Set[LinkPair]:
+        return self.pairs
+
+
+def keeper_of(graph: Graph, *pairs: LinkPair) -> tuple[LinkKeeper, list[str]]:
+    sent: list[str] = []
+    keeper = LinkKeeper(graph, sent.append)
+    keeper.wiring = OneLink(*pairs)
+    return keeper, sent
+
+
+# ---------------------------------------------------------------------------------------- the graph
+
+
+def test_an_object_that_has_gone_takes_its_ports_and_links_out_of_every_index() -> None:
+    graph = desktop()
+    play(graph, 60, "player", 10)
+    assert {one.id for one in graph.links_of(10)} == {63, 64}
+    graph.apply([gone(63), gone(61)])
+    assert [one.id for one in graph.links_of(10)] == [64]
+    assert graph.ports_of(60, "output_") == {"FR": 62}
+
+
+def test_an_id_that_is_used_again_is_only_the_new_object() -> None:
+    graph = desktop()
+    play(graph, 60, "player", 10)
+    graph.apply([node(63, "another", "Audio/Sink")])  # was a link
+    assert [one.id for one in graph.links_of(10)] == [64]
+    assert graph.sink("another")
+    graph.apply([port(63, 60, "output_FC")])  # was a node
+    assert graph.sink("another") is None
+
+
+def test_properties_of_the_client_count_where_the_node_has_none_of_that_name() -> None:
+    graph = Graph()
+    client = {"application.name": "Music", "media.role": "music"}
+    graph.apply([{"id": 5, "type": "PipeWire:Interface:Client", "info": {"props": client}}])
+    own: dict[str, Any] = {"client.id": 5, "media.role": "game"}
+    graph.apply([node(6, "jack", **own)])
+    known = graph.properties_of(graph.nodes[6])
+    assert (known["application.name"], known["media.role"]) == ("Music", "game")
+
+
+def test_the_rate_is_the_forced_one_where_one_is_forced() -> None:
+    graph = Graph()
+    for forced, rate in ((0, 48_000), (44_100, 44_100)):
+        found = [
+            {"key": "clock.rate", "value": 48_000},
+            {"key": "clock.force-rate", "value": forced},
+        ]
+        props = {"metadata.name": "settings"}
+        graph.apply(
+            [{"id": 9, "type": "PipeWire:Interface:Metadata", "props": props, "metadata": found}]
+        )
+        assert graph.clock_hz == rate
+
+
+@given(st.lists(st.one_of(st.none(), st.integers(), st.dictionaries(st.text(), st.integers()))))
+def test_objects_of_unknown_form_change_nothing(items: list[object]) -> None:
+    graph = desktop()
+    graph.apply(item for item in items if not isinstance(item, dict) or "id" not in item)
+    assert len(graph.ports) == 15
+
+
+@given(st.integers(1, 40))
+def test_documents_are_whole_however_the_pipe_cuts_them(piece: int) -> None:
+    text = b'[\n  {\n    "id": 1,\n    "info": null\n  }\n]\n[\n]\n[\n  {\n    "id": 2\n  }\n]\n'
+    ends = os.pipe()
+
+    def write() -> None:
+        for at in range(0, len(text), piece):
+            os.write(ends[1], text[at : at + piece])
+        os.close(ends[1])
+
+    writer = threading.Thread(target=write)
+    writer.start()
+    found = [document for documents in _documents(ends[0]) for document in documents]
+    writer.join()
+    os.close(ends[0])
+    assert found == [[{"id": 1, "info": None}], [], [{"id": 2}]]
+
+
+# ---------------------------------------------------------------------------------------- the links
+
+
+def test_a_missing_link_is_asked_for_again_until_it_comes() -> None:
+    graph = desktop()
+    keeper, sent = keeper_of(graph)
+    for now_s in (1.0, 1.01, 1.0 + RETRY_S):
+        keeper.update(now_s)
+    assert sent == ["create-link -1 13 -1 41 { link.passive=true object.linger=false }"] * 2
+    graph.apply([link(70, 13, 41, graph)])
+    keeper.update(1.2)
+    keeper.update(1.4)
+    assert len(sent) == 2
+    assert keeper.are_there({(13, 41)})
+
+
+def test_any_other_link_of_our_nodes_is_removed() -> None:
+    graph = desktop()
+    keeper, sent = keeper_of(graph)
+    graph.apply([link(70, 13, 41, graph), link(71, 14, 41, graph), link(72, 13, 21, graph)])
+    keeper.update(1.0)
+    assert sent == ["destroy 71"]
+
+
+def test_a_link_that_does_not_last_counts_as_missing() -> None:
+    graph = desktop()
+    keeper, _ = keeper_of(graph)
+    keeper.update(1.0)
+    for at in range(1, 8):
+        graph.apply([link(70, 13, 41, graph)])
+        keeper.update(1.0 + 0.1 * at)
+        graph.apply([gone(70)])
+        keeper.update(1.05 + 0.1 * at)
+    assert keeper.missing_for_s({(13, 41)}, 1.8) > 0.7
+    graph.apply([link(70, 13, 41, graph)])
+    keeper.update(1.9)
+    keeper.update(1.91 + HOLDS_S)
+    assert keeper.missing_for_s({(13, 41)}, 3.0) == 0.0
+
+
+def test_a_link_that_stays_paused_beside_an_active_one_is_made_again() -> None:
+    graph = desktop()
+    keeper, sent = keeper_of(graph, (13, 41), (14, 42))
+    graph.apply([link(70, 13, 41, graph), link(71, 14, 42, graph, "paused")])
+    keeper.update(1.0)
+    graph.apply([link(71, 14, 42, graph, "active")])
+    keeper.update(1.2)
+    graph.apply([link(71, 14, 42, graph, "paused")])
+    keeper.update(1.3)
+    keeper.update(1.25 + PAUSED_S)
+    assert sent == []
+    keeper.update(1.4 + PAUSED_S)
+    assert sent == ["destroy 71"]
