@@ -141,7 +141,7 @@ class SoundServer:
         self._end(signal.SIGTERM)
 
     def restart_wireplumber(self) -> None:
-        """End WirePlumber alone, as a crash would, and start it again; streams play on meanwhile."""
+        """End WirePlumber alone, as a crash would, and start it again; streams play on."""
         self._end(signal.SIGKILL, "wireplumber")
         self._run(*wireplumber_command())
 

@@ -66,7 +66,7 @@ def write_configuration(kind: str, folder: Path, socket: Path) -> dict[str, str]
 
 
 def wireplumber_generation() -> int | None:
-    """Return how the installed WirePlumber is configured: 4 for 0.4, 5 for 0.5; None for neither."""
+    """Return how WirePlumber is configured: 4 as 0.4 is, 5 as 0.5; None if it is not installed."""
     if (SHARE / "wireplumber" / "main.lua.d").is_dir():
         return 4
     if (SHARE / "wireplumber" / "wireplumber.conf").is_file():
