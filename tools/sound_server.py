@@ -25,7 +25,13 @@ from typing import Self
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from tools.sound_server_files import RATE_HZ, pulseaudio_options, write_configuration
+from tools.sound_server_files import (
+    RATE_HZ,
+    pulseaudio_options,
+    wireplumber_command,
+    wireplumber_generation,
+    write_configuration,
+)
 
 PROGRAMS = {
     "pulse": ("pulseaudio", "pactl", "pacat"),
@@ -33,6 +39,10 @@ PROGRAMS = {
 }
 FAKETIME = "libfaketime.so.1"
 """Lets a program's clock run fast or slow."""
+
+STEREO = "front-left,front-right"
+MONO = "mono"
+SURROUND_5_1 = "front-left,front-right,front-center,lfe,rear-left,rear-right"
 
 START_S = 15.0
 """How long a server may take until it answers; it usually takes a tenth of a second."""
@@ -47,8 +57,8 @@ class ServerError(Exception):
 def missing_programs(kind: str) -> list[str]:
     """The programs of this kind of server that are not installed; also why it cannot be set up."""
     missing = [program for program in PROGRAMS[kind] if shutil.which(program) is None]
-    if kind == "pipewire" and not Path("/usr/share/wireplumber/main.lua.d").is_dir():
-        missing.append("WirePlumber 0.4 (/usr/share/wireplumber/main.lua.d)")
+    if kind == "pipewire" and wireplumber_generation() is None:
+        missing.append("a configuration of WirePlumber (/usr/share/wireplumber)")
     return missing
 
 
@@ -76,7 +86,7 @@ class SoundServer:
             raise ServerError(f"{socket} is too long for a socket's path; choose a shorter folder")
         self.address = f"unix:{socket}"
         self._socket = socket
-        self._processes: list[subprocess.Popen[bytes]] = []
+        self._processes: dict[str, subprocess.Popen[bytes]] = {}
         self._modules: dict[str, str] = {}
         for name in ("", "home", "config", "state", "cache"):
             (self.folder / name).mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -109,20 +119,15 @@ class SoundServer:
     def start(self) -> None:
         """Start the server, which must not be running, and wait until it has both sinks."""
         self._modules.clear()
-        for leftover in ("native", "native.lock", "pipewire-0", "pipewire-0.lock"):
+        for leftover in ("native", "native.lock"):
             (self.folder / leftover).unlink(missing_ok=True)
         try:
             if self.kind == "pulse":
                 self._run("pulseaudio", *pulseaudio_options(self.folder))
             else:
-                self._run("pipewire")
-                self._wait(lambda: (self.folder / "pipewire-0").exists(), "PipeWire's socket")
-                self._run("wireplumber")
+                self._run_pipewire()
                 self._run("pipewire-pulse")
-            self._wait(self._answers, "an answer")
-            self.add_sink("desktop")
-            self.add_sink("haptic")
-            self.choose_default("desktop")
+            self._add_first_sinks()
         except ServerError:
             self.stop()
             raise
@@ -135,41 +140,51 @@ class SoundServer:
         """End the server; it may already be gone."""
         self._end(signal.SIGTERM)
 
+    def restart_wireplumber(self) -> None:
+        """End WirePlumber alone, as a crash would, and start it again; streams play on."""
+        self._end(signal.SIGKILL, "wireplumber")
+        self._run(*wireplumber_command())
+
+    def restart_pipewire(self) -> None:
+        """End PipeWire alone, as a crash would, and start it again, with both sinks.
+
+        WirePlumber ends with it and is started again, too; pipewire-pulse goes on without it.
+        """
+        self._end(signal.SIGKILL, "wireplumber", "pipewire")
+        self._modules.clear()
+        self._run_pipewire()
+        self._add_first_sinks()
+
     def pause(self) -> None:
         """Hold every process of the server: it keeps its connections and answers nothing."""
-        for process in self._processes:
+        for process in self._processes.values():
             process.send_signal(signal.SIGSTOP)
 
     def resume(self) -> None:
         """Let a paused server go on."""
-        for process in self._processes:
+        for process in self._processes.values():
             process.send_signal(signal.SIGCONT)
 
     # ------------------------------------------------------------------------------ what it holds
 
     def pactl(self, *arguments: str) -> str:
         """What pactl prints for these arguments, without the end of the line."""
-        try:
-            done = subprocess.run(
-                ["pactl", *arguments],
-                env=self.environment,
-                stdin=subprocess.DEVNULL,
-                capture_output=True,
-                text=True,
-                timeout=START_S,
-            )
-        except subprocess.TimeoutExpired:
-            raise ServerError(f"pactl {' '.join(arguments)}: no answer") from None
-        if done.returncode != 0:
-            raise ServerError(f"pactl {' '.join(arguments)}: {done.stderr.strip()}")
-        return done.stdout.strip()
+        return self._ask("pactl", *arguments)
 
-    def add_sink(self, name: str, properties: str = "") -> None:
-        """Add a null sink: stereo, float32, 48 kHz; it never renders ahead of what is played."""
+    def add_sink(
+        self,
+        name: str,
+        properties: str = "",
+        *,
+        rate_hz: int = RATE_HZ,
+        channel_map: str = STEREO,
+    ) -> None:
+        """Add a null sink, float32; it never renders ahead of what is played."""
         arguments = [
             f"sink_name={name}",
-            f"rate={RATE_HZ}",
-            "channels=2",
+            f"rate={rate_hz}",
+            f"channels={channel_map.count(',') + 1}",
+            f"channel_map={channel_map}",
             "format=float32le",
             f'sink_properties="device.description={name} {properties}"',
         ]
@@ -177,6 +192,14 @@ class SoundServer:
             arguments.append("norewinds=1")
         self._modules[name] = self.pactl("load-module", "module-null-sink", *arguments)
         self._wait(lambda: name in self.names("sinks"), f"the sink {name}")
+
+    def add_reference(self, name: str) -> None:
+        """Add a null sink that never drives PipeWire's graph while `desktop` is in it.
+
+        The monitor of a sink that drives is read one cycle late, this one's in the same cycle. So
+        what a player sends here as well is the time against which a latency is measured.
+        """
+        self.add_sink(name, "node.driver=false")  # 0.3 ignores it, and chooses the older sink
 
     def add_microphone(self, name: str) -> None:
         """Add a source that is no monitor and make it the default one.
@@ -210,34 +233,66 @@ class SoundServer:
         lines = self.pactl("list", "short", what).splitlines()
         return [line.split("\t")[1] for line in lines]
 
+    def set_clock(self, setting: str, value: int) -> None:
+        """Set PipeWire's `force-quantum` (frames), `force-rate` (Hz; 0: not forced) or another."""
+        self._ask("pw-metadata", "-n", "settings", "0", f"clock.{setting}", str(value))
+
     # ------------------------------------------------------------------------------------ inside
+
+    def _ask(self, *command: str) -> str:
+        try:
+            done = subprocess.run(
+                command,
+                env=self.environment,
+                stdin=subprocess.DEVNULL,
+                capture_output=True,
+                text=True,
+                timeout=START_S,
+            )
+        except subprocess.TimeoutExpired:
+            raise ServerError(f"{' '.join(command)}: no answer") from None
+        if done.returncode != 0:
+            raise ServerError(f"{' '.join(command)}: {done.stderr.strip()}")
+        return done.stdout.strip()
+
+    def _run_pipewire(self) -> None:
+        for leftover in ("pipewire-0", "pipewire-0.lock"):
+            (self.folder / leftover).unlink(missing_ok=True)
+        self._run("pipewire")
+        self._wait(lambda: (self.folder / "pipewire-0").exists(), "PipeWire's socket")
+        self._run(*wireplumber_command())
+
+    def _add_first_sinks(self) -> None:
+        self._wait(self._answers, "an answer")
+        self.add_sink("desktop")
+        self.add_sink("haptic")
+        self.choose_default("desktop")
 
     def _run(self, *command: str) -> None:
         # a server ends with the program that started it, even if that is killed
         bound = ("setpriv", "--pdeathsig", "TERM") if shutil.which("setpriv") else ()
         with (self.folder / f"{command[0]}.log").open("ab") as log:
-            self._processes.append(
-                subprocess.Popen(
-                    (*bound, *command),
-                    env=self.environment | self._configuration | self._clock,
-                    stdin=subprocess.DEVNULL,
-                    stdout=log,
-                    stderr=log,
-                    start_new_session=True,
-                )
+            self._processes[command[0]] = subprocess.Popen(
+                (*bound, *command),
+                env=self.environment | self._configuration | self._clock,
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
+                start_new_session=True,
             )
 
-    def _end(self, how: signal.Signals) -> None:
-        for process in reversed(self._processes):
+    def _end(self, how: signal.Signals, *programs: str) -> None:
+        names = programs or tuple(reversed(self._processes))
+        ending = [self._processes.pop(name) for name in names if name in self._processes]
+        for process in ending:
             process.send_signal(signal.SIGCONT)
             process.send_signal(how)
-        for process in self._processes:
+        for process in ending:
             try:
                 process.wait(5.0)
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
-        self._processes.clear()
 
     def _answers(self) -> bool:
         with contextlib.suppress(ServerError):
@@ -247,7 +302,7 @@ class SoundServer:
     def _wait(self, condition: Callable[[], bool], what: str) -> None:
         deadline = time.monotonic() + START_S
         while not condition():
-            dead = [process for process in self._processes if process.poll() is not None]
+            dead = [one for one in self._processes.values() if one.poll() is not None]
             if dead or time.monotonic() > deadline:
                 logs = [log.read_text("utf-8", "replace") for log in self.folder.glob("*.log")]
                 ended = "".join(f"{process.args!r} ended; " for process in dead)

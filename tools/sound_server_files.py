@@ -9,6 +9,7 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
+SHARE = Path("/usr/share")
 RATE_HZ = 48_000
 _QUANTUM_FRAMES = 256
 
@@ -38,23 +39,62 @@ def write_configuration(kind: str, folder: Path, socket: Path) -> dict[str, str]
         f".fail\nload-module module-native-protocol-unix socket={socket} auth-anonymous=1\n"
     )
     pipewire, wireplumber = folder / "pipewire", folder / "wireplumber"
-    if kind == "pipewire":
-        pipewire.mkdir(exist_ok=True)
-        (pipewire / "pipewire.conf").write_text(PIPEWIRE_CONF)
-        (pipewire / "pipewire-pulse.conf").write_text(
-            PIPEWIRE_PULSE_CONF.replace("@ADDRESS@", f"unix:{socket}")
-        )
-        for name in ("client.conf", "client-rt.conf"):  # what pw-play and pw-cli read
-            shutil.copy(f"/usr/share/pipewire/{name}", pipewire)
-        if not wireplumber.exists():
-            shutil.copytree("/usr/share/wireplumber", wireplumber)
-        (wireplumber / "main.lua.d" / "90-enable-all.lua").write_text(WIREPLUMBER_LUA)
-        (wireplumber / "bluetooth.lua.d" / "90-enable-all.lua").write_text("")
-    return {
+    environment = {
         "PIPEWIRE_CONFIG_DIR": str(pipewire),
         "WIREPLUMBER_CONFIG_DIR": str(wireplumber),
-        "WIREPLUMBER_DATA_DIR": str(wireplumber),
     }
+    if kind != "pipewire":
+        return environment
+    for path in (pipewire, wireplumber):
+        path.mkdir(exist_ok=True)
+    (pipewire / "pipewire.conf").write_text(PIPEWIRE_CONF)
+    (pipewire / "pipewire-pulse.conf").write_text(
+        PIPEWIRE_PULSE_CONF.replace("@ADDRESS@", f"unix:{socket}")
+    )
+    for name in ("client.conf", "client-rt.conf"):  # what pw-play and pw-cli read
+        if (SHARE / "pipewire" / name).exists():  # 1.4 and later have the first one only
+            shutil.copy(SHARE / "pipewire" / name, pipewire)
+    if wireplumber_generation() == 4:
+        shutil.copytree(SHARE / "wireplumber", wireplumber, dirs_exist_ok=True)
+        (wireplumber / "main.lua.d" / "90-enable-all.lua").write_text(WIREPLUMBER_LUA)
+        (wireplumber / "bluetooth.lua.d" / "90-enable-all.lua").write_text("")
+        return environment | {"WIREPLUMBER_DATA_DIR": str(wireplumber)}
+    shutil.copy(SHARE / "wireplumber" / "wireplumber.conf", wireplumber)
+    (wireplumber / "wireplumber.conf.d").mkdir(exist_ok=True)
+    (wireplumber / "wireplumber.conf.d" / "profile.conf").write_text(WIREPLUMBER_PROFILE)
+    return environment
+
+
+def wireplumber_generation() -> int | None:
+    """Return how WirePlumber is configured: 4 as 0.4 is, 5 as 0.5; None if it is not installed."""
+    if (SHARE / "wireplumber" / "main.lua.d").is_dir():
+        return 4
+    if (SHARE / "wireplumber" / "wireplumber.conf").is_file():
+        return 5
+    return None
+
+
+def wireplumber_command() -> list[str]:
+    """Return how WirePlumber is to be called in a folder that `write_configuration` has filled."""
+    profile = ["--profile=main-alone"] if wireplumber_generation() == 5 else []
+    return ["wireplumber", *profile]
+
+
+def keep_default_sink(kind: str, folder: Path) -> None:
+    """Let the server in this folder, which does not run, keep its default sink, as desktops do."""
+    if kind == "pulse":
+        with (folder / "start.pa").open("a") as file:
+            file.write("load-module module-default-device-restore\n")
+        return
+    if wireplumber_generation() == 4:
+        path = folder / "wireplumber" / "main.lua.d" / "90-enable-all.lua"
+        forgets = 'device_defaults.properties["use-persistent-storage"] = false\n'
+    else:
+        path = folder / "wireplumber" / "wireplumber.conf.d" / "profile.conf"
+        forgets = "    hooks.default-nodes.state = disabled\n"
+    text = path.read_text()
+    assert forgets in text
+    path.write_text(text.replace(forgets, ""))
 
 
 # as on a desktop: without it, other work on the machine costs streams a cycle now and then
@@ -79,6 +119,7 @@ context.spa-libs = {{
 context.modules = [
     {_REALTIME}
     {{ name = libpipewire-module-protocol-native }}
+    {{ name = libpipewire-module-profiler }}
     {{ name = libpipewire-module-metadata }}
     {{ name = libpipewire-module-spa-node-factory }}
     {{ name = libpipewire-module-client-node }}
@@ -118,7 +159,7 @@ pulse.properties = {{
 }}
 """
 
-# the policy of a desktop, without devices, without a session bus, without a memory
+# WirePlumber 0.4: the policy of a desktop, without devices, a session bus or a memory
 WIREPLUMBER_LUA = """
 default_access.properties["enable-flatpak-portal"] = false
 device_defaults.properties["use-persistent-storage"] = false
@@ -129,4 +170,23 @@ default_access.enable()
 device_defaults.enable()
 stream_defaults.enable()
 load_script("intended-roles.lua")
+"""
+
+# the same for WirePlumber 0.5
+WIREPLUMBER_PROFILE = """
+wireplumber.profiles = {
+  main-alone = {
+    inherits = [ main, mixin.systemwide-session ]
+    hardware.audio = disabled
+    hardware.bluetooth = disabled
+    hardware.video-capture = disabled
+    support.dbus = disabled
+    support.system-dbus = disabled
+    hooks.device.profile.state = disabled
+    hooks.device.routes.state = disabled
+    hooks.default-nodes.state = disabled
+    hooks.stream.state = disabled
+    hooks.node.suspend = disabled
+  }
+}
 """

@@ -35,6 +35,7 @@ from tests.servers.listening import (
     wait_for,
 )
 from tools.sound_server import SoundServer
+from tools.sound_server_files import keep_default_sink
 
 DEFAULT = "@DEFAULT_SINK@"
 ANOTHER_PROCESS = """
@@ -500,7 +501,7 @@ def test_a_server_started_anew_has_a_usable_default_sink(
     server: SoundServer, connection: PulseConnection, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     server.stop()
-    remember(server)
+    keep_default_sink(server.kind, server.folder)
     server.start()
     connection = PulseConnection()
     drop_in = DropIn(connection, haptic_sink="haptic")
@@ -521,19 +522,6 @@ def test_a_server_started_anew_has_a_usable_default_sink(
         assert forwarded(connection, drop_in)
     assert connection.snapshot().default_sink in ("desktop", "haptic")
     connection.close()
-
-
-def remember(server: SoundServer) -> None:
-    """Let a stopped server keep the default sink beyond its end, as desktops do."""
-    if server.kind == "pulse":
-        with (server.folder / "start.pa").open("a") as file:
-            file.write("load-module module-default-device-restore\n")
-        return
-    script = server.folder / "wireplumber" / "main.lua.d" / "90-enable-all.lua"
-    lines = script.read_text().splitlines()
-    kept = [line for line in lines if "use-persistent-storage" not in line]
-    assert len(kept) == len(lines) - 1
-    script.write_text("\n".join(kept))
 
 
 def remembers(server: SoundServer) -> bool:
