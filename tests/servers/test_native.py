@@ -133,7 +133,7 @@ def test_on_pulseaudio_auto_takes_the_python_engine_and_native_ends_with_3(
     assert "the sound server is PulseAudio" in refused.stderr
 
 
-@pytest.mark.parametrize("program", ["pipewire", "pw-link"])
+@pytest.mark.parametrize("program", ["pipewire", "pw-dump", "pw-cli"])
 def test_without_a_program_of_pipewire_auto_says_so_and_native_ends_with_3(
     pipewire: SoundServer, program: str, tmp_path: Path
 ) -> None:
