@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import ctypes
 import signal
+import subprocess
+from collections.abc import Sequence
 
 _PR_SET_PDEATHSIG = 1
 _LIBC = ctypes.CDLL(None, use_errno=True)
@@ -15,3 +17,21 @@ def ends_with_us() -> None:
     For `preexec_fn` of a process that the main thread starts: called in the child, before exec.
     """
     _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+
+
+def started(
+    command: Sequence[str], *, stdin: int = subprocess.DEVNULL, stdout: int = subprocess.DEVNULL
+) -> subprocess.Popen[bytes]:
+    """Start a program that ends with us; the terminal's signals do not reach it.
+
+    Only the main thread may call it, see `ends_with_us`. OSError: it cannot be run.
+    """
+    return subprocess.Popen(
+        command,
+        bufsize=0,
+        stdin=stdin,
+        stdout=stdout,
+        stderr=subprocess.DEVNULL,
+        preexec_fn=ends_with_us,
+        process_group=0,
+    )

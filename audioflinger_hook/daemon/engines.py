@@ -92,6 +92,27 @@ class Engines:
         return readings.frames if readings else self.python.buffers if self.python else 0
 
     @property
+    def frames(self) -> int:
+        """Frames of sound that the present engine has heard."""
+        readings = self.switch.native and self.switch.native.readings()
+        return readings.frames if readings else self.python.frames if self.python else 0
+
+    @property
+    def limited_samples(self) -> int:
+        """Samples of vibration that the present engine has limited at full scale."""
+        readings = self.switch.native and self.switch.native.readings()
+        if readings:
+            return readings.limited_samples
+        return self.python.framework.limited_samples if self.python else 0
+
+    @property
+    def monitor_warning(self) -> str:
+        """Why a sink's monitor is tapped instead of its streams, "" if it is not."""
+        native = self.switch.native
+        reason = native.monitor_reason if native is not None else ""
+        return f"the sink's monitor is tapped, one cycle later: {reason}" if reason else ""
+
+    @property
     def _delay_s(self) -> float:
         return max(0.0, self._config.live.offset_s)
 

@@ -52,6 +52,7 @@ def status_of(supervisor: Supervisor, now_s: float) -> Status:
         device_rate=_device_rate(supervisor),
         applications=supervisor.applications,
         muted=supervisor.config.muted,
+        server=supervisor.server,
         principal=tuple(Partial(*partial) for partial in _principal(supervisor)),
     )
     if native is not None and native.audible:

@@ -10,6 +10,7 @@ from audioflinger_hook.daemon.endpoints import Endpoints
 from audioflinger_hook.daemon.engine import Clocks, Engine
 from audioflinger_hook.daemon.engines import Engines
 from audioflinger_hook.daemon.inputs.base import AudioNode, Input
+from audioflinger_hook.daemon.limit_advice import LimitAdvice
 from audioflinger_hook.daemon.outputs.base import Output
 from audioflinger_hook.daemon.run_config import ConfigDiff, RunConfig
 from audioflinger_hook.daemon.server_link import ServerLink
@@ -61,6 +62,7 @@ class Supervisor:
         self._found: tuple[AudioNode | None, AudioNode | None] = (None, None)
         self.engines = Engines(config, clocks, self._endpoints, self.states, folder, wake.ring)
         self._stalls = StallDetector(self.states, clocks.slept_s)
+        self._limits = LimitAdvice()
 
     @property
     def input(self) -> Input:
@@ -110,6 +112,12 @@ class Supervisor:
         return self._config
 
     @property
+    def server(self) -> str:
+        """The sound server's name and version, "" without one."""
+        seen = self._link.connection.latest if self._link.connection else None
+        return f"{seen.kind} {seen.version}" if seen else ""
+
+    @property
     def applications(self) -> tuple[Application, ...]:
         """The applications that have a stream; any thread may ask."""
         connection, (source, device) = self._link.connection, self._found
@@ -145,7 +153,13 @@ class Supervisor:
             warnings += recording.warnings
             if self.engine and self.engine.framework.bypassed():
                 warnings.append("an effect was bypassed, so a replay will differ from it")
-        others = (self._link.warning, self.priority.warning, self.config_error)
+        others = (
+            self._link.warning,
+            self.priority.warning,
+            self.config_error,
+            self.engines.monitor_warning,
+            self._limits.advice(self._config.settings),
+        )
         return [*warnings, *filter(None, others)]
 
     def look(self) -> None:
@@ -170,6 +184,7 @@ class Supervisor:
     def tick(self, now_s: float) -> None:
         """Do what is due: connect, locate, open, check, recover or rest."""
         self._notice_pauses(now_s)
+        self._limits.update(self.engines.limited_samples, self.engines.frames, now_s)
         connection = None
         try:
             if self._endpoints.needs_server:

@@ -94,7 +94,8 @@ def _of_streams(status: Mapping[str, Any]) -> Iterator[Metric]:
     line, times = status["delay_line"], status["buffer_times"]
     xruns = CounterMetricFamily("cushion_xruns", "Late or lost buffers.", labels=["stream"])
     for stream in ("tap", "output"):
-        xruns.add_metric([stream], status["xruns"][stream])
+        if status["xruns"][stream] is not None:
+            xruns.add_metric([stream], status["xruns"][stream])
     yield xruns
     yield _counter("cushion_underruns", "Frames that the delay line lacked.", line["underflows"])
     yield _counter("cushion_resyncs", "Restarts of the delay line.", line["resyncs"])

@@ -31,6 +31,21 @@ class DeviceRateFigures:
 
 
 @dataclass(frozen=True)
+class GraphFigures:
+    """How PipeWire runs the native engine, and what is tapped there.
+
+    cycle_frames: frames of the latest cycle (quantum), 0 before the first. samplerate: Hz of the
+    graph. tap: "streams", or "monitor", which is one cycle later. tap_reason: why the monitor, ""
+    for streams.
+    """
+
+    cycle_frames: int
+    samplerate: int
+    tap: str
+    tap_reason: str = ""
+
+
+@dataclass(frozen=True)
 class Levels:
     """Levels of the sound and of the vibration; channels: of the sound."""
 
@@ -100,10 +115,13 @@ class DelayLineFigures:
 
 @dataclass(frozen=True)
 class Xruns:
-    """Counts of late or lost buffers in tap and output."""
+    """Counts of late or lost buffers in tap and output; None where the server does not tell.
 
-    tap: int = 0
-    output: int = 0
+    With the native engine they are the server's own errors of its two nodes.
+    """
+
+    tap: int | None = 0
+    output: int | None = 0
 
 
 @dataclass(frozen=True)
@@ -186,7 +204,8 @@ class Status:
     listener's volume, 0 dB for 100 %; the sound's level and the vibration are those without it.
     device_rate: None if the device is no USB device with a feedback endpoint that plays. principal:
     what the latest hop vibrates, as it is played. applications: those that have a stream. muted: by
-    a page.
+    a page. server: name and version of the sound server, "" for none. graph: None but with the
+    native engine.
     """
 
     version: str
@@ -219,4 +238,6 @@ class Status:
     principal: tuple[Partial, ...] = ()
     applications: tuple[Application, ...] = ()
     muted: bool = False
+    server: str = ""
+    graph: GraphFigures | None = None
     warnings: tuple[str, ...] = ()

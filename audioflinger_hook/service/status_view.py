@@ -52,17 +52,19 @@ def _rows(status: Status) -> list[tuple[str, Text]]:
     rows = [
         ("cushion", Text(f"{one_line(status.version)}, process {status.pid}")),
         ("state", _state(status)),
-        ("tap", _endpoint(status.tap)),
+        ("tap", _tap(status)),
         ("device", _endpoint(status.device)),
         ("sound", _level(status.levels.sound, "cyan")),
         *([("volume", Text(f"{status.volume_db:+.1f} dB, undone"))] if status.volume_db else []),
         ("vibration", _level(status.levels.vibration, "yellow")),
         *([("device clock", _device_clock(status.device_rate))] if status.device_rate else []),
         *([("principal", _principal(status))] if status.principal else []),
+        *([("server", _server(status))] if status.server else []),
         *([("profile", Text(one_line(status.profile)))] if status.profile else []),
         *([("engine", _engine(status))] if status.engine else []),
         ("latency", _latency(status)),
         *([] if status.engine == "native" else _python_rows(status)),
+        ("xruns", _xruns(status)),
         ("recoveries", _recoveries(status)),
         (
             "samples",
@@ -88,7 +90,7 @@ def _rows(status: Status) -> list[tuple[str, Text]]:
 
 def _python_rows(status: Status) -> list[tuple[str, Text]]:
     """Return the rows of the Python engine's streams and buffers."""
-    line, buffers, xruns = status.delay_line, status.buffer_times, status.xruns
+    line, buffers = status.delay_line, status.buffer_times
     return [
         (
             "delay line",
@@ -98,7 +100,6 @@ def _python_rows(status: Status) -> list[tuple[str, Text]]:
                 f"{_count(line.underflows, 'underflow')}, {_count(line.overflows, 'overflow')}"
             ),
         ),
-        ("xruns", Text(f"tap {xruns.tap}, output {xruns.output}")),
         (
             "buffers",
             Text(
@@ -130,6 +131,31 @@ def _endpoint(endpoint: Endpoint) -> Text:
         return Text.assemble(address, (" (not there)", "yellow"))
     name = one_line(endpoint.name)
     return Text(address if name in ("", address) else f"{name} ({address})")
+
+
+def _tap(status: Status) -> Text:
+    text, graph = _endpoint(status.tap), status.graph
+    if graph is None:
+        return text
+    way = "from its streams" if graph.tap == "streams" else "from its monitor"
+    return text.append(f", {way}")
+
+
+def _server(status: Status) -> Text:
+    graph, name = status.graph, one_line(status.server)
+    if graph is None or not graph.samplerate:
+        return Text(name)
+    cycle_ms = 1e3 * graph.cycle_frames / graph.samplerate
+    return Text(
+        f"{name}, {graph.cycle_frames} frames at {graph.samplerate} Hz ({cycle_ms:.1f} ms) a cycle"
+    )
+
+
+def _xruns(status: Status) -> Text:
+    xruns = status.xruns
+    if xruns.tap is None or xruns.output is None:
+        return Text("the server does not report them", "dim")
+    return Text(f"tap {xruns.tap}, output {xruns.output}")
 
 
 def _share(level: Level) -> float:

@@ -17,7 +17,7 @@ from contextlib import suppress
 from typing import Any
 
 from device.errors import NotFoundError
-from device.process import ends_with_us
+from device.process import started
 from device.server.graph import Graph
 from device.server.link_keeper import LinkKeeper
 
@@ -113,15 +113,7 @@ class Editor:
 
 def _started(command: list[str], *, stdin: int, stdout: int) -> subprocess.Popen[bytes]:
     try:
-        return subprocess.Popen(
-            command,
-            bufsize=0,
-            stdin=stdin,
-            stdout=stdout,
-            stderr=subprocess.DEVNULL,
-            preexec_fn=ends_with_us,
-            process_group=0,  # signals of the terminal are the daemon's
-        )
+        return started(command, stdin=stdin, stdout=stdout)
     except OSError as error:
         raise NotFoundError(
             f"{command[0]} cannot be run ({error.strerror}); install pipewire-bin"

@@ -145,7 +145,7 @@ def lost(room: Room) -> int:
     """The buffers that the daemon knows to be lost."""
     status = room.daemon.status()
     assert status is not None
-    return status.xruns.tap + status.xruns.output + status.delay_line.underflows
+    return (status.xruns.tap or 0) + (status.xruns.output or 0) + status.delay_line.underflows
 
 
 @pytest.mark.calm

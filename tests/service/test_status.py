@@ -22,6 +22,7 @@ from audioflinger_hook.service.status import (
     DelayLineFigures,
     Endpoint,
     ExposureFigures,
+    GraphFigures,
     LatencyBudget,
     Levels,
     Partial,
@@ -61,6 +62,8 @@ STATUS = Status(
     ),
     exposure=ExposureFigures(10.0, 1.25, 0.6, 9.5, True, False, 0.31),
     profile="cinema",
+    server="PipeWire 1.4.2",
+    graph=GraphFigures(1024, 48_000, "monitor", "links are refused"),
     warnings=("the sink runs at 44100 Hz",),
 )
 
@@ -127,7 +130,7 @@ def test_every_key_is_there_with_its_unit_and_every_cause_counted():
         *("delay_line", "xruns", "buffer_times", "recoveries", "effects_bypassed"),
         *("limited_samples", "replaced_samples", "protection", "exposure", "actuators"),
         *("profile", "engine", "engine_reason", "engine_pid", "volume_db", "device_rate"),
-        *("principal", "applications", "muted", "warnings"),
+        *("principal", "applications", "muted", "server", "graph", "warnings"),
     ]
     assert document["latency"]["total_ms"] == pytest.approx(93.7)
     assert list(document["recoveries"]) == [cause.value for cause in Cause]
@@ -219,17 +222,18 @@ def test_the_view_shows_every_figure():
     assert status_text(STATUS, 100).splitlines() == [
         "cushion    0.1.0, process 4321",
         "state      running for 2 h 05 min",
-        "tap        alsa_output.pci-0000_00_1f.3.analog-stereo.monitor (default)",
+        "tap        alsa_output.pci-0000_00_1f.3.analog-stereo.monitor (default), from its monitor",
         "device     alsa_output.usb-Amplifier-00.analog-stereo (sink:Cushion)",
         "sound      ███████████████░ peak   -3.1, rms  -14.2 dBFS",
         "vibration  ███████████░░░░░ peak  -18.2, rms  -27.0 dBFS",
+        "server     PipeWire 1.4.2, 1024 frames at 48000 Hz (21.3 ms) a cycle",
         "profile    cinema",
         "latency    93.7 ms = tap 21.3 + transform 42.7 + driving 4.0 + delay line 20.0 + output "
         "10.7 -",
         "           offset 5.0",
         "delay line locked, 20.1 of 20.0 ms, +13.4 ppm; 1 resync, 2 underflows, 3 overflows",
-        "xruns      tap 4, output 5",
         "buffers    5.8 % of 21.3 ms; p50 1.20, p99 2.90, max 8.10 ms",
+        "xruns      tap 4, output 5",
         "recoveries stall 2",
         "samples    12 limited, 1 replaced",
         "protection 12 of 5000 blocks limited, 1 silenced; gain 0.50 for temperature, least 0.25; "
@@ -357,3 +361,15 @@ def test_the_meter_fits_into_a_line(width):
     if width >= 79:
         assert line.startswith("running, muted  sound ████")
         assert line.endswith("440 → 100 Hz")
+
+
+def test_the_text_says_which_counts_the_server_does_not_give():
+    shown = status_text(replace(STATUS, xruns=Xruns(None, None)))
+    assert "xruns      the server does not report them" in shown
+
+
+def test_the_text_tells_a_tap_of_streams_from_one_of_a_monitor():
+    streams = replace(STATUS, graph=GraphFigures(256, 44_100, "streams"))
+    shown = status_text(streams, 100)
+    assert "(default), from its streams" in shown
+    assert "256 frames at 44100 Hz (5.8 ms) a cycle" in shown

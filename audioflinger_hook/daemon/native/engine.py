@@ -28,6 +28,7 @@ from device.drive.rig_processor import damping_for
 from device.errors import LostError, NotFoundError, UsageError
 from device.rig import rig_by_name
 from device.server.graph_watch import GraphWatch
+from device.server.node_errors import NodeErrors
 from device.server.snapshot import Sink, Source
 from device.units import db_to_amplitude
 
@@ -55,7 +56,7 @@ class NativeEngine:
     folder: private, for files. states: counts what was lost and came back. on_change: called by
     another thread when the graph changes. monitor_reason: why the sink's monitor is tapped instead
     of the streams that play to it; "" for the streams. audible: whether the chain is linked and
-    plays. is_fed: whether a stream plays that is tapped.
+    plays. is_fed: whether a stream plays that is tapped. errors: the server's counts of its nodes.
     NotFoundError: a program of PipeWire is missing.
     """
 
@@ -71,6 +72,7 @@ class NativeEngine:
         self._folder = folder
         self._states = states
         self._watch = GraphWatch(on_change)
+        self.errors = NodeErrors()
         self._current: RunningChain | None = None
         self._next: RunningChain | None = None
         self._leaving: list[RunningChain] = []
@@ -124,6 +126,11 @@ class NativeEngine:
         """Return what the transform reports, None before the first chain."""
         current = self._current
         return current.chain.page.readings() if current else None
+
+    @property
+    def server(self) -> str:
+        """The server's name and version, such as "PipeWire 1.4.2"."""
+        return f"PipeWire {self._watch.graph.version}".rstrip()
 
     @property
     def page(self) -> Page | None:
@@ -180,6 +187,8 @@ class NativeEngine:
             self._choose_way(now_s)
         self._adopt_next(now_s)
         self._let_play(now_s)
+        names = [name for chain in self._wiring.chains for name in (chain.tap, chain.vibration)]
+        self.errors.update(names if self.is_fed else (), now_s)
         return self.audible
 
     def lose_links(self, now_s: float) -> bool:
@@ -229,6 +238,7 @@ class NativeEngine:
         self._current = self._next = None
         self._leaving.clear()
         self.audible = False
+        self.errors.close()
         self._watch.close()
 
     def _running(self) -> list[RunningChain]:

@@ -10,9 +10,11 @@ from audioflinger_hook.service.meters import Level, level_of
 from audioflinger_hook.service.state import DaemonState
 from audioflinger_hook.service.status import (
     ActuatorFigures,
+    GraphFigures,
     LatencyBudget,
     Levels,
     Status,
+    Xruns,
 )
 
 
@@ -44,6 +46,14 @@ def with_native(
             offset_ms=1e3 * offset_s,
             delay_ms=max(delays_ms, default=0.0),
         ),
+        server=native.server,
+        graph=GraphFigures(
+            cycle_frames=readings.cycle_frames,
+            samplerate=readings.samplerate,
+            tap="monitor" if native.monitor_reason else "streams",
+            tap_reason=native.monitor_reason,
+        ),
+        xruns=Xruns(native.errors.count(".tap"), native.errors.count(".vibration")),
         limited_samples=readings.limited_samples,
         replaced_samples=readings.replaced_samples,
         actuators=tuple(

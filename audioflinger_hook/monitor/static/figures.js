@@ -51,7 +51,7 @@ export function showHealth(status) {
   const causes = Object.entries(status.recoveries).filter(([, count]) => count);
   const load = native ? "inside PipeWire" : `${status.buffer_times.share_percent.toFixed(1)} % of a core`;
   rows(find("health"), [
-    ["Dropouts", String(drops), drops ? "wait" : "good"],
+    ["Dropouts", status.xruns.tap === null ? "not reported" : String(drops), drops ? "wait" : "good"],
     ["Recoveries", causes.map(([cause, count]) => `${cause} ${count}`).join(", ") || "none", causes.length ? "wait" : "good"],
     ["Load", load],
     ...(native ? [] : [["Clocks", `${line.ratio_ppm >= 0 ? "+" : ""}${line.ratio_ppm.toFixed(0)} ppm`]]),

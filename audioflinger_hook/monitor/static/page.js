@@ -83,7 +83,13 @@ function showStatus(content) {
   showRig(status);
   showApplications(status.applications, (application, felt) => act({ application, felt }));
   const why = status.engine_reason ? `: ${status.engine_reason}` : "";
-  find("engine").textContent = status.engine ? `The ${status.engine} engine plays${why}. Profile ${status.profile}. Version ${status.version}.` : "No engine plays yet.";
+  find("engine").textContent = status.engine ? `The ${status.engine} engine plays${why}. ${place(status)}Profile ${status.profile}. Version ${status.version}.` : "No engine plays yet.";
+}
+
+function place({ graph, server }) {
+  if (!graph?.samplerate) return server ? `${server}. ` : "";
+  const way = graph.tap === "streams" ? "The streams are tapped" : "The sink's monitor is tapped, one cycle later";
+  return `${way}. ${server}, ${graph.cycle_frames} frames at ${graph.samplerate} Hz a cycle. `;
 }
 
 function showSettings(content) {
