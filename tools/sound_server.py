@@ -141,9 +141,15 @@ class SoundServer:
         self._end(signal.SIGTERM)
 
     def restart_wireplumber(self) -> None:
-        """End WirePlumber alone, as a crash would, and start it again; streams play on."""
+        """End WirePlumber alone, as a crash would, and start it again, with both sinks.
+
+        A card's sinks are its own: they vanish with it and come back as others.
+        """
         self._end(signal.SIGKILL, "wireplumber")
+        for name in ("desktop", "haptic"):
+            self.remove(name)
         self._run(*wireplumber_command())
+        self._add_first_sinks()
 
     def restart_pipewire(self) -> None:
         """End PipeWire alone, as a crash would, and start it again, with both sinks.

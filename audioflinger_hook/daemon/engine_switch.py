@@ -129,6 +129,10 @@ class EngineSwitch:
             return False
         if not linked:
             return plays
+        if native.waits_for:
+            self._began_s = None
+            self._states.enter(DaemonState.WAITING_FOR_SERVER, now_s, native.waits_for)
+            return False
         self._note_unseen(native, tap_of(source, self._config.rules), device, now_s)
         self._note_start(native, plays, now_s)
         if players or native.is_fed:

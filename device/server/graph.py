@@ -11,6 +11,9 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+SESSION_MANAGERS = ("WirePlumber", "pipewire-media-session")
+"""Names of the programs that link streams to sinks, as their clients give them."""
+
 LinkPair = tuple[int, int]
 """Ids of an output port and of the input port that it is linked to."""
 
@@ -103,6 +106,14 @@ class Graph:
     def links_of(self, node_id: int) -> Iterator[Link]:
         """Return the links from and to a node."""
         return (self.links[link_id] for link_id in self._links_of.get(node_id, ()))
+
+    @property
+    def session_manager(self) -> int | None:
+        """The id of the client that links streams to sinks, None while none runs."""
+        found = self._clients.items()
+        return next(
+            (id for id, of in found if of.get("application.name") in SESSION_MANAGERS), None
+        )
 
     def properties_of(self, node: Node) -> dict[str, str]:
         """Return the properties of a node and of the client that made it, as text."""

@@ -57,6 +57,7 @@ class NativeEngine:
     another thread when the graph changes. monitor_reason: why the sink's monitor is tapped instead
     of the streams that play to it; "" for the streams. audible: whether the chain is linked and
     plays. is_fed: whether a stream plays that is tapped. errors: the server's counts of its nodes.
+    waits_for: what must come back before it can play, "" for nothing.
     NotFoundError: a program of PipeWire is missing.
     """
 
@@ -83,6 +84,8 @@ class NativeEngine:
         self._faded_s = math.inf
         self._sound_gain = 1.0
         self._must_use_monitor = bool(monitor_reason)
+        self._session_manager: int | None = None
+        self.waits_for = ""
         self.monitor_reason = monitor_reason
         self.audible = self.is_fed = False
         for left_over in folder.glob(f"{NAME}-*"):  # of a daemon that was killed
@@ -177,6 +180,8 @@ class NativeEngine:
             raise LostError("the connection to PipeWire's graph was lost")
         with self._watch.lock:
             self._end_leaving(now_s)
+            if not self._has_session():
+                return False
             self._check(now_s)
             self._make_chains(tap, now_s)
             self._wire(tap, device if linked else None, now_s)
@@ -254,6 +259,25 @@ class NativeEngine:
             return
         if self._config.tap.kind == "default":
             self._states.count(Cause.DEFAULT_CHANGED, f"the tap is now: {tap.name}")
+
+    def _has_session(self) -> bool:
+        """Whether the session manager runs; end the chains of before when it has gone.
+
+        WirePlumber 0.4 waits for ever for nodes that are older than itself, if they have played,
+        and links no program meanwhile.
+        """
+        known, seen = self._session_manager, self._watch.graph.session_manager
+        if known is not None and seen != known and not self.waits_for:
+            self._states.count(Cause.SERVER_LOST, "PipeWire's session manager has ended")
+            for running in (*self._running(), *self._leaving):
+                running.chain.close()
+            self._current = self._next = None
+            self._leaving.clear()
+            self.audible = self.is_fed = False
+        self._session_manager = seen if seen is not None else known
+        gone = known is not None and seen is None
+        self.waits_for = "PipeWire's session manager (WirePlumber) does not run" if gone else ""
+        return not gone
 
     def _check(self, now_s: float) -> None:
         """Drop chains that have ended or hang; raise LostError for the playing one."""
