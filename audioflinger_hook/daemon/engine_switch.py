@@ -218,13 +218,11 @@ class EngineSwitch:
             self._states.enter(DaemonState.RECOVERING, now_s, problem)
 
     def _note_unseen(self, native: NativeEngine, tap: Tap, device: Sink, now_s: float) -> None:
-        missing = native.unseen(tap, device)
-        if not missing or self._seen_s is None:
+        problem = native.unseen(tap, device)
+        if not problem or self._seen_s is None:
             self._seen_s = now_s
         elif now_s - self._seen_s > UNSEEN_S:
-            self._give_up(
-                f"PipeWire's graph has no node {missing!r}: it is of another server", now_s
-            )
+            self._give_up(problem, now_s)
 
     def _note_start(self, native: NativeEngine, plays: bool, now_s: float) -> None:
         """Take another way if a start takes too long, and forget failures once it has played."""

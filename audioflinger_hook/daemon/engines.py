@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from audioflinger_hook.daemon.capture_queue import undone_db
@@ -17,6 +17,7 @@ from audioflinger_hook.daemon.outputs.base import StreamOutput
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.service.state import StateKeeper
 from device.server import PulseConnection, ServerSnapshot
+from device.stream.callback_thread import priority_advice
 from device.units import db_to_amplitude
 
 HANDOVER_TICK_S = 0.02
@@ -106,11 +107,15 @@ class Engines:
         return self.python.framework.limited_samples if self.python else 0
 
     @property
-    def monitor_warning(self) -> str:
-        """Why a sink's monitor is tapped instead of its streams, "" if it is not."""
+    def warnings(self) -> Iterator[str]:
+        """Return what the user should know of the native engine."""
         native = self.switch.native
-        reason = native.monitor_reason if native is not None else ""
-        return f"the sink's monitor is tapped, one cycle later: {reason}" if reason else ""
+        if native is None:
+            return
+        if native.monitor_reason:
+            yield f"the sink's monitor is tapped, one cycle later: {native.monitor_reason}"
+        if native.lacks_realtime:
+            yield priority_advice()
 
     @property
     def _delay_s(self) -> float:

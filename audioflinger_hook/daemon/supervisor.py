@@ -157,7 +157,7 @@ class Supervisor:
             self._link.warning,
             self.priority.warning,
             self.config_error,
-            self.engines.monitor_warning,
+            *self.engines.warnings,
             self._limits.advice(self._config.settings),
         )
         return [*warnings, *filter(None, others)]

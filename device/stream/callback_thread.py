@@ -50,11 +50,6 @@ class AudioPriority:
         self.warning = ""
         self._revoked = False
         self._threads: deque[int] = deque(maxlen=THREADS_MAX)
-        self._advice = (
-            "the audio threads have no real-time priority, so vibration may break up on a busy "
-            f"machine; put `{_user()} - rtprio {2 * PRIORITY}` into "
-            "/etc/security/limits.d/cushion.conf and log in again, or set realtime = false"
-        )
         self.set_wanted(wanted)
 
     def set_wanted(self, wanted: bool) -> None:
@@ -73,7 +68,7 @@ class AudioPriority:
             return
         self._threads.append(threading.get_native_id())
         if not (_real_time() or _nicer()):
-            self.warning = self._advice
+            self.warning = priority_advice()
 
     def revoke(self) -> None:
         """Take priority away from all threads, as one ran too long. For a signal handler."""
@@ -101,6 +96,15 @@ class AudioPriority:
             with suppress(OSError):  # it has ended
                 os.sched_setscheduler(thread, os.SCHED_OTHER, os.sched_param(0))
         self._threads.clear()
+
+
+def priority_advice() -> str:
+    """Return what to tell a user whose audio threads have no real-time priority."""
+    return (
+        "the audio threads have no real-time priority, so vibration may break up on a busy "
+        f"machine; put `{_user()} - rtprio {2 * PRIORITY}` into "
+        "/etc/security/limits.d/cushion.conf and log in again, or set realtime = false"
+    )
 
 
 def _real_time() -> bool:

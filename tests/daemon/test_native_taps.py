@@ -6,10 +6,10 @@ import pytest
 
 from audioflinger_hook.daemon.inputs.applications import Applications
 from audioflinger_hook.daemon.native.taps import Tap, channels_of, tap_of
-from audioflinger_hook.daemon.native.wiring import ChainEnds, ChainWiring
+from audioflinger_hook.daemon.native.wiring import ChainEnds, ChainWiring, why_unlinkable
 from device.server import AppRules
 from device.server.snapshot import Source
-from tests.support.graphs import desktop, link, play, port
+from tests.support.graphs import desktop, gone, link, node, play, port
 
 INPUTS = (41, 42)
 DESK = Tap("desk.monitor", ("FL", "FR"), "desk")
@@ -93,3 +93,14 @@ def test_a_chain_of_another_number_of_channels_is_not_linked_to_the_tap() -> Non
     graph.apply([port(43, 40, "input_AUX2")])
     surround = ChainEnds("chain.tap", "chain.vibration", 3, (0, None), linked=True)
     assert ChainWiring((surround,), DESK, "dac", ("FL", "FR")).links(graph) == {(51, 21)}
+
+
+def test_a_sink_that_is_not_in_the_graph_or_has_no_ports_is_named() -> None:
+    graph = desktop()
+    assert why_unlinkable(graph, DESK, "dac") == ""
+    assert "no node 'amp': it is of another server" in why_unlinkable(graph, DESK, "amp")
+    graph.apply([node(95, "amp", "Audio/Sink")])
+    assert "the sink 'amp' has no ports" in why_unlinkable(graph, DESK, "amp")
+    graph.apply([gone(number) for number in (11, 12)])
+    assert why_unlinkable(graph, DESK, "dac") == ""  # its monitor can be tapped
+    assert "the sink 'desk' has no ports" in why_unlinkable(graph, DESK, "desk")

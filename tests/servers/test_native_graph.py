@@ -334,6 +334,22 @@ def test_a_sink_of_any_layout_is_felt_as_its_monitor_would_be(
 # ------------------------------------------------------------------------------------------ faults
 
 
+def test_an_engine_without_real_time_priority_says_how_to_get_it(
+    pipewire: SoundServer, tmp_path: Path
+) -> None:
+    dropped = ("prlimit", "--rtprio=0:0", "setpriv", "--bounding-set=-sys_nice")
+    within = (*dropped, "--inh-caps=-sys_nice")
+    if subprocess.run([*within, "true"], capture_output=True).returncode != 0:
+        pytest.skip(f"{' '.join(within)} does not work here")
+    with (
+        playing(pipewire, "desktop", tone(HEARD_HZ, 60.0)),
+        running(pipewire, engine="native", ready=False, within=within) as daemon,
+    ):
+        warned = daemon.wait(lambda status: status.warnings, "a warning").warnings
+    assert "no real-time priority" in warned[0]
+    assert "limits.d" in warned[0]
+
+
 def test_wireplumber_may_be_restarted_while_it_plays(pipewire: SoundServer, tmp_path: Path) -> None:
     with (
         ExitStack() as player,

@@ -25,6 +25,9 @@ NAME = "haptic-cushion"
 END_S = 0.2
 """Longest wait for the end of the process before it is killed."""
 
+POLICY_FIELD = 38
+"""Of /proc/PID/task/TID/stat after the program's name, see proc(5)."""
+
 LOG_BYTES = 2_000
 """How much of the process's last messages is read."""
 
@@ -210,6 +213,16 @@ class Chain:
             channels=len(plan.actuators),
             positions=_positions(len(plan.actuators)),
         )
+
+
+def has_realtime(process_id: int) -> bool:
+    """Return whether one of a process's threads has real-time priority."""
+    for file in Path(f"/proc/{process_id}/task").glob("*/stat"):
+        with suppress(OSError, IndexError):
+            facts = file.read_text("ascii", "replace").rpartition(")")[2].split()
+            if int(facts[POLICY_FIELD]) in (os.SCHED_FIFO, os.SCHED_RR):
+                return True
+    return False
 
 
 def _positions(channels: int) -> str:

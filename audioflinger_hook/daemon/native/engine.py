@@ -17,8 +17,8 @@ from audioflinger_hook.daemon.native.page import Page, TransformReadings
 from audioflinger_hook.daemon.native.plan import ChainPlan, device_map
 from audioflinger_hook.daemon.native.ports import port_names
 from audioflinger_hook.daemon.native.running import RunningChain
-from audioflinger_hook.daemon.native.taps import MONITOR, PLAYBACK, Tap, tap_of
-from audioflinger_hook.daemon.native.wiring import ChainEnds, ChainWiring
+from audioflinger_hook.daemon.native.taps import Tap, tap_of
+from audioflinger_hook.daemon.native.wiring import ChainEnds, ChainWiring, why_unlinkable
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.daemon.timing import Backoff
 from audioflinger_hook.service.meters import Level
@@ -114,21 +114,20 @@ class NativeEngine:
         return self._watch.lost
 
     def unseen(self, tap: Tap, device: Sink) -> str:
-        """Return the name of a node that the graph does not show, "" if it shows both."""
+        """Return why tap or device cannot be linked in the graph, "" if both can."""
         with self._watch.lock:
-            graph = self._watch.graph
-            if not graph.ports:
-                return ""
-            source = graph.sink(tap.sink) if tap.sink else None
-            if tap.sink and not (source and graph.ports_of(source.id, MONITOR)):
-                return tap.sink
-            sink = graph.sink(device.name)
-            return "" if sink and graph.ports_of(sink.id, PLAYBACK) else device.name
+            return why_unlinkable(self._watch.graph, tap, device.name)
 
     def readings(self) -> TransformReadings | None:
         """Return what the transform reports, None before the first chain."""
         current = self._current
         return current.chain.page.readings() if current else None
+
+    @property
+    def lacks_realtime(self) -> bool:
+        """Whether it was to have real-time priority and has none."""
+        current = self._current
+        return self._config.live.realtime and current is not None and current.has_realtime is False
 
     @property
     def server(self) -> str:
@@ -192,6 +191,8 @@ class NativeEngine:
             self._choose_way(now_s)
         self._adopt_next(now_s)
         self._let_play(now_s)
+        if self._current is not None:
+            self._current.look_for_priority(now_s)
         names = [name for chain in self._wiring.chains for name in (chain.tap, chain.vibration)]
         self.errors.update(names if self.is_fed else (), now_s)
         return self.audible

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from audioflinger_hook.daemon.native.chain import Chain
+from audioflinger_hook.daemon.native.chain import Chain, has_realtime
 from device.server.graph import Graph
 
 SETTLED_FRAMES = 9_600
@@ -13,6 +13,9 @@ SETTLED_FRAMES = 9_600
 
 SETTLED_S = 0.3
 """Longest wait for that sound: nothing may play."""
+
+PRIORITY_S = 1.0
+"""After so long the process has its priority, or is refused it."""
 
 LEAVE_S = 0.5
 """Longest wait for the links of a chain to vanish before its process ends."""
@@ -23,7 +26,8 @@ class RunningChain:
     """A chain and its times in seconds. For the supervising thread alone.
 
     began_s: its start. linked_s: since when it has all its links. frames, moved_s: what it has
-    processed, and when that last changed. left_s: when its links were first removed.
+    processed, and when that last changed. left_s: when its links were first removed. has_realtime:
+    whether its process has real-time priority, None before that is known.
     """
 
     chain: Chain
@@ -32,11 +36,17 @@ class RunningChain:
     frames: int = 0
     moved_s: float = 0.0
     left_s: float = math.inf
+    has_realtime: bool | None = None
 
     @property
     def is_silent(self) -> bool:
         """Whether it has faded out."""
         return self.chain.page.faded_out(len(self.chain.plan.actuators))
+
+    def look_for_priority(self, now_s: float) -> None:
+        """Find out once, when it has played for a while, whether it has real-time priority."""
+        if self.has_realtime is None and now_s - self.linked_s > PRIORITY_S:
+            self.has_realtime = has_realtime(self.chain.process_id)
 
     def is_settled(self, now_s: float) -> bool:
         """Whether its vibration is that of a chain that has always run."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Set
 from dataclasses import dataclass
 
-from audioflinger_hook.daemon.native.taps import IN, OUT, PLAYBACK, Tap
+from audioflinger_hook.daemon.native.taps import IN, MONITOR, OUT, PLAYBACK, Tap
 from device.server.graph import Graph, LinkPair
 
 
@@ -103,3 +103,16 @@ class ChainWiring:
         return tap is not None and any(
             link.state == "active" for link in tap.tapped_links(graph, self.device)
         )
+
+
+def why_unlinkable(graph: Graph, tap: Tap, device: str) -> str:
+    """Return why a tap or a device cannot be linked in the graph, "" if both can."""
+    if not graph.ports:
+        return ""  # it is still being read
+    for name, prefixes in ((tap.sink, (PLAYBACK, MONITOR)), (device, (PLAYBACK,))):
+        sink = graph.sink(name) if name else None
+        if name and sink is None:
+            return f"PipeWire's graph has no node {name!r}: it is of another server"
+        if sink is not None and not any(graph.ports_of(sink.id, prefix) for prefix in prefixes):
+            return f"the sink {name!r} has no ports; choose a profile of its card that has some"
+    return ""
