@@ -9,10 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 SESSION_MANAGERS = ("WirePlumber", "pipewire-media-session")
 """Names of the programs that link streams to sinks, as their clients give them."""
+
+SINK_CLASSES = ("Audio/Sink", "Audio/Duplex")
+"""Media classes of nodes that play what is linked to them."""
+
+Key = TypeVar("Key", int, str)
 
 LinkPair = tuple[int, int]
 """Ids of an output port and of the input port that it is linked to."""
@@ -72,6 +77,8 @@ class Graph:
         self.version = ""
         self.clock_hz = 0
         self._clients: dict[int, Mapping[str, Any]] = {}
+        self._sinks: dict[int, Node] = {}
+        self._named: dict[str, set[int]] = {}
         self._ports_of: dict[int, set[int]] = {}
         self._links_of: dict[int, set[int]] = {}
 
@@ -83,19 +90,23 @@ class Graph:
 
     def sink(self, name: str) -> Node | None:
         """Return the sink of this name, None if there is none."""
-        return next((node for node in self.sinks() if node.name == name), None)
+        return next((node for node in self.nodes_named(name) if node.id in self._sinks), None)
 
     def sinks(self) -> Iterator[Node]:
         """Return all nodes that play what is linked to them."""
-        return (
-            node
-            for node in self.nodes.values()
-            if node.media_class in ("Audio/Sink", "Audio/Duplex")
-        )
+        return iter(self._sinks.values())
+
+    def is_sink(self, node_id: int) -> bool:
+        """Whether a node plays what is linked to it."""
+        return node_id in self._sinks
+
+    def nodes_named(self, name: str) -> Iterator[Node]:
+        """Return all nodes of this name."""
+        return (self.nodes[node_id] for node_id in self._named.get(name, ()))
 
     def node_named(self, name: str) -> Node | None:
         """Return the node of this name, None if there is none; for names that are our own."""
-        return next((node for node in self.nodes.values() if node.name == name), None)
+        return next(self.nodes_named(name), None)
 
     def ports_of(self, node_id: int, prefix: str = "") -> dict[str, int]:
         """Return the ids of a node's ports by their names without this prefix, such as "input_"."""
@@ -131,13 +142,7 @@ class Graph:
         properties = info.get("props") or {}
         if kind.endswith(":Node"):
             self._forget_other(number, self.nodes)
-            self.nodes[number] = Node(
-                number,
-                str(properties.get("node.name", "")),
-                str(properties.get("media.class", "")),
-                str(info.get("state", "")),
-                properties,
-            )
+            self._add_node(number, info, properties)
         elif kind.endswith(":Port"):
             self._forget_other(number, self.ports)
             self._add_port(number, info, properties)
@@ -155,6 +160,20 @@ class Graph:
             found = {one.get("key"): one.get("value") for one in item.get("metadata") or ()}
             forced_hz = _number(found.get("clock.force-rate"))
             self.clock_hz = max(0, forced_hz if forced_hz > 0 else _number(found.get("clock.rate")))
+
+    def _add_node(self, number: int, info: Mapping[str, Any], properties: Any) -> None:
+        self._drop_node(number)
+        node = Node(
+            number,
+            str(properties.get("node.name", "")),
+            str(properties.get("media.class", "")),
+            str(info.get("state", "")),
+            properties,
+        )
+        self.nodes[number] = node
+        self._named.setdefault(node.name, set()).add(number)
+        if node.media_class in SINK_CLASSES:
+            self._sinks[number] = node
 
     def _add_port(self, number: int, info: Mapping[str, Any], properties: Any) -> None:
         self._drop_port(number)
@@ -191,8 +210,13 @@ class Graph:
     def _forget(self, number: int) -> None:
         self._drop_port(number)
         self._drop_link(number)
-        self.nodes.pop(number, None)
+        self._drop_node(number)
         self._clients.pop(number, None)
+
+    def _drop_node(self, number: int) -> None:
+        if node := self.nodes.pop(number, None):
+            _discard(self._named, node.name, number)
+            self._sinks.pop(number, None)
 
     def _drop_port(self, number: int) -> None:
         if port := self.ports.pop(number, None):
@@ -211,7 +235,7 @@ def _number(value: Any) -> int:
         return -1
 
 
-def _discard(index: dict[int, set[int]], key: int, number: int) -> None:
+def _discard(index: dict[Key, set[int]], key: Key, number: int) -> None:
     numbers = index.get(key)
     if numbers is not None:
         numbers.discard(number)

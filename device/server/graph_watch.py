@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import json
 import os
+import select
 import subprocess
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
@@ -25,6 +26,9 @@ READER, EDITOR = "pw-dump", "pw-cli"
 """Programs of PipeWire that report and change the graph."""
 
 READ_BYTES = 1 << 16
+GATHER_S = 0.1
+"""Changes are reported at once, and again after so long."""
+
 END_S = 0.5
 """Longest wait for the thread's end."""
 
@@ -34,7 +38,8 @@ class GraphWatch:
 
     One thread makes it and calls the methods. Hold `lock` while `graph` or `keeper` is used.
 
-    on_change: called by the thread of this object after changes; it must return at once.
+    on_change: called by the thread of this object after changes, a few together; it must return at
+    once. Links do not wait for it.
     lost: whether the connection is gone; make another object to connect again.
     NotFoundError: a program of PipeWire is not installed.
     """
@@ -63,13 +68,22 @@ class GraphWatch:
 
     def _follow(self) -> None:
         assert self._process.stdout is not None
+        reported_s, waits = -GATHER_S, False
         with suppress(ValueError, OSError):
-            for documents in _documents(self._process.stdout.fileno()):
-                with self.lock:
-                    for document in documents:
-                        self.graph.apply(document)
-                    self.keeper.update(time.monotonic())
-                self._on_change()
+            documents = Documents(self._process.stdout.fileno())
+            while not documents.ended:
+                now_s = time.monotonic()
+                wait_s = max(0.0, reported_s + GATHER_S - now_s) if waits else None
+                if found := documents.read(wait_s):
+                    waits = True
+                    with self.lock:
+                        for document in found:
+                            self.graph.apply(document)
+                        self.keeper.update(time.monotonic())
+                now_s = time.monotonic()
+                if waits and now_s - reported_s >= GATHER_S:
+                    reported_s, waits = now_s, False
+                    self._on_change()
         self.lost = True
         self._on_change()
 
@@ -120,14 +134,24 @@ def _started(command: list[str], *, stdin: int, stdout: int) -> subprocess.Popen
         ) from None
 
 
-def _documents(file: int) -> Iterator[list[Any]]:
-    """Return the JSON arrays that arrive, all that are complete at a time.
+class Documents:
+    """The JSON arrays that `pw-dump` writes to a file. ended: whether there are no more."""
 
-    Each array begins and ends with a line of its own, and only its brackets are in the first
-    column.
-    """
-    waiting = b""
-    while block := os.read(file, READ_BYTES):
-        *whole, waiting = (waiting + block).split(b"\n]\n")
-        if whole:
-            yield [json.loads(text + b"\n]") for text in whole]
+    def __init__(self, file: int) -> None:
+        self._file = file
+        self._waiting = b""
+        self._poll = select.poll()
+        self._poll.register(file, select.POLLIN)
+        self.ended = False
+
+    def read(self, wait_s: float | None) -> list[Any]:
+        """Return all arrays that have arrived, after waiting for more at most so long.
+
+        Each begins and ends with a line of its own, and only its brackets are in the first column.
+        """
+        if not self._poll.poll(None if wait_s is None else 1e3 * wait_s):
+            return []
+        block = os.read(self._file, READ_BYTES)
+        self.ended = not block
+        *whole, self._waiting = (self._waiting + block).split(b"\n]\n")
+        return [json.loads(text + b"\n]") for text in whole]

@@ -21,6 +21,7 @@ from device.server.defaults_check import Defaults, DefaultsCheck
 from device.server.libpulse import load_pulsectl
 from device.server.snapshot import (
     DEFAULT_SETTLES_S,
+    STREAMS,
     Event,
     Listener,
     ServerSnapshot,
@@ -30,6 +31,8 @@ from device.server.snapshot import (
 from device.volume_limit import limit_volume_db
 
 _GATHER_S = 0.02  # events come in dozens: a snapshot is taken this long after the first of them
+_REST_RATIO = 60.0  # on a server with hundreds of streams, snapshots take a sixtieth of a core
+_REST_MAX_S = 0.25
 
 
 _VOLUME_LOOKS, _VOLUME_LOOK_S = 25, 0.02
@@ -70,6 +73,8 @@ class PulseConnection(ConnectionThread):
         self._deadline_s: float | None = None
         self._pulse: Any = None
         self._events = 0
+        self._changed: set[str] = set()
+        self._rested_s = 0.0
         self._due_s: float | None = None
         self._default_due_s: float | None = None
         self._default_seen = self._default_reported = ""
@@ -212,10 +217,14 @@ class PulseConnection(ConnectionThread):
 
     def _refresh(self) -> ServerSnapshot:
         """Take and report a snapshot; events in the meantime cause another snapshot."""
-        self._due_s = None
+        began_s, self._due_s = time.monotonic(), None
+        changed, self._changed = self._changed, set()
+        known = self.latest if changed and changed <= STREAMS else None
         with self._deadline():
-            snapshot = take_snapshot(self._pulse, self._events)
+            snapshot = take_snapshot(self._pulse, self._events, known)
         self.latest = snapshot
+        now_s = time.monotonic()
+        self._rested_s = now_s + min(_REST_MAX_S, _REST_RATIO * (now_s - began_s))
         for listener in tuple(self._listeners):
             listener.on_snapshot(snapshot)
         if snapshot.default_sink != self._default_seen:
@@ -242,7 +251,10 @@ class PulseConnection(ConnectionThread):
         urgent = False
         for listener in tuple(self._listeners):
             urgent = listener.on_event(event) or urgent
-        due_s = time.monotonic() + (0.0 if urgent else _GATHER_S)
+        if event.facility != "client":
+            self._changed.add(event.facility)
+        now_s = time.monotonic()
+        due_s = now_s if urgent else max(now_s + _GATHER_S, self._rested_s)
         if urgent or (event.facility != "client" and self._due_s is None):
             self._due_s = due_s if self._due_s is None else min(due_s, self._due_s)
             self._pulse.event_listen_stop()  # only leaves the loop, on this thread

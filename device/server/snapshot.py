@@ -15,6 +15,9 @@ from device.errors import LostError
 NOWHERE = 0xFFFF_FFFF
 """The index that servers give for "none"."""
 
+STREAMS = frozenset({"sink_input", "source_output"})
+"""Facilities of events that leave sinks and sources as they are."""
+
 HARDWARE_VOLUME = 0x01
 FLAT_VOLUMES = 0x40
 """Flags of sinks, as in pulse/def.h."""
@@ -139,23 +142,35 @@ def patch_samplerates(pulsectl: Any) -> None:
     pulsectl.PulseSourceInfo._init_from_struct = keep
 
 
-def take_snapshot(pulse: Any, events: int) -> ServerSnapshot:
+def take_snapshot(pulse: Any, events: int, known: ServerSnapshot | None = None) -> ServerSnapshot:
     """Query a connected pulsectl.Pulse for everything, on its thread.
 
     Streams come first: one that moves in the meantime then appears on a device that exists.
+    known: what was there before, if only streams have changed since.
     """
     sink_inputs, source_outputs = pulse.sink_input_list(), pulse.source_output_list()
-    sinks, sources, info = pulse.sink_list(), pulse.source_list(), pulse.server_info()
+    info = pulse.server_info()
     kind, version = _kind(info.server_name or "", info.server_version or "")
+    default_sink = default_name(info.default_sink_name)
+    default_source = default_name(info.default_source_name)
+    if known is not None and (known.default_sink, known.default_source) == (
+        default_sink,
+        default_source,
+    ):
+        sinks, sources = known.sinks, known.sources
+    else:
+        sinks = tuple(_sink(sink, kind) for sink in pulse.sink_list())
+        names = {sink.index: sink.name for sink in sinks}
+        sources = tuple(_source(source, names) for source in pulse.source_list())
     sink_names = {sink.index: sink.name for sink in sinks}
     source_names = {source.index: source.name for source in sources}
     return ServerSnapshot(
         kind=kind,
         version=version,
-        default_sink=default_name(info.default_sink_name),
-        default_source=default_name(info.default_source_name),
-        sinks=tuple(_sink(sink, kind) for sink in sinks),
-        sources=tuple(_source(source, sink_names) for source in sources),
+        default_sink=default_sink,
+        default_source=default_source,
+        sinks=sinks,
+        sources=sources,
         sink_inputs=tuple(_stream(item, item.sink, sink_names) for item in sink_inputs),
         source_outputs=tuple(_stream(item, item.source, source_names) for item in source_outputs),
         events=events,

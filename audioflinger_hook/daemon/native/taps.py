@@ -64,8 +64,8 @@ class Tap:
         """Return the links to the sink whose sound is tapped."""
         haptic = graph.sink(device)
         avoided = haptic.id if haptic else None
-        for sink in graph.sinks():
-            if sink.id == avoided or self.sink not in ("", sink.name):
+        for sink in graph.nodes_named(self.sink) if self.sink else graph.sinks():
+            if sink.id == avoided or not graph.is_sink(sink.id):
                 continue
             for link in graph.links_of(sink.id):
                 if link.input_node_id == sink.id and self._takes(graph, link, avoided):

@@ -65,8 +65,8 @@ class ChainWiring:
 
     def nodes(self, graph: Graph) -> Set[int]:
         """Return the ids of the chains' nodes."""
-        names = {name for chain in self.chains for name in (chain.tap, chain.vibration)}
-        return {node.id for node in graph.nodes.values() if node.name in names}
+        names = (name for chain in self.chains for name in (chain.tap, chain.vibration))
+        return {node.id for name in names for node in graph.nodes_named(name)}
 
     def links(self, graph: Graph) -> Set[LinkPair]:
         """Return the links of all chains."""

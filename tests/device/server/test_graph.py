@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from device.server.graph import Graph, LinkPair
-from device.server.graph_watch import _documents
+from device.server.graph_watch import Documents
 from device.server.link_keeper import HOLDS_S, PAUSED_S, RETRY_S, LinkKeeper
 from tests.support.graphs import desktop, gone, link, node, play, port
 
@@ -101,7 +101,9 @@ def test_documents_are_whole_however_the_pipe_cuts_them(piece: int) -> None:
 
     writer = threading.Thread(target=write)
     writer.start()
-    found = [document for documents in _documents(ends[0]) for document in documents]
+    documents, found = Documents(ends[0]), []
+    while not documents.ended:
+        found += documents.read(None)
     writer.join()
     os.close(ends[0])
     assert found == [[{"id": 1, "info": None}], [], [{"id": 2}]]
