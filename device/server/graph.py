@@ -82,11 +82,18 @@ class Graph:
         self._ports_of: dict[int, set[int]] = {}
         self._links_of: dict[int, set[int]] = {}
 
-    def apply(self, objects: Iterable[Any]) -> None:
-        """Take one document of `pw-dump`: the objects that are new, have changed or are gone."""
+    def apply(self, objects: Iterable[Any]) -> bool:
+        """Take one document of `pw-dump`: the objects that are new, have changed or are gone.
+
+        Return whether ports or links may have changed.
+        """
+        wired = False
         for item in objects:
             if isinstance(item, dict) and isinstance(item.get("id"), int):
                 self._apply_one(item)
+                kind = str(item.get("type", ""))
+                wired = wired or not kind or kind.endswith((":Port", ":Link"))
+        return wired
 
     def sink(self, name: str) -> Node | None:
         """Return the sink of this name, None if there is none."""

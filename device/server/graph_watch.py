@@ -29,6 +29,9 @@ READ_BYTES = 1 << 16
 GATHER_S = 0.1
 """Changes are reported at once, and again after so long."""
 
+BURST_S, BURST_WAIT_S = 0.02, 0.005
+"""What follows so soon is read together with what comes within this time."""
+
 END_S = 0.5
 """Longest wait for the thread's end."""
 
@@ -77,9 +80,9 @@ class GraphWatch:
                 if found := documents.read(wait_s):
                     waits = True
                     with self.lock:
-                        for document in found:
-                            self.graph.apply(document)
-                        self.keeper.update(time.monotonic())
+                        wired = [self.graph.apply(document) for document in found]
+                        if any(wired):
+                            self.keeper.update(time.monotonic())
                 now_s = time.monotonic()
                 if waits and now_s - reported_s >= GATHER_S:
                     reported_s, waits = now_s, False
@@ -140,6 +143,7 @@ class Documents:
     def __init__(self, file: int) -> None:
         self._file = file
         self._waiting = b""
+        self._read_s = -BURST_S
         self._poll = select.poll()
         self._poll.register(file, select.POLLIN)
         self.ended = False
@@ -151,6 +155,10 @@ class Documents:
         """
         if not self._poll.poll(None if wait_s is None else 1e3 * wait_s):
             return []
+        now_s = time.monotonic()
+        if now_s - self._read_s < BURST_S:
+            time.sleep(BURST_WAIT_S)
+        self._read_s = now_s
         block = os.read(self._file, READ_BYTES)
         self.ended = not block
         *whole, self._waiting = (self._waiting + block).split(b"\n]\n")

@@ -30,9 +30,12 @@ from device.server.snapshot import (
 )
 from device.volume_limit import limit_volume_db
 
+FACILITIES = ("sink", "source", "sink_input", "source_output", "module", "card", "server")
+"""What is reported; clients come and go without a change for us."""
+
 _GATHER_S = 0.02  # events come in dozens: a snapshot is taken this long after the first of them
 _REST_RATIO = 60.0  # on a server with hundreds of streams, snapshots take a sixtieth of a core
-_REST_MAX_S = 0.25
+_REST_MAX_S = 1.0  # and only streams wait for it
 
 
 _VOLUME_LOOKS, _VOLUME_LOOK_S = 25, 0.02
@@ -182,7 +185,7 @@ class PulseConnection(ConnectionThread):
             self._pulse.connect()
         except Exception:
             raise no_server() from None
-        self._pulse.event_mask_set("all")
+        self._pulse.event_mask_set(*FACILITIES)
         self._pulse.event_callback_set(self._on_event)
         self._deadline_s = None
 
@@ -251,12 +254,13 @@ class PulseConnection(ConnectionThread):
         urgent = False
         for listener in tuple(self._listeners):
             urgent = listener.on_event(event) or urgent
-        if event.facility != "client":
-            self._changed.add(event.facility)
+        self._changed.add(event.facility)
         now_s = time.monotonic()
-        due_s = now_s if urgent else max(now_s + _GATHER_S, self._rested_s)
-        if urgent or (event.facility != "client" and self._due_s is None):
-            self._due_s = due_s if self._due_s is None else min(due_s, self._due_s)
+        due_s = now_s if urgent else now_s + _GATHER_S
+        if not urgent and event.facility in STREAMS:
+            due_s = max(due_s, self._rested_s)
+        if self._due_s is None or due_s < self._due_s:
+            self._due_s = due_s
             self._pulse.event_listen_stop()  # only leaves the loop, on this thread
 
     def _poll(self, descriptors: Sequence[Any], timeout_s: float) -> int:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 
 from audioflinger_hook.daemon.inputs.applications import Applications
 from audioflinger_hook.daemon.native.ports import in_mixing_order, port_names
@@ -116,6 +117,7 @@ def stream_of(graph: Graph, node: Node) -> Stream:
     )
 
 
+@lru_cache(maxsize=256)
 def channels_of(position: str, positions: tuple[str, ...]) -> tuple[int, ...]:
     """Return the channels of the tap that a port of the sink goes to.
 
