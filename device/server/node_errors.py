@@ -79,13 +79,14 @@ class NodeErrors:
         process = self._process
         assert process is not None
         assert process.stdout is not None
+        code = process.poll()  # before reading, so that nothing can follow what is read
         with suppress(BlockingIOError):
             while block := os.read(process.stdout.fileno(), 1 << 16):
                 self._printed += block
-        if process.poll() is None:
+        if code is None:
             return
         self._counts.update(errors_in(self._printed.decode(errors="replace"), names))
-        self._may_ask = process.returncode == 0
+        self._may_ask = code == 0
         self.close()
 
 
