@@ -7,20 +7,23 @@ PYTEST_ARGS ?=
 # that tests start would compile every module again.
 unexport PYTHONPATH PYTHONHOME PYTHONDONTWRITEBYTECODE
 
-.PHONY: help run test test-all test-exhaustive test-servers test-browser test-usb soak bench docs clean
+.PHONY: help run test check lock test-all test-exhaustive test-s3 test-servers test-browser test-usb soak bench docs clean
 .NOTPARALLEL:
 
 help:
 	@echo 'make run     set up and play the demo scene; results in out/'
-	@echo 'make test    set up, check style and types, run the fast tests (PYTEST_ARGS="..." for pytest)'
-	@echo 'make test-all    the fast tests and the four sets below'
+	@echo 'make test    set up and run the fast tests (PYTEST_ARGS="..." for pytest)'
+	@echo 'make check   style and types'
+	@echo 'make test-all    the fast tests and the five sets below'
 	@echo 'make test-exhaustive   more cases of the same properties'
+	@echo 'make test-s3           storages with the S3 API'
 	@echo 'make test-servers      live sound, on sound servers of its own'
 	@echo 'make test-browser      the live page, in a browser, on a sound server of its own'
 	@echo 'make test-usb          USB sound cards of a real kernel, in a virtual machine'
 	@echo 'make soak    the tests that take minutes'
 	@echo 'make bench   measure speed and error on this machine'
 	@echo 'make docs    build the pages of docs/ as a site in out/site'
+	@echo 'make lock    choose the newest versions of all packages anew: constraints.txt'
 	@echo 'make clean   remove what the set-up and the tests made; out/ stays'
 
 run:
@@ -31,19 +34,33 @@ test:
 	@sh tools/setup.sh test
 	@sh tools/fetch_recordings.sh
 	@sh tools/fetch_usb_mock.sh
+	.venv/bin/python -m pytest -n auto --dist loadfile $(PYTEST_ARGS)
+
+check:
+	@sh tools/setup.sh test
 	.venv/bin/python -m ruff check .
 	.venv/bin/python -m ruff format --check .
 	.venv/bin/python -m mypy --strict
-	.venv/bin/python -m pytest -n auto --dist loadfile $(PYTEST_ARGS)
 
-test-all: test test-exhaustive test-servers test-browser test-usb
+# One file for all Pythons and extras. Only this target needs uv.
+lock:
+	@sh tools/setup.sh run
+	.venv/bin/python -m pip install --quiet --target .cache/uv uv
+	.cache/uv/bin/uv pip compile --quiet --upgrade --universal --python-version 3.11 --fork-strategy fewest \
+	    --all-extras --no-annotate --custom-compile-command 'make lock' --output-file constraints.txt pyproject.toml
+
+test-all: check test test-exhaustive test-s3 test-servers test-browser test-usb
+
+test-s3:
+	@sh tools/setup.sh s3
+	.venv/bin/python -m pytest -m s3 $(PYTEST_ARGS) tests/catalogue
 
 test-exhaustive:
 	@sh tools/setup.sh test
 	@sh tools/fetch_recordings.sh
 	@sh tools/fetch_usb_mock.sh
 	.venv/bin/python -m pytest \
-	    -m "exhaustive and not soak and not servers and not usbvm and not browser" \
+	    -m "exhaustive and not soak and not servers and not usbvm and not browser and not s3" \
 	    -n auto --dist loadfile $(PYTEST_ARGS)
 
 test-servers:
@@ -53,7 +70,7 @@ test-servers:
 	@# Most tests wait for sound to play; what is measured exactly shares the machine with one other.
 	@failed=0; \
 	.venv/bin/python -m pytest -m "servers and not calm" -n 3 --dist loadfile $(PYTEST_ARGS) \
-	    tests/servers || failed=1; \
+	    tests/servers tests/monitor || failed=1; \
 	.venv/bin/python -m pytest -m "servers and calm" -n 2 --dist loadfile $(PYTEST_ARGS) \
 	    tests/servers || failed=1; \
 	exit $$failed

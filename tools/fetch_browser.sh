@@ -1,7 +1,7 @@
 #!/bin/sh
-# What the tests marked `browser` need besides a sound server: Debian's Chromium, and Prometheus with promtool.
+# What the tests marked `browser` need besides a sound server: Debian's Chromium.
 set -eu
 
 . "$(dirname "$0")/system_packages.sh"
 
-install_packages browser chromium fonts-dejavu-core prometheus
+install_packages browser chromium fonts-dejavu-core

@@ -1,6 +1,6 @@
 #!/bin/sh
 # The sound servers that the tests marked `servers` run against: PulseAudio, PipeWire with WirePlumber and
-# pipewire-pulse, ALSA's pulse plugin, the small programs that play and record, and hosts of the plugin.
+# pipewire-pulse, ALSA's pulse plugin, the small programs that play and record, hosts of the plugin, and promtool.
 #
 # pipewire-alsa stays out: it conflicts with PulseAudio. Where somebody's sound server runs nothing is
 # installed, since a second one could take its place at the next login.
@@ -11,7 +11,7 @@ who=servers
 
 packages='pulseaudio pulseaudio-utils pipewire pipewire-bin wireplumber pipewire-pulse libasound2-plugins
 alsa-utils faketime ffmpeg gstreamer1.0-plugins-bad gstreamer1.0-plugins-base gstreamer1.0-tools
-ladspa-sdk lilv-utils lv2-dev sordi strace'
+ladspa-sdk lilv-utils lv2-dev sordi strace prometheus'
 
 # shellcheck disable=SC2086
 missing=$(missing_packages $packages)

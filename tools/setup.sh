@@ -1,9 +1,10 @@
 #!/bin/sh
-# Everything that Haptic Cushion needs on this machine: tools/setup.sh run|test|docs
+# Everything that Haptic Cushion needs on this machine: tools/setup.sh run|test|s3|docs
 #
 #   run    a .venv with the program and the extras `figures`, `live` and `page`
 #   test   the extra `dev` as well
-#   docs   the extra `docs` too
+#   s3     what the tests of S3 storages need, too
+#   docs   the extra `docs` instead
 #
 # PyAudio and a part of the program (audioflinger_hook/transform/native) are compiled during the installation.
 # Where the compiler or a header for that is missing, the system's package manager installs it (Debian,
@@ -12,15 +13,17 @@
 # Sound servers are left alone: nothing is ever removed or reconfigured.
 #
 # Environment: PYTHON (which Python to use), CC, CPPFLAGS, CFLAGS (as for every build), and pip's own.
+# constraints.txt says which versions pip installs (`make lock` renews it), so that it never has to try many.
 # A second run finds .venv/setup-stamp and is done in a moment.
 set -eu
 
 case ${1-} in
     run) wanted=figures,live,page ;;
     test) wanted=figures,live,page,films,remote,cluster,dev ;;
+    s3) wanted=figures,live,page,films,remote,cluster,dev,s3,dev-s3 ;;
     docs) wanted=figures,live,page,films,remote,cluster,dev,docs ;;
     *)
-        echo 'usage: tools/setup.sh run|test|docs' >&2
+        echo 'usage: tools/setup.sh run|test|s3|docs' >&2
         exit 2
         ;;
 esac
@@ -280,7 +283,7 @@ require_system() {
 # What the stamp says of a finished set-up; the extras follow on a line of their own.
 stamp_head() {
     echo "$root"
-    cksum pyproject.toml setup.py tools/setup.sh "$transform"/native/* "$plugin"/native/* device/native/*
+    cksum pyproject.toml constraints.txt setup.py tools/setup.sh "$transform"/native/* "$plugin"/native/* device/native/*
 }
 
 # Whether PYTHON, where it is given, is the Python that .venv was made from.
@@ -337,9 +340,26 @@ make_venv() {
     }
 }
 
+# pip may try many versions of packages that exclude each other, for hours; this ends it, and says so.
+resolving_s_max=120
 pip_install() {
     PIP_USER=0 PIP_DISABLE_PIP_VERSION_CHECK=1 \
-        "$venv_python" -m pip install --quiet --editable "$1" >"$log" 2>&1 </dev/null
+        "$venv_python" -m pip install --constraint constraints.txt --editable "$1" >"$log" 2>&1 </dev/null &
+    pip=$!
+    waited_s=0
+    while kill -0 "$pip" 2>/dev/null; do
+        sleep 1
+        waited_s=$((waited_s + 1))
+        if [ "$waited_s" -gt "$resolving_s_max" ] && grep -q 'multiple versions' "$log" &&
+            ! grep -q '^Installing collected packages' "$log"; then
+            kill "$pip" 2>/dev/null || true
+            rm -f "$unfinished"
+            tried=$(grep -o 'multiple versions of [^ ]*' "$log" | sort -u | sed 's/.* of //' | tr '\n' ' ')
+            die "pip found no versions that go together within $resolving_s_max s; it tried many of: $tried." \
+                "Remove what constrains them (PIP_CONSTRAINT, pip.conf), or use a newer pip"
+        fi
+    done
+    wait "$pip"
 }
 
 install_project() {

@@ -13,7 +13,7 @@ from urllib.parse import urlsplit
 from audioflinger_hook.catalogue.timing import StorageError
 from device.errors import CushionError, UsageError
 
-EXTRA = "URLs need fsspec; pip install 'haptic-cushion[remote]', and for s3:// also s3fs"
+EXTRA = "URLs need fsspec; pip install 'haptic-cushion[remote]', for s3:// 'haptic-cushion[s3]'"
 REMOVED = "[removed]"
 NO_CREDENTIALS = (
     "holds credentials; allowed: a URL without password, query and fragment; give credentials to "

@@ -223,8 +223,9 @@ def test_wrong_options_say_what_is_allowed(
     assert words in done.stderr
 
 
+@pytest.mark.servers
 def test_promtool_finds_no_fault_with_the_metrics(tmp_path: Path) -> None:
-    need([] if shutil.which("promtool") else ["promtool (tools/fetch_browser.sh)"])
+    need([] if shutil.which("promtool") else ["promtool"])
     with daemon_socket(tmp_path), page(tmp_path) as served, served.live() as live:
         message(live, "status")
         status, answer = served.request("/metrics", f"Authorization: Bearer {served.token}")

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.support.commands import sound
+from tests.support.commands import call, sound
 
 LOW_RATE = 8_000
 """Sounds of this rate take the least time."""
@@ -52,3 +52,9 @@ def manifest(path: Path, *lines: object) -> Path:
     texts = [line if isinstance(line, str) else json.dumps(line) for line in lines]
     path.write_text("".join(f"{text}\n" for text in texts))
     return path
+
+
+def expected(local: Path, tmp_path: Path) -> dict[str, bytes]:
+    """Return the results of the same library on this machine."""
+    assert call("catalogue", local, "--out", tmp_path / "local", "--workers", 1).code == 0
+    return results(tmp_path / "local")

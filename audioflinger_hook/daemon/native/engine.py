@@ -10,9 +10,8 @@ import math
 from collections.abc import Callable
 from pathlib import Path
 
-from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.daemon.inputs.applications import Applications
-from audioflinger_hook.daemon.native.chain import NAME, Chain
+from audioflinger_hook.daemon.native.chains import FADE_S, Chains
 from audioflinger_hook.daemon.native.page import Page, TransformReadings
 from audioflinger_hook.daemon.native.plan import ChainPlan, device_map
 from audioflinger_hook.daemon.native.ports import port_names
@@ -20,32 +19,15 @@ from audioflinger_hook.daemon.native.running import RunningChain
 from audioflinger_hook.daemon.native.taps import Tap, tap_of
 from audioflinger_hook.daemon.native.wiring import ChainEnds, ChainWiring, why_unlinkable
 from audioflinger_hook.daemon.run_config import RunConfig
-from audioflinger_hook.daemon.timing import Backoff
 from audioflinger_hook.service.meters import Level
 from audioflinger_hook.service.state import Cause, StateKeeper
-from device.drive import ActuatorSettings
-from device.drive.rig_processor import damping_for
 from device.errors import LostError, NotFoundError, UsageError
-from device.rig import rig_by_name
 from device.server.graph_watch import GraphWatch
 from device.server.node_errors import NodeErrors
 from device.server.snapshot import Sink, Source
-from device.units import db_to_amplitude
-
-FADE_S = 0.4
-"""Longest wait for a chain to fade out. Its fade takes 40 ms; a graph that stands still, longer."""
-
-STUCK_S = 1.0
-"""A chain that processes nothing for so long although a stream plays is replaced."""
-
-START_S = 5.0
-"""Longest time from the start of a process to its ports."""
 
 REFUSED_S = 0.5
 """A link from a stream that is missing for so long is refused; then the monitor is tapped."""
-
-LONGEST_WAIT_S = 1.0
-"""Longest time between two starts."""
 
 
 class NativeEngine:
@@ -70,43 +52,37 @@ class NativeEngine:
         monitor_reason: str = "",
     ) -> None:
         self._config = config
-        self._folder = folder
         self._states = states
         self._watch = GraphWatch(on_change)
         self.errors = NodeErrors()
-        self._current: RunningChain | None = None
-        self._next: RunningChain | None = None
-        self._leaving: list[RunningChain] = []
-        self._backoff = Backoff(longest_s=LONGEST_WAIT_S)
+        self._chains = Chains(config, folder)
         self._tap: Tap | None = None
         self._wiring = ChainWiring()
         self._has_played = False
         self._faded_s = math.inf
-        self._sound_gain = 1.0
         self._must_use_monitor = bool(monitor_reason)
         self._session_manager: int | None = None
         self.waits_for = ""
         self.monitor_reason = monitor_reason
         self.audible = self.is_fed = False
-        for left_over in folder.glob(f"{NAME}-*"):  # of a daemon that was killed
-            left_over.unlink(missing_ok=True)
 
     @property
     def plan(self) -> ChainPlan | None:
         """What the chain does, None before the first one."""
-        current = self._current  # another thread may ask
+        current = self._chains.current  # another thread may ask
         return current.chain.plan if current else None
 
     @property
     def process_id(self) -> int:
         """Number of the chain's process, 0 for none."""
-        current = self._current
+        current = self._chains.current
         return current.chain.process_id if current else 0
 
     @property
     def is_steady(self) -> bool:
         """Whether it plays, and no other chain is about to."""
-        return self.audible and self._next is None and not self._leaving
+        chains = self._chains
+        return self.audible and chains.following is None and not chains.leaving
 
     @property
     def is_lost(self) -> bool:
@@ -120,13 +96,13 @@ class NativeEngine:
 
     def readings(self) -> TransformReadings | None:
         """Return what the transform reports, None before the first chain."""
-        current = self._current
+        current = self._chains.current
         return current.chain.page.readings() if current else None
 
     @property
     def lacks_realtime(self) -> bool:
         """Whether it was to have real-time priority and has none."""
-        current = self._current
+        current = self._chains.current
         return self._config.live.realtime and current is not None and current.has_realtime is False
 
     @property
@@ -137,25 +113,22 @@ class NativeEngine:
     @property
     def page(self) -> Page | None:
         """The page of the chain that plays, None before the first one."""
-        current = self._current
+        current = self._chains.current
         return current.chain.page if current else None
 
     def level(self, slot: int) -> Level:
         """Return the level of an actuator."""
-        current = self._current
+        current = self._chains.current
         return current.chain.page.level(slot) if current else Level()
 
     def follow(self, config: RunConfig) -> None:
         """Use another config; what the plugin cannot change itself needs a new chain."""
         self._config = config
-        for running in self._running():
-            self._set_actuators(running.chain)
+        self._chains.follow(config)
 
     def set_sound_gains(self, *, streams: float, monitor: float) -> None:
         """Set the factors on the sound of streams and of a monitor; the tap's is used."""
-        self._sound_gain = monitor if self.monitor_reason else streams
-        for running in self._running():
-            running.chain.page.set_sound_gain(self._sound_gain)
+        self._chains.set_sound_gain(monitor if self.monitor_reason else streams)
 
     def use_monitor(self, reason: str) -> None:
         """Tap the sink's monitor from now on, for this reason."""
@@ -178,21 +151,28 @@ class NativeEngine:
         if self._watch.lost:
             raise LostError("the connection to PipeWire's graph was lost")
         with self._watch.lock:
-            self._end_leaving(now_s)
+            graph, chains = self._watch.graph, self._chains
+            chains.end_leaving(graph, now_s)
             if not self._has_session():
                 return False
-            self._check(now_s)
-            self._make_chains(tap, now_s)
+            try:
+                chains.check(graph, now_s, is_fed=self.is_fed)
+            except LostError:
+                self.audible = self.audible and chains.current is not None
+                raise
+            plan = ChainPlan.of(self._config.settings, tap, chains.samplerate(graph))
+            chains.make(plan, now_s)
             self._wire(tap, device if linked else None, now_s)
             if not linked:
-                waiting = self._current or self._next
-                return waiting is not None and waiting.chain.is_in(self._watch.graph)
+                waiting = chains.current or chains.following
+                return waiting is not None and waiting.chain.is_in(graph)
             self._note_links(now_s)
             self._choose_way(now_s)
-        self._adopt_next(now_s)
-        self._let_play(now_s)
-        if self._current is not None:
-            self._current.look_for_priority(now_s)
+        chains.adopt(now_s)
+        self.audible = chains.let_play(now_s)
+        self._has_played |= self.audible
+        if chains.current is not None:
+            chains.current.look_for_priority(now_s)
         names = [name for chain in self._wiring.chains for name in (chain.tap, chain.vibration)]
         self.errors.update(names if self.is_fed else (), now_s)
         return self.audible
@@ -200,29 +180,27 @@ class NativeEngine:
     def lose_links(self, now_s: float) -> bool:
         """Remove all links, as tap or device is away; return whether the engine had played."""
         played, self._has_played = self._has_played, False
-        for running in self._running():
-            running.chain.page.set_audible(False)
+        self._chains.silence()
+        for running in self._chains.running:
             running.linked_s = math.inf
         self.audible = False
         with self._watch.lock:
-            self._end_leaving(now_s)
+            self._chains.end_leaving(self._watch.graph, now_s)
             self._wire(None, None, now_s)
         return played
 
     def fade_out(self, now_s: float) -> bool:
         """Let the vibration end softly; return whether it has ended. Repeat it until then."""
-        chains = self._running()
-        for running in chains:
-            running.chain.page.set_audible(False)
         self.audible = False
         self._faded_s = min(self._faded_s, now_s)
-        return all(one.is_silent for one in chains) or now_s - self._faded_s > FADE_S
+        return self._chains.silence() or now_s - self._faded_s > FADE_S
 
     def fade_in(self) -> None:
         """Let the vibration begin again after `fade_out`."""
         self._faded_s = math.inf
-        if self._current is not None and self._current.linked_s < math.inf:
-            self._current.chain.page.set_audible(True)
+        current = self._chains.current
+        if current is not None and current.is_linked:
+            current.chain.page.set_audible(True)
             self.audible = True
 
     def leave(self, now_s: float) -> bool:
@@ -230,25 +208,20 @@ class NativeEngine:
 
         Only after `fade_out`.
         """
-        self._leaving += self._running()
-        self._current = self._next = None
+        chains, graph = self._chains, self._watch.graph
+        chains.leaving += chains.running
+        chains.current = chains.following = None
         with self._watch.lock:
             self._wire(None, None, now_s)
-            still_in = [one for one in self._leaving if not one.has_left(self._watch.graph, now_s)]
-        return not still_in
+            have_left = [one.has_left(graph, now_s) for one in chains.leaving]
+        return all(have_left)
 
     def close(self) -> None:
         """End everything. May be repeated; raises nothing."""
-        for running in (*self._running(), *self._leaving):
-            running.chain.close()
-        self._current = self._next = None
-        self._leaving.clear()
+        self._chains.close()
         self.audible = False
         self.errors.close()
         self._watch.close()
-
-    def _running(self) -> list[RunningChain]:
-        return [one for one in (self._current, self._next) if one is not None]
 
     def _note_moves(self, tap: Tap) -> None:
         before, self._tap = self._tap, tap
@@ -270,91 +243,17 @@ class NativeEngine:
         known, seen = self._session_manager, self._watch.graph.session_manager
         if known is not None and seen != known and not self.waits_for:
             self._states.count(Cause.SERVER_LOST, "PipeWire's session manager has ended")
-            for running in (*self._running(), *self._leaving):
-                running.chain.close()
-            self._current = self._next = None
-            self._leaving.clear()
+            self._chains.close()
             self.audible = self.is_fed = False
         self._session_manager = seen if seen is not None else known
         gone = known is not None and seen is None
         self.waits_for = "PipeWire's session manager (WirePlumber) does not run" if gone else ""
         return not gone
 
-    def _check(self, now_s: float) -> None:
-        """Drop chains that have ended or hang; raise LostError for the playing one."""
-        for running in (self._next, self._current):
-            if running is None:
-                continue
-            try:
-                running.chain.check()
-                if running.chain.is_stopped:
-                    raise LostError("the native engine's process was stopped")
-                if (
-                    running.linked_s == math.inf
-                    and now_s - running.began_s > START_S
-                    and not running.chain.is_in(self._watch.graph)
-                ):
-                    raise LostError("the native engine did not appear in PipeWire's graph")
-                self._note_frames(running, now_s)
-                if running is self._next and self._is_stuck(running, now_s):
-                    raise LostError("the native engine processes nothing although sound plays")
-            except LostError:
-                self._backoff.failed(now_s)
-                running.chain.close()
-                if running is self._next:
-                    self._next = None
-                else:
-                    self._current = None
-                    self.audible = False
-                raise
-
-    def _note_frames(self, running: RunningChain, now_s: float) -> None:
-        frames = running.chain.page.frames
-        if frames != running.frames or not self.is_fed or running.linked_s == math.inf:
-            running.frames, running.moved_s = frames, now_s
-
-    def _is_stuck(self, running: RunningChain, now_s: float) -> bool:
-        return now_s - running.moved_s > STUCK_S
-
-    def _make_chains(self, tap: Tap, now_s: float) -> None:
-        """Begin another chain where the present one is for something else, or is stuck."""
-        current, following = self._current, self._next
-        plan = ChainPlan.of(self._config.settings, tap, self._samplerate())
-        wanted = current is None or current.chain.plan != plan
-        if wanted or (current is not None and self._is_stuck(current, now_s)):
-            self._begin_next(plan, now_s)
-        elif following is not None and following.linked_s == math.inf:
-            following.chain.close()  # the present one has gone on by itself
-            self._next = None
-
-    def _samplerate(self) -> int:
-        """Return the rate at which the host runs the plugin; before it does, the server's."""
-        for running in reversed(self._running()):
-            if running.chain.page.samplerate:
-                return running.chain.page.samplerate
-            if running is self._next:
-                return running.chain.plan.samplerate
-        return self._watch.graph.clock_hz or 48_000
-
-    def _begin_next(self, plan: ChainPlan, now_s: float) -> None:
-        if self._next is not None and self._next.chain.plan == plan:
-            return
-        if self._next is not None:
-            self._next.chain.close()
-            self._next = None
-        if self._backoff.wait_s(now_s) > 0.0:
-            return
-        chain = Chain(plan, self._folder, realtime=self._config.live.realtime)
-        self._next = RunningChain(chain, now_s, moved_s=now_s)
-        chain.page.set_sound_gain(self._sound_gain)
-        self._set_damping(chain)
-        self._set_actuators(chain)
-
     def _wire(self, tap: Tap | None, device: Sink | None, now_s: float) -> None:
         """Have the chains linked to tap and device, or to nothing without a device."""
-        ends = [one.chain.ends() for one in self._leaving]
-        for running in self._running():
-            ends.append(self._ends(running, tap, device))
+        ends = [one.chain.ends() for one in self._chains.leaving]
+        ends += [self._ends(running, tap, device) for running in self._chains.running]
         self._wiring = ChainWiring(
             chains=tuple(ends),
             tap=tap,
@@ -373,7 +272,7 @@ class NativeEngine:
         try:
             played = device_map(self._config.settings, plan, device).sources
         except UsageError:
-            if running is self._next or self._next is None:
+            if running is self._chains.following or self._chains.following is None:
                 raise
             return running.chain.ends()
         return running.chain.ends(played, linked=True)
@@ -382,7 +281,7 @@ class NativeEngine:
         """Note since when each chain is linked. Streams come and go; the device must be there."""
         graph, keeper = self._watch.graph, self._watch.keeper
         ends = {chain.tap: chain for chain in self._wiring.chains}
-        for running in self._running():
+        for running in self._chains.running:
             chain = ends[running.chain.tap]
             wanted = self._wiring.device_links(graph, chain) if chain.linked else set()
             if len(wanted) < sum(actuator is not None for actuator in chain.played):
@@ -391,9 +290,9 @@ class NativeEngine:
                 from_tap = self._wiring.tap_links(graph, chain)
                 wanted = wanted | from_tap if from_tap else set()
             if wanted and chain.tap_ports(graph) and keeper.are_there(wanted):
-                if running.linked_s == math.inf:
+                if not running.is_linked:
                     running.linked_s = running.moved_s = now_s
-                    self._backoff.succeeded()
+                    self._chains.backoff.succeeded()
             else:
                 running.linked_s = math.inf
 
@@ -415,52 +314,3 @@ class NativeEngine:
         if not tap.has_monitor:
             raise NotFoundError(f"{refused}, so applications cannot be chosen")
         self.monitor_reason = refused
-
-    def _end_leaving(self, now_s: float) -> None:
-        for running in tuple(self._leaving):
-            if running.has_left(self._watch.graph, now_s):
-                self._leaving.remove(running)
-                running.chain.close()
-
-    def _adopt_next(self, now_s: float) -> None:
-        """Let the next chain take the place of one that has faded out."""
-        old, new = self._current, self._next
-        if new is None or new.linked_s == math.inf:
-            return
-        if old is None:
-            self._current, self._next = new, None
-        elif new.is_settled(now_s) and (old.is_silent or now_s - old.moved_s >= FADE_S):
-            self._leaving.append(old)
-            self._current, self._next = new, None
-
-    def _let_play(self, now_s: float) -> None:
-        """Fade the chains in or out: the next one takes over when it has settled."""
-        takes_over = self._next is not None and self._next.is_settled(now_s)
-        self.audible = False
-        for running in self._running():
-            chosen = self._next if takes_over else self._current
-            plays = running is chosen and running.linked_s < math.inf
-            running.chain.page.set_audible(plays)
-            self.audible |= plays
-        self._has_played |= self.audible
-
-    def _set_actuators(self, chain: Chain) -> None:
-        settings, offset_s = self._config.settings, max(0.0, self._config.live.offset_s)
-        level = 0.0 if self._config.muted else db_to_amplitude(settings.gain_db)
-        if not settings.actuators:
-            for slot in range(len(chain.plan.actuators)):
-                chain.page.set_actuator(slot, level, offset_s)
-        for slot, actuator in enumerate(settings.actuators[: len(chain.plan.actuators)]):
-            delay_s = offset_s + 1e-3 * actuator.delay_ms
-            chain.page.set_actuator(slot, level * actuator.factor, delay_s)
-
-    def _set_damping(self, chain: Chain) -> None:
-        settings = self._config.settings
-        actuators: tuple[ActuatorSettings | Settings, ...] = settings.actuators or (settings,)
-        for slot in range(len(chain.plan.actuators)):
-            one = actuators[min(slot, len(actuators) - 1)]
-            if (one.damping or settings.damping) == "off":
-                continue
-            rig = rig_by_name(one.rig or settings.rig)
-            damping = damping_for(rig.actuator, rig.amplifier.source_impedance_ohm)
-            chain.page.set_damping(slot, damping, chain.plan.samplerate)

@@ -48,6 +48,21 @@ class RunningChain:
         if self.has_realtime is None and now_s - self.linked_s > PRIORITY_S:
             self.has_realtime = has_realtime(self.chain.process_id)
 
+    @property
+    def is_linked(self) -> bool:
+        """Whether it has all its links."""
+        return self.linked_s < math.inf
+
+    def note_frames(self, now_s: float, *, is_fed: bool) -> None:
+        """Note whether it has processed something; is_fed: whether it has something to."""
+        frames = self.chain.page.frames
+        if frames != self.frames or not is_fed or not self.is_linked:
+            self.frames, self.moved_s = frames, now_s
+
+    def stands_s(self, now_s: float) -> float:
+        """Return how long it has processed nothing although it should."""
+        return now_s - self.moved_s
+
     def is_settled(self, now_s: float) -> bool:
         """Whether its vibration is that of a chain that has always run."""
         heard = self.chain.page.frames >= SETTLED_FRAMES

@@ -1,0 +1,194 @@
+"""The chain that plays, the next one while it settles, and those that leave the graph."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from audioflinger_hook.config.settings import Settings
+from audioflinger_hook.daemon.native.chain import NAME, Chain
+from audioflinger_hook.daemon.native.plan import ChainPlan
+from audioflinger_hook.daemon.native.running import RunningChain
+from audioflinger_hook.daemon.run_config import RunConfig
+from audioflinger_hook.daemon.timing import Backoff
+from device.drive import ActuatorSettings
+from device.drive.rig_processor import damping_for
+from device.errors import LostError
+from device.rig import rig_by_name
+from device.server.graph import Graph
+from device.units import db_to_amplitude
+
+FADE_S = 0.4
+"""Longest wait for a chain to fade out. Its fade takes 40 ms; a graph that stands still, longer."""
+
+STUCK_S = 1.0
+"""A chain that processes nothing for so long although a stream plays is replaced."""
+
+START_S = 5.0
+"""Longest time from the start of a process to its ports."""
+
+LONGEST_WAIT_S = 1.0
+"""Longest time between two starts."""
+
+
+class Chains:
+    """All chains of one engine. For the supervising thread alone; attributes are for any thread.
+
+    folder: private, for files. current: the chain that plays, or would. following: the one that is
+    to replace it. leaving: those that are being unlinked. backoff: delays starts after failures.
+    """
+
+    def __init__(self, config: RunConfig, folder: Path) -> None:
+        self._config = config
+        self._folder = folder
+        self._sound_gain = 1.0
+        self.backoff = Backoff(longest_s=LONGEST_WAIT_S)
+        self.current: RunningChain | None = None
+        self.following: RunningChain | None = None
+        self.leaving: list[RunningChain] = []
+        for left_over in folder.glob(f"{NAME}-*"):  # of a daemon that was killed
+            left_over.unlink(missing_ok=True)
+
+    @property
+    def running(self) -> list[RunningChain]:
+        """Return the current and the following chain, as far as there are any."""
+        return [one for one in (self.current, self.following) if one is not None]
+
+    def follow(self, config: RunConfig) -> None:
+        """Use another config for levels and delays."""
+        self._config = config
+        for running in self.running:
+            set_actuators(running.chain, config)
+
+    def set_sound_gain(self, gain: float) -> None:
+        """Set the factor on the tapped sound."""
+        self._sound_gain = gain
+        for running in self.running:
+            running.chain.page.set_sound_gain(gain)
+
+    def check(self, graph: Graph, now_s: float, *, is_fed: bool) -> None:
+        """Drop chains that have ended or hang, and raise LostError for them.
+
+        is_fed: whether a stream plays that is tapped, so that frames must be processed.
+        """
+        for running in (self.following, self.current):
+            if running is None:
+                continue
+            try:
+                running.chain.check()
+                if running.chain.is_stopped:
+                    raise LostError("the native engine's process was stopped")
+                if (
+                    not running.is_linked
+                    and now_s - running.began_s > START_S
+                    and not running.chain.is_in(graph)
+                ):
+                    raise LostError("the native engine did not appear in PipeWire's graph")
+                running.note_frames(now_s, is_fed=is_fed)
+                if running is self.following and running.stands_s(now_s) > STUCK_S:
+                    raise LostError("the native engine processes nothing although sound plays")
+            except LostError:
+                self.backoff.failed(now_s)
+                running.chain.close()
+                if running is self.following:
+                    self.following = None
+                else:
+                    self.current = None
+                raise
+
+    def make(self, plan: ChainPlan, now_s: float) -> None:
+        """Begin another chain where the present one is for something else, or is stuck."""
+        current, following = self.current, self.following
+        if current is None or current.chain.plan != plan or current.stands_s(now_s) > STUCK_S:
+            self._begin(plan, now_s)
+        elif following is not None and not following.is_linked:
+            following.chain.close()  # the present one has gone on by itself
+            self.following = None
+
+    def samplerate(self, graph: Graph) -> int:
+        """Return the rate at which the host runs the plugin; before it does, the server's."""
+        for running in reversed(self.running):
+            if running.chain.page.samplerate:
+                return running.chain.page.samplerate
+            if running is self.following:
+                return running.chain.plan.samplerate
+        return graph.clock_hz or 48_000
+
+    def adopt(self, now_s: float) -> None:
+        """Let the following chain take the place of one that has faded out."""
+        old, new = self.current, self.following
+        if new is None or not new.is_linked:
+            return
+        if old is None:
+            self.current, self.following = new, None
+        elif new.is_settled(now_s) and (old.is_silent or old.stands_s(now_s) >= FADE_S):
+            self.leaving.append(old)
+            self.current, self.following = new, None
+
+    def let_play(self, now_s: float) -> bool:
+        """Fade the chains in or out, and return whether one plays.
+
+        The following one takes over when it has settled.
+        """
+        takes_over = self.following is not None and self.following.is_settled(now_s)
+        chosen = self.following if takes_over else self.current
+        for running in self.running:
+            running.chain.page.set_audible(running is chosen and running.is_linked)
+        return chosen is not None and chosen.is_linked
+
+    def silence(self) -> bool:
+        """Let all chains fade out; return whether they have."""
+        running = self.running
+        for one in running:
+            one.chain.page.set_audible(False)
+        return all(one.is_silent for one in running)
+
+    def end_leaving(self, graph: Graph, now_s: float) -> None:
+        """End the chains that have left the graph."""
+        for running in tuple(self.leaving):
+            if running.has_left(graph, now_s):
+                self.leaving.remove(running)
+                running.chain.close()
+
+    def close(self) -> None:
+        """End all chains at once. May be repeated; raises nothing."""
+        for running in (*self.running, *self.leaving):
+            running.chain.close()
+        self.current = self.following = None
+        self.leaving.clear()
+
+    def _begin(self, plan: ChainPlan, now_s: float) -> None:
+        if self.following is not None and self.following.chain.plan == plan:
+            return
+        if self.following is not None:
+            self.following.chain.close()
+            self.following = None
+        if self.backoff.wait_s(now_s) > 0.0:
+            return
+        chain = Chain(plan, self._folder, realtime=self._config.live.realtime)
+        self.following = RunningChain(chain, now_s, moved_s=now_s)
+        chain.page.set_sound_gain(self._sound_gain)
+        _set_damping(chain, self._config.settings)
+        set_actuators(chain, self._config)
+
+
+def set_actuators(chain: Chain, config: RunConfig) -> None:
+    """Set the levels and delays of a chain's actuators as a config has them."""
+    settings, offset_s = config.settings, max(0.0, config.live.offset_s)
+    level = 0.0 if config.muted else db_to_amplitude(settings.gain_db)
+    if not settings.actuators:
+        for slot in range(len(chain.plan.actuators)):
+            chain.page.set_actuator(slot, level, offset_s)
+    for slot, actuator in enumerate(settings.actuators[: len(chain.plan.actuators)]):
+        delay_s = offset_s + 1e-3 * actuator.delay_ms
+        chain.page.set_actuator(slot, level * actuator.factor, delay_s)
+
+
+def _set_damping(chain: Chain, settings: Settings) -> None:
+    actuators: tuple[ActuatorSettings | Settings, ...] = settings.actuators or (settings,)
+    for slot in range(len(chain.plan.actuators)):
+        one = actuators[min(slot, len(actuators) - 1)]
+        if (one.damping or settings.damping) == "off":
+            continue
+        rig = rig_by_name(one.rig or settings.rig)
+        damping = damping_for(rig.actuator, rig.amplifier.source_impedance_ohm)
+        chain.page.set_damping(slot, damping, chain.plan.samplerate)
