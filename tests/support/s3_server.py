@@ -43,7 +43,7 @@ class FailingServer:
         return found
 
 
-class _Quiet(WSGIRequestHandler):
+class _Quiet(WSGIRequestHandler):  # type: ignore[misc, unused-ignore]
     def log(self, *_arguments: Any) -> None:
         """Print nothing."""
 
