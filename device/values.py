@@ -202,6 +202,11 @@ class Text(Description):
         return {"type": "string", "minLength": 1}
 
 
+def _type_name(kind: Any) -> str:
+    """Return a type as it is written; Python 3.13 puts Path into pathlib._local."""
+    return str(getattr(kind, "__name__", kind)).replace("pathlib._local.", "pathlib.")
+
+
 class Described:
     """Base of dataclasses whose fields are described: `Annotated[type, Number(...)]`.
 
@@ -220,7 +225,7 @@ class Described:
         text = inspect.cleandoc(cls.__doc__ or "")
         text += "" if "\nAttributes\n---" in text else "\n\nAttributes\n----------"
         for name, described in cls.DESCRIPTIONS.items():
-            kind = getattr(hints[name].__origin__, "__name__", hints[name].__origin__)
+            kind = _type_name(hints[name].__origin__)
             meaning = f"{described.meaning[0].upper()}{described.meaning[1:]}"
             text += f"\n{name} : {kind}\n    {meaning}. Allowed: {described.allowed}."
         cls.__doc__ = text

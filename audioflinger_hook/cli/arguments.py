@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import re
 import sys
 from collections.abc import Callable, Sequence
 from typing import Any, NoReturn
@@ -47,14 +46,17 @@ class Parser(argparse.ArgumentParser):
             self.any_order = True
 
     def error(self, message: str) -> NoReturn:
-        """Raise UsageError; of unknown words, the nearest known one is named."""
-        found = re.fullmatch(r"argument \S+: invalid choice: '(.*)' \(choose from (.*)\)", message)
-        if found:
-            known = re.findall(r"'([^']+)'", found[2])
-            guess = nearest(found[1], known)
-            allowed = f"did you mean {guess}?" if guess else f"allowed: {', '.join(known)}"
-            message = f"{found[1]!r} is not known; {allowed}"
+        """Raise UsageError."""
         raise UsageError(f"{message}; see `{self.prog} --help`")
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        """Refuse an unknown word and name the nearest known one; argparse calls it, as it is."""
+        if action.choices is None or value in action.choices:
+            return
+        known = [str(choice) for choice in action.choices]
+        guess = nearest(str(value), known)
+        allowed = f"did you mean {guess}?" if guess else f"allowed: {', '.join(known)}"
+        self.error(f"{str(value)!r} is not known; {allowed}")
 
 
 def join_lists(arguments: Sequence[str]) -> list[str]:

@@ -4,7 +4,7 @@
     python -m tests.golden.golden --write                 record digests.json again
 
 Recordings are cut to their first `EXCERPT_S` seconds, so that a full run takes a minute. Digests
-hold for one kind of machine, whose libraries round logarithms, cosines and spectra in their
+hold for one kind of machine, whose libraries round logarithms, spectra and matrices in their
 way. The entry `machine` is a probe of these; where it differs, nothing can be compared.
 """
 
@@ -72,9 +72,12 @@ def digest(content: bytes) -> str:
 
 
 def machine() -> str:
-    """Return a digest of how this machine rounds logarithms, cosines and spectra."""
+    """Return a digest of how this machine rounds logarithms, cosines, spectra and matrices."""
     x = np.linspace(0.1, 9.7, 5_000)
     parts = [np.log(x), np.cos(x), np.exp(-x), np.tanh(x), np.abs(scipy.fft.rfft(x))]
+    square = np.cos(np.outer(x[:24], x[:24] + 3.0))
+    parts += [square @ square, np.linalg.solve(square + 9.0 * np.eye(24), x[:24])]
+    parts += [np.abs(np.roots(x[:13])), np.linalg.svd(square, compute_uv=False)]
     return digest(b"".join(part.tobytes() for part in parts))
 
 
