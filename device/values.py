@@ -204,7 +204,8 @@ class Text(Description):
 
 def _type_name(kind: Any) -> str:
     """Return a type as it is written; Python 3.13 puts Path into pathlib._local."""
-    return str(getattr(kind, "__name__", kind)).replace("pathlib._local.", "pathlib.")
+    name = kind.__name__ if isinstance(kind, type) else str(kind)
+    return name.replace("pathlib._local.", "pathlib.")
 
 
 class Described:

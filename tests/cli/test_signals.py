@@ -92,7 +92,7 @@ def test_a_terminal_that_is_closed_ends_a_run_whose_meter_it_shows_like_ctrl_c(
     sound, felt = tmp_path / "sound.wav", tmp_path / "felt.wav"
     soundfile.write(sound, np.full(48_000 * 60, 0.1), 48_000)
     run = ("run", "--tap", f"file:{sound}", "--device", f"wav:{felt}")
-    with Terminal(*run, env={"TERM": "xterm"}) as terminal:
+    with Terminal(*run, env={"TERM": "xterm", "XDG_RUNTIME_DIR": str(tmp_path)}) as terminal:
         terminal.expect("█")
         terminal.close()
         assert terminal.process.wait(DEADLINE_S) == 130
