@@ -66,7 +66,7 @@ class FilmTap:
         self._path = path
         self._errors = (av.error.FFmpegError, ValueError)
         try:
-            self._container: Any = av.open(str(path), metadata_errors="replace")
+            self._container: Any = _opened(av, path)
         except (*self._errors, OSError) as error:
             raise UsageError(f"{path} cannot be read as a film ({_reason(error)})") from None
         try:
@@ -172,6 +172,13 @@ class FilmTap:
     def _note(self, error: Exception) -> None:
         if not self.warnings:
             self.warnings.append(f"{self._path} is damaged ({_reason(error)}); its sound was taken")
+
+
+def _opened(av: Any, path: Path) -> Any:
+    """Open a film whose titles may be in any encoding; PyAV 19 takes them so by itself."""
+    if int(av.__version__.partition(".")[0]) >= 19:
+        return av.open(str(path))
+    return av.open(str(path), metadata_errors="replace")
 
 
 def _reason(error: Exception) -> str:
