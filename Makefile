@@ -7,7 +7,7 @@ PYTEST_ARGS ?=
 # that tests start would compile every module again.
 unexport PYTHONPATH PYTHONHOME PYTHONDONTWRITEBYTECODE
 
-.PHONY: help run test check lock test-all test-exhaustive test-s3 test-servers test-browser test-usb soak bench docs clean
+.PHONY: help run test check lock test-all test-exhaustive test-s3 test-servers test-pipewire test-browser test-usb soak bench docs clean
 .NOTPARALLEL:
 
 help:
@@ -18,6 +18,7 @@ help:
 	@echo 'make test-exhaustive   more cases of the same properties'
 	@echo 'make test-s3           storages with the S3 API'
 	@echo 'make test-servers      live sound, on sound servers of its own'
+	@echo 'make test-pipewire     the same on PipeWire 1.4 and 1.6, in roots of newer Debians (SUITES="trixie sid")'
 	@echo 'make test-browser      the live page, in a browser, on a sound server of its own'
 	@echo 'make test-usb          USB sound cards of a real kernel, in a virtual machine'
 	@echo 'make soak    the tests that take minutes'
@@ -74,6 +75,14 @@ test-servers:
 	.venv/bin/python -m pytest -m "servers and calm" -n 2 --dist loadfile $(PYTEST_ARGS) \
 	    tests/servers || failed=1; \
 	exit $$failed
+
+SUITES ?= trixie sid
+
+test-pipewire:
+	@failed=0; for suite in $(SUITES); do \
+	    echo "== $$suite"; \
+	    bash tools/debian_root.sh $$suite make test-servers PYTEST_ARGS='$(PYTEST_ARGS)' || failed=1; \
+	done; exit $$failed
 
 test-browser:
 	@sh tools/setup.sh test

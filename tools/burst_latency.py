@@ -1,0 +1,101 @@
+"""How late bursts are felt on PipeWire: tools/burst_latency.py [--quantum N ...] [--rate HZ ...]
+
+Starts a sound server of its own with `cushion run`, plays bursts of 150, 440 and 900 Hz, and
+reports the delay of their vibration to a tenth and to half of its peak. Sound and vibration are
+recorded in one stream, the sound at a third sink that does not drive the graph.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tempfile
+from collections.abc import Iterator
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from device.errors import CushionError, LostError
+from tools.live_latency.burst_record import BurstRecord, keep_records, to_json
+from tools.live_latency.bursts import REFERENCE, burst_delays
+from tools.live_latency.daemon import running_daemon, status_of_daemon
+from tools.live_latency.recording import server_name
+from tools.records import now
+from tools.sound_server import ServerError, SoundServer
+
+
+def main() -> int:
+    """Measure, print, keep; the exit code is 1 where nothing could be measured."""
+    parser = argparse.ArgumentParser(description="Measure how late bursts are felt on PipeWire.")
+    parser.add_argument("--quantum", type=int, nargs="+", default=[1024, 256], metavar="N")
+    parser.add_argument("--rate", type=int, nargs="+", default=[48_000], metavar="HZ")
+    parser.add_argument("--engine", choices=("native", "python"), nargs="+", default=["native"])
+    parser.add_argument("--count", type=int, default=60, metavar="N", help="bursts of each run")
+    parser.add_argument("--json", action="store_true", help="one JSON document on stdout")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="keep the results there")
+    options = parser.parse_args()
+    records = []
+    try:
+        for record in _measured(options):
+            records.append(record)
+            if options.out:
+                keep_records([record], options.out)
+            if not options.json:
+                print(record.told, flush=True)
+    except (CushionError, ServerError) as error:
+        print(f"burst_latency: error: {error}", file=sys.stderr)
+        return 1
+    if options.json:
+        print(json.dumps(to_json(records), indent=2))
+    return 0
+
+
+def _measured(options: argparse.Namespace) -> Iterator[BurstRecord]:
+    for engine, rate, quantum in product(options.engine, options.rate, options.quantum):
+        with (
+            tempfile.TemporaryDirectory(prefix="latency-") as folder,
+            SoundServer("pipewire", Path(folder)) as server,
+        ):
+            server.add_reference(REFERENCE)
+            server.set_clock("force-quantum", quantum)
+            server.set_clock("force-rate", rate)
+            with running_daemon(
+                "haptic", server.environment, server.folder, arguments=("--engine", engine)
+            ):
+                yield measured_here(server, quantum, rate, options.count, Path(folder))
+
+
+def measured_here(
+    server: SoundServer, quantum: int, rate: int, count: int, folder: Path
+) -> BurstRecord:
+    """Return the delays of the daemon that runs on a server with a reference sink.
+
+    LostError: no burst was felt, or the daemon does not answer.
+    """
+    found = burst_delays(count, rate, folder, server.environment)
+    status = status_of_daemon(server.environment)
+    if status is None or not found.half_ms.size:
+        raise LostError("no burst was felt")
+    graph = status.graph
+    return BurstRecord(
+        server=server_name(server.environment),
+        engine=status.engine,
+        tap=graph.tap if graph else "monitor",
+        quantum_frames=quantum,
+        rate_hz=rate,
+        date=now(),
+        bursts=int(found.half_ms.size),
+        tenth_median_ms=float(np.median(found.tenth_ms)),
+        tenth_p95_ms=float(np.percentile(found.tenth_ms, 95.0)),
+        half_median_ms=float(np.median(found.half_ms)),
+        half_p95_ms=float(np.percentile(found.half_ms, 95.0)),
+        budget_ms=status.latency.total_ms,
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())
