@@ -10,6 +10,9 @@ WINDOW_S = 60.0
 STEP_S = 5.0
 """What is counted, and how often."""
 
+KNOWN_S = 20.0
+"""A share of less time says nothing of the setting."""
+
 SHARE = 0.01
 """Share of the samples from which limiting is felt as flat peaks."""
 
@@ -31,7 +34,8 @@ class LimitAdvice:
             while now_s - counts[0][0] > WINDOW_S:
                 counts.popleft()
             heard = frames - counts[0][2]
-            self._share = (limited - counts[0][1]) / heard if heard > 0 else 0.0
+            known = heard > 0 and now_s - counts[0][0] >= KNOWN_S
+            self._share = (limited - counts[0][1]) / heard if known else 0.0
 
     def advice(self, settings: Settings) -> str:
         """Return which setting to lower, "" while little is limited."""
