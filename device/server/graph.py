@@ -127,11 +127,14 @@ class Graph:
 
     @property
     def session_manager(self) -> int | None:
-        """The id of the client that links streams to sinks, None while none runs."""
-        found = self._clients.items()
-        return next(
-            (id for id, of in found if of.get("application.name") in SESSION_MANAGERS), None
-        )
+        """The serial number of the client that links streams to sinks, None while none runs.
+
+        Its id may be that of the one before.
+        """
+        for client in self._clients.values():
+            if client.get("application.name") in SESSION_MANAGERS:
+                return _number(client.get("object.serial"))
+        return None
 
     def properties_of(self, node: Node) -> dict[str, str]:
         """Return the properties of a node and of the client that made it, as text."""

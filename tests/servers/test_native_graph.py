@@ -350,14 +350,17 @@ def test_an_engine_without_real_time_priority_says_how_to_get_it(
     assert "limits.d" in warned[0]
 
 
-def test_wireplumber_may_be_restarted_while_it_plays(pipewire: SoundServer, tmp_path: Path) -> None:
-    with (
-        ExitStack() as player,
-        native(pipewire, tmp_path) as (daemon, felt),
-    ):
-        player.enter_context(playing(pipewire, "desktop", tone(HEARD_HZ, 120.0)))
-        wait_for(lambda: felt_now(felt), "vibration", 20.0)
-        player.close()
+def test_wireplumber_may_be_restarted_while_the_engine_runs(
+    pipewire: SoundServer, tmp_path: Path
+) -> None:
+    with running(pipewire, engine="native") as daemon:
+        with (
+            playing(pipewire, "desktop", tone(HEARD_HZ, 120.0)),
+            recording(pipewire, "haptic.monitor", tmp_path / "felt") as felt,
+        ):
+            wait_for(lambda: felt_now(felt), "vibration", 20.0)
+        # WirePlumber 0.4 links nobody while a stream is there that played before it started. These
+        # two have ended; those of the engine must end by themselves.
         pipewire.restart_wireplumber()
         with (
             playing(pipewire, "desktop", tone(OTHER_HZ, 60.0), name="later"),

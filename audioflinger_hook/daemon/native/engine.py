@@ -185,6 +185,7 @@ class NativeEngine:
             running.linked_s = math.inf
         self.audible = False
         with self._watch.lock:
+            self._has_session()
             self._chains.end_leaving(self._watch.graph, now_s)
             self._wire(None, None, now_s)
         return played

@@ -162,3 +162,14 @@ def test_a_link_that_stays_paused_beside_an_active_one_is_made_again() -> None:
     assert sent == []
     keeper.update(1.4 + PAUSED_S)
     assert sent == ["destroy 71"]
+
+
+def test_another_session_manager_is_known_by_its_serial_number_as_ids_come_back() -> None:
+    graph = desktop()
+    assert graph.session_manager is None
+    for serial in (81, 97):
+        props = {"application.name": "WirePlumber", "object.serial": serial}
+        graph.apply([{"id": 5, "type": "PipeWire:Interface:Client", "info": {"props": props}}])
+        assert graph.session_manager == serial
+    graph.apply([gone(5)])
+    assert graph.session_manager is None
