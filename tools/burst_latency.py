@@ -19,11 +19,13 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from audioflinger_hook.service.status import Status
 from device.errors import CushionError, LostError
 from tools.live_latency.burst_record import BurstRecord, keep_records, to_json
 from tools.live_latency.bursts import REFERENCE, burst_delays
 from tools.live_latency.daemon import running_daemon, status_of_daemon
 from tools.live_latency.recording import server_name
+from tools.live_latency.refusing import refusing_pw_cli
 from tools.records import now
 from tools.sound_server import ServerError, SoundServer
 
@@ -34,6 +36,10 @@ def main() -> int:
     parser.add_argument("--quantum", type=int, nargs="+", default=[1024, 256], metavar="N")
     parser.add_argument("--rate", type=int, nargs="+", default=[48_000], metavar="HZ")
     parser.add_argument("--engine", choices=("native", "python"), nargs="+", default=["native"])
+    parser.add_argument(
+        "--tap", choices=("streams", "monitor"), nargs="+", default=["streams"],
+        help="of the native engine; monitor: links from streams are refused on purpose",
+    )  # fmt: skip
     parser.add_argument("--count", type=int, default=60, metavar="N", help="bursts of each run")
     parser.add_argument("--json", action="store_true", help="one JSON document on stdout")
     parser.add_argument("--out", type=Path, metavar="FILE", help="keep the results there")
@@ -55,7 +61,9 @@ def main() -> int:
 
 
 def _measured(options: argparse.Namespace) -> Iterator[BurstRecord]:
-    for engine, rate, quantum in product(options.engine, options.rate, options.quantum):
+    for engine, tap, rate, quantum in product(
+        options.engine, options.tap, options.rate, options.quantum
+    ):
         with (
             tempfile.TemporaryDirectory(prefix="latency-") as folder,
             SoundServer("pipewire", Path(folder)) as server,
@@ -63,8 +71,10 @@ def _measured(options: argparse.Namespace) -> Iterator[BurstRecord]:
             server.add_reference(REFERENCE)
             server.set_clock("force-quantum", quantum)
             server.set_clock("force-rate", rate)
+            refused = refusing_pw_cli(Path(folder)) if tap == "monitor" else {}
+            environment = server.environment | refused
             with running_daemon(
-                "haptic", server.environment, server.folder, arguments=("--engine", engine)
+                "haptic", environment, server.folder, arguments=("--engine", engine)
             ):
                 yield measured_here(server, quantum, rate, options.count, Path(folder))
 
@@ -76,8 +86,15 @@ def measured_here(
 
     LostError: no burst was felt, or the daemon does not answer.
     """
-    found = burst_delays(count, rate, folder, server.environment)
-    status = status_of_daemon(server.environment)
+    seen: list[Status | None] = []
+    found = burst_delays(
+        count,
+        rate,
+        folder,
+        server.environment,
+        midway=lambda: seen.append(status_of_daemon(server.environment)),
+    )
+    status = seen[0]
     if status is None or not found.half_ms.size:
         raise LostError("no burst was felt")
     graph = status.graph

@@ -15,7 +15,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import contextmanager, nullcontext
 from itertools import product
 from pathlib import Path
 
@@ -28,11 +28,12 @@ from audioflinger_hook.config.settings import Settings
 from device.errors import CushionError, NotFoundError
 from tools.bench.sections.kept_records import USUAL_BLOCK_FRAMES
 from tools.bench.sounds.signals import stereo
+from tools.live_latency.bursts import REFERENCE, GraphOnce
 from tools.live_latency.daemon import running_daemon, status_of_daemon
 from tools.live_latency.lag import swelling_tone
 from tools.live_latency.measurement import WINDOW_S, Place, measure
 from tools.live_latency.record import LiveRecord, keep_records, to_json
-from tools.live_latency.recording import playing, samplerate_of
+from tools.live_latency.recording import PLAYER, playing, samplerate_of
 from tools.sound_server import PROGRAMS, ServerError, SoundServer
 
 LOOP_S = 60.0
@@ -131,10 +132,15 @@ def on_server(
     quantum: int | None = None,
 ) -> LiveRecord:
     """The record of a daemon that is started on this server."""
-    place = Place("desktop" + MONITOR, "haptic" + MONITOR, server.environment)
+    heard = "desktop"
+    if server.kind == "pipewire":
+        # the monitor of a sink that drives the graph is a cycle late
+        heard = REFERENCE
+        server.add_reference(REFERENCE)
+    place = Place(heard + MONITOR, "haptic" + MONITOR, server.environment)
     asked = None if block_frames == USUAL_BLOCK_FRAMES else block_frames
     with (
-        _tone(place, options.hz),
+        _tone(place, options.hz, "desktop"),
         running_daemon(
             "haptic",
             server.environment,
@@ -169,10 +175,19 @@ def _here(options: argparse.Namespace) -> Iterator[LiveRecord]:
         yield _measured(place, options, settings, None, name)
 
 
-def _tone(place: Place, hertz: float) -> AbstractContextManager[None]:
+@contextmanager
+def _tone(place: Place, hertz: float, sink: str = "") -> Iterator[None]:
+    """Play a tone to a sink, and to what is recorded where that is another one."""
     rate = samplerate_of(place.heard, place.environment)
+    heard = place.heard.removesuffix(MONITOR)
     sound = stereo(swelling_tone(hertz, LOOP_S, rate))
-    return playing(place.heard.removesuffix(MONITOR), sound, rate, place.environment)
+    with playing(sink or heard, sound, rate, place.environment):
+        if sink not in ("", heard):
+            graph = GraphOnce(place.environment)
+            inputs = graph.ports(heard, "playback_")
+            for channel, port in graph.ports(PLAYER, "output_").items():
+                graph.link(port, inputs[channel])
+        yield
 
 
 def _name(hertz: float) -> str:

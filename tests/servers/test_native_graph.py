@@ -5,8 +5,6 @@ These tests run on PipeWire 0.3, 1.4 and 1.6 alike.
 
 from __future__ import annotations
 
-import os
-import shutil
 import subprocess
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -21,6 +19,7 @@ from device.units import Float32Array
 from tests.servers.conftest import started
 from tests.servers.daemons import FELT, Daemon, felt_hz, felt_now, pitch_hz, running, tone
 from tests.servers.listening import RATE_HZ, playing, recording, wait_for
+from tools.live_latency.refusing import refusing_pw_cli
 from tools.sound_server import MONO, SURROUND_5_1, SoundServer
 
 pytestmark = [pytest.mark.servers]
@@ -243,21 +242,7 @@ def test_a_stream_that_moves_away_is_not_felt_until_it_is_back(
 @pytest.fixture
 def refusing(tmp_path: Path) -> dict[str, str]:
     """Variables with a `pw-cli` that makes no link from the ports of streams."""
-    folder = tmp_path / "bin"
-    folder.mkdir()
-    program = folder / "pw-cli"
-    program.write_text(
-        "#!/bin/sh\n"
-        "while read -r line; do\n"
-        "    set -- $line\n"
-        '    if [ "$1" = create-link ]; then\n'
-        "        case $(pw-dump \"$3\") in *'\"output_F'* | *'\"output_MONO'*) continue ;; esac\n"
-        "    fi\n"
-        '    printf "%s\\n" "$line"\n'
-        f"done | exec {shutil.which('pw-cli')}\n"
-    )
-    program.chmod(0o755)
-    return {"PATH": f"{folder}{os.pathsep}{os.environ['PATH']}"}
+    return refusing_pw_cli(tmp_path)
 
 
 def test_refused_links_lead_to_the_monitor_within_a_second_and_status_says_so(

@@ -65,6 +65,7 @@ BENCHES: tuple[tuple[str, Bench, float], ...] = (
     ("residual vibration", damping.residual_vibration, 2.0),
     ("protection", protection.protection, 1.0),
     ("protection live", protection.live_cost, 3.0),
+    ("live bursts", kept_records.live_bursts, 0.1),
     ("live latency", kept_records.live_latency, 0.1),
     ("soak", kept_records.transform_soak, 0.1),
     ("soak of the rig", kept_records.rig_soak, 0.1),

@@ -5,10 +5,11 @@ from __future__ import annotations
 import csv
 import io
 import json
+from collections.abc import Iterator
 from pathlib import Path
 
 from device.atomic_file import write_bytes_atomically
-from tools.bench.report import BenchReport
+from tools.bench.report import BenchReport, Section
 
 COLUMNS = (
     "section", "row", "column", "value", "unit", "low", "high", "must", "met", "note",
@@ -37,14 +38,17 @@ def _csv(report: BenchReport) -> str:
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(COLUMNS)
     for section in report.sections:
-        for row in section.rows:
-            must = row.must.shown(row.unit) if row.must else ""
-            met = "" if row.met is None else "yes" if row.met else "no"
-            numbers = [
-                "" if each is None else f"{each:.6g}" for each in (row.value, row.low, row.high)
-            ]
-            writer.writerow(
-                [section.title, row.name, row.column, numbers[0], row.unit, *numbers[1:], must,
-                 met, row.note]
-            )  # fmt: skip
+        writer.writerows(csv_lines(section))
     return text.getvalue()
+
+
+def csv_lines(section: Section) -> Iterator[list[str]]:
+    """Return the cells of a section's rows, as COLUMNS has them."""
+    for row in section.rows:
+        must = row.must.shown(row.unit) if row.must else ""
+        met = "" if row.met is None else "yes" if row.met else "no"
+        numbers = ["" if each is None else f"{each:.6g}" for each in (row.value, row.low, row.high)]
+        yield [
+            section.title, row.name, row.column, numbers[0], row.unit, *numbers[1:], must,
+            met, row.note,
+        ]  # fmt: skip

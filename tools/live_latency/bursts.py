@@ -12,7 +12,7 @@ import signal
 import subprocess
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -90,9 +90,12 @@ class GraphOnce:
 
     def read(self) -> Graph:
         """Return the graph as it is."""
-        graph = Graph()
+        graph, decoder = Graph(), json.JSONDecoder()
         shown = self._run("pw-dump", "--no-colors")
-        graph.apply(json.loads(shown))
+        while shown := shown.lstrip():  # what changes meanwhile is an array of its own
+            objects, length = decoder.raw_decode(shown)
+            graph.apply(objects)
+            shown = shown[length:]
         return graph
 
     def ports(self, name: str, prefix: str) -> dict[str, int]:
@@ -169,11 +172,12 @@ def burst_delays(
     sink: str = "desktop",
     device: str = "haptic",
     direct: bool = False,
+    midway: Callable[[], object] = lambda: None,
 ) -> BurstDelays:
     """Play bursts to a sink while a daemon runs, and return how late its device vibrates.
 
     There must be a sink `reference` that never drives the graph. direct: the player is linked to
-    the device, too, so that all delays should be 0.
+    the device, too, so that all delays should be 0. midway: called while bursts play.
 
     LostError: a program or a port did not come.
     """
@@ -191,6 +195,9 @@ def burst_delays(
                 inputs = graph.ports(node, "playback_")
                 output = next(iter(outputs.values()))
                 graph.link(outputs.get("FL", output), inputs["FL"])
+            with suppress(subprocess.TimeoutExpired):
+                process.wait(LEAD_S + 2.0)
+            midway()
             process.wait(count * (APART_S + 0.05) + LEAD_S + APPEARS_S)
         except subprocess.TimeoutExpired:
             raise LostError("pw-play does not end") from None

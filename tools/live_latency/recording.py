@@ -28,6 +28,9 @@ RECORD_MS = 20
 PLAY_MS = 200
 """Requested of the server: what is recorded comes in blocks of at most so long, ..."""
 
+PLAYER = "Stimulus"
+"""Name of what plays."""
+
 START_S = 5.0
 _SAMPLE_BYTES = 4
 _READ_BYTES = 1 << 16
@@ -130,7 +133,7 @@ def playing(
     NotFoundError
         pacat is not installed.
     """
-    command = ["pacat", "--playback", "--client-name=Stimulus", "--property=media.role=music"]
+    command = ["pacat", "--playback", f"--client-name={PLAYER}", "--property=media.role=music"]
     process = spawn(
         [*command, *_format(sink, samplerate, loop.shape[1], PLAY_MS)],
         environment,

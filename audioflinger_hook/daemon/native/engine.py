@@ -29,6 +29,9 @@ from device.server.snapshot import Sink, Source
 REFUSED_S = 0.5
 """A link from a stream that is missing for so long is refused; then the monitor is tapped."""
 
+REFUSALS_MAX = 2
+"""After so many times the monitor is tapped for good."""
+
 
 class NativeEngine:
     """The chain that plays, and the next one while it settles.
@@ -61,6 +64,7 @@ class NativeEngine:
         self._has_played = False
         self._faded_s = math.inf
         self._must_use_monitor = bool(monitor_reason)
+        self._refusals = 0
         self._session_manager: int | None = None
         self.waits_for = ""
         self.monitor_reason = monitor_reason
@@ -314,4 +318,6 @@ class NativeEngine:
         refused = "PipeWire does not make the links from the streams that play"
         if not tap.has_monitor:
             raise NotFoundError(f"{refused}, so applications cannot be chosen")
+        self._refusals += 1
+        self._must_use_monitor = self._refusals >= REFUSALS_MAX
         self.monitor_reason = refused

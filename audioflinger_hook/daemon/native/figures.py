@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.daemon.native.engine import NativeEngine
+from audioflinger_hook.daemon.native.page import TransformReadings
 from audioflinger_hook.service.meters import Level, level_of
 from audioflinger_hook.service.state import DaemonState
 from audioflinger_hook.service.status import (
@@ -18,12 +19,20 @@ from audioflinger_hook.service.status import (
 )
 
 
+def _tap_ms(native: NativeEngine, readings: TransformReadings) -> float:
+    """Return the delay of the tap: the monitor of a sink that drives is read one cycle late."""
+    if not native.monitor_reason or not readings.samplerate:
+        return 0.0
+    return 1e3 * readings.cycle_frames / readings.samplerate
+
+
 def with_native(
     status: Status, native: NativeEngine, settings: Settings, offset_s: float
 ) -> Status:
     """Return a status with the figures of a native engine that plays. Any thread may call it.
 
-    Tap and device belong to one cycle of the graph, so only the transform delays the vibration.
+    Tap and device belong to one cycle of the graph, so only the transform delays the vibration, and
+    a monitor that is tapped.
     """
     plan, page, readings = native.plan, native.page, native.readings()
     if plan is None or page is None or readings is None:
@@ -42,6 +51,7 @@ def with_native(
             tuple(level_of(*reading) for reading in page.channel_readings()),
         ),
         latency=LatencyBudget.of(
+            tap_ms=_tap_ms(native, readings),
             transform_ms=transform_ms,
             offset_ms=1e3 * offset_s,
             delay_ms=max(delays_ms, default=0.0),

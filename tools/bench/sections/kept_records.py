@@ -12,7 +12,9 @@ from device.errors import UsageError
 from tools import soak_record
 from tools.bench.report import Missing, Must, Row, Section, number
 from tools.bench.workbench import Workbench
+from tools.live_latency import burst_record
 from tools.live_latency import record as live_record
+from tools.live_latency.burst_record import BurstRecord
 from tools.live_latency.record import LiveRecord
 from tools.records import record_path
 from tools.soak_record import SoakRecord
@@ -53,6 +55,13 @@ _LIVE_COLUMNS: Columns = (
     ("machine_pause_ms", "longest pause", "ms", None),
     ("check_median_ms", "instrument's error", "ms", None),
 )
+_BURST_COLUMNS = (
+    ("half_median_ms", "to half, median", Must("<=", 10.0)),
+    ("half_p95_ms", "to half, 95 % under", Must("<=", 14.0)),
+    ("tenth_median_ms", "to a tenth, median", Must("<=", 6.0)),
+    ("tenth_p95_ms", "to a tenth, 95 % under", None),
+    ("budget_ms", "reported by the daemon", None),
+)
 _SOAK_COLUMNS: Columns = (
     ("hops", "hops", "", Must(">=", soak_record.HOPS)),
     ("memory_growth_kb", "growth of memory", "kB", soak_record.NO_GROWTH_KB),
@@ -76,12 +85,46 @@ _IDENTIFICATION_COLUMNS: Columns = (
 )
 
 
+def live_bursts(_bench: Workbench) -> Section:
+    """The last measurements of bursts."""
+    explanation = (
+        "Delay of the vibration of bursts of 150, 440 and 900 Hz on PipeWire, from the burst's "
+        "first sample to a tenth and to half of the vibration's peak, by version, engine and "
+        "tap, cycle of the graph (quantum) and rate. The sound is recorded at a third sink, to "
+        "which the player is linked as well and which does not drive the graph: the monitor of a "
+        "sink that drives it is read one cycle late, and hides that cycle. Both sinks are "
+        "recorded in one stream."
+    )
+    return _section(
+        "Live bursts", explanation, burst_record.RECORD, burst_record.COMMAND,
+        burst_record.read_records, _burst_rows, _burst_footnote,
+    )  # fmt: skip
+
+
+def _burst_rows(record: BurstRecord) -> Iterator[Row]:
+    limited = (record.engine, record.tap) == ("native", "streams")
+    for field, column, must in _BURST_COLUMNS:
+        note = f"{record.date}, {record.bursts} bursts" if field == "half_median_ms" else ""
+        yield Row(record.name, getattr(record, field), "ms", column, must if limited else None,
+                  note=note)  # fmt: skip
+
+
+def _burst_footnote(records: tuple[BurstRecord, ...]) -> str:
+    return (
+        f"`{burst_record.COMMAND}` measures it on a sound server of its own with null sinks, which "
+        "have no hardware delay, and keeps the last results here. Newer versions are measured in "
+        "roots of newer Debians (`tools/debian_root.sh`). With a player linked straight to the "
+        "haptic sink, the method shows 0 ms."
+    )
+
+
 def live_latency(_bench: Workbench) -> Section:
     """The last live measurements."""
     explanation = (
         "Delay of the vibration of `cushion run` after its sound, transform included, by server "
         "by engine and by block size; quantum is the cycle of PipeWire's graph. It is measured "
-        "between the monitors of both sinks."
+        "between the monitors of both sinks; on PipeWire, the sound's is that of a third sink, "
+        "which does not drive the graph."
     )
     return _section(
         "Live latency", explanation, live_record.RECORD, live_record.COMMAND,
