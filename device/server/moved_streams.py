@@ -155,6 +155,9 @@ class DefaultSinkClaim:
         if self.settled or self.contested or snapshot.default_sink == SINK:
             return
         if self._taken_s is None or now_s - self._taken_s >= TAKES_S:
-            self._taken_s = now_s
             with suppress(NotFoundError):
+                if self._taken_s is not None and snapshot.default_sink:
+                    # WirePlumber does nothing for the wish that it has already
+                    self._connection.set_default_sink(snapshot.default_sink)
                 self._connection.set_default_sink(SINK)
+            self._taken_s = now_s
