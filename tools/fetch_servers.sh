@@ -11,7 +11,7 @@ who=servers
 
 packages='pulseaudio pulseaudio-utils pipewire pipewire-bin wireplumber pipewire-pulse libasound2-plugins
 alsa-utils faketime ffmpeg gstreamer1.0-plugins-bad gstreamer1.0-plugins-base gstreamer1.0-tools
-ladspa-sdk lilv-utils lv2-dev sordi strace prometheus'
+ladspa-sdk lilv-utils lv2-dev sordi strace prometheus mpv pipewire-jack'
 
 # shellcheck disable=SC2086
 missing=$(missing_packages $packages)

@@ -13,6 +13,7 @@ import select
 import subprocess
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
@@ -29,8 +30,8 @@ READ_BYTES = 1 << 16
 GATHER_S = 0.1
 """Changes are reported at once, and again after so long."""
 
-BURST_S, BURST_WAIT_S = 0.02, 0.005
-"""What follows so soon is read together with what comes within this time."""
+BUSY_READS, BUSY_S, BUSY_WAIT_S = 50, 1.0, 0.005
+"""After so many reads in so long, each one waits for what else comes meanwhile."""
 
 END_S = 0.5
 """Longest wait for the thread's end."""
@@ -143,7 +144,7 @@ class Documents:
     def __init__(self, file: int) -> None:
         self._file = file
         self._waiting = b""
-        self._read_s = -BURST_S
+        self._reads_s = deque([-BUSY_S], maxlen=BUSY_READS)
         self._poll = select.poll()
         self._poll.register(file, select.POLLIN)
         self.ended = False
@@ -156,9 +157,9 @@ class Documents:
         if not self._poll.poll(None if wait_s is None else 1e3 * wait_s):
             return []
         now_s = time.monotonic()
-        if now_s - self._read_s < BURST_S:
-            time.sleep(BURST_WAIT_S)
-        self._read_s = now_s
+        if now_s - self._reads_s[0] < BUSY_S:
+            time.sleep(BUSY_WAIT_S)
+        self._reads_s.append(now_s)
         block = os.read(self._file, READ_BYTES)
         self.ended = not block
         *whole, self._waiting = (self._waiting + block).split(b"\n]\n")

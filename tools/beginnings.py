@@ -1,0 +1,138 @@
+"""What is lost of the beginnings of new streams on PipeWire: tools/beginnings.py [--count N]
+
+Starts a sound server of its own with `cushion run`, and one player after the other: pw-play,
+paplay, mpv, a JACK client (mpv with pw-jack) and a loopback. Each plays a tone from its first
+sample on. A vibration that begins a cycle of the graph later than usual has lost that cycle.
+"""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import numpy as np
+import soundfile
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from audioflinger_hook.transform import FloatArray
+from device.errors import CushionError, LostError
+from tools.live_latency.bursts import GraphOnce, onsets, recorded_together
+from tools.live_latency.daemon import running_daemon
+from tools.live_latency.recording import end, server_name, spawn
+from tools.sound_server import ServerError, SoundServer
+
+RATE_HZ = 48_000
+QUANTUM = 1_024
+TONE_S, APART_S = 0.4, 0.5
+USUAL_MS = 6.0
+"""The vibration of a tone reaches a tenth of its peak so soon, see tools/burst_latency.py."""
+
+QUIET = ("--no-video", "--no-terminal", "--no-config")
+PLAYERS: dict[str, tuple[str, ...]] = {
+    "pw-play": ("pw-play", "--target=desktop"),
+    "paplay": ("paplay", "--device=desktop"),
+    "mpv": ("mpv", *QUIET, "--ao=pipewire"),
+    "JACK": ("pw-jack", "mpv", *QUIET, "--ao=jack", "--jack-port=desktop", "--jack-connect=yes"),
+    "loopback": ("pw-play", "--target=loop"),
+}
+
+
+def main() -> int:
+    """Measure and print; the exit code is 1 where a player is missing or nothing is felt."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--count", type=int, default=20, help="streams of each player")
+    parser.add_argument("--player", choices=PLAYERS, nargs="+", default=list(PLAYERS))
+    options = parser.parse_args()
+    try:
+        with (
+            tempfile.TemporaryDirectory(prefix="begin-") as folder,
+            SoundServer("pipewire", Path(folder)) as server,
+        ):
+            server.set_clock("force-quantum", QUANTUM)
+            with running_daemon(
+                "haptic", server.environment, server.folder, arguments=("--engine", "native")
+            ):
+                for player in options.player:
+                    lost = lost_cycles(player, options.count, Path(folder), server.environment)
+                    name = server_name(server.environment)
+                    print(f"{name}, {player}: {told(lost)}", flush=True)
+    except (CushionError, ServerError) as error:
+        print(f"beginnings: error: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+def told(lost: list[int]) -> str:
+    """Return the cycles lost of some streams in words."""
+    whole = sum(one == 0 for one in lost)
+    most = max(lost, default=0)
+    return f"{whole} of {len(lost)} lost nothing" + (f", the others up to {most}" if most else "")
+
+
+def lost_cycles(player: str, count: int, folder: Path, environment: Mapping[str, str]) -> list[int]:
+    """Return how many cycles each of some new streams has lost at its beginning.
+
+    LostError: a program is missing, or not all streams were felt.
+    """
+    command = PLAYERS[player]
+    if missing := [one for one in command[:2] if one[0] != "-" and not shutil.which(one)]:
+        raise LostError(f"{missing[0]} is not installed; run tools/fetch_servers.sh")
+    path = folder / "tone.wav"
+    times_s = np.arange(round(TONE_S * RATE_HZ)) / RATE_HZ
+    tone = 0.4 * np.cos(2.0 * np.pi * 440.0 * times_s)
+    soundfile.write(path, np.column_stack([tone, tone]), RATE_HZ, subtype="FLOAT")
+    with ExitStack() as stack:
+        if player == "loopback":
+            stack.enter_context(_loopback(environment))
+        monitors = ("desktop", "monitor_FL"), ("haptic", "monitor_FL")
+        together = stack.enter_context(recorded_together(*monitors, folder, environment, RATE_HZ))
+        time.sleep(0.5)
+        for _ in range(count):
+            process = spawn([*command, str(path)], environment)
+            process.wait(10.0)
+            end(process)
+            time.sleep(APART_S)
+        time.sleep(0.5)
+    recording, _ = soundfile.read(together, always_2d=True)
+    lost = list(_lost(recording[:, 0], recording[:, 1]))
+    if len(lost) < count:
+        raise LostError(f"{player}: {len(lost)} of {count} streams were heard")
+    return lost
+
+
+def _lost(heard: FloatArray, felt: FloatArray) -> Iterator[int]:
+    for onset in onsets(heard, RATE_HZ):
+        # the monitor of the sink that drives the graph is a cycle late
+        part = np.abs(felt[max(0, onset - QUANTUM) : onset + round(TONE_S * RATE_HZ)])
+        tenth = int(np.argmax(part >= 0.1 * part.max(initial=1e-9)))
+        late = tenth - USUAL_MS * RATE_HZ / 1e3
+        yield max(0, -(-int(late) // QUANTUM))
+
+
+@contextmanager
+def _loopback(environment: Mapping[str, str]) -> Iterator[None]:
+    """A sink `loop` whose sound a loopback plays to `desktop`, as EasyEffects does."""
+    process = spawn(
+        [
+            *("pw-loopback", "--capture-props=media.class=Audio/Sink node.name=loop"),
+            "--playback-props=node.target=desktop target.object=desktop node.name=loop-out",
+        ],
+        environment,
+    )
+    try:
+        GraphOnce(environment).ports("loop", "playback_")
+        time.sleep(0.5)
+        yield
+    finally:
+        end(process)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
