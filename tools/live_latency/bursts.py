@@ -51,7 +51,8 @@ class BurstDelays:
             part = np.abs(felt[onset : onset + round((APART_S - 0.05) * samplerate)])
             if part.size < round(BURST_S * samplerate) or part.max(initial=0.0) < 1e-4:
                 continue
-            if part[0] > 0.05 * part.max():  # it still vibrates from before
+            before = np.abs(felt[max(0, onset - round(0.005 * samplerate)) : onset])
+            if before.max(initial=0.0) > 0.05 * part.max():  # it still vibrates
                 continue
             for found, share in ((tenth, 0.1), (half, 0.5)):
                 found.append(1e3 * int(np.argmax(part >= share * part.max())) / samplerate)
