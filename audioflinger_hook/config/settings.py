@@ -219,7 +219,7 @@ class LiveSettings(Described):
     engine: Annotated[
         str,
         Choice(
-            "native: inside PipeWire, 9 ms after the sound; auto: native wherever it can",
+            "native: inside PipeWire, 8 ms after the sound; auto: native wherever it can",
             ENGINES,
             change="nothing",
         ),

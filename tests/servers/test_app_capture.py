@@ -189,7 +189,7 @@ def test_the_applications_volume_and_mute_count_the_sinks_do_not(
             )
 
         comes(LEVEL)
-        server.pactl("set-sink-input-volume", index, "-12dB")
+        server.pactl("set-sink-input-volume", index, f"{10 ** (-12 / 20):.6f}")
         comes(LEVEL * 10 ** (-12 / 20))
         server.pactl("set-sink-input-mute", index, "1")
         comes(0.0)
