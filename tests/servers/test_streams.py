@@ -9,7 +9,6 @@ import subprocess
 import sys
 import threading
 import time
-from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +33,7 @@ from tests.servers.listening import (
     wait_for,
 )
 from tools.sound_server import SoundServer
+from tools.sound_server_files import wireplumber_generation
 
 POSITIONS = {
     "FL": "front-left",
@@ -266,14 +266,15 @@ def test_a_sink_that_has_played_2_s_ahead_is_waited_for(
 def test_to_no_such_sink_nothing_plays_elsewhere(
     server: SoundServer, pcms: PcmConfig, tmp_path: Path
 ) -> None:
+    if server.kind == "pipewire" and wireplumber_generation() == 5:
+        pytest.skip("WirePlumber 0.5 may play it elsewhere; then StreamGuard silences it")
     with recording(server, "desktop.monitor", tmp_path / "desktop") as heard:
         try:
             stream = output(pcms, "nowhere")
         except LostError:
             pass  # PulseAudio at once, PipeWire as often as not
         else:
-            with suppress(AssertionError):  # WirePlumber 0.5 lets it wait for that sink
-                wait_for(stream.is_lost, "end of the stream", 2.0)
+            wait_for(stream.is_lost, "end of the stream", 2.0)
             assert stream.close()
         before = len(heard())
         wait_for(lambda: len(heard()) > before + RATE_HZ // 4, "sound")
