@@ -122,7 +122,7 @@ complete -c cushion -n '__fish_seen_subcommand_from run' -l tap -r -d 'where the
 complete -c cushion -n '__fish_seen_subcommand_from run' -l device -r -d 'where the vibration goes; sink -NAME, usb -VID -PID -SERIAL@PORT, hw -CARD,DEVICE, wav -FILE, twin, or the name of a sink alone'
 complete -c cushion -n '__fish_seen_subcommand_from run' -l record -r -d 'record the run in a new folder'
 complete -c cushion -n '__fish_seen_subcommand_from run' -l drop-in -d 'applications play to a virtual sink, which delays the sound'
-complete -c cushion -n '__fish_seen_subcommand_from run' -l engine -r -f -a 'auto native python' -d 'native - inside PipeWire, 9 ms after the sound; auto - native wherever it can; default - auto'
+complete -c cushion -n '__fish_seen_subcommand_from run' -l engine -r -f -a 'auto native python' -d 'native - inside PipeWire, 8 ms after the sound; auto - native wherever it can; default - auto'
 complete -c cushion -n '__fish_seen_subcommand_from run' -l config -r -d 'default - ~/.config/cushion/config.toml'
 complete -c cushion -n '__fish_seen_subcommand_from run' -l seconds -r -d 'stop after S seconds; default - never'
 complete -c cushion -n '__fish_seen_subcommand_from run' -l offset-ms -r -d 'delay of the vibration; below 0 it is earlier, only with drop_in; -500 to 1000 ms; default - 0'
