@@ -2,7 +2,8 @@
 
 Starts a sound server of its own with `cushion run`, and one player after the other: pw-play,
 paplay, mpv, a JACK client (mpv with pw-jack) and a loopback. Each plays a tone from its first
-sample on. A vibration that begins a cycle of the graph later than usual has lost that cycle.
+sample on, and the same tone again after a pause, when all links are there. Where the vibration of
+the first tone begins a cycle of the graph later than that of the second, this cycle is lost.
 """
 
 from __future__ import annotations
@@ -30,9 +31,7 @@ from tools.sound_server import ServerError, SoundServer
 
 RATE_HZ = 48_000
 QUANTUM = 1_024
-TONE_S, APART_S = 0.4, 0.5
-USUAL_MS = 6.0
-"""The vibration of a tone reaches a tenth of its peak so soon, see tools/burst_latency.py."""
+TONE_S, APART_S = 0.25, 0.5
 
 QUIET = ("--no-video", "--no-terminal", "--no-config")
 PLAYERS: dict[str, tuple[str, ...]] = {
@@ -87,6 +86,7 @@ def lost_cycles(player: str, count: int, folder: Path, environment: Mapping[str,
     path = folder / "tone.wav"
     times_s = np.arange(round(TONE_S * RATE_HZ)) / RATE_HZ
     tone = 0.4 * np.cos(2.0 * np.pi * 440.0 * times_s)
+    tone = np.concatenate([tone, np.zeros_like(tone), tone])
     soundfile.write(path, np.column_stack([tone, tone]), RATE_HZ, subtype="FLOAT")
     with ExitStack() as stack:
         if player == "loopback":
@@ -108,12 +108,16 @@ def lost_cycles(player: str, count: int, folder: Path, environment: Mapping[str,
 
 
 def _lost(heard: FloatArray, felt: FloatArray) -> Iterator[int]:
-    for onset in onsets(heard, RATE_HZ):
-        # the monitor of the sink that drives the graph is a cycle late
-        part = np.abs(felt[max(0, onset - QUANTUM) : onset + round(TONE_S * RATE_HZ)])
-        tenth = int(np.argmax(part >= 0.1 * part.max(initial=1e-9)))
-        late = tenth - USUAL_MS * RATE_HZ / 1e3
-        yield max(0, -(-int(late) // QUANTUM))
+    begins = onsets(heard, RATE_HZ)
+    for first, second in zip(begins[::2], begins[1::2], strict=True):
+        late = _delay_frames(felt, first) - _delay_frames(felt, second)
+        yield max(0, round(late / QUANTUM))
+
+
+def _delay_frames(felt: FloatArray, onset: int) -> int:
+    # the monitor of a sink that drives the graph is a cycle late, so this may be under 0
+    part = np.abs(felt[max(0, onset - QUANTUM) : onset + round(TONE_S * RATE_HZ)])
+    return int(np.argmax(part >= 0.1 * part.max(initial=1e-9))) - min(onset, QUANTUM)
 
 
 @contextmanager

@@ -7,6 +7,7 @@ that ends.
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import select
@@ -26,12 +27,15 @@ from device.server.link_keeper import LinkKeeper
 READER, EDITOR = "pw-dump", "pw-cli"
 """Programs of PipeWire that report and change the graph."""
 
-READ_BYTES = 1 << 16
+READ_BYTES = 1 << 20
 GATHER_S = 0.1
 """Changes are reported at once, and again after so long."""
 
-BUSY_READS, BUSY_S, BUSY_WAIT_S = 50, 1.0, 0.005
-"""After so many reads in so long, each one waits for what else comes meanwhile."""
+SOON_S = 0.001
+"""`pw-dump` writes line by line, hundreds for one change; each read waits for more of them."""
+
+BUSY_READS, BUSY_S, BUSY_WAIT_S = 100, 1.0, 0.005
+"""After so many reads in so long, each one waits longer."""
 
 END_S = 0.5
 """Longest wait for the thread's end."""
@@ -143,6 +147,8 @@ class Documents:
 
     def __init__(self, file: int) -> None:
         self._file = file
+        with suppress(OSError):  # it must not wait for us; where it may not grow, it does
+            fcntl.fcntl(file, fcntl.F_SETPIPE_SZ, READ_BYTES)
         self._waiting = b""
         self._reads_s = deque([-BUSY_S], maxlen=BUSY_READS)
         self._poll = select.poll()
@@ -157,8 +163,7 @@ class Documents:
         if not self._poll.poll(None if wait_s is None else 1e3 * wait_s):
             return []
         now_s = time.monotonic()
-        if now_s - self._reads_s[0] < BUSY_S:
-            time.sleep(BUSY_WAIT_S)
+        time.sleep(BUSY_WAIT_S if now_s - self._reads_s[0] < BUSY_S else SOON_S)
         self._reads_s.append(now_s)
         block = os.read(self._file, READ_BYTES)
         self.ended = not block
