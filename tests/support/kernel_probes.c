@@ -220,9 +220,6 @@ static double power_035(double x) { return exact_pow(x, 0.35); }
 
 EXACT(power_035)
 
-/* Settings are not read here, but arguments.c refers to their check. */
-const char *settings_misfit(const Settings *Py_UNUSED(settings)) { return NULL; }
-
 static PyMethodDef PROBES[] = {
     {"find", find, METH_VARARGS, find_doc},
     {"spectrum", spectrum, METH_VARARGS, spectrum_doc},

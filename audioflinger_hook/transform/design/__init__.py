@@ -116,7 +116,7 @@ class LiveDesign:
         return _designed(parameters, samplerate, find_onsets)
 
     def settings(self) -> dict[str, blob.Value]:
-        """Return the input of the compiled kernel: numbers and tables of all sections, by name."""
+        """Return the numbers and tables of all sections, by name."""
         found: dict[str, blob.Value] = {}
         for section in (getattr(self, name) for name in SECTIONS):
             for item in fields(section):
