@@ -1,7 +1,5 @@
 """The compiled part of `haptic.py`, which is the way to use it."""
 
-from typing import Any
-
 from audioflinger_hook.transform.arrays import FloatArray, Frames
 
 NEIGHBOURS: int
@@ -13,14 +11,16 @@ TABLE_BINS_A_BIN: int
 class LiveKernel:
     """The live form of one stream.
 
-    settings: every name that native/settings.h lists; they are copied. channels: of the sound, 1 to
-    1024. each: one channel of vibration for each, else one for their mean. All memory is taken
-    here. Holds the interpreter lock; held by one thread at a time.
+    design: bytes of `LiveDesign.to_bytes`; they are copied. channels: of the sound, 1 to 1024.
+    each: one channel of vibration for each, else one for their mean. All memory is taken here.
+    Holds the interpreter lock; held by one thread at a time.
 
     Raises
     ------
-    TypeError, ValueError
-        A setting is missing or does not fit the others.
+    TypeError
+        The design is not bytes.
+    ValueError
+        It is damaged, of another version, or its numbers do not fit one another.
     """
 
     replaced: int
@@ -33,7 +33,7 @@ class LiveKernel:
     """Frames so far."""
 
     state: bytes
-    """All that changes as a stream goes on; for a kernel of the same settings. ValueError where it
+    """All that changes as a stream goes on; for a kernel of the same design. ValueError where it
     is set to what no such kernel has."""
 
     partials: list[list[tuple[float, float, float]]]
@@ -43,7 +43,7 @@ class LiveKernel:
     """What the latest hop of all voices vibrates, at most 16: Hz of the sound, Hz of vibration,
     amplitude. Any thread may read it."""
 
-    def __new__(cls, settings: dict[str, Any], channels: int, each: bool) -> LiveKernel: ...
+    def __new__(cls, design: bytes, channels: int, each: bool) -> LiveKernel: ...
     def process(self, frames: Frames, vibration: FloatArray, /) -> None:
         """Take a block of sound and write as much vibration.
 

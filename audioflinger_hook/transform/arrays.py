@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
 IntArray = NDArray[np.intp]
 Frames = NDArray[np.floating[Any]]
 """Sound as it arrives: (frames, channels) or (frames,), float32 or float64, full scale +-1."""

@@ -53,7 +53,7 @@ class KernelStream:
     def __init__(self, design: LiveDesign, channels: int, each: bool) -> None:
         if _kernel is None:
             raise RuntimeError(kernel_warning())
-        self._kernel = _kernel.LiveKernel(design.settings(), channels, each)
+        self._kernel = _kernel.LiveKernel(design.to_bytes(), channels, each)
         self._made_of = (design, channels, each)
         self._channels = channels
         self._channels_out = channels if each else 1

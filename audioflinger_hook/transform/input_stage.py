@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.signal import butter, lfilter
+from scipy.signal import butter, lfilter, zpk2tf
 
-from audioflinger_hook.transform.arrays import FloatArray, Frames
+from audioflinger_hook.transform.arrays import ComplexArray, FloatArray, Frames
 from audioflinger_hook.transform.downmix import MonoMix
 from audioflinger_hook.transform.parameters import TransformParameters
 from device.errors import UsageError
@@ -99,10 +99,10 @@ class Mixdown:
             mix.reset()
 
 
-def design_band_pass(
+def band_pass_roots(
     parameters: TransformParameters, samplerate: int
-) -> tuple[FloatArray, FloatArray]:
-    """Return b and a of a second-order Butterworth band-pass as one recursion.
+) -> tuple[ComplexArray, ComplexArray, float]:
+    """Return zeros, poles and gain of a second-order Butterworth band-pass.
 
     UsageError: the whole band lies above what the samplerate in Hz can hold.
     """
@@ -113,9 +113,17 @@ def design_band_pass(
             f"allowed: under {NYQUIST_MARGIN * samplerate:g} Hz"
         )
     if high >= NYQUIST_MARGIN * samplerate:
-        b, a = butter(2, low, "highpass", fs=samplerate)
+        zeros, poles, gain = butter(2, low, "highpass", fs=samplerate, output="zpk")
     else:
-        b, a = butter(2, (low, high), "bandpass", fs=samplerate)
+        zeros, poles, gain = butter(2, (low, high), "bandpass", fs=samplerate, output="zpk")
+    return zeros, poles, gain
+
+
+def design_band_pass(
+    parameters: TransformParameters, samplerate: int
+) -> tuple[FloatArray, FloatArray]:
+    """Return b and a of `band_pass_roots` as one recursion. Raises as it does."""
+    b, a = zpk2tf(*band_pass_roots(parameters, samplerate))
     return b, a
 
 

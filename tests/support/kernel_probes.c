@@ -4,6 +4,7 @@
 #include "module.h"
 
 #include "analysis.h"
+#include "exact.h"
 #include "fft.h"
 #include "functions.h"
 
@@ -195,14 +196,44 @@ static PyObject *cosines(PyObject *Py_UNUSED(module), PyObject *numbers)
     return in_place(numbers, cosines_of);
 }
 
-/* Settings are not read here, but arguments.c refers to their check. */
-const char *settings_misfit(const Settings *Py_UNUSED(settings)) { return NULL; }
+#define EXACT(name)                                                                                \
+    static void name##_of(double *numbers, Py_ssize_t count)                                       \
+    {                                                                                              \
+        for (Py_ssize_t one = 0; one < count; one++)                                               \
+            numbers[one] = name(numbers[one]);                                                     \
+    }                                                                                              \
+    static PyObject *name##s(PyObject *Py_UNUSED(module), PyObject *numbers)                       \
+    {                                                                                              \
+        return in_place(numbers, name##_of);                                                       \
+    }
+
+EXACT(exact_exp)
+EXACT(exact_log)
+EXACT(exact_log2)
+EXACT(exact_log10)
+EXACT(exact_amplitude)
+EXACT(exact_tanh)
+EXACT(exact_sin)
+EXACT(exact_cos)
+
+static double power_035(double x) { return exact_pow(x, 0.35); }
+
+EXACT(power_035)
 
 static PyMethodDef PROBES[] = {
     {"find", find, METH_VARARGS, find_doc},
     {"spectrum", spectrum, METH_VARARGS, spectrum_doc},
     {"fifth_roots", fifth_roots, METH_O, "Replace numbers by their fifth roots."},
     {"cosines", cosines, METH_O, "Replace numbers of turns by their cosines."},
+    {"exact_exp", exact_exps, METH_O, "Replace numbers x by exp(x)."},
+    {"exact_log", exact_logs, METH_O, "Replace numbers x by log(x)."},
+    {"exact_log2", exact_log2s, METH_O, "Replace numbers x by log2(x)."},
+    {"exact_log10", exact_log10s, METH_O, "Replace numbers x by log10(x)."},
+    {"exact_amplitude", exact_amplitudes, METH_O, "Replace numbers x by 10^(x/20)."},
+    {"exact_tanh", exact_tanhs, METH_O, "Replace numbers x by tanh(x)."},
+    {"exact_sin", exact_sins, METH_O, "Replace numbers x by sin(x)."},
+    {"exact_cos", exact_coss, METH_O, "Replace numbers x by cos(x)."},
+    {"power_035", power_035s, METH_O, "Replace numbers x by x^0.35."},
     {NULL, NULL, 0, NULL},
 };
 

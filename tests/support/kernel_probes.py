@@ -9,6 +9,8 @@
         Write the first bins of scipy.fft.rfft(samples, length): real, imaginary, (2, bins).
     fifth_roots(numbers), cosines(numbers)
         Replace numbers by their fifth roots, or numbers of turns by their cosines.
+    exact_exp(numbers) and the others of native/exact.h
+        Replace numbers by the function of them. power_035 is exact_pow(x, 0.35).
 
 Run as a module it only builds, with the compiler and flags of CC and CFLAGS.
 """

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.fft import rfft
 
 from audioflinger_hook.transform import TransformParameters
-from audioflinger_hook.transform.design import LiveDesign
+from audioflinger_hook.transform.design import LiveDesign, blob
 from tests.support.kernel_probes import probes
 from tests.support.memory import resident_bytes
 from tests.support.signals import SAMPLERATES, identical, joined, silence, tone, white_noise
@@ -21,13 +21,13 @@ if probes is None:
 
 RATE = 8_000
 # With everything that can be switched on, so that all of it meets what does not fit.
-SETTINGS: dict[str, Any] = LiveDesign.of(
-    TransformParameters(speech_suppression_db=12.0), RATE
-).settings()
+DESIGN = LiveDesign.of(TransformParameters(speech_suppression_db=12.0), RATE)
+SETTINGS: dict[str, Any] = DESIGN.settings()
+VALUES: dict[str, Any] = blob.unpack(DESIGN.to_bytes())
 
 
 def made(channels=1, each=False, **changes):
-    return _kernel.LiveKernel({**SETTINGS, **changes}, channels, each)
+    return _kernel.LiveKernel(blob.pack({**VALUES, **changes}), channels, each)
 
 
 def played(kernel, sound, voices=1):
@@ -110,11 +110,38 @@ def test_cosines_of_turns_are_exact_to_the_last_bits(turns):
 # --- settings ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", SETTINGS)
-def test_a_kernel_is_not_made_without_a_setting(name):
-    given = {other: value for other, value in SETTINGS.items() if other != name}
+@pytest.mark.parametrize("name", VALUES)
+def test_a_kernel_is_not_made_without_a_value(name):
+    given = {other: value for other, value in VALUES.items() if other != name}
     with pytest.raises(ValueError, match=name):
-        _kernel.LiveKernel(given, 1, False)
+        _kernel.LiveKernel(blob.pack(given), 1, False)
+
+
+@pytest.mark.parametrize(
+    ("design", "reason"),
+    [
+        (b"", "not a design"),
+        (DESIGN.to_bytes()[:16], "not a design"),
+        (b"X" + DESIGN.to_bytes()[1:], "not a design"),
+        (DESIGN.to_bytes()[:8] + b"\x63" + DESIGN.to_bytes()[9:], "another version"),
+        (DESIGN.to_bytes()[:-8], "cut or too long"),
+        (DESIGN.to_bytes() + bytes(8), "cut or too long"),
+        (DESIGN.to_bytes()[:-8] + bytes(8), "checksum"),
+        (bytearray(DESIGN.to_bytes()), None),
+        (SETTINGS, None),
+    ],
+)
+def test_a_kernel_is_not_made_of_bytes_that_are_no_design(design, reason):
+    with pytest.raises((ValueError, TypeError), match=reason):
+        _kernel.LiveKernel(design, 1, False)
+
+
+@given(at=st.integers(0, len(DESIGN.to_bytes()) - 1), flip=st.integers(1, 255))
+def test_a_kernel_is_not_made_of_a_damaged_design(at, flip):
+    damaged = bytearray(DESIGN.to_bytes())
+    damaged[at] ^= flip
+    with pytest.raises(ValueError, match="design"):
+        _kernel.LiveKernel(bytes(damaged), 1, False)
 
 
 @pytest.mark.parametrize(
@@ -134,7 +161,10 @@ def test_a_kernel_is_not_made_without_a_setting(name):
         ("last_bin", SETTINGS["bins"] - 1),
         ("partials_max", 0),
         ("partials_max", 2**40),
-        ("ring_hops", 2**63),
+        ("ring_hops", 2**62),
+        ("ring_hops", -1),
+        ("samplerate", 0),
+        ("samplerate", 2**40),
         ("silence", np.nan),
         ("gain_step_hz", 0.0),
         ("window", SETTINGS["window"][1:]),
@@ -219,11 +249,17 @@ def test_a_kernel_is_not_made_of_settings_that_do_not_fit(name, value):
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("steps", 4.5), ("steps", "four"), ("hop_s", "long"), ("window", [1.0]), ("window", None),
-     ("window", SETTINGS["window"].astype(np.float32))],
-)  # fmt: skip
-def test_a_kernel_is_not_made_of_settings_of_another_type(name, value):
-    with pytest.raises(TypeError):
+    [
+        ("steps", 4.0),
+        ("steps", np.array([54.0])),
+        ("hop_s", 1),
+        ("hop_s", np.array([0.018])),
+        ("window", 1),
+        ("window", 1.0),
+    ],
+)
+def test_a_kernel_is_not_made_of_settings_of_another_kind(name, value):
+    with pytest.raises(ValueError, match=f"lacks .*{name}"):
         made(**{name: value})
 
 

@@ -3,16 +3,7 @@
 #ifndef CUSHION_DESIGN_FILE_H
 #define CUSHION_DESIGN_FILE_H
 
-#include <stddef.h>
-
-#include "../../transform/native/settings.h"
-
-typedef struct {
-    Settings settings; /* its tables lie in `bytes` */
-    size_t samplerate;
-    size_t latency_frames;
-    void *bytes;
-} Design;
+#include "../../transform/native/design_blob.h"
 
 /* Read a file into a design; return NULL, or what is wrong with it: then nothing stays allocated. */
 const char *design_read(Design *design, const char *path);

@@ -6,6 +6,8 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "../../transform/native/exact.h"
+
 #define GAIN_MIN_DB (-60.0)
 #define GAIN_MAX_DB 20.0
 #define BYPASS_FADE_S 0.04
@@ -54,7 +56,7 @@ void effect_process(Effect *effect, EffectControls controls, const float *const 
     const float *at[EFFECT_CHANNELS_MAX];
     const double samplerate = effect->source->sound.samplerate;
     const double gain_db = within(controls.gain_db, GAIN_MIN_DB, GAIN_MAX_DB, 0.0);
-    const double gain = gain_db == 0.0 ? 1.0 : pow(10.0, gain_db / 20.0);
+    const double gain = gain_db == 0.0 ? 1.0 : exact_amplitude(gain_db);
     const double delay_s = within(1e-3 * controls.delay_ms, 0.0, DELAY_MAX_S, 0.0);
     const size_t delay = (size_t)(delay_s * samplerate + 0.5);
     const double open = controls.bypass ? 0.0 : 1.0;
@@ -88,5 +90,5 @@ double effect_latency_frames(const Effect *effect)
 
 double peak_dbfs(const LevelMeter *meter)
 {
-    return meter->peak > BELOW ? fmax(FLOOR_DBFS, 20.0 * log10(meter->peak)) : FLOOR_DBFS;
+    return meter->peak > BELOW ? fmax(FLOOR_DBFS, 20.0 * exact_log10(meter->peak)) : FLOOR_DBFS;
 }

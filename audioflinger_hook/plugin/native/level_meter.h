@@ -6,6 +6,8 @@
 #include <math.h>
 #include <stddef.h>
 
+#include "../../transform/native/exact.h"
+
 #define RMS_TIME_S 0.3
 #define PEAK_FALL_DB_PER_S 20.0
 #define BELOW 2.8e-8 /* -151 dBFS counts as silence, so that nothing becomes denormal */
@@ -28,8 +30,8 @@ static inline void level_take(LevelMeter *meter, const float *samples, size_t co
         loudest = sample > loudest ? sample : loudest;
         sum += sample * sample;
     }
-    const double keep = exp(-seconds / RMS_TIME_S);
-    const double held = meter->peak * exp(-seconds * PEAK_FALL_DB_PER_S * M_LN10 / 20.0);
+    const double keep = exact_exp(-seconds / RMS_TIME_S);
+    const double held = meter->peak * exact_exp(-seconds * PEAK_FALL_DB_PER_S * M_LN10 / 20.0);
     const double square = keep * meter->square + (1.0 - keep) * sum / (double)count;
     meter->peak = loudest > held ? loudest : held;
     meter->peak = meter->peak > BELOW ? meter->peak : 0.0;

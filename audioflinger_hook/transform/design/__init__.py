@@ -6,6 +6,7 @@
 | `loudness` | loudness, felt strength, programme level |
 | `speech` | speech suppression |
 | `synthesis` | time grid, tracking of partials, oscillators, low-pass, limiter |
+| `rounding` | the same bits on every machine |
 | `blob` | the design as bytes |
 """
 
@@ -20,6 +21,7 @@ import numpy as np
 from audioflinger_hook.transform.design import blob
 from audioflinger_hook.transform.design.analysis import AnalysisDesign, InputDesign, OnsetDesign
 from audioflinger_hook.transform.design.loudness import LoudnessDesign
+from audioflinger_hook.transform.design.rounding import round_section
 from audioflinger_hook.transform.design.speech import SpeechDesign
 from audioflinger_hook.transform.design.synthesis import (
     ATTACK_HOPS,
@@ -114,7 +116,7 @@ class LiveDesign:
         return _designed(parameters, samplerate, find_onsets)
 
     def settings(self) -> dict[str, blob.Value]:
-        """Return the input of the compiled kernel: numbers and tables of all sections, by name."""
+        """Return the numbers and tables of all sections, by name."""
         found: dict[str, blob.Value] = {}
         for section in (getattr(self, name) for name in SECTIONS):
             for item in fields(section):
@@ -154,6 +156,9 @@ class LiveDesign:
     def __reduce__(self) -> tuple[Any, ...]:
         return LiveDesign.from_bytes, (self.to_bytes(),)
 
+
+EXACT = ("band_b", "band_a", "low_b", "low_a", "mix_weights")
+"""Tables that need no rounding: filters of rounded poles and zeros, and square roots."""
 
 TOP = ("samplerate", "latency_frames", "tonal_latency_frames")
 SECTIONS: dict[str, Any] = {
@@ -200,7 +205,7 @@ def _designed(parameters: TransformParameters, samplerate: int, find_onsets: boo
     tonal_frames = grid.window_frames / 2 + glide_hops * grid.hop_frames + smoothing_frames
     onset_frames = (1.0 + onsets.delay_ticks) * grid.tick_frames + smoothing_frames
     suppression_db = parameters.speech_suppression_db
-    return LiveDesign(
+    design = LiveDesign(
         samplerate=samplerate,
         latency_frames=round(onset_frames if find_onsets else tonal_frames),
         tonal_latency_frames=round(tonal_frames),
@@ -224,3 +229,5 @@ def _designed(parameters: TransformParameters, samplerate: int, find_onsets: boo
             suppression_db, spectrum.bin_hz, bins, grid.hop_s if suppression_db else 1.0
         ),
     )
+    sections = {name: round_section(getattr(design, name), EXACT) for name in SECTIONS}
+    return replace(design, **sections)

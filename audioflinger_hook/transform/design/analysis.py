@@ -9,6 +9,7 @@ from scipy.fft import next_fast_len
 from scipy.signal import zoom_fft
 
 from audioflinger_hook.transform.arrays import FloatArray
+from audioflinger_hook.transform.design.rounding import round_filter
 from audioflinger_hook.transform.design.synthesis import LiveGrid
 from audioflinger_hook.transform.downmix import (
     CANCELS_FROM,
@@ -20,7 +21,7 @@ from audioflinger_hook.transform.downmix import (
 from audioflinger_hook.transform.input_stage import (
     DENORMAL_GUARD,
     MAGNITUDE_MAX,
-    design_band_pass,
+    band_pass_roots,
 )
 from audioflinger_hook.transform.mapping import VibrationMapping
 from audioflinger_hook.transform.parameters import TransformParameters
@@ -100,7 +101,7 @@ class InputDesign:
         # By Parseval r <= max|x| fs sqrt(2.73/N) < max|x| fs: under this level nothing passes.
         silence = parameters.live_threshold_hz / samplerate
         rules = CancellationRules(samplerate)
-        band = design_band_pass(parameters, samplerate)
+        band = round_filter(*band_pass_roots(parameters, samplerate))
         return cls(silence, *band, rules.slow, rules.newest, rules.evidence)
 
 

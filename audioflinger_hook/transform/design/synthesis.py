@@ -8,6 +8,7 @@ import numpy as np
 from scipy.signal import ellip, freqz
 
 from audioflinger_hook.transform.arrays import FloatArray
+from audioflinger_hook.transform.design.rounding import round_filter
 from audioflinger_hook.transform.mapping import VibrationMapping
 from audioflinger_hook.transform.parameters import TransformParameters
 
@@ -218,13 +219,21 @@ class SynthesisDesign:
         """Return the design for one grid and samplerate."""
         top_hz = EDGE_MARGIN * parameters.vibration_top_hz
         low_rate_hz = samplerate / grid.decimation
-        low_b, low_a = ellip(ORDER, RIPPLE_DB, STOP_DB, top_hz, fs=low_rate_hz)
+        zeros, poles, gain = ellip(ORDER, RIPPLE_DB, STOP_DB, top_hz, fs=low_rate_hz, output="zpk")
         if parameters.strength != "flat":
             edge_hz = BOTTOM_MARGIN * parameters.vibration_bottom_hz
-            high_b, high_a = ellip(
-                HIGH_PASS_ORDER, RIPPLE_DB, HIGH_PASS_STOP_DB, edge_hz, "highpass", fs=low_rate_hz
+            high_zeros, high_poles, high_gain = ellip(
+                HIGH_PASS_ORDER,
+                RIPPLE_DB,
+                HIGH_PASS_STOP_DB,
+                edge_hz,
+                "highpass",
+                fs=low_rate_hz,
+                output="zpk",
             )
-            low_b, low_a = np.convolve(low_b, high_b), np.convolve(low_a, high_a)
+            zeros, poles = [*zeros, *high_zeros], [*poles, *high_poles]
+            gain *= high_gain
+        low_b, low_a = round_filter(zeros, poles, gain)
         _, response = freqz(low_b, low_a, np.arange(0.0, top_hz, cls.gain_step_hz), fs=low_rate_hz)
         time = np.arange(1, grid.steps + 1) / grid.steps
         turn, turn_glide = glide_turns(grid.steps, grid.hop_s)

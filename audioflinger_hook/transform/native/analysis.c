@@ -12,6 +12,7 @@
 #include "analysis.h"
 
 #include "common.h"
+#include "exact.h"
 #include "peaks.h"
 #include "space.h"
 
@@ -110,7 +111,8 @@ static void find_steps(const double *amplitude, Peaks *peaks)
 static double side_on_bell(Side side, int32_t one, double level)
 {
     const double near = side.near[one] * side.near[one], far = side.far[one] * side.far[one];
-    const double above = log(side.above[one] / level), under = log(side.under[one] / level);
+    const double above = exact_log(side.above[one] / level);
+    const double under = exact_log(side.under[one] / level);
     return sqrt(near + above / larger(above - under, TINY) * (far - near));
 }
 

@@ -1,8 +1,6 @@
-/* What comes from Python, taken in: arrays, and the settings of a kernel. */
+/* Arrays from Python. */
 
 #include "module.h"
-
-/* --------------------------------------------------------------------------------------- arrays */
 
 /* Whether a format is one of the letters, or the one type of two letters. */
 static int is_one_of(const char *types, const char *format)
@@ -29,81 +27,5 @@ int open_array(PyObject *array, const char *name, Expected expected, Py_buffer *
     else
         return 1;
     PyBuffer_Release(view);
-    return 0;
-}
-
-/* ------------------------------------------------------------------------------------- settings */
-
-static int count_from(PyObject *settings, const char *name, size_t *count)
-{
-    PyObject *value = PyDict_GetItemString(settings, name);
-    if (!value) {
-        PyErr_Format(PyExc_ValueError, "%s: missing", name);
-        return 0;
-    }
-    *count = PyLong_AsSize_t(value);
-    return !(*count == (size_t)-1 && PyErr_Occurred());
-}
-
-static int number_from(PyObject *settings, const char *name, double *number)
-{
-    PyObject *value = PyDict_GetItemString(settings, name);
-    if (!value) {
-        PyErr_Format(PyExc_ValueError, "%s: missing", name);
-        return 0;
-    }
-    *number = PyFloat_AsDouble(value);
-    return !(*number == -1.0 && PyErr_Occurred());
-}
-
-static int table_from(PyObject *settings, const char *name, Table *table)
-{
-    PyObject *value = PyDict_GetItemString(settings, name);
-    if (!value) {
-        PyErr_Format(PyExc_ValueError, "%s: missing", name);
-        return 0;
-    }
-    Py_buffer view;
-    if (!open_array(value, name, (Expected){"d", 1, 2, 0, 0}, &view))
-        return 0;
-    table->at = PyMem_RawMalloc(view.len ? (size_t)view.len : 1);
-    if (table->at) {
-        memcpy(table->at, view.buf, (size_t)view.len);
-        table->length = (size_t)view.len / sizeof(double);
-    } else {
-        PyErr_NoMemory();
-    }
-    PyBuffer_Release(&view);
-    return table->at != NULL;
-}
-
-void settings_close(Settings *settings)
-{
-#define ENTRY(name)                                                                                \
-    PyMem_RawFree(settings->name.at);                                                              \
-    settings->name.at = NULL;
-    TABLES(ENTRY)
-#undef ENTRY
-}
-
-int open_settings(PyObject *given, Settings *settings)
-{
-    memset(settings, 0, sizeof *settings);
-    int read = 1;
-#define ENTRY(name) read = read && count_from(given, #name, &settings->name);
-    COUNTS(ENTRY)
-#undef ENTRY
-#define ENTRY(name) read = read && number_from(given, #name, &settings->name);
-    NUMBERS(ENTRY)
-#undef ENTRY
-#define ENTRY(name) read = read && table_from(given, #name, &settings->name);
-    TABLES(ENTRY)
-#undef ENTRY
-    const char *misfit = read ? settings_misfit(settings) : NULL;
-    if (misfit)
-        PyErr_SetString(PyExc_ValueError, misfit);
-    if (read && !misfit)
-        return 1;
-    settings_close(settings);
     return 0;
 }

@@ -16,7 +16,8 @@
 /* A function of plain loops over arrays, compiled once for every processor and once each for those
  * with registers of 32 and of 64 bytes; the right one is chosen when the module is loaded. All do the
  * same operations on each number, so all give the same bits. */
-#if !defined(__x86_64__) || !defined(__GLIBC__) || !defined(__GNUC__) || defined(ONE_MACHINE)
+#if !defined(__x86_64__) || !defined(__GLIBC__) || !defined(__GNUC__) || defined(__clang__) || \
+    defined(ONE_MACHINE) /* clang's versions of one function do not link */
 #define WIDE
 #define WIDE_FOR_FEW
 #elif defined(TWO_MACHINES)

@@ -3,6 +3,7 @@
 #include <stdlib.h>
 
 #include "common.h"
+#include "exact.h"
 #include "fft.h"
 
 /* The cosine and the sine of part/whole of a turn; exact where one of them is 0 or 1. */
@@ -13,7 +14,7 @@ static void turn_of(size_t part, size_t whole, double *cosine, double *sine)
     /* Within an eighth of a turn of the nearest quarter. */
     const size_t quarter = (octant + 1) / 2;
     const double rest = ((double)eighths - 2.0 * (double)quarter * (double)whole) / (double)whole;
-    const double c = cos(PI / 4 * rest), s = sin(PI / 4 * rest);
+    const double c = exact_cos(PI / 4 * rest), s = exact_sin(PI / 4 * rest);
     switch (quarter % 4) {
     case 0: *cosine = c, *sine = s; break;
     case 1: *cosine = -s, *sine = c; break;

@@ -4,6 +4,7 @@
 #include "loudness.h"
 
 #include "common.h"
+#include "exact.h"
 #include "scaling.h"
 
 /* Sums of the bins that go on side by side, for registers of any width. */
@@ -83,13 +84,14 @@ static double measure(Meter meter, const double *real, const double *imaginary, 
         double tail = 0.0, left = 0.0;
         if (above > core) {
             const double slope = meter.slope_a_bark / fourth_root(above);
-            left = above * exp(-slope * width);
+            left = above * exact_exp(-slope * width);
             tail = (above - left) / slope;
         }
         sone += larger(core * width, tail);
         above = larger(core, left);
     }
-    const double phon = sone >= 1.0 ? 40.0 + 10.0 * log2(sone) : 40.0 * pow(sone + 5e-4, 0.35);
+    const double phon = sone >= 1.0 ? 40.0 + 10.0 * exact_log2(sone)
+                                    : 40.0 * exact_pow(sone + 5e-4, 0.35);
     return phon - FULL_SCALE_PHON;
 }
 
@@ -124,7 +126,7 @@ static double open_gate(const Settings *s, const Loudness *follower, double loud
 /* The strength of what is so far over the programme, and so far turned down. */
 static double felt(const Settings *s, double above, double turned_down)
 {
-    return pow(10.0, (s->target + s->slope * above + turned_down) / 20.0);
+    return exact_amplitude(s->target + s->slope * above + turned_down);
 }
 
 /* How far the programme's level goes after a jump that only a volume control makes: to a level that
@@ -214,7 +216,7 @@ double loudness_concentrate(const Settings *s, const double *hz, double *amplitu
         const double felt = table_at(s->felt_weights, s->gain_step_hz, hz[one]);
         const double old = amplitude[one] * felt;
         before += old * old;
-        amplitude[one] *= pow(felt, exponent);
+        amplitude[one] *= exact_pow(felt, exponent);
         after += amplitude[one] * felt * (amplitude[one] * felt);
     }
     const double factor = sqrt(before / after);

@@ -4,54 +4,73 @@
 
 #include <structmember.h>
 
+#include "design_blob.h"
 #include "live.h"
 
 /* ------------------------------------------------------------------------------------- the type */
 
 typedef struct {
     PyObject_HEAD Live live;
-    int open;
+    void *design; /* the bytes in which the kernel's tables lie; NULL where it is not open */
 } LiveKernel;
 
 #define CHANNELS_MAX 1024
 
+/* Copy a design, in memory of PyMem_RawMalloc; 0 and an exception where it cannot be used. */
+static int copy_design(PyObject *given, Design *design)
+{
+    const size_t size = (size_t)PyBytes_GET_SIZE(given);
+    void *bytes = PyMem_RawMalloc(size ? size : 1);
+    if (!bytes) {
+        PyErr_NoMemory();
+        return 0;
+    }
+    memcpy(bytes, PyBytes_AS_STRING(given), size);
+    const char *problem = design_open(design, bytes, size);
+    if (!problem)
+        return 1;
+    PyErr_Format(PyExc_ValueError, "the design cannot be used: %s", problem);
+    PyMem_RawFree(bytes);
+    return 0;
+}
+
 static PyObject *kernel_new(PyTypeObject *type, PyObject *arguments, PyObject *keywords)
 {
-    static char *names[] = {"settings", "channels", "each", NULL};
+    static char *names[] = {"design", "channels", "each", NULL};
     PyObject *given;
     Py_ssize_t channels;
     int each;
-    if (!PyArg_ParseTupleAndKeywords(arguments, keywords, "O!np:LiveKernel", names, &PyDict_Type,
+    if (!PyArg_ParseTupleAndKeywords(arguments, keywords, "O!np:LiveKernel", names, &PyBytes_Type,
                                      &given, &channels, &each))
         return NULL;
     if (channels < 1 || channels > CHANNELS_MAX) {
         PyErr_SetString(PyExc_ValueError, "channels: not 1 to 1024");
         return NULL;
     }
-    Settings settings;
-    if (!open_settings(given, &settings))
+    Design design;
+    if (!copy_design(given, &design))
         return NULL;
     LiveKernel *self = (LiveKernel *)type->tp_alloc(type, 0);
-    const int failed = self ? live_open(&self->live, &settings, (size_t)channels, each) : -1;
+    const int failed =
+        self ? live_open(&self->live, &design.settings, (size_t)channels, each) : -1;
     if (failed) {
-        settings_close(&settings);
+        PyMem_RawFree(design.bytes);
         Py_XDECREF(self);
         if (failed == -1)
             return PyErr_NoMemory();
         PyErr_SetString(PyExc_ValueError, "fft_length: has other factors than 2, 3 and 5");
         return NULL;
     }
-    self->open = 1;
+    self->design = design.bytes;
     return (PyObject *)self;
 }
 
 static void kernel_dealloc(LiveKernel *self)
 {
     PyTypeObject *type = Py_TYPE(self);
-    if (self->open) {
-        settings_close(&self->live.settings);
+    if (self->design)
         live_close(&self->live);
-    }
+    PyMem_RawFree(self->design);
     type->tp_free((PyObject *)self);
     Py_DECREF(type);
 }

@@ -6,7 +6,7 @@
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
 
-#include "settings.h"
+#include "common.h"
 
 /* What is asked of an array that comes from Python. */
 typedef struct {
@@ -18,10 +18,5 @@ typedef struct {
 
 /* Open an array; 0 and an exception where it is not what is expected. */
 int open_array(PyObject *array, const char *name, Expected expected, Py_buffer *view);
-
-/* Copy all settings from a dict; 0 and an exception where one is missing or does not fit. */
-int open_settings(PyObject *given, Settings *settings);
-
-void settings_close(Settings *settings);
 
 #endif

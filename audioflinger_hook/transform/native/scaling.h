@@ -4,21 +4,23 @@
 #define CUSHION_SCALING_H
 
 #include "common.h"
+#include "exact.h"
 #include "settings.h"
 
 /* Where in the vibration's range a frequency of sound is felt, Hz. */
 INLINED double felt_hz(const Settings *s, double audio_hz)
 {
-    const double octaves = log(audio_hz / s->band_low_hz);
-    return s->scale_ratio != 0.0 ? s->bottom_hz * exp(s->scale_ratio * octaves)
+    const double octaves = exact_log(audio_hz / s->band_low_hz);
+    return s->scale_ratio != 0.0 ? s->bottom_hz * exact_exp(s->scale_ratio * octaves)
                                  : s->scale_hz * octaves + s->bottom_hz;
 }
 
 /* The frequency of sound that is felt there, Hz. */
 INLINED double heard_hz(const Settings *s, double hz)
 {
-    return s->band_low_hz * (s->scale_ratio != 0.0 ? exp(log(hz / s->bottom_hz) / s->scale_ratio)
-                                                   : exp((hz - s->bottom_hz) / s->scale_hz));
+    const double octaves = s->scale_ratio != 0.0 ? exact_log(hz / s->bottom_hz) / s->scale_ratio
+                                                 : (hz - s->bottom_hz) / s->scale_hz;
+    return s->band_low_hz * exact_exp(octaves);
 }
 
 /* An entry of a table between its entries, which are `step` apart; its ends beyond them. */

@@ -4,6 +4,7 @@
 #include "speech.h"
 
 #include "common.h"
+#include "exact.h"
 #include "functions.h"
 
 /* The vowels' octaves, of which the level is taken. */
@@ -191,12 +192,13 @@ static void follow(const Settings *s, Speech *speech, const double *octaves, dou
     speech->peak = larger(total, s->speech_peak_fall * speech->peak);
     const double least = s->speech_unheard * speech->peak + s->speech_silent_power;
     if (starts)
-        start(speech, 10.0 * log10(least / s->speech_silent_power));
+        start(speech, 10.0 * exact_log10(least / s->speech_silent_power));
     for (size_t octave = 0; octave < OCTAVES; octave++)
-        speech->level[octave] = 10.0 * log10((octaves[octave] + least) / s->speech_silent_power);
+        speech->level[octave] =
+            10.0 * exact_log10((octaves[octave] + least) / s->speech_silent_power);
     memcpy(levels, speech->level + 1, (OCTAVES - 1) * sizeof(double));
-    levels[OCTAVES - 1] = 10.0 * log10((vowels + least) / s->speech_silent_power);
-    const double loudness = 10.0 * log10((total + least) / (speech->peak + least));
+    levels[OCTAVES - 1] = 10.0 * exact_log10((vowels + least) / s->speech_silent_power);
+    const double loudness = 10.0 * exact_log10((total + least) / (speech->peak + least));
     const double weight = ramp(s, QUIET, loudness);
     note_swing(s, speech, levels, s->speech_average * larger(weight, s->speech_quiet_share));
     note_pitch(s, speech, log_pitch, s->speech_average * weight);
@@ -272,7 +274,7 @@ static double spoken_share(const Settings *s, const Speech *speech, double audio
 
 static double lower_gain(const Settings *s, const Speech *speech, double share)
 {
-    return pow(10.0, -s->speech_db / 20.0 * speech->belief * share);
+    return exact_amplitude(-s->speech_db * speech->belief * share);
 }
 
 double speech_coarse_gain(const Settings *s, const Speech *speech, double audio_hz)
@@ -282,7 +284,7 @@ double speech_coarse_gain(const Settings *s, const Speech *speech, double audio_
 
 double speech_gain(const Settings *s, const Speech *speech, double audio_hz)
 {
-    const double harmonic = audio_hz / exp(speech->log_pitch);
+    const double harmonic = audio_hz / exact_exp(speech->log_pitch);
     const double apart = fabs(harmonic - rint(harmonic)) - s->speech_apart * harmonic;
     const double on_harmonic = 1.0 - speech->voiced * ramp(s, BETWEEN, apart);
     return lower_gain(s, speech, spoken_share(s, speech, audio_hz) * on_harmonic);

@@ -3,6 +3,7 @@
 #include "synthesis.h"
 
 #include "common.h"
+#include "exact.h"
 #include "scaling.h"
 #include "filter.h"
 #include "functions.h"
@@ -162,7 +163,7 @@ size_t synthesis_keep_below_full_scale(const Settings *settings, double *vibrati
         return 0;
     for (size_t frame = 0; frame < settings->tick_frames; frame++) {
         const double size = fabs(vibration[frame]);
-        const double lower = knee + room * tanh((size - knee) / room) * (1.0 - 1e-6);
+        const double lower = knee + room * exact_tanh((size - knee) / room) * (1.0 - 1e-6);
         if (size > knee)
             vibration[frame] = copysign(lower, vibration[frame]);
     }

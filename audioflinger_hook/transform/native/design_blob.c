@@ -1,0 +1,147 @@
+/* Reads the bytes of a design. Every offset and length is checked before it is used. */
+
+#include "design_blob.h"
+
+#include "common.h"
+
+#define MAGIC "CUSHLIVE"
+#define FORMAT_VERSION 2
+#define HEADER_BYTES 24
+#define CHECKSUM_BYTES 8
+#define NAME_BYTES 36
+#define RECORD_BYTES 48
+#define HIGHEST_RATE 768000
+
+enum { KIND_COUNT, KIND_NUMBER, KIND_ARRAY };
+
+/* The records of a design, without header and checksum. */
+typedef struct {
+    char *at;
+    size_t bytes;
+} Records;
+
+static uint32_t u32_at(const char *place)
+{
+    uint32_t value;
+    memcpy(&value, place, sizeof value);
+    return value;
+}
+
+/* CRC-32 of ISO 3309, as zlib computes it, by four bits at a time. */
+static uint32_t crc32_of(const char *bytes, size_t length)
+{
+    uint32_t table[16];
+    for (uint32_t entry = 0; entry < 16; entry++) {
+        table[entry] = entry;
+        for (int bit = 0; bit < 4; bit++)
+            table[entry] = table[entry] >> 1 ^ (table[entry] & 1 ? UINT32_C(0xedb88320) : 0);
+    }
+    uint32_t crc = UINT32_C(0xffffffff);
+    for (size_t at = 0; at < length; at++) {
+        crc ^= (unsigned char)bytes[at];
+        crc = crc >> 4 ^ table[crc & 15];
+        crc = crc >> 4 ^ table[crc & 15];
+    }
+    return ~crc;
+}
+
+/* A record's values, NULL if there is no such record of this kind. */
+static char *values_of(Records records, const char *name, uint32_t kind, size_t *count)
+{
+    size_t at = 0;
+    while (records.bytes - at >= RECORD_BYTES) {
+        char *record = records.at + at;
+        const uint64_t rows = u32_at(record + NAME_BYTES + 4);
+        const uint64_t columns = u32_at(record + NAME_BYTES + 8);
+        const uint64_t numbers = (rows ? rows : 1) * columns;
+        at += RECORD_BYTES;
+        if (numbers > (records.bytes - at) / 8)
+            return NULL;
+        if (!strncmp(record, name, NAME_BYTES) && u32_at(record + NAME_BYTES) == kind) {
+            *count = (size_t)numbers;
+            return record + RECORD_BYTES;
+        }
+        at += 8 * (size_t)numbers;
+    }
+    return NULL;
+}
+
+static int count_of(Records records, const char *name, size_t *count)
+{
+    size_t numbers;
+    const char *place = values_of(records, name, KIND_COUNT, &numbers);
+    int64_t value = -1;
+    if (place && numbers == 1)
+        memcpy(&value, place, sizeof value);
+    *count = (size_t)value;
+    return value >= 0;
+}
+
+static int number_of(Records records, const char *name, double *number)
+{
+    size_t numbers;
+    const char *place = values_of(records, name, KIND_NUMBER, &numbers);
+    if (place && numbers == 1)
+        memcpy(number, place, sizeof *number);
+    return place && numbers == 1;
+}
+
+static int table_of(Records records, const char *name, Table *table)
+{
+    table->at = (double *)(void *)values_of(records, name, KIND_ARRAY, &table->length);
+    return table->at != NULL;
+}
+
+static const char *read_settings(Records records, Settings *settings)
+{
+#define ENTRY(name)                                                                                \
+    if (!count_of(records, #name, &settings->name))                                                \
+        return "it lacks the count " #name;
+    COUNTS(ENTRY)
+#undef ENTRY
+#define ENTRY(name)                                                                                \
+    if (!number_of(records, #name, &settings->name))                                               \
+        return "it lacks the number " #name;
+    NUMBERS(ENTRY)
+#undef ENTRY
+#define ENTRY(name)                                                                                \
+    if (!table_of(records, #name, &settings->name))                                                \
+        return "it lacks the table " #name;
+    TABLES(ENTRY)
+#undef ENTRY
+    return settings_misfit(settings);
+}
+
+static int is_big_endian(void)
+{
+    const uint32_t one = 1;
+    char first;
+    memcpy(&first, &one, 1);
+    return first == 0;
+}
+
+const char *design_open(Design *design, void *bytes, size_t size)
+{
+    const char *at = bytes;
+    memset(design, 0, sizeof *design);
+    if (is_big_endian())
+        return "this processor is big-endian";
+    if (size < HEADER_BYTES + CHECKSUM_BYTES || memcmp(at, MAGIC, 8))
+        return "it is not a design";
+    if ((uintptr_t)bytes % 8)
+        return "it does not lie at a multiple of 8";
+    if (u32_at(at + 8) != FORMAT_VERSION)
+        return "it is of another version";
+    if (u32_at(at + 12) != size || size % 8)
+        return "it is cut or too long";
+    if (u32_at(at + size - CHECKSUM_BYTES) != crc32_of(at, size - CHECKSUM_BYTES))
+        return "it is damaged: its checksum does not fit";
+    const Records records = {(char *)bytes + HEADER_BYTES, size - HEADER_BYTES - CHECKSUM_BYTES};
+    if (!count_of(records, "samplerate", &design->samplerate) || design->samplerate < 1 ||
+        design->samplerate > HIGHEST_RATE ||
+        !count_of(records, "latency_frames", &design->latency_frames) ||
+        !count_of(records, "tonal_latency_frames", &design->tonal_latency_frames))
+        return "it lacks samplerate, latency_frames or tonal_latency_frames";
+    design->bytes = bytes;
+    return read_settings(records, &design->settings);
+}

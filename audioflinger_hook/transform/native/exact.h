@@ -1,0 +1,116 @@
+/* Elementary functions of sums, products, quotients and bits alone, in place of libm's.
+ *
+ * They give the same bits with every compiler (without contraction), C library and processor.
+ * Errors are in units in the last place of the result, measured by tests/transform/test_exact.py.
+ */
+
+#ifndef CUSHION_EXACT_H
+#define CUSHION_EXACT_H
+
+#include "functions.h"
+
+#define LOG2_E 1.44269504088896338700
+#define LOG10_E 0.43429448190325182765
+
+/* log 2 as a sum: the upper part has 20 zero bits at its end, so that k times it is exact. */
+#define LN2_UPPER 6.93147180369123816490e-01
+#define LN2_LOWER 1.90821492927058770002e-10
+
+/* exp(r) - 1 for |r| up to half of log 2: Taylor's series up to r^13. */
+INLINED double exact_series(double r)
+{
+    const double r2 = r * r, r4 = r2 * r2;
+    const double low = (1.0 / 2.0 + r * (1.0 / 6.0)) + r2 * (1.0 / 24.0 + r * (1.0 / 120.0));
+    const double middle =
+        (1.0 / 720.0 + r * (1.0 / 5040.0)) + r2 * (1.0 / 40320.0 + r * (1.0 / 362880.0));
+    const double high = (1.0 / 3628800.0 + r * (1.0 / 39916800.0)) +
+                        r2 * (1.0 / 479001600.0 + r * (1.0 / 6227020800.0));
+    return r + r2 * (low + r4 * (middle + r4 * high));
+}
+
+/* exp(x), within 1 unit; 0 below -708, where results would be denormal; infinity above 709. */
+static inline double exact_exp(double x)
+{
+    if (!(x > -708.0))
+        return x != x ? x : 0.0;
+    if (x > 709.0)
+        return INFINITY;
+    const double k = (x * LOG2_E + TO_WHOLE) - TO_WHOLE;
+    const double r = (x - k * LN2_UPPER) - k * LN2_LOWER;
+    return (1.0 + exact_series(r)) * of_bits((uint64_t)((int64_t)k + 1023) << 52);
+}
+
+/* log(x), within 1 unit, for normal x above 0; minus infinity for 0, NaN below. */
+static inline double exact_log(double x)
+{
+    if (!(x > 0.0) || !(x < INFINITY))
+        return x == 0.0 ? -INFINITY : x > 0.0 ? x : NAN;
+    const uint64_t least = UINT64_C(0x3fe6a09e667f3bcd); /* 1/sqrt(2): x = m 2^e, m from there on */
+    const uint64_t bits = bits_of(x) - least;
+    const double e = (double)((int64_t)bits >> 52);
+    const double m = of_bits((bits & UINT64_C(0xfffffffffffff)) + least);
+    /* log m = 2 artanh s = f - f²/2 + s (f²/2 + rest), exact near 1. */
+    const double f = m - 1.0, s = f / (2.0 + f), z = s * s, half = 0.5 * f * f;
+    double sum = 1.0 / 23.0;
+    for (int odd = 21; odd >= 3; odd -= 2)
+        sum = sum * z + 1.0 / odd;
+    const double rest = s * (half + 2.0 * z * sum);
+    return e * LN2_UPPER - ((half - (rest + e * LN2_LOWER)) - f);
+}
+
+static inline double exact_log2(double x) { return exact_log(x) * LOG2_E; }
+
+static inline double exact_log10(double x) { return exact_log(x) * LOG10_E; }
+
+/* x^y for x from 0 on, within 1 + |y log x| units. */
+static inline double exact_pow(double x, double y)
+{
+    return y == 0.0 ? 1.0 : x == 0.0 ? (y > 0.0 ? 0.0 : INFINITY) : exact_exp(y * exact_log(x));
+}
+
+/* 10^(decibels/20). */
+static inline double exact_amplitude(double decibels)
+{
+    return exact_exp(decibels * (2.30258509299404568402 / 20.0));
+}
+
+/* tanh(x), within 3 units. */
+static inline double exact_tanh(double x)
+{
+    const double twice = 2.0 * fabs(x);
+    /* exp(2 |x|) - 1; where that is small, the difference would lose its last bits. */
+    const double grown = twice < 0.34 ? exact_series(twice) : exact_exp(twice) - 1.0;
+    return copysign(grown < 1.0 ? grown / (grown + 2.0) : 1.0 - 2.0 / (grown + 2.0), x);
+}
+
+/* sin(x), within 1 unit, for |x| up to pi/4. */
+static inline double exact_sin(double x)
+{
+    const double y = x * x;
+    double sum = 1.0 / 355687428096000.0;
+    sum = sum * y - 1.0 / 1307674368000.0;
+    sum = sum * y + 1.0 / 6227020800.0;
+    sum = sum * y - 1.0 / 39916800.0;
+    sum = sum * y + 1.0 / 362880.0;
+    sum = sum * y - 1.0 / 5040.0;
+    sum = sum * y + 1.0 / 120.0;
+    sum = sum * y - 1.0 / 6.0;
+    return x + x * y * sum;
+}
+
+/* cos(x), within 1 unit, for |x| up to pi/4. */
+static inline double exact_cos(double x)
+{
+    const double y = x * x;
+    double sum = 1.0 / 20922789888000.0;
+    sum = sum * y - 1.0 / 87178291200.0;
+    sum = sum * y + 1.0 / 479001600.0;
+    sum = sum * y - 1.0 / 3628800.0;
+    sum = sum * y + 1.0 / 40320.0;
+    sum = sum * y - 1.0 / 720.0;
+    sum = sum * y + 1.0 / 24.0;
+    sum = sum * y - 1.0 / 2.0;
+    return 1.0 + y * sum;
+}
+
+#endif
