@@ -17,8 +17,8 @@ MAGNITUDE_MAX = 1e3
 """Samples above this (60 dB over full scale) count as damaged, like NaN and Inf."""
 
 DENORMAL_GUARD = 1e-25
-"""Added to every sample: too small for any result, large enough that no filter state, however
-long the silence, decays into denormal numbers, whose arithmetic is many times slower."""
+"""Added to every sample, so that filters do not decay into denormal numbers in a long silence.
+Arithmetic with those is many times slower. It is too small to change any result."""
 
 NYQUIST_MARGIN = 0.49
 """A band edge from this fraction of the samplerate up cannot be filtered; the low edge alone is."""

@@ -147,7 +147,7 @@ class Documents:
 
     def __init__(self, file: int) -> None:
         self._file = file
-        with suppress(OSError):  # it must not wait for us; where it may not grow, it does
+        with suppress(OSError):  # a full pipe would make `pw-dump` wait
             fcntl.fcntl(file, fcntl.F_SETPIPE_SZ, READ_BYTES)
         self._waiting = b""
         self._reads_s = deque([-BUSY_S], maxlen=BUSY_READS)

@@ -41,8 +41,8 @@ SIDE_LOBE = 10 ** (-40 / 20)
 """Side lobes of a Hamming window are 42.7 dB below their peak."""
 
 SIDE_LOBE_FOLLOWED = 10 ** (-34 / 20)
-"""The same with the loudness follower, whose lower C_th passes the side lobes of a low tone and of
-its image, which add up to 36.7 dB under it."""
+"""The same with the loudness follower. Its C_th is lower: side lobes of a low tone and of its image
+add up to 36.7 dB under the tone."""
 
 OLD_SIDE_S, NEW_SIDE_S = 0.004, 0.001
 """Rise and fall times of the onset window: the newest sound counts at once."""
