@@ -1,21 +1,36 @@
-"""Builds the compiled parts; pyproject.toml lists them. The plugin's file gets a plain name."""
+"""Builds the libraries in C, which pyproject.toml lists. None is a module of Python.
+
+So their files have plain names, and one wheel of a platform serves every Python.
+"""
 
 from pathlib import Path
+from shutil import rmtree
 
 from setuptools import setup
+from setuptools.command.bdist_wheel import bdist_wheel
 from setuptools.command.build_ext import build_ext
 
-PLUGIN = "haptic_cushion"
 
-
-class BuildExtensions(build_ext):
-    """Builds extensions of Python, and the plugin, which is no module of Python."""
+class BuildLibraries(build_ext):
+    """Builds libraries that ctypes and plugin hosts load."""
 
     def get_ext_filename(self, fullname: str) -> str:
-        """Return the file of an extension: plugin hosts expect NAME.so."""
-        found = super().get_ext_filename(fullname)
-        path = Path(found)
-        return str(path.with_name(f"{PLUGIN}.so")) if path.name.startswith(f"{PLUGIN}.") else found
+        """Return the file of a library."""
+        path = Path(super().get_ext_filename(fullname))
+        return str(path.with_name(path.name.partition(".")[0] + ".so"))
 
 
-setup(cmdclass={"build_ext": BuildExtensions})
+class PlatformWheel(bdist_wheel):
+    """A wheel of one platform, for every Python 3, without files of earlier builds."""
+
+    def run(self) -> None:
+        """Build it."""
+        rmtree(self.get_finalized_command("build").build_lib, ignore_errors=True)
+        super().run()
+
+    def get_tag(self) -> tuple[str, str, str]:
+        """Return the tags of Python, its binary interface and the platform."""
+        return "py3", "none", super().get_tag()[2]
+
+
+setup(cmdclass={"build_ext": BuildLibraries, "bdist_wheel": PlatformWheel})

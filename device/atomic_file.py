@@ -9,7 +9,6 @@ it.
 import contextlib
 import errno
 import os
-import secrets
 import stat
 from pathlib import Path
 from types import TracebackType
@@ -158,7 +157,7 @@ class AtomicFile:
     def _part_name(self) -> str:
         # The name may already have the 255 bytes that a folder entry can have.
         start = os.fsdecode(os.fsencode(self._name)[:200])
-        return f".{start}.{secrets.token_hex(4)}.part"
+        return f".{start}.{os.urandom(4).hex()}.part"
 
     def _link_as(self, name: str) -> None:
         # Only linkat(2) follows the link in /proc; Python calls it only if given a folder.

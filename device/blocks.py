@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import math
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from device.extension import load
+from device.compiled_blocks import Compiled, load_blocks
 from device.units import Float32Array, FloatArray
 
-compiled: ModuleType | None
-"""`_blocks`, or None."""
+compiled: Compiled | None
+"""What is compiled, or None if it could not be built."""
 try:
-    compiled = load("device._blocks", "nonlinear_motion")
+    compiled = load_blocks()
 except ImportError:
     compiled = None
 
@@ -38,9 +37,6 @@ def emptied(frames: Float32Array) -> bytes | None:
 
     frames: contiguous. If the result is None, the block has not changed. Any thread may call it.
     """
-    if compiled is not None:
-        taken: bytes | None = compiled.emptied(frames)
-        return taken
     if not math.isfinite(peak(frames)):
         return None
     stored = frames.tobytes()

@@ -1,37 +1,15 @@
-"""Loads compiled parts of the program, which may be missing, damaged or of another version."""
+"""Checks libraries in C before the system loads them."""
 
 from __future__ import annotations
 
 import struct
-from importlib import import_module
-from importlib.util import find_spec
 from pathlib import Path
-from types import ModuleType
 
 LOADED = 1
 """PT_LOAD, the type of a part of an ELF file that is mapped into memory."""
 
 
-def load(name: str, wanted: str) -> ModuleType:
-    """Return a compiled module that has the attribute `wanted`.
-
-    ImportError: the module is missing or unusable, for any reason.
-    """
-    found = find_spec(name)
-    if found is not None and found.origin is not None:
-        _refuse_cut_off(Path(found.origin))
-    try:
-        module = import_module(name)
-    except ImportError:
-        raise
-    except Exception as error:
-        raise ImportError(f"{name}: {type(error).__name__}: {error}") from error
-    if not hasattr(module, wanted):
-        raise ImportError(f"{module.__file__} has no {wanted}: it is of another version")
-    return module
-
-
-def _refuse_cut_off(path: Path) -> None:
+def refuse_cut_off(path: Path) -> None:
     """Raise ImportError for an ELF file that ends before the end of a part to be mapped.
 
     The system's loader does not check this: it maps the missing part, and the process ends by

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import ctypes
+import os
 import signal
 import subprocess
 from collections.abc import Sequence
 
 _PR_SET_PDEATHSIG = 1
+_MFD_CLOEXEC = 1
 _LIBC = ctypes.CDLL(None, use_errno=True)
 
 
@@ -17,6 +19,17 @@ def ends_with_us() -> None:
     For `preexec_fn` of a process that the main thread starts: called in the child, before exec.
     """
     _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+
+
+def memory_file(name: str) -> int:
+    """Return the number of a new file in memory; no program that is started has it open.
+
+    Some builds of Python lack `os.memfd_create`. OSError: the system makes none.
+    """
+    number = _LIBC.memfd_create(name.encode(), _MFD_CLOEXEC)
+    if number < 0:
+        raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
+    return int(number)
 
 
 def started(

@@ -43,6 +43,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             sys.stdout.flush()
         except OSError:  # the terminal was closed
             _discard(sys.stdout, sys.stderr)
+        # Where an `exec` in a module's import was interrupted, `python -m` would kill itself by the
+        # signal at its end; another one makes it forget that.
+        exec("")
         return EXIT_INTERRUPTED
     except BrokenPipeError:
         # The reader of our output is gone, so nothing more can be printed.

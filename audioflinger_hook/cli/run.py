@@ -12,6 +12,7 @@ from datetime import datetime
 from pathlib import Path
 
 from audioflinger_hook.cli.check import load_config
+from audioflinger_hook.cli.moment import present_moment
 from audioflinger_hook.cli.open_files import allow_open_files
 from audioflinger_hook.cli.replay import capture_files
 from audioflinger_hook.cli.run_reporter import RunReporter
@@ -23,10 +24,12 @@ from audioflinger_hook.daemon.engine import Clocks
 from audioflinger_hook.daemon.live_control import LiveControl
 from audioflinger_hook.daemon.recording import RunRecording
 from audioflinger_hook.daemon.run_config import LIVE_TAPS, PACED_TAPS, ConfigDiff, RunConfig
+from audioflinger_hook.daemon.safety_keeper import SafetyKeeper
 from audioflinger_hook.daemon.status_report import status_of
 from audioflinger_hook.daemon.supervisor import Supervisor
 from audioflinger_hook.daemon.wake import Wake
 from audioflinger_hook.offline.render import refuse_same_file
+from audioflinger_hook.service.install import state_folder
 from audioflinger_hook.service.runtime_folder import DaemonLock, Holder, RuntimeFolder
 from audioflinger_hook.service.status_server import StatusServer
 from audioflinger_hook.service.systemd import Watchdog, watchdog_period_s
@@ -56,7 +59,7 @@ def run(options: argparse.Namespace) -> int:
             addresses = str(run_config.tap), str(run_config.device)
             recording = RunRecording(options.record, run_config.settings, *addresses)
             run_config = dataclasses.replace(run_config, recording=recording)
-        supervisor = Supervisor(run_config, clocks, wake, folder.path)
+        supervisor = Supervisor(run_config, clocks, wake, folder.path, _safety(run_config))
         signals.on_spinning = supervisor.priority.revoke
         edits = LiveEdits(options.config or config.default_path())
 
@@ -103,6 +106,16 @@ def run(options: argparse.Namespace) -> int:
                 control.close()
                 supervisor.close(time.monotonic(), keep=ended_well)
     return 0
+
+
+def _safety(run_config: RunConfig) -> SafetyKeeper | None:
+    """Return the keeper of temperatures and dose; None for no real device, or without a home."""
+    if not run_config.device_is_live:
+        return None
+    try:
+        return SafetyKeeper(state_folder(), present_moment)
+    except UsageError:
+        return None
 
 
 def _run_config(options: argparse.Namespace, edits: Edits | None = None) -> RunConfig:

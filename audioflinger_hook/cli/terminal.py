@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Protocol
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from device.units import amplitude_to_db
 
@@ -66,6 +65,8 @@ def progress_bar(label: str) -> Iterator[Advance]:
 
     The bar is drawn on stderr if that is a terminal, and removed at the end.
     """
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
     console = LineConsole(stderr=True)
     columns = (
         TextColumn("{task.description}", markup=False),

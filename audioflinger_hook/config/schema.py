@@ -25,6 +25,7 @@ CHANGES = {
     "streams": "opens both streams again",
     "transform": "restarts the vibration",
     "engine": "restarts all but the connection",
+    "another engine": "one engine ends before the other begins",
 }
 """The effects of changing a key while the daemon runs, each with its explanation."""
 

@@ -221,7 +221,7 @@ class LiveSettings(Described):
         Choice(
             "native: inside PipeWire, 8 ms after the sound; auto: native wherever it can",
             ENGINES,
-            change="nothing",
+            change="another engine",
         ),
     ] = ENGINES[0]
     device_volume_db: Annotated[

@@ -67,7 +67,7 @@ class Engine:
     silent arrived. faded: whether the latest measured vibration is below FADED. sound, vibration:
     levels of the mix, and of the vibration before the drive. driven: level of each named actuator.
     before_fill: called by `fill` before it reads; set it before the first `fill`. fade: of what
-    `fill` writes; silent: whether it begins with silence. mute: the user's fade, after that one.
+    `fill` writes. mute: the user's fade, after that one.
     live: what a live page reads, None for nothing; set it before the first `advance`.
     """
 
@@ -82,7 +82,6 @@ class Engine:
         block_frames: int = 256,
         now_s: float = 0.0,
         bypass_late: bool = True,
-        silent: bool = False,
         on_step: OnStep | None = None,
         on_mix: OnMix | None = None,
     ) -> None:
@@ -111,7 +110,7 @@ class Engine:
         self.frames = 0
         self.frames_max = self.framework.mixer.frames
         self.before_fill: Callable[[], None] = lambda: None
-        self.fade = SoftFade(output_samplerate, audible=not silent)
+        self.fade = SoftFade(output_samplerate)
         self.mute = SoftFade(output_samplerate)
         self.live: LiveMemory | None = None
         self.filled_s = -math.inf

@@ -1,4 +1,4 @@
-"""Which engine computes the vibration, native or Python, and the change from one to the other."""
+"""Which engine computes the vibration, native or Python."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ from audioflinger_hook.daemon.native.abilities import (
     why_not_server,
     why_not_tap,
 )
+from audioflinger_hook.daemon.native.chains import Restore
+from audioflinger_hook.daemon.native.designs import DriveDesigns
 from audioflinger_hook.daemon.native.engine import NativeEngine
 from audioflinger_hook.daemon.native.taps import Tap, tap_of
 from audioflinger_hook.daemon.outputs.base import DeviceVolume
@@ -43,6 +45,7 @@ class EngineSwitch:
 
     config: what to do. folder: private, for files of the native engine; None: Python always.
     states: the daemon's state. on_change: called by another thread when the graph changes.
+    restore: sets what the rigs of a new chain begin with.
     reason: why the Python engine computes, "" while the native one does. monitor_gain,
     streams_gain: factors on the sound of a monitor, or of the streams themselves, by which the
     listener's volumes count as they should.
@@ -54,7 +57,10 @@ class EngineSwitch:
         folder: Path | None,
         states: StateKeeper,
         on_change: Callable[[], None],
+        restore: Restore,
     ) -> None:
+        self._restore = restore
+        self._designs = DriveDesigns()
         self._config = config
         self._folder = folder
         self._states = states
@@ -110,10 +116,8 @@ class EngineSwitch:
         connection: PulseConnection,
         volume: DeviceVolume,
         now_s: float,
-        *,
-        linked: bool,
-    ) -> bool:
-        """Keep the native engine running; return whether it plays, or can play once it is linked.
+    ) -> None:
+        """Keep the native engine running.
 
         Raises nothing: a lost engine starts again, and `auto` gives up after some failures.
         """
@@ -123,16 +127,14 @@ class EngineSwitch:
             native = self._opened()
             self._set_volume(device, connection, volume)
             native.set_sound_gains(streams=self.streams_gain, monitor=self.monitor_gain)
-            plays = native.maintain(source, device, now_s, linked=linked)
+            plays = native.maintain(source, device, now_s)
         except CushionError as error:
             self._fail(error, now_s)
-            return False
-        if not linked:
-            return plays
+            return
         if native.waits_for:
             self._began_s = None
             self._states.enter(DaemonState.WAITING_FOR_SERVER, now_s, native.waits_for)
-            return False
+            return
         self._note_unseen(native, tap_of(source, self._config.rules), device, now_s)
         self._note_start(native, plays, now_s)
         if players or native.is_fed:
@@ -142,25 +144,17 @@ class EngineSwitch:
             state = DaemonState.IDLE if quiet else DaemonState.RUNNING
             reason = source.why_silent if isinstance(source, Applications) else NOTHING
             self._states.enter(state, now_s, reason if quiet else "")
-        return plays
 
     def lose_links(self, cause: Cause, now_s: float, reason: str) -> None:
         """Note that the tap or the device has vanished."""
         if self.native is not None and self.native.lose_links(now_s):
             self._states.recover(cause, now_s, reason)
 
-    def leave(self, now_s: float) -> bool:
-        """Let the native engine leave the graph softly; return whether it has left.
-
-        Repeat it until then. `close` ends it.
-        """
-        native = self.native
-        return native is None or (native.fade_out(now_s) and native.leave(now_s))
-
     def close(self) -> None:
         """End the native engine until the next `maintain`. May be repeated; raises nothing."""
         if self.native is not None:
             self.native.close()
+        self._designs.end()
         self.native = None
         self._seen_s = self._began_s = None
 
@@ -181,6 +175,8 @@ class EngineSwitch:
                 self._folder,
                 self._states,
                 self._on_change,
+                self._restore,
+                self._designs,
                 monitor_reason=self._monitor_reason,
             )
         return self.native
@@ -226,7 +222,7 @@ class EngineSwitch:
 
     def _note_start(self, native: NativeEngine, plays: bool, now_s: float) -> None:
         """Take another way if a start takes too long, and forget failures once it has played."""
-        if self._began_s is None or plays:
+        if self._began_s is None or plays or native.is_designing:
             self._began_s = now_s
         if plays:
             if now_s - self._failed_s > PROVEN_S:

@@ -1,30 +1,45 @@
-"""Both engines of a run: the Python one, the native one, and the change between them."""
+"""Both engines of a run: the Python one, the native one, and the change between them.
+
+One ends before the other begins. Streams that join or leave PipeWire's graph may cost others a
+cycle, so none of them plays meanwhile.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
+from audioflinger_hook.core.compiled_core import library
 from audioflinger_hook.daemon.capture_queue import undone_db
 from audioflinger_hook.daemon.endpoints import Endpoints
 from audioflinger_hook.daemon.engine import Clocks, Engine
 from audioflinger_hook.daemon.engine_switch import EngineSwitch
-from audioflinger_hook.daemon.handover import Dip, Handover
 from audioflinger_hook.daemon.inputs.base import AudioNode
 from audioflinger_hook.daemon.live_memory import live_memory
 from audioflinger_hook.daemon.outputs.base import StreamOutput
 from audioflinger_hook.daemon.run_config import RunConfig
+from audioflinger_hook.daemon.safety_keeper import SafetyKeeper
+from audioflinger_hook.daemon.soft_fade import FADE_S
+from audioflinger_hook.drive.driven_rig import DrivenRig
 from audioflinger_hook.service.state import StateKeeper
+from device.drive.safety import SafetyState
 from device.server import PulseConnection, ServerSnapshot
 from device.stream.callback_thread import priority_advice
 from device.units import db_to_amplitude
 
-HANDOVER_TICK_S = 0.02
+CHANGE_TICK_S = 0.02
 """Time between ticks during a change of engine."""
+
+PLAYED_S = FADE_S + 0.1
+"""From the start of a fade until the device has played its end."""
 
 NATIVE_TICK_S = 0.25
 """Time between ticks while the native engine plays; what it waits for wakes the daemon."""
+
+
+BEGIN_S = 0.3
+"""From the last look at what plays to a new chain's first block."""
 
 
 class Engines:
@@ -33,6 +48,8 @@ class Engines:
     config: what to do. endpoints: of the Python engine. states: the daemon's state. folder:
     private, for files of the native engine and of a live page; None: only the Python engine, and no
     such file. on_change: called by another thread when PipeWire's graph changes.
+
+    safety: what the driven rigs must not forget; None: nothing outlives the process.
 
     volume_db: the listener's volume that is undone, 0 dB for 100 %. python: what the audio threads
     run; None before the first sound, and while the native engine plays. switch: the choice, and the
@@ -47,24 +64,30 @@ class Engines:
         states: StateKeeper,
         folder: Path | None,
         on_change: Callable[[], None],
+        safety: SafetyKeeper | None,
     ) -> None:
+        library()
         self._config = config
+        self._safety = safety
         self._clocks = clocks
         self._endpoints = endpoints
         self._folder = folder
-        self._handover = Handover()
-        self._dip = Dip()
+        self._fades_until_s = 0.0
         self._heard_before_s = 0.0
         self.volume_db = 0.0
         self.python: Engine | None = None
-        self.switch = EngineSwitch(config, folder, states, on_change)
+        self._device = ""
+        self._ended: dict[tuple[int, int], SafetyState] = {}
+        self.switch = EngineSwitch(config, folder, states, on_change, self._restore)
 
     @property
     def tick_s(self) -> float | None:
         """Longest time until the next tick, None for the usual one."""
-        if self._handover.is_under_way or self._dip.is_under_way:
-            return HANDOVER_TICK_S
-        native = self.switch.native
+        native, engine = self.switch.native, self.python
+        if native and (self.switch.reason or native.is_designing):
+            return CHANGE_TICK_S
+        if engine and not engine.fade.audible:
+            return CHANGE_TICK_S
         return NATIVE_TICK_S if native is not None and native.is_steady else None
 
     @property
@@ -76,7 +99,7 @@ class Engines:
         native = self.switch.native
         if not self._endpoints.needs_server:
             return "", ""
-        if native is not None and (native.audible or self._dip.is_under_way):
+        if native is not None and native.audible:
             return "native", ""
         return ("python", self.switch.reason) if self.python else ("", "")
 
@@ -114,8 +137,56 @@ class Engines:
             return
         if native.monitor_reason:
             yield f"the sink's monitor is tapped, one cycle later: {native.monitor_reason}"
+        if native.problem:
+            yield native.problem
         if native.lacks_realtime:
             yield priority_advice()
+
+    def record(self, now_s: float) -> None:
+        """Record what must not be forgotten, if it is time."""
+        for rig in filter(None, self.rigs):
+            rig.keep()
+        if self._safety is not None:
+            self._safety.update(self.rigs, now_s)
+
+    @property
+    def rigs(self) -> Sequence[DrivenRig | None]:
+        """What the engine that plays drives; () for nothing."""
+        native = self.switch.native
+        if self.python is None:
+            return native.rigs if native is not None else ()
+        return self.python.drive.processors
+
+    def _restore(self, rigs: Sequence[DrivenRig | None], first: bool) -> None:
+        """Let rigs of a new engine or chain continue where those that play, or on record, ended."""
+        if first and self._safety is not None:
+            self._safety.restore(rigs, self._device)
+        known = _states_of(self.rigs)
+        if not known and (self._safety is None or self._safety.warning):
+            known = self._ended  # what is not on record has not cooled down for all we know
+        for index, rig in enumerate(rigs):
+            if rig is not None and known:
+                bounds, states = rig.bounds(), list(rig.safety_states())
+                for channel in range(rig.channels):
+                    if (state := known.get((index, channel))) is not None:
+                        states[channel] = bounds.after_unrecorded(state, BEGIN_S)
+                rig.restore(states)
+
+    def _note_device(self, device: AudioNode) -> None:
+        if device.name != self._device:
+            self._device = device.name
+            if self._safety is not None:
+                self._safety.note_device(device.name)
+
+    @property
+    def safety_warning(self) -> str:
+        """What is wrong with the record of temperatures and dose, "" for nothing."""
+        return self._safety.warning if self._safety else ""
+
+    @property
+    def dose_since(self) -> str:
+        """Local time since when the dose counts; "" for the start."""
+        return self._safety.since if self._safety else ""
 
     @property
     def _delay_s(self) -> float:
@@ -130,15 +201,21 @@ class Engines:
 
     def drop(self) -> None:
         """Forget the Python engine, so that `prepare` makes another one."""
+        if self.python is not None:
+            self._close_safety()
         self._close_live()
         self._heard_before_s, self.python = self.heard_s, None
-        self._handover.reset()
-        self._dip.end()
 
     def close(self) -> None:
-        """End the native engine, and remove the file of the live page."""
+        """End the native engine, record the end, and remove the file of the live page."""
+        self._close_safety()
         self.switch.close()
         self._close_live()
+
+    def _close_safety(self) -> None:
+        self._ended = _states_of(self.rigs)
+        if self._safety is not None:
+            self._safety.close(self.rigs)
 
     def _close_live(self) -> None:
         if self.python is not None and self.python.live is not None:
@@ -152,30 +229,26 @@ class Engines:
         now_s: float,
     ) -> bool:
         """Keep the native engine, if it is chosen; return False while the Python engine plays."""
-        switch, handover, engine = self.switch, self._handover, self.python
+        switch, engine = self.switch, self.python
         seen = connection.latest if connection else None
         self._undo_volume(seen)
         if not switch.takes_native(source, seen) or connection is None:
+            if engine is not None:
+                engine.fade.audible = True
             return False
-        self._dip.end()
-        assert isinstance(self._endpoints.output, StreamOutput)
-        ready = switch.maintain(
-            source,
-            device,
-            self._endpoints.input.players(connection.latest),
-            connection,
-            self._endpoints.output.volume,
-            now_s,
-            linked=engine is None,
-        )
-        if engine is None:
-            return not switch.reason
-        if not ready:
-            return False
-        if handover.fade_out(engine.fade, now_s):
+        if engine is not None:
+            if engine.fade.audible:
+                engine.fade.audible, self._fades_until_s = False, now_s + PLAYED_S
+            if now_s < self._fades_until_s:
+                return True
             self._endpoints.close()
             self.drop()
-        return True
+        self._note_device(device)
+        assert isinstance(self._endpoints.output, StreamOutput)
+        players = self._endpoints.input.players(connection.latest)
+        volume = self._endpoints.output.volume
+        switch.maintain(source, device, players, connection, volume, now_s)
+        return not switch.reason
 
     def _undo_volume(self, snapshot: ServerSnapshot | None) -> None:
         """Undo the listener's volume where vibration follows loudness.
@@ -199,54 +272,32 @@ class Engines:
         self._endpoints.feed.gain.wanted = self.switch.monitor_gain = gain
         self.switch.streams_gain = db_to_amplitude(streams_db) if is_felt else 0.0
 
-    def may_open(self, now_s: float) -> bool:
-        """Return whether streams of the Python engine may open.
-
-        Each stream that joins the graph may cost the native engine a cycle, so it must be silent.
-        """
+    def native_has_ended(self, now_s: float) -> bool:
+        """Let the native engine end softly, if it runs; return whether it has. Repeat it."""
         native = self.switch.native
-        if native is None or not (native.audible or self._dip.is_under_way):
+        if native is None:
             return True
-        if self.python is None:
-            self._dip.begin(now_s)
-            return native.fade_out(now_s)
-        if self._dip.is_over(now_s):
-            self._dip.end()
-            native.fade_in()
+        if not native.fade_out(now_s):
+            return False
+        if native.rigs:  # none any more once it leaves
+            self._close_safety()
+        if not native.leave(now_s):
+            return False
+        self.switch.close()
         return True
-
-    def end_native(self, now_s: float) -> None:
-        """End a native engine that is not chosen any more, once the Python engine plays evenly."""
-        engine = self.python
-        self._dip.note_open(now_s)
-        if (
-            not self.switch.reason
-            or engine is None
-            or not (self.switch.native or self._handover.is_under_way)
-        ):
-            return
-        if engine.delay_line.status.delay_s <= 0.0 or not self._handover.has_settled(now_s):
-            return
-        if not self.switch.leave(now_s):
-            return
-        if self._handover.fade_in(engine.fade, now_s):
-            self._handover.reset()
-            self.switch.close()
 
     def prepare(self, source: AudioNode, device: AudioNode, now_s: float) -> None:
         """Make the engine for the first source; later sources are converted to the first format."""
         engine = self.python
+        self._note_device(device)
         if engine is None:
-            silent = self._dip.is_under_way
-            if silent:
-                self._handover.begin_silent(now_s)
             recording, feed = self._config.recording, self._endpoints.feed
             on_step, on_mix = None, None
             if recording:
                 on_step, on_mix = recording.hooks(
                     source.samplerate, source.channels, of_mix=feed.records_mix
                 )
-            engine = self.python = Engine(
+            engine = Engine(
                 feed.client(source.samplerate, source.channels),
                 device.samplerate or source.samplerate,
                 self._config.settings,
@@ -255,10 +306,11 @@ class Engines:
                 block_frames=self._config.live.block_frames,
                 now_s=now_s,
                 bypass_late=self._endpoints.input.needs_server,
-                silent=silent,
                 on_step=on_step,
                 on_mix=on_mix,
             )
+            self._restore(engine.drive.processors, True)
+            self.python = engine
             actuators = len(engine.driven_meters)
             engine.live = live_memory(self._folder, engine.samplerate, engine.channels, actuators)
             engine.mute.audible = not self._config.muted
@@ -266,3 +318,13 @@ class Engines:
             self._endpoints.output.set_format(engine.samplerate, engine.drive.outputs)
         elif not self._endpoints.output.is_open:
             engine.retarget(device.samplerate or engine.samplerate, self._config.live.block_frames)
+
+
+def _states_of(rigs: Sequence[DrivenRig | None]) -> dict[tuple[int, int], SafetyState]:
+    """Return what must not be forgotten, by number of the rig and of its channel."""
+    return {
+        (index, channel): state
+        for index, rig in enumerate(rigs)
+        if rig is not None
+        for channel, state in enumerate(rig.safety_states())
+    }

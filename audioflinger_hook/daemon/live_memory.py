@@ -11,7 +11,8 @@ from contextlib import suppress
 from itertools import count
 from pathlib import Path
 
-from audioflinger_hook.daemon.native.layout import ACTUATORS, CHANNELS
+from audioflinger_hook.core.structures import CHANNELS
+from audioflinger_hook.daemon.native.layout import ACTUATORS
 from audioflinger_hook.daemon.native.page import Page
 from audioflinger_hook.service.meters import LevelMeter
 
@@ -34,7 +35,7 @@ class LiveMemory:
         for left_over in folder.glob(f"{NAME}-*.page"):  # of a daemon that was killed
             left_over.unlink(missing_ok=True)
         path = folder / f"{NAME}-{next(_numbers)}.page"
-        self.page = Page(path, channels, 1, actuators)
+        self.page = Page(path, channels, 1, [0] * actuators)
         self._least_frames = round(samplerate / WRITES_PER_S)
         self._writes_left = 0
         self._due_frames = 0

@@ -97,8 +97,8 @@ class ConfigDiff:
     streams opened later), actuators (faded) and offset (the delay jumps, faded over 5 ms). A
     change of transform fades out and restarts after the transform's latency. tap and device reopen
     one stream, drop_in the virtual sink, blocks both streams, engine everything except the
-    connection. way is the choice of the native or the Python engine, which hands over without a
-    gap.
+    connection. way is the choice of the native or the Python engine: one ends before the other
+    begins.
     """
 
     level: bool = False

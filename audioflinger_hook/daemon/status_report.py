@@ -9,6 +9,12 @@ from dataclasses import replace
 from audioflinger_hook import __version__
 from audioflinger_hook.daemon.engine import Engine
 from audioflinger_hook.daemon.native.figures import with_native
+from audioflinger_hook.daemon.rig_figures import (
+    exposure_figures,
+    exposure_of,
+    protection_figures,
+    protection_of,
+)
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.daemon.supervisor import Supervisor
 from audioflinger_hook.service.meters import level_of
@@ -18,15 +24,12 @@ from audioflinger_hook.service.status import (
     DelayLineFigures,
     DeviceRateFigures,
     Endpoint,
-    ExposureFigures,
     LatencyBudget,
     Levels,
     Partial,
-    ProtectionFigures,
     Status,
     Xruns,
 )
-from device.drive.rig_processor import RigProcessor
 from device.units import db_to_amplitude
 
 
@@ -56,7 +59,7 @@ def status_of(supervisor: Supervisor, now_s: float) -> Status:
         principal=tuple(Partial(*partial) for partial in _principal(supervisor)),
     )
     if native is not None and native.audible:
-        return with_native(status, native, supervisor.config.settings, supervisor.offset_s)
+        return with_native(status, native, supervisor)
     if engine is None:
         return status
     line = engine.delay_line.status
@@ -91,9 +94,9 @@ def status_of(supervisor: Supervisor, now_s: float) -> Status:
         effects_bypassed=tuple(engine.framework.bypassed()),
         limited_samples=engine.framework.limited_samples,
         replaced_samples=engine.framework.replaced_samples,
-        protection=_worst_protection(engine),
-        exposure=_worst_exposure(engine),
-        actuators=_actuators(engine),
+        protection=protection_of(drive.processors),
+        exposure=exposure_of(drive.processors, supervisor.engines.dose_since),
+        actuators=_actuators(engine, supervisor.engines.dose_since),
         profile=engine.framework.settings.profile,
         engine="python",
     )
@@ -126,34 +129,7 @@ def _as_played(
     return [(audio_hz, hz, level * amplitude) for audio_hz, hz, amplitude in partials]
 
 
-def _worst_protection(engine: Engine) -> ProtectionFigures | None:
-    found = [_protection(one) for one in engine.drive.processors if one]
-    return min(found, key=lambda one: (one.gain, one.least_gain), default=None)
-
-
-def _worst_exposure(engine: Engine) -> ExposureFigures | None:
-    return worst_exposure([_exposure(one) for one in engine.drive.processors if one])
-
-
-def worst_exposure(found: Sequence[ExposureFigures]) -> ExposureFigures | None:
-    """Return each reading of the actuator where it is worst; None without actuators."""
-    if not found:
-        return None
-    most = max(found, key=lambda one: one.a8_m_s2)
-    capped = min(found, key=lambda one: one.cap_gain)
-    return replace(
-        most,
-        time_s=max(one.time_s for one in found),
-        running_m_s2=max(one.running_m_s2 for one in found),
-        vdv=max(one.vdv for one in found),
-        above_action=any(one.above_action for one in found),
-        above_limit=any(one.above_limit for one in found),
-        cap=capped.cap,
-        cap_gain=capped.cap_gain,
-    )
-
-
-def _actuators(engine: Engine) -> tuple[ActuatorFigures, ...]:
+def _actuators(engine: Engine, since: str) -> tuple[ActuatorFigures, ...]:
     drive = engine.drive
     if not drive.settings:
         return ()
@@ -166,43 +142,10 @@ def _actuators(engine: Engine) -> tuple[ActuatorFigures, ...]:
             polarity=chosen.polarity,
             delay_ms=chosen.delay_ms,
             level=gathered.meter.level(),
-            protection=_protection(processor) if processor else None,
-            exposure=_exposure(processor) if processor else None,
+            protection=protection_figures(processor),
+            exposure=exposure_figures(processor, since),
         )
         for chosen, processor, gathered in zip(
             drive.settings, drive.processors, engine.driven, strict=True
         )
-    )
-
-
-def _protection(processor: RigProcessor) -> ProtectionFigures:
-    seen = processor.protection()
-    return ProtectionFigures(
-        blocks=seen.blocks,
-        limited_blocks=seen.limited_blocks,
-        infeasible_blocks=seen.infeasible_blocks,
-        replaced_samples=seen.replaced_samples,
-        gain=seen.gain,
-        least_gain=seen.least_gain,
-        limited_by=seen.limited_by,
-        excursion_mm=1e3 * seen.excursion_m,
-        coil_c=seen.coil_c,
-        makeup_db=processor.makeup_db,
-        strength_db=processor.strength_db,
-    )
-
-
-def _exposure(processor: RigProcessor) -> ExposureFigures:
-    dose = processor.exposure()
-    return ExposureFigures(
-        time_s=dose.time_s,
-        running_m_s2=dose.running_m_s2,
-        a8_m_s2=dose.a8_m_s2,
-        vdv=dose.vdv,
-        above_action=dose.above_action,
-        above_limit=dose.above_limit,
-        extrapolated=dose.extrapolated,
-        knows_seat=processor.knows_seat,
-        cap=processor.exposure_cap,
-        cap_gain=processor.exposure_gain,
     )

@@ -13,6 +13,7 @@ from audioflinger_hook.daemon.inputs.base import AudioNode, Input
 from audioflinger_hook.daemon.limit_advice import LimitAdvice
 from audioflinger_hook.daemon.outputs.base import Output
 from audioflinger_hook.daemon.run_config import ConfigDiff, RunConfig
+from audioflinger_hook.daemon.safety_keeper import SafetyKeeper
 from audioflinger_hook.daemon.server_link import ServerLink
 from audioflinger_hook.daemon.timing import IdlePolicy, StallDetector
 from audioflinger_hook.daemon.wake import Nudge, Wake
@@ -40,14 +41,20 @@ class Supervisor:
 
     config: what to do. clocks: sources of time; `now_s` is time.monotonic() or a replacement.
     wake: rung when something changes. states: the daemon's state and its recoveries. folder:
-    private, for files of the native engine; None: only the Python engine. engines: both engines.
+    private, for files of the native engine; None: only the Python engine. safety: what outlives
+    the process; None: nothing does. engines: both engines.
     priority: of the audio threads.
     config_error: why the latest config was not applied, "" if it was.
     UsageError, NotFoundError: a file to play or to write cannot be used.
     """
 
     def __init__(
-        self, config: RunConfig, clocks: Clocks, wake: Wake, folder: Path | None = None
+        self,
+        config: RunConfig,
+        clocks: Clocks,
+        wake: Wake,
+        folder: Path | None = None,
+        safety: SafetyKeeper | None = None,
     ) -> None:
         now_s = clocks.now_s()
         self.states = StateKeeper(now_s)
@@ -60,7 +67,9 @@ class Supervisor:
         self._link = ServerLink(Nudge(wake))
         self._idle_policy = IdlePolicy(now_s)
         self._found: tuple[AudioNode | None, AudioNode | None] = (None, None)
-        self.engines = Engines(config, clocks, self._endpoints, self.states, folder, wake.ring)
+        self.engines = Engines(
+            config, clocks, self._endpoints, self.states, folder, wake.ring, safety
+        )
         self._stalls = StallDetector(self.states, clocks.slept_s)
         self._limits = LimitAdvice()
 
@@ -157,6 +166,7 @@ class Supervisor:
             self._link.warning,
             self.priority.warning,
             self.config_error,
+            self.engines.safety_warning,
             *self.engines.warnings,
             self._limits.advice(self._config.settings),
         )
@@ -184,6 +194,7 @@ class Supervisor:
     def tick(self, now_s: float) -> None:
         """Do what is due: connect, locate, open, check, recover or rest."""
         self._notice_pauses(now_s)
+        self.engines.record(now_s)
         self._limits.update(self.engines.limited_samples, self.engines.frames, now_s)
         connection = None
         try:
@@ -213,7 +224,7 @@ class Supervisor:
             return
         if self.engines.native_plays(connection, source, device, now_s):
             return
-        if self._rests(connection, snapshot, now_s) or not self.engines.may_open(now_s):
+        if not self.engines.native_has_ended(now_s) or self._rests(connection, snapshot, now_s):
             return
         try:
             self.engines.prepare(source, device, now_s)
@@ -229,7 +240,6 @@ class Supervisor:
             return
         if self.input.name and self.output.name:
             self.states.enter(DaemonState.RUNNING, now_s)
-            self.engines.end_native(now_s)
 
     def follow(self, config: RunConfig, now_s: float) -> ConfigDiff:
         """Apply another config and return the difference.

@@ -14,7 +14,8 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import Any
 
-from audioflinger_hook.daemon.native.layout import ACTUATORS, CHANNELS, ShownReader
+from audioflinger_hook.core.structures import CHANNELS
+from audioflinger_hook.daemon.native.layout import ACTUATORS, ShownReader
 from audioflinger_hook.service.runtime_folder import RuntimeFolder
 from device.errors import CushionError
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from audioflinger_hook.config.settings import Settings
+from audioflinger_hook.drive.drive import Drive
 from audioflinger_hook.offline.sections import Plan, plan_for, sections_of
 from audioflinger_hook.pipeline.framework import (
     OFFLINE_HAL_FRAMES,
@@ -24,7 +25,6 @@ from audioflinger_hook.pipeline.framework import (
 from audioflinger_hook.pipeline.step import HapticSink, Pipeline
 from audioflinger_hook.sources import Client, FileTap, TapClient
 from device.drive.channel_map import ChannelMap
-from device.drive.drive import Drive
 from device.drive.exposure import Exposure
 from device.drive.outputs import FADE_S, AlignedOutput, DrivenOutput, FadedOutput
 from device.errors import UsageError

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from audioflinger_hook.config.settings import Settings
+from audioflinger_hook.drive.drive import Drive
 from audioflinger_hook.effect.block_watch import BlockWatch
 from audioflinger_hook.effect.chain import BUDGET_SHARE, EffectChains
 from audioflinger_hook.effect.haptic_parameters import (
@@ -24,9 +25,8 @@ from audioflinger_hook.effect.registry import EffectRegistry
 from audioflinger_hook.effect.xml import OUTPUT_MIX_STREAM, bundled_effects, read_effects
 from audioflinger_hook.mixer import Mixer, Sink, dump
 from audioflinger_hook.mixer.effects_port import OUTPUT_MIX
-from audioflinger_hook.transform import HapticTransform, kernel_warning
+from audioflinger_hook.transform import HapticTransform
 from device.drive.channel_map import ChannelMap
-from device.drive.drive import Drive
 from device.errors import CushionError, InternalError, UsageError
 from device.output import VibrationOutput
 from device.rig import rig_by_name
@@ -75,9 +75,6 @@ class Framework:
         self.haptic = self._add_effects()
         self._block_watch = BlockWatch()
         self._wanted = self._taken = self._parameters(self.settings)
-        uncompiled = kernel_warning()
-        if uncompiled and self.settings.form == "live":
-            self.warnings.append(uncompiled)
         self.mixer = Mixer(
             samplerate,
             channels,

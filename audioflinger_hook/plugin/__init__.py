@@ -1,13 +1,8 @@
-"""The effect as a plugin of other audio software: LADSPA and LV2."""
+"""The core as a plugin of other audio software: LADSPA and LV2."""
 
 from __future__ import annotations
 
-from pathlib import Path
+from audioflinger_hook.core import FILE_NAME
+from audioflinger_hook.core import library_path as plugin_path
 
-FILE_NAME = "haptic_cushion.so"
-
-
-def plugin_path() -> Path | None:
-    """Return the compiled plugin, None if it is not built."""
-    path = Path(__file__).with_name(FILE_NAME)
-    return path if path.is_file() else None
+__all__ = ["FILE_NAME", "plugin_path"]

@@ -11,7 +11,7 @@ from device.errors import NotFoundError
 
 INPUT, OUTPUT, CONTROL, AUDIO = 1, 2, 4, 8
 TOGGLED = 0x4
-OF_THE_DAEMON = ("haptic_cushion_daemon", "haptic_cushion_actuator")
+OF_THE_DAEMON = ("haptic_cushion_daemon",)
 
 
 class _Range(ctypes.Structure):

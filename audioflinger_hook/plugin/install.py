@@ -9,12 +9,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from audioflinger_hook.config.profiles import PROFILES, parameters_of
+from audioflinger_hook.core.design import core_design
 from audioflinger_hook.plugin import FILE_NAME, plugin_path, turtle
 from audioflinger_hook.plugin.faces import public_faces
 from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.parameters import check_format
 from device.atomic_file import write_bytes_atomically
 from device.errors import NotFoundError, UsageError, WriteError
+
+CHANNELS = 2
+"""Channels of the plugins' sound; the plugin for one channel doubles it."""
 
 RATES_HZ = (44_100, 48_000, 88_200, 96_000, 176_400, 192_000)
 MARKER = "Written by `cushion plugin install`; `cushion plugin remove` removes it."
@@ -129,7 +133,9 @@ def install(places: Places, profile: str, device: str | None, rates_hz: tuple[in
     _refuse_foreign(places)
     faces = public_faces(built)
     designs = {
-        f"{name}-{rate_hz}.design": LiveDesign.of(parameters_of(name), rate_hz).to_bytes()
+        f"{name}-{rate_hz}.design": core_design(
+            rate_hz, CHANNELS, transform=LiveDesign.of(parameters_of(name), rate_hz).records()
+        )
         for name in PROFILES
         for rate_hz in rates_hz
     }

@@ -33,7 +33,7 @@ from device.errors import UsageError
 DEMO_DURATION_S = 15.0
 MAX_SAMPLERATE = 192_000
 
-Voice = Callable[[int, np.random.Generator, float], NDArray[np.float32]]
+Voice = Callable[[int, "np.random.Generator", float], NDArray[np.float32]]
 
 
 @dataclass(frozen=True)

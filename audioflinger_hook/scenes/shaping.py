@@ -8,9 +8,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.interpolate import PchipInterpolator
-from scipy.signal import butter, fftconvolve, lfilter, sosfilt
 
 Signal = NDArray[np.float64]
 
@@ -30,7 +29,9 @@ def curve(time_s: Signal, points: Sequence[tuple[float, float]]) -> Signal:
     """
     knots_s, values = np.array(points, dtype=np.float64).T
     inside_s = np.clip(time_s, knots_s[0], knots_s[-1])
-    return np.asarray(PchipInterpolator(knots_s, values)(inside_s), dtype=np.float64)
+    return np.asarray(
+        scipy.interpolate.PchipInterpolator(knots_s, values)(inside_s), dtype=np.float64
+    )
 
 
 def phase_of(frequency_hz: Signal, samplerate: int) -> Signal:
@@ -46,12 +47,12 @@ def band(
     if low_hz is None and high_hz is None:
         return signal
     if low_hz is None:
-        sos = butter(order, high_hz, "lowpass", fs=samplerate, output="sos")
+        sos = scipy.signal.butter(order, high_hz, "lowpass", fs=samplerate, output="sos")
     elif high_hz is None:
-        sos = butter(order, low_hz, "highpass", fs=samplerate, output="sos")
+        sos = scipy.signal.butter(order, low_hz, "highpass", fs=samplerate, output="sos")
     else:
-        sos = butter(order, (low_hz, high_hz), "bandpass", fs=samplerate, output="sos")
-    return np.asarray(sosfilt(sos, signal, axis=0), dtype=np.float64)
+        sos = scipy.signal.butter(order, (low_hz, high_hz), "bandpass", fs=samplerate, output="sos")
+    return np.asarray(scipy.signal.sosfilt(sos, signal, axis=0), dtype=np.float64)
 
 
 def ring(excitation: Signal, frequency_hz: float, decay_s: float, samplerate: int) -> Signal:
@@ -63,7 +64,7 @@ def ring(excitation: Signal, frequency_hz: float, decay_s: float, samplerate: in
     angle = 2.0 * np.pi * frequency_hz / samplerate
     numerator = [0.0, radius * np.sin(angle)]
     denominator = [1.0, -2.0 * radius * np.cos(angle), radius * radius]
-    return np.asarray(lfilter(numerator, denominator, excitation), dtype=np.float64)
+    return np.asarray(scipy.signal.lfilter(numerator, denominator, excitation), dtype=np.float64)
 
 
 def pan(mono: Signal, position: Signal | float) -> Signal:
@@ -91,7 +92,7 @@ def room(
     # A few milliseconds of nothing first, as from walls that are not at the ear.
     tail[: round(0.008 * samplerate)] = 0.0
     tail *= np.sqrt(level / np.sum(tail**2, axis=0))
-    wet = fftconvolve(dry, tail, axes=0)[: dry.shape[0]]
+    wet = scipy.signal.fftconvolve(dry, tail, axes=0)[: dry.shape[0]]
     return np.asarray(dry + wet, dtype=np.float64)
 
 

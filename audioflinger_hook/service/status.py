@@ -151,13 +151,14 @@ class ProtectionFigures:
 
 @dataclass(frozen=True)
 class ExposureFigures:
-    """Predicted vibration of the seat since the start, weighted by Wk of ISO 2631-1.
+    """Predicted vibration of the seat today, weighted by Wk of ISO 2631-1.
 
     time_s: duration of vibration. running_m_s2: r.m.s. of the last second. a8_m_s2: A(8). vdv:
     m/s^1.75. above_action, above_limit: whether the action value and the limit value of 2002/44/EC
     are exceeded. extrapolated: share of energy above 80 Hz, where the weighting is extrapolated.
     knows_seat: whether the rig file describes the seat; if not, the seat is assumed to move like
-    the mass. cap, cap_gain: the setting `exposure_cap` and its gain, 0 to 1.
+    the mass. cap, cap_gain: the setting `exposure_cap` and its gain, 0 to 1. since: local time
+    since when it counts, such as "2026-05-01T09:30+02:00"; "" for the start.
     """
 
     time_s: float
@@ -170,6 +171,7 @@ class ExposureFigures:
     knows_seat: bool = False
     cap: str = "off"
     cap_gain: float = 1.0
+    since: str = ""
 
 
 @dataclass(frozen=True)

@@ -252,6 +252,8 @@ def _exposure(exposure: ExposureFigures) -> Text:
         f"A(8) {exposure.a8_m_s2:.3g} m/s², VDV {exposure.vdv:.3g} m/s^1.75 (predicted, {seat}); "
         f"now {exposure.running_m_s2:.3g} m/s²",
     )
+    if exposure.since:
+        text.append(f"; since {one_line(exposure.since[:16].replace('T', ' '))}")
     if exposure.cap != "off":
         colour = "yellow" if exposure.cap_gain < 1.0 else ""
         text.append(f"; cap {one_line(exposure.cap)}, gain {exposure.cap_gain:.2f}", colour)

@@ -1,24 +1,23 @@
 """The transform: principal frequencies of sound, mapped to 20-220 Hz of vibration.
 
     input_stage -> spectrum -> principal, mapping -> reference/  (unit by unit)
-                      '-----> live/                              (overlapped, early)
+    native/                                                      (overlapped, early)
 
 | module | what it does |
 | --- | --- |
-| `haptic` | `HapticTransform`, which users hold; it calls the kernel |
+| `haptic` | `HapticTransform`, which users hold; it calls the core |
 | `parameters` | what shapes the vibration, and the ranges |
 | `design/` | all numbers and tables of the live form |
-| `native/` | the live form compiled: one call a block |
-| `live/` | the live form in NumPy |
+| `native/` | the live form, in C; tests/oracle has it for whole sounds, in NumPy |
 | `reference/` | the paper's equations, literally |
-| `channel_bank` | the NumPy implementations, one for each channel |
+| `channel_bank` | the reference form of each channel |
 | `input_stage`, `downmix`, `spectrum`, `principal`, `mapping` | steps that several forms share |
 
 Pure: samples in, samples out; no clock, no I/O, no mixer.
 """
 
 from audioflinger_hook.transform.arrays import FloatArray, Frames, IntArray
-from audioflinger_hook.transform.haptic import Form, HapticTransform, Implementation, kernel_warning
+from audioflinger_hook.transform.haptic import Form, HapticTransform
 from audioflinger_hook.transform.parameters import TransformParameters
 
 TRANSFORM_VERSION = 2
@@ -30,8 +29,6 @@ __all__ = [
     "Form",
     "Frames",
     "HapticTransform",
-    "Implementation",
     "IntArray",
     "TransformParameters",
-    "kernel_warning",
 ]

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.signal import lfilter
+import scipy
 
 from audioflinger_hook.transform.arrays import FloatArray
 from device.layouts import KNOWN, downmix
@@ -32,8 +32,8 @@ EVIDENCE_FRAMES = 3
 
 CANCELS_FROM, CANCELS_UP_TO = 0.1, 0.025
 """Shares of power in the mean where the factor begins to rise from 0, and where it reaches 1: -10
-and -16 dB. Independent channels, or sound in one of them, have a share of 0.5; reverberation and
-drones in real stereo were found to have down to 0.14 for some 0.1 s."""
+and -16 dB. Independent channels, or sound in one of them, have a share of 0.5. Reverberation and
+drones in real stereo have down to 0.14 for some 0.1 s."""
 
 POWER_GUARD = 1e-25
 """Added to what is squared: no power decays into denormal numbers, however long the silence."""
@@ -46,6 +46,11 @@ def mix_weights(halves: FloatArray) -> FloatArray:
     """
     left, right = halves.T
     return np.stack((0.5 * (left + right), 0.5 * (left - right)))
+
+
+def source_mixes(weights: FloatArray) -> list[FloatArray]:
+    """Return `mix_weights` of each source; weights: (channels, sources, 2)."""
+    return [mix_weights(weights[:, source]) for source in range(weights.shape[1])]
 
 
 def downmix_table() -> FloatArray:
@@ -154,7 +159,7 @@ class MonoMix:
         return factor
 
     def _smooth(self, which: int, newest: float, power: FloatArray) -> FloatArray:
-        smoothed, self._powers[which] = lfilter(
+        smoothed, self._powers[which] = scipy.signal.lfilter(
             [newest], [1.0, newest - 1.0], power, zi=self._powers[which]
         )
         return np.asarray(smoothed)

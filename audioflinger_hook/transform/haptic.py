@@ -2,129 +2,110 @@
 
 from __future__ import annotations
 
-from types import ModuleType
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
+from audioflinger_hook.core.compiled_core import GLIDE_NUMBERS, Core
+from audioflinger_hook.core.design import core_design
 from audioflinger_hook.transform.arrays import FloatArray, Frames
 from audioflinger_hook.transform.channel_bank import ChannelBank
 from audioflinger_hook.transform.design import LiveDesign
-from audioflinger_hook.transform.downmix import MonoMix
+from audioflinger_hook.transform.downmix import MonoMix, source_mixes
 from audioflinger_hook.transform.input_stage import Mixdown, fit_block
-from audioflinger_hook.transform.live.synthesis import GLIDE_COLUMNS
-from audioflinger_hook.transform.live.transform import LiveTransform
 from audioflinger_hook.transform.parameters import TransformParameters, check_format
 from audioflinger_hook.transform.reference.transform import ReferenceTransform
 from device.errors import UsageError
-from device.extension import load
-
-_kernel: ModuleType | None
-try:
-    _kernel = load("audioflinger_hook.transform._kernel", "LiveKernel")
-except ImportError as error:
-    _kernel = None
-    _why_missing = str(error)
 
 
-def kernel_warning() -> str | None:
-    """Return why the live form is not compiled, and the cost of this; None if compiled."""
-    if _kernel is not None:
-        return None
-    return (
-        f"the transform runs uncompiled, the same vibration for about fifteen times the processor "
-        f"time ({_why_missing}); to build it: `rm -rf .venv`, then `make run`, with a C compiler"
-    )
-
-
-class KernelStream:
+class CoreStream:
     """One stream of the live form, (frames, channels) to (frames, channels or 1), compiled.
 
-    The vibration is that of `ChannelBank` within 1e-6 of full scale; the counters are the same, and
-    any split gives the same bytes. All memory is allocated in the constructor. Use from one thread
-    at a time.
+    Any split gives the same bytes. Memory grows with the largest block. Use from one thread at a
+    time.
 
     design: all numbers and tables.
     channels: channels of the sound.
     each: whether every channel is transformed separately, instead of their mono mix.
-    RuntimeError: the kernel is missing: see `kernel_warning`.
+    weights: (channels, outputs, 2) of sources, each of which is transformed; None without.
+    NotFoundError: the core is not built.
     """
 
-    def __init__(self, design: LiveDesign, channels: int, each: bool) -> None:
-        if _kernel is None:
-            raise RuntimeError(kernel_warning())
-        self._kernel = _kernel.LiveKernel(design.to_bytes(), channels, each)
-        self._made_of = (design, channels, each)
+    def __init__(
+        self, design: LiveDesign, channels: int, each: bool, weights: FloatArray | None = None
+    ) -> None:
+        self._made_of = (design, channels, each, weights)
+        mixes = () if weights is None else source_mixes(weights)
+        self._core = Core(
+            core_design(
+                design.samplerate, channels, transform=design.records(), each=each, mixes=mixes
+            )
+        )
         self._channels = channels
-        self._channels_out = channels if each else 1
+        self._records_glides = False
+        self._glides: list[FloatArray] = []
         self.latency_frames = design.latency_frames
         self.tonal_latency_frames = design.tonal_latency_frames
 
-    def __getstate__(self) -> tuple[tuple[LiveDesign, int, bool], bytes]:
-        return self._made_of, self._kernel.state
+    def __getstate__(self) -> tuple[Any, bytes]:
+        return self._made_of, self._core.state
 
-    def __setstate__(self, state: tuple[tuple[LiveDesign, int, bool], bytes]) -> None:
+    def __setstate__(self, state: tuple[Any, bytes]) -> None:
         made_of, numbers = state
-        KernelStream.__init__(self, *made_of)
-        self._kernel.state = numbers
+        CoreStream.__init__(self, *made_of)
+        self._core.state = numbers
 
     @property
     def delivered_frames(self) -> int:
         """Frames of vibration given so far."""
-        delivered: int = self._kernel.delivered
-        return delivered
+        return int(self._core.readings.frames)
 
     @property
     def replaced_samples(self) -> int:
         """Unusable samples so far, which counted as 0."""
-        replaced: int = self._kernel.replaced
-        return replaced
+        return int(self._core.readings.replaced)
 
     @property
     def limited_samples(self) -> int:
         """Samples of vibration that the limiter has changed, some not delivered yet."""
-        limited: int = self._kernel.limited
-        return limited
+        return int(self._core.readings.limited)
 
     @property
     def told(self) -> tuple[tuple[float, float, float], ...]:
         """What the latest hop of all channels vibrates, at most 16."""
-        told: tuple[tuple[float, float, float], ...] = self._kernel.told
-        return told
+        return self._core.partials
 
     def take_glides(self) -> FloatArray:
         """Return what all slots did since the last call; see `HapticTransform.take_glides`."""
-        return np.frombuffer(self._kernel.take_glides()).reshape(-1, len(GLIDE_COLUMNS))
+        self._records_glides = True
+        found, self._glides = self._glides, []
+        return np.concatenate([np.empty((0, GLIDE_NUMBERS)), *found])
 
     def process(self, frames: Frames) -> FloatArray:
         """Return (frames, channels out) of vibration for a block that `fit_block` takes.
 
-        Raises as `fit_block` does. Called on the audio thread: what Python does here costs more
-        than the kernel, where other programs have had the caches since the last block.
+        Raises as `fit_block` does. Called on the audio thread.
         """
-        try:
-            vibration = np.empty((len(frames), self._channels_out))
-            self._kernel.process(frames, vibration)
-        except (TypeError, ValueError, BufferError):
-            # The block has one of the rare layouts, or is no sound.
-            frames = fit_block(frames, self._channels)
-            vibration = np.empty((len(frames), self._channels_out))
-            self._kernel.process(frames, vibration)
-        return vibration
+        fitted = fit_block(frames, self._channels)
+        if self._records_glides:
+            self._core.record_glides(len(fitted))
+            vibration = self._core.vibrate(fitted)
+            self._glides.append(self._core.record_glides(0))
+            return vibration
+        return self._core.vibrate(fitted)
 
     def finish(self) -> FloatArray:
         """Return the last `latency_frames` of vibration, as if silence followed; restart."""
         rest = self.process(np.zeros((self.latency_frames, self._channels)))
-        self._kernel.reset()
+        self._core.reset()
         return rest
 
     def reset(self) -> None:
         """Start a new stream; the counters go on."""
-        self._kernel.reset()
+        self._core.reset()
 
 
 Form = Literal["live", "reference"]
-Implementation = Literal["compiled", "numpy"]
 
 FORMS: tuple[Form, ...] = ("live", "reference")
 
@@ -152,10 +133,6 @@ class HapticTransform:
     single : bool
         Whether the caller will round the vibration to float32. The reference form then takes a
         third of the time and gives the same float32 values. The live form ignores it.
-    implementation : {'compiled', 'numpy'}, optional
-        How the live form is computed. Both agree within 1e-6 of full scale; `numpy` takes about
-        fifteen times as long. Default: `compiled` if the kernel exists (see `kernel_warning`).
-        The reference form is always `numpy`.
 
     Attributes
     ----------
@@ -165,7 +142,9 @@ class HapticTransform:
     Raises
     ------
     UsageError
-        The format, the form or its implementation is not supported.
+        The format or the form is not supported.
+    NotFoundError
+        The live form is asked for, and the core is not built.
     """
 
     def __init__(
@@ -178,7 +157,6 @@ class HapticTransform:
         per_channel: bool = False,
         weights: FloatArray | None = None,
         single: bool = False,
-        implementation: Implementation | None = None,
     ) -> None:
         check_format(samplerate, channels)
         if form not in FORMS:
@@ -187,27 +165,24 @@ class HapticTransform:
         self.channels = channels
         self.parameters = parameters or TransformParameters()
         self.form = form
-        self.implementation = _choose_implementation(form, implementation)
-        self._single = single
-        self._mixdown = None if weights is None else Mixdown(weights, samplerate)
-        streamed = self._mixdown.outputs if self._mixdown else channels
-        per_channel |= self._mixdown is not None
+        streamed = channels if weights is None else weights.shape[1]
+        per_channel |= weights is not None
         self.channels_out = streamed if per_channel else 1
         self._references: list[ReferenceTransform] = []
-        self._stream = self._open(streamed, per_channel)
+        self._stream: ChannelBank | CoreStream
+        if form == "live":
+            self._stream = self._live_stream(per_channel, weights)
+            return
+        self._references = [
+            ReferenceTransform(self.parameters, samplerate, single=single)
+            for _ in range(self.channels_out)
+        ]
+        mixdown = None if weights is None else Mixdown(weights, samplerate)
+        self._stream = ChannelBank(self._references, channels, mixdown)
 
-    def _open(self, channels: int, per_channel: bool) -> ChannelBank | KernelStream:
-        """Return a new stream."""
-        if self.form == "reference":
-            self._references = [
-                ReferenceTransform(self.parameters, self.samplerate, single=self._single)
-                for _ in range(self.channels_out)
-            ]
-            return ChannelBank(self._references, channels)
+    def _live_stream(self, per_channel: bool, weights: FloatArray | None) -> CoreStream:
         design = LiveDesign.of(self.parameters, self.samplerate)
-        if self.implementation == "compiled":
-            return KernelStream(design, channels, per_channel)
-        return ChannelBank([LiveTransform(design) for _ in range(self.channels_out)], channels)
+        return CoreStream(design, self.channels, per_channel, weights)
 
     @property
     def latency_frames(self) -> int:
@@ -238,7 +213,7 @@ class HapticTransform:
     @property
     def replaced_samples(self) -> int:
         """Unusable samples of sound so far, which counted as 0."""
-        return (self._mixdown or self._stream).replaced_samples
+        return self._stream.replaced_samples
 
     @property
     def principal(self) -> tuple[tuple[float, float, float], ...]:
@@ -290,32 +265,12 @@ class HapticTransform:
             upwards. Samples that are not finite or exceed 1e3 count as 0 and in `replaced_samples`.
         UsageError: the block has another type or shape.
         """
-        return self._stream.process(self._mixdown.process(frames) if self._mixdown else frames)
+        return self._stream.process(frames)
 
     def finish(self) -> FloatArray:
         """Return the last `latency_frames` of vibration, (frames, channels_out); start again."""
-        if self._mixdown:
-            self._mixdown.reset()
         return self._stream.finish()
 
     def reset(self) -> None:
         """Start a new stream; the counters go on."""
-        if self._mixdown:
-            self._mixdown.reset()
         self._stream.reset()
-
-
-def _choose_implementation(form: Form, wanted: Implementation | None) -> Implementation:
-    """Return how a form is computed; if there is a choice, the faster way."""
-    missing = kernel_warning()
-    if wanted not in (None, "compiled", "numpy"):
-        raise UsageError(
-            f"implementation {wanted!r} of the transform is not known; allowed: compiled, numpy"
-        )
-    if wanted == "compiled" and form == "reference":
-        raise UsageError("the reference form is not compiled; allowed for it: numpy")
-    if wanted == "compiled" and missing:
-        raise UsageError(missing)
-    if wanted:
-        return wanted
-    return "numpy" if missing or form == "reference" else "compiled"

@@ -10,8 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-from scipy.fft import next_fast_len
-
+from audioflinger_hook.transform.filters import fast_length
 from device.errors import UsageError
 from device.values import Choice, Described, Number, Refusal
 
@@ -160,7 +159,7 @@ class TransformParameters(Described):
 
     def fft_length(self, samplerate: int) -> int:
         """Length of the zero-padded FFT: the smallest fast length of at least 2 N."""
-        return int(next_fast_len(2 * self.window_frames(samplerate), real=True))
+        return fast_length(2 * self.window_frames(samplerate))
 
     def unit_strength_hz(self, samplerate: int) -> float:
         """r of a steady full-scale tone, 1.30 fs/N: r divided by it is 1 for this tone."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.fft import rfft
 
 from audioflinger_hook.transform.arrays import FloatArray
 from audioflinger_hook.transform.parameters import TransformParameters
@@ -51,7 +51,7 @@ class Spectrum:
 
         Each row is transformed separately: its bytes do not depend on the other rows.
         """
-        return np.asarray(rfft(windows * self.window, self.fft_length, axis=1))
+        return np.asarray(scipy.fft.rfft(windows * self.window, self.fft_length, axis=1))
 
 
 def magnitude(spectra: ComplexArray) -> FloatArray:

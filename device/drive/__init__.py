@@ -1,18 +1,18 @@
-"""The drive path: from the vibration of the sources to the channels of a device.
+"""What is done for the actuators of a device, as designs, and the device's channels.
 
 | module                | holds                                                                |
 | --------------------- | -------------------------------------------------------------------- |
-| drive.py              | `Drive`: vibration of the sources in, what each actuator plays out;  |
-|                       | `ChannelRouter`: routes this to the channels of a device             |
-| actuator_feed.py      | the last half second; one actuator's source, delay, level, polarity  |
-| rig_processor.py      | damping, protection and exposure meter of one rig                    |
+| settings.py           | what a user may choose for one actuator                              |
+| design.py             | `DriveDesign`: damping, protection and exposure meter of one rig     |
+| damping, protection, exposure | their parts                                                  |
+| safety.py             | temperatures and doses that outlive a process                        |
 | channel_map.py        | which actuator each channel of a device plays                        |
 | channel_positions.py  | channel maps for a sink of a sound server                            |
+| channel_router.py     | routes actuators to the channels of an open output                   |
 | outputs.py            | outputs behind a drive, and without the latency                      |
-| settings.py           | what a user may choose for one actuator                              |
-| damping, protection, exposure | what is done for a rig                                       |
 
-`drive` and `rig_processor` need SciPy, which loads slowly: import them from their modules.
+The core drives by these designs (audioflinger_hook/core). `design` needs SciPy, which loads slowly:
+import it from its module.
 """
 
 from device.drive.channel_map import ChannelMap, Wiring, channels_needed

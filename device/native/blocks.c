@@ -1,24 +1,10 @@
-/* What is done to every block of frames, compiled: `_blocks`; blocks.py and interpolator.py say the
- * same in NumPy. */
+/* What is done to every block of frames; blocks.py and ring.py say the same in NumPy. */
 
 #include "blocks.h"
 
 #include <math.h>
 #include <stdint.h>
 #include <string.h>
-
-int opened(PyObject *array, const char *name, const char *types, int writable, Py_buffer *view)
-{
-    const int flags = PyBUF_FORMAT | PyBUF_ND | (writable ? PyBUF_WRITABLE : 0);
-    if (PyObject_GetBuffer(array, view, flags) < 0)
-        return 0;
-    const char *format = view->format ? view->format : "B";
-    if (*format && !format[1] && strchr(types, *format))
-        return 1;
-    PyErr_Format(PyExc_TypeError, "%s: of type %s, not %s", name, format, types);
-    PyBuffer_Release(view);
-    return 0;
-}
 
 /* Without their sign, numbers are in the order of their bits, and what is no number is above all. */
 #define LARGEST(bits, sign, at, count, largest)                                                    \
@@ -31,50 +17,20 @@ int opened(PyObject *array, const char *name, const char *types, int writable, P
         }                                                                                          \
     } while (0)
 
-PyDoc_STRVAR(peak_doc, "Return the magnitude of the largest sample; see _blocks.pyi.");
-
-static PyObject *peak(PyObject *Py_UNUSED(module), PyObject *array)
+double blocks_peak(const void *frames, size_t count, int is_double)
 {
-    Py_buffer view;
-    if (!opened(array, "frames", "fd", 0, &view))
-        return NULL;
-    const size_t count = (size_t)(view.len / view.itemsize);
-    double magnitude;
-    if (view.itemsize == sizeof(float)) {
-        uint32_t largest = 0;
-        LARGEST(uint32_t, 0x80000000u, view.buf, count, largest);
-        float number;
-        memcpy(&number, &largest, sizeof number);
-        magnitude = (double)number;
-    } else {
+    if (is_double) {
         uint64_t largest = 0;
-        LARGEST(uint64_t, 0x8000000000000000u, view.buf, count, largest);
+        double magnitude;
+        LARGEST(uint64_t, 0x8000000000000000u, frames, count, largest);
         memcpy(&magnitude, &largest, sizeof magnitude);
+        return magnitude;
     }
-    PyBuffer_Release(&view);
-    return PyFloat_FromDouble(magnitude);
-}
-
-PyDoc_STRVAR(emptied_doc, "Return the bytes of a block, or None; see _blocks.pyi.");
-
-static PyObject *emptied(PyObject *Py_UNUSED(module), PyObject *array)
-{
-    Py_buffer view;
-    if (!opened(array, "frames", "f", 1, &view))
-        return NULL;
     uint32_t largest = 0;
-    LARGEST(uint32_t, 0x80000000u, view.buf, (size_t)view.len / sizeof(float), largest);
-    PyObject *bytes;
-    if (largest >= 0x7F800000u) { /* infinity, or no number */
-        Py_INCREF(Py_None);
-        bytes = Py_None;
-    } else {
-        bytes = PyBytes_FromStringAndSize(view.buf, view.len);
-        if (bytes)
-            memset(view.buf, 0, (size_t)view.len);
-    }
-    PyBuffer_Release(&view);
-    return bytes;
+    float magnitude;
+    LARGEST(uint32_t, 0x80000000u, frames, count, largest);
+    memcpy(&magnitude, &largest, sizeof magnitude);
+    return (double)magnitude;
 }
 
 /* Lagrange's weights of the frames at -1, 0, 1 and 2 for a place s from 0 to 1. */
@@ -109,63 +65,17 @@ static void interpolate(const float *ring, size_t capacity, size_t channels, flo
     }
 }
 
-PyDoc_STRVAR(cubic_doc, "Fill a block with frames between those of a ring; see _blocks.pyi.");
-
-static PyObject *cubic(PyObject *Py_UNUSED(module), PyObject *const *arguments, Py_ssize_t count)
+const char *blocks_cubic(const View *ring, const View *out, size_t row, double fraction, double step)
 {
-    if (count != 5) {
-        PyErr_SetString(PyExc_TypeError, "cubic: takes ring, out, row, fraction and step");
-        return NULL;
-    }
-    const size_t row = PyLong_AsSize_t(arguments[2]);
-    const double fraction = PyFloat_AsDouble(arguments[3]), step = PyFloat_AsDouble(arguments[4]);
-    if (PyErr_Occurred())
-        return NULL;
-    Py_buffer ring, out;
-    if (!opened(arguments[0], "ring", "f", 0, &ring))
-        return NULL;
-    if (!opened(arguments[1], "out", "f", 1, &out)) {
-        PyBuffer_Release(&ring);
-        return NULL;
-    }
-    const char *misfit = NULL;
-    if (ring.ndim != 2 || out.ndim != 2 || ring.shape[1] != out.shape[1])
-        misfit = "ring, out: not both (frames, channels) of as many channels";
-    else if (ring.shape[0] < 1 || row >= (size_t)ring.shape[0])
-        misfit = "row: not in the ring";
-    else if (!(fraction >= 0.0 && fraction < 1.0))
-        misfit = "fraction: not in 0 to 1";
-    else if (!(step > 0.0 && step * (double)out.shape[0] < 1e15))
-        misfit = "step: not above 0, or beyond all counting";
-    if (misfit)
-        PyErr_SetString(PyExc_ValueError, misfit);
-    else
-        interpolate(ring.buf, (size_t)ring.shape[0], (size_t)ring.shape[1], out.buf,
-                    (size_t)out.shape[0], row, fraction, step);
-    PyBuffer_Release(&ring);
-    PyBuffer_Release(&out);
-    if (misfit)
-        return NULL;
-    Py_RETURN_NONE;
+    if (ring->ndim != 2 || out->ndim != 2 || ring->shape[1] != out->shape[1])
+        return "ring, out: not both (frames, channels) of as many channels";
+    if (ring->shape[0] < 1 || row >= ring->shape[0])
+        return "row: not in the ring";
+    if (!(fraction >= 0.0 && fraction < 1.0))
+        return "fraction: not in 0 to 1";
+    if (!(step > 0.0 && step * (double)out->shape[0] < 1e15))
+        return "step: not above 0, or beyond all counting";
+    interpolate(ring->buf, ring->shape[0], ring->shape[1], out->buf, out->shape[0], row, fraction,
+                step);
+    return NULL;
 }
-
-static PyMethodDef METHODS[] = {
-    {"peak", peak, METH_O, peak_doc},
-    {"emptied", emptied, METH_O, emptied_doc},
-    {"cubic", (PyCFunction)(void (*)(void))cubic, METH_FASTCALL, cubic_doc},
-    {"linear_motion", (PyCFunction)(void (*)(void))linear_motion, METH_FASTCALL, linear_motion_doc},
-    {"nonlinear_motion", (PyCFunction)(void (*)(void))nonlinear_motion, METH_FASTCALL,
-     nonlinear_motion_doc},
-    {"linear_suffices", (PyCFunction)(void (*)(void))linear_suffices, METH_FASTCALL,
-     linear_suffices_doc},
-    {NULL, NULL, 0, NULL},
-};
-
-static PyModuleDef_Slot SLOTS[] = {{0, NULL}};
-
-static struct PyModuleDef MODULE = {
-    PyModuleDef_HEAD_INIT, .m_name = "_blocks", .m_doc = "Blocks of frames, compiled.",
-    .m_methods = METHODS,  .m_slots = SLOTS,
-};
-
-PyMODINIT_FUNC PyInit__blocks(void) { return PyModuleDef_Init(&MODULE); }

@@ -1,17 +1,26 @@
-/* Parts of `_blocks`, by the file that each is in. */
+/* What is done to blocks of frames; device/compiled_blocks.py calls it by ctypes. */
 
 #ifndef DEVICE_BLOCKS_H
 #define DEVICE_BLOCKS_H
 
-#define PY_SSIZE_T_CLEAN
-#include <Python.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#define API __attribute__((visibility("default")))
+
+/* An array of numbers, one row after another. */
+typedef struct {
+    void *buf;
+    size_t ndim, shape[3], len; /* len: in bytes */
+} View;
 
 /* Compiled for every processor and for those with wide registers, with the same operations on each
  * number, so all give the same bits. */
-#if defined(__x86_64__) && defined(__GLIBC__) && defined(__GNUC__) && !defined(ONE_MACHINE)
-#define WIDE __attribute__((target_clones("avx2", "default")))
+#if defined(__x86_64__) && defined(__GLIBC__) && defined(__GNUC__) && \
+    !defined(__clang__) && !defined(ONE_MACHINE) /* clang's versions of one function do not link */
+#define SIMD_CLONES __attribute__((target_clones("avx2", "default")))
 #else
-#define WIDE
+#define SIMD_CLONES
 #endif
 
 /* Let numbers under 1e-307 count as 0, and return what `usual_numbers` needs. What decays would
@@ -48,19 +57,32 @@ static inline unsigned long long flush_tiny_numbers(void)
     return 0;
 }
 
-static inline void usual_numbers(unsigned long long Py_UNUSED(before))
+static inline void usual_numbers(unsigned long long before)
 {
+    (void)before;
 }
 #endif
 
-/* Open a contiguous array of one of the types; 0 and an exception where it is another. */
-int opened(PyObject *array, const char *name, const char *types, int writable, Py_buffer *view);
+/* The largest magnitude; NaN if any sample is none. */
+API double blocks_peak(const void *frames, size_t count, int is_double);
 
-extern const char linear_motion_doc[];
-PyObject *linear_motion(PyObject *module, PyObject *const *arguments, Py_ssize_t count);
+/* Those below return NULL, or what does not fit; then nothing was done. */
 
-extern const char nonlinear_motion_doc[], linear_suffices_doc[];
-PyObject *nonlinear_motion(PyObject *module, PyObject *const *arguments, Py_ssize_t count);
-PyObject *linear_suffices(PyObject *module, PyObject *const *arguments, Py_ssize_t count);
+/* Fill a block with frames between those of a ring: frame k is at fraction + k step after that behind
+ * `row`. */
+API const char *blocks_cubic(const View *ring, const View *out, size_t row, double fraction, double step);
+
+/* Move the linear actuator by volts from start to stop: volts, poles, state, taps, moved. */
+API const char *blocks_linear_motion(const View views[5], size_t start, size_t stop, double limit,
+                                     size_t *replaced);
+
+/* Add the non-linear model's answer: volts, moved, model, table, maps, bases, path, report. numbers: start,
+ * stop, length of the first block and of the others. */
+API const char *blocks_nonlinear_motion(const View views[8], const size_t numbers[4], size_t mask,
+                                        size_t *done);
+
+/* Count the blocks that may be linear; the last view is the pair. */
+API const char *blocks_linear_suffices(const View views[9], const size_t numbers[4], double margin,
+                                       size_t *count);
 
 #endif

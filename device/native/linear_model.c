@@ -43,7 +43,7 @@ static size_t pass_poles(const double *restrict volts, size_t frames, double lim
 }
 
 /* Computes one quantity from the filtered voltage: three earlier frames, then these. */
-WIDE static void apply_taps(const double *restrict recent, size_t frames, const double *taps,
+SIMD_CLONES static void apply_taps(const double *restrict recent, size_t frames, const double *taps,
                             double *restrict moved)
 {
     const double newest = taps[0], one = taps[1], two = taps[2], oldest = taps[3];
@@ -52,16 +52,11 @@ WIDE static void apply_taps(const double *restrict recent, size_t frames, const 
                        newest * recent[frame + 3];
 }
 
-const char linear_motion_doc[] =
-    "Move the linear actuator by one part of its volts; see _blocks.pyi.";
+enum { VOLTS, POLES, KEPT, WEIGHTS, MOVED };
 
-enum { VOLTS, POLES, KEPT, WEIGHTS, MOVED, ARRAYS };
-static const char *const NAMES[ARRAYS] = {"volts", "poles", "state", "taps", "moved"};
-#define ARGUMENTS (ARRAYS + 3)
-
-static const char *misfit_of(const Py_buffer *views, size_t start, size_t stop)
+static const char *misfit_of(const View *views, size_t start, size_t stop)
 {
-    if (views[VOLTS].ndim != 1 || start > stop || stop > (size_t)views[VOLTS].shape[0])
+    if (views[VOLTS].ndim != 1 || start > stop || stop > views[VOLTS].shape[0])
         return "start, stop: no part of the volts, (frames,)";
     if (views[POLES].ndim != 2 || views[POLES].shape[0] != SECTIONS ||
         views[POLES].shape[1] != COEFFICIENTS)
@@ -76,11 +71,11 @@ static const char *misfit_of(const Py_buffer *views, size_t start, size_t stop)
     return NULL;
 }
 
-static size_t move(const Py_buffer *views, size_t start, size_t stop, double limit)
+static size_t move(const View *views, size_t start, size_t stop, double limit)
 {
     double *state = views[KEPT].buf, *last = state + 2 * SECTIONS;
     const double *volts = views[VOLTS].buf, *taps = views[WEIGHTS].buf;
-    const size_t quantities = (size_t)views[WEIGHTS].shape[0], all = (size_t)views[VOLTS].shape[0];
+    const size_t quantities = views[WEIGHTS].shape[0], all = views[VOLTS].shape[0];
     double filtered[TAPS + TOGETHER], *moved = views[MOVED].buf;
     size_t replaced = 0;
     const unsigned long long numbers = flush_tiny_numbers();
@@ -98,35 +93,11 @@ static size_t move(const Py_buffer *views, size_t start, size_t stop, double lim
     return replaced;
 }
 
-PyObject *linear_motion(PyObject *Py_UNUSED(module), PyObject *const *arguments, Py_ssize_t count)
+const char *blocks_linear_motion(const View views[5], size_t start, size_t stop, double limit,
+                                 size_t *replaced)
 {
-    if (count != ARGUMENTS) {
-        PyErr_SetString(PyExc_TypeError, "linear_motion: takes volts, poles, state, taps, moved, "
-                                         "start, stop and limit");
-        return NULL;
-    }
-    const size_t start = PyLong_AsSize_t(arguments[ARRAYS]);
-    const size_t stop = PyErr_Occurred() ? 0 : PyLong_AsSize_t(arguments[ARRAYS + 1]);
-    const double limit = PyErr_Occurred() ? 0.0 : PyFloat_AsDouble(arguments[ARRAYS + 2]);
-    if (PyErr_Occurred())
-        return NULL;
-    Py_buffer views[ARRAYS];
-    int open = 0;
-    while (open < ARRAYS) {
-        const int writable = open == KEPT || open == MOVED;
-        if (!opened(arguments[open], NAMES[open], "d", writable, &views[open]))
-            break;
-        open++;
-    }
-    PyObject *replaced = NULL;
-    if (open == ARRAYS) {
-        const char *misfit = misfit_of(views, start, stop);
-        if (misfit)
-            PyErr_SetString(PyExc_ValueError, misfit);
-        else
-            replaced = PyLong_FromSize_t(move(views, start, stop, limit));
-    }
-    while (open)
-        PyBuffer_Release(&views[--open]);
-    return replaced;
+    const char *misfit = misfit_of(views, start, stop);
+    if (!misfit)
+        *replaced = move(views, start, stop, limit);
+    return misfit;
 }

@@ -149,44 +149,39 @@ INLINE size_t count(const int n, const Work *work, Path *path, Pair *pair, size_
 }
 
 /* at: the first sample and that after the last, the length of the first block and of the others. */
-WIDE static size_t run_on_ground(const Work *work, Path *path, const size_t at[4])
+SIMD_CLONES static size_t run_on_ground(const Work *work, Path *path, const size_t at[4])
 {
     return run(3, work, path, at[0], at[1], at[2], at[3]);
 }
 
-WIDE static size_t run_on_seat(const Work *work, Path *path, const size_t at[4])
+SIMD_CLONES static size_t run_on_seat(const Work *work, Path *path, const size_t at[4])
 {
     return run(5, work, path, at[0], at[1], at[2], at[3]);
 }
 
-WIDE static size_t count_on_ground(const Work *work, Path *path, Pair *pair, const size_t at[4],
+SIMD_CLONES static size_t count_on_ground(const Work *work, Path *path, Pair *pair, const size_t at[4],
                                    double margin)
 {
     return count(3, work, path, pair, at[0], at[1], at[2], at[3], margin);
 }
 
-WIDE static size_t count_on_seat(const Work *work, Path *path, Pair *pair, const size_t at[4],
+SIMD_CLONES static size_t count_on_seat(const Work *work, Path *path, Pair *pair, const size_t at[4],
                                  double margin)
 {
     return count(5, work, path, pair, at[0], at[1], at[2], at[3], margin);
 }
 
-const char nonlinear_motion_doc[] = "Add the non-linear model's answer; see _blocks.pyi.";
-const char linear_suffices_doc[] = "Count the blocks that may be linear; see _blocks.pyi.";
-
 enum { VOLTAGE, MOVED, MODEL, TABLE, MAPS, BASES, STATE, REPORT, TWO, ARRAYS };
-static const char *const NAMES[ARRAYS] = {"volts",  "moved", "model",  "table", "maps",
-                                          "bases",  "path",  "report", "pair"};
 
-static const char *misfit_of(const Py_buffer *v, const size_t *n, int arrays)
+static const char *misfit_of(const View *v, const size_t *n, int arrays)
 {
-    const size_t states = v[MODEL].ndim == 1 && v[MOVED].ndim == 2 ? (size_t)v[MOVED].shape[0] : 0;
-    const size_t frames = states ? (size_t)v[MOVED].shape[1] : 0;
+    const size_t states = v[MODEL].ndim == 1 && v[MOVED].ndim == 2 ? v[MOVED].shape[0] : 0;
+    const size_t frames = states ? v[MOVED].shape[1] : 0;
     const size_t each = n[3], start = n[0], stop = n[1], first = n[2];
     const size_t reports = each && stop > start + first ? 1 + (stop - start - first) / each : 1;
-    if (v[VOLTAGE].ndim != 1 || states != 5 || (size_t)v[VOLTAGE].shape[0] != frames)
+    if (v[VOLTAGE].ndim != 1 || states != 5 || v[VOLTAGE].shape[0] != frames)
         return "volts and moved: not (frames,) and (5, frames)";
-    if (start > stop || stop > frames || !first || !each)
+    if (start > stop || stop > frames || !first || !each || (arrays == ARRAYS && first > stop - start))
         return "start, stop: no part of the volts, or blocks without frames";
     if (v[MODEL].len != sizeof(Model) || v[STATE].len != sizeof(Path))
         return "model or path: of another length";
@@ -196,16 +191,16 @@ static const char *misfit_of(const Py_buffer *v, const size_t *n, int arrays)
         return "table: fewer intervals than the model says";
     if (v[MAPS].ndim != 2 || v[BASES].ndim != 3 || v[BASES].shape[1] != COLUMNS)
         return "maps and bases: not (levels, numbers) and (levels, 8, samples)";
-    const size_t widest = (size_t)v[BASES].shape[2], whole = (size_t)v[BASES].shape[0];
-    if (!whole || whole > 24 || widest != (size_t)1 << (whole - 1) ||
-        (size_t)v[MAPS].shape[0] < whole || (size_t)v[MAPS].shape[0] > whole + 24)
+    const size_t widest = v[BASES].shape[2], whole = v[BASES].shape[0];
+    if (!whole || whole > 24 || widest > MOST_SAMPLES || widest != (size_t)1 << (whole - 1) ||
+        v[MAPS].shape[0] < whole || v[MAPS].shape[0] > whole + 24)
         return "bases: not one level for each halving to a sample";
     if (v[MAPS].shape[1] != 2 + 18 + 48 + 30 && v[MAPS].shape[1] != 2 + 50 + 120 + 30)
         return "maps: for neither 3 nor 5 states";
     if (((const Path *)v[STATE].buf)->level < 0.0 ||
         !(((const Path *)v[STATE].buf)->level < (double)v[MAPS].shape[0]))
         return "path: at no level";
-    if (v[REPORT].ndim != 2 || v[REPORT].shape[1] != 4 || (size_t)v[REPORT].shape[0] < reports)
+    if (v[REPORT].ndim != 2 || v[REPORT].shape[1] != 4 || v[REPORT].shape[0] < reports)
         return "report: not (blocks, 4) for all blocks";
     if (arrays == ARRAYS && (v[TWO].len != sizeof(Pair) || widest < 2 || first % widest ||
                              each % widest || (stop - start - first) % each))
@@ -213,71 +208,47 @@ static const char *misfit_of(const Py_buffer *v, const size_t *n, int arrays)
     return NULL;
 }
 
-static PyObject *on_arrays(PyObject *const *arguments, Py_ssize_t count_given, int arrays)
+static Work work_of(const View *views)
 {
-    Py_buffer views[ARRAYS];
-    size_t numbers[5] = {0};
-    if (count_given != arrays + 5) {
-        PyErr_SetString(PyExc_TypeError, "takes the arrays, then five numbers");
-        return NULL;
-    }
-    for (int k = 0; k < 4; k++) {
-        numbers[k] = PyLong_AsSize_t(arguments[arrays + k]);
-        if (PyErr_Occurred())
-            return NULL;
-    }
-    const double last = PyFloat_AsDouble(arguments[arrays + 4]);
-    if (PyErr_Occurred())
-        return NULL;
-    int open = 0;
-    while (open < arrays) {
-        const int writable = open == MOVED || open == STATE || open == REPORT || open == TWO;
-        if (!opened(arguments[open], NAMES[open], "d", writable, &views[open]))
-            break;
-        open++;
-    }
-    PyObject *done = NULL;
-    if (open == arrays) {
-        const char *misfit = misfit_of(views, numbers, arrays);
-        if (misfit) {
-            PyErr_SetString(PyExc_ValueError, misfit);
-        } else {
-            Work work = {.model = views[MODEL].buf, .table = views[TABLE].buf,
-                         .maps = views[MAPS].buf, .bases = views[BASES].buf,
-                         .volts = views[VOLTAGE].buf, .moved = views[MOVED].buf,
-                         .report = views[REPORT].buf, .frames = (size_t)views[VOLTAGE].shape[0],
-                         .levels = (size_t)views[MAPS].shape[0],
-                         .map_size = (size_t)views[MAPS].shape[1],
-                         .widest = (size_t)views[BASES].shape[2]};
-            work.sample_s = *(const double *)work.maps / (double)work.widest;
-            work.ticks = (size_t)1 << (work.levels - (size_t)views[BASES].shape[0]);
-            Path *path = views[STATE].buf;
-            const int large = work.map_size > 100;
-            size_t found;
-            const unsigned long long tiny = flush_tiny_numbers();
-            if (arrays == ARRAYS) {
-                Pair *pair = views[TWO].buf;
-                found = large ? count_on_seat(&work, path, pair, numbers, last)
-                              : count_on_ground(&work, path, pair, numbers, last);
-            } else {
-                work.mask = (size_t)last;
-                found = large ? run_on_seat(&work, path, numbers) : run_on_ground(&work, path, numbers);
-            }
-            usual_numbers(tiny);
-            done = PyLong_FromSize_t(found);
-        }
-    }
-    while (open)
-        PyBuffer_Release(&views[--open]);
-    return done;
+    Work work = {.model = views[MODEL].buf, .table = views[TABLE].buf, .maps = views[MAPS].buf,
+                 .bases = views[BASES].buf, .volts = views[VOLTAGE].buf, .moved = views[MOVED].buf,
+                 .report = views[REPORT].buf, .frames = views[VOLTAGE].shape[0],
+                 .levels = views[MAPS].shape[0], .map_size = views[MAPS].shape[1],
+                 .widest = views[BASES].shape[2]};
+    work.sample_s = *(const double *)work.maps / (double)work.widest;
+    work.ticks = (size_t)1 << (work.levels - views[BASES].shape[0]);
+    return work;
 }
 
-PyObject *nonlinear_motion(PyObject *Py_UNUSED(module), PyObject *const *arguments, Py_ssize_t count)
+static int is_on_seat(const Work *work) { return work->map_size > 100; }
+
+const char *blocks_nonlinear_motion(const View views[8], const size_t numbers[4], size_t mask,
+                                    size_t *done)
 {
-    return on_arrays(arguments, count, TWO);
+    const char *misfit = misfit_of(views, numbers, TWO);
+    if (misfit)
+        return misfit;
+    Work work = work_of(views);
+    work.mask = mask;
+    const unsigned long long tiny = flush_tiny_numbers();
+    *done = is_on_seat(&work) ? run_on_seat(&work, views[STATE].buf, numbers)
+                              : run_on_ground(&work, views[STATE].buf, numbers);
+    usual_numbers(tiny);
+    return NULL;
 }
 
-PyObject *linear_suffices(PyObject *Py_UNUSED(module), PyObject *const *arguments, Py_ssize_t count)
+const char *blocks_linear_suffices(const View views[9], const size_t numbers[4], double margin,
+                                   size_t *found)
 {
-    return on_arrays(arguments, count, ARRAYS);
+    const char *misfit = misfit_of(views, numbers, ARRAYS);
+    if (misfit)
+        return misfit;
+    const Work work = work_of(views);
+    Path *path = views[STATE].buf;
+    Pair *pair = views[TWO].buf;
+    const unsigned long long tiny = flush_tiny_numbers();
+    *found = is_on_seat(&work) ? count_on_seat(&work, path, pair, numbers, margin)
+                               : count_on_ground(&work, path, pair, numbers, margin);
+    usual_numbers(tiny);
+    return NULL;
 }

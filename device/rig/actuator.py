@@ -20,8 +20,7 @@ from functools import lru_cache
 from typing import Literal, get_args
 
 import numpy as np
-from scipy.linalg import expm
-from scipy.signal import sosfilt
+import scipy
 
 from device import blocks
 from device.errors import UsageError
@@ -73,7 +72,7 @@ def first_order_hold(
     whole[:n, :n] = rate * period_s
     whole[:n, n] = drive * period_s
     whole[n, n + 1] = 1.0
-    exponential = expm(whole)
+    exponential = scipy.linalg.expm(whole)
     level, slope = exponential[:n, n], exponential[:n, n + 1]
     return exponential[:n, :n], level - slope, slope
 
@@ -188,7 +187,9 @@ class LinearActuator:
         self.replaced_samples += replaced
         end = _TAPS + len(drive)
         self._filtered[:_TAPS] = self._last
-        self._filtered[_TAPS:end], after = sosfilt(self._poles, drive, zi=self._sections)
+        self._filtered[_TAPS:end], after = scipy.signal.sosfilt(
+            self._poles, drive, zi=self._sections
+        )
         self._sections[:] = after
         self._last[:] = self._filtered[end - _TAPS : end]
         return self._filtered[1:end]
@@ -211,6 +212,14 @@ class LinearActuator:
             start = _TAPS - 1 - delay
             np.multiply(recent[start : start + frames], taps[delay], out=product)
             out += product
+
+
+def motion_filter(
+    p: ActuatorParameters, samplerate: float, source_impedance_ohm: float, quantity: Quantity
+) -> tuple[FloatArray, FloatArray]:
+    """Return sections, (2, 6), and taps, (4,), newest first, from volts to a quantity."""
+    poles, taps = _filters(p, samplerate, source_impedance_ohm)
+    return poles.copy(), taps[quantity].copy()
 
 
 # The same few actuators are created repeatedly, and a matrix exponential waits for all threads of

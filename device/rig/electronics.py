@@ -3,8 +3,8 @@
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.signal import butter, sosfilt, sosfreqz
 
 from device.rig.parameters import AmplifierParameters, DacParameters
 from device.units import Float32Array, FloatArray, finite_or_zero
@@ -23,9 +23,9 @@ class Band:
         self.samplerate = samplerate
         sections: list[NDArray[Any]] = []
         if 0.0 < low_cut_hz < _MAX_CORNER * samplerate:
-            sections.append(butter(2, low_cut_hz, "high", fs=samplerate, output="sos"))
+            sections.append(scipy.signal.butter(2, low_cut_hz, "high", fs=samplerate, output="sos"))
         if high_cut_hz < _MAX_CORNER * samplerate:
-            sections.append(butter(2, high_cut_hz, "low", fs=samplerate, output="sos"))
+            sections.append(scipy.signal.butter(2, high_cut_hz, "low", fs=samplerate, output="sos"))
         self.sections: FloatArray = np.concatenate(sections) if sections else np.empty((0, 6))
         self.reset()
 
@@ -39,14 +39,14 @@ class Band:
             return volts
         if self._state is None:
             self._state = np.zeros((len(self.sections), 2, *volts.shape[1:]))
-        filtered, self._state = sosfilt(self.sections, volts, axis=0, zi=self._state)
+        filtered, self._state = scipy.signal.sosfilt(self.sections, volts, axis=0, zi=self._state)
         return np.asarray(filtered)
 
     def response(self, frequencies_hz: FloatArray) -> NDArray[np.complex128]:
         """Return the frequency response, (bins,)."""
         if not len(self.sections):
             return np.ones(len(frequencies_hz), np.complex128)
-        _, found = sosfreqz(self.sections, worN=frequencies_hz, fs=self.samplerate)
+        _, found = scipy.signal.sosfreqz(self.sections, worN=frequencies_hz, fs=self.samplerate)
         return np.asarray(found, np.complex128)
 
 

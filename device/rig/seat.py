@@ -1,7 +1,7 @@
 """The acceleration of frame, cushion and sitter as a linear filter of the volts."""
 
 import numpy as np
-from scipy.signal import sosfilt, ss2zpk, zpk2sos
+import scipy
 
 from device.rig.actuator import first_order_hold
 from device.rig.co_energy import linear_energies
@@ -36,7 +36,9 @@ class SeatMotion:
 
     def move(self, volts: FloatArray) -> FloatArray:
         """Return (frames, channels), m/s^2, for finite volts of that shape."""
-        acceleration, self._state = sosfilt(self._sections, volts, axis=0, zi=self._state)
+        acceleration, self._state = scipy.signal.sosfilt(
+            self._sections, volts, axis=0, zi=self._state
+        )
         if np.abs(self._state).max() < _SILENT:
             self._state[:] = 0.0
         return np.asarray(acceleration)
@@ -55,5 +57,7 @@ def seat_sections(
     step, from_last, from_new = first_order_hold(rate, drive, 1.0 / samplerate)
     # The state takes the last volt only; the output takes the new one.
     entered = (step @ from_new + from_last)[:, None]
-    zeros, poles, gain = ss2zpk(step, entered, shown[None], np.array([[shown @ from_new]]))
-    return np.asarray(zpk2sos(zeros, poles, gain))
+    zeros, poles, gain = scipy.signal.ss2zpk(
+        step, entered, shown[None], np.array([[shown @ from_new]])
+    )
+    return np.asarray(scipy.signal.zpk2sos(zeros, poles, gain))

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.linalg import expm
+import scipy
 
 from device.rig.co_energy import Energies, linear_energies
 from device.rig.equations import Equations
@@ -113,7 +113,7 @@ def _step_map(equations: Equations, width_s: float) -> StepMap:
         whole[:n, :n] = rate * until_s
         whole[:n, n : n + components] = entry * until_s
         whole[n:-components, n + components :] = np.eye(3 * components)
-        exponential = expm(whole)
+        exponential = scipy.linalg.expm(whole)
         onward.append(exponential[:n, :n] * scale / scale[:, None])
         moments = exponential[:n, n:].reshape(n, 4, components) / scale[:, None, None]
         moments *= share ** np.arange(4)[:, None]
@@ -130,7 +130,7 @@ def _base_map(equations: Equations, until_s: float, share: float) -> FloatArray:
     whole[:3, :3] = scale[:, None] * equations.rate[:3, :3] / scale * until_s
     whole[2, 3] = scale[2] * until_s
     whole[3, 4] = 1.0
-    exponential = expm(whole)
+    exponential = scipy.linalg.expm(whole)
     onward = exponential[:3, :3] * scale / scale[:, None]
     level, slope = exponential[:3, 3] / scale, share * exponential[:3, 4] / scale
     return np.column_stack([onward, level - slope, slope])

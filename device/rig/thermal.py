@@ -1,11 +1,12 @@
 """Coil and magnet as two thermal masses, and the coil's resistance at its temperature."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import expm
 
 from device.rig.parameters import ThermalParameters
+from device.units import FloatArray
 
 COPPER_PER_K = 0.00393
 """Rise of copper's resistance, as a share of that at 20 degrees Celsius, per kelvin (IEC 60028)."""
@@ -64,6 +65,19 @@ class Temperatures:
             if len(self._steps) > 64:  # ever new block lengths must not fill the memory
                 self._steps.clear()
             # Plain floats: two by two is faster without arrays.
-            entries = expm(self._rate * duration_s)[:2].ravel().tolist()
+            entries = _exponential(self._rate * duration_s)[:2].ravel().tolist()
             self._steps[duration_s] = ThermalStep(*entries)
         return self._steps[duration_s]
+
+
+def _exponential(matrix: FloatArray) -> FloatArray:
+    """Return e to the power of a matrix by its series; SciPy's would load another library."""
+    halvings = max(0, math.frexp(float(np.abs(matrix).sum(axis=1).max()))[1] + 1)
+    part = np.ldexp(matrix, -halvings)
+    term = found = np.eye(len(matrix))
+    for order in range(1, 17):  # the rest is under 1e-18
+        term = term @ part / order
+        found = found + term
+    for _ in range(halvings):
+        found = found @ found
+    return found

@@ -1,4 +1,4 @@
-"""PipeWire's graph: its nodes, ports and links, as `pw-dump` describes them.
+"""PipeWire's graph: its nodes, ports and links, as `pw-dump` describes and `pw-cli` announces them.
 
 `pw-dump` prints the same JSON on every version from 0.3 to 1.6. Objects are known by their ids,
 since names need not be unique. The server uses an id again at once, so an object that has gone is
@@ -81,19 +81,45 @@ class Graph:
         self._named: dict[str, set[int]] = {}
         self._ports_of: dict[int, set[int]] = {}
         self._links_of: dict[int, set[int]] = {}
+        self._serials: dict[int, int] = {}
+        self._announced: set[int] = set()
+        self._changes = 0
 
     def apply(self, objects: Iterable[Any]) -> bool:
         """Take one document of `pw-dump`: the objects that are new, have changed or are gone.
 
-        Return whether ports or links may have changed.
+        Return whether nodes, ports or links are others now; a new state alone does not count.
         """
-        wired = False
+        before = self._changes
         for item in objects:
             if isinstance(item, dict) and isinstance(item.get("id"), int):
+                number = item["id"]
+                if number in self._announced and _serial(item) < self._serials[number]:
+                    continue  # it is of an object that had this id before
+                self._announced.discard(number)
                 self._apply_one(item)
-                kind = str(item.get("type", ""))
-                wired = wired or not kind or kind.endswith((":Port", ":Link"))
-        return wired
+        return self._changes != before
+
+    def announce(self, objects: Iterable[Any]) -> bool:
+        """Take objects that `pw-dump` will describe later: those that are new or gone.
+
+        Return whether nodes, ports or links are others now; a new state alone does not count.
+        """
+        before = self._changes
+        for item in objects:
+            number, serial = item["id"], _serial(item)
+            if str(item.get("type", "")).endswith(":Core"):  # all are announced anew
+                self._announced.clear()
+            elif item.get("info") is None:
+                self._forget(number)
+            elif serial > self._serials.get(number, -1):
+                self._apply_one(item)
+                self._announced.add(number)
+        return self._changes != before
+
+    def is_described(self, node_id: int) -> bool:
+        """Whether all properties of a node are known."""
+        return node_id not in self._announced
 
     def sink(self, name: str) -> Node | None:
         """Return the sink of this name, None if there is none."""
@@ -163,7 +189,8 @@ class Graph:
             self._forget_other(number, self._clients)
             self._clients[number] = properties
         elif kind.endswith(":Core"):
-            self.version = str(info.get("version", ""))
+            self.version = str(info.get("version", self.version))
+        self._serials[number] = _serial(item)
 
     def _read_settings(self, item: Mapping[str, Any]) -> None:
         if (item.get("props") or {}).get("metadata.name") == "settings":
@@ -172,7 +199,7 @@ class Graph:
             self.clock_hz = max(0, forced_hz if forced_hz > 0 else _number(found.get("clock.rate")))
 
     def _add_node(self, number: int, info: Mapping[str, Any], properties: Any) -> None:
-        self._drop_node(number)
+        before = self.nodes.get(number)
         node = Node(
             number,
             str(properties.get("node.name", "")),
@@ -180,13 +207,14 @@ class Graph:
             str(info.get("state", "")),
             properties,
         )
+        self._changes += before is None or before.properties != node.properties
+        self._drop_node(number)
         self.nodes[number] = node
         self._named.setdefault(node.name, set()).add(number)
         if node.media_class in SINK_CLASSES:
             self._sinks[number] = node
 
     def _add_port(self, number: int, info: Mapping[str, Any], properties: Any) -> None:
-        self._drop_port(number)
         port = Port(
             number,
             _number(properties.get("node.id")),
@@ -195,11 +223,13 @@ class Graph:
             is_input=info.get("direction") == "input",
             is_monitor=str(properties.get("port.monitor")).lower() == "true",
         )
-        self.ports[number] = port
-        self._ports_of.setdefault(port.node_id, set()).add(number)
+        if self.ports.get(number) != port:
+            self._drop_port(number)
+            self._changes += 1
+            self.ports[number] = port
+            self._ports_of.setdefault(port.node_id, set()).add(number)
 
     def _add_link(self, number: int, info: Mapping[str, Any]) -> None:
-        self._drop_link(number)
         link = Link(
             number,
             _number(info.get("output-port-id")),
@@ -208,6 +238,9 @@ class Graph:
             _number(info.get("input-node-id")),
             str(info.get("state", "")),
         )
+        before = self.links.get(number)
+        self._changes += before is None or before.pair != link.pair
+        self._drop_link(number)
         self.links[number] = link
         for node_id in (link.output_node_id, link.input_node_id):
             self._links_of.setdefault(node_id, set()).add(number)
@@ -218,6 +251,9 @@ class Graph:
             self._forget(number)
 
     def _forget(self, number: int) -> None:
+        self._changes += any(number in kind for kind in (self.nodes, self.ports, self.links))
+        self._serials.pop(number, None)
+        self._announced.discard(number)
         self._drop_port(number)
         self._drop_link(number)
         self._drop_node(number)
@@ -236,6 +272,11 @@ class Graph:
         if link := self.links.pop(number, None):
             for node_id in {link.output_node_id, link.input_node_id}:
                 _discard(self._links_of, node_id, number)
+
+
+def _serial(item: Mapping[str, Any]) -> int:
+    """Return the number of an object that no other one ever has; -1 for one that is gone."""
+    return _number(((item.get("info") or {}).get("props") or {}).get("object.serial"))
 
 
 def _number(value: Any) -> int:

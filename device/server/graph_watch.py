@@ -1,14 +1,15 @@
 """Follows PipeWire's graph and keeps our links in it.
 
 `pw-dump --monitor` reports every change, so nothing is polled. One `pw-cli` that stays open makes
-and removes links within a millisecond; they belong to it, so they vanish with the program, however
-that ends.
+and removes links within a millisecond, and announces what is new; links belong to it, so they
+vanish with the program, however that ends.
 """
 
 from __future__ import annotations
 
 import fcntl
 import json
+import math
 import os
 import select
 import subprocess
@@ -21,20 +22,21 @@ from typing import Any
 
 from device.errors import NotFoundError
 from device.process import started
+from device.server.announcements import Announcements
 from device.server.graph import Graph
 from device.server.link_keeper import LinkKeeper
 
 READER, EDITOR = "pw-dump", "pw-cli"
 """Programs of PipeWire that report and change the graph."""
 
-READ_BYTES = 1 << 20
-GATHER_S = 0.1
+PIPE_BYTES, READ_BYTES = 1 << 20, 1 << 16
+GATHER_S = 0.2
 """Changes are reported at once, and again after so long."""
 
-SOON_S = 0.001
-"""`pw-dump` writes line by line, hundreds for one change; each read waits for more of them."""
+DESCRIBED_S = 0.001
+"""Time for more to arrive: `pw-dump` writes hundreds of lines for one change."""
 
-BUSY_READS, BUSY_S, BUSY_WAIT_S = 100, 1.0, 0.005
+BUSY_READS, BUSY_S, BUSY_WAIT_S = 150, 5.0, 0.02
 """After so many reads in so long, each one waits longer."""
 
 END_S = 0.5
@@ -57,10 +59,16 @@ class GraphWatch:
         self.graph = Graph()
         self.lost = False
         self._on_change = on_change
-        self._process = _started(
-            [READER, "--monitor", "--no-colors"], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE
-        )
         self._editor = Editor()
+        try:
+            self._process = _started(
+                [READER, "--monitor", "--no-colors"],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+            )
+        except NotFoundError:
+            self._editor.close()
+            raise
         self.keeper = LinkKeeper(self.graph, self._editor.send)
         self._thread = threading.Thread(target=self._follow, name="graph", daemon=True)
         self._thread.start()
@@ -76,49 +84,89 @@ class GraphWatch:
 
     def _follow(self) -> None:
         assert self._process.stdout is not None
-        reported_s, waits = -GATHER_S, False
+        reported_s, changed = -GATHER_S, False
         with suppress(ValueError, OSError):
             documents = Documents(self._process.stdout.fileno())
+            announcements = Announcements(self._editor.printed)
+            arrivals = Arrivals(documents.file, announcements.file)
             while not documents.ended:
+                ready = arrivals.wait(reported_s + GATHER_S if changed else math.inf)
+                new = announcements.read() if announcements.file in ready else []
+                found = documents.read() if documents.file in ready else []
                 now_s = time.monotonic()
-                wait_s = max(0.0, reported_s + GATHER_S - now_s) if waits else None
-                if found := documents.read(wait_s):
-                    waits = True
+                if new or found:
+                    changed = True
                     with self.lock:
-                        wired = [self.graph.apply(document) for document in found]
+                        wired = [self.graph.announce(new), *map(self.graph.apply, found)]
                         if any(wired):
-                            self.keeper.update(time.monotonic())
-                now_s = time.monotonic()
-                if waits and now_s - reported_s >= GATHER_S:
-                    reported_s, waits = now_s, False
+                            self.keeper.update(now_s)
+                if changed and now_s - reported_s >= GATHER_S:
+                    reported_s, changed = now_s, False
                     self._on_change()
         self.lost = True
         self._on_change()
 
 
+class Arrivals:
+    """When to read the two files: what is described waits for more, and both in a busy graph."""
+
+    def __init__(self, described: int, announced: int) -> None:
+        self._either, self._announced = select.poll(), select.poll()
+        for poll, file in (
+            (self._either, described),
+            (self._either, announced),
+            (self._announced, announced),
+        ):
+            poll.register(file, select.POLLIN)
+        self._reads_s = deque([-BUSY_S], maxlen=BUSY_READS)
+
+    def wait(self, until_s: float) -> set[int]:
+        """Return the files to read now; none if nothing arrives until then."""
+        now_s = time.monotonic()
+        wait_ms = None if until_s == math.inf else max(0.0, 1e3 * (until_s - now_s))
+        ready = {file for file, _ in self._either.poll(wait_ms)}
+        now_s = time.monotonic()
+        if ready and now_s - self._reads_s[0] < BUSY_S:
+            time.sleep(BUSY_WAIT_S)
+            ready = {file for file, _ in self._either.poll(0)}
+        elif ready and (first := self._announced.poll(1e3 * DESCRIBED_S)):
+            ready = {file for file, _ in first}  # a link does not wait for long descriptions
+        if ready:
+            self._reads_s.append(now_s)
+        return ready
+
+
 class Editor:
-    """One running `pw-cli`, started again if it has ended."""
+    """One running `pw-cli`, started again if it has ended.
+
+    printed: file that it prints announcements to, whichever process it is.
+    """
 
     def __init__(self) -> None:
         self._process: subprocess.Popen[bytes] | None = None
-        self._start()
+        self.printed, self._output = os.pipe()
+        try:
+            self._start()
+        except NotFoundError:
+            self._close_pipe()
+            raise
 
     def send(self, command: str) -> None:
         """Send one command. Never waits and raises nothing: a lost command is sent again later."""
         if self._process is None or self._process.poll() is not None:
-            self.close()
+            self._end()
             with suppress(NotFoundError):
                 self._start()
         if self._process is not None and self._process.stdin is not None:
             with suppress(OSError):
                 os.write(self._process.stdin.fileno(), f"{command}\n".encode())
 
-    def restart(self) -> None:
-        """Replace a program that does not answer; links that it made vanish."""
-        self.close()
-
     def close(self) -> None:
         """End it, and with it all links that it made. May be repeated; raises nothing."""
+        self._end()
+        self._close_pipe()
+
+    def _end(self) -> None:
         process, self._process = self._process, None
         if process is not None:
             process.kill()
@@ -128,9 +176,15 @@ class Editor:
                     process.stdin.close()
 
     def _start(self) -> None:
-        self._process = _started([EDITOR], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL)
+        self._process = _started([EDITOR, "--monitor"], stdin=subprocess.PIPE, stdout=self._output)
         assert self._process.stdin is not None
         os.set_blocking(self._process.stdin.fileno(), False)
+
+    def _close_pipe(self) -> None:
+        for file in (self.printed, self._output):
+            with suppress(OSError):
+                os.close(file)
+        self.printed = self._output = -1
 
 
 def _started(command: list[str], *, stdin: int, stdout: int) -> subprocess.Popen[bytes]:
@@ -143,29 +197,40 @@ def _started(command: list[str], *, stdin: int, stdout: int) -> subprocess.Popen
 
 
 class Documents:
-    """The JSON arrays that `pw-dump` writes to a file. ended: whether there are no more."""
+    """The JSON arrays that `pw-dump` writes to a file.
+
+    file: its number. ended: whether there are no more.
+    """
 
     def __init__(self, file: int) -> None:
-        self._file = file
+        self.file = file
         with suppress(OSError):  # a full pipe would make `pw-dump` wait
-            fcntl.fcntl(file, fcntl.F_SETPIPE_SZ, READ_BYTES)
+            fcntl.fcntl(file, fcntl.F_SETPIPE_SZ, PIPE_BYTES)
         self._waiting = b""
-        self._reads_s = deque([-BUSY_S], maxlen=BUSY_READS)
-        self._poll = select.poll()
-        self._poll.register(file, select.POLLIN)
         self.ended = False
 
-    def read(self, wait_s: float | None) -> list[Any]:
-        """Return all arrays that have arrived, after waiting for more at most so long.
+    def read(self) -> list[Any]:
+        """Return all arrays that have arrived; waits until something is there.
 
         Each begins and ends with a line of its own, and only its brackets are in the first column.
         """
-        if not self._poll.poll(None if wait_s is None else 1e3 * wait_s):
-            return []
-        now_s = time.monotonic()
-        time.sleep(BUSY_WAIT_S if now_s - self._reads_s[0] < BUSY_S else SOON_S)
-        self._reads_s.append(now_s)
-        block = os.read(self._file, READ_BYTES)
+        block = os.read(self.file, READ_BYTES)
         self.ended = not block
         *whole, self._waiting = (self._waiting + block).split(b"\n]\n")
-        return [json.loads(text + b"\n]") for text in whole]
+        return [json.loads(_without_parameters(text) + b"\n]") for text in whole]
+
+
+_PARAMETERS, _END = b'\n      "params": {', b"\n      }"
+
+
+def _without_parameters(text: bytes) -> bytes:
+    """Return a document without formats and volumes of nodes: most of its text, and not used."""
+    parts, begin = [], 0
+    while (start := text.find(_PARAMETERS, begin)) >= 0:
+        end = text.find(_END, start)
+        if end < 0:
+            break
+        parts.append(text[begin : start + len(_PARAMETERS)])
+        begin = end
+    parts.append(text[begin:])
+    return b"".join(parts)

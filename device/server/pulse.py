@@ -10,6 +10,7 @@ import math
 import os
 import select
 import time
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import contextmanager, suppress
@@ -34,8 +35,9 @@ FACILITIES = ("sink", "source", "sink_input", "source_output", "module", "card",
 """What is reported; clients come and go without a change for us."""
 
 _GATHER_S = 0.02  # events come in dozens: a snapshot is taken this long after the first of them
-_REST_RATIO = 60.0  # on a server with hundreds of streams, snapshots take a sixtieth of a core
-_REST_MAX_S = 1.0  # and only streams wait for it
+_BUSY_POLLS, _BUSY_S = 50, 1.0  # after so many in so long, each event waits for more of them
+_REST_RATIO = 100.0  # on a server with hundreds of streams, snapshots take a hundredth of a core
+_REST_MAX_S = 2.0  # and only streams wait for it
 
 
 _VOLUME_LOOKS, _VOLUME_LOOK_S = 25, 0.02
@@ -74,6 +76,7 @@ class PulseConnection(ConnectionThread):
         self._listeners: list[Listener] = list(listeners)
         self._wake = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self._deadline_s: float | None = None
+        self._polls_s = deque([-_BUSY_S], maxlen=_BUSY_POLLS)
         self._pulse: Any = None
         self._events = 0
         self._changed: set[str] = set()
@@ -228,6 +231,8 @@ class PulseConnection(ConnectionThread):
         self.latest = snapshot
         now_s = time.monotonic()
         self._rested_s = now_s + min(_REST_MAX_S, _REST_RATIO * (now_s - began_s))
+        if self._due_s is not None and self._due_s > now_s and self._changed <= STREAMS:
+            self._due_s = max(self._due_s, self._rested_s)  # events came in the meantime
         for listener in tuple(self._listeners):
             listener.on_snapshot(snapshot)
         if snapshot.default_sink != self._default_seen:
@@ -272,7 +277,13 @@ class PulseConnection(ConnectionThread):
         waits_s = [timeout_s] if timeout_s >= 0.0 else []
         if self._deadline_s is not None:
             waits_s.append(max(self._deadline_s - time.monotonic(), 0.0))
+        elif time.monotonic() - self._polls_s[0] < _BUSY_S:
+            wake = select.poll()
+            wake.register(self._wake, select.POLLIN)
+            wake.poll(1000.0 * min([_GATHER_S, *waits_s]))
+            waits_s = [0.0] if waits_s else []
         found = dict(poller.poll(1000.0 * min(waits_s) if waits_s else None))
+        self._polls_s.append(time.monotonic())
         if found.pop(self._wake, 0):
             os.eventfd_read(self._wake)
             self._pulse.event_listen_stop()

@@ -7,7 +7,8 @@ import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
-from audioflinger_hook.daemon.native.layout import ACTUATORS, CHANNELS
+from audioflinger_hook.core.structures import CHANNELS
+from audioflinger_hook.daemon.native.layout import ACTUATORS
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.plugin import plugin_path
 from device.server import ServerSnapshot
@@ -66,13 +67,6 @@ def _refusals(config: RunConfig) -> Iterator[str]:
         yield "effects_file is set"
     if len(settings.actuators) > ACTUATORS:
         yield f"there are more than {ACTUATORS} actuators"
-    for one in settings.actuators or (settings,):
-        if (one.protection or settings.protection) != "off":
-            yield "protection is on"
-        if (one.exposure_cap or settings.exposure_cap) != "off":
-            yield "exposure_cap is on"
-        if (one.damping or settings.damping) != "off" and live.engine != "native":
-            yield "damping is on, and with it protection"
 
 
 def why_not_tap(channels: int) -> str:

@@ -5,16 +5,18 @@ from __future__ import annotations
 import json
 import os
 import subprocess
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from itertools import count
 from pathlib import Path
 
-from audioflinger_hook.daemon.native.layout import CHANNELS
+from audioflinger_hook.core.structures import CHANNELS
 from audioflinger_hook.daemon.native.page import Page
 from audioflinger_hook.daemon.native.plan import ChainPlan
 from audioflinger_hook.daemon.native.taps import OUT
 from audioflinger_hook.daemon.native.wiring import ChainEnds
 from audioflinger_hook.plugin import plugin_path
+from device.drive.design import DriveDesign
 from device.errors import InternalError, LostError, NotFoundError
 from device.process import ends_with_us
 from device.server.graph import Graph
@@ -27,6 +29,9 @@ END_S = 0.2
 
 POLICY_FIELD = 38
 """Of /proc/PID/task/TID/stat after the program's name, see proc(5)."""
+
+PLUGIN = "haptic_cushion: "
+"""Beginning of the plugin's own messages."""
 
 LOG_BYTES = 2_000
 """How much of the process's last messages is read."""
@@ -50,12 +55,7 @@ context.modules = [
             node.description = "Haptic Cushion"
             media.name = "Haptic Cushion"
             filter.graph = {{
-                nodes = [
-{nodes}
-                ]
-                links = [
-{links}
-                ]
+                nodes = [ {node} ]
                 inputs = [ {inputs} ]
                 outputs = [ {outputs} ]
             }}
@@ -90,12 +90,22 @@ class Chain:
 
     The supervising thread calls the methods.
 
-    plan: what it does. folder: private, for its files. realtime: whether to ask for real-time
-    priority. tap, vibration: names of its nodes. page: shared with the plugin.
+    plan: what it does. drives: the designs of its `drive_plans`. folder: private, for its files.
+    prepare: called before the process starts, to set what it begins with. realtime: whether to ask
+    for real-time priority. tap, vibration: names of its nodes. page: shared with the plugin. rigs:
+    what is known of each driven rig.
     InternalError: a file cannot be written. NotFoundError: PipeWire cannot be started.
     """
 
-    def __init__(self, plan: ChainPlan, folder: Path, *, realtime: bool) -> None:
+    def __init__(
+        self,
+        plan: ChainPlan,
+        drives: Sequence[DriveDesign | None],
+        folder: Path,
+        prepare: Callable[[Chain], None],
+        *,
+        realtime: bool,
+    ) -> None:
         self.plan = plan
         self.name = f"{NAME}-{os.getpid()}-{next(_numbers)}"
         self.tap, self.vibration = f"{self.name}.tap", f"{self.name}.vibration"
@@ -103,15 +113,11 @@ class Chain:
         self._files = files
         self._process: subprocess.Popen[bytes] | None = None
         try:
-            files["design"].write_bytes(plan.design.to_bytes())
+            files["design"].write_bytes(plan.design(drives))
             files["conf"].write_text(self._config(realtime), "utf-8")
-            self.page = Page(
-                files["page"],
-                plan.tap_channels,
-                plan.outputs,
-                len(plan.actuators),
-                plan.weights,
-            )
+            self.page = Page(files["page"], plan.tap_channels, plan.outputs, plan.actuators)
+            self.rigs = self.page.rigs(drives, plan.columns)
+            prepare(self)
             with files["log"].open("wb") as log:
                 self._process = subprocess.Popen(
                     ["pipewire", "-c", str(files["conf"])],
@@ -144,7 +150,7 @@ class Chain:
         """Raise LostError with the process's last words if it has ended."""
         code = self._process.poll() if self._process else None
         if code is not None:
-            raise LostError(f"the native engine ended ({code}){self._last_words()}")
+            raise LostError(f"the native engine ended ({code}){self.last_words()}")
 
     @property
     def is_stopped(self) -> bool:
@@ -178,34 +184,32 @@ class Chain:
             with suppress(OSError):
                 path.unlink(missing_ok=True)
 
-    def _last_words(self) -> str:
-        with suppress(OSError):
-            text = self._files["log"].read_bytes()[-LOG_BYTES:].decode("utf-8", "replace").strip()
-            if text:
-                return f": {text.splitlines()[-1]}"
-        return ""
+    def last_words(self) -> str:
+        """Return ": " and what the plugin, or else the process, said last; "" for nothing."""
+        said = self.complaint or next(reversed(self._said()), "")
+        return f": {said}" if said else ""
+
+    @property
+    def complaint(self) -> str:
+        """What the plugin itself said last, "" for nothing."""
+        return next((line for line in reversed(self._said()) if line.startswith(PLUGIN)), "")
+
+    def _said(self) -> list[str]:
+        try:
+            text = self._files["log"].read_bytes()[-LOG_BYTES:]
+        except OSError:
+            return []
+        return text.decode("utf-8", "replace").strip().splitlines()
 
     def _config(self, realtime: bool) -> str:
         plan, plugin = self.plan, json.dumps(str(plugin_path()))
-        indent = " " * 20
-        ladspa = f"type = ladspa plugin = {plugin}"
-        nodes = [f"{{ {ladspa} name = transform label = haptic_cushion_daemon }}"]
-        links = []
-        for slot, vibration in enumerate(plan.actuators):
-            nodes.append(
-                f"{{ {ladspa} name = actuator{slot} label = haptic_cushion_actuator "
-                f"control = {{ slot = {slot} }} }}"
-            )
-            links.append(
-                f'{{ output = "transform:Out {vibration + 1}" input = "actuator{slot}:In 1" }}'
-            )
+        node = f"{{ type = ladspa plugin = {plugin} name = core label = haptic_cushion_daemon }}"
         assert plan.tap_channels <= CHANNELS
         return _CONFIG.format(
             realtime=_REALTIME if realtime else "",
-            nodes="\n".join(indent + line for line in nodes),
-            links="\n".join(indent + line for line in links),
-            inputs=" ".join(f'"transform:In {n + 1}"' for n in range(plan.tap_channels)),
-            outputs=" ".join(f'"actuator{n}:Out 1"' for n in range(len(plan.actuators))),
+            node=node,
+            inputs=" ".join(f'"core:In {n + 1}"' for n in range(plan.tap_channels)),
+            outputs=" ".join(f'"core:Out {n + 1}"' for n in range(len(plan.actuators))),
             tap=json.dumps(self.tap),
             vibration=json.dumps(self.vibration),
             tap_channels=plan.tap_channels,

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.daemon.native.chain import NAME, Chain
+from audioflinger_hook.daemon.native.designs import DriveDesigns
 from audioflinger_hook.daemon.native.plan import ChainPlan
 from audioflinger_hook.daemon.native.running import RunningChain
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.daemon.timing import Backoff
-from device.drive import ActuatorSettings
-from device.drive.rig_processor import damping_for
+from audioflinger_hook.drive.driven_rig import DrivenRig
+from device.drive.design import DriveDesign
 from device.errors import LostError
-from device.rig import rig_by_name
 from device.server.graph import Graph
 from device.units import db_to_amplitude
 
@@ -29,16 +29,26 @@ START_S = 5.0
 LONGEST_WAIT_S = 1.0
 """Longest time between two starts."""
 
+Restore = Callable[[Sequence[DrivenRig | None], bool], None]
+"""Sets what rigs begin with; the second argument tells the first call for them."""
+
 
 class Chains:
     """All chains of one engine. For the supervising thread alone; attributes are for any thread.
 
-    folder: private, for files. current: the chain that plays, or would. following: the one that is
-    to replace it. leaving: those that are being unlinked. backoff: delays starts after failures.
+    folder: private, for files. restore: sets what the rigs of a new chain begin with. designs: of
+    drives. current: the chain that plays, or would. following: the one that is to replace it.
+    leaving: those that are being unlinked. backoff: delays starts after failures. problem: why no
+    chain follows although the settings have changed, "" for nothing.
     """
 
-    def __init__(self, config: RunConfig, folder: Path) -> None:
+    def __init__(
+        self, config: RunConfig, folder: Path, restore: Restore, designs: DriveDesigns
+    ) -> None:
         self._config = config
+        self._restore = restore
+        self._designs = designs
+        self.problem = ""
         self._folder = folder
         self._sound_gain = 1.0
         self.backoff = Backoff(longest_s=LONGEST_WAIT_S)
@@ -84,8 +94,14 @@ class Chains:
                 ):
                     raise LostError("the native engine did not appear in PipeWire's graph")
                 running.note_frames(now_s, is_fed=is_fed)
-                if running is self.following and running.stands_s(now_s) > STUCK_S:
-                    raise LostError("the native engine processes nothing although sound plays")
+                # a device may be slow to begin, and a chain that has played is replaced
+                is_refused = not running.frames and running.chain.complaint
+                has_failed = running is self.following or is_refused
+                if has_failed and running.stands_s(now_s) > STUCK_S:
+                    raise LostError(
+                        "the native engine processes nothing although sound plays"
+                        f"{running.chain.last_words()}"
+                    )
             except LostError:
                 self.backoff.failed(now_s)
                 running.chain.close()
@@ -96,11 +112,19 @@ class Chains:
                 raise
 
     def make(self, plan: ChainPlan, now_s: float) -> None:
-        """Begin another chain where the present one is for something else, or is stuck."""
+        """Begin another chain where the present one is for something else, or is stuck.
+
+        LostError: its design cannot be made, and no chain plays. UsageError: there is no such rig.
+        """
         current, following = self.current, self.following
+        if following is not None and not following.chain.page.frames:
+            self._restore(following.chain.rigs, False)  # what plays goes on warming until then
         if current is None or current.chain.plan != plan or current.stands_s(now_s) > STUCK_S:
             self._begin(plan, now_s)
-        elif following is not None and not following.is_linked:
+            return
+        self._designs.end()
+        self.problem = ""
+        if following is not None and not following.is_linked:
             following.chain.close()  # the present one has gone on by itself
             self.following = None
 
@@ -164,11 +188,29 @@ class Chains:
             self.following = None
         if self.backoff.wait_s(now_s) > 0.0:
             return
-        chain = Chain(plan, self._folder, realtime=self._config.live.realtime)
+        drives = self._designed(plan, now_s)
+        if drives is None:
+            return
+        realtime = self._config.live.realtime
+        chain = Chain(plan, drives, self._folder, self._prepare, realtime=realtime)
         self.following = RunningChain(chain, now_s, moved_s=now_s)
+
+    def _designed(self, plan: ChainPlan, now_s: float) -> list[DriveDesign | None] | None:
+        """Return the designs of a plan's drives, None while the present chain plays on."""
+        drives: list[DriveDesign | None] | None = None
+        try:
+            drives = self._designs.of(plan.drive_plans(), now_s)
+        except LostError:
+            if self.current is None:
+                raise
+        failure = self._designs.failure if self.current is not None else ""
+        self.problem = f"the former settings play on: {failure}" if failure else ""
+        return drives
+
+    def _prepare(self, chain: Chain) -> None:
         chain.page.set_sound_gain(self._sound_gain)
-        _set_damping(chain, self._config.settings)
         set_actuators(chain, self._config)
+        self._restore(chain.rigs, True)
 
 
 def set_actuators(chain: Chain, config: RunConfig) -> None:
@@ -177,18 +219,8 @@ def set_actuators(chain: Chain, config: RunConfig) -> None:
     level = 0.0 if config.muted else db_to_amplitude(settings.gain_db)
     if not settings.actuators:
         for slot in range(len(chain.plan.actuators)):
-            chain.page.set_actuator(slot, level, offset_s)
+            chain.page.set_actuator(slot, level, offset_s * chain.plan.samplerate)
     for slot, actuator in enumerate(settings.actuators[: len(chain.plan.actuators)]):
         delay_s = offset_s + 1e-3 * actuator.delay_ms
-        chain.page.set_actuator(slot, level * actuator.factor, delay_s)
-
-
-def _set_damping(chain: Chain, settings: Settings) -> None:
-    actuators: tuple[ActuatorSettings | Settings, ...] = settings.actuators or (settings,)
-    for slot in range(len(chain.plan.actuators)):
-        one = actuators[min(slot, len(actuators) - 1)]
-        if (one.damping or settings.damping) == "off":
-            continue
-        rig = rig_by_name(one.rig or settings.rig)
-        damping = damping_for(rig.actuator, rig.amplifier.source_impedance_ohm)
-        chain.page.set_damping(slot, damping, chain.plan.samplerate)
+        delay_frames = delay_s * chain.plan.samplerate
+        chain.page.set_actuator(slot, level * actuator.factor, delay_frames)

@@ -11,7 +11,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from audioflinger_hook.daemon.inputs.applications import Applications
-from audioflinger_hook.daemon.native.chains import FADE_S, Chains
+from audioflinger_hook.daemon.native.chains import FADE_S, Chains, Restore
+from audioflinger_hook.daemon.native.designs import DriveDesigns
 from audioflinger_hook.daemon.native.page import Page, TransformReadings
 from audioflinger_hook.daemon.native.plan import ChainPlan, device_map
 from audioflinger_hook.daemon.native.ports import port_names
@@ -19,6 +20,7 @@ from audioflinger_hook.daemon.native.running import RunningChain
 from audioflinger_hook.daemon.native.taps import Tap, tap_of
 from audioflinger_hook.daemon.native.wiring import ChainEnds, ChainWiring, why_unlinkable
 from audioflinger_hook.daemon.run_config import RunConfig
+from audioflinger_hook.drive.driven_rig import DrivenRig
 from audioflinger_hook.service.meters import Level
 from audioflinger_hook.service.state import Cause, StateKeeper
 from device.errors import LostError, NotFoundError, UsageError
@@ -29,8 +31,9 @@ from device.server.snapshot import Sink, Source
 REFUSED_S = 0.5
 """A link from a stream that is missing for so long is refused; then the monitor is tapped."""
 
-REFUSALS_MAX = 2
-"""After so many times the monitor is tapped for good."""
+REFUSED_WAIT_S, REFUSED_WAIT_MAX_S = 5.0, 600.0
+"""Links from streams are tried again after so long, twice as long each time; a busy machine may
+have been late."""
 
 
 class NativeEngine:
@@ -39,8 +42,9 @@ class NativeEngine:
     The supervising thread calls the methods; any thread may read the attributes.
 
     folder: private, for files. states: counts what was lost and came back. on_change: called by
-    another thread when the graph changes. monitor_reason: why the sink's monitor is tapped instead
-    of the streams that play to it; "" for the streams. audible: whether the chain is linked and
+    another thread when the graph changes. restore: sets what the rigs of a new chain begin with.
+    designs: makes those of drives. monitor_reason: why the sink's monitor is tapped instead of the
+    streams that play to it; "" for the streams. audible: whether the chain is linked and
     plays. is_fed: whether a stream plays that is tapped. errors: the server's counts of its nodes.
     waits_for: what must come back before it can play, "" for nothing.
     NotFoundError: a program of PipeWire is missing.
@@ -52,19 +56,22 @@ class NativeEngine:
         folder: Path,
         states: StateKeeper,
         on_change: Callable[[], None],
+        restore: Restore,
+        designs: DriveDesigns,
         monitor_reason: str = "",
     ) -> None:
         self._config = config
         self._states = states
         self._watch = GraphWatch(on_change)
         self.errors = NodeErrors()
-        self._chains = Chains(config, folder)
+        self._chains = Chains(config, folder, restore, designs)
+        self._designs = designs
         self._tap: Tap | None = None
         self._wiring = ChainWiring()
         self._has_played = False
         self._faded_s = math.inf
         self._must_use_monitor = bool(monitor_reason)
-        self._refusals = 0
+        self._refused_until_s, self._refused_wait_s = -math.inf, REFUSED_WAIT_S
         self._session_manager: int | None = None
         self.waits_for = ""
         self.monitor_reason = monitor_reason
@@ -87,6 +94,16 @@ class NativeEngine:
         """Whether it plays, and no other chain is about to."""
         chains = self._chains
         return self.audible and chains.following is None and not chains.leaving
+
+    @property
+    def is_designing(self) -> bool:
+        """Whether the next chain waits for its design."""
+        return self._designs.are_under_way
+
+    @property
+    def problem(self) -> str:
+        """Why changed settings are not played, "" for nothing."""
+        return self._chains.problem
 
     @property
     def is_lost(self) -> bool:
@@ -115,6 +132,12 @@ class NativeEngine:
         return f"PipeWire {self._watch.graph.version}".rstrip()
 
     @property
+    def rigs(self) -> tuple[DrivenRig | None, ...]:
+        """What is known of each rig that the chain drives; () before the first one."""
+        current = self._chains.current
+        return current.chain.rigs if current else ()
+
+    @property
     def page(self) -> Page | None:
         """The page of the chain that plays, None before the first one."""
         current = self._chains.current
@@ -138,13 +161,9 @@ class NativeEngine:
         """Tap the sink's monitor from now on, for this reason."""
         self._must_use_monitor, self.monitor_reason = True, reason
 
-    def maintain(
-        self, found: Source | Applications, device: Sink, now_s: float, *, linked: bool
-    ) -> bool:
-        """Start, link and check the chain; return whether it plays, or could if it were linked.
+    def maintain(self, found: Source | Applications, device: Sink, now_s: float) -> bool:
+        """Start, link and check the chain; return whether it plays.
 
-        linked: whether it may be linked. Links join the graph's groups, which costs other streams
-        of these devices some samples.
         LostError: the chain or the graph is gone; the next call starts again.
         NotFoundError: the server refuses links from the applications that are to be tapped.
         UsageError: the device lacks a channel.
@@ -158,6 +177,7 @@ class NativeEngine:
             graph, chains = self._watch.graph, self._chains
             chains.end_leaving(graph, now_s)
             if not self._has_session():
+                self._designs.end()
                 return False
             try:
                 chains.check(graph, now_s, is_fed=self.is_fed)
@@ -166,10 +186,7 @@ class NativeEngine:
                 raise
             plan = ChainPlan.of(self._config.settings, tap, chains.samplerate(graph))
             chains.make(plan, now_s)
-            self._wire(tap, device if linked else None, now_s)
-            if not linked:
-                waiting = chains.current or chains.following
-                return waiting is not None and waiting.chain.is_in(graph)
+            self._wire(tap, device, now_s)
             self._note_links(now_s)
             self._choose_way(now_s)
         chains.adopt(now_s)
@@ -185,6 +202,7 @@ class NativeEngine:
         """Remove all links, as tap or device is away; return whether the engine had played."""
         played, self._has_played = self._has_played, False
         self._chains.silence()
+        self._designs.end()
         for running in self._chains.running:
             running.linked_s = math.inf
         self.audible = False
@@ -199,14 +217,6 @@ class NativeEngine:
         self.audible = False
         self._faded_s = min(self._faded_s, now_s)
         return self._chains.silence() or now_s - self._faded_s > FADE_S
-
-    def fade_in(self) -> None:
-        """Let the vibration begin again after `fade_out`."""
-        self._faded_s = math.inf
-        current = self._chains.current
-        if current is not None and current.is_linked:
-            current.chain.page.set_audible(True)
-            self.audible = True
 
     def leave(self, now_s: float) -> bool:
         """Take the chains out of the graph; return whether they are out. Repeat it until then.
@@ -242,8 +252,8 @@ class NativeEngine:
     def _has_session(self) -> bool:
         """Whether the session manager runs; end the chains of before when it has gone.
 
-        WirePlumber 0.4 waits for ever for nodes that are older than itself, if they have played,
-        and links no program meanwhile.
+        WirePlumber 0.4 never stops waiting for nodes that played before it started. Until then it
+        links no program.
         """
         known, seen = self._session_manager, self._watch.graph.session_manager
         if known is not None and seen != known and not self.waits_for:
@@ -306,7 +316,8 @@ class NativeEngine:
         tap, graph = self._wiring.tap, self._watch.graph
         assert tap is not None
         if self.monitor_reason:
-            if not self._must_use_monitor and not any(tap.tapped_links(graph, self._wiring.device)):
+            may_try = not self._must_use_monitor and now_s > self._refused_until_s
+            if may_try and not any(tap.tapped_links(graph, self._wiring.device)):
                 self.monitor_reason = ""
             return
         wanted: set[tuple[int, int]] = set()
@@ -318,6 +329,6 @@ class NativeEngine:
         refused = "PipeWire does not make the links from the streams that play"
         if not tap.has_monitor:
             raise NotFoundError(f"{refused}, so applications cannot be chosen")
-        self._refusals += 1
-        self._must_use_monitor = self._refusals >= REFUSALS_MAX
+        self._refused_until_s = now_s + self._refused_wait_s
+        self._refused_wait_s = min(2.0 * self._refused_wait_s, REFUSED_WAIT_MAX_S)
         self.monitor_reason = refused

@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
-from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.daemon.native.engine import NativeEngine
 from audioflinger_hook.daemon.native.page import TransformReadings
+from audioflinger_hook.daemon.rig_figures import (
+    exposure_figures,
+    exposure_of,
+    protection_figures,
+    protection_of,
+)
 from audioflinger_hook.service.meters import Level, level_of
 from audioflinger_hook.service.state import DaemonState
 from audioflinger_hook.service.status import (
@@ -18,6 +24,9 @@ from audioflinger_hook.service.status import (
     Xruns,
 )
 
+if TYPE_CHECKING:
+    from audioflinger_hook.daemon.supervisor import Supervisor
+
 
 def _tap_ms(native: NativeEngine, readings: TransformReadings) -> float:
     """Return the delay of the tap: the monitor of a sink that drives is read one cycle late."""
@@ -26,19 +35,19 @@ def _tap_ms(native: NativeEngine, readings: TransformReadings) -> float:
     return 1e3 * readings.cycle_frames / readings.samplerate
 
 
-def with_native(
-    status: Status, native: NativeEngine, settings: Settings, offset_s: float
-) -> Status:
+def with_native(status: Status, native: NativeEngine, supervisor: Supervisor) -> Status:
     """Return a status with the figures of a native engine that plays. Any thread may call it.
 
-    Tap and device belong to one cycle of the graph, so only the transform delays the vibration, and
-    a monitor that is tapped.
+    Tap and device belong to one cycle of the graph, so only transform and protection delay the
+    vibration, and a monitor that is tapped.
     """
+    settings, since = supervisor.config.settings, supervisor.engines.dose_since
     plan, page, readings = native.plan, native.page, native.readings()
     if plan is None or page is None or readings is None:
         return status
     resting = status.state is DaemonState.IDLE
-    transform_ms = 1e3 * plan.design.latency_frames / plan.samplerate
+    ms, rigs = 1e3 / plan.samplerate, native.rigs
+    latency_frames = max((rig.latency_frames for rig in rigs if rig), default=0)
     delays_ms = [actuator.delay_ms for actuator in settings.actuators]
     return replace(
         status,
@@ -52,8 +61,9 @@ def with_native(
         ),
         latency=LatencyBudget.of(
             tap_ms=_tap_ms(native, readings),
-            transform_ms=transform_ms,
-            offset_ms=1e3 * offset_s,
+            transform_ms=ms * plan.transform.latency_frames,
+            offset_ms=1e3 * supervisor.offset_s,
+            driving_ms=ms * latency_frames,
             delay_ms=max(delays_ms, default=0.0),
         ),
         server=native.server,
@@ -75,11 +85,13 @@ def with_native(
                 polarity=actuator.polarity,
                 delay_ms=actuator.delay_ms,
                 level=Level() if resting else native.level(slot),
-                protection=None,
-                exposure=None,
+                protection=protection_figures(rig),
+                exposure=exposure_figures(rig, since),
             )
-            for slot, actuator in enumerate(settings.actuators)
+            for slot, (actuator, rig) in enumerate(zip(settings.actuators, rigs, strict=False))
         ),
+        protection=protection_of(rigs),
+        exposure=exposure_of(rigs, since),
         profile=settings.profile,
         engine="native",
         engine_reason="",

@@ -10,66 +10,21 @@ import ctypes
 import mmap
 import struct
 
-MAGIC = 0x3445474150485543
-CHANNELS = 8
-"""Largest number of channels of a tap, and of vibrations."""
+from audioflinger_hook.core.structures import (
+    CHANNELS,
+    PARTIALS,
+    ActuatorReadings,
+    Controls,
+    Level,
+    Readings,
+)
 
+MAGIC = 0x3545474150485543
 ACTUATORS = 32
-PARTIALS = 16
+"""Largest number of actuators of the plugin."""
+
 READ_TRIES = 4
 """Attempts to read the partials while the plugin writes; writing takes less than 1 µs."""
-
-
-class _TransformWishes(ctypes.Structure):
-    _fields_ = (
-        ("channels", ctypes.c_uint64),
-        ("outputs", ctypes.c_uint64),
-        ("mixed", ctypes.c_uint64),
-        ("weights", ctypes.c_double * CHANNELS * 2 * CHANNELS),
-    )
-
-
-class _TransformReadings(ctypes.Structure):
-    _fields_ = (
-        ("frames", ctypes.c_uint64),
-        ("replaced", ctypes.c_uint64),
-        ("limited", ctypes.c_uint64),
-        ("samplerate", ctypes.c_uint64),
-        ("cycle_frames", ctypes.c_uint64),
-        ("sound_peak", ctypes.c_double),
-        ("sound_square", ctypes.c_double),
-        ("vibration_peak", ctypes.c_double),
-        ("vibration_square", ctypes.c_double),
-        ("channels", ctypes.c_double * 2 * CHANNELS),
-    )
-
-
-class _PartialReadings(ctypes.Structure):
-    _fields_ = (
-        ("sequence", ctypes.c_uint64),
-        ("count", ctypes.c_uint64),
-        ("partials", ctypes.c_double * 3 * PARTIALS),
-    )
-
-
-class _ActuatorWishes(ctypes.Structure):
-    _fields_ = (
-        ("gain", ctypes.c_double),
-        ("delay_s", ctypes.c_double),
-        ("audible", ctypes.c_uint64),
-        ("damped", ctypes.c_uint64),
-        ("damping_gain", ctypes.c_double),
-        ("section", ctypes.c_double * 6),
-    )
-
-
-class _ActuatorReadings(ctypes.Structure):
-    _fields_ = (
-        ("frames", ctypes.c_uint64),
-        ("peak", ctypes.c_double),
-        ("square", ctypes.c_double),
-        ("audible", ctypes.c_double),
-    )
 
 
 class Layout(ctypes.Structure):
@@ -78,22 +33,21 @@ class Layout(ctypes.Structure):
     _fields_ = (
         ("magic", ctypes.c_uint64),
         ("size", ctypes.c_uint64),
-        ("sound_gain", ctypes.c_double),
-        ("transform", _TransformWishes),
-        ("readings", _TransformReadings),
-        ("partials", _PartialReadings),
-        ("wishes", _ActuatorWishes * ACTUATORS),
-        ("actuators", _ActuatorReadings * ACTUATORS),
+        ("samplerate", ctypes.c_uint64),
+        ("cycle_frames", ctypes.c_uint64),
+        ("controls", Controls),
+        ("readings", Readings),
     )
 
 
 SIZE = ctypes.sizeof(Layout)
 
 _HEADER = struct.Struct("=2Q")
-_COUNT, _FRAMES_AT = struct.Struct("=Q"), Layout.readings.offset
-_SEQUENCE_AT = Layout.partials.offset
-_SHOWN_AT = Layout.readings.offset + _TransformReadings.channels.offset
-_BETWEEN = Layout.actuators.offset - _SEQUENCE_AT - ctypes.sizeof(_PartialReadings)
+_COUNT, _FRAMES_AT = struct.Struct("=Q"), Layout.readings.offset + Readings.frames.offset
+_SEQUENCE_AT = Layout.readings.offset + Readings.sequence.offset
+_SHOWN_AT = Layout.readings.offset + Readings.sound.offset
+_LEVEL_BYTES = ctypes.sizeof(Level)
+_AFTER_LEVEL = ctypes.sizeof(ActuatorReadings) - _LEVEL_BYTES
 
 
 Shown = tuple[tuple[int, int, int], tuple[float, ...]]
@@ -112,8 +66,8 @@ class ShownReader:
         self.channels, self.actuators = channels, actuators
         # Read with one call, as a page asks many times a second.
         self._shown = struct.Struct(
-            f"={2 * channels}d{16 * (CHANNELS - channels)}x2Q{3 * PARTIALS}d{_BETWEEN}x"
-            + "8x2d8x" * actuators
+            f"={2 * channels}d{_LEVEL_BYTES * (2 * CHANNELS - channels)}x2Q{3 * PARTIALS}d"
+            + f"2d{_AFTER_LEVEL}x" * actuators
         )
 
     @property

@@ -8,18 +8,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from audioflinger_hook.daemon.native.layout import (
-    ACTUATORS,
-    MAGIC,
-    PARTIALS,
-    SIZE,
-    Layout,
-    ShownReader,
-)
+from audioflinger_hook.core import structures
+from audioflinger_hook.core.structures import PARTIALS
+from audioflinger_hook.daemon.native.layout import ACTUATORS, MAGIC, SIZE, Layout, ShownReader
+from audioflinger_hook.drive.driven_rig import DrivenRig, driven_rigs
 from audioflinger_hook.service.meters import Level, Reading, level_of
-from audioflinger_hook.transform.downmix import mix_weights
-from device.drive.damping import Damping
-from device.units import FloatArray
+from device.drive.design import DriveDesign
 
 DELAY_MAX_S = 2.0
 
@@ -45,21 +39,14 @@ class Page:
 
     The supervising thread calls the methods; any thread may call `readings` and `level`.
 
-    path: of the file; it must not exist. channels: of the tap. outputs: vibrations. actuators: that
-    play them. weights: (channels, outputs, 2) of the sources' halves; None for the mono mix, or for
-    each channel separately. reader: of what a live page shows.
+    path: of the file; it must not exist. channels: of the tap. vibrations: of the transform.
+    sources: for each actuator, the number of its vibration. reader: of what a live page shows.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        channels: int,
-        outputs: int,
-        actuators: int,
-        weights: FloatArray | None = None,
-    ) -> None:
+    def __init__(self, path: Path, channels: int, vibrations: int, sources: Sequence[int]) -> None:
         self.path = path
         self._channels = channels
+        self._vibrations = vibrations
         flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
         file = os.open(path, flags, 0o600)
         try:
@@ -68,16 +55,10 @@ class Page:
         finally:
             os.close(file)
         self._page = page = Layout.from_buffer(memory)
-        self.reader = ShownReader(memory, channels, actuators)
-        page.transform.channels, page.transform.outputs = channels, outputs
-        page.transform.mixed = weights is not None
-        if weights is not None:
-            for output in range(outputs):
-                for row, numbers in enumerate(mix_weights(weights[:, output])):
-                    page.transform.weights[output][row][:channels] = numbers.tolist()
-        page.sound_gain = 1.0
-        for wishes in page.wishes:
-            wishes.gain = 1.0
+        self.reader = ShownReader(memory, channels, len(sources))
+        page.controls.sound_gain = 1.0
+        for controls, source in zip(page.controls.actuators, sources, strict=False):
+            controls.gain, controls.source = 1.0, source
         page.size, page.magic = SIZE, MAGIC
 
     def show(
@@ -92,39 +73,37 @@ class Page:
         frames: processed so far. channels, actuators: their peaks and mean squares. partials: at
         most PARTIALS of them count.
         """
-        page = self._page
-        for slot, reading in enumerate(channels[: self._channels]):
-            page.readings.channels[slot][:] = reading
-        for slot, (peak, square) in enumerate(actuators[:ACTUATORS]):
-            page.actuators[slot].peak, page.actuators[slot].square = peak, square
-        shown = page.partials
-        shown.sequence += 1  # odd: a reader tries again
-        shown.count = min(len(partials), PARTIALS)
+        readings = self._page.readings
+        for place, reading in zip(readings.sound, channels[: self._channels], strict=False):
+            place.peak, place.mean_square = reading
+        for place, reading in zip(readings.actuators, actuators[:ACTUATORS], strict=False):
+            place.level.peak, place.level.mean_square = reading
+        readings.sequence += 1  # odd: a reader tries again
+        readings.partials_count = min(len(partials), PARTIALS)
         for slot, partial in enumerate(partials[:PARTIALS]):
-            shown.partials[slot][:] = partial
-        shown.sequence += 1
-        page.readings.frames = frames
+            readings.partials[slot][:] = partial
+        readings.sequence += 1
+        readings.frames = frames
 
     def set_sound_gain(self, gain: float) -> None:
         """Set the factor on the tap's samples, 0 to 100; it changes over one buffer."""
-        self._page.sound_gain = gain
+        self._page.controls.sound_gain = gain
 
-    def set_actuator(self, slot: int, gain: float, delay_s: float) -> None:
-        """Set an actuator's factor, -1 to 1, and its delay, 0 to DELAY_MAX_S."""
-        wishes = self._page.wishes[slot]
-        wishes.gain, wishes.delay_s = gain, min(max(0.0, delay_s), DELAY_MAX_S)
-
-    def set_damping(self, slot: int, damping: Damping, samplerate: int) -> None:
-        """Set an actuator's filter, before the plugin starts."""
-        wishes, sections = self._page.wishes[slot], damping.sections(samplerate)
-        wishes.damping_gain = damping.gain
-        wishes.section[:] = sections[0] if len(sections) else (1.0, 0.0, 0.0, 1.0, 0.0, 0.0)
-        wishes.damped = 1
+    def set_actuator(self, slot: int, gain: float, delay_frames: float) -> None:
+        """Set an actuator's factor, -1 to 1, and its delay."""
+        controls = self._page.controls.actuators[slot]
+        controls.gain, controls.delay_frames = gain, max(0.0, delay_frames)
 
     def set_audible(self, audible: bool) -> None:
         """Fade all actuators in or out, within 40 ms."""
-        for wishes in self._page.wishes:
-            wishes.audible = int(audible)
+        for controls in self._page.controls.actuators:
+            controls.audible = int(audible)
+
+    def rigs(
+        self, designs: Sequence[DriveDesign | None], columns: int
+    ) -> tuple[DrivenRig | None, ...]:
+        """Return what drives each rig; see `driven_rigs`."""
+        return driven_rigs(designs, self._page.controls, self._page.readings, columns)
 
     @property
     def frames(self) -> int:
@@ -134,11 +113,11 @@ class Page:
     @property
     def samplerate(self) -> int:
         """Hz of the host, 0 before there is a transform."""
-        return int(self._page.readings.samplerate)
+        return int(self._page.samplerate)
 
     def faded_out(self, actuators: int) -> bool:
         """Whether the first actuators are all silent."""
-        return all(one.audible == 0.0 for one in self._page.actuators[:actuators])
+        return all(one.audible == 0.0 for one in self._page.readings.actuators[:actuators])
 
     def readings(self) -> TransformReadings:
         """Return what the transform reports."""
@@ -147,21 +126,21 @@ class Page:
             int(found.frames),
             int(found.replaced),
             int(found.limited),
-            int(found.samplerate),
-            int(found.cycle_frames),
-            level_of(found.sound_peak, found.sound_square),
-            level_of(found.vibration_peak, found.vibration_square),
+            int(self._page.samplerate),
+            int(self._page.cycle_frames),
+            _loudest(found.sound[: self._channels]),
+            _loudest(found.vibration[: self._vibrations]),
         )
 
     def level(self, slot: int) -> Level:
         """Return the level of an actuator."""
-        found = self._page.actuators[slot]
-        return level_of(found.peak, found.square)
+        found = self._page.readings.actuators[slot].level
+        return level_of(found.peak, found.mean_square)
 
     def channel_readings(self) -> list[Reading]:
         """Return peak and mean square of each channel of the tap."""
-        found = self._page.readings.channels[: self._channels]
-        return [(peak, square) for peak, square in found]
+        found = self._page.readings.sound[: self._channels]
+        return [(level.peak, level.mean_square) for level in found]
 
     def principal(self) -> list[tuple[float, float, float]]:
         """Return what the latest hop vibrates, as `HapticTransform.principal` does."""
@@ -172,3 +151,9 @@ class Page:
     def close(self) -> None:
         """Remove the file; readings stay. May be repeated."""
         self.path.unlink(missing_ok=True)
+
+
+def _loudest(levels: Sequence[structures.Level]) -> Level:
+    """Return the largest peak of some channels, and the level of their mean power."""
+    square = sum(level.mean_square for level in levels) / max(1, len(levels))
+    return level_of(max((level.peak for level in levels), default=0.0), square)

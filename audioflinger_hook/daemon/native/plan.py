@@ -2,18 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from typing import NamedTuple
 
 from audioflinger_hook.config.settings import Settings
+from audioflinger_hook.core.design import core_design
+from audioflinger_hook.daemon.native.page import DELAY_MAX_S
 from audioflinger_hook.daemon.native.taps import Tap
 from audioflinger_hook.mixer.layouts import source_weights
 from audioflinger_hook.transform import TransformParameters
 from audioflinger_hook.transform.design import LiveDesign
+from audioflinger_hook.transform.downmix import source_mixes
 from device.drive import ChannelMap
 from device.drive.channel_positions import actuators_of_channels
+from device.drive.design import DriveDesign, DrivePlan
 from device.server.snapshot import Sink
 from device.units import FloatArray
+
+
+class DriveChoice(NamedTuple):
+    """What is chosen for an actuator's rig, as in the config."""
+
+    rig: str = "paper"
+    damping: str = "off"
+    protection: str = "off"
+    exposure_cap: str = "off"
 
 
 @dataclass(frozen=True)
@@ -22,7 +36,8 @@ class ChainPlan:
 
     samplerate: of the graph in Hz. tap_channels: of the tap. sources: of vibrations, empty for one
     of the mono mix, or one for each channel. outputs: vibrations. actuators: for each, the number
-    of its vibration. parameters: of the transform.
+    of its vibration. parameters: of the transform. drives: of each named actuator, or one for all:
+    its rig, damping, protection and exposure cap.
     """
 
     samplerate: int
@@ -31,6 +46,7 @@ class ChainPlan:
     outputs: int
     actuators: tuple[int, ...]
     parameters: TransformParameters
+    drives: tuple[DriveChoice, ...] = (DriveChoice(),)
 
     @classmethod
     def of(cls, settings: Settings, tap: Tap, samplerate: int) -> ChainPlan:
@@ -44,7 +60,17 @@ class ChainPlan:
             routed = tuple(range(outputs))
         # As in the Python engine, the mix alone needs no weights.
         mixed = () if sources in ((), ("mix",)) else sources
-        return cls(samplerate, tap.channels, mixed, outputs, routed, settings.transform_parameters)
+        drives = tuple(
+            DriveChoice(
+                one.rig or settings.rig,
+                one.damping or settings.damping,
+                one.protection or settings.protection,
+                one.exposure_cap or settings.exposure_cap,
+            )
+            for one in settings.actuators or (settings,)
+        )
+        parameters = settings.transform_parameters
+        return cls(samplerate, tap.channels, mixed, outputs, routed, parameters, drives)
 
     @property
     def weights(self) -> FloatArray | None:
@@ -52,14 +78,33 @@ class ChainPlan:
         return source_weights(self.tap_channels, self.sources) if self.sources else None
 
     @property
-    def design(self) -> LiveDesign:
+    def transform(self) -> LiveDesign:
         """Return the design of the transform."""
-        return _design(self.parameters, self.samplerate)
+        return LiveDesign.of(self.parameters, self.samplerate)
 
+    @property
+    def columns(self) -> int:
+        """Actuators for each of `drives`."""
+        return len(self.actuators) // len(self.drives)
 
-@lru_cache(maxsize=8)
-def _design(parameters: TransformParameters, samplerate: int) -> LiveDesign:
-    return LiveDesign.of(parameters, samplerate)
+    def drive_plans(self) -> list[DrivePlan | None]:
+        """Return the plan of each of `drives`. UsageError: there is no such rig."""
+        return [
+            DrivePlan.of(one.rig, self.samplerate, one.damping, one.protection, one.exposure_cap)
+            for one in self.drives
+        ]
+
+    def design(self, drives: Sequence[DriveDesign | None]) -> bytes:
+        """Return the design of the whole core, with those of `drive_plans`."""
+        return core_design(
+            self.samplerate,
+            self.tap_channels,
+            transform=self.transform.records(),
+            each=self.outputs > 1,
+            mixes=() if self.weights is None else source_mixes(self.weights),
+            drives=[drive for drive in drives for _ in range(self.columns)],
+            delay_frames_max=round(DELAY_MAX_S * self.samplerate),
+        )
 
 
 def device_map(settings: Settings, plan: ChainPlan, sink: Sink) -> ChannelMap:

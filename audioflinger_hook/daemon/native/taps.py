@@ -87,7 +87,9 @@ class Tap:
             return False
         if output.is_monitor and node.id == avoided:  # it would feed back
             return False
-        return self.rules is None or self.rules.take(stream_of(graph, node))
+        if self.rules is None:
+            return True
+        return graph.is_described(node.id) and self.rules.take(stream_of(graph, node))
 
 
 def tap_of(found: Source | Applications, rules: AppRules | None) -> Tap:

@@ -15,7 +15,7 @@ from audioflinger_hook.service.state import Cause, DaemonState, StateKeeper
 from device.address import DeviceAddress
 from device.alsa.usb_stream import MeasuredRate
 from device.drive import ActuatorSettings, ChannelMap
-from device.drive.drive import ChannelRouter
+from device.drive.channel_router import ChannelRouter
 from device.errors import CushionError, LostError, NotFoundError, UsageError
 from device.rig import rig_by_name
 from device.server import PulseConnection, ServerSnapshot

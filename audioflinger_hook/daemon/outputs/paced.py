@@ -17,7 +17,7 @@ from audioflinger_hook.pipeline.framework import channel_map_of, simulated_rig_o
 from device.address import DeviceAddress
 from device.atomic_file import AtomicFile
 from device.drive import ActuatorSettings
-from device.drive.drive import ChannelRouter
+from device.drive.channel_router import ChannelRouter
 from device.errors import InternalError, UsageError
 from device.output import VibrationOutput
 from device.rig import rig_by_name

@@ -1,11 +1,13 @@
-/* Reads design files. */
+/* Makes cores of design files. */
 
 #include "design_file.h"
 
 #include <stdio.h>
 #include <stdlib.h>
+#include <string.h>
 
-#define SIZE_MAX_BYTES ((long)64 << 20) /* designs have under 1 MB */
+#define SIZE_MAX_BYTES ((long)64 << 20) /* designs have under 10 MB */
+#define ALIGNMENT 16
 
 static char *contents(const char *path, size_t *size)
 {
@@ -25,22 +27,30 @@ static char *contents(const char *path, size_t *size)
     return bytes;
 }
 
-const char *design_read(Design *design, const char *path)
+const char *core_load(LoadedCore *loaded, const char *path)
 {
     size_t size;
-    char *bytes = contents(path, &size);
-    if (!bytes)
+    memset(loaded, 0, sizeof *loaded);
+    loaded->design = contents(path, &size);
+    if (!loaded->design)
         return "it cannot be read";
-    const char *problem = design_open(design, bytes, size);
-    if (problem) {
-        free(bytes);
-        design->bytes = NULL;
+    const char *misfit = core_check(loaded->design, size, &loaded->info);
+    if (!misfit) {
+        const size_t bytes = (size_t)loaded->info.memory_bytes;
+        loaded->memory = aligned_alloc(ALIGNMENT, (bytes + ALIGNMENT - 1) / ALIGNMENT * ALIGNMENT);
+        if (loaded->memory)
+            loaded->core = core_open(loaded->design, size, loaded->memory);
+        if (!loaded->core)
+            misfit = "there is not enough memory";
     }
-    return problem;
+    if (misfit)
+        core_unload(loaded);
+    return misfit;
 }
 
-void design_close(Design *design)
+void core_unload(LoadedCore *loaded)
 {
-    free(design->bytes);
-    design->bytes = NULL;
+    free(loaded->memory);
+    free(loaded->design);
+    memset(loaded, 0, sizeof *loaded);
 }

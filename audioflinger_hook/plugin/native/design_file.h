@@ -1,18 +1,25 @@
-/* A design of the live form, read from the file that Python wrote (transform/design/blob.py). */
+/* Cores of design files. */
 
 #ifndef CUSHION_DESIGN_FILE_H
 #define CUSHION_DESIGN_FILE_H
 
-#include "../../transform/native/design_blob.h"
+#include "../../core/core.h"
 
-/* Read a file into a design; return NULL, or what is wrong with it: then nothing stays allocated. */
-const char *design_read(Design *design, const char *path);
+/* A core with the memory that it works in. */
+typedef struct {
+    Core *core; /* NULL: none */
+    CoreInfo info;
+    void *design, *memory;
+} LoadedCore;
 
-/* Read the design of a profile for a samplerate: the file that HAPTIC_CUSHION_DESIGN names, else
- * designs/PROFILE-RATE.design in the user's data folder or beside the plugin. Return whether it can
- * be used; else one line on stderr says why not. */
-int design_find(Design *design, const char *profile, unsigned long samplerate);
+/* Make a core of the design in a file; return NULL, or what is wrong. Allocates. */
+const char *core_load(LoadedCore *loaded, const char *path);
 
-void design_close(Design *design);
+/* Make a core of the design of a profile for a samplerate: the file that HAPTIC_CUSHION_DESIGN names,
+ * or one of the user's, or one beside the plugin. Return 1; or, after one line on stderr, 0 where there is
+ * no design, and -1 where it cannot be used. Allocates. */
+int core_find(LoadedCore *loaded, const char *profile, unsigned long samplerate);
+
+void core_unload(LoadedCore *loaded);
 
 #endif

@@ -24,7 +24,7 @@ static int folder_of(size_t which, char *folder)
         length = snprintf(folder, PATH_BYTES, "%s/haptic-cushion", data);
     else if (which == 0 && home && *home == '/')
         length = snprintf(folder, PATH_BYTES, "%s/.local/share/haptic-cushion", home);
-    if (which == 1 && dladdr((const void *)(uintptr_t)&design_find, &found) && found.dli_fname) {
+    if (which == 1 && dladdr((const void *)(uintptr_t)&core_find, &found) && found.dli_fname) {
         const char *end = strrchr(found.dli_fname, '/');
         const size_t bytes = end ? (size_t)(end - found.dli_fname) : 0;
         length = snprintf(folder, PATH_BYTES, "%.*s", (int)bytes, end ? found.dli_fname : ".");
@@ -33,7 +33,7 @@ static int folder_of(size_t which, char *folder)
 }
 
 /* A file that does not fit ends the search, so that an old design is never used without a word. */
-int design_find(Design *design, const char *profile, unsigned long samplerate)
+int core_find(LoadedCore *loaded, const char *profile, unsigned long samplerate)
 {
     char folder[PATH_BYTES], path[PATH_BYTES + 64];
     const char *given = getenv("HAPTIC_CUSHION_DESIGN");
@@ -49,9 +49,9 @@ int design_find(Design *design, const char *profile, unsigned long samplerate)
         if (!file)
             continue;
         fclose(file);
-        problem = design_read(design, path);
-        if (!problem && design->samplerate != samplerate) {
-            design_close(design);
+        problem = core_load(loaded, path);
+        if (!problem && loaded->info.samplerate != samplerate) {
+            core_unload(loaded);
             problem = "it is for another samplerate";
         }
         if (problem)
@@ -59,7 +59,7 @@ int design_find(Design *design, const char *profile, unsigned long samplerate)
                     "haptic_cushion: the design %s cannot be used: %s; make it again with "
                     "`cushion plugin install --rate %lu`\n",
                     path, problem, samplerate);
-        return !problem;
+        return problem ? -1 : 1;
     }
     fprintf(stderr,
             "haptic_cushion: no design of profile %s for %lu Hz; make it with "

@@ -3,6 +3,7 @@
 #include "effect.h"
 
 #include <math.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -12,14 +13,21 @@
 #define GAIN_MAX_DB 20.0
 #define BYPASS_FADE_S 0.04
 #define FLOOR_DBFS (-150.0)
+#define DELAY_MAX_S 1.0
 
-Effect *effect_open(const char *profile, unsigned long samplerate, size_t channels)
+Effect *effect_open(const char *profile, unsigned long samplerate)
 {
     Effect *effect = calloc(1, sizeof *effect);
     if (!effect)
         return NULL;
-    effect->source = source_open(profile, samplerate, channels);
-    if (!effect->source || !delay_open(&effect->delay, DELAY_MAX_S, (double)samplerate)) {
+    effect->controls.sound_gain = 1.0;
+    const CoreInfo *info = &effect->loaded.info;
+    const int found = core_find(&effect->loaded, profile, samplerate);
+    if (found == 1 && (info->inputs != EFFECT_CHANNELS || info->vibrations != 1 || info->actuators)) {
+        fprintf(stderr, "haptic_cushion: the design is for other channels; allowed: two, and no actuator\n");
+        core_unload(&effect->loaded);
+    }
+    if (!found || !delay_open(&effect->delay, DELAY_MAX_S, (double)samplerate)) {
         effect_close(effect);
         return NULL;
     }
@@ -32,13 +40,14 @@ void effect_close(Effect *effect)
     if (!effect)
         return;
     delay_close(&effect->delay);
-    source_close(effect->source);
+    core_unload(&effect->loaded);
     free(effect);
 }
 
 void effect_reset(Effect *effect)
 {
-    source_reset(effect->source);
+    if (effect->loaded.core)
+        core_reset(effect->loaded.core, 0);
     effect->fresh = 1;
 }
 
@@ -53,14 +62,18 @@ static double within(double value, double least, double most, double otherwise)
 void effect_process(Effect *effect, EffectControls controls, const float *const *inputs,
                     size_t channels, float *const *outputs, size_t outputs_count, size_t frames)
 {
-    const float *at[EFFECT_CHANNELS_MAX];
-    const double samplerate = effect->source->sound.samplerate;
+    const double samplerate = (double)effect->loaded.info.samplerate;
     const double gain_db = within(controls.gain_db, GAIN_MIN_DB, GAIN_MAX_DB, 0.0);
     const double gain = gain_db == 0.0 ? 1.0 : exact_amplitude(gain_db);
     const double delay_s = within(1e-3 * controls.delay_ms, 0.0, DELAY_MAX_S, 0.0);
     const size_t delay = (size_t)(delay_s * samplerate + 0.5);
     const double open = controls.bypass ? 0.0 : 1.0;
-    if (effect->fresh && frames) {
+    for (size_t output = 0; !effect->loaded.core && output < outputs_count; output++)
+        if (outputs[output])
+            memset(outputs[output], 0, frames * sizeof(float));
+    if (!frames || !effect->loaded.core)
+        return;
+    if (effect->fresh) {
         delay_reset(&effect->delay, delay);
         fade_reset(&effect->gain, gain);
         fade_reset(&effect->open, open);
@@ -69,10 +82,15 @@ void effect_process(Effect *effect, EffectControls controls, const float *const 
     fade_to(&effect->gain, gain, frames);
     fade_to(&effect->open, open, (size_t)(BYPASS_FADE_S * samplerate));
     for (size_t done = 0; done < frames;) {
-        const size_t left = frames - done, part = left < PIECE_FRAMES ? left : PIECE_FRAMES;
-        for (size_t channel = 0; channel < channels; channel++)
-            at[channel] = inputs[channel] ? inputs[channel] + done : NULL;
-        source_process(effect->source, at, effect->vibration, part);
+        const size_t left = frames - done, part = left < EFFECT_PIECE_FRAMES ? left : EFFECT_PIECE_FRAMES;
+        for (size_t channel = 0; channel < EFFECT_CHANNELS; channel++) {
+            const float *input = inputs[channel < channels ? channel : 0];
+            for (size_t frame = 0; frame < part; frame++)
+                effect->sound[frame * EFFECT_CHANNELS + channel] = input ? input[done + frame] : 0.0f;
+        }
+        const CoreSound sound = {effect->sound, EFFECT_CHANNELS * sizeof(float), sizeof(float), 0};
+        core_process(effect->loaded.core, &effect->controls, sound, effect->vibration, part,
+                     &effect->readings);
         fade_apply(&effect->gain, effect->vibration, part);
         delay_process(&effect->delay, effect->vibration, part, delay);
         fade_apply_smoothly(&effect->open, effect->vibration, part);
@@ -85,10 +103,17 @@ void effect_process(Effect *effect, EffectControls controls, const float *const 
 
 double effect_latency_frames(const Effect *effect)
 {
-    return (double)(effect->source->design.latency_frames + effect->delay.delay);
+    return (double)(effect->loaded.info.latency_frames + effect->delay.delay);
 }
 
-double peak_dbfs(const LevelMeter *meter)
+static double dbfs(double peak)
 {
-    return meter->peak > BELOW ? fmax(FLOOR_DBFS, 20.0 * exact_log10(meter->peak)) : FLOOR_DBFS;
+    return peak > 0.0 ? fmax(FLOOR_DBFS, 20.0 * exact_log10(peak)) : FLOOR_DBFS;
 }
+
+double effect_sound_dbfs(const Effect *effect)
+{
+    return dbfs(fmax(effect->readings.sound[0].peak, effect->readings.sound[1].peak));
+}
+
+double effect_vibration_dbfs(const Effect *effect) { return dbfs(effect->readings.vibration[0].peak); }

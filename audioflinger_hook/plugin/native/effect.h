@@ -4,17 +4,18 @@
 #define CUSHION_EFFECT_H
 
 #include "delay_line.h"
+#include "design_file.h"
 #include "fade.h"
-#include "source.h"
 
-#define EFFECT_CHANNELS_MAX CHANNELS_MAX
-#define DELAY_MAX_S 1.0
+enum { EFFECT_CHANNELS = 2, EFFECT_PIECE_FRAMES = 1024 };
 
 typedef struct {
-    Source *source;
+    LoadedCore loaded;
+    CoreControls controls;
+    CoreReadings readings;
     DelayLine delay;
     Fade gain, open;
-    float vibration[PIECE_FRAMES];
+    float sound[EFFECT_PIECE_FRAMES * EFFECT_CHANNELS], vibration[EFFECT_PIECE_FRAMES];
     int fresh; /* nothing was processed since the last reset */
 } Effect;
 
@@ -24,21 +25,24 @@ typedef struct {
     int bypass; /* silence */
 } EffectControls;
 
-/* Make an effect, NULL after one line on stderr. Allocates. */
-Effect *effect_open(const char *profile, unsigned long samplerate, size_t channels);
+/* Make an effect. Where its design cannot be used, one line on stderr says so, and it gives silence: the
+ * host goes on. NULL, after one line on stderr, where there is no design. Allocates. */
+Effect *effect_open(const char *profile, unsigned long samplerate);
 
 void effect_close(Effect *effect);
 
 void effect_reset(Effect *effect);
 
-/* Process any number of frames. Real-time safe. Outputs may be inputs; all outputs are the same. */
+/* Process any number of frames. Real-time safe. One channel counts as two equal ones. Outputs may be
+ * inputs; all outputs are the same. */
 void effect_process(Effect *effect, EffectControls controls, const float *const *inputs,
                     size_t channels, float *const *outputs, size_t outputs_count, size_t frames);
 
 /* Frames by which the vibration follows its sound. */
 double effect_latency_frames(const Effect *effect);
 
-/* The peak of a meter in dBFS, -150 at least. */
-double peak_dbfs(const LevelMeter *meter);
+/* The peaks of sound and vibration in dBFS, -150 at least. */
+double effect_sound_dbfs(const Effect *effect);
+double effect_vibration_dbfs(const Effect *effect);
 
 #endif

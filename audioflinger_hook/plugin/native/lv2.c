@@ -1,4 +1,4 @@
-/* The LV2 face: the public faces of LADSPA with the same ports, under URIs.
+/* The plugin for LV2 hosts: the public LADSPA plugins with the same ports, under URIs.
  *
  * plugin/turtle.py writes the bundle's Turtle files from the LADSPA descriptors. */
 
@@ -13,7 +13,7 @@
 
 const LadspaDescriptor *ladspa_descriptor(unsigned long index);
 
-/* In the order of the LADSPA faces. */
+/* In the order of the LADSPA plugins. */
 static const char *const URIS[] = {PREFIX "paper", PREFIX "cinema", PREFIX "game", PREFIX "music",
                                    PREFIX "mono"};
 
@@ -26,11 +26,11 @@ static void *instantiate(const Lv2Descriptor *descriptor, double samplerate,
 {
     (void)bundle_path;
     (void)features;
-    const LadspaDescriptor *face = ladspa_descriptor((unsigned long)(descriptor - descriptors));
-    return samplerate > 0.0 ? face->instantiate(face, (unsigned long)lrint(samplerate)) : NULL;
+    const LadspaDescriptor *plugin = ladspa_descriptor((unsigned long)(descriptor - descriptors));
+    return samplerate > 0.0 ? plugin->instantiate(plugin, (unsigned long)lrint(samplerate)) : NULL;
 }
 
-/* All faces share their functions, so any of them will do. */
+/* All plugins share their functions, so any of them will do. */
 static void connect_port(void *instance, uint32_t port, void *data)
 {
     ladspa_descriptor(0)->connect_port(instance, port, data);

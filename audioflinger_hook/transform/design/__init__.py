@@ -6,8 +6,6 @@
 | `loudness` | loudness, felt strength, programme level |
 | `speech` | speech suppression |
 | `synthesis` | time grid, tracking of partials, oscillators, low-pass, limiter |
-| `rounding` | the same bits on every machine |
-| `blob` | the design as bytes |
 """
 
 from __future__ import annotations
@@ -18,10 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from audioflinger_hook.transform.design import blob
+from audioflinger_hook.core import blob
+from audioflinger_hook.core.rounding import round_section
 from audioflinger_hook.transform.design.analysis import AnalysisDesign, InputDesign, OnsetDesign
 from audioflinger_hook.transform.design.loudness import LoudnessDesign
-from audioflinger_hook.transform.design.rounding import round_section
 from audioflinger_hook.transform.design.speech import SpeechDesign
 from audioflinger_hook.transform.design.synthesis import (
     ATTACK_HOPS,
@@ -33,6 +31,7 @@ from audioflinger_hook.transform.mapping import VibrationMapping
 from audioflinger_hook.transform.parameters import TransformParameters
 from audioflinger_hook.transform.spectrum import Spectrum
 from device.errors import UsageError
+from device.records import Records
 
 __all__ = ["LiveDesign"]
 
@@ -52,7 +51,7 @@ LATENCY_AT_HZ = 60.0
 class LiveDesign:
     """All numbers and tables of the live form for one set of parameters and one samplerate.
 
-    Both implementations, NumPy and compiled, are made from it. It is immutable: its arrays cannot
+    The core, and its oracle in the tests, are made from it. It is immutable: its arrays cannot
     be written. Two designs are equal where all their bits are.
 
     Attributes
@@ -115,9 +114,9 @@ class LiveDesign:
         """
         return _designed(parameters, samplerate, find_onsets)
 
-    def settings(self) -> dict[str, blob.Value]:
+    def settings(self) -> Records:
         """Return the numbers and tables of all sections, by name."""
-        found: dict[str, blob.Value] = {}
+        found: Records = {}
         for section in (getattr(self, name) for name in SECTIONS):
             for item in fields(section):
                 value = getattr(section, item.name)
@@ -126,12 +125,15 @@ class LiveDesign:
         return found
 
     def to_bytes(self) -> bytes:
-        """Return the design as bytes, in the layout that `design.blob` documents.
+        """Return the design as bytes, in the layout that `core/blob.py` documents.
 
         The bytes hold `samplerate`, `latency_frames`, `tonal_latency_frames` and `settings()`.
         """
-        top = {name: getattr(self, name) for name in TOP}
-        return blob.pack({**top, **self.settings()})
+        return blob.pack(self.records())
+
+    def records(self) -> Records:
+        """Return all that `to_bytes` holds, by name."""
+        return {**{name: getattr(self, name) for name in TOP}, **self.settings()}
 
     @classmethod
     def from_bytes(cls, data: bytes) -> LiveDesign:
@@ -174,12 +176,12 @@ SECTIONS: dict[str, Any] = {
 }
 
 
-def _section(kind: Any, values: dict[str, blob.Value]) -> Any:
+def _section(kind: Any, values: Records) -> Any:
     types: dict[str, Any] = {"int": int, "float": float, "FloatArray": np.ndarray}
     return kind(**{i.name: _taken(values, i.name, types[str(i.type)]) for i in fields(kind)})
 
 
-def _taken(values: dict[str, blob.Value], name: str, kind: type) -> Any:
+def _taken(values: Records, name: str, kind: type) -> Any:
     """Take a value of a type from the values that are left."""
     value = values.pop(name, None)
     if not isinstance(value, kind):

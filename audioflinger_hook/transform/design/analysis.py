@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.fft import next_fast_len
-from scipy.signal import zoom_fft
 
+from audioflinger_hook.core.rounding import round_filter
 from audioflinger_hook.transform.arrays import FloatArray
-from audioflinger_hook.transform.design.rounding import round_filter
 from audioflinger_hook.transform.design.synthesis import LiveGrid
 from audioflinger_hook.transform.downmix import (
     CANCELS_FROM,
@@ -18,6 +16,7 @@ from audioflinger_hook.transform.downmix import (
     CancellationRules,
     downmix_table,
 )
+from audioflinger_hook.transform.filters import fast_length, lowest_bins
 from audioflinger_hook.transform.input_stage import (
     DENORMAL_GUARD,
     MAGNITUDE_MAX,
@@ -303,13 +302,13 @@ def window_tables(
     fine_length = TABLE_BINS_A_BIN * length
     partnered = spectrum.window.copy()
     partnered[0] = 0.0
-    fine = zoom_fft(partnered, (0, entries), entries, fs=fine_length)
+    fine = lowest_bins(partnered, entries, fine_length)
     turned = fine * np.exp(2j * np.pi * np.arange(entries) * (frames / 2) / fine_length)
     return np.stack((np.cos(turn), np.sin(turn))), turned.real / turned[0].real
 
 
 def _even_fast_length(frames: int) -> int:
     length = max(4, frames)
-    while next_fast_len(length, real=True) != length or length % 2:
+    while fast_length(length) != length or length % 2:
         length += 1
     return length

@@ -5,10 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import ellip, freqz
 
+from audioflinger_hook.core.rounding import round_filter
 from audioflinger_hook.transform.arrays import FloatArray
-from audioflinger_hook.transform.design.rounding import round_filter
+from audioflinger_hook.transform.filters import (
+    ELLIPTIC_3,
+    ELLIPTIC_6,
+    high_pass,
+    low_pass,
+    response,
+)
 from audioflinger_hook.transform.mapping import VibrationMapping
 from audioflinger_hook.transform.parameters import TransformParameters
 
@@ -37,18 +43,13 @@ STEADY_RATIO, MERGED_STEADY_RATIO = 0.03, 0.12
 """Changes of a partial's amplitude up to this share are averaged. Merged partials waver more: they
 hold several tones, or noise."""
 
-ORDER = 6
-RIPPLE_DB = 0.5
-STOP_DB = 40.0
-"""Order, ripple and attenuation of the elliptic low-pass."""
-
-HIGH_PASS_ORDER = 3
-HIGH_PASS_STOP_DB = 26.0
-"""For strength "felt", an elliptic high-pass of the same ripple keeps swings of the envelope out
-of what is under the lowest vibration: there an actuator moves far and little is felt."""
+LOW_PASS, HIGH_PASS = ELLIPTIC_6, ELLIPTIC_3
+"""Of the samples at the low rate; the second one is for strength "felt"."""
 
 BOTTOM_MARGIN = 0.98
-"""That pass band begins at the lowest vibration frequency times this."""
+"""For strength "felt", a high-pass removes swings of the envelope below the lowest vibration
+frequency, where an actuator moves far for a weak sensation. Its pass band begins at this share of
+that frequency."""
 
 GAIN_FLOOR = 0.5
 """Amplitudes undo at most a fall to this: under the lowest vibration frequency none is played."""
@@ -151,8 +152,8 @@ class TrackingDesign:
     struck_share: float = 0.85
     """While it is held, vibration has at most this share of its strength at the onset, ..."""
     struck_grown: float = 0.8
-    """... or this share of what it would have, whichever is more: what seems to grow by a few % in
-    the long window was struck at once, what grows by more still grows."""
+    """... or this share of its unlimited strength, whichever is more. A rise by a few % in the long
+    window was struck at once; a larger one goes on."""
 
     @classmethod
     def of(cls, parameters: TransformParameters, hop_s: float) -> TrackingDesign:
@@ -219,22 +220,15 @@ class SynthesisDesign:
         """Return the design for one grid and samplerate."""
         top_hz = EDGE_MARGIN * parameters.vibration_top_hz
         low_rate_hz = samplerate / grid.decimation
-        zeros, poles, gain = ellip(ORDER, RIPPLE_DB, STOP_DB, top_hz, fs=low_rate_hz, output="zpk")
+        zeros, poles, gain = low_pass(LOW_PASS, top_hz, low_rate_hz)
         if parameters.strength != "flat":
             edge_hz = BOTTOM_MARGIN * parameters.vibration_bottom_hz
-            high_zeros, high_poles, high_gain = ellip(
-                HIGH_PASS_ORDER,
-                RIPPLE_DB,
-                HIGH_PASS_STOP_DB,
-                edge_hz,
-                "highpass",
-                fs=low_rate_hz,
-                output="zpk",
-            )
-            zeros, poles = [*zeros, *high_zeros], [*poles, *high_poles]
-            gain *= high_gain
+            high = high_pass(HIGH_PASS, edge_hz, low_rate_hz)
+            zeros = np.concatenate((zeros, high.zeros))
+            poles = np.concatenate((poles, high.poles))
+            gain *= high.gain
         low_b, low_a = round_filter(zeros, poles, gain)
-        _, response = freqz(low_b, low_a, np.arange(0.0, top_hz, cls.gain_step_hz), fs=low_rate_hz)
+        passed = response(low_b, low_a, np.arange(0.0, top_hz, cls.gain_step_hz), low_rate_hz)
         time = np.arange(1, grid.steps + 1) / grid.steps
         turn, turn_glide = glide_turns(grid.steps, grid.hop_s)
         _, tick_turn_glide = glide_turns(grid.tick_steps, grid.tick_s)
@@ -250,15 +244,16 @@ class SynthesisDesign:
             low_b=low_b,
             low_a=low_a,
             phases=interpolation_phases(grid.decimation, top_hz, low_rate_hz),
-            gain_table=1.0 / np.maximum(np.abs(response), GAIN_FLOOR),
+            gain_table=1.0 / np.maximum(np.abs(passed), GAIN_FLOOR),
         )
 
     def delay_s(self, hz: float, samplerate: int) -> float:
         """Return how late the envelope of a steady partial leaves, in seconds."""
         step_hz = 0.01
         low_rate_hz = samplerate / self.phases.shape[1]
-        _, response = freqz(self.low_b, self.low_a, [hz - step_hz, hz + step_hz], fs=low_rate_hz)
-        turn = np.angle(response[0] / response[1])
+        either_side = np.array([hz - step_hz, hz + step_hz])
+        passed = response(self.low_b, self.low_a, either_side, low_rate_hz)
+        turn = np.angle(passed[0] / passed[1])
         low_pass_s = turn / (2.0 * np.pi * 2.0 * step_hz)
         interpolation_s = (self.phases.size - 1) / 2 / samplerate
         return float(low_pass_s + interpolation_s)

@@ -14,7 +14,7 @@
 #include "common.h"
 #include "exact.h"
 #include "peaks.h"
-#include "space.h"
+#include "arena.h"
 
 /* Bins before the first and after the last that may be read: the first steps of a walk. */
 #define EDGE 3
@@ -52,15 +52,15 @@ static size_t lay_out(void *memory, size_t bins, Work *work)
         &work->sorted,        &work->sorting,
     };
     int32_t **places[] = {&peaks->left, &peaks->bin, &peaks->right, &work->chosen.place};
-    Space space = {memory, 0};
-    work->edges = taken(&space, bins + 2 * EDGE, sizeof(double));
+    Arena arena = {memory, 0};
+    work->edges = arena_alloc(&arena, bins + 2 * EDGE, sizeof(double));
     for (size_t which = 0; which < sizeof numbers / sizeof *numbers; which++)
-        *numbers[which] = taken(&space, most, sizeof(double));
+        *numbers[which] = arena_alloc(&arena, most, sizeof(double));
     for (size_t which = 0; which < sizeof places / sizeof *places; which++)
-        *places[which] = taken(&space, most, sizeof(int32_t));
-    work->turns.bin = taken(&space, bins + 1, sizeof(int32_t));
-    work->turns.rising = taken(&space, bins, sizeof(uint8_t));
-    return space.used;
+        *places[which] = arena_alloc(&arena, most, sizeof(int32_t));
+    work->turns.bin = arena_alloc(&arena, bins + 1, sizeof(int32_t));
+    work->turns.rising = arena_alloc(&arena, bins, sizeof(uint8_t));
+    return arena.used;
 }
 
 size_t analysis_work(size_t bins)
@@ -130,7 +130,7 @@ INLINED void bound_side(Side side, const double *restrict level, int32_t count)
 }
 
 /* Bound the r of all peaks from above; the bound is a number even where the amplitudes are none. */
-WIDE static void bound(const Rule *rule, Peaks *peaks)
+SIMD_CLONES static void bound(const Rule *rule, Peaks *peaks)
 {
     bound_side(peaks->down, peaks->level, peaks->count);
     bound_side(peaks->up, peaks->level, peaks->count);
@@ -206,7 +206,7 @@ static double nth_largest(const double *numbers, int32_t count, int32_t n, doubl
 
 /* Leave out, of more than n numbers, most of those under the n-th largest; return how many are
  * left. The least of the maxima of n groups is no larger than that. maxima: room for n. */
-WIDE static int32_t few_largest(double *restrict numbers, int32_t count, int32_t n,
+SIMD_CLONES static int32_t few_largest(double *restrict numbers, int32_t count, int32_t n,
                                 double *restrict maxima)
 {
     memcpy(maxima, numbers, (size_t)n * sizeof(double));

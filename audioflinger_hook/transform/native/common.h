@@ -18,24 +18,24 @@
  * same operations on each number, so all give the same bits. */
 #if !defined(__x86_64__) || !defined(__GLIBC__) || !defined(__GNUC__) || defined(__clang__) || \
     defined(ONE_MACHINE) /* clang's versions of one function do not link */
-#define WIDE
-#define WIDE_FOR_FEW
+#define SIMD_CLONES
+#define SIMD_CLONES_NARROW
 #elif defined(TWO_MACHINES)
-#define WIDE __attribute__((target_clones("avx2", "default")))
-#define WIDE_FOR_FEW WIDE
+#define SIMD_CLONES __attribute__((target_clones("avx2", "default")))
+#define SIMD_CLONES_NARROW SIMD_CLONES
 #else
-#define WIDE __attribute__((target_clones("avx512f", "avx2", "default")))
+#define SIMD_CLONES __attribute__((target_clones("avx512f", "avx2", "default")))
 /* For loops over a dozen numbers, where half of a register of 64 bytes would stay empty. */
-#define WIDE_FOR_FEW __attribute__((target_clones("avx2", "default")))
+#define SIMD_CLONES_NARROW __attribute__((target_clones("avx2", "default")))
 #endif
 
 /* Before a loop: what it writes is not what it reads a step later. */
 #if defined(__clang__)
-#define APART _Pragma("clang loop vectorize(assume_safety)")
+#define NO_ALIAS _Pragma("clang loop vectorize(assume_safety)")
 #elif defined(__GNUC__)
-#define APART _Pragma("GCC ivdep")
+#define NO_ALIAS _Pragma("GCC ivdep")
 #else
-#define APART
+#define NO_ALIAS
 #endif
 
 /* Part of the function that calls it, and compiled for that function's processor. */

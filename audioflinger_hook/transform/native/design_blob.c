@@ -5,20 +5,14 @@
 #include "common.h"
 
 #define MAGIC "CUSHLIVE"
-#define FORMAT_VERSION 2
+#define FORMAT_VERSION 4
 #define HEADER_BYTES 24
 #define CHECKSUM_BYTES 8
-#define NAME_BYTES 36
+#define NAME_BYTES RECORD_NAME_BYTES
 #define RECORD_BYTES 48
 #define HIGHEST_RATE 768000
 
 enum { KIND_COUNT, KIND_NUMBER, KIND_ARRAY };
-
-/* The records of a design, without header and checksum. */
-typedef struct {
-    char *at;
-    size_t bytes;
-} Records;
 
 static uint32_t u32_at(const char *place)
 {
@@ -66,7 +60,7 @@ static char *values_of(Records records, const char *name, uint32_t kind, size_t 
     return NULL;
 }
 
-static int count_of(Records records, const char *name, size_t *count)
+int record_count(Records records, const char *name, size_t *count)
 {
     size_t numbers;
     const char *place = values_of(records, name, KIND_COUNT, &numbers);
@@ -77,7 +71,7 @@ static int count_of(Records records, const char *name, size_t *count)
     return value >= 0;
 }
 
-static int number_of(Records records, const char *name, double *number)
+int record_number(Records records, const char *name, double *number)
 {
     size_t numbers;
     const char *place = values_of(records, name, KIND_NUMBER, &numbers);
@@ -86,7 +80,7 @@ static int number_of(Records records, const char *name, double *number)
     return place && numbers == 1;
 }
 
-static int table_of(Records records, const char *name, Table *table)
+int record_table(Records records, const char *name, Table *table)
 {
     table->at = (double *)(void *)values_of(records, name, KIND_ARRAY, &table->length);
     return table->at != NULL;
@@ -95,17 +89,17 @@ static int table_of(Records records, const char *name, Table *table)
 static const char *read_settings(Records records, Settings *settings)
 {
 #define ENTRY(name)                                                                                \
-    if (!count_of(records, #name, &settings->name))                                                \
+    if (!record_count(records, #name, &settings->name))                                                \
         return "it lacks the count " #name;
     COUNTS(ENTRY)
 #undef ENTRY
 #define ENTRY(name)                                                                                \
-    if (!number_of(records, #name, &settings->name))                                               \
+    if (!record_number(records, #name, &settings->name))                                               \
         return "it lacks the number " #name;
     NUMBERS(ENTRY)
 #undef ENTRY
 #define ENTRY(name)                                                                                \
-    if (!table_of(records, #name, &settings->name))                                                \
+    if (!record_table(records, #name, &settings->name))                                                \
         return "it lacks the table " #name;
     TABLES(ENTRY)
 #undef ENTRY
@@ -120,10 +114,9 @@ static int is_big_endian(void)
     return first == 0;
 }
 
-const char *design_open(Design *design, void *bytes, size_t size)
+const char *records_open(Records *records, void *bytes, size_t size)
 {
     const char *at = bytes;
-    memset(design, 0, sizeof *design);
     if (is_big_endian())
         return "this processor is big-endian";
     if (size < HEADER_BYTES + CHECKSUM_BYTES || memcmp(at, MAGIC, 8))
@@ -134,14 +127,20 @@ const char *design_open(Design *design, void *bytes, size_t size)
         return "it is of another version";
     if (u32_at(at + 12) != size || size % 8)
         return "it is cut or too long";
-    if (u32_at(at + size - CHECKSUM_BYTES) != crc32_of(at, size - CHECKSUM_BYTES))
+    if (u32_at(at + size - CHECKSUM_BYTES) != crc32_of(at, size - CHECKSUM_BYTES) ||
+        u32_at(at + size - CHECKSUM_BYTES / 2) != 0)
         return "it is damaged: its checksum does not fit";
-    const Records records = {(char *)bytes + HEADER_BYTES, size - HEADER_BYTES - CHECKSUM_BYTES};
-    if (!count_of(records, "samplerate", &design->samplerate) || design->samplerate < 1 ||
+    *records = (Records){(char *)bytes + HEADER_BYTES, size - HEADER_BYTES - CHECKSUM_BYTES};
+    return NULL;
+}
+
+const char *design_open(Design *design, Records records)
+{
+    memset(design, 0, sizeof *design);
+    if (!record_count(records, "samplerate", &design->samplerate) || design->samplerate < 1 ||
         design->samplerate > HIGHEST_RATE ||
-        !count_of(records, "latency_frames", &design->latency_frames) ||
-        !count_of(records, "tonal_latency_frames", &design->tonal_latency_frames))
+        !record_count(records, "latency_frames", &design->latency_frames) ||
+        !record_count(records, "tonal_latency_frames", &design->tonal_latency_frames))
         return "it lacks samplerate, latency_frames or tonal_latency_frames";
-    design->bytes = bytes;
     return read_settings(records, &design->settings);
 }

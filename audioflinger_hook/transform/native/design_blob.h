@@ -1,4 +1,4 @@
-/* A design of the live form, read from the bytes that Python made (transform/design/blob.py). */
+/* A design, read from the bytes that Python made (core/blob.py). */
 
 #ifndef CUSHION_DESIGN_BLOB_H
 #define CUSHION_DESIGN_BLOB_H
@@ -7,16 +7,32 @@
 
 #include "settings.h"
 
+enum { RECORD_NAME_BYTES = 36 };
+
+/* The records of a design, without header and checksum. */
+typedef struct {
+    char *at;
+    size_t bytes;
+} Records;
+
+/* Find the records in the bytes of a design; return NULL, or what is wrong with the bytes. They must lie
+ * at a multiple of 8, and stay unchanged as long as the design is used. Offsets and lengths are checked:
+ * whatever the bytes are, nothing beyond them is read. */
+const char *records_open(Records *records, void *bytes, size_t size);
+
+/* Read a count, a number or a table; return 0 if there is no such record of this kind. */
+int record_count(Records records, const char *name, size_t *count);
+int record_number(Records records, const char *name, double *number);
+int record_table(Records records, const char *name, Table *table);
+
+/* The transform of a design. */
 typedef struct {
     Settings settings; /* its tables lie in the bytes that were read */
     size_t samplerate; /* Hz */
     size_t latency_frames, tonal_latency_frames;
-    void *bytes; /* those bytes; who allocated them frees them */
 } Design;
 
-/* Read a design; return NULL, or what is wrong with the bytes. They must lie at a multiple of 8, and
- * stay unchanged as long as the design is used. Offsets, lengths and values are checked: whatever the
- * bytes are, nothing beyond them is read. */
-const char *design_open(Design *design, void *bytes, size_t size);
+/* Read a transform; return NULL, or what is wrong with it. All values are checked. */
+const char *design_open(Design *design, Records records);
 
 #endif

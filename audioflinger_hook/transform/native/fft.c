@@ -41,7 +41,7 @@ INLINED void by_two(const double *restrict re, const double *restrict im, double
                     double *restrict out_im, Places places, const double *turn, int turned)
 {
     const size_t in = places.in;
-    APART
+    NO_ALIAS
     for (size_t at = 0; at < places.run; at++) {
         const double a_re = re[at], a_im = im[at], b_re = re[in + at], b_im = im[in + at];
         out_re[at] = a_re + b_re;
@@ -55,7 +55,7 @@ INLINED void by_three(const double *restrict re, const double *restrict im, doub
 {
     static const double SIN = 0.86602540378443864676;
     const size_t in = places.in;
-    APART
+    NO_ALIAS
     for (size_t at = 0; at < places.run; at++) {
         const double sum_re = re[in + at] + re[2 * in + at], sum_im = im[in + at] + im[2 * in + at];
         const double dif_re = SIN * (re[in + at] - re[2 * in + at]);
@@ -72,7 +72,7 @@ INLINED void by_four(const double *restrict re, const double *restrict im, doubl
                      double *restrict out_im, Places places, const double *turn, int turned)
 {
     const size_t in = places.in;
-    APART
+    NO_ALIAS
     for (size_t at = 0; at < places.run; at++) {
         const double even_re = re[at] + re[2 * in + at], even_im = im[at] + im[2 * in + at];
         const double odd_re = re[at] - re[2 * in + at], odd_im = im[at] - im[2 * in + at];
@@ -92,7 +92,7 @@ INLINED void by_five(const double *restrict re, const double *restrict im, doubl
     static const double C1 = 0.30901699437494742410, S1 = 0.95105651629515357212;
     static const double C2 = -0.80901699437494742410, S2 = 0.58778525229247312917;
     const size_t in = places.in;
-    APART
+    NO_ALIAS
     for (size_t at = 0; at < places.run; at++) {
         const double r0 = re[at], i0 = im[at];
         const double sr1 = re[in + at] + re[4 * in + at], si1 = im[in + at] + im[4 * in + at];
@@ -148,7 +148,7 @@ INLINED const double *pass_once(size_t factor, size_t size, size_t run, const do
 }
 
 /* Do all passes of one transform (Stockham's: nothing has to be put in order afterwards). */
-WIDE static void pass_through(const Passes *passes, Complexes *from, Complexes *to)
+SIMD_CLONES static void pass_through(const Passes *passes, Complexes *from, Complexes *to)
 {
     const double *turn = passes->turns;
     size_t size = passes->size, run = passes->run;
@@ -162,14 +162,14 @@ WIDE static void pass_through(const Passes *passes, Complexes *from, Complexes *
 
 /* The same for 120 complex numbers, those of the short window at 44.1 and 48 kHz. There loops are so
  * short that a quarter is won where the compiler knows how long they are and what is how far away. */
-WIDE_FOR_FEW static void pass_through_columns_of_10(const Passes *passes, Complexes *from,
+SIMD_CLONES_NARROW static void pass_through_columns_of_10(const Passes *passes, Complexes *from,
                                                     Complexes *to)
 {
     const double *turn = pass_once(3, 12, 10, passes->turns, from, to);
     pass_once(4, 4, 30, turn, from, to);
 }
 
-WIDE_FOR_FEW static void pass_through_rows_of_12(const Passes *passes, Complexes *from,
+SIMD_CLONES_NARROW static void pass_through_rows_of_12(const Passes *passes, Complexes *from,
                                                  Complexes *to)
 {
     const double *turn = pass_once(5, 10, 12, passes->turns, from, to);
@@ -197,7 +197,7 @@ INLINED void exchanged_one(const double *turn, size_t rows, size_t columns, Comp
     for (size_t column = 0; column < columns; column++, turn += 2 * rows) {
         const double *restrict re = from.re + column, *restrict im = from.im + column;
         double *restrict to_re = to.re + column * rows, *restrict to_im = to.im + column * rows;
-        APART
+        NO_ALIAS
         for (size_t row = 0; row < rows; row++) {
             const double c = turn[2 * row], s = turn[2 * row + 1];
             const double x = re[row * columns], y = im[row * columns];
@@ -225,7 +225,7 @@ INLINED void exchanged_two(const Fft *fft, Complexes from, Complexes to)
     }
 }
 
-WIDE static void exchange(const Fft *fft, Complexes from, Complexes to)
+SIMD_CLONES static void exchange(const Fft *fft, Complexes from, Complexes to)
 {
     if (fft->lanes == 2)
         exchanged_two(fft, from, to);
@@ -234,7 +234,7 @@ WIDE static void exchange(const Fft *fft, Complexes from, Complexes to)
 }
 
 /* The same of 12 rows and 10 columns. */
-WIDE_FOR_FEW static void exchanged_12_10(const Fft *fft, Complexes from, Complexes to)
+SIMD_CLONES_NARROW static void exchanged_12_10(const Fft *fft, Complexes from, Complexes to)
 {
     exchanged_one(fft->grid_turn, 12, 10, from, to);
 }
@@ -242,7 +242,7 @@ WIDE_FOR_FEW static void exchanged_12_10(const Fft *fft, Complexes from, Complex
 /* ------------------------------------------------------------------------------ real to complex */
 
 /* Take samples for complex numbers, those of the second lane turned. */
-WIDE static void pair_samples(const Fft *fft, const double *restrict samples, Complexes to)
+SIMD_CLONES static void pair_samples(const Fft *fft, const double *restrict samples, Complexes to)
 {
     double *restrict re = to.re, *restrict im = to.im;
     if (fft->lanes == 1) {
@@ -253,7 +253,7 @@ WIDE static void pair_samples(const Fft *fft, const double *restrict samples, Co
         return;
     }
     const double *restrict turn = fft->lane_turn;
-    APART
+    NO_ALIAS
     for (size_t at = 0; at < fft->points; at++) {
         const double x = samples[2 * at], y = samples[2 * at + 1];
         const double c = turn[2 * at], s = turn[2 * at + 1];
@@ -265,7 +265,7 @@ WIDE static void pair_samples(const Fft *fft, const double *restrict samples, Co
 }
 
 /* Take the spectrum of pairs apart into that of the even and of the odd samples, and join them. */
-WIDE static void join_halves(const Fft *fft, Complexes from, size_t bins, double *restrict real,
+SIMD_CLONES static void join_halves(const Fft *fft, Complexes from, size_t bins, double *restrict real,
                         double *restrict imaginary)
 {
     const size_t half = fft->halved;

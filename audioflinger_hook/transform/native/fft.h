@@ -5,6 +5,8 @@
 
 #include <stddef.h>
 
+#include "arena.h"
+
 #define FACTORS_MAX 24
 
 /* Doubles that are left free between the parts of the work space. Of lengths that are powers of 2 all
@@ -18,7 +20,7 @@ typedef struct {
     const double *turns; /* for each factor what its outputs are turned by, cosine and sine */
 } Passes;
 
-/* How spectra of one length are made. Everything that it points to belongs to it. */
+/* How spectra of one length are made. Its tables lie in the arena. */
 typedef struct {
     size_t length; /* of the spectrum's grid: bins are samplerate / length apart */
     size_t frames; /* samples that are read; those past the window are 0 */
@@ -30,14 +32,11 @@ typedef struct {
     const double *grid_turn; /* of each number between columns and rows */
     const double *bin_cos;   /* of each bin, by which the odd samples' spectrum is turned */
     const double *bin_sin;
-    double *tables; /* all turns */
 } Fft;
 
-/* Return 0 and a plan, -1 where memory is lacking, -2 where the length has other factors than
- * 2, 3 and 5. */
-int fft_open(Fft *fft, size_t length, int padded);
-
-void fft_close(Fft *fft);
+/* Make a plan, with tables in the arena; without memory, only count it. Return 0 if the length has
+ * other factors than 2, 3 and 5. */
+int fft_open(Fft *fft, size_t length, int padded, Arena *arena);
 
 /* Doubles of work space that `fft_spectrum` needs. */
 size_t fft_work(const Fft *fft);

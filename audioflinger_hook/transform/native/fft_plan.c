@@ -1,7 +1,5 @@
 /* How a spectrum of one length is made: its division into factors, and the tables of turns. */
 
-#include <stdlib.h>
-
 #include "common.h"
 #include "exact.h"
 #include "fft.h"
@@ -85,7 +83,7 @@ static int make_grid(Fft *fft)
     return 1;
 }
 
-int fft_open(Fft *fft, size_t length, int padded)
+int fft_open(Fft *fft, size_t length, int padded, Arena *arena)
 {
     memset(fft, 0, sizeof *fft);
     fft->length = length;
@@ -94,15 +92,15 @@ int fft_open(Fft *fft, size_t length, int padded)
     fft->points = fft->halved ? fft->halved / fft->lanes : length;
     fft->frames = fft->lanes == 2 ? length / 2 : length;
     if (length == 0 || !make_grid(fft))
-        return -2;
+        return 0;
     const size_t lane_turns = fft->lanes == 2 ? 2 * fft->points : 0;
     const size_t bins = fft->halved ? fft->halved + 1 : 0;
     const size_t total =
         turns_of(&fft->columns) + turns_of(&fft->rows) + lane_turns + 2 * fft->points + 2 * bins;
-    fft->tables = malloc(total * sizeof(double));
-    if (!fft->tables)
-        return -1;
-    double *table = write_passes(&fft->columns, fft->tables);
+    double *table = arena_alloc(arena, total, sizeof(double));
+    if (!table)
+        return 1;
+    table = write_passes(&fft->columns, table);
     table = write_passes(&fft->rows, table);
     fft->lane_turn = table;
     table = write_turns(table, lane_turns / 2, 1, fft->halved ? fft->halved : 1);
@@ -113,13 +111,7 @@ int fft_open(Fft *fft, size_t length, int padded)
     fft->bin_sin = table + bins;
     for (size_t bin = 0; bin < bins; bin++)
         turn_of(bin, length, table + bin, table + bins + bin);
-    return 0;
-}
-
-void fft_close(Fft *fft)
-{
-    free(fft->tables);
-    fft->tables = NULL;
+    return 1;
 }
 
 size_t fft_work(const Fft *fft) { return 4 * (fft->points * fft->lanes + FREE); }

@@ -17,11 +17,11 @@ typedef struct {
 } GlideRow;
 
 typedef struct {
-    int on;         /* live streams never switch it on: rows are allocated as they come */
-    int incomplete; /* memory was lacking */
+    int on;         /* live streams never switch it on */
+    int incomplete; /* there was no room */
     uint64_t frame; /* frames since it was switched on */
     size_t count, room;
-    GlideRow *rows;
+    GlideRow *rows; /* the host's */
 } GlideLog;
 
 /* What part of a stream some glides belong to. first_slot: number of the first of them. */
@@ -31,8 +31,5 @@ typedef struct {
 
 /* Add the glides that sound. */
 void glide_log_add(GlideLog *log, GlidePlace place, const Glides *glides);
-
-/* Forget all rows, and free them. */
-void glide_log_clear(GlideLog *log);
 
 #endif

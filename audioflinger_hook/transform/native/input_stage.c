@@ -41,7 +41,7 @@ static int is_dense(Sound sound)
 }
 
 /* Whether nothing but a sign is in any of these bytes, a multiple of 8 of them. */
-WIDE static int are_zeros(const char *at, size_t bytes, uint64_t signs)
+SIMD_CLONES static int are_zeros(const char *at, size_t bytes, uint64_t signs)
 {
     uint64_t all = 0;
     for (size_t place = 0; place < bytes; place += sizeof all) {
@@ -131,7 +131,7 @@ INLINED size_t mix(Sound sound, int is_float, const double *weights, double limi
     return unusable;
 }
 
-WIDE static int32_t unusable_floats(const float *restrict samples, size_t count, float limit)
+SIMD_CLONES static int32_t unusable_floats(const float *restrict samples, size_t count, float limit)
 {
     int32_t unusable = 0;
     for (size_t one = 0; one < count; one++)
@@ -139,7 +139,7 @@ WIDE static int32_t unusable_floats(const float *restrict samples, size_t count,
     return unusable;
 }
 
-WIDE static void mix_pairs(const float *restrict pairs, size_t frames, double *restrict mono,
+SIMD_CLONES static void mix_pairs(const float *restrict pairs, size_t frames, double *restrict mono,
                            double *restrict side)
 {
     for (size_t frame = 0; frame < frames; frame++) {

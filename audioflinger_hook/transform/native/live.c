@@ -1,4 +1,4 @@
-/* The live form's hops and ticks: what `live.py` does, once for each and without anything else.
+/* The live form's hops and ticks.
  *
  * Frames are band-passed as they come, into a ring that holds one window. When a tick is full, the
  * onsets in it are looked for, and where a hop is full as well its window is analysed. The tick's
@@ -15,7 +15,7 @@
 /* ------------------------------------------------------------------------------------- analysis */
 
 /* Put the window in order, the oldest frame first, and take it through the window function. */
-WIDE static void apply_window(const Live *live, const Voice *voice, double *restrict samples)
+SIMD_CLONES static void apply_window(const Live *live, const Voice *voice, double *restrict samples)
 {
     const size_t frames = live->settings.window_frames, first = frames - live->oldest;
     const double *restrict window = live->settings.window.at;
@@ -29,8 +29,8 @@ WIDE static void apply_window(const Live *live, const Voice *voice, double *rest
         samples[frame] = past[frame] * window[frame];
 }
 
-/* Find what is principal in the window; return how many, 0 where it is not to be felt. strength: how
- * strong it vibrates, where loudness is followed. */
+/* Find the principal tones of the window; return how many, 0 where none vibrates. strength: of the
+ * vibration, where loudness is followed. */
 static size_t analyse_window(Live *live, Voice *voice, double *strength)
 {
     const Settings *s = &live->settings;
@@ -69,7 +69,7 @@ static size_t analyse_window(Live *live, Voice *voice, double *strength)
 
 /* -------------------------------------------------------------------------------------- one hop */
 
-/* Tell what is felt of a hop; where there are too many, the weakest is left out. */
+/* Publish the partials of a hop; of too many, the weakest are left out. */
 static void tell(Live *live, size_t count)
 {
     Told *told = &live->told;

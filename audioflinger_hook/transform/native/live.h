@@ -7,6 +7,7 @@
 #include <stdint.h>
 
 #include "analysis.h"
+#include "arena.h"
 #include "downmix.h"
 #include "fft.h"
 #include "glide_log.h"
@@ -71,14 +72,11 @@ typedef struct {
     Principals found;
     double *hz, *amplitude;
     Glides glides, fresh_glides;
-    void *work; /* all of the work space */
 } Live;
 
-/* Make a kernel of settings that fit, which it takes over; return 0, -1 where memory is lacking, -2
- * where fft_length has other factors than 2, 3 and 5. On failure the settings stay the caller's. */
-int live_open(Live *live, const Settings *settings, size_t channels, int each);
-
-void live_close(Live *live);
+/* Make a kernel of settings that fit, with memory of the arena; without memory, only count it. Return
+ * 0 if fft_length has other factors than 2, 3 and 5. */
+int live_open(Live *live, const Settings *settings, size_t channels, int each, Arena *arena);
 
 /* Return to the state of a new stream; the counters go on. */
 void live_reset(Live *live);
@@ -87,6 +85,6 @@ void live_reset(Live *live);
 void live_process(Live *live, Sound sound, size_t frames, double *vibration);
 
 /* Whether what stands in `state`, `filled`, `tick`, `oldest` and `silent` can be gone on with. */
-int live_is_possible(const Live *live);
+int live_state_is_valid(const Live *live);
 
 #endif

@@ -2,25 +2,25 @@
 
 #include "live.h"
 
-#include <stdlib.h>
-
 #include "common.h"
-#include "space.h"
 
 #define SLOT_NUMBERS 11
 #define FRESH_NUMBERS (sizeof(OnsetPartial) / sizeof(double))
 #define GLIDE_NUMBERS 5
 #define FOUND_NUMBERS 4
 
-/* The state of all voices is one piece, so that it can be kept and returned to. */
-static double *allot(double **next, size_t count)
+/* Take the next numbers of the state, which is one piece, so that it can be kept and returned to. */
+static double *next_state(double **next, size_t count)
 {
     double *here = *next;
     *next += count;
     return here;
 }
 
-static double *numbers(Space *space, size_t count) { return taken(space, count, sizeof(double)); }
+static double *numbers(Arena *arena, size_t count)
+{
+    return arena_alloc(arena, count, sizeof(double));
+}
 
 static size_t onset_numbers(const Settings *s)
 {
@@ -35,23 +35,23 @@ static size_t voice_numbers(const Settings *s)
            FOLLOWER_NUMBERS + SPEECH_STATES + smoothing_states(s) + smoothing_tail(s) + 4;
 }
 
-static void lay_out_voice(const Settings *s, Voice *voice, double **next)
+static void layout_voice(const Settings *s, Voice *voice, double **next)
 {
     const size_t slots = tracking_slots(s), bands = onsets_bands(s);
-    voice->band = allot(next, s->band_b.length - 1);
-    voice->past = allot(next, s->window_frames);
-    voice->peaks = allot(next, s->hops_in_window);
-    voice->played = allot(next, s->tick_frames);
-    voice->hop = allot(next, s->steps);
-    voice->onsets.peaks = allot(next, s->short_ticks);
-    voice->onsets.past = allot(next, s->back_ticks * bands);
-    voice->onsets.highest = allot(next, bands);
-    voice->onsets.rising = allot(next, bands);
-    voice->onsets.power = allot(next, s->short_bins);
-    voice->onsets.since = allot(next, 1);
-    voice->onsets.newest = allot(next, 1);
-    voice->onsets.peak = allot(next, 1);
-    voice->fresh = (OnsetPartial *)allot(next, FRESH_NUMBERS * s->fresh_max);
+    voice->band = next_state(next, s->band_b.length - 1);
+    voice->past = next_state(next, s->window_frames);
+    voice->peaks = next_state(next, s->hops_in_window);
+    voice->played = next_state(next, s->tick_frames);
+    voice->hop = next_state(next, s->steps);
+    voice->onsets.peaks = next_state(next, s->short_ticks);
+    voice->onsets.past = next_state(next, s->back_ticks * bands);
+    voice->onsets.highest = next_state(next, bands);
+    voice->onsets.rising = next_state(next, bands);
+    voice->onsets.power = next_state(next, s->short_bins);
+    voice->onsets.since = next_state(next, 1);
+    voice->onsets.newest = next_state(next, 1);
+    voice->onsets.peak = next_state(next, 1);
+    voice->fresh = (OnsetPartial *)next_state(next, FRESH_NUMBERS * s->fresh_max);
     double **of_slots[SLOT_NUMBERS] = {
         &voice->slots.hz,            &voice->slots.amplitude,  &voice->slots.phase,
         &voice->slots.alive,         &voice->slots.held_first, &voice->slots.held_last,
@@ -59,62 +59,60 @@ static void lay_out_voice(const Settings *s, Voice *voice, double **next)
         &voice->slots.held_weight,   &voice->slots.lacking,
     };
     for (size_t which = 0; which < SLOT_NUMBERS; which++)
-        *of_slots[which] = allot(next, slots);
-    voice->slots.start_sum = allot(next, 1);
-    voice->slots.struck = allot(next, 1);
-    voice->slots.struck_hops = allot(next, 1);
-    voice->follower.programme = allot(next, 1);
-    voice->follower.floor = allot(next, 1);
-    voice->follower.loud = allot(next, 1);
-    voice->follower.steady = allot(next, 1);
-    voice->follower.gain = allot(next, 1);
-    voice->follower.far_hops = allot(next, 1);
-    voice->smoothing.state = allot(next, smoothing_states(s));
-    voice->smoothing.tail = allot(next, smoothing_tail(s));
-    voice->ringing = allot(next, 1);
-    voice->speech = (Speech *)allot(next, SPEECH_STATES);
+        *of_slots[which] = next_state(next, slots);
+    voice->slots.start_sum = next_state(next, 1);
+    voice->slots.struck = next_state(next, 1);
+    voice->slots.struck_hops = next_state(next, 1);
+    voice->follower.programme = next_state(next, 1);
+    voice->follower.floor = next_state(next, 1);
+    voice->follower.loud = next_state(next, 1);
+    voice->follower.steady = next_state(next, 1);
+    voice->follower.gain = next_state(next, 1);
+    voice->follower.far_hops = next_state(next, 1);
+    voice->smoothing.state = next_state(next, smoothing_states(s));
+    voice->smoothing.tail = next_state(next, smoothing_tail(s));
+    voice->ringing = next_state(next, 1);
+    voice->speech = (Speech *)next_state(next, SPEECH_STATES);
 }
 
-/* Give every part its place in the work space, or count how much that is where there is none. */
-static size_t lay_out_work(Live *live, void *memory)
+/* Lay out the work space. */
+static void layout_work(Live *live, Arena *arena)
 {
     const Settings *s = &live->settings;
     const size_t slots = tracking_slots(s);
-    Space space = {memory, 0};
-    live->mono = numbers(&space, s->tick_frames);
-    live->side = numbers(&space, s->tick_frames);
-    live->newest = numbers(&space, s->short_frames);
-    live->onset_space = numbers(&space, onsets_work(s, &live->short_fft));
-    live->windowed = numbers(&space, live->fft.frames);
-    live->real = numbers(&space, s->bins);
-    live->imaginary = numbers(&space, s->bins);
-    live->fft_space = numbers(&space, fft_work(&live->fft));
-    live->tracking_space = taken(&space, tracking_work(s), 1);
-    live->synthesis_space = numbers(&space, synthesis_work(s));
-    live->speech_space = numbers(&space, speech_work(s));
-    live->analysis_space = taken(&space, analysis_work(s->bins), 1);
+    live->mono = numbers(arena, s->tick_frames);
+    live->side = numbers(arena, s->tick_frames);
+    live->newest = numbers(arena, s->short_frames);
+    live->onset_space = numbers(arena, onsets_work(s, &live->short_fft));
+    live->windowed = numbers(arena, live->fft.frames);
+    live->real = numbers(arena, s->bins);
+    live->imaginary = numbers(arena, s->bins);
+    live->fft_space = numbers(arena, fft_work(&live->fft));
+    live->tracking_space = arena_alloc(arena, tracking_work(s), 1);
+    live->synthesis_space = numbers(arena, synthesis_work(s));
+    live->speech_space = numbers(arena, speech_work(s));
+    live->analysis_space = arena_alloc(arena, analysis_work(s->bins), 1);
     double **found[FOUND_NUMBERS] = {&live->found.audio_hz, &live->found.amplitude,
                                      &live->found.bandwidth_hz, &live->found.r};
     for (size_t which = 0; which < FOUND_NUMBERS; which++)
-        *found[which] = numbers(&space, s->partials_max);
-    live->hz = numbers(&space, s->partials_max);
-    live->amplitude = numbers(&space, s->partials_max);
+        *found[which] = numbers(arena, s->partials_max);
+    live->hz = numbers(arena, s->partials_max);
+    live->amplitude = numbers(arena, s->partials_max);
     double **glides[GLIDE_NUMBERS] = {&live->glides.start_hz, &live->glides.end_hz,
                                       &live->glides.start_amplitude, &live->glides.end_amplitude,
                                       &live->glides.start_phase};
     for (size_t which = 0; which < GLIDE_NUMBERS; which++)
-        *glides[which] = numbers(&space, slots);
+        *glides[which] = numbers(arena, slots);
     double **fresh[GLIDE_NUMBERS] = {
         &live->fresh_glides.start_hz,      &live->fresh_glides.end_hz,
         &live->fresh_glides.start_amplitude, &live->fresh_glides.end_amplitude,
         &live->fresh_glides.start_phase,
     };
     for (size_t which = 0; which < GLIDE_NUMBERS; which++)
-        *fresh[which] = numbers(&space, s->fresh_max);
-    return space.used;
+        *fresh[which] = numbers(arena, s->fresh_max);
 }
 
-int live_open(Live *live, const Settings *settings, size_t channels, int each)
+int live_open(Live *live, const Settings *settings, size_t channels, int each, Arena *arena)
 {
     memset(live, 0, sizeof *live);
     live->settings = *settings;
@@ -122,46 +120,21 @@ int live_open(Live *live, const Settings *settings, size_t channels, int each)
     live->each = each;
     live->voices_count = each ? channels : 1;
     live->mix_weights = each ? NULL : downmix_weights(&live->settings, channels);
-    int failed = fft_open(&live->fft, settings->fft_length, 1);
-    if (!failed)
-        failed = fft_open(&live->short_fft, settings->short_length, 0);
-    if (failed) {
-        live_close(live);
-        return failed;
-    }
-    if (live->voices_count > SIZE_MAX / sizeof(double) / voice_numbers(settings) - MIX_POWERS) {
-        live_close(live);
-        return -1;
-    }
     live->state_length = live->voices_count * voice_numbers(settings) + MIX_POWERS;
-    live->voices = calloc(live->voices_count, sizeof(Voice));
-    live->state = calloc(live->state_length, sizeof(double));
-    live->work = calloc(lay_out_work(live, NULL), 1);
-    if (!live->voices || !live->state || !live->work) {
-        live_close(live);
-        return -1;
-    }
-    lay_out_work(live, live->work);
+    if (!fft_open(&live->fft, settings->fft_length, 1, arena) ||
+        !fft_open(&live->short_fft, settings->short_length, 0, arena))
+        return 0;
+    live->voices = arena_alloc(arena, live->voices_count, sizeof(Voice));
+    live->state = numbers(arena, live->state_length);
+    layout_work(live, arena);
+    if (!live->state)
+        return 1;
     double *next = live->state;
-    for (size_t voice = 0; voice < live->voices_count; voice++) {
-        lay_out_voice(settings, &live->voices[voice], &next);
-    }
-    live->mix_powers = (MixPowers *)allot(&next, MIX_POWERS);
+    for (size_t voice = 0; voice < live->voices_count; voice++)
+        layout_voice(settings, &live->voices[voice], &next);
+    live->mix_powers = (MixPowers *)next_state(&next, MIX_POWERS);
     live_reset(live);
-    return 0;
-}
-
-void live_close(Live *live)
-{
-    fft_close(&live->fft);
-    fft_close(&live->short_fft);
-    free(live->voices);
-    free(live->state);
-    free(live->work);
-    glide_log_clear(&live->log);
-    live->voices = NULL;
-    live->state = NULL;
-    live->work = NULL;
+    return 1;
 }
 
 void live_reset(Live *live)
@@ -208,7 +181,7 @@ static int voice_is_possible(const Settings *s, const Voice *voice)
            loudness_is_possible(s, &voice->follower);
 }
 
-int live_is_possible(const Live *live)
+int live_state_is_valid(const Live *live)
 {
     const Settings *s = &live->settings;
     if (live->filled >= s->tick_frames || live->tick >= s->ticks ||

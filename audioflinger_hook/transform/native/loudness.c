@@ -1,5 +1,4 @@
-/* The loudness follower of one voice. The operations are those of `follower.py` and `loudness.py`;
- * only the bins' sum is in another order. */
+/* The loudness follower of one voice; tests/oracle/loudness.py has it to read. */
 
 #include "loudness.h"
 
@@ -38,7 +37,7 @@ typedef struct {
 #define FULL_SCALE_PHON 94.0
 
 /* Sum of the bins' weighted squares. imaginary: NULL where `real` holds squares. */
-WIDE static double weigh(const double *restrict weights, const double *restrict real,
+SIMD_CLONES static double weigh(const double *restrict weights, const double *restrict real,
                          const double *restrict imaginary, size_t bins)
 {
     double lanes[LANES] = {0.0};
@@ -123,7 +122,7 @@ static double open_gate(const Settings *s, const Loudness *follower, double loud
     return over >= s->gate_margin ? over * over * (3.0 - 2.0 * over) : 0.0;
 }
 
-/* The strength of what is so far over the programme, and so far turned down. */
+/* Return the strength of a hop by its level above the programme and the gain that lowers it, in dB. */
 static double felt(const Settings *s, double above, double turned_down)
 {
     return exact_amplitude(s->target + s->slope * above + turned_down);

@@ -1,5 +1,4 @@
-/* Partials that a body cannot tell apart become one. The operations are those of `live/merging.py`,
- * in the same order. */
+/* Partials that a body cannot tell apart become one. */
 
 #include "merging.h"
 

@@ -1,5 +1,4 @@
-/* Onset partials: they are born of an onset and play until the analysis knows what has begun. The
- * operations are those of `live/onset_partials.py`, in the same order. */
+/* Onset partials: they are born of an onset and play until the analysis knows what has begun. */
 
 #include "onset_partials.h"
 
@@ -21,7 +20,7 @@ static Group group_of(const OnsetPartial *one)
     return group;
 }
 
-/* The frequency, weight and amplitude of what begins. */
+/* Frequency, weight and amplitude of an onset. */
 typedef struct {
     double hz, weight, amplitude;
 } Estimate;

@@ -1,4 +1,4 @@
-/* Onsets: what begins, by a short window every tick. What is looked for, and why: `onsets.py`. */
+/* Onsets, found with a short window in every tick; docs/transform.md has the rules. */
 
 #include "onsets.h"
 
@@ -42,14 +42,14 @@ static double loudest_of(const Settings *s, const Onsets *onsets)
     return loudest;
 }
 
-WIDE static void apply_window(const double *restrict samples, const double *restrict window,
+SIMD_CLONES static void apply_window(const double *restrict samples, const double *restrict window,
                           size_t count, double *restrict out)
 {
     for (size_t one = 0; one < count; one++)
         out[one] = samples[one] * window[one];
 }
 
-WIDE static void powers(const double *restrict real, const double *restrict imaginary, double scale,
+SIMD_CLONES static void powers(const double *restrict real, const double *restrict imaginary, double scale,
                         size_t bins, double *restrict power)
 {
     for (size_t bin = 0; bin < bins; bin++)
@@ -221,7 +221,7 @@ OnsetTone onsets_estimate(const Settings *s, const Onsets *onsets, Group group)
     for (size_t band = group.first; band < group.last; band++) {
         if (onsets->rising[band] == 0.0)
             continue;
-        /* The lowest band tells more with what is under it. */
+        /* The lowest band includes the bins under it. */
         for (size_t bin = band ? edge(s, band) : 0; bin < edge(s, band + 1); bin++) {
             const double one = onsets->power[bin];
             weighted += one * one * s->short_hz.at[bin];

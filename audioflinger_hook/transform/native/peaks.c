@@ -15,7 +15,7 @@
 /* ----------------------------------------------------------------------------------- amplitudes */
 
 /* |X|, without the overflow guard of hypot: no sound comes near. */
-WIDE void peaks_amplitudes(Spectrum spectrum, double *restrict amplitude, int32_t bins)
+SIMD_CLONES void peaks_amplitudes(Spectrum spectrum, double *restrict amplitude, int32_t bins)
 {
     const double *restrict real = spectrum.real, *restrict imaginary = spectrum.imaginary;
     if (spectrum.step == 1)
@@ -39,7 +39,7 @@ INLINED double top_offset(double l, double m, double r)
 
 /* Refine the tops of all peaks: the parabola in A^0.2, in which a Hamming main lobe is nearest to
  * one, through each peak and the bins beside it. */
-WIDE void peaks_refine(const double *amplitude, Peaks *peaks)
+SIMD_CLONES void peaks_refine(const double *amplitude, Peaks *peaks)
 {
     const int32_t count = peaks->count;
     double *restrict before = peaks->before, *restrict top = peaks->top;
@@ -52,7 +52,7 @@ WIDE void peaks_refine(const double *amplitude, Peaks *peaks)
         top[one] = here[0];
         after[one] = larger(here[1], FLOOR * here[0]);
     }
-    APART
+    NO_ALIAS
     for (int32_t one = 0; one < count; one++) {
         const double l = fifth_root(before[one]), m = fifth_root(top[one]);
         const double r = fifth_root(after[one]);
@@ -166,7 +166,7 @@ void peaks_clear_images(const Window *window, Spectrum spectrum, double *amplitu
 /* ---------------------------------------------------------------------------------------- peaks */
 
 /* Note for each bin but the last whether the amplitude rises from it to the next. */
-WIDE static void rises(const double *restrict amplitude, uint8_t *restrict rising, int32_t bins)
+SIMD_CLONES static void rises(const double *restrict amplitude, uint8_t *restrict rising, int32_t bins)
 {
     for (int32_t bin = 0; bin < bins; bin++)
         rising[bin] = amplitude[bin + 1] > APART_FROM * amplitude[bin];

@@ -1,4 +1,4 @@
-/* Audio frequency to vibration frequency and back; scaling.py says the same. */
+/* Audio frequency to vibration frequency and back; mapping.py has the equations. */
 
 #ifndef CUSHION_SCALING_H
 #define CUSHION_SCALING_H

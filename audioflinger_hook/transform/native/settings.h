@@ -47,7 +47,7 @@
     ENTRY(mix_power_guard)   /* added to what is squared */                                        \
     ENTRY(silence)        /* a window whose peak is under this holds nothing */                    \
     ENTRY(bin_hz)         /* from bin to bin */                                                    \
-    ENTRY(threshold_hz)   /* r of what is principal is above */                                    \
+    ENTRY(threshold_hz)   /* principal tones have a larger r */                                    \
     ENTRY(peak_span_min)  /* amplitude times bins between valleys from which it can be */          \
     ENTRY(weakest_image)  /* amplitude up to which a peak keeps its image */                       \
     ENTRY(image_first)    /* the window's first sample as a share of the others' sum */            \
@@ -95,14 +95,14 @@
     FOLLOWER(ENTRY)                                                                                \
     SPEECH_NUMBERS(ENTRY)
 
-/* Numbers of the loudness follower, dB and dB a hop but for factors; see follower.py. */
+/* Numbers of the loudness follower, dB and dB a hop but for factors; see design/loudness.py. */
 #define FOLLOWER(ENTRY)                                                                            \
     ENTRY(nothing)         /* energy that counts as none */                                        \
     ENTRY(programme_start) /* level of the programme before anything is heard, */                  \
     ENTRY(programme_min)                                                                           \
     ENTRY(programme_top)                                                                           \
     ENTRY(programme_step) /* how it moves, */                                                      \
-    ENTRY(programme_rise) /* and by which share of what is missing */                              \
+    ENTRY(programme_rise) /* and the share of its distance */                              \
     ENTRY(programme_fall)                                                                          \
     ENTRY(jump)           /* distance that is far: after these hops another volume is taken on */   \
     ENTRY(near)           /* distance that is near again */                                        \
@@ -110,8 +110,8 @@
     ENTRY(jump_down_hops)                                                                          \
     ENTRY(jump_up_step)                                                                            \
     ENTRY(jump_down_step)                                                                          \
-    ENTRY(far)         /* more than this is not missing */                                         \
-    ENTRY(release)     /* of what was loud */                                                      \
+    ENTRY(far)         /* longest distance that counts */                                         \
+    ENTRY(release)     /* of the loud level */                                                      \
     ENTRY(floor_min)   /* loudness up to which nothing is felt */                                  \
     ENTRY(floor_rise)  /* of the noise floor */                                                    \
     ENTRY(floor_under) /* it stays under the programme's level */                                  \
@@ -162,7 +162,7 @@
     ENTRY(felt_weights)       /* sensitivity by vibration frequency */                             \
     SPEECH_TABLES(ENTRY)
 
-/* What speech.c works by; speech.py says what each is. Shares are those that an average takes on in
+/* What speech.c works by; design/speech.py says what each is. Shares are those that an average takes on in
  * a hop, other changes are those of a hop. */
 #define SPEECH_NUMBERS(ENTRY)                                                                      \
     ENTRY(speech_db) /* by how much speech is lowered; 0 for off */                                \

@@ -1,5 +1,5 @@
-/* Speech heard in the sound: the cues, the belief and the gain of `speech.py`, which says what each
- * is for. The operations are those, on one hop. */
+/* Speech heard in the sound: the cues, the belief and the gain. docs/transform.md says what each is
+ * for. */
 
 #include "speech.h"
 

@@ -1,4 +1,4 @@
-/* Speech heard in the sound, and what is left of each partial while it is: `speech.py`. */
+/* Speech heard in the sound, and what is left of each partial while it is. */
 
 #ifndef CUSHION_SPEECH_H
 #define CUSHION_SPEECH_H
@@ -38,7 +38,7 @@ double speech_gain(const Settings *settings, const Speech *speech, double audio_
 /* The same where the frequency is not known well enough to tell whether it is a harmonic's. */
 double speech_coarse_gain(const Settings *settings, const Speech *speech, double audio_hz);
 
-/* Whether nothing is remembered of what was heard. */
+/* Whether its memory is empty. */
 int speech_is_at_rest(const Speech *speech);
 
 #endif

@@ -38,7 +38,7 @@ typedef struct {
     double hz, rise_hz, amplitude, rise, phase;
 } Glide;
 
-WIDE static void add_partial(Glide glide, const double *restrict seconds,
+SIMD_CLONES static void add_partial(Glide glide, const double *restrict seconds,
                              const double *restrict glide_s, const double *restrict shape,
                              size_t steps, double *restrict low_rate)
 {
@@ -115,7 +115,7 @@ INLINED void multiply(const double *restrict low_rate, size_t steps, const doubl
         }
 }
 
-WIDE static void interpolate(const double *low_rate, size_t steps, Table phases, size_t decimation,
+SIMD_CLONES static void interpolate(const double *low_rate, size_t steps, Table phases, size_t decimation,
                               double *vibration)
 {
     const size_t taps = phases.length / decimation;
@@ -147,7 +147,7 @@ void synthesis_play(const Settings *settings, const double *hop, const Glides *f
 
 /* ----------------------------------------------------------------------------------------- knee */
 
-WIDE static int64_t beyond(const double *restrict samples, size_t count, double limit)
+SIMD_CLONES static int64_t beyond(const double *restrict samples, size_t count, double limit)
 {
     int64_t total = 0;
     for (size_t one = 0; one < count; one++)

@@ -1,7 +1,6 @@
 /* Partials followed from hop to hop: matching, births, deaths, and small changes averaged.
  *
- * A slot is a partial's own where they are nearest to one another and within reach. The operations
- * are those of `partials.py`, in the same order.
+ * A slot is a partial's own where they are nearest to one another and within reach.
  */
 
 #include "tracking.h"
@@ -10,7 +9,7 @@
 #include "loudness.h"
 #include "merging.h"
 #include "scaling.h"
-#include "space.h"
+#include "arena.h"
 
 /* Where a partial goes. */
 typedef struct {
@@ -43,22 +42,22 @@ size_t tracking_slots(const Settings *settings) { return 2 * most_alive(settings
 static size_t lay_out(void *memory, const Settings *settings, Match **matches, Alive *alive,
                       Merging *merging)
 {
-    Space space = {memory, 0};
+    Arena arena = {memory, 0};
     const size_t partials_max = settings->partials_max, living = most_alive(settings);
-    *matches = taken(&space, partials_max, sizeof(Match));
-    alive->slot = taken(&space, living, sizeof(size_t));
-    alive->hz = taken(&space, living, sizeof(double));
-    alive->of_slots.nearest = taken(&space, living, sizeof(uint64_t));
-    alive->of_slots.gap_hz = taken(&space, living, sizeof(double));
-    alive->of_partials.nearest = taken(&space, partials_max, sizeof(uint64_t));
-    alive->of_partials.gap_hz = taken(&space, partials_max, sizeof(double));
-    merging->centres = taken(&space, living + partials_max, sizeof(double));
-    merging->gathered = taken(&space, living + partials_max, sizeof(PartialGroup));
-    merging->audio_hz = taken(&space, partials_max, sizeof(double));
-    merging->hz = taken(&space, partials_max, sizeof(double));
-    merging->amplitude = taken(&space, partials_max, sizeof(double));
-    merging->dominance = taken(&space, partials_max, sizeof(double));
-    return space.used;
+    *matches = arena_alloc(&arena, partials_max, sizeof(Match));
+    alive->slot = arena_alloc(&arena, living, sizeof(size_t));
+    alive->hz = arena_alloc(&arena, living, sizeof(double));
+    alive->of_slots.nearest = arena_alloc(&arena, living, sizeof(uint64_t));
+    alive->of_slots.gap_hz = arena_alloc(&arena, living, sizeof(double));
+    alive->of_partials.nearest = arena_alloc(&arena, partials_max, sizeof(uint64_t));
+    alive->of_partials.gap_hz = arena_alloc(&arena, partials_max, sizeof(double));
+    merging->centres = arena_alloc(&arena, living + partials_max, sizeof(double));
+    merging->gathered = arena_alloc(&arena, living + partials_max, sizeof(PartialGroup));
+    merging->audio_hz = arena_alloc(&arena, partials_max, sizeof(double));
+    merging->hz = arena_alloc(&arena, partials_max, sizeof(double));
+    merging->amplitude = arena_alloc(&arena, partials_max, sizeof(double));
+    merging->dominance = arena_alloc(&arena, partials_max, sizeof(double));
+    return arena.used;
 }
 
 size_t tracking_work(const Settings *settings)
@@ -212,7 +211,7 @@ INLINED void nearest_of(const double *restrict hz, size_t count, const double *r
         }
 }
 
-WIDE static void find_neighbours(Partials partials, Alive alive, size_t count, double first_hz)
+SIMD_CLONES static void find_neighbours(Partials partials, Alive alive, size_t count, double first_hz)
 {
     nearest_of(partials.hz, partials.count, alive.hz, count, 0.0, first_hz, alive.of_partials);
     nearest_of(alive.hz, count, partials.hz, partials.count, first_hz, 0.0, alive.of_slots);
@@ -249,8 +248,8 @@ static void match(const Settings *settings, const Slots *slots, Partials partial
 
 /* Give those without a slot the lowest free ones.
  *
- * One peak that wavers between one and two, as a fast chirp's does, would otherwise be in and out
- * of step with itself: so what splits off a partial begins at its phase.
+ * A partial that splits off another one begins at its phase. The peak of a fast chirp wavers between one
+ * and two, and would be out of step with itself.
  */
 static void bear(const Settings *settings, Slots *slots, Partials partials, Match *matches)
 {
@@ -292,7 +291,7 @@ static void start_hop(const Settings *settings, const Slots *slots, Glides *glid
     memset(slots->alive, 0, bytes);
 }
 
-WIDE static void finish_hop(const Settings *settings, Slots *slots, Glides *glides)
+SIMD_CLONES static void finish_hop(const Settings *settings, Slots *slots, Glides *glides)
 {
     const size_t count = tracking_slots(settings);
     memcpy(glides->end_hz, slots->hz, count * sizeof(double));

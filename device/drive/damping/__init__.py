@@ -3,13 +3,11 @@
 | module          | holds                                                                        |
 | --------------- | ---------------------------------------------------------------------------- |
 | design.py       | `Damping`: a resonance inverse, as numbers                                    |
-| damper.py       | `Damper`: the filter in the live path                                        |
 | residual.py     | what is left after a burst, for how long, and the volts that it took         |
 | choice.py       | `choose_damping`: the best filter for a rig and the volts that it has        |
 """
 
 from device.drive.damping.choice import choose_damping
-from device.drive.damping.damper import Damper
 from device.drive.damping.design import Damping
 
-__all__ = ["Damper", "Damping", "choose_damping"]
+__all__ = ["Damping", "choose_damping"]

@@ -9,6 +9,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from device.errors import UsageError
 from device.rig import ActuatorParameters
@@ -102,6 +103,12 @@ class Damping:
         if self.ringing is None or self.wanted is None:
             return np.empty((0, 6))
         return inverse_sections(self.ringing, self.wanted, samplerate)
+
+    def filtered(self, signal: FloatArray, samplerate: float) -> FloatArray:
+        """Return a whole signal, (frames,), damped from rest."""
+        sections = self.sections(samplerate)
+        scaled = self.gain * signal
+        return np.asarray(scipy.signal.sosfilt(sections, scaled)) if len(sections) else scaled
 
 
 def no_damping(source_impedance_ohm: float = 0.0) -> Damping:

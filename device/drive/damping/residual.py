@@ -15,7 +15,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from device.drive.damping.damper import Damper
 from device.drive.damping.design import Damping, no_damping
 from device.rig import ActuatorParameters
 from device.rig.actuator import LinearActuator
@@ -82,7 +81,7 @@ def burst_response(
     burst = sine_burst(frames, BURST_S, p.resonance_hz)
     source = damping.source_impedance_ohm
     # Scaled so that a current source gives about the same volts.
-    drive = Damper(damping, SAMPLERATE, 1).process(burst[:, None])[:, 0] * (1.0 + source)
+    drive = damping.filtered(burst, SAMPLERATE) * (1.0 + source)
     motion = LinearActuator(true, SAMPLERATE, source).move(
         drive.astype(np.float64), ("acceleration_m_s2", "current_a")
     )

@@ -1,12 +1,13 @@
-"""Daily dose of weighted acceleration: r.m.s., A(8) and VDV, and the gain that caps the dose."""
+"""Daily dose of weighted acceleration: r.m.s., A(8) and VDV, and the limits of a dose."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import bilinear, butter, lfilter, sosfilt
+import scipy
 
 from device.units import FloatArray
 
@@ -51,7 +52,7 @@ def wk_sections(samplerate: float) -> FloatArray:
     for numerator, denominator, exact_hz in PARTS:
         # s / tan(...) instead of s T / 2: the bilinear transform at this rate, exact at exact_hz.
         rate = math.pi * exact_hz / math.tan(math.pi * exact_hz / samplerate)
-        b, a = bilinear(numerator, denominator, fs=rate)
+        b, a = scipy.signal.bilinear(numerator, denominator, fs=rate)
         sections.append(np.concatenate([np.pad(b, (0, 3 - len(b))), a]))
     return np.array(sections)
 
@@ -64,11 +65,13 @@ DAY_S = 8 * 3600.0
 RUNNING_S = 1.0
 """Time constant of the running r.m.s. (ISO 2631-1, equation 3)."""
 
-_SILENT = 1e-60
-"""Energy below this counts as 0, long before numbers become denormal and slow."""
-
-_FREE = 0.5
-"""Share of the allowed dose after which the cap begins to act: 71 % of the A(8) limit."""
+CAPS: dict[str, tuple[float, float] | None] = {
+    "off": None,
+    "action": (ACTION_A8_M_S2, ACTION_VDV),
+    "limit": (LIMIT_A8_M_S2, LIMIT_VDV),
+}
+"""Limits of each exposure cap, from 2002/44/EC: A(8) in m/s² and VDV in m/s^1.75. The cap begins to
+act at half of the dose, 71 % of the A(8) limit."""
 
 
 @dataclass(frozen=True)
@@ -99,6 +102,23 @@ class Exposure:
     vdv: float
     extrapolated: float
 
+    @classmethod
+    def of(cls, sums: Sequence[DoseSums], running_m_s2: float = 0.0) -> Exposure:
+        """Return the readings of channels with these sums, each of the channel where it is largest.
+
+        sums: one or more. running_m_s2: the largest of all channels.
+        """
+        worst = max(sums, key=lambda one: one.squares)
+        return cls(
+            time_s=worst.time_s,
+            running_m_s2=running_m_s2,
+            rms_m_s2=math.sqrt(worst.squares / worst.time_s) if worst.time_s else 0.0,
+            a8_m_s2=math.sqrt(worst.squares / DAY_S),
+            # One hard knock may give another channel the largest VDV.
+            vdv=max(one.fourths for one in sums) ** 0.25,
+            extrapolated=min(1.0, worst.high / worst.squares) if worst.squares else 0.0,
+        )
+
     @property
     def above_action(self) -> bool:
         """Whether an action value of 2002/44/EC is reached: 0.5 m/s² A(8), or 9.1 VDV."""
@@ -118,84 +138,41 @@ class Exposure:
         )
 
 
-class Dose:
-    """Accumulates weighted acceleration. One thread calls `add`; any may call `exposure`.
-
-    samplerate: rate in Hz.
-    channels: number of channels, each with a dose.
-    """
-
-    def __init__(self, samplerate: float, channels: int) -> None:
-        self._period_s = 1.0 / samplerate
-        self._channels = channels
-        self._above = butter(4, HIGHEST_HZ, "highpass", fs=samplerate, output="sos")
-        share = -math.expm1(-self._period_s / RUNNING_S)
-        self._running = [share], [1.0, share - 1.0]
-        self.reset()
-
-    def reset(self) -> None:
-        """Begin a new day."""
-        channels = self._channels
-        self._frames = 0
-        self._squares, self._fourths, self._high = (np.zeros(channels) for _ in range(3))
-        self._now = np.zeros(channels)
-        self._past = np.zeros((1, channels))
-        self._above_past = np.zeros((len(self._above), 2, channels))
-
-    def add(self, weighted_m_s2: FloatArray) -> None:
-        """Add (frames, channels), finite. The lengths of blocks only change the rounding."""
-        if not len(weighted_m_s2):
-            return
-        squares = weighted_m_s2**2
-        high, self._above_past = sosfilt(self._above, weighted_m_s2, axis=0, zi=self._above_past)
-        running, self._past = lfilter(*self._running, squares, axis=0, zi=self._past)
-        if np.abs(self._above_past).max() ** 2 < _SILENT:
-            self._above_past[:] = 0.0
-        self._past[self._past < _SILENT] = 0.0
-        self._frames += len(weighted_m_s2)
-        self._squares = self._squares + squares.sum(axis=0)
-        self._fourths = self._fourths + (squares**2).sum(axis=0)
-        self._high = self._high + (high**2).sum(axis=0)
-        self._now = running[-1]
-
-    def exposure(self) -> Exposure:
-        """Return the readings, each of the channel where it is largest."""
-        worst = int(self._squares.argmax())
-        squares = float(self._squares[worst])
-        time_s = self._frames * self._period_s
-        energy = squares * self._period_s
-        return Exposure(
-            time_s=time_s,
-            running_m_s2=math.sqrt(max(0.0, float(self._now.max()))),
-            rms_m_s2=math.sqrt(energy / time_s) if time_s else 0.0,
-            a8_m_s2=math.sqrt(energy / DAY_S),
-            # One hard knock may give another channel the largest VDV.
-            vdv=float(self._fourths.max() * self._period_s) ** 0.25,
-            extrapolated=min(1.0, float(self._high[worst]) / squares) if squares else 0.0,
-        )
-
-
-def cap_gain(exposure: Exposure, a8_m_s2: float, vdv: float) -> float:
-    """Return the gain, 0 to 1, that lets a day's dose approach its limits but not pass them.
-
-    A dose grows with the second power of the gain (VDV: the fourth). Beyond half of the allowed
-    dose, that power is the remaining dose over half of the allowed one. The gain falls slowly and
-    the limit is never reached, if little is added between two calls. Any thread may call it.
+@dataclass(frozen=True)
+class DoseSums:
+    """Weighted acceleration of a day so far, integrated over time.
 
     Parameters
     ----------
-    exposure : Exposure
-        The day so far.
-    a8_m_s2 : float
-        Limit of A(8) in m/s², above 0.
-    vdv : float
-        Limit of the VDV in m/s^1.75, above 0.
+    time_s : float
+        Duration of the vibration.
+    squares : float
+        In m²/s³.
+    fourths : float
+        In m⁴/s⁷.
+    high : float
+        Of the squares, what is above 80 Hz.
     """
-    by_a8 = math.sqrt(_remaining((exposure.a8_m_s2 / a8_m_s2) ** 2))
-    by_vdv = math.sqrt(math.sqrt(_remaining((exposure.vdv / vdv) ** 4)))
-    return min(by_a8, by_vdv)
 
+    time_s: float = 0.0
+    squares: float = 0.0
+    fourths: float = 0.0
+    high: float = 0.0
 
-def _remaining(used: float) -> float:
-    """Return 1 up to the free share of the dose; from there the value falls to 0."""
-    return min(1.0, max(0.0, (1.0 - used) / (1.0 - _FREE)))
+    def plus(self, other: DoseSums) -> DoseSums:
+        """Return both together."""
+        return DoseSums(
+            self.time_s + other.time_s,
+            self.squares + other.squares,
+            self.fourths + other.fourths,
+            self.high + other.high,
+        )
+
+    def at_least(self, other: DoseSums) -> DoseSums:
+        """Return the larger of each."""
+        return DoseSums(
+            max(self.time_s, other.time_s),
+            max(self.squares, other.squares),
+            max(self.fourths, other.fourths),
+            max(self.high, other.high),
+        )

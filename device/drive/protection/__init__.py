@@ -1,4 +1,4 @@
-"""Protection of a rig by gain alone: excursion, current, coil temperature and level.
+"""Protection of a rig by gain alone: excursion, current, coil temperature and level, as a design.
 
 | module        | holds                                                                          |
 | ------------- | ------------------------------------------------------------------------------ |
@@ -6,12 +6,12 @@
 | bounding_models.py | the few models that bound every actuator that a rig may have        |
 | drive_model.py | amplifier and actuator as one step from sample to sample                      |
 | prediction.py | what a block of drive does to several linear models of the actuator            |
-| governor.py   | the largest gain after which everything can still be stopped                   |
 | thermal.py    | how warm coil and magnet are, and how much power they may have                 |
-| protector.py  | the above, block by block, in the live path                                    |
+| design.py     | all of it as numbers and tables for the core                                   |
+
+The core decides on gains (audioflinger_hook/core/drive/protection.c).
 """
 
 from device.drive.protection.limits import ProtectionStatus
-from device.drive.protection.protector import Protector
 
-__all__ = ["ProtectionStatus", "Protector"]
+__all__ = ["ProtectionStatus"]

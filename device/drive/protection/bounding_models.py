@@ -15,7 +15,7 @@ from device.drive.protection.limits import Limits
 from device.rig import ActuatorParameters
 from device.rig.parameters import vary
 
-RESERVE = 0.09
+RESERVE = 0.091
 """Share of the excursion that is reserved for actuators between the models, and for lower Bl."""
 
 _SPACING = 0.24

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
-from scipy.signal import sosfilt
+import scipy
 
 from device.rig import ActuatorParameters
 from device.rig.actuator import first_order_hold, state_space
@@ -78,7 +78,7 @@ def rings(sections: FloatArray, frames: int) -> FloatArray:
         for column in shape.T:
             state = np.zeros((len(sections), 2))
             state[at] = column
-            given.append(sosfilt(sections, np.zeros(frames), zi=state)[0])
+            given.append(scipy.signal.sosfilt(sections, np.zeros(frames), zi=state)[0])
     return np.array(given)
 
 

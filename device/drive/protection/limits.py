@@ -71,7 +71,8 @@ class ProtectionStatus:
     excursion_m : float
         Amplitude that the stored energy of the identified model could reach.
     coil_c, resistance_ohm : float | None
-        Of the warmest coil, in °C and ohm; None if the rig does not describe how it warms up.
+        Of the warmest coil, in °C and ohm, at most; None if the rig does not describe how it
+        warms up.
     latency_s : float
         Delay of the vibration.
     """

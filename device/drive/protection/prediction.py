@@ -1,4 +1,4 @@
-"""What a block of drive does to several linear models of one actuator, as matrices.
+"""What a block of drive does to several linear models of one actuator, as tables.
 
 Half the square of the first three states is the actuator's stored energy.
 """
@@ -7,9 +7,9 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.signal import sosfilt
+import scipy
 
-from device.drive.protection.drive_model import DriveModel, rings
+from device.drive.protection.drive_model import LAST, DriveModel, rings
 from device.rig import ActuatorParameters
 from device.rig.actuator import LinearActuator, Quantity
 from device.units import FloatArray
@@ -23,11 +23,11 @@ _HORIZON_FRAMES = 1 << 20
 
 
 class Prediction:
-    """Matrices of the models for one length of block. Immutable; any thread may use it.
+    """What a block of drive does to the models, for one length of block. Immutable; for any thread.
 
     Excursion is a share of the limit, less what it may rise between two frames; current is in A.
-    Rows of `moved_*`: excursion at some frames of the block, the last among them, then the state at
-    its end.
+    Impulse responses are stored last frame first, and matrices by their columns, as the core uses
+    them: a state times a matrix is a sum of columns.
 
     models: rigs that the actuator may be; the believed one first.
     samplerate: rate in Hz.
@@ -35,16 +35,20 @@ class Prediction:
     volts: at the actuator for full scale.
     source_impedance_ohm: of the amplifier.
     sections: of the amplifier's band, (n, 6).
-    current_models: number of models whose current is needed.
-    moved_by_drive, moved_freely: (models * rows, block_frames) and (models, rows, states).
-    current_by_drive, current_freely: (current_models * block_frames, block_frames) and
-        (current_models, block_frames, states).
-    tail: (models, points, states): excursion after a state without drive.
-    reach: (models, 1): largest excursion from rest that a drive within ±1 can cause.
-    swing, swing_m: (models, 1): amplitude of a swing over the root of twice its energy; the
-        believed in m.
-    last_kick: (models, 1): such a root for a last output of 1.
-    ring: (models, 1): largest excursion that a state of length 1 of the amplifier can cause.
+    current_models: number of models whose current is limited.
+    states: of one model. stride: frames between two whose excursion is computed, the last of a
+        block among them; watched: their number. tail_points: of the free swing after a block.
+    excursion_by_drive: (models, block_frames). excursion_by_state: (models, states, watched).
+    state_by_drive: (models, states, block_frames). state_by_state: (models, states, states).
+    current_by_drive: (1 + current_models, block_frames); the first is the current of a coil that
+        nothing but its resistance holds back. Whatever the actuator is, its coil gets no warmer.
+    current_by_state: (1 + current_models, states, block_frames).
+    tail_by_state: (models, states, tail_points): excursion after a state without drive.
+    reach: (models,): largest excursion from rest that a drive within ±1 can cause.
+    swing: (models,), swing_m: amplitude of a swing over the root of twice its energy, as a share of
+        the limit, and of the believed model in m.
+    last_kick: (models,): such a root for a last output of 1.
+    ring: (models,): largest excursion that a state of length 1 of the amplifier can cause.
     """
 
     def __init__(
@@ -57,12 +61,11 @@ class Prediction:
         source_impedance_ohm: float,
         sections: FloatArray,
         excursion_m: float,
-        current_models: int = 1,
+        current_models: int = 0,
     ) -> None:
         self.models = tuple(models)
-        self.block_frames = block_frames
-        stride = max(1, int(samplerate // _WATCHED_HZ))
-        slack_m, tail_slack_m = _slacks_m(self.models, excursion_m, volts, samplerate, stride)
+        self.stride = max(1, int(samplerate // _WATCHED_HZ))
+        slack_m, tail_slack_m = _slacks_m(self.models, excursion_m, volts, samplerate, self.stride)
         share = 1.0 / (excursion_m - slack_m)
         tail_share = 1.0 / (excursion_m - slack_m - tail_slack_m)
         drives = [
@@ -71,39 +74,48 @@ class Prediction:
         ]
         self.states = drives[0].states
         # Counted back from the last frame of the block.
-        watched = np.arange(block_frames - 1, -1, -stride)[::-1]
-        self.rows = len(watched) + self.states
-        moved, moved_freely, current, current_freely = [], [], [], []
-        tail = []
+        frames = np.arange(block_frames - 1, -1, -self.stride)[::-1]
+        self.watched = len(frames)
+        excursion, by_state, state, advance, responses, tail = ([] for _ in range(6))
         for model, drive in zip(self.models, drives, strict=True):
             powers = _powers(drive.step, block_frames)
-            impulse = np.array([power @ drive.drive for power in powers[:-1]])
+            impulse = np.array([power @ drive.drive for power in powers[:-1]])[::-1]
             after = np.array(powers[1:])
-            moved += [_convolution(impulse @ drive.x_row)[watched] * share, impulse[::-1].T]
-            moved_freely.append(np.vstack([drive.x_row @ after[watched] * share, powers[-1]]))
-            current.append(_convolution(impulse @ drive.i_row))
-            current_freely.append(drive.i_row @ after)
-            tail.append(_tail(model, drive, samplerate, block_frames) * tail_share)
-        self.moved_by_drive: FloatArray = np.vstack(moved)
-        self.moved_freely: FloatArray = np.array(moved_freely)
-        self.current_by_drive: FloatArray = np.vstack(current[:current_models])
-        self.current_freely: FloatArray = np.array(current_freely[:current_models])
+            excursion.append(impulse @ drive.x_row * share)
+            by_state.append((drive.x_row @ after[frames] * share).T)
+            state.append(impulse.T)
+            advance.append(powers[-1].T)
+            responses.append((impulse, after))
+            tail.append(_tail(model, drive, samplerate, block_frames).T * tail_share)
+        self.excursion_by_drive: FloatArray = np.array(excursion)
+        self.excursion_by_state: FloatArray = np.array(by_state)
+        self.state_by_drive: FloatArray = np.array(state)
+        self.state_by_state: FloatArray = np.array(advance)
+        unmoved_ohm = models[0].resistance_ohm + source_impedance_ohm
+        heating = (*responses[0], volts / unmoved_ohm * np.eye(self.states)[LAST])
+        limited = [
+            (*response, drive.i_row)
+            for response, drive in zip(responses[:current_models], drives, strict=False)
+        ]
+        rows = [heating, *limited]
+        self.current_by_drive: FloatArray = np.array([impulse @ row for impulse, _, row in rows])
+        self.current_by_state: FloatArray = np.array([(row @ after).T for _, after, row in rows])
         # Zeros where one model has fewer points than another.
-        longest = max(map(len, tail))
-        self.tail: FloatArray = np.array(
-            [np.pad(rows, ((0, longest - len(rows)), (0, 0))) for rows in tail]
+        self.tail_points = max(rows.shape[1] for rows in tail)
+        self.tail_by_state: FloatArray = np.array(
+            [np.pad(rows, ((0, 0), (0, self.tail_points - rows.shape[1]))) for rows in tail]
         )
         self.swing_m = 1.0 / math.sqrt(models[0].stiffness_n_per_m)
-        self.swing = share / np.sqrt([[model.stiffness_n_per_m] for model in models])
-        self.last_kick: FloatArray = np.array([[drive.last_kick] for drive in drives])
+        self.swing = share / np.sqrt([model.stiffness_n_per_m for model in models])
+        self.last_kick: FloatArray = np.array([drive.last_kick for drive in drives])
         self.reach: FloatArray = (share * volts) * np.array(
             [
-                [_reach(model, samplerate, source_impedance_ohm, sections, "displacement_m")]
+                _reach(model, samplerate, source_impedance_ohm, sections, "displacement_m")
                 for model in models
             ]
         )
         self.ring: FloatArray = (share * volts) * np.array(
-            [[_ring(model, samplerate, source_impedance_ohm, sections)] for model in models]
+            [_ring(model, samplerate, source_impedance_ohm, sections) for model in models]
         )
 
 
@@ -140,13 +152,6 @@ def _powers(step: FloatArray, count: int) -> list[FloatArray]:
     for _ in range(count):
         powers.append(step @ powers[-1])
     return powers
-
-
-def _convolution(impulse: FloatArray) -> FloatArray:
-    """Return the lower triangular matrix (n, n) that convolves a drive with an impulse response."""
-    n = len(impulse)
-    delay = np.arange(n)[:, None] - np.arange(n)
-    return np.where(delay >= 0, impulse[np.abs(delay)], 0.0)
 
 
 def _tail(
@@ -213,7 +218,7 @@ def _reach(
     impulse = np.zeros(frames)
     impulse[0] = 1.0
     if len(sections):
-        impulse = sosfilt(sections, impulse)
+        impulse = scipy.signal.sosfilt(sections, impulse)
     response = LinearActuator(p, samplerate, source_impedance_ohm).move(impulse, (quantity,))
     # The remaining e^-25 is not in the sum.
     return float(np.abs(getattr(response, quantity)).sum()) * (1.0 + 1e-9)

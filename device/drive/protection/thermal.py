@@ -1,11 +1,9 @@
 """How warm a coil is, and how much power it may have."""
 
-import math
-
 from device.rig.parameters import ThermalParameters
 from device.rig.thermal import Temperatures
 
-_APPROACH_S = 2.0
+APPROACH_S = 2.0
 """Time constant of the approach to the limit."""
 
 
@@ -24,11 +22,16 @@ class CoilTemperature:
         self.period_s = period_s
         self._cold_ohm = resistance_ohm
         self._temperatures = Temperatures(parameters)
-        self._step = self._temperatures.step(period_s)
 
     def reset(self) -> None:
         """Cool down to the room."""
         self._temperatures.reset()
+
+    def set_temperatures(self, coil_c: float, magnet_c: float) -> None:
+        """Continue with these temperatures, degrees C; none is colder than the room."""
+        room_c = self.parameters.ambient_c
+        self._temperatures.coil_k = max(0.0, coil_c - room_c)
+        self._temperatures.magnet_k = max(0.0, magnet_c - room_c)
 
     @property
     def coil_c(self) -> float:
@@ -49,13 +52,6 @@ class CoilTemperature:
         """Advance by one period with this mean power, W."""
         self._temperatures.heat(power_w, self.period_s)
 
-    def power_that_reaches(self, limit_c: float) -> float:
-        """Return the mean power, W, that takes the coil to the limit within the next period."""
-        now, step = self._temperatures, self._step
-        left_k = limit_c - self.parameters.ambient_c
-        left_k -= step.coil_by_coil * now.coil_k + step.coil_by_magnet * now.magnet_k
-        return max(0.0, left_k / step.coil_by_power)
-
     def power_allowed(self, limit_c: float) -> float:
         """Return the mean power, W, that approaches the limit without passing it.
 
@@ -63,9 +59,4 @@ class CoilTemperature:
         """
         onward_w = (self.coil_c - self.magnet_c) / self.parameters.coil_k_per_w
         left_j = self.parameters.coil_j_per_k * (limit_c - self.coil_c)
-        return max(0.0, onward_w + left_j / _APPROACH_S)
-
-
-def gain_for_power(allowed_w: float, wanted_w: float) -> float:
-    """Return the gain, 0 to 1, that reduces the wanted power to the allowed one."""
-    return 1.0 if wanted_w <= allowed_w else math.sqrt(allowed_w / wanted_w)
+        return max(0.0, onward_w + left_j / APPROACH_S)

@@ -1,0 +1,108 @@
+"""A design as bytes: little-endian records that a C program can read without Python.
+
+    offset  size  content
+    0       8     magic: "CUSHLIVE"
+    8       4     uint32: format version
+    12      4     uint32: size of all bytes, checksum included
+    16      4     uint32: number of records
+    20      4     uint32: 0
+    24            the records, one after another
+    end-8   4     uint32: CRC-32 (zlib) of all bytes before it
+    end-4   4     uint32: 0
+
+    record
+    0       36    name: ASCII, padded with zero bytes
+    36      4     uint32: kind: 0 count, 1 number, 2 array
+    40      4     uint32: rows of an array of two dimensions; otherwise 0
+    44      4     uint32: columns, or length of an array of one dimension; otherwise 1
+    48            the values, 8 bytes each: int64 for a count, float64 otherwise
+
+Every value lies at a multiple of 8 bytes. Records are sorted by name.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+
+import numpy as np
+
+from device.errors import UsageError
+from device.records import Record, Records
+
+MAGIC = b"CUSHLIVE"
+FORMAT_VERSION = 4
+"""To be raised whenever a name or the meaning of a value changes."""
+
+HEADER = struct.Struct("<8sIII4x")
+RECORD = struct.Struct("<36sIII")
+CHECKSUM = struct.Struct("<I4x")
+COUNT, NUMBER, ARRAY = range(3)
+
+
+def pack(values: Records) -> bytes:
+    """Return the bytes of named values."""
+    records = [_record(name, values[name]) for name in sorted(values)]
+    body = b"".join(records)
+    size = HEADER.size + len(body) + CHECKSUM.size
+    head = HEADER.pack(MAGIC, FORMAT_VERSION, size, len(records))
+    return head + body + CHECKSUM.pack(zlib.crc32(body, zlib.crc32(head)))
+
+
+def unpack(blob: bytes) -> Records:
+    """Return the named values of `pack`; arrays are read-only views.
+
+    UsageError: the bytes are cut, damaged, of another version or something else.
+    """
+    if blob[: len(MAGIC)] != MAGIC:
+        raise UsageError(f"not a design of the live form: does not begin with {MAGIC.decode()}")
+    if len(blob) < HEADER.size + CHECKSUM.size:
+        raise UsageError(f"the design is cut: {len(blob)} bytes are less than its header")
+    _, version, size, count = HEADER.unpack_from(blob)
+    if version != FORMAT_VERSION:
+        raise UsageError(
+            f"the design has format version {version}; allowed: {FORMAT_VERSION}; make it again"
+        )
+    if size != len(blob):
+        raise UsageError(f"the design is cut or too long: {len(blob)} bytes instead of {size}")
+    end = size - CHECKSUM.size
+    if blob[end:] != CHECKSUM.pack(zlib.crc32(blob[:end])):
+        raise UsageError("the design is damaged: its checksum does not fit")
+    values: Records = {}
+    offset = HEADER.size
+    try:
+        for _ in range(count):
+            name, value, offset = _read(blob, offset, end)
+            values[name] = value
+    except (struct.error, UnicodeDecodeError) as error:
+        raise UsageError(f"the design is damaged: {error}") from error
+    if offset != end:
+        raise UsageError("the design is damaged: its records do not fill it")
+    return values
+
+
+def _record(name: str, value: Record) -> bytes:
+    if isinstance(value, np.ndarray):
+        rows, columns = value.shape if value.ndim == 2 else (0, value.size)
+        return RECORD.pack(name.encode(), ARRAY, rows, columns) + value.astype("<f8").tobytes()
+    if isinstance(value, int):
+        return RECORD.pack(name.encode(), COUNT, 0, 1) + struct.pack("<q", value)
+    return RECORD.pack(name.encode(), NUMBER, 0, 1) + struct.pack("<d", value)
+
+
+def _read(blob: bytes, offset: int, end: int) -> tuple[str, Record, int]:
+    """Return the name and value of the record at an offset, and the offset of the next."""
+    padded, kind, rows, columns = RECORD.unpack_from(blob, offset)
+    name = padded.rstrip(b"\0").decode("ascii")
+    first = offset + RECORD.size
+    after = first + 8 * (max(rows, 1) * columns)
+    if after > end:
+        raise UsageError(f"the design is damaged: {name} is longer than the design")
+    if kind == ARRAY:
+        array = np.frombuffer(blob, "<f8", (after - first) // 8, first).astype(np.float64)
+        array.flags.writeable = False
+        return name, array.reshape(rows, columns) if rows else array, after
+    if kind not in (COUNT, NUMBER) or (rows, columns) != (0, 1):
+        raise UsageError(f"the design is damaged: {name} is of no known kind")
+    (value,) = struct.unpack_from("<q" if kind == COUNT else "<d", blob, first)
+    return name, value, after

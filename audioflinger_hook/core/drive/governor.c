@@ -1,0 +1,392 @@
+/* The models of one actuator, block by block. */
+
+#include "governor.h"
+
+#define ROUNDING 1e-6 /* share of a limit that arithmetic may be off by */
+#define TOGETHER 1e-9 /* share of a limit below which motion counts as none */
+#define MECHANICAL 3  /* states of the actuator; then the amplifier's last output, then its sections */
+
+enum { FALL, RISE };
+enum { FIXED, PER_GAIN, UNGOVERNED };
+
+/* ----------------------------------------------------------------------------------- the memory */
+
+static double *numbers(Arena *arena, size_t count)
+{
+    return arena_alloc(arena, count, sizeof(double));
+}
+
+void governor_layout(Governor *g, const ProtectionDesign *d, Arena *arena)
+{
+    const size_t states = d->models * WHOLE_LANES(d->states);
+    const size_t watched = WHOLE_LANES(d->watched), points = WHOLE_LANES(d->tail_points);
+    const size_t frames = WHOLE_LANES(d->frames), moved = d->models * (2 * watched + points);
+    const size_t longest = points > frames ? points : frames;
+    const size_t quantities = moved + 2 * frames * (1 + d->currents);
+    g->design = d;
+    g->state = numbers(arena, states);
+    g->ungoverned = numbers(arena, states);
+    for (size_t part = 0; part < PARTS; part++) {
+        g->end[part] = numbers(arena, states);
+        g->ends[part] = numbers(arena, WHOLE_LANES(d->states));
+    }
+    g->column = numbers(arena, longest);
+    g->spare = numbers(arena, longest);
+    g->fixed = numbers(arena, quantities);
+    g->per_gain = numbers(arena, quantities);
+    for (size_t which = 0; which < 2; which++) {
+        Block *block = &g->blocks[which];
+        g->scaled[which] = numbers(arena, ROW_FRAMES(d->frames));
+        block->drive = numbers(arena, ROW_FRAMES(d->frames));
+        for (size_t half = 0; half < 2; half++) {
+            block->excursion[half] = numbers(arena, d->models * watched);
+            block->state[half] = numbers(arena, states);
+            block->current[half] = numbers(arena, d->currents * frames);
+        }
+    }
+}
+
+static void clear_states(Governor *g)
+{
+    const size_t states = g->design->models * WHOLE_LANES(g->design->states);
+    memset(g->state, 0, states * sizeof(double));
+    memset(g->ungoverned, 0, states * sizeof(double));
+    g->is_ungoverned_equal = 1;
+    g->gain = 1.0;
+}
+
+void governor_reset(Governor *g)
+{
+    const size_t row_bytes = ROW_FRAMES(g->design->frames) * sizeof(double);
+    clear_states(g);
+    for (size_t which = 0; which < 2; which++) {
+        memset(g->blocks[which].drive, 0, row_bytes);
+        memset(g->scaled[which], 0, row_bytes);
+        g->blocks[which].loudest = 0.0;
+        g->blocks[which].has_responses = 0;
+    }
+    g->known = 0;
+}
+
+void governor_take(Governor *g)
+{
+    coming_block(g)->loudest = largest(coming_block(g)->drive, WHOLE_LANES(g->design->frames));
+    coming_block(g)->has_responses = 0;
+}
+
+void governor_next(Governor *g)
+{
+    g->known = !g->known;
+}
+
+/* Compute what a block does on its way to 0, and on its way from 0. */
+SIMD_CLONES static void compute_responses(const ProtectionDesign *d, Block *block, double *fall,
+                                          double *rise)
+{
+    const size_t frames = d->frames, row_frames = ROW_FRAMES(frames);
+    for (size_t frame = 0; frame < frames; frame++) {
+        const double share = (double)(frame + 1) / (double)frames;
+        fall[frame] = block->drive[frame] * (1.0 - share);
+        rise[frame] = block->drive[frame] * share;
+    }
+    const double *response = d->excursion_by_drive;
+    for (size_t model = 0; model < d->models; model++, response += row_frames)
+        for (size_t row = 0; row < d->watched; row++) {
+            const size_t back = (d->watched - 1 - row) * d->stride;
+            const size_t at = model * WHOLE_LANES(d->watched) + row;
+            two_products(response + back, fall, rise, frames - back, &block->excursion[FALL][at],
+                         &block->excursion[RISE][at]);
+        }
+    response = d->state_by_drive;
+    for (size_t model = 0; model < d->models; model++)
+        for (size_t one = 0; one < d->states; one++, response += row_frames) {
+            const size_t at = model * WHOLE_LANES(d->states) + one;
+            two_products(response, fall, rise, frames, &block->state[FALL][at], &block->state[RISE][at]);
+        }
+    response = d->current_by_drive;
+    for (size_t model = 0; model < d->currents; model++, response += row_frames)
+        for (size_t frame = 0; frame < frames; frame++) {
+            const size_t at = model * WHOLE_LANES(frames) + frame;
+            two_products(response + (frames - 1 - frame), fall, rise, frame + 1,
+                         &block->current[FALL][at], &block->current[RISE][at]);
+        }
+    block->has_responses = 1;
+}
+
+/* ------------------------------------------------------------------------------------- decisions */
+
+/* A bound of the excursion, as a share of the limit: without drive, by the actuator's energy, the effect
+ * of its last voltage and the amplifier's energy. What a drive of this size can add comes on top. */
+static double free_excursion(const ProtectionDesign *d, const double *state, const double *minus,
+                             double drive)
+{
+    double most = 0.0;
+    for (size_t model = 0; model < d->models; model++) {
+        double energy = 0.0, amplifier = 0.0, last = 0.0;
+        for (size_t one = 0; one < d->states; one++) {
+            const size_t at = model * WHOLE_LANES(d->states) + one;
+            const double value = state[at] - (minus ? minus[at] : 0.0);
+            if (one < MECHANICAL)
+                energy += value * value;
+            else if (one == MECHANICAL)
+                last = fabs(value);
+            else
+                amplifier += value * value;
+        }
+        double found = d->swing[model] * (sqrt(energy) + d->last_kick[model] * last);
+        if (amplifier > 0.0)
+            found += d->ring[model] * sqrt(amplifier);
+        if (drive > 0.0)
+            found += d->reach[model] * drive;
+        if (!(found <= most))
+            most = found;
+        if (isnan(most))
+            break;
+    }
+    return most;
+}
+
+/* Room for the fixed part and the part per gain of so many more limited quantities. */
+INLINED void next_quantities(Governor *g, size_t count, double **fixed, double **per_gain)
+{
+    *fixed = g->fixed + g->quantities;
+    *per_gain = g->per_gain + g->quantities;
+    g->quantities += count;
+}
+
+/* Excursion during the known block, during the next one's fall, and in the free swing after it. */
+INLINED void limit_excursion(Governor *g, const double *ungoverned, double *demand)
+{
+    const ProtectionDesign *d = g->design;
+    const size_t states = d->states, points = WHOLE_LANES(d->tail_points);
+    const size_t watched = WHOLE_LANES(d->watched), state_rows = WHOLE_LANES(states);
+    for (size_t model = 0; model < d->models; model++) {
+        const size_t first = model * state_rows, row = model * watched;
+        const double *by_state = d->excursion_by_state + model * states * watched;
+        const double *advance = d->state_by_state + model * states * state_rows;
+        const double *tail = d->tail_by_state + model * states * points;
+        const double *fall = known_block(g)->excursion[FALL] + row, *rise = known_block(g)->excursion[RISE] + row;
+        double *out[PARTS] = {NULL, NULL, g->column};
+        double *const end[PARTS] = {g->end[0] + first, g->end[1] + first, g->end[2] + first};
+        const double *const from[PARTS] = {end[0], end[1], end[2]};
+        const double *const last[PARTS] = {g->ends[0], g->ends[1], g->ends[2]};
+
+        next_quantities(g, watched, &out[FIXED], &out[PER_GAIN]);
+        apply(by_state, watched, states, g->state + first, out[FIXED]);
+        apply(by_state, watched, states, ungoverned + first, out[UNGOVERNED]);
+        add(out[FIXED], fall, g->gain, watched);
+        memcpy(out[PER_GAIN], rise, watched * sizeof(double));
+        add(out[UNGOVERNED], fall, 1.0, watched);
+        add(out[UNGOVERNED], rise, 1.0, watched);
+        *demand = larger(largest(out[UNGOVERNED], watched), *demand);
+
+        apply(advance, state_rows, states, g->state + first, end[FIXED]);
+        apply(advance, state_rows, states, ungoverned + first, end[UNGOVERNED]);
+        add(end[FIXED], known_block(g)->state[FALL] + first, g->gain, state_rows);
+        memcpy(end[PER_GAIN], known_block(g)->state[RISE] + first, state_rows * sizeof(double));
+        add(end[UNGOVERNED], known_block(g)->state[FALL] + first, 1.0, state_rows);
+        add(end[UNGOVERNED], known_block(g)->state[RISE] + first, 1.0, state_rows);
+
+        next_quantities(g, watched, &out[FIXED], &out[PER_GAIN]);
+        apply_to_parts(by_state, watched, states, from, out);
+        apply_to_parts(advance, state_rows, states, from, g->ends);
+        for (size_t part = PER_GAIN; part <= UNGOVERNED; part++) {
+            add(out[part], coming_block(g)->excursion[FALL] + row, 1.0, watched);
+            add(g->ends[part], coming_block(g)->state[FALL] + first, 1.0, state_rows);
+        }
+        *demand = larger(largest(out[UNGOVERNED], watched), *demand);
+
+        next_quantities(g, points, &out[FIXED], &out[PER_GAIN]);
+        apply_to_parts(tail, points, states, last, out);
+        *demand = larger(largest(out[UNGOVERNED], points), *demand);
+    }
+}
+
+/* The drive itself. */
+INLINED void limit_level(Governor *g, double *demand)
+{
+    const ProtectionDesign *d = g->design;
+    for (size_t block = 0; block < 2; block++) {
+        const double *drive = block ? coming_block(g)->drive : known_block(g)->drive;
+        double *fixed, *per_gain;
+        next_quantities(g, WHOLE_LANES(d->frames), &fixed, &per_gain);
+        for (size_t frame = 0; frame < d->frames; frame++) {
+            const double share = (double)(frame + 1) / (double)d->frames;
+            const double wanted = drive[frame] / d->level;
+            fixed[frame] = block ? 0.0 : g->gain * (1.0 - share) * wanted;
+            per_gain[frame] = (block ? 1.0 - share : share) * wanted;
+            *demand = larger(fabs(wanted), *demand);
+        }
+        for (size_t frame = d->frames; frame < WHOLE_LANES(d->frames); frame++)
+            fixed[frame] = per_gain[frame] = 0.0;
+    }
+}
+
+/* The most that can heat the coil, and the current. */
+INLINED void limit_current(Governor *g, const double *ungoverned, GainDecision *decision)
+{
+    const ProtectionDesign *d = g->design;
+    const size_t states = d->states, frames = WHOLE_LANES(d->frames), state_rows = WHOLE_LANES(states);
+    const double per_limit = d->current_a > 0.0 ? 1.0 / d->current_a : 0.0;
+    for (size_t model = 0; model < d->currents; model++) {
+        const size_t first = (model ? model - 1 : 0) * state_rows; /* row 0: what heats the coil */
+        const double *by_state = d->current_by_state + model * states * frames;
+        const double *fall = known_block(g)->current[FALL] + model * frames;
+        const double *rise = known_block(g)->current[RISE] + model * frames;
+        const double *const from[PARTS] = {g->end[0] + first, g->end[1] + first, g->end[2] + first};
+        double *out[PARTS] = {g->spare, NULL, g->column}, *fixed, *per_gain;
+        apply(by_state, frames, states, g->state + first, out[FIXED]);
+        apply(by_state, frames, states, ungoverned + first, out[UNGOVERNED]);
+        add(out[FIXED], fall, g->gain, frames);
+        add(out[UNGOVERNED], fall, 1.0, frames);
+        add(out[UNGOVERNED], rise, 1.0, frames);
+        if (model == 0) {
+            const double share = 1.0 / (double)d->frames;
+            decision->power[0] = share * product(out[FIXED], out[FIXED], frames);
+            decision->power[1] = 2.0 * share * product(out[FIXED], rise, frames);
+            decision->power[2] = share * product(rise, rise, frames);
+            decision->power[3] = share * product(out[UNGOVERNED], out[UNGOVERNED], frames);
+            continue;
+        }
+        next_quantities(g, frames, &fixed, &per_gain);
+        for (size_t frame = 0; frame < frames; frame++) {
+            fixed[frame] = per_limit * out[FIXED][frame];
+            per_gain[frame] = per_limit * rise[frame];
+        }
+        decision->demand = larger(per_limit * largest(out[UNGOVERNED], frames), decision->demand);
+        next_quantities(g, frames, &fixed, &per_gain);
+        out[PER_GAIN] = per_gain;
+        apply_to_parts(by_state, frames, states, from, out);
+        for (size_t part = PER_GAIN; part <= UNGOVERNED; part++)
+            add(out[part], coming_block(g)->current[FALL] + model * frames, 1.0, frames);
+        for (size_t frame = 0; frame < frames; frame++) {
+            fixed[frame] = per_limit * out[FIXED][frame];
+            per_gain[frame] *= per_limit;
+        }
+        decision->demand = larger(per_limit * largest(out[UNGOVERNED], frames), decision->demand);
+    }
+}
+
+/* The largest |a + g b| of all quantities. */
+INLINED double worst_at(const Governor *g, double gain)
+{
+    Lanes most = {0.0};
+    double found = 0.0;
+    for (size_t at = 0; at < g->quantities; at += LANES) {
+        const Lanes reached = CONST_LANES_AT(g->fixed + at) + gain * CONST_LANES_AT(g->per_gain + at);
+        const Lanes sizes = MAGNITUDES(reached);
+        most = LARGER(sizes, most);
+    }
+    for (size_t lane = 0; lane < LANES; lane++)
+        found = larger(most[lane], found);
+    return found;
+}
+
+/* The largest g with |a + g b| <= 1 for all quantities, if 0 is possible. */
+INLINED double highest_gain(const Governor *g)
+{
+    const Lanes full = {1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0}, none = {0.0};
+    Lanes least = full * INFINITY;
+    double found = INFINITY;
+    for (size_t at = 0; at < g->quantities; at += LANES) {
+        const Lanes a = CONST_LANES_AT(g->fixed + at), b = CONST_LANES_AT(g->per_gain + at);
+        const Lanes towards = (Lanes)(((Bits)a & ~SIGN) | ((Bits)(a * b) & SIGN));
+        const Lanes room = full - towards, size = MAGNITUDES(b), smallest = full * 1e-300;
+        /* What does not depend on the gain allows any. */
+        const Lanes gain = LARGER(room, none) / LARGER(size, smallest);
+        least = SMALLER(gain, least);
+    }
+    for (size_t lane = 0; lane < LANES; lane++)
+        found = smaller(least[lane], found);
+    return found;
+}
+
+/* Return the largest gain up to the requested one with which everything can still be stopped. */
+SIMD_CLONES static GainDecision decide(Governor *g, double requested)
+{
+    const ProtectionDesign *d = g->design;
+    const double *ungoverned = g->is_ungoverned_equal ? g->state : g->ungoverned;
+    GainDecision found = {.gain = requested};
+    g->quantities = 0;
+    limit_excursion(g, ungoverned, &found.demand);
+    if (larger(known_block(g)->loudest, coming_block(g)->loudest) > d->level)
+        limit_level(g, &found.demand);
+    limit_current(g, ungoverned, &found);
+    if (worst_at(g, requested) <= 1.0)
+        return found;
+    const double highest = smaller(highest_gain(g), requested);
+    found.gain = highest;
+    if (!(worst_at(g, highest) <= 1.0 + ROUNDING)) {
+        found.gain = 0.0;
+        found.infeasible = 1;
+    }
+    return found;
+}
+
+/* --------------------------------------------------------------------------------------- advances */
+
+SIMD_CLONES static int advance_unlimited(Governor *g, double *mean_a2)
+{
+    const ProtectionDesign *d = g->design;
+    const size_t states = d->states, frames = d->frames, last = frames - 1;
+    const size_t state_rows = WHOLE_LANES(states), row_frames = ROW_FRAMES(frames);
+    const double loudest = larger(known_block(g)->loudest, coming_block(g)->loudest);
+    if (!g->is_ungoverned_equal || d->current_a > 0.0 || loudest > d->level ||
+        !(free_excursion(d, g->state, NULL, loudest) <= 1.0))
+        return 0;
+    double *current = g->column;
+    apply(d->current_by_state, WHOLE_LANES(frames), states, g->state, current);
+    for (size_t frame = 0; frame < frames; frame++)
+        current[frame] += product(d->current_by_drive + (last - frame), known_block(g)->drive, frame + 1);
+    *mean_a2 = product(current, current, WHOLE_LANES(frames)) / (double)frames;
+    const double *response = d->state_by_drive;
+    for (size_t model = 0; model < d->models; model++) {
+        double *state = g->state + model * state_rows, *end = g->end[FIXED] + model * state_rows;
+        apply(d->state_by_state + model * states * state_rows, state_rows, states, state, end);
+        for (size_t one = 0; one < states; one++, response += row_frames)
+            end[one] += product(response, known_block(g)->drive, frames);
+        memcpy(state, end, state_rows * sizeof(double));
+    }
+    g->gain = 1.0;
+    return 1;
+}
+
+int governor_advance_unlimited(Governor *g, double *mean_a2) { return advance_unlimited(g, mean_a2); }
+
+GainDecision governor_decide(Governor *g, double requested)
+{
+    if (!known_block(g)->has_responses)
+        compute_responses(g->design, known_block(g), g->scaled[FALL], g->scaled[RISE]);
+    if (!coming_block(g)->has_responses)
+        compute_responses(g->design, coming_block(g), g->scaled[FALL], g->scaled[RISE]);
+    return decide(g, requested);
+}
+
+void governor_advance(Governor *g, double gain)
+{
+    const size_t states = g->design->models * WHOLE_LANES(g->design->states);
+    const int was_limited = smaller(gain, g->gain) < 1.0;
+    for (size_t at = 0; at < states; at++) {
+        g->state[at] = g->end[FIXED][at] + gain * g->end[PER_GAIN][at];
+        g->ungoverned[at] = g->end[UNGOVERNED][at];
+    }
+    g->is_ungoverned_equal =
+        !was_limited && free_excursion(g->design, g->state, g->ungoverned, 0.0) < TOGETHER;
+    g->gain = gain;
+}
+
+int governor_is_at_rest(const Governor *g)
+{
+    const ProtectionDesign *d = g->design;
+    return coming_block(g)->loudest == 0.0 && known_block(g)->loudest == 0.0 &&
+           free_excursion(d, g->state, NULL, 0.0) <= TOGETHER &&
+           (g->is_ungoverned_equal || free_excursion(d, g->ungoverned, NULL, 0.0) <= TOGETHER);
+}
+
+void governor_rest(Governor *g) { clear_states(g); }
+
+double governor_excursion_m(const Governor *g)
+{
+    const double x = g->state[0], v = g->state[1];
+    return g->design->swing_m * sqrt(x * x + v * v);
+}

@@ -1,0 +1,244 @@
+/* Protection of one actuator: what its models allow, what is remembered of their demand, and the coil's
+ * temperature. */
+
+#include "protection.h"
+
+#include "governor.h"
+
+#define CAUTION_MAX 2.0
+#define HALVINGS_MAX 10 /* of a gain within a block: -60 dB */
+
+struct Protection {
+    const ProtectionDesign *design;
+    Governor governor;
+    double *leaving; /* the block that leaves */
+    size_t filled;   /* frames of the block that comes */
+    double demands[2], demand, caution, recent_w, wanted_w, coil_k, magnet_k;
+    double least_gain;
+    int at_ease, is_silent;
+    LimitedBy limited_by;
+    uint64_t count, limited_blocks, infeasible_blocks;
+};
+
+Protection *protection_layout(const ProtectionDesign *d, Arena *arena)
+{
+    Protection counted, *made = arena_alloc(arena, 1, sizeof(Protection));
+    Protection *const p = made ? made : &counted;
+    p->design = d;
+    governor_layout(&p->governor, d, arena);
+    p->leaving = arena_alloc(arena, d->frames, sizeof(double));
+    return made;
+}
+
+void protection_reset(Protection *p, int as_new)
+{
+    governor_reset(&p->governor);
+    memset(p->leaving, 0, p->design->frames * sizeof(double));
+    p->filled = 0;
+    p->demands[0] = p->demands[1] = p->demand = p->recent_w = p->wanted_w = 0.0;
+    p->caution = 1.0;
+    p->at_ease = p->is_silent = 1;
+    p->limited_by = NOT_LIMITED;
+    if (!as_new)
+        return;
+    p->count = p->limited_blocks = p->infeasible_blocks = 0;
+    p->least_gain = 1.0;
+    p->coil_k = p->magnet_k = 0.0;
+}
+
+/* ---------------------------------------------------------------------------------------- warmth */
+
+static double resistance_ohm(const Protection *p)
+{
+    return p->design->resistance_ohm * (1.0 + p->design->resistance_per_k * p->coil_k);
+}
+
+/* Warm coil and magnet by a block; note the power that would flow without any gain. */
+static void warm(Protection *p, double power_w, double ungoverned_w)
+{
+    const ProtectionDesign *d = p->design;
+    const double *by = d->thermal, coil_k = p->coil_k, magnet_k = p->magnet_k;
+    if (!by)
+        return;
+    p->coil_k = by[0] * coil_k + by[1] * magnet_k + by[2] * power_w;
+    p->magnet_k = by[3] * coil_k + by[4] * magnet_k + by[5] * power_w;
+    p->recent_w += d->notice * (ungoverned_w - p->recent_w);
+    p->wanted_w = larger(p->recent_w, d->forget * p->wanted_w);
+}
+
+static int limits_heat(const ProtectionDesign *d) { return d->thermal && d->hottest_k > 0.0; }
+
+/* The mean power that approaches the coil's limit without passing it: what flows on to the magnet, and
+ * what the coil still takes up. */
+static double power_allowed_w(const Protection *p)
+{
+    const ProtectionDesign *d = p->design;
+    const double onward_w = (p->coil_k - p->magnet_k) / d->coil_k_per_w;
+    const double left_j = d->coil_j_per_k * (d->hottest_k - p->coil_k);
+    return larger(0.0, onward_w + left_j / d->approach_s);
+}
+
+/* The mean power that takes the coil to its limit within a block. */
+static double power_to_limit_w(const Protection *p)
+{
+    const double *by = p->design->thermal;
+    const double left_k = p->design->hottest_k - by[0] * p->coil_k - by[1] * p->magnet_k;
+    return larger(0.0, left_k / by[2]);
+}
+
+/* Lower a gain that would overheat the coil within this block, and warm the coil. The current is that
+ * of the cold coil; a warm one has less. Return whether it was lowered. */
+static int keep_within_heat(Protection *p, const GainDecision *decision, double *gain)
+{
+    if (!p->design->thermal)
+        return 0;
+    const double *power = decision->power, ohm = resistance_ohm(p);
+    double square = power[0] + *gain * (power[1] + *gain * power[2]);
+    int is_lowered = 0;
+    for (; is_lowered < HALVINGS_MAX && limits_heat(p->design) && ohm * square > power_to_limit_w(p);
+         is_lowered++) {
+        *gain /= 2.0;
+        square = power[0] + *gain * (power[1] + *gain * power[2]);
+    }
+    warm(p, larger(0.0, ohm * square), ohm * power[3]);
+    return is_lowered;
+}
+
+/* Whether the coil allows more than is wanted, so that its limit needs no gain. */
+static int heat_is_far(const Protection *p)
+{
+    return !limits_heat(p->design) || p->wanted_w <= power_allowed_w(p);
+}
+
+/* Whether a block could take the coil to its limit, so that each one is looked at. */
+static int is_warm(const Protection *p)
+{
+    return limits_heat(p->design) && p->coil_k > 0.5 * p->design->hottest_k;
+}
+
+/* ---------------------------------------------------------------------------------------- blocks */
+
+/* Hold the largest demand for one to two hold times, then let it decay. */
+static void remember(Protection *p, double demand)
+{
+    const ProtectionDesign *d = p->design;
+    if (p->count % d->hold_blocks == 0) {
+        p->demands[1] = p->demands[0];
+        p->demands[0] = 0.0;
+    }
+    p->demands[0] = larger(demand, p->demands[0]);
+    p->demand = larger(d->release * p->demand, larger(p->demands[0], p->demands[1]));
+    p->caution = 1.0 + d->release * (p->caution - 1.0);
+}
+
+static void rest(Protection *p)
+{
+    governor_rest(&p->governor);
+    memset(p->leaving, 0, p->design->frames * sizeof(double));
+    p->limited_by = NOT_LIMITED;
+    remember(p, 0.0);
+    warm(p, 0.0, 0.0);
+    p->at_ease = p->at_ease && heat_is_far(p);
+}
+
+/* Let the known block leave unchanged if no limit is in reach; return whether it did. */
+static int advance_unlimited(Protection *p)
+{
+    const double *drive = known_block(&p->governor)->drive;
+    double mean_a2;
+    if (!governor_advance_unlimited(&p->governor, &mean_a2))
+        return 0;
+    const double power_w = resistance_ohm(p) * mean_a2;
+    warm(p, power_w, power_w);
+    p->at_ease = heat_is_far(p);
+    p->limited_by = NOT_LIMITED;
+    memcpy(p->leaving, drive, p->design->frames * sizeof(double));
+    return 1;
+}
+
+/* Let the known block leave with the largest gain that the limits allow. */
+static void advance_limited(Protection *p, double gain_ceiling)
+{
+    const ProtectionDesign *d = p->design;
+    const double before = p->governor.gain, *drive = known_block(&p->governor)->drive;
+    const double ceiling = gain_ceiling >= 0.0 ? smaller(gain_ceiling, 1.0) : 0.0;
+    const double allowed_w = limits_heat(d) ? power_allowed_w(p) : INFINITY;
+    const double thermal = p->wanted_w > allowed_w ? sqrt(allowed_w / p->wanted_w) : 1.0;
+    double requested = smaller(1.0, before + d->recovery);
+    requested = smaller(requested, 1.0 / larger(1.0, p->caution * p->demand));
+    requested = smaller(requested, smaller(ceiling, thermal));
+    const GainDecision found = governor_decide(&p->governor, requested);
+    remember(p, found.demand);
+    if (found.gain < requested)
+        p->caution = smaller(CAUTION_MAX, d->caution * p->caution);
+    /* The ceiling lowers what the limits allow: of a drive beyond them, it would lower nothing. */
+    const double capped = ceiling / larger(1.0, p->demand);
+    double gain = smaller(found.gain, capped);
+    const int is_hot = keep_within_heat(p, &found, &gain);
+    governor_advance(&p->governor, gain);
+    for (size_t frame = 0; frame < d->frames; frame++) {
+        const double share = (double)(frame + 1) / (double)d->frames;
+        p->leaving[frame] = drive[frame] * (before * (1.0 - share) + gain * share);
+    }
+    if (smaller(gain, before) >= 1.0) /* exactly */
+        memcpy(p->leaving, drive, d->frames * sizeof(double));
+    p->least_gain = smaller(gain, p->least_gain);
+    p->infeasible_blocks += (uint64_t)found.infeasible;
+    p->limited_blocks += gain < 1.0;
+    p->limited_by = NOT_LIMITED;
+    if (gain < 1.0)
+        p->limited_by = is_hot || thermal <= gain ? BY_TEMPERATURE
+                        : ceiling < 1.0 && capped <= gain ? BY_EXPOSURE
+                                                          : BY_MOTION;
+    /* Nothing that is remembered limits the gain. */
+    p->at_ease = gain >= 1.0 && p->caution * p->demand <= 1.0 && thermal >= 1.0;
+    if (p->at_ease)
+        p->caution = 1.0;
+}
+
+/* Decide on the known block now that the next one has come. */
+static void end_block(Protection *p, double gain_ceiling)
+{
+    p->count++;
+    p->filled = 0;
+    governor_take(&p->governor);
+    if (p->is_silent && governor_is_at_rest(&p->governor)) {
+        rest(p);
+        return;
+    }
+    if (!(p->at_ease && !is_warm(p) && gain_ceiling >= 1.0 && advance_unlimited(p)))
+        advance_limited(p, gain_ceiling);
+    p->is_silent = coming_block(&p->governor)->loudest == 0.0;
+    governor_next(&p->governor);
+}
+
+double protection_step(Protection *p, double sample, double gain_ceiling)
+{
+    const double leaves = p->leaving[p->filled];
+    coming_block(&p->governor)->drive[p->filled] = sample;
+    if (++p->filled == p->design->frames)
+        end_block(p, gain_ceiling);
+    return leaves;
+}
+
+ProtectionReadings protection_readings(const Protection *p)
+{
+    return (ProtectionReadings){
+        .gain = p->governor.gain,
+        .least_gain = p->least_gain,
+        .excursion_m = governor_excursion_m(&p->governor),
+        .coil_k = p->coil_k,
+        .magnet_k = p->magnet_k,
+        .blocks = p->count,
+        .limited_blocks = p->limited_blocks,
+        .infeasible_blocks = p->infeasible_blocks,
+        .limited_by = p->limited_by,
+    };
+}
+
+void protection_set_temperatures(Protection *p, double coil_k, double magnet_k)
+{
+    const double hottest_k = p->design->hottest_k;
+    p->coil_k = fabs(coil_k) < INFINITY ? larger(0.0, coil_k) : hottest_k;
+    p->magnet_k = fabs(magnet_k) < INFINITY ? larger(0.0, magnet_k) : hottest_k;
+}

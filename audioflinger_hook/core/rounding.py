@@ -1,0 +1,100 @@
+"""Designs whose bits do not depend on the machine that makes them.
+
+Libraries of other machines round sines, logarithms and least squares in another way, by a few units
+in the last place. A design keeps fewer bits than these agree on. Filters are rounded as poles and
+zeros, since the coefficients of a high order amplify every error.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+
+from device.units import FloatArray
+
+NUMBER_BITS = 40
+"""Significant bits of a number."""
+TABLE_BITS = 32
+"""Significant bits of an entry of a table, ..."""
+TABLE_FLOOR_BITS = 38
+"""... whose last is not less than the table's largest entry by this many bits: an entry near 0 may
+be a difference of large numbers."""
+ROOT_BITS = 40
+"""Bits after the point of a pole or zero."""
+
+
+def round_number(number: float, bits: int = NUMBER_BITS) -> float:
+    """Return a number with this many significant bits; 0 and what is not finite stay."""
+    fraction, exponent = math.frexp(number)
+    if not math.isfinite(number):
+        return number
+    return math.ldexp(round(math.ldexp(fraction, bits)), exponent - bits)
+
+
+def round_table(table: FloatArray) -> FloatArray:
+    """Return a table of the same shape whose entries have `TABLE_BITS` significant bits or less.
+
+    table: finite.
+    """
+    _, exponents = np.frexp(table)
+    largest = int(exponents.max(initial=-1000, where=table != 0.0))
+    last = np.maximum(exponents - TABLE_BITS, largest - TABLE_FLOOR_BITS)
+    rounded: FloatArray = np.ldexp(np.rint(np.ldexp(table, -last)), last) + 0.0
+    return rounded
+
+
+def round_section(section: Any, exact: Sequence[str] = ()) -> Any:
+    """Return a section of a design, a dataclass, with its numbers and tables rounded.
+
+    exact: names of fields that stay as they are.
+    """
+    changes: dict[str, Any] = {}
+    for item in fields(section):
+        value = getattr(section, item.name)
+        if item.name in exact or item.type not in ("float", "FloatArray"):
+            continue
+        changes[item.name] = (
+            round_number(float(value)) if item.type == "float" else round_table(value)
+        )
+    return replace(section, **changes)
+
+
+def round_filter(
+    zeros: Iterable[complex], poles: Iterable[complex], gain: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return b and a of a digital filter from its rounded zeros, poles and gain.
+
+    Complex zeros and poles come in conjugate pairs, as `scipy.signal` returns them with
+    `output="zpk"`.
+    """
+    scale = round_number(float(gain))
+    b = [scale * entry for entry in _polynomial(zeros)]
+    return np.array(b), np.array(_polynomial(poles))
+
+
+def _polynomial(roots: Iterable[complex]) -> list[float]:
+    """Return the coefficients of prod(1 - root / z), in sums and products of floats alone.
+
+    NumPy's products of arrays may join a product and a sum in one rounding on some processors.
+    """
+    found = [1.0]
+    for root in sorted((complex(one) for one in roots), key=lambda one: (one.real, abs(one.imag))):
+        real, imaginary = (round(part * 2.0**ROOT_BITS) / 2.0**ROOT_BITS
+                           for part in (root.real, abs(root.imag)))  # fmt: skip
+        if imaginary == 0.0:
+            found = _product(found, [1.0, -real])
+        elif root.imag > 0.0:
+            found = _product(found, [1.0, -2.0 * real, real * real + imaginary * imaginary])
+    return found
+
+
+def _product(one: list[float], other: list[float]) -> list[float]:
+    found = [0.0] * (len(one) + len(other) - 1)
+    for at, left in enumerate(one):
+        for shift, right in enumerate(other):
+            found[at + shift] = found[at + shift] + left * right
+    return found

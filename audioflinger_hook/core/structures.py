@@ -1,0 +1,137 @@
+"""The structures of the core, as core.h has them; `library` compares their sizes."""
+
+from __future__ import annotations
+
+import ctypes
+from ctypes import c_double, c_int, c_ssize_t, c_uint32, c_uint64
+
+CHANNELS, ACTUATORS, PARTIALS = 8, 64, 16
+LIMITED_BY = ("", "excursion, current or level", "temperature", "outside")
+"""`limited_by` in words."""
+
+GLIDE_COLUMNS = (
+    "frame",
+    "frames",
+    "channel",
+    "slot",
+    "start_hz",
+    "end_hz",
+    "start_amplitude",
+    "end_amplitude",
+    "start_phase",
+)
+"""Columns of recorded glides: first frame and number of frames of a hop or, for partials of an
+onset, of a tick; channel of vibration; slot; Hz of vibration, amplitudes in full scale, cycles."""
+
+_address = ctypes.c_void_p
+
+
+class Info(ctypes.Structure):
+    """What a design is for."""
+
+    _fields_ = (
+        ("samplerate", c_uint32),
+        ("inputs", c_uint32),
+        ("vibrations", c_uint32),
+        ("actuators", c_uint32),
+        ("latency_frames", c_uint32),
+        ("tonal_latency_frames", c_uint32),
+        ("drive_latency_frames", c_uint32),
+        ("delay_frames_max", c_uint32),
+        ("memory_bytes", c_uint64),
+    )
+
+
+class Sound(ctypes.Structure):
+    """Samples in memory, at any distances."""
+
+    _fields_ = (
+        ("at", _address),
+        ("frame_bytes", c_ssize_t),
+        ("channel_bytes", c_ssize_t),
+        ("is_double", c_int),
+    )
+
+
+class ActuatorSafety(ctypes.Structure):
+    """What must outlive a process; temperatures in °C."""
+
+    _fields_ = tuple(
+        (name, c_double) for name in ("coil_c", "magnet_c", "time_s", "squares", "fourths", "above")
+    )
+
+
+class ActuatorControls(ctypes.Structure):
+    """Wanted of one actuator."""
+
+    _fields_ = (
+        ("gain", c_double),
+        ("delay_frames", c_double),
+        ("source", c_uint64),
+        ("audible", c_uint64),
+        ("restores", c_uint64),
+        ("safety", ActuatorSafety),
+    )
+
+
+class Controls(ctypes.Structure):
+    """Wanted of a stream."""
+
+    _fields_ = (
+        ("sound_gain", c_double),
+        ("day", c_uint64),
+        ("actuators", ActuatorControls * ACTUATORS),
+    )
+
+
+class Level(ctypes.Structure):
+    """Peak and mean square of the last moments."""
+
+    _fields_ = (("peak", c_double), ("mean_square", c_double))
+
+
+_ACTUATOR_NUMBERS = (
+    "audible",
+    "gain",
+    "least_gain",
+    "exposure_gain",
+    "excursion_m",
+    "coil_c",
+    "magnet_c",
+    "time_s",
+    "squares",
+    "fourths",
+    "above",
+    "running_m_s2",
+    "undamped_squares",
+)
+_ACTUATOR_COUNTS = ("blocks", "limited_blocks", "infeasible_blocks", "replaced", "limited_by")
+
+
+class ActuatorReadings(ctypes.Structure):
+    """What is known of one actuator."""
+
+    _fields_ = (
+        ("level", Level),
+        *((name, c_double) for name in _ACTUATOR_NUMBERS),
+        *((name, c_uint64) for name in _ACTUATOR_COUNTS),
+    )
+
+
+class Readings(ctypes.Structure):
+    """The only counts and levels there are."""
+
+    _fields_ = (
+        ("frames", c_uint64),
+        ("replaced", c_uint64),
+        ("limited", c_uint64),
+        ("sound", Level * CHANNELS),
+        ("vibration", Level * CHANNELS),
+        ("sequence", c_uint64),
+        ("partials_count", c_uint64),
+        ("partials", c_double * 3 * PARTIALS),
+        ("actuators", ActuatorReadings * ACTUATORS),
+    )
+
+
+STRUCTURES = (Info, Sound, Controls, ActuatorControls, Readings, ActuatorReadings)

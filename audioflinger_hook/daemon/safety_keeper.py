@@ -1,0 +1,224 @@
+"""Keeps temperatures and the day's dose in a file, so that a new process knows what went before.
+
+A coil cools with a time constant of half a minute, and a dose counts for a day: both outlive the
+process that caused them. The file is written while something is driven, so a killed process leaves
+at most the last moment unrecorded. For that moment the next one takes the worst that protection
+allows, and lets the model cool down for the time that has passed.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from audioflinger_hook.drive.driven_rig import DrivenRig
+from device.atomic_file import AtomicFile, make_private_folder
+from device.drive.exposure.dose import DoseSums
+from device.drive.safety import SafetyState
+from device.errors import CushionError
+
+VERSION = 1
+FILE, MARK = "actuators.json", "has-run"
+"""The record, and an empty file that tells a first run from a record that was lost."""
+
+SAVE_S = 0.5
+"""Time between two writes while something is driven."""
+
+UNRECORDED_S = 1.5
+"""What a killed process may have done after its last write: until the next one, which a busy
+machine delays, and the dose's last tenth of a second."""
+
+UNSYNCED_S = 60.0
+"""The same after the machine itself has ended: the system writes files later than we do."""
+
+Rigs = Sequence[DrivenRig | None]
+
+_LONGEST_S = 10 * 365 * 86_400.0
+
+
+@dataclass(frozen=True)
+class Moment:
+    """A moment by all clocks.
+
+    boot: names the machine's start, "" if unknown. boot_s: since then, with sleep. local: local
+    time to the minute, such as "2026-05-01T09:30+02:00".
+    """
+
+    boot: str
+    boot_s: float
+    wall_s: float
+    local: str
+
+    @property
+    def day(self) -> str:
+        """The local calendar day, such as "2026-05-01"."""
+        return self.local[:10]
+
+
+class SafetyKeeper:
+    """Restores and records the state of a device's rigs. For the supervising thread alone.
+
+    folder: where the file is, made if missing; None keeps nothing. moment: tells the present.
+    warning: what the user should know, "" for nothing. since: local time since when the dose
+    counts, "" before the first restore.
+    """
+
+    def __init__(self, folder: Path | None, moment: Callable[[], Moment]) -> None:
+        self._folder = folder
+        self._moment = moment
+        self._saved_s = -math.inf
+        self._saved: list[SafetyState] = []
+        self._day = self._device = ""
+        self.since = ""
+        self.warning = ""
+
+    def restore(self, rigs: Rigs, device: str) -> None:
+        """Let rigs continue where the last ones on this device ended; before their first block."""
+        if self._folder is None or not any(rigs):
+            return
+        now, self._device = self._moment(), device
+        known, trouble = self._read(now)
+        self._day = now.day
+        self.since = now.local
+        if known.get("day") == now.day:
+            self.since = str(known.get("since", self.since))
+        today = [one for one in known.get("actuators", {}).values() if one["day"] == now.day]
+        dose = DoseSums()
+        for one in today:
+            dose = dose.at_least(DoseSums(**one["dose"]))
+        for index, processor in enumerate(rigs):
+            if processor is None:
+                continue
+            bounds, states = processor.bounds(), []
+            for channel in range(processor.channels):
+                record = known.get("actuators", {}).get(_key(device, index, channel))
+                if trouble:
+                    state = bounds.warmest
+                elif record is None:
+                    state = SafetyState(dose=dose) if today else SafetyState()
+                else:
+                    state, trouble = _continued(record, now, processor)
+                states.append(state)
+            processor.restore(states)
+        if trouble:
+            self.warning = (
+                f"{trouble}; coils count as hot as their limit allows until they have cooled down, "
+                "and a dose that was there is unknown"
+            )
+        self._saved_s = -math.inf
+        self._write(rigs, now, sync=False)  # one that ends at once was there
+
+    def note_device(self, device: str) -> None:
+        """Record under this device from now on: the vibration goes there."""
+        self._device = device
+        self._saved_s = -math.inf
+
+    def update(self, rigs: Rigs, now_s: float) -> None:
+        """Record what has changed, if it is time, and begin a new dose with a new day.
+
+        now_s: of time.monotonic(). Raises nothing.
+        """
+        if self._folder is None or not self._day or not any(rigs) or now_s - self._saved_s < SAVE_S:
+            return
+        now = self._moment()
+        if now.day != self._day:
+            self._day, self.since = now.day, now.local
+            for processor in filter(None, rigs):
+                processor.begin_day()
+            return
+        states = [one for each in filter(None, rigs) for one in each.safety_states()]
+        if states != self._saved:
+            self._saved = states
+            self._write(rigs, now, sync=False)
+        self._saved_s = now_s
+
+    def close(self, rigs: Rigs) -> None:
+        """Record the end. Raises nothing."""
+        if self._day and any(rigs):
+            self._write(rigs, self._moment(), sync=True)
+
+    def _read(self, now: Moment) -> tuple[dict[str, Any], str]:
+        """Return the record, and what is wrong with it."""
+        assert self._folder is not None
+        path = self._folder / FILE
+        has_run = False
+        try:
+            make_private_folder(self._folder)
+            has_run = (self._folder / MARK).exists()
+            (self._folder / MARK).touch()
+            known = _checked(json.loads(path.read_text("utf-8")))
+        except FileNotFoundError:
+            return {}, f"{path} is missing although the cushion has run before" if has_run else ""
+        except (OSError, CushionError) as error:
+            return {}, f"{path} cannot be read ({error})"
+        except (ValueError, TypeError, KeyError, AttributeError):
+            return {}, f"{path} is damaged, or of another version"
+        if any(one["wall_s"] > now.wall_s and one["boot"] != now.boot for one in _each(known)):
+            return {}, f"{path} is from the future: the clock was set back"
+        return known, ""
+
+    def _write(self, rigs: Rigs, now: Moment, *, sync: bool) -> None:
+        assert self._folder is not None
+        path, kept = self._folder / FILE, {}
+        with suppress(OSError, ValueError, TypeError, KeyError, AttributeError):
+            kept = _checked(json.loads(path.read_text("utf-8")))["actuators"]
+        times = {"boot": now.boot, "boot_s": now.boot_s, "wall_s": now.wall_s, "day": now.day}
+        for index, processor in enumerate(rigs):
+            for channel, state in enumerate(processor.safety_states() if processor else ()):
+                kept[_key(self._device, index, channel)] = {**asdict(state), **times, "ended": sync}
+        record = {"version": VERSION, "day": self._day, "since": self.since, "actuators": kept}
+        try:
+            file = AtomicFile(path)
+            file.write(json.dumps(record, indent=1).encode())
+            file.commit(sync=sync)
+        except CushionError as error:
+            self.warning = f"temperatures and dose are not kept: {error}"
+
+
+def _key(device: str, index: int, channel: int) -> str:
+    return f"{device} {index}.{channel}"
+
+
+def _each(known: dict[str, Any]) -> Sequence[dict[str, Any]]:
+    return tuple(known["actuators"].values())
+
+
+def _checked(known: dict[str, Any]) -> dict[str, Any]:
+    """Return a record if every value in it can be. ValueError, TypeError, KeyError: it cannot."""
+    if known["version"] != VERSION:
+        raise ValueError(known["version"])
+    str(known["since"])
+    for one in _each(known):
+        numbers = [one["boot_s"], one["wall_s"], *DoseSums(**one["dose"]).__dict__.values()]
+        numbers += [one[name] for name in ("coil_c", "magnet_c") if one[name] is not None]
+        if not all(math.isfinite(number) and number >= 0.0 for number in numbers):
+            raise ValueError(numbers)
+        if not (isinstance(one["boot"], str) and isinstance(one["day"], str)):
+            raise TypeError(one)
+    return known
+
+
+def _continued(
+    record: dict[str, Any], now: Moment, processor: DrivenRig
+) -> tuple[SafetyState, str]:
+    """Return the state of one actuator now, and what is wrong with its record."""
+    bounds = processor.bounds()
+    same_boot = bool(now.boot) and record["boot"] == now.boot
+    passed_s = now.boot_s - record["boot_s"] if same_boot else now.wall_s - record["wall_s"]
+    dose = DoseSums(**record["dose"]) if record["day"] == now.day else DoseSums()
+    if not 0.0 <= passed_s <= _LONGEST_S:
+        warm = bounds.warmest
+        return SafetyState(warm.coil_c, warm.magnet_c, dose), "the time that has passed is unknown"
+    state = SafetyState(record["coil_c"], record["magnet_c"], dose)
+    if not record["ended"]:
+        unrecorded_s = min(passed_s, UNRECORDED_S if same_boot else UNSYNCED_S)
+        state = bounds.after_unrecorded(state, unrecorded_s)
+        passed_s -= unrecorded_s
+        if record["day"] != now.day and passed_s > 0.0:  # it was before midnight
+            state = replace(state, dose=dose)
+    return bounds.after_rest(state, passed_s), ""

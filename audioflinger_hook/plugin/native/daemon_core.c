@@ -1,0 +1,115 @@
+/* The daemon's core. */
+
+#include "daemon_core.h"
+
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "design_file.h"
+
+#define PIECE_FRAMES 1024
+
+struct DaemonCore {
+    Page *page;
+    LoadedCore loaded;
+    CoreControls controls; /* without a page: all actuators play */
+    int is_silent; /* the design cannot be used, or is for another samplerate: the daemon acts */
+    float sound[PIECE_FRAMES * DAEMON_INPUTS], signals[PIECE_FRAMES * CORE_ACTUATORS];
+};
+
+/* Read the daemon's design. A host that runs at another rate than the daemon expected says so in the
+ * page, and gets silence until the daemon has made a chain for its rate. With a design that cannot be
+ * used it gets silence, too: PipeWire 1.4 crashes where a plugin refuses. */
+static int load(DaemonCore *daemon, unsigned long samplerate)
+{
+    const char *path = daemon->page ? getenv("HAPTIC_CUSHION_DESIGN") : NULL;
+    const char *misfit = NULL;
+    if (daemon->page)
+        __atomic_store_n(&daemon->page->samplerate, samplerate, __ATOMIC_RELAXED);
+    if (path)
+        misfit = core_load(&daemon->loaded, path);
+    else if (core_find(&daemon->loaded, "paper", samplerate) != 1)
+        return 0;
+    if (!misfit && daemon->loaded.info.inputs > DAEMON_INPUTS)
+        misfit = "it has too many channels";
+    if (misfit) {
+        fprintf(stderr, "haptic_cushion: the design %s cannot be used: %s\n", path ? path : "found", misfit);
+        core_unload(&daemon->loaded);
+    }
+    daemon->is_silent = misfit || daemon->loaded.info.samplerate != samplerate;
+    return 1;
+}
+
+DaemonCore *daemon_core_open(unsigned long samplerate)
+{
+    DaemonCore *daemon = calloc(1, sizeof *daemon);
+    if (!daemon)
+        return NULL;
+    daemon->page = page_open();
+    if (!daemon->page && getenv("HAPTIC_CUSHION_PAGE")) {
+        fprintf(stderr, "haptic_cushion: the daemon's page cannot be used: it is of another version\n");
+        daemon_core_close(daemon);
+        return NULL;
+    }
+    daemon->controls.sound_gain = 1.0;
+    for (size_t which = 0; which < CORE_ACTUATORS; which++) {
+        daemon->controls.actuators[which].gain = 1.0;
+        daemon->controls.actuators[which].audible = 1;
+    }
+    if (!load(daemon, samplerate)) {
+        daemon_core_close(daemon);
+        return NULL;
+    }
+    return daemon;
+}
+
+void daemon_core_close(DaemonCore *daemon)
+{
+    if (!daemon)
+        return;
+    core_unload(&daemon->loaded);
+    page_close(daemon->page);
+    free(daemon);
+}
+
+void daemon_core_reset(DaemonCore *daemon)
+{
+    if (daemon->loaded.core)
+        core_reset(daemon->loaded.core, 0);
+}
+
+/* Process frames that the buffers have room for, from `first` on. */
+static void process_piece(DaemonCore *daemon, float *const *inputs, float *const *outputs, size_t first,
+                          size_t frames)
+{
+    const CoreInfo *info = &daemon->loaded.info;
+    const size_t channels = info->inputs;
+    const size_t signals = info->actuators ? info->actuators : info->vibrations;
+    for (size_t channel = 0; channel < channels; channel++)
+        for (size_t frame = 0; frame < frames; frame++)
+            daemon->sound[frame * channels + channel] =
+                inputs[channel] ? inputs[channel][first + frame] : 0.0f;
+    const CoreSound sound = {daemon->sound, (ptrdiff_t)(channels * sizeof(float)), sizeof(float), 0};
+    core_process(daemon->loaded.core, daemon->page ? &daemon->page->controls : &daemon->controls, sound,
+                 daemon->signals, frames, daemon->page ? &daemon->page->readings : NULL);
+    for (size_t output = 0; output < DAEMON_OUTPUTS; output++)
+        for (size_t frame = 0; outputs[output] && frame < frames; frame++)
+            outputs[output][first + frame] =
+                output < signals ? daemon->signals[frame * signals + output] : 0.0f;
+}
+
+void daemon_core_process(DaemonCore *daemon, float *const inputs[DAEMON_INPUTS],
+                         float *const outputs[DAEMON_OUTPUTS], size_t frames)
+{
+    for (size_t output = 0; daemon->is_silent && output < DAEMON_OUTPUTS; output++)
+        if (outputs[output])
+            memset(outputs[output], 0, frames * sizeof(float));
+    for (size_t done = 0; !daemon->is_silent && done < frames;) {
+        const size_t left = frames - done, part = left < PIECE_FRAMES ? left : PIECE_FRAMES;
+        process_piece(daemon, inputs, outputs, done, part);
+        done += part;
+    }
+    if (daemon->page)
+        __atomic_store_n(&daemon->page->cycle_frames, (uint64_t)frames, __ATOMIC_RELAXED);
+}

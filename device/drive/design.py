@@ -1,0 +1,148 @@
+"""What is done for one rig, as a design for the core: damping, protection, exposure meter."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from device.drive.damping import Damping, choose_damping
+from device.drive.exposure import DoseSums
+from device.drive.exposure.design import exposure_records, worst_second
+from device.drive.protection.design import latency_frames, protection_records
+from device.drive.protection.limits import Limits
+from device.drive.safety import SafetyBounds
+from device.records import Records
+from device.rig import ActuatorParameters, Rig, rig_by_name
+from device.rig.thermal import Temperatures
+from device.units import amplitude_to_db
+
+
+@dataclass(frozen=True)
+class DriveDesign:
+    """Damping, protection and exposure meter of one rig. Immutable; any thread may use it.
+
+    The damping makes up for the strength that it takes. Protection is always on, since a damped
+    signal exceeds full scale and must not be clipped.
+
+    rig: what is driven. samplerate: Hz, 6000 or more. damping: None for none. exposure_cap: one of
+    `CAPS`; above half of the cap's dose the gain falls slowly. limits: None for those of the rig.
+    records: numbers and tables, by name; see `DriveDesign` of the core. worst_second: bound on the
+    dose that a second can add.
+    UsageError: the sample rate is too low.
+    """
+
+    rig: Rig
+    samplerate: int
+    damping: Damping | None = None
+    exposure_cap: str = "off"
+    limits: Limits | None = None
+    records: Records = field(init=False, compare=False, repr=False)
+    worst_second: DoseSums = field(init=False, compare=False, repr=False)
+
+    def __post_init__(self) -> None:
+        damping = self.damping
+        sections = damping.sections(self.samplerate) if damping else np.empty((0, 6))
+        records: Records = {
+            "damping_gain": damping.gain if damping else 0.0,
+            "damping.count": len(sections),
+            "damping.sections": sections,
+        }
+        exposure = exposure_records(self.rig, self.samplerate, self.exposure_cap)
+        protection = protection_records(self.rig, self.samplerate, self.limits)
+        records |= {f"protection.{name}": value for name, value in protection.items()}
+        records |= {f"exposure.{name}": value for name, value in exposure.items()}
+        object.__setattr__(self, "records", records)
+        object.__setattr__(self, "worst_second", worst_second(self.rig, self.samplerate))
+
+    @property
+    def latency_frames(self) -> int:
+        """Delay of the vibration in frames: that of the protection."""
+        return latency_frames(self.samplerate)
+
+    @property
+    def knows_seat(self) -> bool:
+        """Whether the rig describes its seat; if not, the seat is taken to move like the mass."""
+        return self.rig.seat is not None
+
+    @property
+    def makeup_db(self) -> float:
+        """Gain of the damping that makes up for what it takes at the resonance; 0 without it."""
+        return amplitude_to_db(self.damping.gain) if self.damping else 0.0
+
+    def resistance_ohm(self, coil_c: float) -> float:
+        """Return the resistance of the coil at a temperature in °C."""
+        thermal = self.rig.thermal
+        if thermal is None:
+            return self.rig.actuator.resistance_ohm
+        warm = Temperatures(thermal)
+        warm.coil_k = coil_c - thermal.ambient_c
+        return warm.resistance_ohm(self.rig.actuator.resistance_ohm)
+
+    def bounds(self) -> SafetyBounds:
+        """Return the worst that the actuator can have done unrecorded."""
+        return SafetyBounds(self.rig, self.worst_second)
+
+
+def drive_design(
+    rig: str,
+    samplerate: int,
+    *,
+    damping: str = "off",
+    protection: str = "off",
+    exposure_cap: str = "off",
+) -> DriveDesign | None:
+    """Return the design for these choices; None if all three are "off".
+
+    rig: a name or a file, see `rig_by_name`. UsageError: there is no such rig, or the sample rate
+    is too low for the processing.
+    """
+    plan = DrivePlan.of(rig, samplerate, damping, protection, exposure_cap)
+    return plan and plan.design()
+
+
+class DrivePlan(NamedTuple):
+    """What a design is for; see `DriveDesign`."""
+
+    rig: Rig
+    samplerate: int
+    is_damped: bool
+    exposure_cap: str
+
+    @classmethod
+    def of(
+        cls, rig: str, samplerate: int, damping: str, protection: str, exposure_cap: str
+    ) -> DrivePlan | None:
+        """Return the plan for the choices of `drive_design`. UsageError: there is no such rig."""
+        if (damping, protection, exposure_cap) == ("off", "off", "off"):
+            return None
+        return cls(rig_by_name(rig), samplerate, damping != "off", exposure_cap)
+
+    def design(self) -> DriveDesign:
+        """Return the design. The first one of a rig takes half a second and loads SciPy.
+
+        UsageError: the sample rate is too low for the processing.
+        """
+        return _designed(self)
+
+
+@lru_cache(maxsize=16)
+def _designed(plan: DrivePlan) -> DriveDesign:
+    source = plan.rig.amplifier.source_impedance_ohm
+    damping = damping_for(plan.rig.actuator, source) if plan.is_damped else None
+    return DriveDesign(plan.rig, plan.samplerate, damping, plan.exposure_cap)
+
+
+def designs_of(plans: Sequence[DrivePlan]) -> list[DriveDesign]:
+    """Return the design of each plan. UsageError: see `DrivePlan.design`."""
+    return [plan.design() for plan in plans]
+
+
+@lru_cache(maxsize=8)
+def damping_for(actuator: ActuatorParameters, source_impedance_ohm: float) -> Damping:
+    """Return the damping chosen for a rig, made up; the first call per rig takes about a second."""
+    chosen = choose_damping(actuator, source_impedance_ohm=source_impedance_ohm)[0]
+    return replace(chosen.damping, gain=chosen.makeup)
