@@ -25,8 +25,9 @@ PACKAGES = [
 IO = r"(soundfile|os|io|time|pathlib|rich|pulsectl|pyaudio|threading|socket|subprocess|logging)\b"
 FORBIDDEN = [
     ("device", "audioflinger_hook"),
-    ("audioflinger_hook/transform", r"audioflinger_hook(?!\.transform\b)"),
-    ("audioflinger_hook/transform", r"device(?!\.(errors|extension|layouts|values)\b)"),
+    ("audioflinger_hook/core", r"audioflinger_hook(?!\.core\b)"),
+    ("audioflinger_hook/transform", r"audioflinger_hook(?!\.(transform|core)\b)"),
+    ("audioflinger_hook/transform", r"device(?!\.(errors|layouts|records|units|values)\b)"),
     ("audioflinger_hook/transform", IO),
     ("audioflinger_hook/mixer", r"audioflinger_hook\.(effect|sources|transform|capture)\b"),
     ("audioflinger_hook/mixer", IO),

@@ -6,7 +6,6 @@ import re
 import shutil
 import subprocess
 import sys
-import sysconfig
 import tarfile
 import tomllib
 import zipfile
@@ -22,7 +21,7 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 SCRIPTS = ["tools/setup.sh", "tools/fetch_recordings.sh", "tools/check_kernel.sh", ".ci/run"]
 SCRIPTS += ["tools/fetch_servers.sh", "tools/fetch_usb_mock.sh", "tools/fetch_usb_vm.sh"]
 SCRIPTS += ["tools/system_packages.sh", "tools/fetch_sounds.sh", "tools/fetch_browser.sh"]
-SCRIPTS += ["tools/unpacked_files.sh"]
+SCRIPTS += ["tools/unpacked_files.sh", "tools/wheels.sh"]
 TRANSFORM_SOURCES = "audioflinger_hook/transform/native"
 PLUGIN_SOURCES = ROOT / "audioflinger_hook/plugin/native"
 SET_UP = ROOT / "tools/setup.sh"
@@ -98,12 +97,11 @@ def test_the_wheel_holds_the_packages_type_markers_and_data(wheel_names):
 
 @pytest.mark.exhaustive
 def test_the_wheel_holds_what_is_compiled_and_no_source_of_it(wheel_names):
-    for name in ("audioflinger_hook/transform/_kernel", "device/_blocks"):
-        compiled = name + sysconfig.get_config_var("EXT_SUFFIX")
-        assert {compiled, f"{name}.pyi"} <= set(wheel_names)
+    core = "audioflinger_hook/core/haptic_cushion.so"
+    assert {core, "device/blocks_library.so"} <= set(wheel_names)
     suffixes = {Path(name).suffix for name in wheel_names if name.split("/")[0] in PACKAGES}
     page = {".html", ".css", ".js", ".svg"}
-    assert suffixes <= {".py", ".pyi", ".so", ".typed", ".toml", ".xml", ".json"} | page
+    assert suffixes <= {".py", ".so", ".typed", ".toml", ".xml", ".json"} | page
 
 
 @pytest.mark.exhaustive
@@ -111,24 +109,20 @@ def test_what_is_compiled_compiles_without_a_warning(wheel):
     assert not [line for line in wheel[1].splitlines() if "warning:" in line and "native/" in line]
 
 
+CORE = ("core", "core/drive", "plugin/native", "transform/native")
+
+
 @pytest.mark.parametrize(
-    ("number", "folder"), [(0, "audioflinger_hook/transform/native"), (2, "device/native")]
+    ("number", "folders"),
+    [(0, [f"audioflinger_hook/{folder}" for folder in CORE]), (1, ["device/native"])],
 )
-def test_every_source_is_built_and_every_header_rebuilds_it(number, folder):
+def test_every_source_is_built_and_every_header_rebuilds_it(number, folders):
     extension = PROJECT["tool"]["setuptools"]["ext-modules"][number]
-    native = ROOT / folder
-    for pattern, names in (("*.c", extension["sources"]), ("*.h", extension["depends"][:-1])):
-        assert names == sorted(path.relative_to(ROOT).as_posix() for path in native.glob(pattern))
-
-
-def test_the_plugin_is_built_of_its_own_sources_and_all_of_the_kernel_but_pythons_part():
-    kernel, plugin, _ = PROJECT["tool"]["setuptools"]["ext-modules"]
-    own = {path.relative_to(ROOT).as_posix() for path in PLUGIN_SOURCES.glob("*.c")}
-    of_python = {f"{TRANSFORM_SOURCES}/{name}.c" for name in ("module", "arguments")}
-    assert set(plugin["sources"]) == own | (set(kernel["sources"]) - of_python)
-    headers = {path.relative_to(ROOT).as_posix() for path in PLUGIN_SOURCES.glob("*.h")}
-    of_kernel = {name for name in kernel["depends"][:-1] if not name.endswith("/module.h")}
-    assert set(plugin["depends"]) == headers | of_kernel | {"pyproject.toml", "setup.py"}
+    depends = [name for name in extension["depends"] if name.endswith(".h")]
+    for pattern, names in (("*.c", extension["sources"]), ("*.h", depends)):
+        found = [path for folder in folders for path in (ROOT / folder).glob(pattern)]
+        assert names == sorted(path.relative_to(ROOT).as_posix() for path in found)
+    assert "pyproject.toml" in extension["depends"]
 
 
 @pytest.mark.exhaustive
@@ -141,18 +135,24 @@ def test_the_sdist_holds_the_sources_of_what_is_compiled(project_copy):
 
 
 @pytest.mark.exhaustive
-def test_a_kernel_that_does_not_compile_is_left_out_of_a_wheel_that_is_built_all_the_same(
-    project_copy, tmp_path
+@pytest.mark.parametrize(
+    ("source", "is_needed"),
+    [("audioflinger_hook/transform/native/fft.c", True), ("device/native/blocks.c", False)],
+)
+def test_no_wheel_lacks_the_core_and_one_without_the_rigs_library_is_built_all_the_same(
+    source, is_needed, project_copy, tmp_path
 ):
     broken = shutil.copytree(project_copy, tmp_path / "broken")
     for name in ("build", "haptic_cushion.egg-info"):
         shutil.rmtree(broken / name, ignore_errors=True)
-    for name in ("audioflinger_hook/transform/native/fft.c", "device/native/blocks.c"):
-        (broken / name).write_text("no C at all")
+    (broken / source).write_text("no C at all")
+    if is_needed:
+        with pytest.raises(AssertionError, match="fft"):
+            built(broken, "wheel")
+        return
     with zipfile.ZipFile(built(broken, "wheel")[0]) as archive:
-        names = archive.namelist()
-    assert "audioflinger_hook/transform/haptic.py" in names
-    assert not [name for name in names if name.endswith(".so")]
+        libraries = [name for name in archive.namelist() if name.endswith(".so")]
+    assert libraries == ["audioflinger_hook/core/haptic_cushion.so"]
 
 
 @pytest.mark.exhaustive

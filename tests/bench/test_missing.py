@@ -6,7 +6,6 @@ import json
 import fastjsonschema
 import pytest
 
-from audioflinger_hook.transform import haptic as kernel
 from tests.support.bench_runs import a_bench, bench_command
 from tests.support.commands import noise, sound
 from tests.support.recordings import require_recordings
@@ -21,16 +20,10 @@ from tools.bench.sounds.signals import (
     cost_scenes,
     examine_recordings,
 )
-from tools.bench.workbench import LIVE, NUMPY, QUICK
+from tools.bench.workbench import LIVE, QUICK
 from tools.records import PROJECT_ROOT
 
 SCHEMA = json.loads((PROJECT_ROOT / "tools/bench/report.schema.json").read_text())
-
-
-@pytest.fixture
-def without_kernel(monkeypatch):
-    monkeypatch.setattr(kernel, "_kernel", None)
-    monkeypatch.setattr(kernel, "_why_missing", "it was never built", raising=False)
 
 
 def a_report(*sections):
@@ -264,31 +257,6 @@ def test_a_record_that_is_gone_empty_or_spoiled_is_named(monkeypatch, tmp_path, 
     assert section.rows
 
 
-# ---------------------------------------------------------------------------------------- kernel
-
-
-@pytest.mark.exhaustive
-def test_without_the_kernel_its_rows_are_missing_and_those_in_numpy_are_not_called_it(
-    without_kernel, short_scenes
-):
-    assert [subject.name for subject in workbench.speed_subjects()] == [NUMPY, "reference"]
-    for each in (speed.cost_of_a_second, speed.cost_after_pauses, speed.worst_hop):
-        section = each(a_bench())
-        assert LIVE not in {row.column for row in section.rows}
-        assert NUMPY in {row.column for row in section.rows}
-        (gone,) = [gone for gone in section.missing if "compiled" in gone.name]
-        assert "it was never built" in gone.reason
-        assert gone.command == "rm -rf .venv && make run"
-
-
-@pytest.mark.exhaustive
-def test_with_the_kernel_none_of_its_rows_is_missing():
-    if kernel.kernel_warning():
-        pytest.skip(str(kernel.kernel_warning()))
-    assert workbench.not_compiled("anything") == ()
-    assert LIVE in {row.column for row in speed.cost_after_pauses(a_bench()).rows}
-
-
 # ------------------------------------------------------------------------------------- quick, full
 
 
@@ -303,7 +271,7 @@ def test_a_quick_run_measures_no_row_less_than_a_full_one_but_for_the_long_rende
     assert QUICK.render_s == workbench.FULL.render_s[:1]
     for name in vars(QUICK):
         assert getattr(QUICK, name) <= getattr(workbench.FULL, name), name
-    assert QUICK.hops_timed_in_numpy >= 1_000  # else no 99.9th percentile
+    assert QUICK.hops_timed >= 1_000  # else no 99.9th percentile
 
 
 def test_a_report_that_cannot_be_written_is_refused_before_anything_is_measured(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from audioflinger_hook.catalogue.measures import POINTS, VibrationMeter
-from device.drive.exposure import ExposureMeter
+from audioflinger_hook.drive.rig_driver import RigDriver
 from device.rig import rig_by_name
 
 RATE = 48_000
@@ -23,7 +23,7 @@ def test_exposure_is_that_of_the_exposure_meter(rig, tone_hz):
     time_s = np.arange(10 * RATE) / RATE
     vibration = 0.3 * np.sin(2 * np.pi * tone_hz * time_s) * (1 + np.sin(2.0 * time_s)) / 2
     vibration = np.column_stack([0.2 * vibration, vibration]).astype(np.float32)
-    meter = ExposureMeter(rig_by_name(rig), RATE, 2)
+    meter = RigDriver(rig_by_name(rig), RATE, 2)
     meter.process(vibration)
     # The meter interpolates linearly at 6 kHz: 0.5 %. Its last 0.1 s may be missing.
     expected = pytest.approx(meter.exposure().a8_m_s2, rel=0.02)

@@ -63,7 +63,7 @@ def done_catalogue(folder, lines):
 
 @pytest.mark.parametrize(
     ("few", "many"),
-    [(1_000, 10_000), pytest.param(100_000, 1_000_000, marks=pytest.mark.exhaustive)],
+    [(1_000, 10_000), pytest.param(100_000, 1_000_000, marks=pytest.mark.soak)],
 )
 def test_memory_does_not_grow_with_the_manifest_and_a_done_item_takes_under_2_ms(
     tmp_path, few, many

@@ -8,6 +8,7 @@ import resource
 import signal
 import struct
 import subprocess
+import sys
 import tempfile
 from pathlib import Path
 
@@ -637,3 +638,15 @@ def test_a_refused_command_leaves_no_file_open(source, tmp_path, out):
     before = open_files()
     fail()
     assert open_files() == before
+
+
+def test_an_interrupt_of_code_that_an_import_makes_is_exit_code_130(tmp_path):
+    (tmp_path / "interrupted.py").write_text(
+        "import sys\n"
+        "from audioflinger_hook import cli\n"
+        "cli._run = lambda _: exec('raise KeyboardInterrupt')\n"
+        "sys.exit(cli.main([]))\n"
+    )
+    command = [sys.executable, "-m", "interrupted"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (130, "cushion: interrupted\n")

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from audioflinger_hook.config.profiles import LIVE_DEFAULT
+from audioflinger_hook.core.compiled_core import Core
 from audioflinger_hook.plugin import install as installing
 from audioflinger_hook.plugin.install import RATES_HZ
-from audioflinger_hook.transform.design import LiveDesign
 from tests.support.commands import call
 
 
@@ -41,7 +41,7 @@ def test_install_writes_everything_twice_the_same_and_remove_takes_it_back(home:
     assert len(designs) == 4 * (len(RATES_HZ) + 1)
     for path in designs:
         rate_hz = int(path.stem.rpartition("-")[2])
-        assert LiveDesign.from_bytes(first[path]).samplerate == rate_hz
+        assert Core(first[path]).info.samplerate == rate_hz
     chain = (own.parent / "haptic-cushion.conf").read_text()
     assert "haptic_cushion_game" in chain
     assert 'target.object = "dac"' in chain

@@ -383,12 +383,13 @@ def test_the_effect_has_the_ranges_of_the_schema() -> None:
 
 
 KINDS = {
-    "nothing": ("level", "actuators", "volume", "offset", "way"),
+    "nothing": ("level", "actuators", "volume", "offset"),
     "next stream": ("priority",),
     "stream": ("tap", "device", "drop_in"),
     "streams": ("blocks",),
     "transform": ("transform",),
     "engine": ("engine",),
+    "another engine": ("way",),
 }
 """By the schema's words, what `ConfigDiff` calls a change."""
 

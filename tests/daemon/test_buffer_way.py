@@ -12,14 +12,14 @@ import numpy as np
 from audioflinger_hook.daemon.capture_queue import CaptureQueue
 from audioflinger_hook.daemon.engine import Clocks, Engine
 from device.drive import ChannelMap
-from device.drive.drive import ChannelRouter
+from device.drive.channel_router import ChannelRouter
 
 ROOT = Path(__file__).resolve().parents[2]
 WAY = (ROOT / "docs/architecture.md").read_text().partition("\n## One buffer's way\n")[2]
 WAY = WAY.partition("\nWhat happens on the way:")[0]
 
 RATE_HZ, BLOCK = 48_000, 256
-CARRIERS_MAX = 15
+CARRIERS_MAX = 17
 
 
 def listed_carriers() -> set[str]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 import shutil
 import subprocess
-from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
@@ -17,18 +16,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from audioflinger_hook.config.settings import LiveSettings, Settings
+from audioflinger_hook.core.structures import PARTIALS
 from audioflinger_hook.daemon import engine_switch
 from audioflinger_hook.daemon.engine_switch import EngineSwitch
-from audioflinger_hook.daemon.handover import (
-    DIP_S,
-    DRAINED_S,
-    FADED_S,
-    HOLD_S,
-    OPENED_S,
-    SETTLES_S,
-    Dip,
-    Handover,
-)
 from audioflinger_hook.daemon.native import abilities
 from audioflinger_hook.daemon.native import layout as layout_module
 from audioflinger_hook.daemon.native.abilities import (
@@ -80,11 +70,9 @@ def config(settings: Settings | None = None, **live: Any) -> RunConfig:
     ("changes", "reason"),
     [
         ({}, ""),
-        ({"protection": "on"}, "protection is on"),
-        ({"exposure_cap": "action"}, "exposure_cap is on"),
-        ({"damping": "auto"}, "damping is on, and with it protection"),
+        ({"protection": "on", "exposure_cap": "action", "damping": "auto"}, ""),
         ({"form": "reference"}, "transform = 'reference'"),
-        ({"actuators": (ActuatorSettings((0,), protection="on"),)}, "protection is on"),
+        ({"actuators": (ActuatorSettings((0,), protection="on"),)}, ""),
         ({"actuators": (ActuatorSettings((0,)), ActuatorSettings((1,), "left"))}, ""),
     ],
 )
@@ -92,10 +80,6 @@ def test_the_first_thing_that_the_native_engine_cannot_do_is_named(
     changes: dict[str, Any], reason: str
 ) -> None:
     assert why_not_config(config(Settings(**changes))) == reason
-
-
-def test_damping_alone_is_within_the_native_engines_abilities_if_it_is_asked_for() -> None:
-    assert why_not_config(config(Settings(damping="auto"), engine="native")) == ""
 
 
 @pytest.mark.parametrize(
@@ -197,10 +181,10 @@ def test_the_page_has_the_layout_that_the_plugin_reads(tmp_path: Path) -> None:
 
 def test_a_page_is_private_and_its_file_goes_with_it(tmp_path: Path) -> None:
     path = tmp_path / "page"
-    page = Page(path, 2, 1, 1)
+    page = Page(path, 2, 1, [0])
     assert path.stat().st_mode & 0o777 == 0o600
     with pytest.raises(FileExistsError):
-        Page(path, 2, 1, 1)
+        Page(path, 2, 1, [0])
     page.set_actuator(0, -0.5, 9.0)
     page.set_audible(True)
     assert page.readings().frames == 0
@@ -210,67 +194,33 @@ def test_a_page_is_private_and_its_file_goes_with_it(tmp_path: Path) -> None:
 
 
 def test_partials_that_are_being_written_are_not_read(tmp_path: Path) -> None:
-    page = Page(tmp_path / "page", 2, 1, 1)
-    told = page._page.partials
+    page = Page(tmp_path / "page", 2, 1, [0])
+    told = page._page.readings
     assert page.principal() == []
-    told.sequence, told.count = 2, 1
+    told.sequence, told.partials_count = 2, 1
     told.partials[0][:] = (440.0, 100.0, 0.25)
     assert page.principal() == [(440.0, 100.0, 0.25)]
     assert page.reader.shown() == ((2, 1, 1), (*(0.0,) * 6, 440.0, 100.0, 0.25))
     told.sequence = 3  # odd: the plugin is writing
     assert page.principal() == []
     assert page.reader.shown() == ((2, 1, 0), (0.0,) * 6)
-    told.sequence, told.count = 4, 1 << 40  # of a plugin gone wrong
-    assert len(page.principal()) == layout_module.PARTIALS
+    told.sequence, told.partials_count = 4, 1 << 40  # of a plugin gone wrong
+    assert len(page.principal()) == PARTIALS
     page.close()
 
 
 def test_levels_are_read_for_each_channel_and_actuator(tmp_path: Path) -> None:
-    page = Page(tmp_path / "page", 2, 1, 2)
-    page._page.readings.channels[1][:] = (0.5, 0.125)
-    page._page.actuators[1].peak, page._page.actuators[1].square = 0.25, 0.03
+    page = Page(tmp_path / "page", 2, 1, [0, 0])
+    readings = page._page.readings
+    readings.sound[1].peak, readings.sound[1].mean_square = 0.5, 0.125
+    level = readings.actuators[1].level
+    level.peak, level.mean_square = 0.25, 0.03
     assert page.channel_readings() == [(0.0, 0.0), (0.5, 0.125)]
     assert page.reader.shown() == ((2, 2, 0), (0.0, 0.0, 0.5, 0.125, 0.0, 0.0, 0.25, 0.03))
     page.close()
 
 
-# --------------------------------------------------------------------------------------- handover
-
-
-def faded(ask: Callable[[SoftFade, float], bool], fade: SoftFade, now_s: float) -> float:
-    """The time at which a fade is over; the output requests 10 ms each."""
-    for _ in range(200):
-        if ask(fade, now_s):
-            return now_s
-        fade.apply(np.ones((480, 1), np.float32))
-        now_s += 0.01
-    raise AssertionError("it never ends")
-
-
-def test_a_fade_ends_once_the_device_has_played_it() -> None:
-    handover, fade = Handover(), SoftFade(48_000)
-    assert not handover.is_under_way
-    silent_s = faded(handover.fade_out, fade, 5.0)
-    assert FADE_S + DRAINED_S < silent_s - 5.0 < FADE_S + DRAINED_S + 0.05
-    assert handover.is_under_way
-    assert fade.position == 0.0
-    full_s = faded(handover.fade_in, fade, silent_s)
-    assert HOLD_S + FADE_S <= full_s - silent_s < HOLD_S + FADE_S + 0.05
-    handover.reset()
-    assert not handover.is_under_way
-
-
-def test_a_device_that_requests_nothing_does_not_hold_up_the_change() -> None:
-    handover, fade = Handover(), SoftFade(48_000)
-    assert not handover.fade_out(fade, 5.0)
-    assert handover.fade_out(fade, 5.1 + FADED_S)
-
-
-def test_streams_that_begin_silent_settle() -> None:
-    handover = Handover()
-    handover.begin_silent(10.0)
-    assert not handover.has_settled(10.0 + 0.9 * SETTLES_S)
-    assert handover.has_settled(10.1 + SETTLES_S)
+# ------------------------------------------------------------------------------------------- fades
 
 
 @pytest.mark.parametrize("frames", [1, 64, 512, 8_191])
@@ -289,28 +239,13 @@ def test_a_fade_has_no_step_however_long_the_blocks_are(frames: int) -> None:
     assert (block == np.float32(0.3)).all()
 
 
-def test_the_native_engine_is_silent_until_streams_have_joined_or_do_not_open() -> None:
-    dip = Dip()
-    assert not dip.is_under_way
-    dip.begin(1.0)
-    dip.begin(1.2)
-    assert not dip.is_over(1.0 + 0.9 * DIP_S)
-    assert dip.is_over(1.01 + DIP_S)
-    dip.note_open(1.05)
-    dip.note_open(1.2)
-    assert not dip.is_over(1.05)
-    assert dip.is_over(1.06 + OPENED_S)
-    dip.end()
-    assert not dip.is_under_way
-
-
 def test_the_volume_is_set_again_on_another_server_that_gives_the_same_index(
     tmp_path: Path,
 ) -> None:
     config = RunConfig(
         parse_tap("default"), parse_device("sink:dac"), Settings(), LiveSettings(device="dac")
     )
-    switch = EngineSwitch(config, tmp_path, StateKeeper(0.0), lambda: None)
+    switch = EngineSwitch(config, tmp_path, StateKeeper(0.0), lambda: None, lambda *_: None)
     volume, levels_db = DeviceVolume(-6.0), list[tuple[str, float]]()
     for name in "ab":
         server = SimpleNamespace(
@@ -336,7 +271,7 @@ def test_a_python_engine_that_lacks_alsas_plugin_is_refused_at_the_start(
     monkeypatch.setattr(engine_switch, "missing_plugin", lambda: "the plugin is missing")
     live = LiveSettings(tap=(tap,), engine="python")
     config = RunConfig(parse_tap(tap), parse_device(device), Settings(), live)
-    switch = EngineSwitch(config, tmp_path, StateKeeper(0.0), lambda: None)
+    switch = EngineSwitch(config, tmp_path, StateKeeper(0.0), lambda: None, lambda *_: None)
     refused = pytest.raises(NotFoundError, match=r"engine = 'python'.*the plugin is missing")
     with refused if is_refused else nullcontext():
         switch.check(None)

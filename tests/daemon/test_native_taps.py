@@ -29,6 +29,15 @@ def test_the_vibration_never_comes_back_by_the_devices_monitor() -> None:
     assert set(DESK.mirrored(graph, "dac", INPUTS)) == {(33, 41)}
 
 
+def test_what_plays_to_the_device_is_not_tapped_be_it_the_vibration_itself() -> None:
+    graph = desktop()
+    play(graph, 60, "player", 20)
+    graph.apply([link(90, 51, 21, graph)])  # the chain's own vibration
+    anywhere = Tap("any", ("FL", "FR"), "", AppRules(("*",)))
+    for tap in (anywhere, Tap("dac.monitor", ("FL", "FR"), "dac")):
+        assert not set(tap.mirrored(graph, "dac", INPUTS))
+
+
 def test_rules_choose_among_the_streams_of_the_sink_by_program_and_client() -> None:
     graph = desktop()
     play(graph, 60, "a", 10, **{"application.name": "Game"})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from device.rig.actuator import LinearActuator
 from device.units import Float32Array, FloatArray
 
 needs_compiled = pytest.mark.skipif(
-    blocks.compiled is None, reason="device._blocks is not built here: see tools/setup.sh"
+    blocks.compiled is None, reason="device/blocks_library.so is not built here: see tools/setup.sh"
 )
 
 
@@ -113,11 +114,10 @@ def test_what_does_not_fit_is_refused_and_nothing_is_read(change: dict[str, obje
         "fraction": 0.0,
         "step": 1.0,
     }
-    blocks.compiled.cubic(*fitting.values())
+    cubic: Callable[..., None] = blocks.compiled.cubic
+    cubic(**fitting)
     with pytest.raises((TypeError, ValueError, BufferError, OverflowError)):
-        blocks.compiled.cubic(*(fitting | change).values())
-    with pytest.raises(TypeError):
-        blocks.compiled.cubic(*list(fitting.values())[:4])
+        cubic(**(fitting | change))
 
 
 def test_without_what_is_compiled_the_same_is_done_in_numpy(
@@ -152,19 +152,12 @@ def test_a_block_that_is_taken_is_bytes_then_and_all_zero(
 
 @needs_compiled
 @pytest.mark.parametrize(
-    "array",
-    [
-        np.zeros(4),
-        np.zeros((4, 2), np.float32)[:, :1],
-        b"1234",
-        None,
-        np.frombuffer(b"1234", np.float32),
-    ],
+    "array", [np.zeros((4, 2), np.float32)[:, :1], b"1234", None, np.zeros(4, np.int16)]
 )
 def test_what_cannot_be_taken_is_refused(array: object) -> None:
     assert blocks.compiled is not None
-    with pytest.raises((TypeError, ValueError, BufferError)):
-        blocks.compiled.emptied(array)
+    with pytest.raises((TypeError, BufferError)):
+        blocks.compiled.peak(array)  # type: ignore[arg-type]
 
 
 VOLTS = st.floats(-30.0, 30.0) | st.sampled_from([0.0, -0.0, 5e-324, 1e101, math.nan, -math.inf])
@@ -227,11 +220,10 @@ def test_what_is_no_motion_is_refused_and_nothing_is_moved(change: dict[str, obj
         "stop": 8,
         "limit": 1e100,
     }
+    move: Callable[..., int] = blocks.compiled.linear_motion
     with pytest.raises((TypeError, ValueError, BufferError, OverflowError)):
-        blocks.compiled.linear_motion(*(fitting | change).values())
-    with pytest.raises(TypeError):
-        blocks.compiled.linear_motion(*list(fitting.values())[:7])
+        move(**(fitting | change))
     assert not state.any()
     assert not moved.any()
-    assert blocks.compiled.linear_motion(*fitting.values()) == 0
+    assert move(**fitting) == 0
     assert moved.any()

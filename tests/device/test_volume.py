@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from audioflinger_hook.daemon.outputs.base import DeviceVolume
 from device.errors import LostError, NotFoundError, UsageError
+from device.volume_limit import limit_volume_db
 
 
 def test_nothing_is_set_while_nothing_is_wanted() -> None:
@@ -79,3 +84,15 @@ def test_a_warning_ends_with_what_it_was_about(wanted_db: float | None) -> None:
     volume.wanted_db = wanted_db
     volume.update(lambda _: None)
     assert volume.warning == ""
+
+
+@given(st.floats(allow_nan=False), st.floats(-80.0, 20.0))
+def test_no_level_above_0_db_nor_the_limit_is_ever_set(wanted_db: float, limit_db: float) -> None:
+    level_db = limit_volume_db(wanted_db, -math.inf, "the device", limit_db)
+    assert level_db <= min(0.0, limit_db)
+    assert level_db == wanted_db or wanted_db > min(0.0, limit_db)
+
+
+def test_a_device_that_is_too_loud_at_its_lowest_is_refused() -> None:
+    with pytest.raises(UsageError, match="cannot be set safely"):
+        limit_volume_db(-6.0, 1.0, "the device")

@@ -27,7 +27,6 @@ import numpy as np
 import scipy.fft
 import soundfile
 
-from audioflinger_hook import HapticTransform
 from audioflinger_hook.cli import main as cushion
 from audioflinger_hook.transform import TRANSFORM_VERSION
 
@@ -127,23 +126,6 @@ def configured(recording: Path, config: str, *options: object) -> Callable[[Path
     return render
 
 
-def numpy_live(recording: Path, profile: str) -> Callable[[Path], bytes]:
-    """Return a case: the NumPy implementation of the live form on half a second."""
-
-    def transform(_folder: Path) -> bytes:
-        from audioflinger_hook.config.profiles import parameters_of
-
-        with soundfile.SoundFile(recording) as file:
-            sound = file.read(file.samplerate // 2, dtype="float32", always_2d=True)
-            rate = file.samplerate
-        live = HapticTransform(
-            rate, sound.shape[1], parameters_of(profile), per_channel=True, implementation="numpy"
-        )
-        return np.concatenate([live.process(sound), live.finish()]).tobytes()
-
-    return transform
-
-
 def kernel_settings(samplerate: int, profile: str) -> Callable[[Path], bytes]:
     """Return a case: all numbers and tables that the compiled kernel is given."""
 
@@ -196,8 +178,6 @@ def cases() -> Iterator[Case]:
                 options = ("--transform", form, "--profile", profile, "--channels", channels)
                 yield f"render/{name}/{form}/{profile}/{channels}", rendered(file, *options)
         yield f"inspect/{name}", inspected(file)
-    for file, profile in itertools.product(files[::6], PROFILES):
-        yield f"numpy/{file.stem}/{profile}", numpy_live(file, profile)
     for file, rig in itertools.product(files[::9], ("paper", "consumer")):
         options = ("--rig", rig, "--damping", "auto", "--acceleration", "x.rig.wav")
         yield f"rig/{file.stem}/{rig}", rendered(file, *options)

@@ -72,7 +72,8 @@ def test_processes_that_were_stopped_look_like_a_machine_that_stood_still() -> N
         deadline_s = time.monotonic() + 5.0
         while not (found := [one for one in witness.pauses() if one.seconds > 0.05]):
             assert time.monotonic() < deadline_s
-    assert found[0].seconds == pytest.approx(0.1, abs=0.05)
+        most_s = time.monotonic() - stopped_s  # a busy machine lets them go on later
+    assert 0.05 < found[0].seconds < most_s
 
 
 def test_one_core_that_is_taken_away_is_a_pause_only_of_that_core() -> None:

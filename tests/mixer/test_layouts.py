@@ -82,15 +82,14 @@ def test_of_7_1_the_sides_are_before_and_behind():
     assert depths(24).count("B") == 6
 
 
-@pytest.mark.parametrize("implementation", ["compiled", "numpy"])
-def test_each_source_is_transformed_by_itself(implementation):
+def test_each_source_is_transformed_by_itself():
     sound = noise(6_000, 4)
     found = source_weights(4, ("left", "back"))
-    transform = HapticTransform(RATE, 4, weights=found, implementation=implementation)
+    transform = HapticTransform(RATE, 4, weights=found)
     assert transform.channels_out == 2
     both = np.concatenate([transform.process(sound), transform.finish()])
     for column, mixed in enumerate((0.5 * (sound[:, 0] + sound[:, 2]), sound[:, 2:].mean(axis=1))):
-        alone = HapticTransform(RATE, 1, implementation=implementation)
+        alone = HapticTransform(RATE, 1)
         wanted = np.concatenate([alone.process(mixed.astype(np.float64)), alone.finish()])
         # The sum was made in float64 there and in float32 here: 6e-8 of full scale, then bands
         # of it beside each other.

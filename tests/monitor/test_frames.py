@@ -33,19 +33,19 @@ class Native(Settings):
 @pytest.fixture
 def native(tmp_path: Path) -> Iterator[NativePage]:
     (tmp_path / FOLDER_NAME).mkdir(mode=0o700)
-    opened = NativePage(tmp_path / FOLDER_NAME / "memory", 2, 1, 1)
+    opened = NativePage(tmp_path / FOLDER_NAME / "memory", 2, 1, [0])
     yield opened
     opened.close()
 
 
 def play(native: NativePage, hz: float) -> None:
     """Write as the plugin does at the end of a buffer."""
-    written = native._page
-    written.partials.count = 1
-    written.partials.partials[0][:] = (hz, 100.0, 0.25)
-    written.partials.sequence += 2
-    written.readings.channels[1][:] = (0.5, 0.125)
-    written.readings.frames += 512
+    written = native._page.readings
+    written.partials_count = 1
+    written.partials[0][:] = (hz, 100.0, 0.25)
+    written.sequence += 2
+    written.sound[1].peak, written.sound[1].mean_square = 0.5, 0.125
+    written.frames += 512
 
 
 def partials(live: ClientConnection) -> Any:

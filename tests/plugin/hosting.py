@@ -4,19 +4,32 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from audioflinger_hook.config.profiles import parameters_of
+from audioflinger_hook.core.design import core_design
+from audioflinger_hook.mixer.layouts import source_weights
 from audioflinger_hook.plugin import plugin_path
 from audioflinger_hook.transform import HapticTransform
 from audioflinger_hook.transform.design import LiveDesign
+from audioflinger_hook.transform.downmix import source_mixes
+from device.drive.design import DriveDesign, damping_for
+from device.rig import CONSUMER, PAPER
 
 Floats = NDArray[np.float32]
 
 PROFILES = ("paper", "cinema", "game", "music")
+RATES_HZ = (
+    *(8_000, 11_025, 16_000, 22_050, 32_000, 44_100, 48_000, 88_200, 96_000, 176_400, 192_000),
+)
+ODD = (np.nan, np.inf, -np.inf, 1e30, -1e30)
+"""What is no usable sample, gain or delay."""
+STRONG = replace(PAPER, amplifier=replace(PAPER.amplifier, gain=400.0))
+"""A rig that protection has to limit all the time."""
 LATENCY, SOUND_PEAK, VIBRATION_PEAK = 3, 4, 5
 
 
@@ -73,8 +86,62 @@ def write_design(folder: Path, profile: str, rate_hz: int) -> Path:
     """Write a design where the plugin looks for it, in the data folder `folder`."""
     path = folder / "haptic-cushion" / "designs" / f"{profile}-{rate_hz}.design"
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(LiveDesign.of(parameters_of(profile), rate_hz).to_bytes())
+    design = LiveDesign.of(parameters_of(profile), rate_hz)
+    path.write_bytes(core_design(rate_hz, 2, transform=design.records()))
     return path
+
+
+DESIGNS = ("transform", "protected", "several")
+
+
+def any_design(kind: str, rate_hz: int, channels: int) -> bytes:
+    """A transform alone, with one damped and capped rig, or with three actuators of two sides."""
+    damping = damping_for(CONSUMER.actuator, CONSUMER.amplifier.source_impedance_ohm)
+    damped = DriveDesign(CONSUMER, rate_hz, damping, "action")
+    drives: dict[str, list[DriveDesign | None]] = {
+        "transform": [],
+        "protected": [damped],
+        "several": [damped, DriveDesign(STRONG, rate_hz, exposure_cap="limit"), None],
+    }
+    sides = ("mix", "left", "front") if kind == "several" else ()
+    return core_design(
+        rate_hz,
+        channels,
+        transform=LiveDesign.of(parameters_of("cinema"), rate_hz).records(),
+        mixes=source_mixes(source_weights(channels, sides)) if sides else (),
+        drives=drives[kind],
+        delay_frames_max=rate_hz,
+    )
+
+
+def damaged(design: bytes) -> dict[str, bytes]:
+    """Return a design damaged in each way, by what is said of it."""
+    return {
+        "cut or too long": design[:-8],
+        "not a design": b"RIFF" + design[4:],
+        "another version": design[:8] + b"\x63" + design[9:],
+        "damaged": design[:400] + bytes([design[400] ^ 16]) + design[401:],
+    }
+
+
+def any_sound(rng: np.random.Generator, rate_hz: int, frames: int, channels: int) -> Floats:
+    """Bursts of tones and noise in unequal and opposite channels, with unusable samples in them."""
+    at_s = np.arange(frames) / rate_hz
+    tones = np.sin(2 * np.pi * 440.0 * at_s) + 0.4 * np.sin(2 * np.pi * 1_130.0 * at_s)
+    parts = rng.uniform(-0.5, 0.5, channels) * tones[:, None]
+    parts += 0.05 * rng.standard_normal(parts.shape)
+    parts *= ((at_s % 0.5) < 0.3)[:, None]
+    for odd in ODD:
+        parts[rng.integers(0, frames, 5), rng.integers(0, channels, 5)] = odd
+    return parts.astype(np.float32)
+
+
+def any_lengths(rng: np.random.Generator, frames: int) -> list[int]:
+    """Lengths of 0 to 65 536 frames, as many short as long ones, that are so many together."""
+    lengths: list[int] = []
+    while (left := frames - sum(lengths)) > 0:
+        lengths.append(min(left, int(2.0 ** rng.uniform(-1.0, 16.0))))
+    return lengths
 
 
 class Instance:

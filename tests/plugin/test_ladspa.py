@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import struct
 import subprocess
@@ -13,23 +14,35 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from audioflinger_hook.config.profiles import LIVE_DEFAULT, parameters_of
+from audioflinger_hook.core.compiled_core import Core
+from audioflinger_hook.core.design import core_design
+from audioflinger_hook.core.structures import Controls
 from audioflinger_hook.daemon.native.page import Page
 from audioflinger_hook.mixer.layouts import source_weights
 from audioflinger_hook.transform import HapticTransform
-from device.drive.damping import Damper
-from device.drive.rig_processor import damping_for
-from device.rig import rig_by_name
+from audioflinger_hook.transform.design import LiveDesign
+from audioflinger_hook.transform.downmix import source_mixes
+from device.drive.design import DriveDesign, drive_design
+from device.drive.exposure import DoseSums
+from device.drive.safety import SafetyState
 from tests.plugin.hosting import (
+    DESIGNS,
     LATENCY,
+    ODD,
     PROFILES,
+    RATES_HZ,
     SOUND_PEAK,
     VIBRATION_PEAK,
     Floats,
     Instance,
+    any_design,
+    any_lengths,
+    any_sound,
+    damaged,
     descriptors,
     split,
     vibration,
@@ -72,27 +85,35 @@ SOUND = bursts(2.0)
 # ------------------------------------------------------------------------------------ the vibration
 
 
-@pytest.mark.parametrize("profile", PROFILES)
-@pytest.mark.parametrize("lengths", [(1024,), (0, 1, 8_191, 3), (96_000,)])
-def test_it_gives_the_bytes_of_the_transform_whatever_the_blocks(
-    profile: str, lengths: tuple[int, ...]
+seeds = st.integers(0, 2**32 - 1)
+rates_hz = st.sampled_from(RATES_HZ) | st.integers(8_000, 192_000)
+FRAMES = 100_000
+
+
+@given(seed=seeds, rate_hz=rates_hz, profile=st.sampled_from(PROFILES))
+def test_a_face_gives_the_bytes_of_ctypes_at_any_rate_with_any_blocks_sound_and_controls(
+    seed: int, rate_hz: int, profile: str, designs: Path
 ) -> None:
-    instance = Instance(f"haptic_cushion_{profile}", RATE_HZ)
-    got = np.concatenate([instance.run(part) for part in split(SOUND, lengths)])
+    rng = np.random.default_rng(seed)
+    sound = any_sound(rng, rate_hz, FRAMES, 2)
+    design = write_design(designs, profile, rate_hz).read_bytes()
+    wanted = Core(design).process(sound)[:, 0]
+    instance = Instance(f"haptic_cushion_{profile}", rate_hz)
+    # decibels, milliseconds: what is beyond the range counts as its end, what is no number as 0
+    gain_db, gain = [(0.0, 1.0), (np.nan, 1.0), (1e30, 10.0), (-np.inf, 1e-3)][rng.integers(4)]
+    delay_ms, delay_s = [(0.0, 0), (np.nan, 0), (np.inf, 1), (-1e30, 0), (1_000.0, 1)][
+        rng.integers(5)
+    ]
+    bypass = rng.choice([0.0, 0.0, np.nan, -np.inf, 1e30])
+    instance.controls[GAIN], instance.controls[DELAY] = gain_db, delay_ms
+    instance.controls[BYPASS] = bypass
+    got = np.concatenate([instance.run(part) for part in split(sound, any_lengths(rng, FRAMES))])
     instance.close()
-    wanted = vibration(SOUND, profile, RATE_HZ)
-    assert np.abs(wanted).max() > 0.01
-    assert np.array_equal(got[:, 0], wanted)
-    assert np.array_equal(got[:, 1], wanted)
-
-
-@pytest.mark.parametrize("rate_hz", [44_100, 88_200, 96_000, 176_400, 192_000])
-def test_it_works_at_every_samplerate_that_hosts_use(rate_hz: int, designs: Path) -> None:
-    write_design(designs, "music", rate_hz)
-    instance = Instance("haptic_cushion_music", rate_hz)
-    got = np.concatenate([instance.run(part) for part in split(SOUND, (4_096,))])
-    instance.close()
-    assert np.array_equal(got[:, 0], vibration(SOUND, "music", rate_hz))
+    wanted = (gain * wanted.astype(np.float64)).astype(np.float32) * np.float32(not bypass > 0.0)
+    wanted = np.pad(wanted, (delay_s * rate_hz, 0))[:FRAMES]
+    assert got[:, 0].tobytes() == got[:, 1].tobytes()
+    # a factor other than 1 is rounded once more
+    np.testing.assert_array_max_ulp(got[:, 0], wanted, maxulp=int(gain != 1.0))
 
 
 def test_inputs_may_be_the_outputs() -> None:
@@ -122,19 +143,6 @@ def test_activate_begins_a_new_stream() -> None:
     got = instance.run(SOUND)
     instance.close()
     assert np.array_equal(got[:, 0], vibration(SOUND, "cinema", RATE_HZ))
-
-
-@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e30])
-def test_unusable_samples_give_the_vibration_of_silence(bad: float) -> None:
-    sound = SOUND.copy()
-    sound[20_000:20_400] = bad
-    usable = sound.copy()
-    usable[20_000:20_400] = 0.0
-    instance = Instance("haptic_cushion_paper", RATE_HZ)
-    got = instance.run(sound)
-    instance.close()
-    assert np.isfinite(got).all()
-    assert np.array_equal(got[:, 0], vibration(usable, "paper", RATE_HZ))
 
 
 def test_it_reports_latency_and_peaks() -> None:
@@ -197,103 +205,159 @@ def test_delay_and_bypass_change_without_a_click(control: int, value: float) -> 
     assert np.abs(back[-4_096:]).max() > 0.1
 
 
-@given(gain=st.floats(width=32), delay=st.floats(width=32), bypass=st.floats(width=32))
-@settings(max_examples=30, deadline=None)
-def test_any_control_gives_finite_vibration(gain: float, delay: float, bypass: float) -> None:
-    instance = Instance("haptic_cushion_paper", RATE_HZ)
-    instance.controls[GAIN], instance.controls[DELAY], instance.controls[BYPASS] = (
-        gain,
-        delay,
-        bypass,
+# -------------------------------------------------------------------------------- the daemon's core
+
+
+def daemon_instance(
+    folder: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    design: bytes,
+    page: Page,
+    rate_hz: int = RATE_HZ,
+) -> Instance:
+    """The daemon's plugin with its design and page."""
+    path = folder / "design"
+    path.write_bytes(design)
+    monkeypatch.setenv("HAPTIC_CUSHION_DESIGN", str(path))
+    monkeypatch.setenv("HAPTIC_CUSHION_PAGE", str(page.path))
+    return Instance("haptic_cushion_daemon", rate_hz)
+
+
+def padded(sound: Floats) -> Floats:
+    """A sound with as many channels as the plugin has."""
+    return np.pad(sound, ((0, 0), (0, 8 - sound.shape[1])))
+
+
+def driven_design(
+    channels: int, sources: tuple[str, ...], drives: list[DriveDesign | None]
+) -> bytes:
+    return core_design(
+        RATE_HZ,
+        channels,
+        transform=LiveDesign.of(parameters_of("cinema"), RATE_HZ).records(),
+        mixes=source_mixes(source_weights(channels, sources)) if sources else (),
+        drives=drives,
+        delay_frames_max=RATE_HZ,
     )
-    got = instance.run(SOUND[:4_096])
+
+
+DRIVES = [
+    drive_design("consumer", RATE_HZ, damping="auto", exposure_cap="action"),
+    drive_design("paper", RATE_HZ, protection="on"),
+    None,
+]
+
+
+def set_any_controls(rng: np.random.Generator, controls: Controls) -> None:
+    """Levels, delays, sources and what is restored of three actuators, one in three unusable."""
+    for one in controls.actuators[:3]:
+        one.gain = rng.choice([*rng.uniform(-1.0, 1.0, 10), *ODD])
+        one.delay_frames = rng.choice([*rng.uniform(0.0, 2_000.0, 10), *ODD])
+        one.source, one.audible = (0, 1, 2, 2**63)[rng.integers(4)], (1, 0, 2**63)[rng.integers(3)]
+        one.restores = rng.integers(2)
+        for name, _ in one.safety._fields_:
+            setattr(one.safety, name, rng.choice([*rng.uniform(0.0, 60.0, 10), *ODD]))
+
+
+@given(
+    seed=seeds, rate_hz=rates_hz, kind=st.sampled_from(DESIGNS), channels=st.sampled_from([2, 6])
+)
+@example(seed=0, rate_hz=176_400, kind="several", channels=2)  # its blocks have few divisors
+def test_the_daemons_face_gives_the_bytes_of_ctypes_whatever_it_plays(
+    tmp_path_factory: pytest.TempPathFactory, seed: int, rate_hz: int, kind: str, channels: int
+) -> None:
+    rng, folder = np.random.default_rng(seed), tmp_path_factory.mktemp("daemon")
+    sound, design = any_sound(rng, rate_hz, FRAMES, channels), any_design(kind, rate_hz, channels)
+    core, page = Core(design), Page(folder / "page", channels, 3, [0, 0, 0])
+    with pytest.MonkeyPatch.context() as patch:
+        instance = daemon_instance(folder, patch, design, page, rate_hz)
+    page._page.controls.sound_gain = rng.choice([1.0, 0.7, *ODD])
+    for part in np.split(sound, [rng.integers(1, FRAMES)]):
+        set_any_controls(rng, page._page.controls)
+        ctypes.memmove(
+            core._controls, ctypes.addressof(page._page.controls), ctypes.sizeof(Controls)
+        )
+        wanted = core.process(part)
+        lengths = any_lengths(rng, len(part))
+        got = np.concatenate([instance.run(padded(some)) for some in split(part, lengths)])
+        assert got[:, : core.outputs].tobytes() == wanted.tobytes()
+        assert not got[:, core.outputs :].any()
+    assert page.readings().replaced_samples == core.readings.replaced > 0
+    for one, other in zip(page._page.readings.actuators, core.readings.actuators, strict=True):
+        one.level = other.level  # it decays by the call
+        assert bytes(one) == bytes(other)
     instance.close()
-    assert np.isfinite(got).all()
+    page.close()
 
 
-# ---------------------------------------------------------------------------- the daemon's actuator
-
-
-def test_an_actuator_damps_as_the_python_engine_does_and_follows_the_daemons_page(
+def test_an_actuator_follows_the_daemons_page_and_begins_silent(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    rig = rig_by_name("paper")
-    damping = damping_for(rig.actuator, rig.amplifier.source_impedance_ohm)
-    page = Page(tmp_path / "page", 2, 1, 1)
-    page.set_damping(3, damping, RATE_HZ)
+    design = driven_design(2, (), [None, None])
+    page = Page(tmp_path / "page", 2, 1, [0, 0])
+    instance = daemon_instance(tmp_path, monkeypatch, design, page)
+    sound = padded(SOUND[:48_000])
+    assert not instance.run(sound).any()
     page.set_audible(True)
-    monkeypatch.setenv("HAPTIC_CUSHION_PAGE", str(page.path))
-    actuator = Instance("haptic_cushion_actuator", RATE_HZ)
-    actuator.controls[0] = 3.0
-    drive = 0.2 * np.sin(2 * np.pi * 55.0 * np.arange(RATE_HZ) / RATE_HZ)[:, None]
-    sound = drive.astype(np.float32)
-    got = np.concatenate([actuator.run(part) for part in split(sound, (1_000, 37))])
-    wanted = Damper(damping, RATE_HZ, 1).process(sound.astype(np.float64)).astype(np.float32)
-    faded = RATE_HZ // 20  # it begins silent
-    assert np.array_equal(got[faded:], wanted[faded:])
-    assert got[0, 0] == 0.0
-    page.set_actuator(3, -0.5, 0.0)
-    actuator.run(sound)
-    half = RATE_HZ // 2
-    halved = actuator.run(sound)[half:]
-    assert halved.min() == pytest.approx(-0.5 * wanted[half:].max(), rel=0.05)
+    page.set_actuator(1, -0.5, 480.0)
+    instance.run(sound)
+    got = instance.run(sound)[:, :2]
+    assert np.abs(got[:, 0]).max() > 0.05
+    assert np.array_equal(got[480:, 1], np.float32(-0.5) * got[:-480, 0])
+    assert np.abs(np.diff(got, axis=0)).max() < CLICK
     page.set_audible(False)
-    actuator.run(sound)
-    assert not actuator.run(sound).any()
-    actuator.close()
+    instance.run(sound)
+    assert page.faded_out(2)
+    assert not instance.run(sound).any()
+    instance.close()
     page.close()
 
 
-def test_damping_that_asks_for_more_than_full_scale_lowers_the_level_and_does_not_clip(
+def test_a_hot_coil_stays_hot_in_another_process_and_a_new_day_begins_while_it_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    rig = rig_by_name("paper")
-    page = Page(tmp_path / "page", 2, 1, 1)
-    page.set_damping(0, damping_for(rig.actuator, rig.amplifier.source_impedance_ohm), RATE_HZ)
-    page.set_audible(True)
-    monkeypatch.setenv("HAPTIC_CUSHION_PAGE", str(page.path))
-    actuator = Instance("haptic_cushion_actuator", RATE_HZ)
-    sine = np.sin(2 * np.pi * 40.0 * np.arange(4 * RATE_HZ) / RATE_HZ)[:, None]
-    quiet = 0.02 * sine
-    before = actuator.run(quiet.astype(np.float32))[2 * RATE_HZ :]
-    loud = actuator.run(sine.astype(np.float32))[:, 0]
-    assert 0.99 < np.abs(loud).max() <= 1.0
-    # The first quarter of a period is flattened; after it the tone has no harmonics.
-    steady = np.abs(np.fft.rfft(loud[-RATE_HZ:] * np.hanning(RATE_HZ)))
-    assert steady[80:].max() < 1e-3 * steady[40]
-    after = actuator.run(quiet.astype(np.float32))
-    soon = after[RATE_HZ // 10 : RATE_HZ // 4]  # after what the filter itself held
-    assert np.abs(soon).max() < 0.9 * np.abs(before).max()
-    np.testing.assert_allclose(after[-RATE_HZ:], before[-RATE_HZ:], atol=1e-3)
-    actuator.close()
+    design = driven_design(2, (), DRIVES)
+    page = Page(tmp_path / "page", 2, 1, [0, 0, 0])
+    rig = page.rigs(DRIVES, 1)[1]
+    assert rig
+    rig.restore([SafetyState(90.0, 50.0, DoseSums(60.0, 5.0, 25.0))])
+    instance = daemon_instance(tmp_path, monkeypatch, design, page)
+    instance.run(padded(SOUND[:480]))
+    (state,) = rig.safety_states()
+    assert state.coil_c == pytest.approx(90.0, abs=0.1)
+    assert state.magnet_c == pytest.approx(50.0, abs=0.1)
+    assert state.dose.squares >= 5.0
+    assert state.dose.time_s == pytest.approx(60.01, abs=1e-3)
+    rig.begin_day()
+    instance.run(padded(SOUND[:480]))
+    (state,) = rig.safety_states()
+    assert state.coil_c == pytest.approx(90.0, abs=0.1)
+    assert state.dose.time_s == pytest.approx(0.01, abs=1e-3)
+    instance.close()
+    rig.keep()  # a host may open the plugin again on the same page
+    again = Instance("haptic_cushion_daemon", RATE_HZ)
+    again.run(padded(SOUND[:480]))
+    (state,) = rig.safety_states()
+    assert state.coil_c == pytest.approx(90.0, abs=0.2)
+    assert state.dose.time_s == pytest.approx(0.02, abs=1e-3)
+    again.close()
     page.close()
 
 
-# --------------------------------------------------------------------------- the daemon's transform
-
-
-@pytest.mark.parametrize("sources", [(), ("mix", "left", "front")])
-@pytest.mark.parametrize("channels", [2, 6])
 def test_the_daemons_transform_mixes_as_the_python_engine_does(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sources: tuple[str, ...], channels: int
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    weights = source_weights(channels, sources) if sources else None
-    page = Page(tmp_path / "page", channels, max(1, len(sources)), 1, weights)
-    monkeypatch.setenv("HAPTIC_CUSHION_PAGE", str(page.path))
-    instance = Instance("haptic_cushion_daemon", RATE_HZ)
-    sound = np.zeros((len(SOUND), 8), np.float32)
-    sound[:, :2] = SOUND
-    sound[len(SOUND) // 2 :, 1] = -sound[len(SOUND) // 2 :, 0]  # opposite channels
-    sound[:, 2:channels] = 0.3 * np.roll(SOUND[:, :1], 999, axis=0)
-    sound[100, 0] = np.nan
-    got = np.concatenate([instance.run(part) for part in split(sound, (777, 1, 1_500, 64))])
-    transform = HapticTransform(RATE_HZ, channels, parameters_of("paper"), weights=weights)
-    wanted = transform.process(sound[:, :channels])
-    outputs = wanted.shape[1]
-    np.testing.assert_allclose(got[:, :outputs], wanted, rtol=0, atol=1e-6)
-    assert not got[:, outputs:].any()
-    assert np.abs(wanted[-RATE_HZ // 4 :, 0]).max() > 0.01
-    assert page.readings().replaced_samples == 1
+    sources, channels = ("mix", "left", "front"), 6
+    weights = source_weights(channels, sources)
+    design = driven_design(channels, sources, [None] * 3)
+    page = Page(tmp_path / "page", channels, 3, [0, 1, 2])
+    page.set_audible(True)
+    instance = daemon_instance(tmp_path, monkeypatch, design, page)
+    sound = np.repeat(SOUND[:, :1], channels, axis=1)
+    sound[:, 3] = 0.5 * np.roll(SOUND[:, 1], 999)
+    got = instance.run(padded(sound))[:, :3]
+    transform = HapticTransform(RATE_HZ, channels, parameters_of("cinema"), weights=weights)
+    np.testing.assert_allclose(got, transform.process(sound), rtol=0, atol=1e-6)
     instance.close()
     page.close()
 
@@ -323,21 +387,24 @@ def test_denormals_do_not_slow_it() -> None:
 # -------------------------------------------------------------------------- designs that do not fit
 
 
-def refused(folder: Path, rate_hz: int = RATE_HZ) -> str:
-    """What instantiation in another process says on stderr; it must neither succeed nor crash."""
+SILENT, REFUSED = 3, 4
+
+
+def tried(folder: Path, label: str = "haptic_cushion_paper", **variables: str) -> tuple[int, str]:
+    """What a plugin does in another process, which it must not crash, and says on stderr."""
     code = (
-        "from tests.plugin.hosting import Instance; import sys; "
-        f"sys.exit(3 if Instance('haptic_cushion_paper', {rate_hz}).made else 0)"
+        "from tests.plugin.hosting import Instance; import numpy, sys; "
+        f"one = Instance('{label}', {RATE_HZ}); one.made or sys.exit({REFUSED}); one.activate(); "
+        f"sys.exit(0 if one.run(numpy.ones((9_999, 2), numpy.float32)).any() else {SILENT})"
     )
     done = subprocess.run(
         [sys.executable, "-c", code],
-        env=os.environ | {"XDG_DATA_HOME": str(folder)},
+        env=os.environ | {"XDG_DATA_HOME": str(folder)} | variables,
         cwd=Path(__file__).parents[2],
         capture_output=True,
         text=True,
     )
-    assert done.returncode == 0, done
-    return done.stderr
+    return done.returncode, done.stderr
 
 
 def test_a_host_may_end_what_was_not_instantiated_as_ffmpeg_does() -> None:
@@ -349,25 +416,37 @@ def test_a_host_may_end_what_was_not_instantiated_as_ffmpeg_does() -> None:
     assert subprocess.run([sys.executable, "-c", code], cwd=folder).returncode == 0
 
 
-def test_a_missing_or_unusable_design_is_refused_with_one_line(tmp_path: Path) -> None:
-    said = refused(tmp_path)
+def test_without_a_design_there_is_no_plugin_and_with_an_unusable_one_silence_and_one_line(
+    tmp_path: Path,
+) -> None:
+    did, said = tried(tmp_path)
+    assert (did, said.count("\n")) == (REFUSED, 1)
     assert "no design of profile paper for 48000 Hz" in said
     path = write_design(tmp_path, "paper", RATE_HZ)
-    whole = path.read_bytes()
-    for content, reason in (
-        (whole[:-8], "cut or too long"),
-        (b"", "cannot be read"),
-        (b"RIFF" + whole[4:], "not a design"),
-        (whole[:8] + b"\x63" + whole[9:], "another version"),
-        (whole[:400] + b"\xff" + whole[401:], "damaged"),
-    ):
+    assert tried(tmp_path) == (0, "")
+    other = write_design(tmp_path, "paper", 44_100).read_bytes()
+    unusable = damaged(path.read_bytes()) | {"cannot be read": b"", "another samplerate": other}
+    for reason, content in unusable.items():
         path.write_bytes(content)
-        said = refused(tmp_path)
+        did, said = tried(tmp_path)
+        assert (did, said.count("\n")) == (SILENT, 1), said
         assert reason in said
-        assert said.count("\n") == 1
-    other = write_design(tmp_path, "paper", 44_100)
-    other.rename(path)
-    assert "another samplerate" in refused(tmp_path)
+
+
+def test_a_design_for_other_channels_gives_silence_and_a_page_of_another_version_no_plugin(
+    tmp_path: Path,
+) -> None:
+    design = tmp_path / "design"
+    design.write_bytes(driven_design(8, (), [None]))
+    did, said = tried(tmp_path, HAPTIC_CUSHION_DESIGN=str(design))
+    assert did == SILENT
+    assert "the design is for other channels; allowed: two, and no actuator" in said
+    page = tmp_path / "page"
+    page.write_bytes(b"CUHPAGE1" + bytes(4_096))
+    paths = {"HAPTIC_CUSHION_DESIGN": str(design), "HAPTIC_CUSHION_PAGE": str(page)}
+    did, said = tried(tmp_path, "haptic_cushion_daemon", **paths)
+    assert did == REFUSED
+    assert "the daemon's page cannot be used: it is of another version" in said
 
 
 @given(data=st.data())
@@ -391,5 +470,5 @@ def test_no_mutated_design_crashes_the_host(data: st.DataObject, designs: Path) 
 
 
 def test_the_faces_are_those_that_hosts_and_the_daemon_ask_for() -> None:
-    labels = [f"haptic_cushion_{name}" for name in (*PROFILES, "mono", "daemon", "actuator")]
+    labels = [f"haptic_cushion_{name}" for name in (*PROFILES, "mono", "daemon")]
     assert list(descriptors()) == labels

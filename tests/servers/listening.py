@@ -125,12 +125,17 @@ def sounding(frames: Float32Array) -> Float32Array:
 
 @contextmanager
 def playing(
-    server: SoundServer, sink: str, samples: Float32Array, *, name: str = "Player"
+    server: SoundServer,
+    sink: str,
+    samples: Float32Array,
+    *,
+    name: str = "Player",
+    rate_hz: int = RATE_HZ,
 ) -> Iterator[int]:
     """Another program that plays these samples to a sink; its process id."""
     command = [
         *("pacat", "--playback", f"--client-name={name}", "--property=media.role=music"),
-        *_format(sink, 200),
+        *_format(sink, 200, rate_hz),
     ]
     with _process(server, command, stdin=subprocess.PIPE) as process:
         feeder = threading.Thread(target=_feed, args=(process, samples.tobytes()), daemon=True)
@@ -141,7 +146,12 @@ def playing(
 
 @contextmanager
 def recording(
-    server: SoundServer, source: str, path: Path, *, stays: bool = False
+    server: SoundServer,
+    source: str,
+    path: Path,
+    *,
+    stays: bool = False,
+    rate_hz: int = RATE_HZ,
 ) -> Iterator[Callable[[], Float32Array]]:
     """Another program that records a source; a function that gives what it has so far.
 
@@ -155,7 +165,7 @@ def recording(
             return np.frombuffer(whole[: len(whole) // 8 * 8], np.float32).reshape(-1, 2)
 
         options = [
-            *_format(source, 20),
+            *_format(source, 20, rate_hz),
             *(["--property=node.dont-reconnect=true"] if stays else []),
         ]
         with _process(server, ["parec", *options], stdout=file.fileno()):
@@ -215,12 +225,12 @@ def arriving(server: SoundServer, source: str) -> Iterator[Arrivals]:
             arrivals.end()
 
 
-def _format(device: str, latency_ms: int) -> list[str]:
+def _format(device: str, latency_ms: int, rate_hz: int = RATE_HZ) -> list[str]:
     return [
         f"--device={device}",
         "--raw",
         "--format=float32le",
-        f"--rate={RATE_HZ}",
+        f"--rate={rate_hz}",
         "--channels=2",
         f"--latency-msec={latency_ms}",
     ]

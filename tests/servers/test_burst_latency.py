@@ -79,4 +79,4 @@ def test_the_beginning_of_a_new_stream_is_felt(
         lost = lost_cycles(player, 8, tmp_path, pipewire.environment)
     print(f"{player}: cycles lost {lost}")
     assert max(lost) <= 1
-    assert sum(lost) <= 2  # of a machine with much else to do
+    assert sum(lost) <= 4  # of a busy machine; where links come too late, each stream loses one

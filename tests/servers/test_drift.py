@@ -207,7 +207,7 @@ def recording(server: SoundServer, sink: str) -> Recording:
 
 
 @pytest.mark.servers
-@pytest.mark.parametrize("ratio", [0.9998, 1.0002])
+@pytest.mark.parametrize("ratio", [pytest.param(0.9998, marks=pytest.mark.soak), 1.0002])
 def test_a_card_that_is_fast_or_slow_is_followed(
     ratio: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import tempfile
@@ -12,9 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import soundfile
 
-from audioflinger_hook.config.profiles import LIVE_DEFAULT
 from audioflinger_hook.service.state import Cause, DaemonState
 from device.units import Float32Array
 from tests.servers.conftest import started
@@ -29,8 +28,8 @@ from tests.servers.daemons import (
     running,
     tone,
 )
-from tests.servers.listening import RATE_HZ, noise, playing, recording, wait_for
-from tests.servers.witness import Verdict, check_step, tears, witness_tone
+from tests.servers.listening import RATE_HZ, playing, recording, wait_for
+from tests.servers.witness import check_step, witness_tone
 from tools.sound_server import SoundServer
 
 pytestmark = [pytest.mark.servers, pytest.mark.calm]
@@ -107,7 +106,6 @@ def test_auto_takes_the_native_engine_on_pipewire_and_says_so(pipewire: SoundSer
     ("arguments", "reason"),
     [
         (("--engine", "python"), "engine = 'python'"),
-        (("--protection", "on"), "protection is on"),
         (("--drop-in",), "drop_in is on"),
     ],
 )
@@ -153,50 +151,6 @@ def test_without_a_program_of_pipewire_auto_says_so_and_native_ends_with_3(
 
 
 # ------------------------------------------------------------------------------------ what is felt
-
-
-def test_the_vibration_is_that_of_render_bit_for_bit(pipewire: SoundServer, tmp_path: Path) -> None:
-    sound = 0.5 * noise(6.0)
-    sound[: 2 * RATE_HZ] = 0.0
-    sound[-RATE_HZ:] = 0.0
-    soundfile.write(tmp_path / "sound.wav", sound, RATE_HZ, subtype="FLOAT")
-    assert (
-        cushion(
-            pipewire,
-            "render",
-            str(tmp_path / "sound.wav"),
-            str(tmp_path / "vibration.wav"),
-            "--profile",
-            LIVE_DEFAULT,
-        ).returncode
-        == 0
-    )
-    wanted, _ = soundfile.read(tmp_path / "vibration.wav", dtype="float32")
-    verdict, shown = Verdict("bits"), False
-    with witness_tone(tmp_path) as witness:
-        while not shown:
-            begun = len(witness())
-            with (
-                running(pipewire, engine="native"),  # its transform remembers how loud it was
-                recording(pipewire, "desktop.monitor", tmp_path / "heard") as heard,
-                recording(pipewire, "haptic.monitor", tmp_path / "felt") as felt,
-                playing(pipewire, "desktop", sound),
-            ):
-                wait_for_more(felt, 8.0)
-                wait_for_more(heard, 0.5)
-                got, tapped = felt(), heard()
-            good = is_within(got[:, 0], wanted) and bool((got[:, 0] == got[:, 1]).all())
-            told = f"played sound whole: {is_within(tapped[:, 0], sound[:, 0])}"
-            shown = verdict.add(told, good=good, witness_torn=tears(witness()[begun:]) > 0)
-
-
-def is_within(heard: Float32Array, wanted: Float32Array) -> bool:
-    """Whether the wanted samples are in a recording, bit for bit, from the first that sounds."""
-    first, start = np.flatnonzero(heard)[:1], np.flatnonzero(wanted)[0]
-    if not len(first):
-        return False
-    part = heard[first[0] : first[0] + len(wanted) - start]
-    return np.array_equal(part, wanted[start:])
 
 
 def test_each_actuator_plays_its_own_side_level_and_polarity(
@@ -313,7 +267,7 @@ def test_a_new_level_profile_or_delay_takes_effect_without_a_gap_or_click(
 
 
 @pytest.mark.parametrize("engine", ["python", "native"])
-def test_a_change_of_engine_costs_under_300_ms_and_does_not_click(
+def test_a_change_of_engine_costs_under_2_s_and_does_not_click(
     pipewire: SoundServer, engine: str, tmp_path: Path
 ) -> None:
     engines = ("native", "python") if engine == "python" else ("python", "native")
@@ -334,7 +288,7 @@ def test_a_change_of_engine_costs_under_300_ms_and_does_not_click(
 
         wait_until_felt(felt)
         texts = (f'engine = "{engines[0]}"\n', f'engine = "{engines[1]}"\n')
-        check_step(daemon, config, texts, (felt, sound, witness), settle, silent_ms=300.0)
+        check_step(daemon, config, texts, (felt, sound, witness), settle, silent_ms=2_000.0)
 
 
 def test_it_idles_without_processor_time_and_wakes_at_once(
@@ -377,6 +331,32 @@ def test_a_child_that_dies_or_hangs_is_started_again(
         status = daemon.wait_state(DaemonState.RUNNING)
         assert recovered(status, Cause.ENGINE_LOST) == 1
         assert not is_alive(child)
+
+
+@pytest.mark.parametrize(
+    ("damage", "reason"),
+    [
+        ("truncate -s -8 $HAPTIC_CUSHION_DESIGN", "cut or too long"),
+        ("printf c | dd of=$HAPTIC_CUSHION_DESIGN bs=1 seek=8 conv=notrunc", "another version"),
+        ("printf x | dd of=$HAPTIC_CUSHION_DESIGN bs=1 seek=400 conv=notrunc", "damaged"),
+    ],
+)
+def test_a_node_with_a_damaged_design_says_what_is_wrong_and_another_engine_takes_over(
+    pipewire: SoundServer, tmp_path: Path, damage: str, reason: str
+) -> None:
+    program = tmp_path / "pipewire"
+    program.write_text(f'#!/bin/sh\n{damage} 2>/dev/null\nexec {shutil.which("pipewire")} "$@"\n')
+    program.chmod(0o755)
+    variables = {"PATH": f"{tmp_path}:{os.environ['PATH']}"}
+    with (
+        playing(pipewire, "desktop", tone(60.0, 60.0)),
+        running(pipewire, engine=None, ready=False, variables=variables) as daemon,
+        recording(pipewire, "haptic.monitor", tmp_path / "felt") as felt,
+    ):
+        wait_for(lambda: felt_now(felt), "vibration", 30.0)
+        assert daemon.wait(lambda status: status.engine, "an engine").engine == "python"
+    assert "cannot be used: " in daemon.stderr
+    assert reason in daemon.stderr
 
 
 @pytest.mark.parametrize("both", [False, True], ids=["daemon", "both"])

@@ -19,6 +19,7 @@ from device.units import Float32Array
 from tests.servers.conftest import started
 from tests.servers.daemons import FELT, Daemon, felt_hz, felt_now, pitch_hz, running, tone
 from tests.servers.listening import RATE_HZ, playing, recording, wait_for
+from tools.churn import churned
 from tools.live_latency.refusing import refusing_pw_cli
 from tools.sound_server import MONO, SURROUND_5_1, SoundServer
 
@@ -370,3 +371,16 @@ def test_pipewire_may_be_restarted_while_it_plays(pipewire: SoundServer, tmp_pat
             wait_for(lambda: links_from(pipewire, "later"), "the player's links")
             felt_back(again, "the server's restart", hz=OTHER_HZ)
         assert daemon.process.poll() is None
+
+
+@pytest.mark.soak
+def test_hundreds_of_nodes_and_streams_that_come_and_go_disturb_nothing(
+    pipewire: SoundServer,
+) -> None:
+    found = churned(pipewire, 60.0)
+    print(found)
+    assert found.links_growth == 0
+    assert found.memory_growth_kb < 1_024  # ten thousand objects that stay would be more
+    assert found.cpu_percent < 5.0
+    assert found.heard_gaps_ms <= 40.0  # two cycles: the players alone fill both cores
+    assert found.felt_gaps_ms <= 0.01 * 60_000

@@ -13,7 +13,19 @@ import numpy as np
 import pytest
 import soundfile
 
-from tests.plugin.hosting import PROFILES, Floats, plugin, vibration, write_design
+from audioflinger_hook.core.compiled_core import Core
+from tests.plugin.hosting import (
+    DESIGNS,
+    PROFILES,
+    RATES_HZ,
+    Floats,
+    any_design,
+    any_sound,
+    damaged,
+    plugin,
+    vibration,
+    write_design,
+)
 from tests.servers.conftest import started
 from tests.servers.daemons import ROOT, felt_now, tone
 from tests.servers.listening import need, playing, recording, wait_for
@@ -81,28 +93,46 @@ def samples(path: Path) -> Floats:
 # ------------------------------------------------------------------------------------------- FFmpeg
 
 
-@pytest.mark.parametrize("profile", PROFILES)
-def test_ffmpegs_output_is_that_of_render_bit_for_bit(
-    home: Path, sound: Path, profile: str
+@pytest.mark.parametrize("rate_hz", RATES_HZ)
+def test_ffmpeg_gives_the_bytes_of_ctypes_at_every_rate_whatever_its_blocks(
+    home: Path, monkeypatch: pytest.MonkeyPatch, rate_hz: int
 ) -> None:
     needs("ffmpeg")
-    cushion("render", str(sound), str(home / "wanted.wav"), "--profile", profile)
-    path = cushion("plugin", "path")
-    ran(
-        *("ffmpeg", "-v", "error", "-i", sound, "-af"),
-        f"ladspa=file={path}:plugin=haptic_cushion_{profile}",
-        *("-c:a", "pcm_f32le", home / "vibration.wav"),
-    )
-    got, wanted = samples(home / "vibration.wav")[:, 0], samples(home / "wanted.wav")[:, 0]
-    late = (
-        len(got)
-        - int(np.argmax(got[::-1] != 0.0))
-        - (len(wanted) - int(np.argmax(wanted[::-1] != 0.0)))
-    )
-    first = int(np.flatnonzero(got)[0]) - int(np.flatnonzero(wanted)[0])
-    assert 0 < first < 0.02 * RATE_HZ
-    assert late >= 0
-    assert np.array_equal(got[first:], wanted[: len(got) - first])
+    rng, plugin_file = np.random.default_rng(rate_hz), cushion("plugin", "path")
+    raw = "f32le", "-ar", str(rate_hz), "-ac"
+    profile = PROFILES[rng.integers(len(PROFILES))]
+    faces = {f"haptic_cushion_{profile}": write_design(home / ".local/share", profile, rate_hz)}
+    for kind in DESIGNS:
+        (home / kind).write_bytes(any_design(kind, rate_hz, 8))
+        faces[f"haptic_cushion_daemon:{kind}"] = home / kind
+    for face, design in faces.items():
+        core, label = Core(design.read_bytes()), face.partition(":")[0]
+        sound = any_sound(rng, rate_hz, 2 * rate_hz, core.info.inputs)
+        sound.tofile(home / "sound")
+        wanted = core.process(sound)
+        monkeypatch.setenv("HAPTIC_CUSHION_DESIGN", str(design))
+        for blocks in ("", *(f"asetnsamples=n={2 ** rng.uniform(0, 16):.0f}:p=0," for _ in "ab")):
+            ran(
+                *("ffmpeg", "-v", "error", "-y", "-f", *raw, str(core.info.inputs)),
+                *("-i", home / "sound", "-af", f"{blocks}ladspa=file={plugin_file}:plugin={label}"),
+                *("-f", "f32le", "-c:a", "pcm_f32le", home / "out"),
+            )
+            got = np.fromfile(home / "out", np.float32).reshape(len(sound), -1)
+            assert got[:, : core.outputs].tobytes() == wanted.tobytes(), (face, blocks)
+
+
+def test_with_a_damaged_design_ffmpeg_goes_on_and_says_what_is_wrong(
+    home: Path, sound: Path
+) -> None:
+    needs("ffmpeg")
+    path = write_design(home / ".local/share", "game", RATE_HZ)
+    effect = f"ladspa=file={cushion('plugin', 'path')}:plugin=haptic_cushion_game"
+    for reason, design in damaged(path.read_bytes()).items():
+        path.write_bytes(design)
+        out = home / "vibration.wav"
+        assert reason in ran("ffmpeg", "-v", "error", "-y", "-i", sound, "-af", effect, out)
+        assert len(samples(out)) == len(samples(sound))
+        assert not samples(out).any()
 
 
 def test_a_film_gets_the_vibration_as_another_track(home: Path, sound: Path) -> None:
@@ -305,7 +335,7 @@ def host(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_design(folder, "cinema", RATE_HZ)
     (folder / "host.c").write_text(HOST)
     (folder / "trap.c").write_text(TRAP)
-    include = f"-I{plugin().parent / 'native'}"
+    include = f"-I{plugin().parents[1] / 'plugin/native'}"
     for command in (
         ["gcc", include, str(folder / "host.c"), "-o", str(folder / "host"), "-ldl", "-rdynamic"],
         ["gcc", "-shared", "-fPIC", str(folder / "trap.c"), "-o", str(folder / "trap.so")],

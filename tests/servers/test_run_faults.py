@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import time
 from pathlib import Path
@@ -114,3 +115,31 @@ def test_a_test_tone_whose_device_vanishes_ends_and_says_so(server: SoundServer)
         server.remove("haptic")
         assert process.wait(10.0) == 4
         assert "the device was lost" in process.stderr.read()
+
+
+def test_a_killed_daemon_leaves_its_dose_and_a_damaged_record_means_hot_coils(
+    server: SoundServer,
+) -> None:
+    record = Path(server.environment["XDG_STATE_HOME"]) / "cushion" / "actuators.json"
+    protected = "--protection", "on"
+    with playing(server, "desktop", tone(60.0, 60.0)):
+        with running(server, *protected) as daemon:
+            seen = daemon.wait(lambda status: status.exposure and status.exposure.a8_m_s2, "a dose")
+            assert seen.protection
+            assert seen.protection.coil_c == pytest.approx(20.0, abs=1.0)
+            assert not seen.warnings
+            wait_for(record.exists, "the record")
+            daemon.process.kill()
+        left = json.loads(record.read_text())["actuators"]["haptic 0.0"]["dose"]["squares"]
+        with running(server, *protected) as daemon:
+            seen = daemon.wait(lambda status: status.exposure, "the dose")
+            assert seen.exposure
+            assert seen.exposure.a8_m_s2 >= (left / 28_800.0) ** 0.5
+            assert not any("coils count" in warning for warning in seen.warnings)
+        record.write_text("{")
+        with running(server, *protected) as daemon:
+            seen = daemon.wait(lambda status: status.protection, "protection")
+            assert seen.protection
+            assert seen.protection.coil_c is not None
+            assert seen.protection.coil_c > 90.0
+            assert sum("damaged" in warning for warning in seen.warnings) == 1

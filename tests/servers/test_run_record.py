@@ -19,6 +19,7 @@ from audioflinger_hook.service.state import Cause, DaemonState
 from device.stream.pcms import TAG
 from device.units import Float32Array
 from tests.daemon.test_run_recording import overlap, recorded
+from tests.servers.conftest import started
 from tests.servers.daemons import (
     CUSHION,
     ROOT,
@@ -36,6 +37,14 @@ from tools.sound_server import SoundServer
 
 ATTEMPTS = 3
 """A shared machine drops whole buffers now and then."""
+
+
+@pytest.fixture(params=["pipewire", pytest.param("pulse", marks=pytest.mark.soak)])
+def server(
+    request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[SoundServer]:
+    """A recording begins behind the mixer, alike on each server; `make soak` tries PulseAudio."""
+    yield from started(request.param, monkeypatch)
 
 
 def replayed(server: SoundServer, folder: Path, out: Path) -> tuple[int, str]:

@@ -1,9 +1,9 @@
 """A step of a test, measured where the machine let it be measured.
 
 On a busy machine PipeWire loses cycles of any stream, and a lost cycle is a click. The witness is
-a tone that a server of its own plays and records: nothing of the product is near it. Only a step
-during which the witness was torn, too, is made again; any other step must be as it should, several
-times in a row, so that a click now and then is found.
+a tone that a server of its own plays and records: nothing of the product is near it. A step during
+which the witness was torn, too, is made again. Of the others a single one may fail, since a cycle
+may be lost on one server alone; so many must be as they should that a click now and then is found.
 """
 
 from __future__ import annotations
@@ -28,8 +28,9 @@ from tools.sound_server import SoundServer
 CLICK_DB = -50.0
 """Loudest click: what is above 250 Hz, against full scale."""
 
-CLEAN = 3
-"""Attempts that must all be as they should: a click in every second one is missed one time in 8."""
+CLEAN, STRAY = 5, 1
+"""Attempts that must be as they should, and that may fail before: a click in every second one is
+missed one time in 9, and a cycle that is lost in one of 30 fails one test in 60."""
 
 EXCUSED = 10
 """Failed attempts with a torn witness after which the machine is too busy to tell."""
@@ -94,15 +95,21 @@ def tears(frames: Float32Array, felt: Float32Array | None = None) -> int:
 
 
 @contextmanager
-def witness_tone(folder: Path) -> Iterator[Heard]:
-    """A tone that a server of its own plays and a recorder hears: nothing of ours is near it."""
+def witness_tone(folder: Path, quantum: int = 0) -> Iterator[Heard]:
+    """A tone that a server of its own plays and a recorder hears: nothing of ours is near it.
+
+    quantum: its cycle in frames; 0 for what the programs ask for. Short cycles are lost more often.
+    """
     with (
         tempfile.TemporaryDirectory(prefix="cushion-") as own,
         SoundServer("pipewire", Path(own)) as server,
-        playing(server, "desktop", tone(110.0, 240.0), name="witness"),
-        recording(server, "desktop.monitor", folder / "witness") as heard,
     ):
-        yield heard
+        server.set_clock("force-quantum", quantum)
+        with (
+            playing(server, "desktop", tone(110.0, 240.0), name="witness"),
+            recording(server, "desktop.monitor", folder / "witness") as heard,
+        ):
+            yield heard
 
 
 def measure(heard: Sequence[Heard], before: Callable[[], None], act: Callable[[], None]) -> Found:
@@ -129,25 +136,31 @@ def measure(heard: Sequence[Heard], before: Callable[[], None], act: Callable[[]
 
 
 class Verdict:
-    """Counts attempts at something until it succeeded `CLEAN` times or the machine is too busy.
+    """Counts attempts at something until enough succeeded or the machine is too busy.
 
-    what: of the step, for messages.
+    what: of the step, for messages. needed: attempts that must succeed. stray: that may fail.
     """
 
-    def __init__(self, what: str) -> None:
-        self._what = what
-        self._clean = 0
+    def __init__(self, what: str, needed: int = CLEAN, stray: int = STRAY) -> None:
+        self._what, self._needed, self._allowed = what, needed, stray
+        self._clean = self._stray = 0
         self._excused: list[object] = []
 
     def add(self, attempt: object, *, good: bool, witness_torn: bool) -> bool:
         """Count an attempt; return whether it is shown.
 
-        A failed attempt fails the test unless the witness was torn; many such attempts skip it.
+        A second failed attempt fails the test. Those with a torn witness do not count, but many of
+        them skip it.
         """
         if good:
             self._clean += 1
-            return self._clean == CLEAN
-        assert witness_torn, f"{self._what}, after {self._clean} clean attempts: {attempt}"
+            return self._clean == self._needed
+        self._stray += not witness_torn
+        assert self._stray <= self._allowed, (
+            f"{self._what}, after {self._clean} clean attempts: {attempt}"
+        )
+        if not witness_torn:
+            return False
         self._excused.append(attempt)
         if len(self._excused) == EXCUSED:
             pytest.skip(f"{self._what}: too busy, the witness was torn each time: {self._excused}")

@@ -30,7 +30,6 @@ LEAST = Effort(
     scaling_s=1.6,
     channels_s=0.2,
     hops_timed=200,
-    hops_timed_in_numpy=50,
     render_s=(1.0,),
     catalogue_s=(1.0,),
     catalogue_shared=(1.0, 4),

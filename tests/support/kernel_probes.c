@@ -1,7 +1,7 @@
 /* Parts of the kernel, each by itself, so that tests can compare them with other results. Built by
  * kernel_probes.py; not part of the shipped kernel. */
 
-#include "module.h"
+#include "python_arrays.h"
 
 #include "analysis.h"
 #include "exact.h"
@@ -137,26 +137,31 @@ static PyObject *spectrum(PyObject *Py_UNUSED(module), PyObject *arguments)
         return NULL;
     }
     Fft fft = {0};
+    Arena arena = {NULL, 0};
     double *work = NULL;
     const char *wrong = NULL;
     if (length < 2 || length > 1 << 24 || samples.shape[0] > length)
         wrong = "length: not that of the samples or more";
     else if (bins.shape[0] != 2 || bins.shape[1] < 1 || bins.shape[1] > length / 2 + 1)
         wrong = "bins: not two rows of as many as there are at most";
-    else if (fft_open(&fft, (size_t)length, samples.shape[0] <= length / 2))
+    else if (!fft_open(&fft, (size_t)length, samples.shape[0] <= length / 2, &arena))
         wrong = "length: has other factors than 2, 3 and 5";
+    else if (!(arena.base = PyMem_RawMalloc(arena.used))) /* a sanitizer knows when its gaps end */
+        wrong = "no memory";
     else if (!(work = PyMem_Calloc(fft_work(&fft) + fft.frames, sizeof(double))))
         wrong = "no memory";
     if (wrong) {
         PyErr_SetString(PyExc_ValueError, wrong);
     } else {
+        arena.used = 0;
+        fft_open(&fft, (size_t)length, samples.shape[0] <= length / 2, &arena);
         memcpy(work, samples.buf, (size_t)samples.len);
         double *real = bins.buf;
         fft_spectrum(&fft, work, (size_t)bins.shape[1], real, real + bins.shape[1],
                      work + fft.frames);
     }
     PyMem_Free(work);
-    fft_close(&fft);
+    PyMem_RawFree(arena.base);
     PyBuffer_Release(&samples);
     PyBuffer_Release(&bins);
     if (wrong)
@@ -164,13 +169,13 @@ static PyObject *spectrum(PyObject *Py_UNUSED(module), PyObject *arguments)
     Py_RETURN_NONE;
 }
 
-WIDE static void fifth_roots_of(double *numbers, Py_ssize_t count)
+SIMD_CLONES static void fifth_roots_of(double *numbers, Py_ssize_t count)
 {
     for (Py_ssize_t one = 0; one < count; one++)
         numbers[one] = fifth_root(numbers[one]);
 }
 
-WIDE static void cosines_of(double *numbers, Py_ssize_t count)
+SIMD_CLONES static void cosines_of(double *numbers, Py_ssize_t count)
 {
     for (Py_ssize_t one = 0; one < count; one++)
         numbers[one] = cosine_of_turns(numbers[one]);

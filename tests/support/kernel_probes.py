@@ -30,7 +30,8 @@ ROOT = Path(__file__).resolve().parents[2]
 NATIVE = ROOT / "audioflinger_hook/transform/native"
 SOURCES = [
     Path(__file__).with_suffix(".c"),
-    *(NATIVE / f"{name}.c" for name in ("analysis", "arguments", "fft", "fft_plan", "peaks")),
+    Path(__file__).with_name("python_arrays.c"),
+    *(NATIVE / f"{name}.c" for name in ("analysis", "fft", "fft_plan", "peaks")),
 ]
 BUILT = ROOT / "build" / f"kernel_probes{sysconfig.get_config_var('EXT_SUFFIX')}"
 FLAGS = "-O3 -fPIC -shared -ffp-contract=off -fno-math-errno -Wall -Wextra -Werror"
@@ -38,7 +39,8 @@ FLAGS = "-O3 -fPIC -shared -ffp-contract=off -fno-math-errno -Wall -Wextra -Werr
 
 def build() -> None:
     """Compile the probes unless they are newer than their sources."""
-    newest = max(path.stat().st_mtime for path in (*SOURCES, *NATIVE.glob("*.h")))
+    headers = (*NATIVE.glob("*.h"), *Path(__file__).parent.glob("*.h"))
+    newest = max(path.stat().st_mtime for path in (*SOURCES, *headers))
     if BUILT.exists() and BUILT.stat().st_mtime >= newest:
         return
     BUILT.parent.mkdir(exist_ok=True)

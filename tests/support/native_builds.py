@@ -13,7 +13,14 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-NATIVE = ROOT / "audioflinger_hook/transform/native"
+CORE = ROOT / "audioflinger_hook/core"
+CORE_SOURCES = [
+    path
+    for folder in (CORE, CORE / "drive", ROOT / "audioflinger_hook/transform/native")
+    for path in sorted(folder.glob("*.c"))
+]
+"""The sources of the core, without its hosts."""
+
 FLAGS = ["-std=gnu11", "-ffp-contract=off", "-fno-math-errno", "-Wall", "-Wextra", "-Werror"]
 
 ZIG = [sys.executable, "-m", "ziglang", "cc"]
@@ -27,6 +34,12 @@ BUILDS: dict[str, list[str]] = {
     "zig -O2": [*ZIG, "-O2", "-fno-sanitize=undefined"],
     "aarch64 -O2": [*ZIG, "-O2", "-fno-sanitize=undefined", "-target", "aarch64-linux-musl"],
 }
+
+FAST = "gcc -O3 -mavx2 -mfma"
+EACH_BUILD = [
+    name if name == FAST else pytest.param(name, marks=pytest.mark.exhaustive) for name in BUILDS
+]
+"""For parametrize: one build among the fast tests, all in the exhaustive set."""
 
 
 def require_build(name: str) -> list[str]:
@@ -50,7 +63,7 @@ def emulator() -> str | None:
 def built(name: str, program: Path, sources: list[Path], includes: list[Path]) -> list[str]:
     """Build a program unless it is there already; return the command that runs it."""
     command = require_build(name)
-    headers = sorted(path for folder in includes for path in folder.glob("*.h"))
+    headers = sorted({path for source in sources for path in source.parent.glob("*.h")})
     key = hashlib.sha256(repr(command).encode())
     for path in (*sources, *headers, program):
         key.update(path.read_bytes())
@@ -66,8 +79,3 @@ def built(name: str, program: Path, sources: list[Path], includes: list[Path]) -
     if name.startswith("aarch64"):
         return [str(emulator()), str(done)]
     return [str(done)]
-
-
-def transform_sources() -> list[Path]:
-    """Return the sources of the live form, without Python's part."""
-    return [path for path in sorted(NATIVE.glob("*.c")) if path.stem not in ("module", "arguments")]

@@ -1,6 +1,6 @@
 """Sounds with known onsets, and how many of these the live form detects, how soon, and how falsely.
 
-It runs the detector by which the live form begins partials, tick by tick.
+It runs the oracle's search for onsets, by which the live form begins partials.
 """
 
 from __future__ import annotations
@@ -11,7 +11,9 @@ import numpy as np
 
 from audioflinger_hook.transform import FloatArray, TransformParameters
 from audioflinger_hook.transform.design import LiveDesign
-from audioflinger_hook.transform.live.transform import LiveTransform
+from audioflinger_hook.transform.input_stage import BandPass
+from tests.oracle import settings_of
+from tests.oracle.onsets import Onsets
 from tools.bench.sounds.signals import SAMPLERATE, chord
 
 REACH_S = 0.024
@@ -60,22 +62,16 @@ class Found:
 
 def onset_times_s(sound: FloatArray) -> FloatArray:
     """Return when onsets are detected in a sound (frames,) at 48 kHz, in seconds."""
-    form = LiveTransform(LiveDesign.of(TransformParameters(), SAMPLERATE))
-    onsets, detector = form.design.onsets, form._detector
-    tick_frames, rest_ticks = form.design.grid.tick_frames, onsets.rest_ticks
-    filtered = form._bandpass.process(sound)
-    ticks = filtered.size // tick_frames
-    past = onsets.short_frames - tick_frames
-    joined = np.concatenate((np.zeros(past), filtered[: ticks * tick_frames]))
-    windows = np.lib.stride_tricks.sliding_window_view(joined, onsets.short_frames)
-    seen = detector.measure(
-        windows[::tick_frames], filtered[: ticks * tick_frames].reshape(ticks, -1)
-    )
-    heard = [tick + 1 for tick in range(ticks) if detector.detect(seen, tick)]
+    s = settings_of(LiveDesign.of(TransformParameters(), SAMPLERATE))
+    filtered = BandPass(s.band_b, s.band_a, s.denormal_guard).process(sound)
+    ends = np.arange(s.tick_frames, filtered.size + 1, s.tick_frames)
+    onset = Onsets(s, filtered, ends).onset
+    heard = (1 + np.flatnonzero(onset == np.arange(ends.size))).tolist()
     # A second detection within the rest is of the same onset.
-    kept = [tick for tick, last in zip(heard, [-rest_ticks, *heard], strict=False)
-            if tick - last >= rest_ticks]  # fmt: skip
-    return np.array(kept, dtype=np.float64) * (tick_frames / SAMPLERATE)
+    kept = [tick for tick, last in zip(heard, [-s.rest_ticks, *heard], strict=False)
+            if tick - last >= s.rest_ticks]  # fmt: skip
+    tick_s = float(s.tick_s)
+    return np.array(kept, dtype=np.float64) * tick_s
 
 
 def found(sound: FloatArray, onsets_s: FloatArray) -> Found:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.signal import butter, hilbert, sosfilt, sosfiltfilt
 
 from audioflinger_hook.transform import HapticTransform
+from audioflinger_hook.transform.haptic import Form
 
 FloatArray = NDArray[np.float64]
 
@@ -22,14 +23,7 @@ SAMPLERATES = (8_000, 11_025, 16_000, 22_050, 44_100, 48_000, 96_000, 192_000)
 FIVE_TONES_HZ = (100.0, 350.0, 950.0, 1_350.0, 4_200.0)
 """The principal frequencies of the paper's Figure 7."""
 
-FORMS = ("live", "reference")
-
-WAYS: dict[str, dict[str, Any]] = {
-    "live": {"form": "live"},
-    "live in NumPy": {"form": "live", "implementation": "numpy"},
-    "reference": {"form": "reference"},
-}
-"""Every way in which vibration is computed, by the name under which `made` takes it as a form."""
+FORMS: tuple[Form, ...] = ("live", "reference")
 
 
 def times(seconds: float, samplerate: int) -> FloatArray:
@@ -115,13 +109,13 @@ def columns(*channels: FloatArray) -> FloatArray:
     return np.stack([channel[:frames] for channel in channels], axis=1)
 
 
-def opened(samplerate: int, channels: int, form: str = "live", **options: Any) -> HapticTransform:
-    """Return a new transform; form: one of `WAYS`."""
-    return HapticTransform(samplerate, channels, **WAYS[form], **options)
+def opened(samplerate: int, channels: int, form: Form = "live", **options: Any) -> HapticTransform:
+    """Return a new transform of a form."""
+    return HapticTransform(samplerate, channels, form=form, **options)
 
 
 def made(sound: NDArray[Any], samplerate: int, **options: Any) -> HapticTransform:
-    """Return a new transform that fits the sound; form: one of `WAYS`."""
+    """Return a new transform that fits the sound; options: as of `HapticTransform`."""
     return opened(samplerate, 1 if sound.ndim == 1 else sound.shape[1], **options)
 
 

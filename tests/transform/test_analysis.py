@@ -1,7 +1,8 @@
-"""The live form's analysis: the compiled one and the one in NumPy, held against each other."""
+"""The live form's analysis: the core's and the oracle's, held against each other."""
 
 import copy
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,9 +14,9 @@ from audioflinger_hook.transform import TransformParameters
 from audioflinger_hook.transform.arrays import strided_windows
 from audioflinger_hook.transform.design.analysis import AnalysisDesign
 from audioflinger_hook.transform.input_stage import BandPass, design_band_pass
-from audioflinger_hook.transform.live.analysis import LiveAnalysis
 from audioflinger_hook.transform.principal import PrincipalFinder, Principals
 from audioflinger_hook.transform.spectrum import Spectrum, magnitude
+from tests.oracle.analysis import all_principal, strongest_principal
 from tests.support.kernel_probes import probes
 from tests.support.recordings import require_recordings
 from tests.support.signals import (
@@ -40,30 +41,33 @@ SMALL = Spectrum.of(TransformParameters(window_s=0.01), 2_000)
 """Bins of 50 Hz, 21 of them: a spectrum that can be written down."""
 
 
-class CompiledAnalysis(LiveAnalysis):
-    """The analysis of the kernel, by the settings of the one in NumPy."""
+class OfTheCore:
+    """The core's analysis, by a design."""
+
+    def __init__(self, design):
+        self.design = design
 
     def all_principal(self, spectra):
-        return self._find(spectra, 0.0, max(1, self._bins // 2))
+        return self._find(spectra, 0.0, max(1, self.design.bins // 2))
 
     def strongest(self, spectra):
-        return self._find(spectra, self._side_lobe, self._partials_max)
+        return self._find(spectra, self.design.side_lobe, self.design.partials_max)
 
     def _find(self, spectra, side_lobe, most):
-        room = len(spectra) * most
+        room, s = len(spectra) * most, self.design
         row, found = np.empty(room, dtype=np.intp), np.empty((4, room))
         count = probes.find(
             spectra,
-            self._table,
-            self._turn,
-            self._first_sample,
-            self._bins,
-            self._first,
-            self._last,
-            self._bin_hz,
-            self._threshold_hz,
-            self._peak_span_min,
-            self._weakest_image,
+            s.image_table,
+            s.image_turn,
+            s.image_first,
+            s.bins,
+            s.first_bin,
+            s.last_bin,
+            s.bin_hz,
+            s.threshold_hz,
+            s.peak_span_min,
+            s.weakest_image,
             side_lobe,
             most,
             row,
@@ -72,11 +76,24 @@ class CompiledAnalysis(LiveAnalysis):
         return Principals(row[:count], *found[:, :count])
 
 
-def both(parameters, spectrum, bins=None):
-    """Return the compiled analysis and the one in NumPy, of so many bins or of all."""
-    bins = bins or spectrum.bins
-    design = AnalysisDesign.of(parameters, spectrum, bins)
-    return CompiledAnalysis(design), LiveAnalysis(design)
+class OfTheOracle:
+    """The oracle's."""
+
+    def __init__(self, design):
+        self.design = design
+
+    def all_principal(self, spectra):
+        return all_principal(self.design, spectra[:, : self.design.bins])
+
+    def strongest(self, spectra):
+        return strongest_principal(self.design, spectra[:, : self.design.bins])
+
+
+def both(parameters, spectrum, bins=None, **changes):
+    """Return the core's analysis and the oracle's, of so many bins or of all."""
+    design = AnalysisDesign.of(parameters, spectrum, bins or spectrum.bins)
+    design = replace(design, **changes)
+    return OfTheCore(design), OfTheOracle(design)
 
 
 def windows_of(sound, samplerate):
@@ -132,7 +149,7 @@ def as_spectra(amplitudes):
 
 @pytest.mark.parametrize("samplerate", SAMPLERATES)
 @pytest.mark.parametrize("kind", SOUNDS)
-def test_it_finds_what_numpy_finds(kind, samplerate):
+def test_it_finds_what_the_oracle_finds(kind, samplerate):
     spectrum = Spectrum.of(PARAMETERS, samplerate)
     spectra = spectra_of(SOUNDS[kind](samplerate), samplerate)
     for bins in (spectrum.bins, min(spectrum.bins, int(13_000 / spectrum.bin_hz))):
@@ -144,7 +161,7 @@ def test_it_finds_what_numpy_finds(kind, samplerate):
 
 
 @pytest.mark.exhaustive
-def test_it_finds_what_numpy_finds_in_recordings():
+def test_it_finds_what_the_oracle_finds_in_recordings():
     found = 0
     for path in require_recordings():
         sound, samplerate = soundfile.read(path, always_2d=True)
@@ -169,7 +186,7 @@ def test_it_finds_what_numpy_finds_in_recordings():
         {"band_high_hz": 20_000.0},
     ],
 )
-def test_it_finds_what_numpy_finds_for_other_parameters(changes):
+def test_it_finds_what_the_oracle_finds_for_other_parameters(changes):
     parameters = TransformParameters(**changes)
     spectrum = Spectrum.of(parameters, 44_100)
     ours, theirs = both(parameters, spectrum)
@@ -184,9 +201,8 @@ def test_it_finds_what_numpy_finds_for_other_parameters(changes):
 @pytest.mark.parametrize("weakest_image", [0.0, 0.05, np.inf])
 @pytest.mark.parametrize("side_lobe", [0.0, 0.3])
 def test_each_rule_is_the_same_rule_however_strict(weakest_image, side_lobe):
-    ours, theirs = both(PARAMETERS, Spectrum.of(PARAMETERS, 48_000))
-    ours._weakest_image = theirs._weakest_image = weakest_image
-    ours._side_lobe = theirs._side_lobe = side_lobe
+    changes = {"weakest_image": weakest_image, "side_lobe": side_lobe}
+    ours, theirs = both(PARAMETERS, Spectrum.of(PARAMETERS, 48_000), **changes)
     spectra = spectra_of(low_noise(0.5, 48_000, 0.1) + tone(4_000, 0.5, 48_000), 48_000)
     assert_the_same(ours.strongest(spectra), theirs.strongest(spectra))
 
@@ -194,8 +210,7 @@ def test_each_rule_is_the_same_rule_however_strict(weakest_image, side_lobe):
 def test_without_any_rule_of_the_live_form_it_finds_the_reference_forms_peaks():
     # Frequencies and amplitudes; bandwidths lie on bells instead of lines.
     spectrum = Spectrum.of(PARAMETERS, 48_000)
-    ours, _ = both(PARAMETERS, spectrum)
-    ours._weakest_image = np.inf
+    ours, _ = both(PARAMETERS, spectrum, weakest_image=np.inf)
     spectra = spectra_of(chord(48_000), 48_000)
     finder = PrincipalFinder(PARAMETERS, spectrum.bin_hz, spectrum.bins)
     found, reference = ours.all_principal(spectra), finder.all_principal(magnitude(spectra))
@@ -223,10 +238,9 @@ PLATEAUS = {
 
 @pytest.mark.parametrize("kind", PLATEAUS)
 @pytest.mark.parametrize("images", [False, True])
-def test_plateaus_zeros_and_ties_are_numpys(kind, images):
+def test_plateaus_zeros_and_ties_are_the_oracles(kind, images):
     parameters = TransformParameters(window_s=0.01, vibration_top_hz=220.0, partials_max=2)
-    ours, theirs = both(parameters, SMALL)
-    ours._weakest_image = theirs._weakest_image = 0.1 if images else np.inf
+    ours, theirs = both(parameters, SMALL, weakest_image=0.1 if images else np.inf)
     spectra = as_spectra([PLATEAUS[kind]])
     assert spectra.shape == (1, SMALL.bins)
     assert_the_same(ours.all_principal(spectra), theirs.all_principal(spectra))
@@ -243,11 +257,10 @@ def test_plateaus_zeros_and_ties_are_numpys(kind, images):
     most=st.integers(1, 5),
 )
 @settings(max_examples=300)
-def test_any_small_spectrum_is_numpys(amplitudes, most):
+def test_any_small_spectrum_is_the_oracles(amplitudes, most):
     # Few levels make many plateaus and many peaks with the same r, or the same but for rounding.
     parameters = TransformParameters(window_s=0.01, partials_max=most, threshold_hz=1.0)
-    ours, theirs = both(parameters, SMALL)
-    ours._weakest_image = theirs._weakest_image = np.inf
+    ours, theirs = both(parameters, SMALL, weakest_image=np.inf)
     spectra = as_spectra(amplitudes)
     assert_the_same(ours.all_principal(spectra), theirs.all_principal(spectra))
     assert_the_same(ours.strongest(spectra), theirs.strongest(spectra))
@@ -255,8 +268,7 @@ def test_any_small_spectrum_is_numpys(amplitudes, most):
 
 def test_of_equal_peaks_the_lower_ones_stay():
     parameters = TransformParameters(window_s=0.01, partials_max=2)
-    ours, _ = both(parameters, SMALL)
-    ours._weakest_image = np.inf
+    ours, _ = both(parameters, SMALL, weakest_image=np.inf)
     # Real and exact, so that all three have the same r.
     spectra = np.array([PLATEAUS["equal peaks"]], dtype=np.complex128)
     assert len(set(ours.all_principal(spectra).r)) == 1
@@ -333,9 +345,8 @@ STRANGE = (np.nan, np.inf, -np.inf, 1e308, -1e308, 1e155, 5e-324, 1e-308, 1e-160
 @pytest.mark.parametrize("bound", [True, False])
 def test_strange_numbers_end_in_numbers_and_stay_in_their_row(strange, where, bound):
     spectrum = Spectrum.of(PARAMETERS, 8_000)
-    ours, _ = both(PARAMETERS, spectrum)
-    if not bound:
-        ours._peak_span_min, ours._weakest_image = -1.0, -1.0
+    changes = {} if bound else {"peak_span_min": -1.0, "weakest_image": -1.0}
+    ours, _ = both(PARAMETERS, spectrum, **changes)
     spectra = spectra_of(white_noise(0.5, 8_000), 8_000)[:3].copy()
     expected = ours.strongest(spectra)
     parts = spectra[1].view(np.float64)
@@ -368,8 +379,9 @@ def test_strange_numbers_end_in_numbers_and_stay_in_their_row(strange, where, bo
 @settings(max_examples=200)
 def test_no_mixture_of_strange_numbers_is_too_much(seed, density, scale):
     rng = np.random.default_rng(seed)
-    ours, _ = both(TransformParameters(window_s=0.01, threshold_hz=0.001), SMALL)
-    ours._peak_span_min, ours._weakest_image = rng.choice([-1.0, np.nan, 0.1], 2)
+    span, image = rng.choice([-1.0, np.nan, 0.1], 2)
+    parameters = TransformParameters(window_s=0.01, threshold_hz=0.001)
+    ours, _ = both(parameters, SMALL, peak_span_min=span, weakest_image=image)
     parts = scale * rng.standard_normal((3, 2 * SMALL.bins))
     strange = rng.random(parts.shape) < density
     parts[strange] = rng.choice(STRANGE, int(strange.sum()))

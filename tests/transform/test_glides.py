@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from audioflinger_hook.config.profiles import parameters_of
-from audioflinger_hook.transform import HapticTransform, kernel_warning
-from audioflinger_hook.transform.live.synthesis import GLIDE_COLUMNS
+from audioflinger_hook.core.structures import GLIDE_COLUMNS
+from audioflinger_hook.transform import HapticTransform
+from tests.oracle import vibration_of
 
 RATE_HZ = 48_000
-IMPLEMENTATIONS = ["numpy"] if kernel_warning() else ["compiled", "numpy"]
 PIECE_FRAMES = 3_001
 
 
@@ -34,24 +34,26 @@ def glides_of(transform: HapticTransform, sound: Any) -> tuple[Any, Any]:
         rows.append(transform.take_glides())
     parts.append(transform.finish())
     found = np.concatenate([*rows, transform.take_glides()])
-    return found[np.lexsort((found[:, 3], found[:, 2], found[:, 0]))], np.concatenate(parts)
+    return in_order(found), np.concatenate(parts)
 
 
-@pytest.mark.parametrize("implementation", IMPLEMENTATIONS)
+def in_order(rows: Any) -> Any:
+    return rows[np.lexsort((rows[:, 3], rows[:, 2], rows[:, 0]))]
+
+
 @pytest.mark.parametrize("profile", ["paper", "cinema"])
-def test_recording_changes_no_sample(implementation: Any, profile: str) -> None:
+def test_recording_changes_no_sample(profile: str) -> None:
     parameters = parameters_of(profile)
     sound = struck_tones()
-    plain = HapticTransform(RATE_HZ, 1, parameters, implementation=implementation)
+    plain = HapticTransform(RATE_HZ, 1, parameters)
     expected = np.concatenate([plain.process(sound), plain.finish()])
-    recorded = HapticTransform(RATE_HZ, 1, parameters, implementation=implementation)
+    recorded = HapticTransform(RATE_HZ, 1, parameters)
     _, vibration = glides_of(recorded, sound)
     assert np.array_equal(vibration, expected)
 
 
-@pytest.mark.parametrize("implementation", IMPLEMENTATIONS)
-def test_glides_of_one_slot_join_in_time_and_in_phase(implementation: Any) -> None:
-    rows, _ = glides_of(HapticTransform(RATE_HZ, 1, implementation=implementation), struck_tones())
+def test_glides_of_one_slot_join_in_time_and_in_phase() -> None:
+    rows, _ = glides_of(HapticTransform(RATE_HZ, 1), struck_tones())
     assert rows.shape[1] == len(GLIDE_COLUMNS)
     joins = 0
     for slot in np.unique(rows[:, 3]):
@@ -66,25 +68,17 @@ def test_glides_of_one_slot_join_in_time_and_in_phase(implementation: Any) -> No
     assert joins > 10
 
 
-@pytest.mark.skipif(len(IMPLEMENTATIONS) < 2, reason="the kernel is not compiled")
 @pytest.mark.parametrize("per_channel", [False, True])
 @pytest.mark.parametrize("profile", ["paper", "cinema"])
-def test_both_implementations_record_the_same_glides(per_channel: bool, profile: str) -> None:
+def test_the_core_records_the_glides_of_its_oracle(per_channel: bool, profile: str) -> None:
     sound = np.column_stack([struck_tones(), struck_tones()[::-1]])
-    found = []
-    for implementation in ("compiled", "numpy"):
-        transform = HapticTransform(
-            RATE_HZ,
-            2,
-            parameters_of(profile),
-            per_channel=per_channel,
-            implementation=implementation,
-        )
-        found.append(glides_of(transform, sound)[0])
-    assert len(found[0]) > 20
+    parameters = parameters_of(profile)
+    found, _ = glides_of(HapticTransform(RATE_HZ, 2, parameters, per_channel=per_channel), sound)
+    expected = vibration_of(sound, RATE_HZ, parameters, per_channel=per_channel).glides
+    assert len(found) > 20
     # Times, voices and slots are whole numbers; the rest differs by rounding.
-    assert np.array_equal(found[0][:, :4], found[1][:, :4])
-    assert np.allclose(found[0], found[1], rtol=1e-6, atol=1e-9)
+    assert np.array_equal(found[:, :4], in_order(expected)[:, :4])
+    assert np.allclose(found, in_order(expected), rtol=1e-6, atol=1e-9)
 
 
 def test_the_reference_form_records_nothing() -> None:

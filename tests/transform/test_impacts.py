@@ -8,16 +8,25 @@ import pytest
 from audioflinger_hook.config.profiles import parameters_of
 from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.design.loudness import felt_weight
-from audioflinger_hook.transform.live.loudness import LoudnessFollower
-from audioflinger_hook.transform.live.partials import PartialTracker
-from audioflinger_hook.transform.live.synthesis import Glides
-from audioflinger_hook.transform.live.transform import LiveTransform
-from tests.support.signals import columns, envelope, joined, played, silence, tone, white_noise
+from audioflinger_hook.transform.haptic import CoreStream
+from tests.oracle import settings_of, vibration_of
+from tests.oracle.loudness import concentrated
+from tests.oracle.partials import Partials
+from tests.support.signals import (
+    columns,
+    envelope,
+    joined,
+    opened,
+    played,
+    silence,
+    tone,
+    white_noise,
+)
 
 RATE = 48_000
 PROFILES = ("cinema", "game", "music")
-LIVE = ("live", "live in NumPy")
 CINEMA = parameters_of("cinema")
+HOP_FRAMES = LiveDesign.of(CINEMA, RATE).grid.hop_frames
 
 
 def drum(hz, seconds=0.5, decay_s=0.08, amplitude=0.6):
@@ -59,15 +68,14 @@ def test_a_shot_s_noise_is_felt_most_as_it_begins(profile):
     assert np.median(late_ms) < 25.0, late_ms
 
 
-@pytest.mark.parametrize("form", LIVE)
-def test_a_blow_adds_to_the_tone_that_sounds_whatever_its_phase(form):
+def test_a_blow_adds_to_the_tone_that_sounds_whatever_its_phase():
     hum = tone(90.0, 1.2, RATE, 0.02)
     deepest = []
     for delay in range(0, 540, 90):
         at = RATE // 2 + delay
         sound = hum.copy()
         sound[at:] += drum(95.0, 1.0)[: sound.size - at]
-        level = envelope(played(sound, RATE, form=form, parameters=CINEMA)[:, 0], RATE)
+        level = envelope(played(sound, RATE, parameters=CINEMA)[:, 0], RATE)
         before = level[at - 4_000 : at - 1_500].mean()
         # From the first tick that can be felt to the end of the hop that is under way.
         deepest.append(level[at : at + 1_200].min() / before)
@@ -75,37 +83,34 @@ def test_a_blow_adds_to_the_tone_that_sounds_whatever_its_phase(form):
 
 
 def test_a_partial_of_an_onset_has_frequency_and_phase_of_what_it_joins():
-    design = LiveDesign.of(CINEMA, RATE)
-    transform = LiveTransform(design)
-    transform.process(tone(90.0, 0.5, RATE, 0.1))
-    tracker = transform._tracker
-    (slot,) = tracker._alive.nonzero()[0].tolist()
-    joined_to = tracker.strongest_near(1.1 * tracker._hz[slot], 0.004)
-    assert joined_to
-    hz, phase = joined_to
-    assert hz == tracker._hz[slot]
-    turned = (tracker._phase[slot] - 0.004 * hz - phase) % 1.0
-    assert min(turned, 1.0 - turned) < 1e-9
-    # Farther away than what merges there is nothing to join, and without merging nothing is.
-    assert tracker.strongest_near(4.0 * hz, 0.004) is None
-    apart = LiveTransform(LiveDesign.of(replace(CINEMA, merge_ratio=0.0), RATE))
-    apart.process(tone(90.0, 0.5, RATE, 0.1))
-    assert apart._tracker.strongest_near(hz, 0.004) is None
+    sound = tone(90.0, 1.0, RATE, 0.02)
+    at = RATE // 2 + 300
+    sound[at:] += drum(95.0)[: sound.size - at]
+    joins = {}
+    for merge_ratio in (CINEMA.merge_ratio, 0.0):
+        transform = opened(RATE, 1, parameters=replace(CINEMA, merge_ratio=merge_ratio))
+        transform.take_glides()
+        transform.process(sound)
+        glides = transform.take_glides()
+        fresh = glides[(glides[:, 1] < HOP_FRAMES) & (glides[:, 0] >= at)][0]
+        under_way = (glides[:, 1] == HOP_FRAMES) & (fresh[0] - glides[:, 0] < HOP_FRAMES)
+        [other] = glides[under_way & (glides[:, 0] <= fresh[0]) & (glides[:, 6] > 0.0)]
+        # A tone that goes on: its frequency hardly glides.
+        assert other[5] == pytest.approx(other[4], abs=0.01)
+        turns = other[8] + other[5] * (fresh[0] - other[0]) / RATE - fresh[8]
+        joins[merge_ratio] = fresh[4] == other[5] and abs((turns + 0.5) % 1.0 - 0.5) < 1e-4
+    assert joins == {CINEMA.merge_ratio: True, 0.0: False}
 
 
 def test_amplitudes_that_waver_by_a_twelfth_are_steadied_where_partials_are_merged():
     swings = {}
     for merge_ratio in (0.6, 0.0):
         design = LiveDesign.of(replace(CINEMA, merge_ratio=merge_ratio), RATE)
-        tracker = PartialTracker(design)
-        glides = Glides.silent(1, tracker.slots)
-        amplitudes = []
+        partials = Partials(settings_of(design))
         for hop in range(80):
             amplitude = np.array([0.2 * (1.0 + (0.04 if hop % 2 else -0.04))])
-            hz, audio_hz = np.array([50.0]), np.array([400.0])
-            tracker.follow(glides, 0, audio_hz, hz, amplitude, 0.5, lambda _: 0.0, 1.0)
-            amplitudes.append(float(glides.end_amplitude[0].sum()))
-        swings[merge_ratio] = np.ptp(amplitudes[40:]) / 0.2
+            partials.follow(hop, np.array([50.0]), amplitude, 0.5, 1.0, lambda _: 0.0)
+        swings[merge_ratio] = np.ptp([one[5] for one in partials.glides[40:]]) / 0.2
     assert swings[0.6] < 0.03
     assert swings[0.0] > 0.07
 
@@ -116,21 +121,19 @@ def test_amplitudes_that_waver_by_a_twelfth_are_steadied_where_partials_are_merg
 @pytest.mark.parametrize("seed", range(5))
 def test_loud_sound_moves_to_where_it_is_felt_and_keeps_its_strength(seed):
     rng = np.random.default_rng(seed)
-    follower = LoudnessFollower(LiveDesign.of(CINEMA, RATE).loudness)
+    design = LiveDesign.of(CINEMA, RATE).loudness
     hz, amplitude = np.sort(rng.uniform(30.0, 220.0, 8)), rng.uniform(0.01, 0.5, 8)
     total = float(amplitude.sum())
     felt = felt_weight(CINEMA, hz)
     for ceiling in (0.1 * total, 0.5 * total, 0.99 * total, total):
-        moved = follower.concentrated(amplitude, hz, ceiling)
+        moved = concentrated(design, amplitude, hz, ceiling)
         kept = np.linalg.norm(moved * felt) / np.linalg.norm(amplitude * felt)
         # Sensitivity comes from a table in steps of 0.25 Hz.
         assert kept == pytest.approx(1.0, abs=1e-4)
         assert moved.sum() <= total * (1.0 + 1e-12)
     np.testing.assert_array_equal(moved, amplitude)
     # It begins without a step.
-    np.testing.assert_allclose(
-        follower.concentrated(amplitude, hz, 0.9999 * total), amplitude, 2e-3
-    )
+    np.testing.assert_allclose(concentrated(design, amplitude, hz, 0.9999 * total), amplitude, 2e-3)
 
 
 def test_treble_at_full_scale_loses_less_to_the_limiter_than_it_would_unmoved():
@@ -139,11 +142,9 @@ def test_treble_at_full_scale_loses_less_to_the_limiter_than_it_would_unmoved():
     levels = []
     for most in (0.0, 4.0):
         design = LiveDesign.of(parameters, RATE)
-        object.__setattr__(design.loudness, "concentrated", most)
-        transform = LiveTransform(design)
-        assert transform.levels.follower
-        transform.levels.follower.programme_db = -30.0
-        felt = transform.process(spread)[RATE // 2 :]
+        loudness = replace(design.loudness, concentrated=most, programme_start=-30.0)
+        stream = CoreStream(replace(design, loudness=loudness), 1, False)
+        felt = stream.process(spread[:, None])[RATE // 2 :, 0]
         levels.append(level_db(np.cumsum(felt) * 2 * np.pi * 40.0 / RATE))
     assert levels[1] > levels[0] + 1.0
 
@@ -190,7 +191,7 @@ def test_one_broken_channel_of_many_leaves_the_others_felt(profile, channels):
     if channels > 1:
         many[:, 1] = np.nan
     parameters = parameters_of(profile)
-    kernel, numpy = (played(many, 16_000, form=form, parameters=parameters) for form in LIVE)
+    kernel = played(many, 16_000, parameters=parameters)
     assert np.isfinite(kernel).all()
     assert kernel.any()
-    assert np.abs(kernel - numpy).max() < 1e-6
+    assert np.abs(kernel - vibration_of(many, 16_000, parameters).samples).max() < 1e-6

@@ -1,6 +1,7 @@
-"""The compiled live form and its twin in NumPy: the same vibration, whatever the sound."""
+"""The core and its oracle: the same vibration, whatever the sound and its blocks."""
 
 import copy
+import functools
 import pickle
 from typing import Any
 
@@ -12,9 +13,10 @@ from hypothesis import strategies as st
 
 from audioflinger_hook.scenes import demo_scene
 from audioflinger_hook.sources import mixdown
-from audioflinger_hook.transform import TransformParameters, kernel_warning
+from audioflinger_hook.transform import TransformParameters
 from audioflinger_hook.transform.design.synthesis import LiveGrid
 from device.errors import UsageError
+from tests.oracle import vibration_of
 from tests.support.memory import memory_growth
 from tests.support.parameters import LIMITS
 from tests.support.recordings import require_recordings
@@ -24,6 +26,7 @@ from tests.support.signals import (
     chirp,
     columns,
     identical,
+    in_blocks,
     joined,
     low_noise,
     made,
@@ -39,74 +42,51 @@ from tests.support.signals import (
 AGREEMENT = 1e-6
 """Of full scale: what the two owe each other. On what follows they are within 1e-8."""
 
-NUMPY = "live in NumPy"
 
-needs_kernel = pytest.mark.skipif(kernel_warning() is not None, reason=str(kernel_warning()))
-
-
-def test_the_set_up_has_built_the_kernel():
-    # Without it everything works, but nothing of it would be tested below.
-    assert kernel_warning() is None
-
-
-def assert_twins(sound, samplerate, **options):
-    """Play a sound through both; vibration, latency and counters must be the same."""
-    ours, theirs = (
-        made(sound, samplerate, **options),
-        made(sound, samplerate, form=NUMPY, **options),
-    )
-    assert (ours.implementation, theirs.implementation) == ("compiled", "numpy")
-    assert ours.latency_frames == theirs.latency_frames
-    during = ours.process(sound), theirs.process(sound)
-    assert partials_of(ours) == pytest.approx(partials_of(theirs), abs=1e-6)
-    after = ours.finish(), theirs.finish()
-    for one, other in (during, after):
-        assert one.shape == other.shape
-        assert np.abs(one - other).max(initial=0.0) <= AGREEMENT
-    assert ours.limited_samples == theirs.limited_samples
-    assert ours.replaced_samples == theirs.replaced_samples
-    return during[0]
+def assert_agree(sound, samplerate, **options):
+    """Play a sound through the core, and by the oracle; return the core's vibration."""
+    core, oracle = made(sound, samplerate, **options), vibration_of(sound, samplerate, **options)
+    during = core.process(sound)
+    told = oracle.told_at(len(sound))
+    assert partials_of(core.principal) == pytest.approx(partials_of(told), abs=1e-6)
+    whole = np.concatenate((during, core.finish()))
+    assert whole.shape == oracle.samples.shape
+    assert np.abs(whole - oracle.samples).max(initial=0.0) <= AGREEMENT
+    assert core.limited_samples == oracle.limited
+    assert core.replaced_samples == oracle.replaced
+    return during
 
 
-def partials_of(transform):
-    """Return how many partials each voice plays, then Hz and amplitude of each."""
-    stream = transform._stream
-    if transform.implementation == "compiled":
-        voices = [[partial[:2] for partial in voice] for voice in stream._kernel.partials]
-    else:
-        trackers = [voice._tracker for voice in stream.transforms]
-        voices = [list(zip(t._hz[t._alive], t._amplitude[t._alive], strict=True)) for t in trackers]
-    return [len(voice) for voice in voices] + list(np.ravel([p for v in voices for p in v]))
+def partials_of(told):
+    """Return how many partials the latest hop vibrates, then what each is."""
+    return [len(told), *np.ravel(sorted(told))]
 
 
 # --- sounds -------------------------------------------------------------------------------------
 
 
-@needs_kernel
-def test_twins_agree_on_the_demo_scene():
-    assert assert_twins(mixdown(demo_scene()), 48_000).any()
+def test_it_agrees_on_the_demo_scene():
+    assert assert_agree(mixdown(demo_scene()), 48_000).any()
 
 
 @pytest.mark.exhaustive
-@needs_kernel
 @pytest.mark.parametrize("level", [0.05, 1.0, 8.0])
-def test_twins_agree_on_recordings_at_any_level(level):
+def test_it_agrees_on_recordings_at_any_level(level):
     for path in require_recordings():
         sound, samplerate = soundfile.read(path, dtype="float32", always_2d=True)
-        vibration = assert_twins(np.float32(level) * sound, samplerate)
+        vibration = assert_agree(np.float32(level) * sound, samplerate)
         assert vibration.any() or level < 1.0, path.name
 
 
 @pytest.mark.exhaustive
-@needs_kernel
-def test_twins_agree_where_speech_is_suppressed():
+def test_it_agrees_where_speech_is_suppressed():
     parameters = TransformParameters(speech_suppression_db=24.0)
     paths = [path for path in require_recordings() if path.stem.startswith("Front_")]
     spoken = np.concatenate([soundfile.read(path)[0] for path in paths])
     speech = joined(spoken, spoken, silence(3.0, 48_000), spoken)
     effects = np.resize(mixdown(demo_scene()).mean(axis=1), speech.shape)
     for sound in (speech, speech + effects, columns(speech, effects)):
-        lowered = assert_twins(sound, 48_000, parameters=parameters, per_channel=True)
+        lowered = assert_agree(sound, 48_000, parameters=parameters, per_channel=True)
         assert not identical(lowered, played(sound, 48_000, per_channel=True)[: len(sound)])
 
 
@@ -174,33 +154,30 @@ SOUNDS = {
 }
 
 
-@needs_kernel
 @pytest.mark.parametrize("samplerate", [*SAMPLERATES, 37_123])
 @pytest.mark.parametrize("kind", SOUNDS)
-def test_twins_agree_on_synthetic_sounds(kind, samplerate):
-    assert_twins(SOUNDS[kind](samplerate), samplerate)
+def test_it_agrees_on_synthetic_sounds(kind, samplerate):
+    assert_agree(SOUNDS[kind](samplerate), samplerate)
 
 
 @pytest.mark.sweep
-@needs_kernel
 @pytest.mark.parametrize("samplerate", [1_000, 1_001, 1_400, 2_350, 3_900, 384_000, 768_000])
-def test_twins_agree_at_the_ends_of_the_samplerates(samplerate):
+def test_it_agrees_at_the_ends_of_the_samplerates(samplerate):
     # 1 400 Hz: a spectrum of odd length; 2 350 Hz: of twice an odd length.
     for kind in ("noise", "sweep", "clicks", "square"):
-        assert_twins(SOUNDS[kind](samplerate)[: samplerate // 2], samplerate)
+        assert_agree(SOUNDS[kind](samplerate)[: samplerate // 2], samplerate)
 
 
 # --- channels and parameters ---------------------------------------------------------------------
 
 
-@needs_kernel
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 @pytest.mark.parametrize("per_channel", [False, True])
 @pytest.mark.parametrize("channels", [1, 2, 3, 64])
-def test_twins_agree_on_any_channels(channels, per_channel, dtype):
+def test_it_agrees_on_any_channels(channels, per_channel, dtype):
     kinds = list(SOUNDS)
     sounds = [SOUNDS[kinds[index % len(kinds)]](8_000)[:4_000] for index in range(channels)]
-    assert_twins(columns(*sounds).astype(dtype), 8_000, per_channel=per_channel)
+    assert_agree(columns(*sounds).astype(dtype), 8_000, per_channel=per_channel)
 
 
 def at_the_limits():
@@ -215,14 +192,13 @@ def at_the_limits():
 
 
 @pytest.mark.exhaustive
-@needs_kernel
 @pytest.mark.parametrize("kind", ["noise", "sweep", "square", "clicks", "Nyquist's frequency"])
-def test_twins_agree_with_every_parameter_at_its_limits(kind):
+def test_it_agrees_with_every_parameter_at_its_limits(kind):
     sound = SOUNDS[kind](16_000)[:12_000]
     cases = list(at_the_limits())
     assert len(cases) > 30
     for values in cases:
-        assert_twins(sound, 16_000, parameters=TransformParameters(**values))
+        assert_agree(sound, 16_000, parameters=TransformParameters(**values))
 
 
 VARIANTS: dict[str, dict[str, Any]] = {
@@ -241,26 +217,24 @@ VARIANTS: dict[str, dict[str, Any]] = {
 
 
 @pytest.mark.sweep
-@needs_kernel
 @pytest.mark.parametrize("samplerate", [8_000, 44_100])
 @pytest.mark.parametrize("variant", VARIANTS)
-def test_twins_agree_with_every_law_and_mapping(variant, samplerate):
+def test_it_agrees_with_every_law_and_mapping(variant, samplerate):
     parameters = TransformParameters(**VARIANTS[variant])
     for make in SOUNDS.values():
-        assert_twins(make(samplerate), samplerate, parameters=parameters)
+        assert_agree(make(samplerate), samplerate, parameters=parameters)
 
 
 @pytest.mark.sweep
-@needs_kernel
 @pytest.mark.parametrize("variant", ["followed", "all"])
-def test_twins_agree_on_voices_that_share_a_programme(variant):
+def test_it_agrees_on_voices_that_share_a_programme(variant):
     samplerate = 8_000
     sounds = [SOUNDS[kind](samplerate)[:7_000] for kind in ("gaps", "sweep", "noise", "bursts")]
     both = columns(
         *(level * each for level, each in zip((1, 0.05, 0.3, 0.01), sounds, strict=True))
     )
     parameters = TransformParameters(**VARIANTS[variant])
-    assert_twins(both, samplerate, per_channel=True, parameters=parameters)
+    assert_agree(both, samplerate, per_channel=True, parameters=parameters)
 
 
 @pytest.mark.exhaustive
@@ -284,8 +258,7 @@ def test_twins_agree_on_voices_that_share_a_programme(variant):
     variant=st.sampled_from(list(VARIANTS)),
 )
 @settings(max_examples=120)
-@needs_kernel
-def test_twins_agree_where_every_decision_is_between_equals(
+def test_it_agrees_where_every_decision_is_between_equals(
     pieces, samplerate, window_s, partials_max, threshold_hz, variant
 ):
     parameters = TransformParameters(
@@ -321,7 +294,7 @@ def test_twins_agree_where_every_decision_is_between_equals(
 
     sound = joined(*(piece(*each) for each in pieces))
     try:
-        assert_twins(sound, samplerate, parameters=parameters)
+        assert_agree(sound, samplerate, parameters=parameters)
     except UsageError:
         # The band begins above half of so low a samplerate.
         assert samplerate == 1_000
@@ -330,7 +303,29 @@ def test_twins_agree_where_every_decision_is_between_equals(
 # --- the stream ----------------------------------------------------------------------------------
 
 
-@needs_kernel
+@functools.cache
+def whole(variant):
+    """Return a sound of three channels, and its vibration by the oracle, of the mix and of each."""
+    sound = columns(*(SOUNDS[kind](8_000) for kind in ("gaps", "bursts", "damaged")))
+    parameters = TransformParameters(**VARIANTS.get(variant, {}))
+    ways = {
+        each: vibration_of(sound, 8_000, parameters, per_channel=each) for each in (False, True)
+    }
+    return sound, parameters, ways
+
+
+@given(
+    lengths=st.lists(st.integers(0, 3_000), max_size=60),
+    per_channel=st.booleans(),
+    variant=st.sampled_from(["paper", *VARIANTS]),
+)
+def test_it_agrees_at_any_split_of_the_sound(lengths, per_channel, variant):
+    sound, parameters, ways = whole(variant)
+    options = {"per_channel": per_channel, "parameters": parameters}
+    vibration = in_blocks(sound, lengths, 8_000, **options)
+    assert np.abs(vibration - ways[per_channel].samples).max() <= AGREEMENT
+
+
 @pytest.mark.parametrize("per_channel", [False, True])
 @pytest.mark.parametrize("variant", ["by energy", "followed"])
 def test_a_copy_and_a_pickle_go_on_where_the_stream_stands(per_channel, variant):
@@ -347,15 +342,13 @@ def test_a_copy_and_a_pickle_go_on_where_the_stream_stands(per_channel, variant)
         assert other.replaced_samples == transform.replaced_samples
 
 
-@needs_kernel
 @pytest.mark.parametrize("dtype", [np.float16, np.longdouble, ">f4", ">f8"])
-def test_unusual_types_of_sound_are_taken_as_their_twin_takes_them(dtype):
+def test_it_agrees_on_sound_of_unusual_types(dtype):
     sound = columns(white_noise(0.3, 8_000, 0.5), tone(300, 0.3, 8_000, 0.5))
     sound[100, 0] = np.nan
-    assert assert_twins(sound.astype(dtype), 8_000).any()
+    assert assert_agree(sound.astype(dtype), 8_000).any()
 
 
-@needs_kernel
 def test_a_sample_that_does_not_begin_where_its_type_should_is_read():
     sound = columns(white_noise(0.3, 8_000, 0.5), tone(300, 0.3, 8_000, 0.5)).astype(np.float32)
     shifted = np.zeros(sound.nbytes + 1, np.uint8)[1:].view(np.float32).reshape(sound.shape)
@@ -365,7 +358,6 @@ def test_a_sample_that_does_not_begin_where_its_type_should_is_read():
     assert identical(made(shifted, 8_000).process(shifted), expected)
 
 
-@needs_kernel
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 @pytest.mark.parametrize("channels", [1, 2, 3])
 def test_silence_is_the_same_however_its_frames_lie_in_memory(channels, dtype):
@@ -385,13 +377,11 @@ def test_silence_is_the_same_however_its_frames_lie_in_memory(channels, dtype):
             assert identical(one.process(dense), other.process(strided))
 
 
-@needs_kernel
-def test_twins_agree_after_a_silence_in_which_the_band_pass_comes_to_rest():
+def test_it_agrees_after_a_silence_in_which_the_band_pass_comes_to_rest():
     noise = white_noise(0.2, 48_000, 0.5)
-    assert assert_twins(joined(noise, silence(1.0, 48_000), noise), 48_000)[58_000:].any()
+    assert assert_agree(joined(noise, silence(1.0, 48_000), noise), 48_000)[58_000:].any()
 
 
-@needs_kernel
 @pytest.mark.parametrize(
     "block",
     [
@@ -417,7 +407,6 @@ def test_a_block_that_is_refused_leaves_the_stream_as_it_was(block):
 
 
 @pytest.mark.soak
-@needs_kernel
 def test_a_million_hops_take_no_more_memory_than_a_thousand():
     samplerate = 1_000
     hop = LiveGrid.at(TransformParameters(), samplerate).hop_frames

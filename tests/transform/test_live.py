@@ -9,11 +9,10 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from audioflinger_hook.transform import HapticTransform, TransformParameters
-from audioflinger_hook.transform.design import LiveDesign
-from audioflinger_hook.transform.live.transform import LiveTransform
 from audioflinger_hook.transform.mapping import vibration_hz
 from audioflinger_hook.transform.reference.transform import ReferenceTransform
 from audioflinger_hook.transform.spectrum import magnitude
+from tests.support.principal import principal_in
 from tests.support.recordings import require_recordings
 from tests.support.signals import (
     SAMPLERATES,
@@ -173,7 +172,7 @@ def agreement_with_reference(sound, samplerate):
     form = ReferenceTransform(PARAMETERS, samplerate)
     units = np.concatenate((form.cut(sound), form.cut_last()))
     theirs = form._finder.all_principal(magnitude(form._spectrum.transform(units)))
-    ours = LiveTransform(LiveDesign.of(PARAMETERS, samplerate)).analyse(units)
+    ours = principal_in(units, samplerate)
     reach_hz = samplerate / PARAMETERS.fft_length(samplerate) / 2
     both = 0
     for unit in range(len(units)):

@@ -11,17 +11,17 @@ from scipy.signal import butter, sosfiltfilt
 
 from audioflinger_hook.config.profiles import parameters_of
 from audioflinger_hook.transform import TransformParameters
-from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.design.synthesis import TrackingDesign
-from audioflinger_hook.transform.live.merging import merge
-from audioflinger_hook.transform.live.transform import LiveTransform
 from audioflinger_hook.transform.mapping import VibrationMapping
+from tests.oracle import vibration_of
+from tests.oracle.partials import merge
 from tests.support.signals import (
     columns,
     envelope,
     identical,
     in_blocks,
     joined,
+    opened,
     played,
     silence,
     tone,
@@ -31,7 +31,6 @@ from tools.bench.measures.steadiness import rises_s
 
 RATE = 16_000
 PROFILES = ("cinema", "game", "music")
-LIVE = ("live", "live in NumPy")
 CHORD_HZ = (220.0, 277.18, 329.63)
 CINEMA = parameters_of("cinema")
 TRACKING = TrackingDesign.of(CINEMA, 0.018)
@@ -257,36 +256,33 @@ def test_a_group_of_the_sound_s_energy_is_as_strong_as_one_tone():
     assert levels[0] == pytest.approx(levels[1], abs=0.5)
 
 
-def test_the_paper_s_partials_are_not_merged(monkeypatch):
-    def refuse(*_):
-        raise AssertionError("merged")
+def oscillators(parameters):
+    """Return the slots that sound and their Hz, at the end of each hop of a chord that goes on."""
+    transform = opened(RATE, 1, parameters=parameters)
+    transform.process(tones(CHORD_HZ, 1.0))
+    transform.take_glides()
+    transform.process(tones(CHORD_HZ, 2.0)[RATE:])
+    glides = transform.take_glides()
+    hops = [glides[glides[:, 0] == frame] for frame in np.unique(glides[:, 0])]
+    ends = [hop[hop[:, 7] > 0.0] for hop in hops]
+    return [(tuple(end[:, 3]), end[:, 5]) for end in ends]
 
-    monkeypatch.setattr("audioflinger_hook.transform.live.partials.merge", refuse)
-    sound = tones(CHORD_HZ, 0.5)
+
+def test_the_paper_s_partials_are_not_merged():
     for parameters in (TransformParameters(), parameters_of("paper")):
         assert parameters.merge_ratio == 0.0
-        vibration = played(sound, RATE, form="live in NumPy", parameters=parameters)
-        assert np.abs(vibration - played(sound, RATE, parameters=parameters)).max() < 1e-6
-    with pytest.raises(AssertionError, match="merged"):
-        played(sound, RATE, form="live in NumPy", parameters=CINEMA)
+        assert {len(slots) for slots, _ in oscillators(parameters)} == {len(CHORD_HZ)}
+    assert {len(slots) for slots, _ in oscillators(CINEMA)} == {1}
 
 
 def test_partials_that_are_one_stay_one_oscillator_from_hop_to_hop():
-    transform = LiveTransform(LiveDesign.of(CINEMA, RATE))
-    sound = tones(CHORD_HZ, 2.0)
-    transform.process(sound[:RATE])
-    tracker = transform._tracker
-    slots, frequencies = set(), []
-    for first in range(RATE, 2 * RATE, transform.design.grid.hop_frames):
-        transform.process(sound[first : first + transform.design.grid.hop_frames])
-        alive = tracker._alive.nonzero()[0]
-        slots.add(tuple(alive.tolist()))
-        frequencies.append(tracker._hz[alive])
-    assert len(slots) == 1
-    assert np.ptp(np.array(frequencies), axis=0).max() < 1.0
+    hops = oscillators(CINEMA)
+    assert len(hops) > 50
+    assert len({slots for slots, _ in hops}) == 1
+    assert np.ptp(np.array([hz for _, hz in hops]), axis=0).max() < 1.0
 
 
-# --- both implementations, splits, hard cases
+# --- the oracle, splits, hard cases
 
 
 def sounds():
@@ -301,62 +297,55 @@ def sounds():
 
 @pytest.mark.parametrize("ratio", [0.35, 0.6])
 @pytest.mark.parametrize("kind", [*sounds()])
-def test_the_kernel_merges_as_numpy_does(ratio, kind):
+def test_the_core_merges_as_its_oracle_does(ratio, kind):
     sound = sounds()[kind]
-    for parameters in (CINEMA, parameters_of("game"), TransformParameters()):
-        kernel, numpy = (
-            played(sound, RATE, form=form, parameters=replace(parameters, merge_ratio=ratio))
-            for form in LIVE
-        )
-        assert kernel.any()
-        assert np.abs(kernel - numpy).max() < 1e-6
+    for one in (CINEMA, parameters_of("game"), TransformParameters()):
+        parameters = replace(one, merge_ratio=ratio)
+        vibration = played(sound, RATE, parameters=parameters)
+        assert vibration.any()
+        assert np.abs(vibration - vibration_of(sound, RATE, parameters).samples).max() < 1e-6
 
 
-@pytest.mark.parametrize("form", LIVE)
 @pytest.mark.parametrize("ratio", [0.35, 0.6])
 @pytest.mark.parametrize("frames", [7, 240, 997])
-def test_splits_give_the_same_bytes(form, ratio, frames):
+def test_splits_give_the_same_bytes(ratio, frames):
     sound = sounds()["all"]
     if frames == 7:
         sound = sound[-RATE // 2 :]
     parameters = replace(CINEMA, merge_ratio=ratio)
-    whole = played(sound, RATE, form=form, parameters=parameters)
+    whole = played(sound, RATE, parameters=parameters)
     blocks = [frames] * (sound.size // frames)
-    assert identical(in_blocks(sound, blocks, RATE, form=form, parameters=parameters), whole)
+    assert identical(in_blocks(sound, blocks, RATE, parameters=parameters), whole)
 
 
-@pytest.mark.parametrize("form", LIVE)
-def test_opposite_channels_and_a_broken_one_are_felt_as_the_other(form):
+def test_opposite_channels_and_a_broken_one_are_felt_as_the_other():
     sound = tones(CHORD_HZ, 0.8)
-    alone = played(sound, RATE, form=form, parameters=CINEMA)
+    alone = played(sound, RATE, parameters=CINEMA)
     for other in (-sound, np.full(sound.size, np.nan)):
-        vibration = played(columns(sound, other), RATE, form=form, parameters=CINEMA)
+        vibration = played(columns(sound, other), RATE, parameters=CINEMA)
         assert np.isfinite(vibration).all()
-        each = played(columns(sound, other), RATE, form=form, per_channel=True, parameters=CINEMA)
+        each = played(columns(sound, other), RATE, per_channel=True, parameters=CINEMA)
         assert np.isfinite(each).all()
         assert each[:, 0].any()
         # Opposite sides do not cancel; a side without sound takes at most its half.
         assert 10 * np.log10((vibration**2).sum() / (alone**2).sum()) > -3.0
-    kernel, numpy = (
-        played(columns(sound, -sound), RATE, form=each, parameters=CINEMA) for each in LIVE
-    )
-    assert np.abs(kernel - numpy).max() < 1e-6
+    opposite = columns(sound, -sound)
+    expected = vibration_of(opposite, RATE, CINEMA).samples
+    assert np.abs(played(opposite, RATE, parameters=CINEMA) - expected).max() < 1e-6
 
 
-@pytest.mark.parametrize("form", LIVE)
 @pytest.mark.parametrize("profile", PROFILES)
 @pytest.mark.parametrize("frames", [0, 1, 2])
-def test_a_file_of_a_frame_or_none_is_finite(form, profile, frames):
-    vibration = played(np.full(frames, 0.5), RATE, form=form, parameters=parameters_of(profile))
+def test_a_file_of_a_frame_or_none_is_finite(profile, frames):
+    vibration = played(np.full(frames, 0.5), RATE, parameters=parameters_of(profile))
     assert np.isfinite(vibration).all()
     assert np.abs(vibration).max() < 1.0
 
 
-@pytest.mark.parametrize("form", LIVE)
 @pytest.mark.parametrize("partials_max", [1, 2, 64])
-def test_any_number_of_partials_is_merged(form, partials_max):
+def test_any_number_of_partials_is_merged(partials_max):
     parameters = replace(CINEMA, partials_max=partials_max, merge_ratio=0.35)
     sound = white_noise(0.5, RATE, 0.3)
-    vibration = played(sound, RATE, form=form, parameters=parameters)
+    vibration = played(sound, RATE, parameters=parameters)
     assert vibration.any()
     assert np.abs(vibration).max() < 1.0

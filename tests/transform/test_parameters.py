@@ -17,7 +17,7 @@ from audioflinger_hook.transform.parameters import check_format
 from device.errors import CushionError, UsageError
 from tests.support.parameters import CHOICES, LIMITS
 from tests.support.signals import (
-    WAYS,
+    FORMS,
     identical,
     in_blocks,
     joined,
@@ -210,13 +210,7 @@ def test_what_follows_from_the_parameters_keeps_its_equations(window_s, low, hig
 
 
 @pytest.mark.exhaustive
-@pytest.mark.parametrize(
-    "form",
-    [
-        pytest.param(way, marks=pytest.mark.exhaustive if way == "live in NumPy" else ())
-        for way in WAYS
-    ],
-)
+@pytest.mark.parametrize("form", FORMS)
 @given(
     window_s=st.floats(0.01, 0.2),
     low=st.floats(20, 1_000),
@@ -299,7 +293,7 @@ def test_an_unknown_form_is_refused_with_the_known_ones():
         HapticTransform(48_000, form="alive")  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("form", WAYS)
+@pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("shape", [(10,), (10, 1), (10, 3), (2, 10, 2), ()])
 def test_a_block_of_another_shape_is_refused_with_both_shapes(form, shape):
     transform = opened(48_000, 2, form)
@@ -307,7 +301,7 @@ def test_a_block_of_another_shape_is_refused_with_both_shapes(form, shape):
         transform.process(np.zeros(shape))
 
 
-@pytest.mark.parametrize("form", WAYS)
+@pytest.mark.parametrize("form", FORMS)
 def test_one_channel_may_come_with_or_without_its_axis(form):
     sound = tone(300, 0.2, 48_000)
     assert identical(played(sound, 48_000, form=form), played(sound[:, None], 48_000, form=form))

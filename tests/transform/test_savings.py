@@ -13,27 +13,24 @@ from hypothesis import strategies as st
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.signal import butter, sosfilt
 
-from audioflinger_hook.transform import TransformParameters, kernel_warning
+from audioflinger_hook.transform import TransformParameters
 from audioflinger_hook.transform.arrays import strided_windows
-from audioflinger_hook.transform.channel_bank import ChannelBank
 from audioflinger_hook.transform.design import LiveDesign
-from audioflinger_hook.transform.design.analysis import AnalysisDesign
-from audioflinger_hook.transform.design.synthesis import LiveGrid, glide_shape
-from audioflinger_hook.transform.haptic import KernelStream
+from audioflinger_hook.transform.design.synthesis import LiveGrid
+from audioflinger_hook.transform.haptic import CoreStream
 from audioflinger_hook.transform.input_stage import (
     BandPass,
     design_band_pass,
     replace_unusable,
 )
-from audioflinger_hook.transform.live import transform as live
-from audioflinger_hook.transform.live.analysis import LiveAnalysis
-from audioflinger_hook.transform.live.synthesis import Glides, OscillatorBank, Smoother
-from audioflinger_hook.transform.live.transform import LiveTransform
 from audioflinger_hook.transform.mapping import vibration_hz
 from audioflinger_hook.transform.principal import PrincipalFinder, parabola
 from audioflinger_hook.transform.reference import transform as reference_form
 from audioflinger_hook.transform.reference.transform import ReferenceTransform
 from audioflinger_hook.transform.spectrum import Spectrum, magnitude
+from tests.oracle import settings_of, vibrate
+from tests.oracle.analysis import all_principal, strongest_principal
+from tests.oracle.loudness import at_hz
 from tests.support.recordings import require_recordings
 from tests.support.signals import (
     best_sinusoid,
@@ -53,7 +50,7 @@ from tests.support.signals import (
     tone,
     white_noise,
 )
-from tools.bench.sections.savings import SAVINGS, Saving
+from tools.bench.sections.savings import FAINT, SAVINGS, Saving
 
 PARAMETERS = TransformParameters()
 HOP_FRAMES = LiveGrid.at(PARAMETERS, 48_000).hop_frames
@@ -74,24 +71,27 @@ def leave_out_no_side_lobe(design):
     return changed(design, "analysis", side_lobe=0.0)
 
 
-each_way = pytest.mark.parametrize("way", ["numpy"] if kernel_warning() else ["compiled", "numpy"])
-
-
-def vibration_of(design, sound, way):
-    """Return all vibration of a sound by either implementation of a design."""
-    bank = ChannelBank([LiveTransform(design)], 1)
-    stream = KernelStream(design, 1, False) if way == "compiled" else bank
+def vibration_of(design, sound):
+    """Return all vibration of a sound by a design."""
+    stream = CoreStream(design, 1, False)
     return np.concatenate((stream.process(sound[:, None]), stream.finish()))[:, 0]
 
 
-def without_silence_skip(sound, samplerate, way):
+def spectra_of(design, windows):
+    """Return the spectra that the analysis looks at, of band-passed windows."""
+    analysis = design.analysis
+    spectrum = Spectrum(design.samplerate, analysis.window, analysis.fft_length)
+    return spectrum.transform(windows)[:, : analysis.bins]
+
+
+def without_silence_skip(sound, samplerate):
     """Return what the live form plays where every hop is analysed, however quiet."""
     design = LiveDesign.of(PARAMETERS, samplerate)
-    return vibration_of(changed(design, "input", silence=0.0), sound, way)
+    return vibration_of(changed(design, "input", silence=0.0), sound)
 
 
-def with_silence_skip(sound, samplerate, way):
-    return vibration_of(LiveDesign.of(PARAMETERS, samplerate), sound, way)
+def with_silence_skip(sound, samplerate):
+    return vibration_of(LiveDesign.of(PARAMETERS, samplerate), sound)
 
 
 @pytest.mark.sweep
@@ -108,11 +108,10 @@ def test_no_saving_changes_more_than_it_states(saving):
             if path.stem in ("Side_Left", "Rear_Center")
         ),
     ]
+    usual = LiveDesign.of(PARAMETERS, 48_000)
     for sound in sounds:
-        switched = LiveTransform(LiveDesign.of(PARAMETERS, 48_000))
-        saving.switch_off(switched)
-        usual = LiveTransform(LiveDesign.of(PARAMETERS, 48_000))
-        change = switched.process(sound) - usual.process(sound)
+        change = vibration_of(saving.switch_off(usual), sound + FAINT)
+        change -= vibration_of(usual, sound + FAINT)
         assert np.abs(change).max() <= saving.bound
 
 
@@ -121,9 +120,9 @@ def kept_alike(sound, saving):
 
     Then the number of hops that keep others, and of all hops.
     """
-    ours, theirs = (LiveTransform(LiveDesign.of(PARAMETERS, 48_000)) for _ in range(2))
-    saving.switch_off(theirs)
-    reach_hz = ours._spectrum.bin_hz / 2.0
+    ours = LiveDesign.of(PARAMETERS, 48_000)
+    theirs = saving.switch_off(ours)
+    reach_hz = ours.analysis.bin_hz / 2.0
     change, others = 0.0, 0
     hops = list(zip(windows_of(ours, sound), windows_of(theirs, sound), strict=True))
     for (found, amplitude), (their, their_amplitude) in hops:
@@ -138,19 +137,15 @@ def kept_alike(sound, saving):
     return change, others, len(hops)
 
 
-def windows_of(transform, sound):
+def windows_of(design, sound):
     """Yield what each hop's window holds, and its amplitudes by the level law."""
-    grid = transform._grid
-    filtered = transform._bandpass.process(sound)
+    grid = design.grid
+    filtered = BandPass(design.input.band_b, design.input.band_a).process(sound)
     windows = strided_windows(filtered, grid.window_frames, grid.hop_frames)
-    for window in windows:
-        found = transform._analysis.strongest(transform._spectrum.transform(window[None]))
-        yield (
-            found,
-            transform.design.mapping.amplitudes(found.amplitude, found.r)
-            if len(found)
-            else found.r,
-        )
+    found = strongest_principal(design.analysis, spectra_of(design, windows))
+    for row in range(len(windows)):
+        mine = found.take(found.row == row)
+        yield mine, design.mapping.amplitudes(mine.amplitude, mine.r)
 
 
 def test_images_of_high_peaks_change_next_to_nothing_where_they_decide_nothing():
@@ -163,8 +158,8 @@ def test_images_of_high_peaks_change_next_to_nothing_where_they_decide_nothing()
 
 
 def test_what_keeps_other_peaks_is_counted_and_not_taken_for_a_change_of_one():
-    def keep_one(transform):
-        transform._analysis._partials_max = 1
+    def keep_one(design):
+        return changed(design, "analysis", partials_max=1)
 
     change, others, hops = kept_alike(white_noise(0.5, 48_000), Saving("one peak", keep_one))
     assert (change, others) == (0.0, hops)
@@ -173,10 +168,9 @@ def test_what_keeps_other_peaks_is_counted_and_not_taken_for_a_change_of_one():
 # --- silence ------------------------------------------------------------------------------------
 
 
-@each_way
 @pytest.mark.parametrize("samplerate", [1_000, 8_000, 44_100, 48_000])
 @pytest.mark.parametrize("factor", [0.3, 0.9, 1.0, 1.1, 3.0, 30.0])
-def test_leaving_out_quiet_hops_changes_no_byte_around_the_threshold(samplerate, factor, way):
+def test_leaving_out_quiet_hops_changes_no_byte_around_the_threshold(samplerate, factor):
     threshold = factor * PARAMETERS.threshold_hz / samplerate
     sound = joined(
         white_noise(0.3, samplerate, threshold),
@@ -188,22 +182,19 @@ def test_leaving_out_quiet_hops_changes_no_byte_around_the_threshold(samplerate,
         low_noise(0.2, samplerate, threshold) if samplerate > 1_000 else silence(0.1, samplerate),
         one_sample(0.2, samplerate, 0.1, 1.0),
     )
-    assert identical(
-        with_silence_skip(sound, samplerate, way), without_silence_skip(sound, samplerate, way)
-    )
+    assert identical(with_silence_skip(sound, samplerate), without_silence_skip(sound, samplerate))
 
 
 @pytest.mark.sweep
-@each_way
-def test_leaving_out_quiet_hops_changes_no_byte_of_a_recording(way):
+def test_leaving_out_quiet_hops_changes_no_byte_of_a_recording():
     for path in require_recordings()[::4]:
         sound, samplerate = soundfile.read(path, always_2d=True)
         # Quiet enough that its pauses fall under the threshold.
         quiet = 0.05 * sound.mean(axis=1)
         for channel in (quiet, 20 * quiet):
             assert identical(
-                with_silence_skip(channel, samplerate, way),
-                without_silence_skip(channel, samplerate, way),
+                with_silence_skip(channel, samplerate),
+                without_silence_skip(channel, samplerate),
             ), path.name
 
 
@@ -216,7 +207,7 @@ def test_leaving_out_quiet_hops_changes_no_byte_of_a_recording(way):
 @settings(max_examples=60)
 def test_nothing_under_the_silence_threshold_can_be_principal(seed, kind, window_s, samplerate):
     parameters = TransformParameters(window_s=window_s, vibration_top_hz=220.0)
-    form = LiveTransform(LiveDesign.of(parameters, samplerate))
+    design = LiveDesign.of(parameters, samplerate)
     frames = parameters.window_frames(samplerate)
     rng = np.random.default_rng(seed)
     window = {
@@ -227,29 +218,19 @@ def test_nothing_under_the_silence_threshold_can_be_principal(seed, kind, window
         "chirp": lambda: np.cos(np.pi * np.arange(frames) ** 2 / (2 * frames)),
         "step": lambda: np.sign(np.arange(frames) - rng.integers(frames) + 0.5),
     }[kind]()
-    assert len(form.analyse(form._silence * window[None, :])) == 0
+    spectra = spectra_of(design, design.input.silence * window[None, :])
+    assert len(all_principal(design.analysis, spectra)) == 0
 
 
-def test_silence_is_not_analysed_at_all(monkeypatch):
-    form = LiveTransform(LiveDesign.of(PARAMETERS, 48_000))
-    form.process(tone(300, 0.5, 48_000))
-    # A window, and 0.4 s of ringing.
-    form.process(silence(0.6, 48_000))
-    monkeypatch.setattr(form, "_analysis", None)
-    monkeypatch.setattr(form, "_synthesizer", None)
-    assert not form.process(silence(1.0, 48_000)).any()
-
-
-@each_way
-def test_cutting_the_ringing_off_changes_less_than_1e_8(way):
+def test_cutting_the_ringing_off_changes_less_than_1e_8():
     # The low-pass rings longest at its edge, to which the top of the band is mapped.
     # The second tone begins with a hop of its own accord: where it wakes what sleeps, one does.
     pause = (100 * HOP_FRAMES - 14_400) / 48_000
     sound = joined(tone(11_900, 0.3, 48_000), silence(pause, 48_000), tone(60, 0.2, 48_000))
     design = LiveDesign.of(PARAMETERS, 48_000)
     longer = changed(design, "synthesis", ring_hops=5 * design.synthesis.ring_hops)
-    cut = vibration_of(design, sound, way)
-    uncut = vibration_of(longer, sound, way)
+    cut = vibration_of(design, sound)
+    uncut = vibration_of(longer, sound)
     # -160 dB; the last step of 24-bit sound is at -138 dB.
     assert np.abs(cut - uncut).max() < 1e-8
 
@@ -259,19 +240,16 @@ def test_cutting_the_ringing_off_changes_less_than_1e_8(way):
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("at_once", [1, 2, 5, 1_000])
-def test_how_many_windows_are_analysed_at_once_changes_no_byte(monkeypatch, at_once):
+def test_how_many_units_are_analysed_at_once_changes_no_byte(monkeypatch, at_once):
     sound = joined(
         low_noise(0.5, 48_000, 0.04),
         silence(0.6, 48_000),
         five_tones(0.3, 48_000),
         white_noise(0.3, 48_000),
     )
-    forms = ("live in NumPy", "reference")
-    usual = {form: played(sound, 48_000, form=form) for form in forms}
-    monkeypatch.setattr(live, "TICKS_AT_ONCE", at_once)
+    usual = played(sound, 48_000, form="reference")
     monkeypatch.setattr(reference_form, "UNITS_AT_ONCE", at_once)
-    for form in forms:
-        assert identical(played(sound, 48_000, form=form), usual[form])
+    assert identical(played(sound, 48_000, form="reference"), usual)
 
 
 @given(
@@ -322,9 +300,8 @@ def test_the_guard_against_denormal_numbers_is_not_felt():
     sound = joined(silence(0.2, 48_000), white_noise(0.5, 48_000), tone(300, 0.3, 48_000, 0.02))
     design = LiveDesign.of(PARAMETERS, 48_000)
     unguarded = changed(design, "input", denormal_guard=0.0)
-    for way in ("numpy",) if kernel_warning() else ("compiled", "numpy"):
-        change = vibration_of(unguarded, sound, way) - vibration_of(design, sound, way)
-        assert np.abs(change).max() < 1e-12
+    change = vibration_of(unguarded, sound) - vibration_of(design, sound)
+    assert np.abs(change).max() < 1e-12
     reference, plain = (ReferenceTransform(PARAMETERS, 48_000) for _ in range(2))
     plain._bandpass = BandPass(*design_band_pass(PARAMETERS, 48_000), 0.0)
     assert np.abs(plain.process(sound) - reference.process(sound)).max() < 1e-12
@@ -338,53 +315,21 @@ def test_magnitudes_without_an_overflow_guard_are_those_with_one():
     np.testing.assert_allclose(magnitude(spectra), np.abs(spectra), rtol=4e-16)
 
 
-@pytest.mark.parametrize("idle", [0, 3, 15])
-def test_leaving_out_silent_slots_of_the_oscillator_bank_changes_no_byte(idle):
-    rng = np.random.default_rng(idle)
-    hops, slots, steps = 5, 16, 46
-    glides = Glides(*rng.uniform(0.1, 1.0, (5, hops, slots)))
-    for silenced in rng.choice(slots, idle, replace=False):
-        glides.start_amplitude[:, silenced] = 0.0
-        glides.end_amplitude[:, silenced] = 0.0
-    bank = OscillatorBank(glide_shape(steps), glide_shape(steps), 0.0153, 1e-9)
-    sounding = glides.start_amplitude.any(axis=0)
-    only = Glides(
-        *(
-            np.ascontiguousarray(array[:, sounding])
-            for array in (
-                glides.start_hz,
-                glides.end_hz,
-                glides.start_amplitude,
-                glides.end_amplitude,
-                glides.start_phase,
-            )
-        )
-    )
-    assert sounding.sum() == slots - idle
-    assert identical(bank.render(glides), bank.render(only))
-
-
-def test_a_bank_without_a_sounding_slot_is_silent():
-    bank = OscillatorBank(glide_shape(46), glide_shape(46), 0.0153, 1e-9)
-    assert not bank.render(Glides.silent(3, 32)).any()
-
-
 @pytest.mark.parametrize("samplerate", [1_000, 8_000, 44_100, 48_000, 192_000])
 def test_the_low_passs_ripple_is_undone_for_steady_vibration(samplerate):
-    design = LiveDesign.of(PARAMETERS, samplerate)
-    grid = design.grid
-    hops = round(0.6 * samplerate / grid.hop_frames)
-    time = np.arange(hops * grid.steps) / (samplerate / grid.decimation)
+    s = settings_of(LiveDesign.of(PARAMETERS, samplerate))
+    hops = round(0.6 * samplerate / s.hop_frames)
     for hz in (21.54, 60.0, 150.0, 200.0, 219.9):
-        smoother = Smoother(design.synthesis)
-        gain = smoother.compensation(np.array([hz]))[0]
-        wave = gain * np.sin(2 * np.pi * hz * time)
-        vibration = smoother.render(wave.reshape(hops, grid.steps))
-        _, level, residual_db = best_sinusoid(
+        level = 0.5 * at_hz(s.gain_table, hz)
+        glides = [
+            (hop * s.ticks, 0, hz, hz, level, level, hop * s.hop_s * hz) for hop in range(hops)
+        ]
+        vibration, _ = vibrate(s, glides, [], hops * s.ticks)
+        _, felt, residual_db = best_sinusoid(
             *thinned(vibration[vibration.size // 2 :], samplerate), hz
         )
         # A table of 0.25 Hz: between its entries the gain is interpolated.
-        assert abs(20 * np.log10(level)) < 0.02
+        assert abs(20 * np.log10(2.0 * felt)) < 0.02
         # The images of the interpolation, under -80 dB at any rate.
         assert residual_db < -80.0
 
@@ -423,23 +368,18 @@ def test_the_bound_from_valley_to_valley_leaves_out_nothing_that_is_principal(
     parameters = TransformParameters(threshold_hz=threshold_hz)
     spectrum = Spectrum.of(parameters, samplerate)
     amplitude = amplitude_spectra(samplerate)
-    for bounded, unbounded in with_and_without_the_bound(
-        parameters, spectrum, spectrum.bins, amplitude
-    ):
-        assert len(bounded) > 10
-        for ours, theirs in zip(all_fields(bounded), all_fields(unbounded), strict=True):
-            assert identical(ours, theirs)
+    bounded, unbounded = with_and_without_the_bound(parameters, spectrum, amplitude)
+    assert len(bounded) > 10
+    for ours, theirs in zip(all_fields(bounded), all_fields(unbounded), strict=True):
+        assert identical(ours, theirs)
 
 
-def with_and_without_the_bound(parameters, spectrum, bins, amplitude):
-    """Return, of each form, what it finds in amplitudes with the bound and without it."""
-    reference = [PrincipalFinder(parameters, spectrum.bin_hz, bins) for _ in range(2)]
-    live = [LiveAnalysis(AnalysisDesign.of(parameters, spectrum, bins)) for _ in range(2)]
-    reference[1]._peak_span_min = live[1]._peak_span_min = -1.0
-    return (
-        [finder.all_principal(amplitude) for finder in reference],
-        [analysis.all_principal(amplitude + 0j) for analysis in live],
-    )
+def with_and_without_the_bound(parameters, spectrum, amplitude):
+    """Return what the reference form finds in amplitudes with the bound and without it."""
+    bins = amplitude.shape[1]
+    finders = [PrincipalFinder(parameters, spectrum.bin_hz, bins) for _ in range(2)]
+    finders[1]._peak_span_min = -1.0
+    return [finder.all_principal(amplitude) for finder in finders]
 
 
 @given(
@@ -452,11 +392,9 @@ def test_the_bound_leaves_out_nothing_principal_in_any_spectrum(amplitudes, thre
     parameters = TransformParameters(threshold_hz=threshold_hz, window_s=0.025)
     spectrum = Spectrum.of(parameters, 2_400)
     assert spectrum.bin_hz == 20.0
-    for bounded, unbounded in with_and_without_the_bound(
-        parameters, spectrum, len(amplitudes), np.array([amplitudes])
-    ):
-        for ours, theirs in zip(all_fields(bounded), all_fields(unbounded), strict=True):
-            assert identical(ours, theirs)
+    found = with_and_without_the_bound(parameters, spectrum, np.array([amplitudes]))
+    for ours, theirs in zip(*map(all_fields, found), strict=True):
+        assert identical(ours, theirs)
 
 
 @given(left=st.floats(0, 1 - 1e-6), right=st.floats(0, 1), scale=st.floats(1e-9, 1e3))
@@ -495,12 +433,12 @@ def amplitude_spectra_few():
 def wobble_hz(hz, samplerate, corrected):
     """Return the largest error of the strongest vibration frequency over many windows."""
     design = LiveDesign.of(PARAMETERS, samplerate)
-    form = LiveTransform(design if corrected else clear_no_image(design))
+    design = design if corrected else clear_no_image(design)
     band_pass = BandPass(*design_band_pass(PARAMETERS, samplerate))
     filtered = band_pass.process(tone(hz, 1.5, samplerate, 0.5))
     filtered = filtered[samplerate // 4 :]
     windows = strided_windows(filtered, PARAMETERS.window_frames(samplerate), 301)
-    found = form._analysis.strongest(form._spectrum.transform(windows))
+    found = strongest_principal(design.analysis, spectra_of(design, windows))
     loudest = np.zeros(len(windows))
     np.maximum.at(loudest, found.row, found.r)
     strongest = found.audio_hz[found.r == loudest[found.row]]
@@ -526,22 +464,22 @@ def test_clearing_images_leaves_high_tones_as_they_are(samplerate):
     design = LiveDesign.of(PARAMETERS, samplerate)
     sound = tone(5_000, 0.5, samplerate) + tone(9_000, 0.5, samplerate)
     windows = strided_windows(sound, PARAMETERS.window_frames(samplerate), 500)
-    cleared = LiveTransform(design).analyse(windows)
-    untouched = LiveTransform(clear_no_image(design)).analyse(windows)
-    high = [found.take(found.audio_hz > 4_000) for found in (cleared, untouched)]
+    spectra = spectra_of(design, windows)
+    sections = design.analysis, clear_no_image(design).analysis
+    both = [all_principal(section, spectra) for section in sections]
+    high = [found.take(found.audio_hz > 4_000) for found in both]
     for ours, theirs in zip(all_fields(high[0]), all_fields(high[1]), strict=True):
         assert identical(ours, theirs)
 
 
-@each_way
 @pytest.mark.parametrize(("hz", "samplerate"), [(1_641.9, 44_100), (1_566.6, 44_100)])
-def test_leaving_out_side_lobes_makes_a_loud_tone_pure(hz, samplerate, way):
+def test_leaving_out_side_lobes_makes_a_loud_tone_pure(hz, samplerate):
     residuals = []
     for kept in (True, False):
         design = LiveDesign.of(PARAMETERS, samplerate)
         if kept:
             design = leave_out_no_side_lobe(design)
-        vibration = vibration_of(design, tone(hz, 3.0, samplerate, 1.0), way)
+        vibration = vibration_of(design, tone(hz, 3.0, samplerate, 1.0))
         vibration = vibration[samplerate : 3 * samplerate]
         felt_hz = float(vibration_hz(np.array([hz]), PARAMETERS)[0])
         residuals.append(best_sinusoid(*thinned(vibration, samplerate), felt_hz)[2])
@@ -551,38 +489,37 @@ def test_leaving_out_side_lobes_makes_a_loud_tone_pure(hz, samplerate, way):
 def test_what_the_side_lobe_rule_leaves_out_of_recordings_carries_under_a_hundredth_of_them():
     for path in require_recordings()[::3]:
         sound, samplerate = soundfile.read(path, always_2d=True)
-        form = LiveTransform(LiveDesign.of(PARAMETERS, samplerate))
+        design = LiveDesign.of(PARAMETERS, samplerate)
         filtered = BandPass(*design_band_pass(PARAMETERS, samplerate)).process(sound.mean(axis=1))
         frames = PARAMETERS.window_frames(samplerate)
         windows = strided_windows(filtered, frames, frames)
-        found = form.analyse(windows)
-        form._analysis._partials_max = form._analysis._bins
-        kept = form._analysis.strongest(form._spectrum.transform(windows))
+        spectra = spectra_of(design, windows)
+        found = all_principal(design.analysis, spectra)
+        every = replace(design.analysis, partials_max=design.analysis.bins)
+        kept = strongest_principal(every, spectra)
         # r^2 is what a partial's vibration goes by.
         assert (kept.r**2).sum() >= 0.99 * (found.r**2).sum(), path.name
 
 
-@each_way
 @pytest.mark.parametrize("hz", [200.0, 1_000.0, 4_000.0])
-def test_averaging_small_changes_takes_6_db_of_jitter_from_a_tone_in_noise(hz, way):
+def test_averaging_small_changes_takes_6_db_of_jitter_from_a_tone_in_noise(hz):
     sound = tone(hz, 3.0, 48_000, 0.3) + white_noise(3.0, 48_000, 0.003)
     felt_hz = float(vibration_hz(np.array([hz]), PARAMETERS)[0])
     residuals = []
     design = LiveDesign.of(PARAMETERS, 48_000)
     for one in (changed(design, "tracking", steady_gain=1.0), design):
-        vibration = vibration_of(one, sound, way)[48_000:-12_000]
+        vibration = vibration_of(one, sound)[48_000:-12_000]
         residuals.append(best_sinusoid(*thinned(vibration, 48_000), felt_hz)[2])
     # A share of 0.15 leaves 0.08 of white jitter's energy, 11 dB less; neighbouring windows
     # overlap, so that theirs is not quite white.
     assert residuals[1] < residuals[0] - 6.0
 
 
-@each_way
-def test_a_clear_change_of_loudness_is_not_averaged_but_followed_at_once(way):
+def test_a_clear_change_of_loudness_is_not_averaged_but_followed_at_once():
     quiet, loud = tone(300, 0.5, 48_000, 0.1), tone(300, 1.0, 48_000, 0.4)[24_000:]
     # Without a seam: both are the same wave, so that one partial goes on through the change.
     design = LiveDesign.of(PARAMETERS, 48_000)
-    vibration = vibration_of(design, joined(quiet, loud), way)[design.tonal_latency_frames :]
+    vibration = vibration_of(design, joined(quiet, loud))[design.tonal_latency_frames :]
     strength = envelope(*thinned(vibration, 48_000))
     steady = strength[2_800:2_900].mean()
     # 30 ms (a window's half, a hop) after the change it stands within 5 % of its new level.

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from tests.support.recordings import require_recordings
 from tests.support.signals import (
-    WAYS,
+    FORMS,
     burst,
     chirp,
     columns,
@@ -34,8 +34,8 @@ ODD_RATE = 37_123
 
 SAMPLERATES = (44_100, 48_000, ODD_RATE)
 BLOCKSIZES = (7, 240, 256, 960, 4_096)
-RATE_OF_WAY = list(zip(WAYS, itertools.cycle(SAMPLERATES)))
-"""Every way, each at another rate; blocks of any one size cover all pairs of them."""
+RATE_OF_FORM = list(zip(FORMS, itertools.cycle(SAMPLERATES)))
+"""Every form, each at another rate; blocks of any one size cover all pairs of them."""
 
 
 @functools.cache
@@ -70,7 +70,7 @@ def every(frames, total):
 
 
 @pytest.mark.sweep
-@pytest.mark.parametrize("form", WAYS)
+@pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("samplerate", SAMPLERATES)
 @pytest.mark.parametrize("frames", BLOCKSIZES)
 def test_blocks_of_any_one_size_give_the_bytes_of_one_block(form, samplerate, frames):
@@ -82,7 +82,7 @@ def test_blocks_of_any_one_size_give_the_bytes_of_one_block(form, samplerate, fr
 
 
 @pytest.mark.sweep
-@pytest.mark.parametrize(("form", "samplerate"), RATE_OF_WAY)
+@pytest.mark.parametrize(("form", "samplerate"), RATE_OF_FORM)
 def test_a_second_in_blocks_of_one_frame_gives_the_bytes_of_one_block(form, samplerate):
     sound = busy(samplerate, 2.8)[round(0.6 * samplerate) : round(1.6 * samplerate)]
     whole = played(sound, samplerate, form=form)
@@ -91,7 +91,7 @@ def test_a_second_in_blocks_of_one_frame_gives_the_bytes_of_one_block(form, samp
 
 
 @pytest.mark.sweep
-@pytest.mark.parametrize("form", WAYS)
+@pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("per_channel", [False, True])
 @pytest.mark.parametrize("frames", [7, 256, 960, 4_096])
 def test_stereo_in_blocks_gives_the_bytes_of_one_block(form, per_channel, frames):
@@ -103,7 +103,7 @@ def test_stereo_in_blocks_gives_the_bytes_of_one_block(form, per_channel, frames
 
 
 @pytest.mark.sweep
-@pytest.mark.parametrize("form", WAYS)
+@pytest.mark.parametrize("form", FORMS)
 def test_a_second_of_stereo_in_blocks_of_one_frame_gives_the_bytes_of_one_block(form):
     sound = stereo(44_100, 1.0)
     whole = played(sound, 44_100, form=form, per_channel=True)
@@ -112,7 +112,7 @@ def test_a_second_of_stereo_in_blocks_of_one_frame_gives_the_bytes_of_one_block(
 
 
 @pytest.mark.sweep
-@pytest.mark.parametrize(("form", "samplerate"), RATE_OF_WAY)
+@pytest.mark.parametrize(("form", "samplerate"), RATE_OF_FORM)
 @given(seed=st.integers(0, 2**32 - 1), typical=st.sampled_from([3, 40, 700, 5_000, 60_000]))
 @settings(max_examples=8)
 def test_random_splits_give_the_bytes_of_one_block(form, samplerate, seed, typical):
@@ -129,7 +129,7 @@ def whole_of_busy(form, samplerate):
 
 
 @pytest.mark.sweep
-@pytest.mark.parametrize("form", WAYS)
+@pytest.mark.parametrize("form", FORMS)
 @given(
     kinds=st.lists(st.sampled_from(["silence", "noise", "low", "tone", "tones"]), min_size=1),
     level=st.sampled_from([0.005, 0.02, 0.1, 1.0]),
@@ -151,7 +151,7 @@ def test_any_split_of_any_mix_gives_the_bytes_of_one_block(form, kinds, level, l
 
 
 @pytest.mark.sweep
-@pytest.mark.parametrize("form", WAYS)
+@pytest.mark.parametrize("form", FORMS)
 def test_recordings_in_blocks_give_the_bytes_of_one_block(form):
     for path in require_recordings()[::3]:
         sound, samplerate = soundfile.read(path, always_2d=True)
@@ -162,7 +162,7 @@ def test_recordings_in_blocks_give_the_bytes_of_one_block(form):
 
 
 @pytest.mark.sweep
-@pytest.mark.parametrize("form", WAYS)
+@pytest.mark.parametrize("form", FORMS)
 def test_noise_of_any_level_in_blocks_gives_the_bytes_of_one_block(form):
     # Levels at which hops with and without a strong low peak stand side by side in one batch.
     for rms in (0.01, 0.02, 0.04, 0.1):
@@ -173,7 +173,7 @@ def test_noise_of_any_level_in_blocks_gives_the_bytes_of_one_block(form):
                 assert identical(cut, whole), f"rms {rms}, blocks of {frames}"
 
 
-@pytest.mark.parametrize("form", WAYS)
+@pytest.mark.parametrize("form", FORMS)
 def test_empty_blocks_change_nothing(form):
     sound = stereo(48_000, 0.6)
     transform = made(sound, 48_000, form=form)
@@ -187,7 +187,7 @@ def test_empty_blocks_change_nothing(form):
 
 
 @pytest.mark.sweep
-@pytest.mark.parametrize("form", WAYS)
+@pytest.mark.parametrize("form", FORMS)
 def test_asleep_and_awake_again_gives_the_same_bytes_in_any_blocks(form):
     samplerate = 44_100
     nap = silence(1.3, samplerate)
@@ -204,7 +204,7 @@ def test_asleep_and_awake_again_gives_the_same_bytes_in_any_blocks(form):
         assert identical(cut, whole), f"blocks of {frames}"
 
 
-@pytest.mark.parametrize("form", WAYS)
+@pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("frames", [1, 7, 256, 4_096])
 def test_each_block_gives_as_many_frames_as_it_takes(form, frames):
     sound = busy(48_000, 0.5)[:8_192]
@@ -214,7 +214,7 @@ def test_each_block_gives_as_many_frames_as_it_takes(form, frames):
     assert transform.finish().shape == (transform.latency_frames, 1)
 
 
-@pytest.mark.parametrize("form", WAYS)
+@pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("per_channel", [False, True])
 def test_the_layout_of_a_block_in_memory_changes_nothing(form, per_channel):
     sound = stereo(48_000, 1.2).astype(np.float32)
@@ -229,7 +229,7 @@ def test_the_layout_of_a_block_in_memory_changes_nothing(form, per_channel):
     assert identical(played(sound.astype(np.float64), 48_000, **options), whole)
 
 
-@pytest.mark.parametrize("form", WAYS)
+@pytest.mark.parametrize("form", FORMS)
 def test_a_block_is_not_written_to_and_may_be_reused_by_its_owner(form):
     sound = stereo(48_000, 1.0)
     whole = played(sound, 48_000, form=form)

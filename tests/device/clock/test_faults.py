@@ -6,6 +6,7 @@ import threading
 import tracemalloc
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import groupby
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from device.clock import DelayLine, DelayState
+from device.clock.delay_line import HOLD_OFF_S
 from device.errors import InternalError, UsageError
 from device.units import Float32Array, FloatArray
 from tests.support.clocks import Side, run
@@ -196,6 +198,24 @@ def test_a_tap_that_delivers_half_of_what_it_should_is_mostly_silent_and_never_b
         before = now
     assert starts < 1.5 * 4_000 * BLOCK_S
     assert line.status.underflows < 1.5 * 4_000 * BLOCK_S
+
+
+@pytest.mark.parametrize(("apart_blocks", "waits"), [(100, True), (300, False)])
+def test_a_tap_that_runs_dry_twice_in_a_second_is_silent_for_a_while(
+    apart_blocks: int, waits: bool
+) -> None:
+    line = DelayLine(1, 48_000, 48_000)
+    out = np.empty((256, 1), np.float32)
+    states = []
+    for number in range(3_000):
+        if number % apart_blocks:
+            line.write(np.full((256, 1), 0.5), number * BLOCK_S)
+        line.read(out, (number + 0.5) * BLOCK_S)
+        states.append(line.status.state)
+    assert line.status.underflows > 1
+    silences = [len(list(same)) for state, same in groupby(states) if state is DelayState.STARVED]
+    expected_s = HOLD_OFF_S if waits else BLOCK_S
+    assert max(silences) * BLOCK_S == pytest.approx(expected_s, abs=1.5 * BLOCK_S)
 
 
 def test_a_user_offset_is_reached_at_once_and_kept() -> None:

@@ -21,7 +21,7 @@ def way(request: pytest.FixtureRequest) -> Iterator[None]:
         if request.param == "numpy":
             patch.setattr(blocks, "compiled", None)
         elif blocks.compiled is None:
-            pytest.skip("device._blocks is not built here: see tools/setup.sh")
+            pytest.skip("device/blocks_library.so is not built here: see tools/setup.sh")
         yield
 
 

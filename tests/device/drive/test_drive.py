@@ -5,16 +5,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from audioflinger_hook.drive.drive import Drive
+from audioflinger_hook.drive.rig_driver import RigDriver
 from device.drive import ActuatorSettings, ChannelMap, channels_needed, sources_of
-from device.drive.actuator_feed import FADE_S
-from device.drive.drive import ChannelRouter, Drive, RoutedFill
+from device.drive.channel_router import ChannelRouter, RoutedFill
 from device.drive.outputs import AlignedOutput, DrivenOutput
-from device.drive.rig_processor import make_rig_processor
 from device.errors import InternalError, UsageError
 from device.rig import CONSUMER, PAPER
 from device.rig.simulated_rig import SimulatedRig
 
 RATE = 8_000
+FADE_S = 0.01
 LEFT = ActuatorSettings((0,), "left")
 RIGHT = ActuatorSettings((1,), "right")
 
@@ -207,9 +208,8 @@ def test_each_has_the_rig_and_the_care_of_its_own():
     assert damped is not None
     assert (consumer.rig.name, damped.rig.name, plain) == ("consumer", "paper", None)
     assert (consumer.exposure_cap, damped.exposure_cap) == ("action", "limit")
-    alone = make_rig_processor("consumer", RATE, 1, protection="on")
-    assert alone is not None
-    assert np.array_equal(out[:, :1], alone.process(vibration.astype(float)).astype(np.float32))
+    alone = RigDriver(CONSUMER, RATE)
+    assert np.array_equal(out[:, :1], alone.process(vibration))
     assert consumer.protection() == alone.protection()
     assert consumer.protection().least_gain != damped.protection().least_gain
 

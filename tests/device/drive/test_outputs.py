@@ -5,12 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from audioflinger_hook.drive.rig_driver import RigDriver
 from device.drive.channel_map import ChannelMap
-from device.drive.damping import Damper
 from device.drive.damping.design import inverse_damping, no_damping
-from device.drive.exposure import ExposureMeter
 from device.drive.outputs import AlignedOutput, DrivenOutput
-from device.drive.protection import Protector
 from device.errors import InternalError
 from device.rig import PAPER
 from device.rig.simulated_rig import SimulatedRig
@@ -37,28 +35,20 @@ class Kept:
         self.ended = "aborted"
 
 
-class InSeries:
-    """Damper, protector and meter, one after the other."""
+class InSeries(RigDriver):
+    """A rig on two channels, as a driver."""
 
     inputs = 2
 
     def __init__(self, damping):
-        protector = Protector(PAPER, RATE, 2)
-        self.processors = (Damper(damping, RATE, 2), protector, ExposureMeter(PAPER, RATE, 2))
-        self.latency_frames = protector.latency_frames
-
-    def process(self, vibration):
-        block = vibration.copy()
-        for processor in self.processors:
-            processor.process(block)
-        return block
+        super().__init__(PAPER, RATE, 2, damping=damping)
 
 
 def driven(output, damping):
     return DrivenOutput(output, InSeries(damping), ChannelMap.repeated(2, 2))
 
 
-vibration = np.random.default_rng(4).uniform(-0.5, 0.5, (2_000, 2))
+vibration = np.random.default_rng(4).uniform(-0.5, 0.5, (2_000, 2)).astype(np.float32)
 
 
 @pytest.mark.exhaustive

@@ -8,6 +8,8 @@ from __future__ import annotations
 import math
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -16,6 +18,8 @@ from device.errors import UsageError
 from device.identification.calibration import Calibration, calibrate
 from device.identification.coil_laws import MIXED, PARALLEL, POWER, closest_parallel
 from device.identification.mechanics import format_rig
+from device.identification.output_error import fit
+from device.identification.recording import Recording
 from device.identification.simulated_laboratory import SimulatedLaboratory
 from device.identification.sweep import Sweep
 from device.rig import PAPER
@@ -99,6 +103,36 @@ def test_a_hardening_spring_on_solid_ground_is_no_seat_however_little_noise_ther
     assert not found.on_seat
     bl = found.values["actuator.force_factor_n_per_a"].value
     assert bl == pytest.approx(device.rig.actuator.force_factor_n_per_a, rel=0.02)
+
+
+def fitted_gain(error):
+    """The fit of one factor to a response that differs from it by these shares."""
+    f = np.linspace(20.0, 400.0, len(error))
+    recording = SimpleNamespace(
+        band=slice(None),
+        usable=slice(None),
+        frequencies_hz=f,
+        reference_spectrum=np.ones(len(f), complex),
+        response_spectrum=2.0 * (1.0 + error),
+    )
+
+    def model(f, p):
+        gain = np.full(len(f), np.exp(p[0]), complex)
+        return gain, gain[:, None]
+
+    return fit(cast(Recording, recording), model, [np.zeros(1), np.ones(1)]).estimate({0: 1.0})
+
+
+def test_what_a_model_cannot_follow_widens_the_interval_more_than_noise_of_its_power():
+    rng, bins = np.random.default_rng(0), 2_000
+    noise = 0.05 * (rng.standard_normal(bins) + 1j * rng.standard_normal(bins))
+    smooth = 0.07 * np.exp(2j * np.pi * np.arange(bins) / 400)
+    by_noise, by_model = fitted_gain(noise), fitted_gain(smooth)
+    for found in (by_noise, by_model):
+        assert found.low < 2.0 < found.high
+    # 1.96 / sqrt(2000) times 0.05 on each side
+    assert by_noise.high / by_noise.low - 1.0 == pytest.approx(2 * 0.0022, rel=0.15)
+    assert by_model.high / by_model.low - 1.0 > 5.0 * (by_noise.high / by_noise.low - 1.0)
 
 
 @pytest.mark.soak

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from device.drive.rig_processor import RigProcessor
+from audioflinger_hook.drive.rig_driver import RigDriver
 from device.errors import LostError, UsageError
 from device.identification import IdentificationError
 from device.identification.calibration import STEPS, calibrate
@@ -195,11 +195,11 @@ def test_protection_with_a_calibrated_file_keeps_the_real_rig_within_its_excursi
     assert not {"amplifier.gain", "dac.full_scale_v"} & set(found.rig.assumed())
     excursions = []
     for file in (before, found.rig):
-        processor = RigProcessor(file, RATE, 1)
+        processor = RigDriver(file, RATE)
         drives = []
         for hz in (30.0, 42.0, 50.0, 90.0):
             tone = np.sin(2.0 * np.pi * hz * np.arange(RATE) / RATE)
-            parts = [processor.process(part[:, None].copy()) for part in np.split(tone, 100)]
+            parts = [processor.process(part[:, None]).astype(float) for part in np.split(tone, 100)]
             drives.append(np.concatenate(parts)[:, 0])
         drive = Amplifier(rig.amplifier, RATE).drive(Dac(rig.dac).volts(np.concatenate(drives)))
         kind = EddyActuator if rig is EDDY else LinearActuator

@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -285,7 +286,7 @@ def test_a_path_is_a_view_that_can_be_copied():
 
 
 def test_arrays_that_do_not_fit_are_refused():
-    compiled = blocks.compiled
+    compiled: Any = blocks.compiled
     if compiled is None:
         pytest.skip("nothing is compiled here")
     model = NonlinearModel(Equations(PAPER.actuator, energies(PAPER.actuator, LARGE)), FS)

@@ -10,10 +10,11 @@ from typing import Any
 from hypothesis import given
 from hypothesis import strategies as st
 
+from device.server.announcements import Announcements
 from device.server.graph import Graph, LinkPair
 from device.server.graph_watch import Documents
 from device.server.link_keeper import HOLDS_S, PAUSED_S, RETRY_S, LinkKeeper
-from tests.support.graphs import desktop, gone, link, node, play, port
+from tests.support.graphs import Item, desktop, gone, link, node, play, port
 
 
 class OneLink:
@@ -103,10 +104,95 @@ def test_documents_are_whole_however_the_pipe_cuts_them(piece: int) -> None:
     writer.start()
     documents, found = Documents(ends[0]), []
     while not documents.ended:
-        found += documents.read(None)
+        found += documents.read()
     writer.join()
     os.close(ends[0])
     assert found == [[{"id": 1, "info": None}], [], [{"id": 2}]]
+
+
+# ------------------------------------------------------------------------------- what is announced
+
+PRINTED = b"""remote 0 added global: \tid 70, type PipeWire:Interface:Node/3
+ \t\tobject.serial = "700"
+ \t\tnode.name = "a \"name\" = "
+ \t\tmedia.class = "Stream/Output/Audio"
+remote 0 node 70 changed
+remote 0 added global: \tid 71, type PipeWire:Interface:Port/3
+ \t\tobject.serial = "701"
+ \t\tnode.id = "70"
+ \t\taudio.channel = "FL"
+ \t\tport.name = "output_FL"
+ \t\tport.direction = "out"
+remote 0 added global: \tid 72, type PipeWire:Interface:Link/3
+ \t\tobject.serial = "702"
+ \t\tlink.output.port = "71"
+ \t\tlink.input.port = "11"
+ \t\tlink.output.node = "70"
+ \t\tlink.input.node = "10"
+"""
+
+
+def announced(printed: bytes, graph: Graph, piece: int = 1 << 16) -> None:
+    ends = os.pipe()
+    announcements = Announcements(ends[0])
+    for at in range(0, len(printed), piece):
+        os.write(ends[1], printed[at : at + piece])
+        graph.announce(announcements.read())
+    for end in ends:
+        os.close(end)
+
+
+def late_link(number: int, serial: int, graph: Graph) -> Item:
+    item = link(number, 71, 11, graph)
+    item["info"]["props"] = {"object.serial": serial}
+    return item
+
+
+@given(st.integers(1, 80))
+def test_a_link_is_known_with_its_last_announced_line_however_the_pipe_cuts_it(piece: int) -> None:
+    graph = desktop()
+    announced(PRINTED, graph, piece)
+    assert [one.pair for one in graph.links_of(10)] == [(71, 11)]
+    assert graph.ports_of(70, "output_") == {"FL": 71}
+    assert graph.nodes[70].name == 'a "name" = '
+    assert not graph.is_described(70)
+
+
+def test_what_is_described_late_does_not_undo_what_was_announced() -> None:
+    graph = desktop()
+    announced(PRINTED, graph)
+    graph.apply([late_link(72, 650, graph)])  # of an earlier link with this id
+    graph.apply([gone(72)])  # the end of that one
+    assert graph.links[72].state == ""
+    graph.apply([late_link(72, 702, graph)])
+    assert graph.links[72].state == "active"
+    graph.apply([gone(72)])
+    assert 72 not in graph.links
+
+
+def test_an_announced_end_counts_at_once_and_old_news_are_ignored() -> None:
+    graph = desktop()
+    announced(PRINTED, graph)
+    graph.apply([late_link(72, 702, graph)])
+    announced(PRINTED, graph)
+    assert graph.links[72].state == "active"
+    announced(b"remote 0 removed global: \tid 72, type PipeWire:Interface:Link/3\n", graph)
+    assert 72 not in graph.links
+
+
+def test_another_pw_cli_announces_anew_so_ends_that_nobody_announced_are_believed() -> None:
+    graph = desktop()
+    announced(PRINTED, graph)
+    announced(b"remote 0 added global: \tid 0, type PipeWire:Interface:Core/4\nremote 0 x\n", graph)
+    graph.apply([gone(72)])
+    assert 72 not in graph.links
+
+
+@given(st.binary())
+def test_nothing_that_is_printed_breaks_the_graph(printed: bytes) -> None:
+    graph = desktop()
+    announced(PRINTED + printed + b"\n" + PRINTED, graph)
+    assert (71, 11) in {one.pair for one in graph.links_of(10)}
 
 
 # ---------------------------------------------------------------------------------------- the links

@@ -1,0 +1,165 @@
+"""A native engine that fails, hangs or does not start gives way to another one or to Python's."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+
+from audioflinger_hook.config.settings import LiveSettings, Settings
+from audioflinger_hook.daemon.engine_switch import FAILURES_MAX, START_S, EngineSwitch
+from audioflinger_hook.daemon.native import chains as chains_module
+from audioflinger_hook.daemon.native.chains import STUCK_S, Chains
+from audioflinger_hook.daemon.native.designs import DriveDesigns
+from audioflinger_hook.daemon.native.engine import NativeEngine
+from audioflinger_hook.daemon.native.plan import ChainPlan
+from audioflinger_hook.daemon.native.running import RunningChain
+from audioflinger_hook.daemon.native.taps import Tap
+from audioflinger_hook.daemon.outputs.base import DeviceVolume
+from audioflinger_hook.daemon.run_config import RunConfig
+from audioflinger_hook.service.state import StateKeeper
+from audioflinger_hook.sources import parse_tap
+from device.address import parse_device
+from device.errors import LostError
+from device.server import PulseConnection
+from device.server.graph import Graph
+from device.server.snapshot import Sink, Source
+
+SINK = Sink(1, "dac", "DAC", "dac.monitor", 48_000, 2, None, {}, "front-left,front-right")
+SOURCE = Source(2, "desk.monitor", "Desk", "desk", 48_000, 2, {}, "front-left,front-right")
+CONFIG = RunConfig(
+    parse_tap("default"), parse_device("sink:dac"), Settings(), LiveSettings(device="sink:dac")
+)
+PLAN = ChainPlan.of(Settings(), Tap("desk", ("FL", "FR"), "desk"), 48_000)
+
+
+# ---------------------------------------------------------------------------- the engine as a whole
+
+
+class Engine:
+    """Stands in for the native engine, which needs a server; only its answers count here."""
+
+    def __init__(self, error: LostError | None) -> None:
+        self.error = error
+        self.monitor_reason = ""
+        self.waits_for = ""
+        self.is_fed = True
+        self.is_lost = self.is_designing = False
+
+    def use_monitor(self, reason: str) -> None:
+        self.monitor_reason = reason
+
+    def maintain(self, *_: object, **__: object) -> bool:
+        if self.error:
+            raise self.error
+        return False
+
+    def set_sound_gains(self, **_: float) -> None: ...
+
+    def unseen(self, *_: object) -> str:
+        return ""
+
+    def close(self) -> None: ...
+
+
+def switched(
+    engine: Engine, folder: Path, times_s: list[float]
+) -> Iterator[tuple[EngineSwitch, bool]]:
+    """The switch after each of the times, and whether the native engine is still to compute."""
+    switch = EngineSwitch(CONFIG, folder, StateKeeper(0.0), lambda: None, lambda *_: None)
+    switch._refused["config"] = ""  # as on a machine that has all programs
+    server = cast(PulseConnection, SimpleNamespace(set_sink_volume_db=lambda *_: None))
+    snapshot: Any = SimpleNamespace(kind="PipeWire", version="1.4.2")
+    for now_s in times_s:
+        switch.native = switch.native or cast(NativeEngine, engine)
+        switch.maintain(SOURCE, SINK, frozenset(), server, DeviceVolume(None), now_s)
+        yield switch, switch.takes_native(SOURCE, snapshot)
+
+
+def test_after_some_failures_python_computes_and_the_reason_is_said(tmp_path: Path) -> None:
+    engine = Engine(LostError("it crashed"))
+    times_s = [0.1 * count for count in range(FAILURES_MAX)]
+    found = list(switched(engine, tmp_path, times_s))
+    assert [native for _, native in found] == [True] * (FAILURES_MAX - 1) + [False]
+    assert found[-1][0].reason == "the native engine failed: it crashed"
+    assert engine.monitor_reason == "the native engine failed: it crashed"
+
+
+def test_a_start_that_takes_too_long_leads_to_the_monitor_then_to_python(tmp_path: Path) -> None:
+    engine = Engine(None)
+    times_s = [0.0, START_S - 0.1, START_S + 0.1, 2.0 * START_S, 2.0 * START_S + 0.3]
+    ways, reason = [], ""
+    for switch, native in switched(engine, tmp_path, times_s):
+        ways.append((native, bool(engine.monitor_reason)))
+        reason = switch.reason
+    assert ways == [(True, False), (True, False), (True, True), (True, True), (False, True)]
+    assert "did not start within 5 s" in reason
+
+
+# ------------------------------------------------------------------------------------- its chains
+
+
+def chain(**changes: Any) -> RunningChain:
+    """A linked chain, which began at 0 s."""
+    page = SimpleNamespace(
+        frames=48_000, faded_out=lambda _: False, set_sound_gain=lambda _: None, samplerate=48_000
+    )
+    known = {"page": page, "plan": PLAN, "is_stopped": False, "closed": []}
+    one = SimpleNamespace(**{**known, **changes})
+    one.check = lambda: None
+    one.last_words = lambda: f": {one.complaint}"
+    one.complaint = "the design is cut"
+    one.close = lambda: one.closed.append(True)
+    return RunningChain(cast(Any, one), 0.0, linked_s=0.0)
+
+
+def test_a_chain_that_was_stopped_is_ended_and_lost(tmp_path: Path) -> None:
+    chains = Chains(CONFIG, tmp_path, lambda *_: None, DriveDesigns())
+    chains.current = stopped = chain(is_stopped=True)
+    with pytest.raises(LostError, match="was stopped"):
+        chains.check(Graph(), 1.0, is_fed=True)
+    assert chains.current is None
+    assert cast(Any, stopped.chain).closed
+
+
+@pytest.mark.parametrize("is_fed", [True, False])
+def test_a_chain_that_processes_nothing_is_replaced_if_something_plays(
+    is_fed: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun: list[ChainPlan] = []
+    chains = Chains(CONFIG, tmp_path, lambda *_: None, DriveDesigns())
+    monkeypatch.setattr(chains, "_begin", lambda plan, now_s: begun.append(plan))
+    chains.current = chain()
+    for now_s in (0.0, 0.9 * STUCK_S, 1.1 * STUCK_S, 2.2 * STUCK_S):
+        chains.check(Graph(), now_s, is_fed=is_fed)
+        chains.make(PLAN, now_s)
+        if now_s < STUCK_S:
+            assert not begun
+    assert bool(begun) == is_fed
+
+
+@pytest.mark.parametrize("place", ["following", "current"])
+def test_a_chain_that_never_processed_anything_is_lost_with_its_last_words(
+    tmp_path: Path, place: str
+) -> None:
+    chains = Chains(CONFIG, tmp_path, lambda *_: None, DriveDesigns())
+    setattr(chains, place, one := chain())
+    one.chain.page.frames = 0  # type: ignore[misc]
+    chains.check(Graph(), 0.0, is_fed=True)
+    with pytest.raises(
+        LostError, match="processes nothing although sound plays: the design is cut"
+    ):
+        chains.check(Graph(), 1.1 * chains_module.STUCK_S, is_fed=True)
+    assert getattr(chains, place) is None
+
+
+def test_a_chain_that_begins_late_and_does_not_complain_is_not_lost(tmp_path: Path) -> None:
+    chains = Chains(CONFIG, tmp_path, lambda *_: None, DriveDesigns())
+    chains.current = slow = chain()
+    slow.chain.page.frames, slow.chain.complaint = 0, ""  # type: ignore[misc]
+    for now_s in (0.0, 1.1 * chains_module.STUCK_S):
+        chains.check(Graph(), now_s, is_fed=True)
+    assert chains.current is slow

@@ -1,0 +1,278 @@
+"""A coil is never taken for colder than it is, nor a dose for smaller, whatever ends a process."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from datetime import datetime, timedelta, timezone
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from audioflinger_hook.daemon.safety_keeper import FILE, MARK, SAVE_S, Moment, SafetyKeeper
+from audioflinger_hook.drive.drive import Drive
+from audioflinger_hook.drive.rig_driver import RigDriver
+from device.drive.exposure.design import worst_second
+from device.drive.protection.limits import limits_of
+from device.drive.protection.thermal import CoilTemperature
+from device.drive.safety import SafetyBounds, SafetyState
+from device.rig import CONSUMER, PAPER, Rig
+from device.rig.parameters import ThermalParameters
+
+RATE = 8_000
+NOON = datetime(2026, 5, 1, 12, tzinfo=timezone(timedelta(hours=2)))
+LIMIT_C = 120.0
+
+
+def text(local: datetime) -> str:
+    return local.isoformat(timespec="minutes")
+
+
+class Time:
+    """Clocks of a machine, which go on when told to."""
+
+    def __init__(self) -> None:
+        self.moment = Moment("a boot", 1_000.0, NOON.timestamp(), text(NOON))
+
+    def __call__(self) -> Moment:
+        return self.moment
+
+    def go(self, seconds: float, boot: str = "a boot") -> None:
+        now = self.moment
+        boot_s = now.boot_s + seconds if boot == now.boot else 20.0
+        local = datetime.fromisoformat(now.local) + timedelta(seconds=seconds)
+        self.moment = Moment(boot, boot_s, now.wall_s + seconds, text(local))
+
+
+def driven(exposure_cap: str = "off") -> Drive:
+    return Drive((), RATE, 1, rig="paper", protection="on", exposure_cap=exposure_cap)
+
+
+def state_of(drive: Drive) -> SafetyState:
+    processor = drive.processors[0]
+    assert processor
+    return processor.safety_states()[0]
+
+
+def set_state(drive: Drive, coil_c: float, magnet_c: float) -> None:
+    processor = drive.processors[0]
+    assert processor
+    readings = processor._readings[0]  # as the core would have written them
+    readings.coil_c, readings.magnet_c = coil_c, magnet_c
+
+
+def played(drive: Drive, seconds: float) -> None:
+    times_s = np.arange(round(seconds * RATE)) / RATE
+    drive.process(0.5 * np.sin(2.0 * np.pi * 40.0 * times_s)[:, None])
+
+
+def killed(folder: Path, time: Time, coil_c: float = 119.0, magnet_c: float = 60.0) -> Drive:
+    """A drive whose process was killed just before its next write."""
+    keeper, drive = SafetyKeeper(folder, time), driven()
+    keeper.restore(drive.processors, "dac")
+    played(drive, 1.0)
+    set_state(drive, coil_c, magnet_c)
+    keeper.update(drive.processors, 0.0)
+    time.go(SAVE_S)
+    return drive
+
+
+def restored(folder: Path, time: Time, device: str = "dac") -> tuple[SafetyState, SafetyKeeper]:
+    keeper, drive = SafetyKeeper(folder, time), driven()
+    keeper.restore(drive.processors, device)
+    return state_of(drive), keeper
+
+
+def test_a_first_run_starts_cold_and_says_nothing(tmp_path: Path) -> None:
+    state, keeper = restored(tmp_path / "new", Time())
+    assert (state.coil_c, state.dose.squares, keeper.warning) == (20.0, 0.0, "")
+
+
+@pytest.mark.parametrize("passed_s", [0.0, 0.3, 5.0, 40.0, 600.0])
+@pytest.mark.parametrize("boot", ["a boot", "another boot"])
+def test_after_a_kill_it_is_at_least_as_warm_as_it_is_and_at_most_ten_kelvin_more(
+    tmp_path: Path, passed_s: float, boot: str
+) -> None:
+    time = Time()
+    drive = killed(tmp_path, time)
+    before = state_of(drive)
+    time.go(passed_s, boot)
+    state, keeper = restored(tmp_path, time)
+    assert PAPER.thermal
+    true = CoilTemperature(PAPER.thermal, PAPER.actuator.resistance_ohm, SAVE_S + passed_s)
+    true.set_temperatures(119.0, 60.0)
+    true.step(0.0)
+    assert state.coil_c is not None
+    assert state.magnet_c is not None
+    assert true.coil_c <= state.coil_c + 1e-9
+    assert state.coil_c <= true.coil_c + 10.0
+    assert true.magnet_c <= state.magnet_c + 1e-9
+    assert state.dose.squares >= before.dose.squares
+    assert state.dose.fourths >= before.dose.fourths
+    assert keeper.warning == ""
+
+
+@example(LIMIT_C, 1.0, replace(PAPER, thermal=ThermalParameters(4.0, 0.5, 3.0, 400.0)))
+@settings(max_examples=30, deadline=None)
+@given(
+    st.floats(20.0, LIMIT_C),
+    st.floats(0.0, 1.5),
+    st.sampled_from([PAPER, replace(PAPER, thermal=ThermalParameters(4.0, 0.5, 3.0, 400.0))]),
+)
+def test_nothing_that_protection_allows_is_warmer_than_the_bound(
+    coil_c: float, seconds: float, rig: Rig
+) -> None:
+    strong = replace(PAPER, amplifier=replace(PAPER.amplifier, gain=20.0), thermal=rig.thermal)
+    assert strong.thermal
+    bounds = SafetyBounds(strong, worst_second(strong, RATE))
+    state = bounds.after_unrecorded(SafetyState(coil_c, 20.0), seconds)
+    coil = CoilTemperature(strong.thermal, strong.actuator.resistance_ohm, 0.002)
+    coil.set_temperatures(coil_c, 20.0)
+    for _ in range(int(seconds / 0.002)):
+        coil.step(0.999 * min(coil.power_allowed(LIMIT_C), 20.0**2 / 3.3))  # 20 V, 3.3 ohm
+    assert state.coil_c is not None
+    assert coil.coil_c <= state.coil_c + 0.02
+    assert state.coil_c <= LIMIT_C
+
+
+@pytest.mark.parametrize("rig", [PAPER, CONSUMER], ids=["paper", "consumer"])
+def test_no_drive_adds_more_to_the_dose_than_the_bound(rig: Rig) -> None:
+    rng = np.random.default_rng(1)
+    times_s = np.arange(4 * RATE) / RATE
+    worst = worst_second(rig, RATE)
+    drives = [np.sign(np.sin(2.0 * np.pi * hz * times_s)) for hz in (8.0, 30.0, 45.0, 60.0, 150.0)]
+    drives += [rng.uniform(-1.0, 1.0, len(times_s)), np.sign(rng.normal(size=len(times_s)))]
+    for drive in drives:
+        driven = RigDriver(rig, RATE, limits=replace(limits_of(rig), excursion_m=1.0))
+        driven.process(drive[:, None])
+        dose = driven.safety_states()[0].dose
+        assert dose.squares <= worst.squares * dose.time_s
+        assert dose.fourths <= worst.fourths * dose.time_s
+
+
+def test_a_clean_end_is_continued_exactly(tmp_path: Path) -> None:
+    time = Time()
+    keeper, drive = SafetyKeeper(tmp_path, time), driven()
+    keeper.restore(drive.processors, "dac")
+    played(drive, 2.0)
+    set_state(drive, 80.0, 40.0)
+    keeper.close(drive.processors)
+    state, keeper = restored(tmp_path, time)
+    assert state.coil_c == pytest.approx(80.0)
+    assert state.magnet_c == pytest.approx(40.0)
+    assert state.dose.squares == pytest.approx(state_of(drive).dose.squares)
+    assert keeper.since == "2026-05-01T12:00+02:00"
+
+
+@pytest.mark.parametrize(
+    "harm",
+    [
+        lambda path: path.write_text(path.read_text()[:-40]),
+        lambda path: path.write_bytes(b"\x00" * 100),
+        lambda path: path.write_text("[]"),
+        lambda path: path.write_text(path.read_text().replace('"version": 1', '"version": 9')),
+        lambda path: path.write_text(path.read_text().replace("119.0", "NaN")),
+        lambda path: path.unlink(),
+    ],
+    ids=["cut", "zeros", "other", "future", "nan", "missing"],
+)
+def test_a_record_that_is_damaged_or_missing_gives_the_warmest_state_and_one_warning(
+    tmp_path: Path, harm: object
+) -> None:
+    time = Time()
+    killed(tmp_path, time)
+    harm(tmp_path / FILE)  # type: ignore[operator]
+    state, keeper = restored(tmp_path, time)
+    assert state.coil_c == LIMIT_C
+    assert state.magnet_c is not None
+    assert state.magnet_c > 60.0
+    assert str(tmp_path / FILE) in keeper.warning
+    assert "\n" not in keeper.warning
+
+
+def test_a_clock_that_was_set_back_gives_the_warmest_state(tmp_path: Path) -> None:
+    time = Time()
+    killed(tmp_path, time)
+    time.go(-3_600.0, "another boot")
+    state, keeper = restored(tmp_path, time)
+    assert state.coil_c == LIMIT_C
+    assert "future" in keeper.warning
+
+
+def test_a_clock_that_is_set_back_within_a_boot_does_not_count(tmp_path: Path) -> None:
+    time = Time()
+    killed(tmp_path, time)
+    time.moment = replace(time.moment, wall_s=0.0)
+    state, keeper = restored(tmp_path, time)
+    assert keeper.warning == ""
+    assert state.coil_c is not None
+    assert state.coil_c < LIMIT_C
+
+
+def test_the_dose_is_of_the_day_and_ends_at_midnight_while_it_runs(tmp_path: Path) -> None:
+    time = Time()
+    keeper, drive = SafetyKeeper(tmp_path, time), driven()
+    keeper.restore(drive.processors, "dac")
+    played(drive, 2.0)
+    assert state_of(drive).dose.squares > 0.0
+    time.go(12.5 * 3_600.0)
+    keeper.update(drive.processors, 100.0)
+    played(drive, 0.3)
+    assert state_of(drive).dose.time_s == pytest.approx(0.3, abs=0.11)
+    assert keeper.since == "2026-05-02T00:30+02:00"
+    keeper.update(drive.processors, 101.0)
+    time.go(86_400.0)
+    state, _ = restored(tmp_path, time)
+    assert state.dose.squares == 0.0
+
+
+def test_the_dose_ends_at_midnight_also_while_nothing_plays(tmp_path: Path) -> None:
+    time = Time()
+    keeper, drive = SafetyKeeper(tmp_path, time), driven()
+    keeper.restore(drive.processors, "dac")
+    played(drive, 2.0)
+    keeper.close(drive.processors)
+    waiting = driven()
+    keeper.restore(waiting.processors, "dac")
+    assert state_of(waiting).dose.squares > 0.0
+    time.go(12.5 * 3_600.0)
+    keeper.update((*drive.processors, *waiting.processors), 100.0)
+    assert state_of(drive).dose.squares == 0.0  # has played yesterday
+    assert state_of(waiting).dose.squares == 0.0
+    played(waiting, 0.3)
+    assert state_of(waiting).dose.time_s == pytest.approx(0.3, abs=0.11)
+
+
+def test_what_moves_to_another_device_is_recorded_there(tmp_path: Path) -> None:
+    time = Time()
+    keeper, drive = SafetyKeeper(tmp_path, time), driven()
+    keeper.restore(drive.processors, "dac")
+    played(drive, 1.0)
+    keeper.note_device("another")
+    set_state(drive, 100.0, 60.0)
+    keeper.close(drive.processors)
+    state, _ = restored(tmp_path, time, "another")
+    assert state.coil_c == pytest.approx(100.0, abs=0.1)
+
+
+def test_another_device_is_cold_but_has_the_dose_of_who_sits_there(tmp_path: Path) -> None:
+    time = Time()
+    killed(tmp_path, time)
+    state, keeper = restored(tmp_path, time, "another")
+    assert state.coil_c == 20.0
+    assert state.dose.squares > 0.0
+    assert keeper.warning == ""
+    record = json.loads((tmp_path / FILE).read_text())
+    assert list(record["actuators"]) == ["dac 0.0", "another 0.0"]
+    assert (tmp_path / MARK).exists()
+
+
+def test_a_folder_that_cannot_be_written_is_one_warning(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    keeper, drive = SafetyKeeper(tmp_path / "file" / "folder", Time()), driven()
+    keeper.restore(drive.processors, "dac")
+    keeper.update(drive.processors, 0.0)
+    assert "not kept" in keeper.warning

@@ -1,0 +1,73 @@
+"""Protection on drives of a generator and of the bench, on rigs that are a tenth off."""
+
+from dataclasses import replace
+from itertools import product
+from operator import attrgetter
+
+import pytest
+
+from device.drive.exposure.dose import ACTION_A8_M_S2, ACTION_VDV, DAY_S, DoseSums
+from device.drive.protection.limits import Limits
+from device.drive.safety import SafetyState
+from device.rig.parameters import vary
+from tests.support.random_drives import OFF, RIGS, Case, driven, reached
+from tools.bench.sections.protection import drives
+from tools.bench.sounds.signals import SAMPLERATE
+
+HOTTEST_C = Limits.coil_temperature_c
+
+
+def check_limits(found, cap):
+    """No case is beyond a limit, whichever it is, and with a cap no day's dose is."""
+    names = ("excursion", "current", "coil_c", "infeasible")
+    largest = {name: max(found, key=attrgetter(name)) for name in names}
+    vdv, a8 = (max(getattr(one.dose, name) for one in found) for name in ("vdv", "a8_m_s2"))
+    shown = {name: round(getattr(one, name), 4) for name, one in largest.items()}
+    limited = sum(one.limited > 0 for one in found)
+    print(f"{len(found)} drives, {limited} limited: {shown}, VDV {vdv:.4f}, A(8) {a8:.5f}")
+    assert largest["excursion"].excursion <= 1.0, largest["excursion"]
+    assert largest["current"].current <= 1.0, largest["current"]
+    assert largest["coil_c"].coil_c <= HOTTEST_C, largest["coil_c"]
+    assert largest["infeasible"].infeasible == 0, largest["infeasible"]
+    assert limited > 0.5 * len(found)
+    if cap != "off":
+        assert all(one.gain < 1.0 for one in found)
+        assert vdv < ACTION_VDV
+        assert a8 < ACTION_A8_M_S2
+
+
+CAPS = pytest.mark.parametrize("cap", ["off", "action"])
+
+
+@pytest.mark.parametrize(
+    ("count", "samplerate"),
+    [
+        (40, 6_000),
+        (12, 44_100),
+        (12, 48_000),
+        (12, 176_400),
+        pytest.param(3_000, 6_000, marks=pytest.mark.exhaustive),
+        pytest.param(120, 48_000, marks=pytest.mark.exhaustive),
+    ],
+)
+@CAPS
+def test_no_drive_of_a_generator_takes_a_rig_that_is_a_tenth_off_beyond_a_limit(
+    count, samplerate, cap
+):
+    found = reached(range(count), cap, samplerate)
+    check_limits(found, cap)
+    if cap == "off":  # they do come near: 9.1 % of Xmax and of the current are held back
+        assert min(max(one.excursion for one in found), max(one.current for one in found)) > 0.7
+
+
+@CAPS
+def test_no_drive_of_the_bench_takes_a_rig_that_is_a_tenth_off_beyond_a_limit(cap):
+    share = 0.0 if cap == "off" else 0.9
+    dose = DoseSums(0.0, share * ACTION_A8_M_S2**2 * DAY_S, share * ACTION_VDV**4)
+    rig, begins = RIGS[0], SafetyState(119.0, 60.0, dose)
+    found = []
+    for mass, f0, force_factor in product((1.0 - OFF, 1.0 + OFF), repeat=3):
+        true = replace(rig, actuator=vary(rig.actuator, mass, f0**2, force_factor))
+        cases = [Case(name, drive, rig, true, begins) for name, drive in drives().items()]
+        found += driven(cases, SAMPLERATE, cap)
+    check_limits(found, cap)

@@ -1,0 +1,147 @@
+"""The live form for a whole sound at once, in NumPy: an oracle for the core.
+
+It is the algorithm of docs/transform.md without blocks, rings and filter states. What windows show
+is found in all of them at once. One loop over ticks and hops does what is sequential. Then all
+glides are played at once. `s` is all numbers and tables of `LiveDesign`, by name.
+
+| module | what it does |
+| --- | --- |
+| `__init__` | `vibration_of`: sound in, vibration out; where hops begin; glides to vibration |
+| `analysis` | principal frequencies of spectra |
+| `onsets`, `fresh` | onsets, and the partials that begin there |
+| `voice` | one voice: the body of the loop, the amplitudes of a hop |
+| `partials` | partials followed from hop to hop, merged and held |
+| `loudness`, `speech` | strength by loudness; speech lowered |
+"""
+
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from scipy.signal import lfilter
+
+from audioflinger_hook.core.structures import GLIDE_COLUMNS, PARTIALS
+from audioflinger_hook.transform import TransformParameters
+from audioflinger_hook.transform.arrays import FloatArray
+from audioflinger_hook.transform.design import LiveDesign
+from audioflinger_hook.transform.downmix import MonoMix
+from device.layouts import downmix
+from tests.oracle.voice import Told, Voice
+
+
+@dataclass
+class Vibration:
+    """What becomes of a sound. samples: (frames + latency_frames, voices), full scale. replaced,
+    limited: samples of sound that were unusable, and of vibration that the limiter has changed.
+    told: by hop, the frame at which it is analysed and what it vibrates. glides: (glides, 9), with
+    the columns `GLIDE_COLUMNS`."""
+
+    samples: FloatArray
+    replaced: int
+    limited: int
+    told: list[tuple[int, list[Told]]]
+    glides: FloatArray
+
+    def told_at(self, frame: int) -> list[Told]:
+        """Return what the latest hop vibrates once so many frames of sound have come."""
+        return next((told for end, told in reversed(self.told) if end <= frame), [])
+
+
+def settings_of(design: LiveDesign) -> Any:
+    """Return all numbers and tables of a design as attributes, with its mapping and tracking."""
+    sections = {"mapping": design.mapping, "tracking": design.tracking}
+    return SimpleNamespace(**sections, **design.settings())
+
+
+def vibration_of(
+    sound: Any, samplerate: int, parameters: Any = None, *, per_channel=False, design: Any = None
+) -> Vibration:
+    """Return the vibration of a sound (frames,) or (frames, channels) and of silence after it.
+    per_channel: of each channel instead of their mono mix. design: instead of the parameters'."""
+    design = design or LiveDesign.of(parameters or TransformParameters(), samplerate)
+    s, frames = settings_of(design), np.asarray(sound).reshape(len(sound), -1)
+    frames = np.concatenate((frames, np.zeros((design.latency_frames, frames.shape[1]))))
+    usable = np.abs(frames) <= s.magnitude_max
+    rows = np.where(usable, frames, 0.0).T.astype(np.float64)
+    voices = [Voice(s) for _ in range(len(rows) if per_channel else 1)]
+    samples = np.zeros((len(frames), len(voices)))
+    whole = Vibration(samples, int((~usable).sum()), 0, [], np.zeros((0, len(GLIDE_COLUMNS))))
+    # Hops begin with the sound after a window of silence, if nothing vibrates then.
+    loud = np.flatnonzero((frames != 0.0).any(axis=1))
+    begins = loud[np.diff(loud, prepend=-1 - s.window_frames) > s.window_frames].tolist()
+    heard = rows if per_channel else rows[:1]
+    while begins:
+        if not per_channel:
+            mix = MonoMix(downmix(len(rows)), samplerate).process(rows[:, begins[0] :])
+            heard = np.concatenate((heard[0, : begins[0]], mix))[None]
+        begins = _play(s, voices, heard, begins, whole)
+    whole.limited = min(whole.limited + sum(voice.limited for voice in voices), samples.size)
+    return whole
+
+
+def _play(s, voices, sound, begins, whole):
+    """Play sound (voices, frames) from the first of `begins` on, until it begins anew while all
+    voices are asleep; return the `begins` from there on."""
+    begin, *later = begins
+    starts = np.arange(begin, sound.shape[1] + 1, s.tick_frames)
+    ends = starts[1:]
+    band = lfilter(s.band_b, s.band_a, sound + s.denormal_guard)
+    for voice, row in zip(voices, band, strict=True):
+        voice.hear(row, ends)
+    for tick, start in enumerate(starts.tolist()):
+        later = [frame for frame in later if frame >= start]
+        anew = later and later[0] < start + s.tick_frames and all(v.asleep() for v in voices)
+        if anew or tick == ends.size:
+            break
+        hops = None
+        if (tick + 1) % s.ticks == 0:
+            hop_ends = [0] * s.hops_in_window + [end for end, _ in whole.told] + [ends[tick]]
+            hops = slice(hop_ends[-1 - s.hops_in_window], hop_ends[-1])
+        for voice in voices:
+            voice.advance(tick, hops)
+        if hops:
+            told = sorted((one for voice in voices for one in voice.told), key=lambda one: one[2])
+            whole.told.append((int(ends[tick]), told[-PARTIALS:]))
+        followers = [voice.follower for voice in voices if voice.follower]
+        for follower in followers:  # the softer side of a sound stays softer
+            follower.programme_db = max(one.programme_db for one in followers)
+    rows: list[Any] = [whole.glides]
+    for which, voice in enumerate(voices):
+        played, limited = vibrate(s, voice.partials.glides, voice.fresh.glides, tick)
+        part = whole.samples[begin + s.tick_frames :, which]
+        part[: played.size] = played[: part.size]
+        whole.limited += limited
+        parts = (s.hop_frames, voice.partials.glides), (s.tick_frames, voice.fresh.glides)
+        rows += [[(ends[at], length, which, *rest)] for length, some in parts for at, *rest in some]
+    whole.glides = np.concatenate(rows)
+    return later
+
+
+def vibrate(s: Any, hops: Any, fresh: Any, ticks: int) -> tuple[FloatArray, int]:
+    """Return the vibration (ticks x tick_frames,) after each of some ticks, and how many samples of
+    it the knee has rounded off. hops, fresh: glides over a hop, and over a tick."""
+    low_rate = np.zeros((ticks + s.ticks) * s.tick_steps)
+    _add(s, low_rate, hops, s.attack, s.glide, s.glide_s)
+    _add(s, low_rate, fresh, s.tick_glide, s.tick_glide, s.tick_glide_s)
+    smooth = lfilter(s.low_b, s.low_a, low_rate[: ticks * s.tick_steps])
+    padded = np.concatenate((np.zeros(len(s.phases) - 1), smooth))
+    newest = [padded[tap : tap + smooth.size] for tap in range(len(s.phases))]
+    vibration = (np.stack(newest, axis=1) @ s.phases).reshape(-1)
+    size, room = np.abs(vibration), 1.0 - s.knee
+    rounded = s.knee + room * np.tanh((size - s.knee) / room) * (1.0 - 1e-6)
+    over = size > s.knee
+    return np.where(over, np.copysign(rounded, vibration), vibration), int(over.sum())
+
+
+def _add(s, low_rate, glides, attack, release, glide_s):
+    """Add the cosines of glides of one length; phase is the integral of frequency. One shape serves
+    all glides from one tick on, by whether their sum rises: it never exceeds both its ends."""
+    first, _, *numbers = np.array(glides).reshape(-1, 7).T
+    tick = first.astype(int)
+    start_hz, end_hz, start, end, phase = (each[:, None] for each in numbers)
+    rise = np.bincount(tick, (end - start)[:, 0], len(low_rate))[tick]
+    shape = np.where(rise[:, None] > s.still, attack, release)
+    turns = start_hz * s.seconds[: attack.size] + (end_hz - start_hz) * glide_s + phase
+    wave = np.cos(2.0 * np.pi * turns) * (start + (end - start) * shape)
+    np.add.at(low_rate, tick[:, None] * s.tick_steps + np.arange(attack.size), wave)

@@ -1,0 +1,121 @@
+"""One voice, tick by tick and hop by hop: how its partials go on by what its windows show."""
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from scipy.fft import rfft
+
+from audioflinger_hook.transform.arrays import FloatArray, IntArray
+from tests.oracle.analysis import strongest_principal
+from tests.oracle.fresh import Fresh
+from tests.oracle.loudness import Follower, at_hz, concentrated, loudness_db
+from tests.oracle.onsets import Onsets
+from tests.oracle.partials import Partials
+from tests.oracle.speech import Speech, cues
+
+Told = tuple[float, float, float]
+"""Hz of audio, Hz of vibration, amplitude in full scale."""
+
+
+class Voice:
+    """What one voice remembers from hop to hop. ringing: hops until the low-pass is at rest;
+    limited: samples that the ceiling has lowered; told: what the latest hop vibrates."""
+
+    def __init__(self, s: Any) -> None:
+        self.s = s
+        self.follower = Follower(s) if s.loudness_weights.size else None
+        self.speech = Speech(s) if s.speech_db > 0.0 else None
+        self.partials = Partials(s)
+        self.fresh = Fresh(s, self.partials, self._estimate)
+        self.ringing = self.limited = 0
+        self.told: list[Told] = []
+
+    def asleep(self) -> bool:
+        """Return whether nothing vibrates, and earlier sound has no effect any more."""
+        remembers = self.speech and self.speech.hops_to_rest
+        return not (self.ringing or self.partials.sounding or remembers)
+
+    def hear(self, sound: FloatArray, ends: IntArray) -> None:
+        """Analyse band-passed sound (frames,) whose ticks end before some frames. Each result is a
+        function of one window, so all windows are taken at once."""
+        s, self.sound, self.onsets = self.s, sound, Onsets(self.s, sound, ends)
+        self.partials.glides, self.fresh.glides = [], []
+        padded = np.concatenate((np.zeros(s.window_frames), sound))
+        windows = sliding_window_view(padded, s.window_frames)[ends[s.ticks - 1 :: s.ticks]]
+        spectra = rfft(windows * s.window, s.fft_length)[:, : s.bins]
+        self.principal = strongest_principal(s, spectra)
+        if self.follower:
+            self.loudness_db = loudness_db(s, spectra.real**2 + spectra.imag**2)
+        if self.speech:
+            self.cues = cues(s, spectra)
+
+    def advance(self, tick: int, hops: slice | None) -> None:
+        """Take the next tick. hops: the frames of the hops under the window, if one ends here."""
+        if hops:
+            self._end_hop(tick, np.abs(self.sound[hops]).max() >= self.s.silence)
+        if self.onsets.onset[tick] == tick:
+            self.fresh.start(tick, self.onsets, self.s.ticks - (tick + 1) % self.s.ticks)
+        if self.fresh.sounding:
+            self.ringing = self.s.ring_hops
+            self.fresh.play(tick, self.onsets)
+
+    def _end_hop(self, tick, audible):
+        """Decide what the next hop does; audible: whether anything in the window can be heard."""
+        s, hop, strength = self.s, tick // self.s.ticks, 1.0
+        self.fresh.hand_over(tick, self.onsets)
+        if self.follower and audible:
+            strength = self.follower.strength(self.loudness_db[hop])
+        elif self.follower:
+            self.follower.rest()
+        if self.speech and audible:
+            self.speech.hear(*self.cues[hop])
+        elif self.speech:
+            self.speech.pause()
+        found = self.principal.take((self.principal.row == hop) & (strength > 0.0))
+        hz = s.mapping.vibration_hz(found.audio_hz)
+        amplitude = self._amplitudes(found, hz, strength)
+        self.told = list(zip(found.audio_hz, hz, amplitude, strict=True))
+        if hz.size or any(one.begun for one in self.partials.sounding.values()):
+            room = max(0.0, s.ceiling - amplitude.sum())
+            left = s.mapping.level_ratio(found.amplitude, found.r)
+            even = amplitude * at_hz(s.gain_table, hz)  # which undoes the ripple of the low-pass
+            recent_power = partial(self.onsets.recent_power, tick)
+            self.partials.follow(tick, hz, even, room, left, recent_power)
+            self.ringing = s.ring_hops
+        elif self.partials.sounding:
+            self.partials.fade(tick)
+        else:
+            self.ringing = max(0, self.ringing - 1)
+
+    def _amplitudes(self, found, hz, strength):
+        """Return the amplitudes of a hop's partials: mapping, loudness, speech and the ceiling."""
+        s, tilt, gain = self.s, np.ones(hz.size), 1.0
+        if self.follower and hz.size:
+            # What is felt well takes less of the room under full scale.
+            felt = at_hz(s.felt_weights, hz)
+            tilt = np.sqrt(felt)
+            plain = s.mapping.amplitudes(found.amplitude, found.r) * tilt
+            gain = min(s.gain_max, strength / np.linalg.norm(plain * felt))
+        # Speech is lowered before the mapping, so that what it loses is not missing from the rest;
+        # after the follower, which would turn the rest up.
+        left = self.speech.gains(found.audio_hz) if self.speech else np.ones(hz.size)
+        amplitude = s.mapping.amplitudes(found.amplitude * left, found.r * left) * tilt * gain
+        if self.follower:
+            amplitude = concentrated(s, amplitude, hz, s.ceiling)
+        if amplitude.sum() <= s.ceiling:
+            return amplitude
+        self.limited += s.hop_frames
+        return amplitude * (s.ceiling / amplitude.sum())
+
+    def _estimate(self, tick, group):
+        """Return Hz of vibration, weight and amplitude of what has begun in a group of bands."""
+        hz, weight = self.onsets.estimate(tick, group)
+        power, strength = self.onsets.known(tick)
+        if self.follower:
+            strength = self.follower.onset_strength(power, strength)
+        if self.speech:
+            audio_hz = np.array([self.s.mapping.audio_hz(hz)])
+            strength *= float(self.speech.gains(audio_hz, coarse=True)[0])
+        return hz, weight, weight * strength * float(at_hz(self.s.gain_table, hz))
