@@ -1,4 +1,4 @@
-"""What is lost of the beginnings of new streams on PipeWire: tools/beginnings.py [--count N]
+"""The loss at the beginnings of new streams on PipeWire: tools/beginnings.py [--count N].
 
 Starts a sound server of its own with `cushion run`, and one player after the other: pw-play,
 paplay, mpv, a JACK client (mpv with pw-jack) and a loopback. Each plays a tone from its first
@@ -101,6 +101,9 @@ def lost_cycles(player: str, count: int, folder: Path, environment: Mapping[str,
             time.sleep(APART_S)
         time.sleep(0.5)
     recording, _ = soundfile.read(together, always_2d=True)
+    torn = _shortened(recording[:, 0])
+    if torn:
+        print(f"{player}: {torn} of {count} began late at the speakers, too", flush=True)
     lost = list(_lost(recording[:, 0], recording[:, 1]))
     if len(lost) < count:
         raise LostError(f"{player}: {len(lost)} of {count} streams were heard")
@@ -112,6 +115,14 @@ def _lost(heard: FloatArray, felt: FloatArray) -> Iterator[int]:
     for first, second in zip(begins[::2], begins[1::2], strict=True):
         late = _delay_frames(felt, first) - _delay_frames(felt, second)
         yield max(0, round(late / QUANTUM))
+
+
+def _shortened(heard: FloatArray) -> int:
+    """Return how many of the first tones are shorter than the second ones."""
+    begins = onsets(heard, RATE_HZ)
+    loud = np.abs(heard) > 0.01
+    sizes = [np.count_nonzero(loud[at : at + round(TONE_S * RATE_HZ)]) for at in begins]
+    return sum(int(a < b - QUANTUM // 8) for a, b in zip(sizes[::2], sizes[1::2], strict=False))
 
 
 def _delay_frames(felt: FloatArray, onset: int) -> int:

@@ -24,14 +24,13 @@ say() { printf 'check_kernel: %s\n' "$*" >&2; }
 # Makes a copy of the sources in the folder $1 and builds the kernel there with the further flags $2.
 build() {
     mkdir -p "$1"
-    cp -R audioflinger_hook device tests tools pyproject.toml README.md LICENSE "$1"
+    cp -R audioflinger_hook device tests tools pyproject.toml setup.py README.md LICENSE "$1"
     find "$1" -name '*.so' -exec rm {} +
     (
         cd "$1"
-        CC=$compiler CFLAGS=$2 LDFLAGS=$2 "$python" -c 'from setuptools import setup; setup()' \
-            -q build_ext --inplace >"$scratch/log" 2>&1
+        CC=$compiler CFLAGS=$2 LDFLAGS=$2 "$python" setup.py -q build_ext --inplace >"$scratch/log" 2>&1
         CC=$compiler CFLAGS=$2 "$python" -m tests.support.kernel_probes >>"$scratch/log" 2>&1
-        ls audioflinger_hook/transform/_kernel*.so device/_blocks*.so >/dev/null
+        ls audioflinger_hook/core/haptic_cushion.so device/blocks_library.so >/dev/null
     ) || {
         cat "$scratch/log" >&2
         exit 1
@@ -55,7 +54,7 @@ while [ "$round" -lt "$rounds" ]; do
             "$python" -m pytest -q -p no:cacheprovider --hypothesis-seed="$round" \
             -k 'not no_more_memory and not memory_back' \
             tests/transform/test_kernel_parts.py tests/transform/test_kernel.py tests/transform/test_analysis.py \
-            tests/transform/test_parameters.py tests/transform/test_downmix.py \
+            tests/transform/test_parameters.py tests/transform/test_downmix.py tests/core tests/device/drive \
             tests/device/test_blocks.py tests/device/clock/test_ring.py
     ) || {
         cat "$scratch"/report* >&2 || true # a process that ends in the middle of a test says why in there

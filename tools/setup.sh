@@ -6,10 +6,10 @@
 #   s3     what the tests of S3 storages need, too
 #   docs   the extra `docs` instead
 #
-# PyAudio and a part of the program (audioflinger_hook/transform/native) are compiled during the installation.
+# PyAudio, the core and the simulated rig's library are compiled during the installation.
 # Where the compiler or a header for that is missing, the system's package manager installs it (Debian,
 # Ubuntu; as root or where sudo asks for no password), else the command to run is printed. Where the
-# compiler is there but fails on that part, the program does without it, slower, and a warning says so.
+# compiler is there but fails, the set-up ends and says why.
 # Sound servers are left alone: nothing is ever removed or reconfigured.
 #
 # Environment: PYTHON (which Python to use), CC, CPPFLAGS, CFLAGS (as for every build), and pip's own.
@@ -33,11 +33,11 @@ unset CDPATH PYTHONPATH PYTHONHOME
 cd "$(dirname "$0")/.."
 root=$(pwd -P)
 venv_python=.venv/bin/python
+core=audioflinger_hook/core
 transform=audioflinger_hook/transform
 plugin=audioflinger_hook/plugin
 stamp=.venv/setup-stamp
 unfinished=.venv/setup-unfinished # there while .venv is being changed: it survives a kill
-uncompiled=.venv/setup-uncompiled # there where the transform could not be compiled
 
 scratch=$(mktemp -d)
 trap 'rm -rf "$scratch"' EXIT
@@ -283,7 +283,8 @@ require_system() {
 # What the stamp says of a finished set-up; the extras follow on a line of their own.
 stamp_head() {
     echo "$root"
-    cksum pyproject.toml constraints.txt setup.py tools/setup.sh "$transform"/native/* "$plugin"/native/* device/native/*
+    cksum pyproject.toml constraints.txt setup.py tools/setup.sh "$core"/*.[ch] "$core"/drive/* \
+        "$transform"/native/* "$plugin"/native/* device/native/*
 }
 
 # Whether PYTHON, where it is given, is the Python that .venv was made from.
@@ -299,20 +300,19 @@ up_to_date() {
         "$wanted" | "$wanted",*) ;;
         *) return 1 ;;
     esac
-    right_python && pyaudio_loads && { [ -e "$uncompiled" ] || kernel_loads; }
+    right_python && pyaudio_loads && core_loads
 }
 
 pyaudio_loads() {
     "$venv_python" -c 'import pyaudio' 2>"$scratch/load-errors"
 }
 
-# Whether what is compiled is there and loads, by itself, without the packages around it.
-kernel_loads() {
+# Whether what is compiled is there and loads.
+core_loads() {
     "$venv_python" -c "
-import sys
-sys.path += ['$transform', 'device']
-import _blocks, _kernel
-_kernel.LiveKernel, _blocks.linear_motion" 2>"$scratch/load-errors"
+from audioflinger_hook.core.compiled_core import library
+from device.compiled_blocks import load_blocks
+library(), load_blocks()" 2>"$scratch/load-errors"
 }
 
 # Prints why .venv cannot be kept; nothing where it can.
@@ -364,7 +364,7 @@ pip_install() {
 
 install_project() {
     say "installing the Python packages (the first time takes a minute or two)"
-    rm -f "$transform"/*.so "$plugin"/*.so device/*.so # what was built of other sources must not stand in
+    rm -f "$core"/*.so "$plugin"/*.so device/*.so # what was built of other sources must not stand in
     pip_install ".[$wanted]" && return
     if ! lost_network; then
         without_figures=${wanted#figures}
@@ -405,11 +405,10 @@ pyaudio_loads || {
     tail -n 3 "$scratch/load-errors" >&2
     die "what was compiled does not load; remove .venv and run make $goal again"
 }
-rm -f "$uncompiled"
-kernel_loads || {
-    say "warning: the transform could not be compiled. Everything works, for about fifteen times the" \
-        "processor time. To see why: .venv/bin/python -m pip install --verbose --no-deps --editable ."
-    : >"$uncompiled"
+core_loads || {
+    tail -n 1 "$scratch/load-errors" >&2
+    die "the core in C could not be compiled. Install a C compiler (gcc), then run make $goal again;" \
+        "to see more: .venv/bin/python -m pip install --verbose --no-deps --editable ."
 }
 {
     stamp_head

@@ -7,13 +7,12 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Protocol
 
-from audioflinger_hook.transform import FloatArray, Frames, HapticTransform, kernel_warning
+from audioflinger_hook.transform import FloatArray, Frames, HapticTransform
 from tools.bench.cost import Timings, in_ffts, interleaved
 from tools.bench.report import Missing, Must, Row, Section
 from tools.bench.sounds.signals import RECORDINGS_COMMAND, SAMPLERATE, Recording
 
-LIVE, NUMPY, REFERENCE = "live", "live in NumPy", "reference"
-BUILD_COMMAND = "rm -rf .venv && make run"
+LIVE, REFERENCE = "live", "reference"
 
 
 class Stream(Protocol):
@@ -94,35 +93,12 @@ SUBJECTS: tuple[Subject, ...] = (
 )
 """What is compared; the limits are asked of the first."""
 
-SPEED_SUBJECTS: tuple[Subject, ...] = (
-    SUBJECTS[0],
-    Subject(NUMPY, partial(HapticTransform, form="live", implementation="numpy")),
-    SUBJECTS[1],
-)
-"""What is compared in speed: the compiled live form, its NumPy form, and the reference form."""
-
-
-def speed_subjects() -> tuple[Subject, ...]:
-    """Return `SPEED_SUBJECTS`, without the compiled form where there is none."""
-    return SPEED_SUBJECTS if kernel_warning() is None else SPEED_SUBJECTS[1:]
-
-
-def live_subjects() -> tuple[Subject, ...]:
-    """Return the live form in each implementation that there is."""
-    return tuple(subject for subject in speed_subjects() if subject.name != REFERENCE)
-
-
-def not_compiled(name: str) -> tuple[Missing, ...]:
-    """Return the missing rows where the compiled live form is missing."""
-    why = kernel_warning()
-    return () if why is None else (Missing(f"{name}, {LIVE}, compiled", why, BUILD_COMMAND),)
-
 
 @dataclass(frozen=True)
 class Effort:
     """How much is measured: counts, and durations in seconds. The defaults are the quick run's.
 
-    slow_repeats: of everything but the compiled live form; saving_s: of each sound that savings
+    slow_repeats: of everything but the live form; saving_s: of each sound that savings
     are tried on; rig_timed_s: of the drives on which the rig is timed; real_sounds, exported: most
     of each class; catalogue_shared: length in seconds and count of the files that two workers
     share.
@@ -142,13 +118,12 @@ class Effort:
     slow_repeats: int = 1
     cost_s: float = 0.5
     cold_s: float = 0.4
-    saving_repeats: int = 1
+    saving_repeats: int = 5
     saving_s: float = 0.5
     mix_rounds: int = 10
     scaling_s: float = 4.0
     channels_s: float = 1.0
     hops_timed: int = 2_000
-    hops_timed_in_numpy: int = 1_000
     render_s: tuple[float, ...] = (60.0,)
     catalogue_s: tuple[float, ...] = (1.0, 60.0)
     catalogue_shared: tuple[float, int] = (20.0, 16)
@@ -169,8 +144,8 @@ FULL = Effort(
     tones=40, low_tones=16, tone_s=4.0, bursts=40, onsets_a_burst=16,
     noisy_tones=400, frontier_sounds=8, compared_bursts=30,
     compared_recordings=31, settled_s=10.0, cost_repeats=15, slow_repeats=5,
-    cost_s=6.0, cold_s=4.0, saving_repeats=3, saving_s=3.0, mix_rounds=400,
-    scaling_s=64.0, channels_s=4.0, hops_timed=30_000, hops_timed_in_numpy=2_000,
+    cost_s=6.0, cold_s=4.0, saving_repeats=31, saving_s=3.0, mix_rounds=400,
+    scaling_s=64.0, channels_s=4.0, hops_timed=30_000,
     render_s=(60.0, 600.0), rig_s=60.0, rig_timed_s=10.0, model_repeats=7, integrator_repeats=5,
     real_sounds=99, exported=99, catalogue_s=(1.0, 60.0, 3_600.0), catalogue_shared=(60.0, 32),
 )  # fmt: skip

@@ -13,6 +13,7 @@ from tools.docs.errors import errors_list
 from tools.docs.figures import SENTENCES, Benchmarks, corrected, figures
 from tools.docs.keys import keys_tables
 from tools.docs.results import exports_table, results_tables
+from tools.guards import guards_table
 
 ROOT = Path(__file__).resolve().parents[2]
 BEGIN = "<!-- from here: written by python -m tools.docs --write -->\n"
@@ -21,6 +22,7 @@ GENERATED = {
     "docs/api.md": api_reference,
     "docs/commands.md": commands_reference,
     "docs/config.md": keys_tables,
+    "docs/contributing.md": guards_table,
     "docs/errors.md": errors_list,
     "docs/exports.md": exports_table,
     "docs/results.md": results_tables,

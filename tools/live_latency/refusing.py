@@ -17,7 +17,7 @@ while read -r line; do
         case $(pw-dump "$3") in *'"output_F'* | *'"output_MONO'*) continue ;; esac
     fi
     printf "%s\\n" "$line"
-done | exec {pw_cli}
+done | exec {pw_cli} "$@"
 """
 
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from audioflinger_hook.transform import FloatArray, HapticTransform
-from device.drive.damping import Damper, Damping
-from device.drive.rig_processor import damping_for
+from device.drive.damping import Damping
+from device.drive.design import damping_for
 from device.rig import Rig
 from device.rig.instruments import InstrumentChain
 from device.rig.simulated_rig import SimulatedRig
@@ -74,9 +74,7 @@ def chosen_damping(rig: Rig) -> Damping:
 
 def felt(vibration: FloatArray, rig: Rig, samplerate: int, damping: Damping | None = None) -> Felt:
     """What the rig does with vibration (frames,), full scale 1, and what its instruments show."""
-    drive = vibration[:, None].copy()
-    if damping:
-        drive = Damper(damping, samplerate, 1).process(drive)
+    drive = (damping.filtered(vibration, samplerate) if damping else vibration)[:, None]
     twin = SimulatedRig(rig, samplerate, 1, tolerance=TOLERANCE)
     twin.write(drive)
     moved = [twin.acceleration_m_s2]

@@ -19,12 +19,12 @@ from tools.bench.figures.sheet import (
 from tools.bench.report import BenchReport
 from tools.bench.sections.fidelity import LAG_P95
 from tools.bench.sections.speed import BLOCKSIZES, SECOND_MS
-from tools.bench.workbench import LIVE, NUMPY, REFERENCE
+from tools.bench.workbench import LIVE, REFERENCE
 
 TICKS_MS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 BESIDE_LIMIT = 3.5
 """A number beside a point may reach this many times its cost on the axis."""
-COLOURS = {LIVE: palette.FELT, NUMPY: palette.FELT_LIGHT, REFERENCE: palette.HEARD}
+COLOURS = {LIVE: palette.FELT, REFERENCE: palette.HEARD}
 
 
 def cost(report: BenchReport) -> Figure:
@@ -50,7 +50,7 @@ def cost(report: BenchReport) -> Figure:
             scene, _, size = row.name.rpartition(", blocks of ")
             if size != str(blocksize) or not row.value:
                 continue
-            line = scenes.index(scene) + 0.26 * (list(COLOURS).index(row.column) - 1)
+            line = scenes.index(scene) + 0.26 * (list(COLOURS).index(row.column) - 0.5)
             low, high = row.low or row.value, row.high or row.value
             axis.plot([low, high], [line, line], color=COLOURS[row.column], lw=2.0, zorder=2)
             axis.plot([row.value], [line], "o", ms=5.5, color=COLOURS[row.column], zorder=3)

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from device.drive.damping.damper import Damper
 from device.drive.damping.design import Damping, no_damping
 from device.drive.damping.residual import (
     BURST_S,
@@ -55,7 +54,7 @@ def large_burst_response(
     true = replace(believed, actuator=detune(rig.actuator, detuning))
     watched_s = BURST_S + max(decay_s(true.actuator, source), BURST_S)
     burst = sine_burst(round(watched_s * SAMPLERATE), BURST_S, rig.actuator.resonance_hz)
-    drive = Damper(damping, SAMPLERATE, 1).process(burst[:, None].astype(np.float64))[:, 0]
+    drive = damping.filtered(burst, SAMPLERATE)
     linear = LinearActuator(rig.actuator, SAMPLERATE, source).move(drive, ("displacement_m",))
     drive *= excursion_m / float(np.abs(linear.displacement_m).max())
     if flat:

@@ -6,12 +6,13 @@ Vibration is (frames,) float64 at full scale +-1. Silence gives -inf or NaN, nev
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from scipy.signal import butter, hilbert, sosfiltfilt
 
 from audioflinger_hook.transform import FloatArray
-from audioflinger_hook.transform.principal import Principals
+from audioflinger_hook.transform.arrays import IntArray
 
 FIT_ROUNDS_MAX = 8
 FIT_CONVERGED_CYCLES = 1e-9
@@ -113,18 +114,30 @@ def energy_above_db(vibration: FloatArray, samplerate: int, corner_hz: float = 2
     return _ratio_db(float(power[above].sum()), float(power.sum()))
 
 
-def agreement(found: Principals, wanted: Principals, reach_hz: float) -> FloatArray:
+class Frequencies(Protocol):
+    """Frequencies of several windows: parallel arrays."""
+
+    @property
+    def row(self) -> IntArray:
+        """The number of the window."""
+
+    @property
+    def audio_hz(self) -> FloatArray:
+        """The frequency in Hz."""
+
+
+def agreement(found: Frequencies, wanted: Frequencies, reach_hz: float) -> FloatArray:
     """Return hits among the found, all found, hits among the wanted, and all wanted frequencies.
 
     A hit has one of the other set in reach, in the same row.
     """
     hits, wanted_hits = _in_reach(found, wanted, reach_hz), _in_reach(wanted, found, reach_hz)
-    return np.array([hits, len(found), wanted_hits, len(wanted)], dtype=np.float64)
+    return np.array([hits, found.row.size, wanted_hits, wanted.row.size], dtype=np.float64)
 
 
-def _in_reach(these: Principals, others: Principals, reach_hz: float) -> int:
+def _in_reach(these: Frequencies, others: Frequencies, reach_hz: float) -> int:
     """Return how many of these have one of the others of the same row within reach_hz."""
-    if not len(these) or not len(others):
+    if not these.row.size or not others.row.size:
         return 0
     # Rows laid end to end, further apart than any band is wide: one sorted search for all.
     pitch_hz = 4.0 * max(these.audio_hz.max(), others.audio_hz.max())

@@ -27,8 +27,6 @@ from tools.bench.sections.fidelity import (
 from tools.bench.sounds.signals import SAMPLERATE, Recording, burst, chord, tone
 from tools.bench.workbench import (
     LIVE,
-    NUMPY,
-    SPEED_SUBJECTS,
     Playback,
     Subject,
     Workbench,
@@ -90,8 +88,7 @@ def compared(bench: Workbench) -> Section:
 def _rows(
     subjects: Sequence[Subject], bench: Workbench, recordings: Sequence[Recording]
 ) -> list[Row]:
-    in_numpy = tuple(subject for subject in SPEED_SUBJECTS if subject.name == NUMPY)
-    rows = _cost_rows((*subjects, *in_numpy), bench)
+    rows = _cost_rows(subjects, bench)
     for subject in subjects:
         rows += _onset_rows(subject, bench) + _high_tone_rows(subject)
     return rows + (_recording_rows(subjects, recordings) if recordings else [])

@@ -8,7 +8,6 @@ import numpy as np
 
 from audioflinger_hook.transform import FloatArray, Frames, TransformParameters
 from audioflinger_hook.transform.design import LiveDesign
-from audioflinger_hook.transform.live.transform import LiveTransform
 from audioflinger_hook.transform.principal import PrincipalFinder
 from audioflinger_hook.transform.reference.transform import ReferenceTransform
 from audioflinger_hook.transform.spectrum import Spectrum, magnitude
@@ -17,6 +16,7 @@ from tools.bench.measures.vibration import (
     energy_above_db,
     onset_lag_s,
 )
+from tools.bench.measures.windows import WindowAnalysis
 from tools.bench.report import Missing, Must, Row, Section, line
 from tools.bench.sounds.signals import (
     KNOWN,
@@ -182,7 +182,7 @@ def principal_frequencies(bench: Workbench) -> Section:
 
 def _recording_agreement(recording: Recording) -> FloatArray:
     parameters = TransformParameters()
-    live = LiveTransform(LiveDesign.of(parameters, recording.samplerate))
+    live = WindowAnalysis(LiveDesign.of(parameters, recording.samplerate), every=True)
     spectrum = Spectrum.of(parameters, recording.samplerate)
     finder = PrincipalFinder(parameters, spectrum.bin_hz, spectrum.bins)
     total: FloatArray = np.zeros(4)
@@ -191,5 +191,5 @@ def _recording_agreement(recording: Recording) -> FloatArray:
     for first in range(0, len(whole), UNITS_AT_ONCE):
         units = whole[first : first + UNITS_AT_ONCE]
         wanted = finder.all_principal(magnitude(spectrum.transform(units)))
-        total += agreement(live.analyse(units), wanted, spectrum.bin_hz / 2.0)
+        total += agreement(live(units), wanted, spectrum.bin_hz / 2.0)
     return total

@@ -14,9 +14,9 @@ import numpy as np
 
 from audioflinger_hook.transform import FloatArray, TransformParameters
 from audioflinger_hook.transform.design import LiveDesign
-from audioflinger_hook.transform.live.transform import LiveTransform
 from audioflinger_hook.transform.principal import PrincipalFinder, Principals
 from audioflinger_hook.transform.spectrum import Spectrum, magnitude
+from tools.bench.measures.windows import Found, WindowAnalysis
 from tools.bench.report import Must, Row, Section, line
 from tools.bench.workbench import LIVE, REFERENCE, Workbench
 
@@ -34,7 +34,7 @@ WINDOWS_AT_ONCE = 64
 
 FORMS = (LIVE, REFERENCE)
 
-Analysis = Callable[[FloatArray], Principals]
+Analysis = Callable[[FloatArray], Principals | Found]
 
 
 def bound_hz(samplerate: int, frames: int, snr_db: float) -> float:
@@ -57,8 +57,8 @@ class _Grid:
         parameters = TransformParameters()
         spectrum = Spectrum.of(parameters, samplerate)
         finder = PrincipalFinder(parameters, spectrum.bin_hz, spectrum.bins)
-        forms = {
-            LIVE: LiveTransform(LiveDesign.of(parameters, samplerate)).analyse,
+        forms: dict[str, Analysis] = {
+            LIVE: WindowAnalysis(LiveDesign.of(parameters, samplerate), every=True),
             REFERENCE: lambda windows: finder.all_principal(magnitude(spectrum.transform(windows))),
         }
         return cls(samplerate, spectrum.window_frames, forms)
@@ -70,7 +70,7 @@ class _Grid:
         return AMPLITUDE * waves
 
 
-def _highest_hz(found: Principals, rows: int) -> FloatArray:
+def _highest_hz(found: Principals | Found, rows: int) -> FloatArray:
     """Return the frequency of the highest peak of each row, NaN where there is none."""
     order = found.amplitude.argsort(kind="stable")
     highest = np.full(rows, np.nan)

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from scipy.signal import hilbert
 
-from audioflinger_hook.transform import FloatArray, TransformParameters, kernel_warning
+from audioflinger_hook.transform import FloatArray, TransformParameters
 from audioflinger_hook.transform.mapping import vibration_hz
 from tools.bench.measures.vibration import energy_above_db, onset_lag_s, sine_fit
 from tools.bench.report import Row, Section, number
@@ -77,7 +77,7 @@ def frontier(bench: Workbench) -> Section:
     ]
     return Section(
         TITLE,
-        f"The live form ({'compiled' if kernel_warning() is None else 'in NumPy'}) with one "
+        "The live form with one "
         f"setting changed at a time. Cost: of a second of stereo, on {SCENE_S:g} s of the demo "
         f"scene, the least of {bench.effort.cost_repeats} repeats. Tones are steady, "
         f"{TONES_HZ[0]:g} to {TONES_HZ[1]:g} Hz; their errors are root mean squares, their THD+N "
@@ -170,9 +170,8 @@ def _lag_p95_ms(setup: Setup, count: int) -> float:
 
 def _notes(setup: Setup) -> tuple[float, float]:
     """Return missed and spurious partials of decaying notes, in percent of all."""
-    form = setup.form()
     rng = np.random.default_rng(6)
-    time_s = np.arange(form._grid.window_frames) / SAMPLERATE
+    time_s = np.arange(setup.made.grid.window_frames) / SAMPLERATE
     note_hz = np.exp(rng.uniform(np.log(NOTE_HZ[0]), np.log(NOTE_HZ[1]), NOTES))
     order = np.arange(1, HARMONICS + 1)
     wanted_hz = note_hz[:, None] * order
@@ -180,7 +179,7 @@ def _notes(setup: Setup) -> tuple[float, float]:
     phases = rng.uniform(0.0, 2.0 * np.pi, (NOTES, HARMONICS, 1))
     waves = np.sin(turns + phases) * (AMPLITUDE / order)[:, None]
     windows = waves.sum(axis=1) * np.exp(-time_s / NOTE_DECAY_S)
-    found = form._analysis.strongest(form._spectrum.transform(windows))
+    found = setup.analysis()(windows)
     hits = np.zeros(wanted_hz.shape, dtype=bool)
     spurious = 0
     for row, audio_hz in zip(found.row, found.audio_hz, strict=True):

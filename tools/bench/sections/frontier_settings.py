@@ -9,14 +9,16 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from typing import Any
 
 from scipy.fft import next_fast_len
+from scipy.signal import ellipap
 
-from audioflinger_hook.transform import FloatArray, TransformParameters, kernel_warning
-from audioflinger_hook.transform.channel_bank import ChannelBank
+from audioflinger_hook.transform import FloatArray, TransformParameters
 from audioflinger_hook.transform.design import LiveDesign, synthesis
-from audioflinger_hook.transform.haptic import KernelStream
-from audioflinger_hook.transform.live.transform import LiveTransform
+from audioflinger_hook.transform.filters import Roots
+from audioflinger_hook.transform.haptic import CoreStream
+from tools.bench.measures.windows import WindowAnalysis
 from tools.bench.sounds.signals import SAMPLERATE, Stereo
 from tools.bench.workbench import Subject
 
@@ -34,7 +36,7 @@ class Setting:
     knob: str
     name: str
     parameters: Mapping[str, float | int] = field(default_factory=dict)
-    constants: Mapping[str, float | int] = field(default_factory=dict)
+    constants: Mapping[str, Any] = field(default_factory=dict)
     padding: float = 2.0
     onsets: bool = True
 
@@ -46,7 +48,7 @@ def hop(hops_a_window: float) -> Setting:
 
 
 def _filter(order: int, ripple_db: float, stop_db: float) -> Setting:
-    constants = {"ORDER": order, "RIPPLE_DB": ripple_db, "STOP_DB": stop_db}
+    constants = {"LOW_PASS": Roots(*ellipap(order, ripple_db, stop_db))}
     name = f"low-pass of order {order}, {ripple_db:g} dB, {stop_db:g} dB"
     return Setting("low-pass", name, constants=constants)
 
@@ -71,7 +73,7 @@ SETTINGS: tuple[Setting, ...] = (
 
 
 class Setup:
-    """The live form with one setting, compiled where the kernel is there."""
+    """The live form with one setting."""
 
     def __init__(self, setting: Setting) -> None:
         self.setting = setting
@@ -89,14 +91,12 @@ class Setup:
         self.tonal_latency_frames = self.made.tonal_latency_frames
         self.subject = Subject(setting.name, lambda _samplerate, channels: self._stream(channels))
 
-    def form(self) -> LiveTransform:
-        """Return one channel in NumPy."""
-        return LiveTransform(self.made)
+    def analysis(self) -> WindowAnalysis:
+        """Return what finds the partials of a window."""
+        return WindowAnalysis(self.made, every=False)
 
-    def _stream(self, channels: int) -> ChannelBank | KernelStream:
-        if kernel_warning() is None:
-            return KernelStream(self.made, channels, each=False)
-        return ChannelBank([self.form()], channels)
+    def _stream(self, channels: int) -> CoreStream:
+        return CoreStream(self.made, channels, each=False)
 
     def vibration(self, sound: FloatArray | Stereo) -> FloatArray:
         """Return the vibration of a sound, (frames,)."""
@@ -104,9 +104,9 @@ class Setup:
 
 
 @contextmanager
-def constants_changed(changed: Mapping[str, float | int]) -> Iterator[None]:
+def constants_changed(changed: Mapping[str, Any]) -> Iterator[None]:
     """Change constants of `design.synthesis` while a transform is made."""
-    kept: list[tuple[str, float | int]] = []
+    kept: list[tuple[str, Any]] = []
     try:
         for name, value in changed.items():
             kept.append((name, getattr(synthesis, name)))

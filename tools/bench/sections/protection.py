@@ -9,11 +9,10 @@ from itertools import product
 
 import numpy as np
 
+from audioflinger_hook.drive.rig_driver import RigDriver
 from audioflinger_hook.transform import FloatArray
-from device.drive.damping import Damper, choose_damping
-from device.drive.exposure import ExposureMeter
-from device.drive.protection import Protector
-from device.drive.protection.protector import BLOCK_S
+from device.drive.damping import choose_damping
+from device.drive.protection.design import BLOCK_S
 from device.rig import PAPER
 from device.rig.adaptive_actuator import AdaptiveActuator
 from device.rig.electronics import Amplifier
@@ -45,8 +44,8 @@ REPEATS = 5
 def protection(_bench: Workbench) -> Section:
     """Excursion with and without the governor, and how much drive is kept."""
     rows = []
-    for name, drive in _drives().items():
-        protector = Protector(LOUD, SAMPLERATE, 1)
+    for name, drive in drives().items():
+        protector = RigDriver(LOUD, SAMPLERATE)
         tail = np.zeros(protector.latency_frames + SAMPLERATE // 10)
         out = protector.process(np.concatenate([drive, tail])[:, None])[:, 0].astype(np.float64)
         without = _excursion(drive)
@@ -60,9 +59,10 @@ def protection(_bench: Workbench) -> Section:
         ]
     return Section(
         "Protection ahead of time",
-        "The largest excursion as a share of Xmax, over all combinations of a moving mass and a Bl "
-        "10 % lower or higher, a stiffness 19 % lower to 21 % higher (f0 ±10 %), and a frame that "
-        "stands still, is on the rig's seat, or is a free board of 0.57 kg. The amplifier gives "
+        "The largest excursion as a share of Xmax, over all combinations of three deviations. "
+        "Moving mass and Bl are 10 % lower or higher. The stiffness is 19 % lower to 21 % higher "
+        "(f0 ±10 %). The frame stands still, is on the rig's seat, or is a free board of 0.57 kg. "
+        "The amplifier gives "
         "20 V. Governed: the linear model. Non-linear model: the same, on a rig that stiffens, for "
         "the same governed drive. Drive kept: r.m.s. against the largest fixed gain that is safe "
         "for the whole drive.",
@@ -71,18 +71,17 @@ def protection(_bench: Workbench) -> Section:
 
 
 def live_cost(bench: Workbench) -> Section:
-    """What damping, protection and exposure cost in the live path."""
+    """What damping, protection and exposure cost together in the live path."""
     duration_s = min(COST_S, bench.effort.rig_timed_s)
     time_s = np.arange(round(duration_s * SAMPLERATE)) / SAMPLERATE
     tone = np.sin(2.0 * np.pi * 86.0 * time_s)
     damping = choose_damping(PAPER.actuator)[0].damping
-    cases: list[tuple[str, int, Damper | Protector | ExposureMeter]] = []
+    cases: list[tuple[str, int, RigDriver]] = []
     for channels in (1, 2):
         cases += [
-            ("damping", channels, Damper(damping, SAMPLERATE, channels)),
-            ("protection, nothing in reach", channels, Protector(PAPER, SAMPLERATE, channels)),
-            ("protection, limiting", channels, Protector(LOUD, SAMPLERATE, channels)),
-            ("exposure", channels, ExposureMeter(PAPER, SAMPLERATE, channels)),
+            ("damping", channels, RigDriver(PAPER, SAMPLERATE, channels, damping=damping)),
+            ("protection, nothing in reach", channels, RigDriver(PAPER, SAMPLERATE, channels)),
+            ("protection, limiting", channels, RigDriver(LOUD, SAMPLERATE, channels)),
         ]
     works = [
         partial(_stream, processor, np.repeat(0.9 * tone[:, None], channels, axis=1))
@@ -107,7 +106,7 @@ def live_cost(bench: Workbench) -> Section:
     )
 
 
-def _drives() -> dict[str, FloatArray]:
+def drives() -> dict[str, FloatArray]:
     """Drives of a second, (frames,), by name."""
     time_s = np.arange(SAMPLERATE) / SAMPLERATE
     phase = 2.0 * np.pi * time_s
@@ -143,7 +142,7 @@ def _excursion(drive: FloatArray, *, linear: bool = True) -> float:
     return largest / LOUD.actuator.x_max_m
 
 
-def _stream(processor: Damper | Protector | ExposureMeter, vibration: FloatArray) -> None:
+def _stream(processor: RigDriver, vibration: FloatArray) -> None:
     processor.reset()
     block = np.empty((BLOCKSIZE, vibration.shape[1]))
     for first in range(0, len(vibration) - BLOCKSIZE + 1, BLOCKSIZE):

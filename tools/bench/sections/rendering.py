@@ -16,7 +16,7 @@ from audioflinger_hook.offline.workers import usable_cores
 from tools.bench.cost import in_ffts
 from tools.bench.report import Must, Row, Section
 from tools.bench.sounds.signals import SAMPLERATE, demo_sound
-from tools.bench.workbench import Workbench, not_compiled
+from tools.bench.workbench import Workbench
 from tools.records import PROJECT_ROOT
 
 PACKAGE = "audioflinger_hook"
@@ -75,7 +75,6 @@ def render_speed(bench: Workbench) -> Section:
         "in FFTs. Several files: one for each core at once, by wall time. Limits other than "
         "memory apply to ten minutes (full run).",
         tuple(rows),
-        not_compiled("rendering"),
     )
 
 

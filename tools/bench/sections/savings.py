@@ -1,24 +1,21 @@
 """Section on savings: what the live form saves by leaving out work, and what that changes.
 
-Each saving is switched off from outside, so the transform itself carries no switches.
+Each saving is switched off by a design, so the transform itself carries no switches.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
 from audioflinger_hook.transform import FloatArray, TransformParameters
 from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.design.analysis import AnalysisDesign, window_tables
-from audioflinger_hook.transform.live.analysis import LiveAnalysis
-from audioflinger_hook.transform.live.synthesis import Glides, OscillatorBank
-from audioflinger_hook.transform.live.transform import LiveTransform
+from audioflinger_hook.transform.haptic import CoreStream
 from audioflinger_hook.transform.spectrum import Spectrum
-from tools.bench.cost import Timings, interleaved
+from tools.bench.cost import Timings
 from tools.bench.report import Missing, Must, Row, Section
 from tools.bench.sounds.signals import (
     SAMPLERATE,
@@ -30,7 +27,7 @@ from tools.bench.sounds.signals import (
     stereo,
     white_noise,
 )
-from tools.bench.workbench import Workbench
+from tools.bench.workbench import Playback, Subject, Workbench, timed
 
 BLOCKSIZE = 256
 EVERY_SAVING = "all savings on"
@@ -41,6 +38,9 @@ DEMO_TIMES = 2.5
 """Longest part of the demo scene, as a multiple of the other scenes' length."""
 PARTIALS_MAX = TransformParameters().partials_max
 
+FAINT = 1e-20
+"""Added to sound of which outputs are compared. After silence that is exactly 0 hops begin anew as
+soon as the vibration has decayed, so they would begin elsewhere where it plays on."""
 TIED = 0.06
 """Bound where two peaks tie for the last place: twice 0.03, the strongest partials of white noise.
  The smallest change then decides which peak, and which phase, is kept."""
@@ -48,66 +48,42 @@ TIED = 0.06
 
 @dataclass(frozen=True)
 class Saving:
-    """One saving: what is done without it, and how to switch it off.
+    """One saving: what is done without it, and how a design switches it off.
 
     bound: of the change of any sample, of full scale.
     """
 
     name: str
-    switch_off: Callable[[LiveTransform], None]
+    switch_off: Callable[[LiveDesign], LiveDesign]
     bound: float = 0.0
 
 
-def _setting(part: str, name: str, value: float) -> Callable[[LiveTransform], None]:
-    """Return what sets a number of the transform (part "") or of one of its parts."""
-
-    def switch_off(transform: LiveTransform) -> None:
-        setattr(getattr(transform, part) if part else transform, name, value)
-
-    return switch_off
-
-
-def _keep_every_bin(transform: LiveTransform) -> None:
-    spectrum = transform._spectrum
-    transform._analysis = LiveAnalysis(
-        AnalysisDesign.of(TransformParameters(), spectrum, spectrum.bins)
+def _setting(section: str, name: str, value: float) -> Callable[[LiveDesign], LiveDesign]:
+    """Return what sets a number of one section of a design."""
+    return lambda design: replace(
+        design, **{section: replace(getattr(design, section), **{name: value})}
     )
 
 
-class _EveryImage(LiveAnalysis):
-    """The analysis with images cleared however high a peak stands."""
-
-    def __init__(self, spectrum: Spectrum, bins: int) -> None:
-        super().__init__(AnalysisDesign.of(TransformParameters(), spectrum, bins))
-        self._turn, self._table = window_tables(spectrum, bins, spectrum.window_frames)
+def _keep_every_bin(design: LiveDesign) -> LiveDesign:
+    spectrum = Spectrum.of(TransformParameters(), design.samplerate)
+    analysis = AnalysisDesign.of(TransformParameters(), spectrum, spectrum.bins)
+    return replace(design, analysis=analysis)
 
 
-def _clear_high_images(transform: LiveTransform) -> None:
-    transform._analysis = _EveryImage(transform._spectrum, transform._analysis._bins)
-
-
-class _EverySlot(OscillatorBank):
-    """The oscillator bank with no slot left out: amplitudes of 0 become inaudible ones."""
-
-    def render(self, glides: Glides) -> FloatArray:
-        start = np.where(glides.start_amplitude == 0.0, 1e-300, glides.start_amplitude)
-        return super().render(replace(glides, start_amplitude=start))
-
-
-def _sound_every_slot(transform: LiveTransform) -> None:
-    design = transform.design.synthesis
-    transform._synthesizer._bank = _EverySlot(
-        design.attack, design.glide, transform.design.grid.hop_s, design.still
-    )
+def _clear_high_images(design: LiveDesign) -> LiveDesign:
+    """Let images be cleared however high a peak stands."""
+    spectrum = Spectrum.of(TransformParameters(), design.samplerate)
+    turn, table = window_tables(spectrum, design.analysis.bins, spectrum.window_frames)
+    return replace(design, analysis=replace(design.analysis, image_turn=turn, image_table=table))
 
 
 SAVINGS: tuple[Saving, ...] = (
-    Saving("quiet windows are analysed", _setting("", "_silence", -1.0)),
-    Saving("vibration that has decayed plays on", _setting("", "_ring_hops", 10**9), 1e-8),
-    Saving("empty slots are played", _sound_every_slot),
-    Saving("small peaks are refined", _setting("_analysis", "_peak_span_min", -1.0)),
+    Saving("quiet windows are analysed", _setting("input", "silence", -1.0)),
+    Saving("vibration that has decayed plays on", _setting("synthesis", "ring_hops", 10**6), 1e-8),
+    Saving("small peaks are refined", _setting("analysis", "peak_span_min", -1.0)),
     Saving("bins above the band are kept", _keep_every_bin, 0.02),
-    Saving("weak peaks lose their image", _setting("_analysis", "_weakest_image", 0.0), 0.02),
+    Saving("weak peaks lose their image", _setting("analysis", "weakest_image", 0.0), 0.02),
     Saving("high peaks lose their image", _clear_high_images, TIED),
 )
 
@@ -162,8 +138,8 @@ def savings(bench: Workbench) -> Section:
         "What each saving saves",
         "The live form leaves out work that a scene does not need. First the cost of a second with "
         "all savings, then without one at a time: the row says what is done then. It is of one "
-        f"channel, blocks of {BLOCKSIZE} frames, in "
-        f"NumPy, medians of {bench.effort.saving_repeats} over {bench.effort.saving_s:g} s. Then "
+        f"channel, blocks of {BLOCKSIZE} frames, medians of {bench.effort.saving_repeats} "
+        f"over {bench.effort.saving_s:g} s. Then "
         "the most that it saves on any scene, and the largest change of any sample, of full "
         f"scale. In noise two peaks can tie for the last of {PARTIALS_MAX} places; a tiny change "
         "then decides which one is kept.",
@@ -172,24 +148,18 @@ def savings(bench: Workbench) -> Section:
     )
 
 
+def _streams_of(design: LiveDesign) -> Callable[[int, int], CoreStream]:
+    return lambda _samplerate, channels: CoreStream(design, channels, each=False)
+
+
 def _with_and_without(
     sound: FloatArray, repeats: int
 ) -> tuple[dict[str, FloatArray], dict[str, Timings]]:
     """Return output and timings, by name, with every saving and without each one."""
-    outputs: dict[str, FloatArray] = {}
-
-    def play(name: str, switch_off: Callable[[LiveTransform], None]) -> None:
-        transform = LiveTransform(LiveDesign.of(TransformParameters(), SAMPLERATE))
-        switch_off(transform)
-        outputs[name] = np.concatenate(
-            [
-                transform.process(sound[first : first + BLOCKSIZE])
-                for first in range(0, sound.size, BLOCKSIZE)
-            ]
-        )
-
-    ways: dict[str, Callable[[LiveTransform], None]] = {EVERY_SAVING: lambda _: None}
-    ways |= {saving.name: saving.switch_off for saving in SAVINGS}
-    works = [partial(play, name, switch_off) for name, switch_off in ways.items()]
-    timings = interleaved(works, repeats, warm=False)  # each takes a tenth of a second or more
-    return outputs, dict(zip(ways, timings, strict=True))
+    design = LiveDesign.of(TransformParameters(), SAMPLERATE)
+    designs = {EVERY_SAVING: design}
+    designs |= {saving.name: saving.switch_off(design) for saving in SAVINGS}
+    subjects = [Subject(name, _streams_of(made)) for name, made in designs.items()]
+    outputs = {one.name: one.vibration(sound + FAINT, SAMPLERATE) for one in subjects}
+    timings = timed([Playback(one, sound[:, None], BLOCKSIZE) for one in subjects], repeats)
+    return outputs, dict(zip(designs, timings, strict=True))

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from audioflinger_hook.transform import FloatArray, HapticTransform, TransformParameters
 from audioflinger_hook.transform.design import LiveDesign
-from audioflinger_hook.transform.live.speech import SpeechSuppressor
-from audioflinger_hook.transform.live.transform import LiveTransform
-from audioflinger_hook.transform.spectrum import ComplexArray
+from audioflinger_hook.transform.design.speech import RAMPS
+from audioflinger_hook.transform.haptic import CoreStream
 from tools.bench.measures.similarity import level_db
 from tools.bench.report import Missing, Row, Section
 from tools.bench.sounds.signals import SAMPLERATE, Recording
@@ -56,31 +55,45 @@ class Heard:
         return sounding
 
 
-class _Believer(SpeechSuppressor):
-    """Keeps what it believed in each hop."""
+def _told_of_belief(parameters: TransformParameters, samplerate: int) -> LiveDesign:
+    """Return a design that lowers everything by belief alone, whatever can be speech.
 
-    def __init__(self, form: LiveTransform) -> None:
-        self.beliefs: list[float] = []
-        super().__init__(form.design.speech)
-
-    def add_hop(self, spectrum: ComplexArray) -> None:
-        super().add_hop(spectrum)
-        self.beliefs.append(self.belief)
-
-    def add_silence(self) -> None:
-        super().add_silence()
-        self.beliefs.append(self.belief)
+    It finds a partial in every hop that can be heard, and never reaches the limiter.
+    """
+    design = LiveDesign.of(parameters, samplerate)
+    never, always = (1e9, 2e9), (-2e9, -1e9)
+    selection = {"spared_hz": always, "excess_db": never, "background_db": always, "between": never}
+    ramps = zip(RAMPS, design.speech.speech_ramps, strict=True)
+    return replace(
+        design,
+        analysis=replace(design.analysis, threshold_hz=1e-9, peak_span_min=0.0),
+        mapping=replace(design.mapping, full_scale_r=1e3 * design.mapping.full_scale_r),
+        speech=replace(
+            design.speech,
+            speech_ramps=np.array([selection.get(name, ramp) for name, ramp in ramps]),
+        ),
+    )
 
 
 def heard(sound: FloatArray, samplerate: int = SAMPLERATE) -> Heard:
-    """Return what the live form believes of (frames,) with suppression on."""
-    form = LiveTransform(LiveDesign.of(ON, samplerate))
-    speech = form.levels.speech = _Believer(form)
-    form.process(sound)
-    hops = len(speech.beliefs)
-    pieces = sound[: hops * form._grid.hop_frames].reshape(hops, -1)
+    """Return what the live form believes of (frames,) with suppression on.
+
+    It is read from how far the core lowers the partials of each hop.
+    """
+    designs = [_told_of_belief(parameters, samplerate) for parameters in (OFF, ON)]
+    streams = [CoreStream(design, 1, each=False) for design in designs]
+    grid = designs[0].grid
+    hops = sound.size // grid.hop_frames
+    pieces = sound[: hops * grid.hop_frames].reshape(hops, -1)
+    strength = np.zeros((2, hops))
+    for hop, piece in enumerate(pieces):
+        for which, stream in enumerate(streams):
+            stream.process(piece[:, None])
+            strength[which, hop] = sum(amplitude for _, _, amplitude in stream.told)
+    plain, lowered = np.where(strength > 0.0, strength, 1.0)
+    belief = np.log10(lowered / plain) * (-20.0 / SUPPRESSION_DB)
     levels_db = 10.0 * np.log10((pieces**2).mean(axis=1) + 1e-12)
-    return Heard(np.array(speech.beliefs), levels_db, form._grid.hop_s)
+    return Heard(belief, levels_db, grid.hop_s)
 
 
 def speech_suppression(bench: Workbench) -> Section:

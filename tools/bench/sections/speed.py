@@ -20,15 +20,12 @@ from tools.bench.sounds.signals import (
 )
 from tools.bench.workbench import (
     LIVE,
-    NUMPY,
+    SUBJECTS,
     Playback,
     Stream,
     Subject,
     Workbench,
     cost_rows,
-    live_subjects,
-    not_compiled,
-    speed_subjects,
     timed,
 )
 
@@ -53,13 +50,13 @@ def cost_of_a_second(bench: Workbench) -> Section:
     effort = bench.effort
     cases: list[tuple[str, Subject, float]] = []
     playbacks: list[Playback] = []
-    missing: list[Missing] = [*not_compiled("cost of a second")]
+    missing: list[Missing] = []
     for scene, sound in cost_scenes(effort.cost_s, bench.recordings).items():
         if sound is None:
             missing.append(bench.missing_recordings(f"cost of a second, {scene}"))
             continue
         for blocksize in BLOCKSIZES:
-            for subject in speed_subjects():
+            for subject in SUBJECTS:
                 name = f"{scene}, blocks of {blocksize}"
                 cases.append((name, subject, len(sound) / SAMPLERATE))
                 playbacks.append(Playback(subject, sound, blocksize))
@@ -73,9 +70,9 @@ def cost_of_a_second(bench: Workbench) -> Section:
         "CPU time for a second of 48 kHz stereo; 10 ms are 1 % of one core. A sound server "
         f"delivers blocks of {BLOCKSIZES[0]} frames, a rendering takes {BLOCKSIZES[1]} at once. "
         f"Medians over {effort.cost_s:g} s of sound, {effort.cost_repeats} interleaved repeats of "
-        f"`{LIVE}` and {effort.slow_repeats} of the others; opening a stream is not timed. The "
-        f"limit in FFTs assumes an FFT of {1e6 * LIMITS_RFFT_S:g} µs. `{NUMPY}` is the live form "
-        "without its compiled kernel. Denormal floats, which many processors handle slowly, "
+        f"`{LIVE}` and {effort.slow_repeats} of the other; opening a stream is not timed. The "
+        f"limit in FFTs assumes an FFT of {1e6 * LIMITS_RFFT_S:g} µs. "
+        "Denormal floats, which many processors handle slowly, "
         f"should cost the same as tiny normal ones ({TINY:g}).",
         (*rows, *_slow_downs(rows)),
         tuple(missing),
@@ -92,7 +89,7 @@ def _slow_downs(rows: list[Row]) -> list[Row]:
             values: dict[str, float | None] = {
                 subject.name: costs[denormal + end, subject.name]
                 / max(costs[normal + end, subject.name], 1e-9)
-                for subject in speed_subjects()
+                for subject in SUBJECTS
             }
             must = SLOW_DOWN if LIVE in values else None
             ratios += line(f"{denormal} over {normal}{end}", values, "times", must)
@@ -106,19 +103,16 @@ def cost_after_pauses(bench: Workbench) -> Section:
     rows: list[Row] = []
     for name, sound in (("demo scene", demo_sound()), ("white noise", white_noise(5.0))):
         blocks = np.split(sound[: count * blocksize], count)
-        for subject in live_subjects():
-            stream = subject.start(SAMPLERATE, sound.shape[1])
-            timing = _timed_with_pauses(stream, blocks)
-            limit_ms = COLD_SECOND_MS if subject.name == LIVE else None
-            duration_s = count * blocksize / SAMPLERATE
-            rows += cost_rows(f"{name}, with pauses", subject.name, timing, duration_s, limit_ms)
+        stream = SUBJECTS[0].start(SAMPLERATE, sound.shape[1])
+        timing = _timed_with_pauses(stream, blocks)
+        duration_s = count * blocksize / SAMPLERATE
+        rows += cost_rows(f"{name}, with pauses", LIVE, timing, duration_s, COLD_SECOND_MS)
     return Section(
         "Cost after pauses",
         f"A live thread sleeps {1e3 * PAUSE_S:g} ms between blocks of {blocksize} frames, while "
         "other programs use the processor's caches. This is what a second of 48 kHz stereo costs "
         f"then, over {bench.effort.cold_s:g} s; the FFT is timed without pauses.",
         tuple(rows),
-        not_compiled("cost after pauses"),
     )
 
 
@@ -141,30 +135,17 @@ def worst_hop(bench: Workbench) -> Section:
     effort = bench.effort
     rows: list[Row] = []
     for name, sound in (("demo scene", demo_sound()), ("white noise", white_noise(15.0))):
-        shares = {
-            subject.name: 100.0
-            / hop_s
-            * _hop_times_s(
-                subject,
-                sound,
-                grid.hop_frames,
-                effort.hops_timed if subject.name == LIVE else effort.hops_timed_in_numpy,
-            )
-            for subject in live_subjects()
-        }
+        times_s = _hop_times_s(SUBJECTS[0], sound, grid.hop_frames, effort.hops_timed)
         for what, share in (("median", 50.0), ("p99.9", 99.9), ("largest", 100.0)):
-            values: dict[str, float | None] = {
-                column: float(np.percentile(times, share)) for column, times in shares.items()
-            }
-            must = HOP_COST if what == "p99.9" and LIVE in values else None
-            rows += line(f"{name}, {what}", values, "%", must)
+            must = HOP_COST if what == "p99.9" else None
+            value = 100.0 / hop_s * float(np.percentile(times_s, share))
+            rows += line(f"{name}, {what}", {LIVE: value}, "%", must)
     return Section(
         "Worst hop",
         f"Every hop ({grid.hop_frames} frames, {1e3 * hop_s:.1f} ms) must be ready long before it "
         "is due. CPU time of single hops as a share of their duration, over "
-        f"{effort.hops_timed} hops of each sound, in NumPy {effort.hops_timed_in_numpy}.",
+        f"{effort.hops_timed} hops of each sound.",
         tuple(rows),
-        not_compiled("worst hop"),
     )
 
 
