@@ -7,7 +7,7 @@ PYTEST_ARGS ?=
 # that tests start would compile every module again.
 unexport PYTHONPATH PYTHONHOME PYTHONDONTWRITEBYTECODE
 
-.PHONY: help run test check lock test-all test-exhaustive test-s3 test-servers test-pipewire test-browser test-usb soak bench docs clean
+.PHONY: help run test check lock wheels test-all test-exhaustive test-s3 test-servers test-pipewire test-browser test-usb soak bench docs clean
 .NOTPARALLEL:
 
 help:
@@ -24,6 +24,7 @@ help:
 	@echo 'make soak    the tests that take minutes'
 	@echo 'make bench   measure speed and error on this machine'
 	@echo 'make docs    build the pages of docs/ as a site in out/site'
+	@echo 'make wheels  build dist/*.whl for x86-64 and ARM64, with a compiler from PyPI'
 	@echo 'make lock    choose the newest versions of all packages anew: constraints.txt'
 	@echo 'make clean   remove what the set-up and the tests made; out/ stays'
 
@@ -42,6 +43,10 @@ check:
 	.venv/bin/python -m ruff check .
 	.venv/bin/python -m ruff format --check .
 	.venv/bin/python -m mypy --strict
+
+wheels:
+	@sh tools/setup.sh test
+	@sh tools/wheels.sh
 
 # One file for all Pythons and extras. Only this target needs uv.
 lock:
@@ -70,9 +75,9 @@ test-servers:
 	@sh tools/fetch_servers.sh
 	@# Most tests wait for sound to play; what is measured exactly shares the machine with one other.
 	@failed=0; \
-	.venv/bin/python -m pytest -m "servers and not calm" -n 3 --dist loadfile $(PYTEST_ARGS) \
+	.venv/bin/python -m pytest -m "servers and not calm and not soak" -n 3 --dist worksteal $(PYTEST_ARGS) \
 	    tests/servers tests/monitor || failed=1; \
-	.venv/bin/python -m pytest -m "servers and calm" -n 2 --dist loadfile $(PYTEST_ARGS) \
+	.venv/bin/python -m pytest -m "servers and calm and not soak" -n 2 --dist worksteal $(PYTEST_ARGS) \
 	    tests/servers || failed=1; \
 	exit $$failed
 
@@ -94,7 +99,7 @@ test-usb:
 	@sh tools/setup.sh test
 	@sh tools/fetch_servers.sh
 	@sh tools/fetch_usb_vm.sh
-	.venv/bin/python -m pytest -m usbvm -n 2 $(PYTEST_ARGS) tests/usbvm
+	.venv/bin/python -m pytest -m "usbvm and not soak" -n 2 $(PYTEST_ARGS) tests/usbvm
 
 soak:
 	@sh tools/setup.sh test
@@ -117,6 +122,6 @@ docs:
 	@echo 'out/site/index.html'
 
 clean:
-	rm -f audioflinger_hook/transform/*.so audioflinger_hook/plugin/*.so device/*.so
+	rm -f audioflinger_hook/core/*.so device/*.so
 	rm -rf .venv .cache .pytest_cache .mypy_cache .ruff_cache .hypothesis build dist *.egg-info
 	find audioflinger_hook device tests tools -type d -name __pycache__ -exec rm -rf {} +
