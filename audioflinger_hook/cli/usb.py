@@ -67,7 +67,7 @@ def _devices(name: str | None) -> tuple[UsbAudioDevice, ...]:
     if name is not None:
         return (find_one(UsbIdentity.parse(name), found),)
     if not found.devices:
-        raise found.reason or NoUsbDeviceError("no USB audio device is there; plug one in")
+        raise found.reason or NoUsbDeviceError("no USB audio device is plugged in")
     return found.devices
 
 
@@ -254,8 +254,8 @@ def _settings_lines(settings: dict[str, Any] | None) -> list[str]:
 def mixer_of(device: UsbAudioDevice) -> dict[str, Any]:
     """Return the controls of a device's cards, for JSON.
 
-    Levels are in dB, by channel, None for silence; they are left out if the steps of a volume are
-    not known in dB. problem: why something could not be read, else None.
+    Levels are in dB, by channel, None for silence; they are missing if the volume's steps are not
+    known in dB. problem: why a control could not be read, else None.
     """
     volumes: list[dict[str, Any]] = []
     mutes: list[dict[str, Any]] = []
@@ -266,13 +266,13 @@ def mixer_of(device: UsbAudioDevice) -> dict[str, Any]:
         try:
             with CardMixer(card.number) as mixer:
                 for volume in mixer.volumes:
-                    told: dict[str, Any] = {"name": volume.name}
+                    shown: dict[str, Any] = {"name": volume.name}
                     levels, decibels = mixer.volume_db(volume), volume.decibels
                     if levels is not None and decibels is not None:
-                        told["db"] = [_finite(level) for level in levels]
-                        told["lowest_db"] = _finite(decibels.lowest_db)
-                        told["highest_db"] = _finite(decibels.highest_db)
-                    volumes.append(told)
+                        shown["db"] = [_finite(level) for level in levels]
+                        shown["lowest_db"] = _finite(decibels.lowest_db)
+                        shown["highest_db"] = _finite(decibels.highest_db)
+                    volumes.append(shown)
                 for switch in mixer.switches:
                     mutes.append({"name": switch.name, "muted": list(mixer.muted(switch))})
         except CushionError as error:

@@ -81,7 +81,7 @@ def _line(content: str, with_addresses: bool) -> tuple[int | None, str]:
     lengths = {len(token) for token in tokens[1:]}
     first = tokens[0] if tokens else ""
     if len(first) == _OD_ADDRESS_DIGITS and lengths == {4}:
-        raise ValueError(f"{_shown(content.strip())} shows words whose bytes are swapped; use od -t x1")
+        raise ValueError(f"{_shown(content.strip())} shows swapped bytes; use od -t x1")
     if len(first) in _ADDRESS_DIGITS and (lengths == {2} or (with_addresses and not lengths)):
         return _address(first), _digits(tokens[1:])
     return None, _digits(tokens)

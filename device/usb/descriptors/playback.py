@@ -157,8 +157,8 @@ def _playback(
 def _playback_3(interface: Interface, endpoint: Endpoint) -> PlaybackFormat | None:
     """Return the format of an alternate setting of 3.0.
 
-    Without a general descriptor it has a basic profile: PCM at 48 kHz, whose channels and bits
-    follow from the bytes of 1 ms (Basic Audio Device 3.0, table 4-2).
+    Without a general descriptor it has a basic profile: PCM at 48 kHz. Its channels and bits follow
+    from the bytes of 1 ms (Basic Audio Device 3.0, table 4-2).
     """
     general, rates = interface.general, None
     encodings: tuple[str, ...]

@@ -59,7 +59,7 @@ class WholeDevice:
 
     @property
     def problem(self) -> str:
-        """What is wrong with it as a whole, in one line; "" if nothing is."""
+        """Missing configurations and unknown bytes, in one line; "" if there are none."""
         found, wanted = len(self.configurations), self.device.configurations if self.device else 0
         problems = []
         if found < wanted:

@@ -72,7 +72,7 @@ def test_a_dump_gives_the_bytes_that_it_shows(dump):
         ("00000000: 0902\n00000001: 0904", "bytes before it are too many"),
         ("00000000  09 02\n*\n00000010", "line 2: '*' marks omitted lines"),
         ("00000000  09 02\n00000010", "line 2: the address is 0x10 instead of 0x2"),
-        ("0000000 0209 006d", "shows words whose bytes are swapped; use od -t x1"),
+        ("0000000 0209 006d", "shows swapped bytes; use od -t x1"),
         ("0000009 02 03", "line 1: '0000009' is not an octal address"),
     ],
 )
