@@ -29,10 +29,17 @@ _NAME = re.compile(
 class UsbIdentity:
     """The name of a USB device.
 
-    vendor_id, product_id: four hexadecimal digits each, kept in lower case.
-    serial, port: "" for any.
+    Parameters
+    ----------
+    vendor_id, product_id : str
+        Four hexadecimal digits each, kept in lower case.
+    serial, port : str
+        "" for any.
 
-    UsageError: no device can have this name.
+    Raises
+    ------
+    UsageError
+        No device can have this name.
     """
 
     vendor_id: str
@@ -81,7 +88,13 @@ def identify(device: UsbAudioDevice, present: Iterable[UsbAudioDevice]) -> UsbId
     """Return a name that no other device has, and that stays after replugging.
 
     With a unique serial the name is valid at every port, else it includes the port.
-    present: all present devices, with or without this one.
+
+    Parameters
+    ----------
+    device : UsbAudioDevice
+        The device.
+    present : iterable of UsbAudioDevice
+        All present devices, with or without this one.
     """
     bare = UsbIdentity(device.vendor_id, device.product_id)
     twins = any(other.port != device.port and _same_kind(other, device) for other in present)
@@ -96,8 +109,19 @@ def identify(device: UsbAudioDevice, present: Iterable[UsbAudioDevice]) -> UsbId
 def find_one(identity: UsbIdentity, found: Found) -> UsbAudioDevice:
     """Return the present device of a name.
 
-    NoUsbBusError, NoUsbDeviceError: no device has the name; the message lists the present ones.
-    NotFoundError: several devices have it; the message gives a name for each.
+    Parameters
+    ----------
+    identity : UsbIdentity
+        The name.
+    found : Found
+        The present devices.
+
+    Raises
+    ------
+    NoUsbBusError, NoUsbDeviceError
+        No device has the name; the message lists the present ones.
+    NotFoundError
+        Several devices have it; the message gives a name for each.
     """
     matches = [device for device in found.devices if identity.is_device(device)]
     if len(matches) == 1:

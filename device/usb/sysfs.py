@@ -75,12 +75,16 @@ class UsbAudioDevice:
         Numbers on the bus; the address changes when it is plugged in.
     speed : float
         Mbit/s, 0 if unknown.
+    max_power_ma : int or None
+        mA, None if unknown.
     configuration : int or None
         Number of the active configuration, None if unknown or if none is.
     descriptors : bytes
         Device descriptor first, then the configurations; b"" if they are unreadable.
     node : Path
         The file through which it is opened.
+    interfaces, cards : tuple of AudioInterface, tuple of AlsaCard
+        Its audio interfaces and sound cards.
     """
 
     port: str
@@ -126,7 +130,15 @@ class UsbAudioDevice:
 
 @dataclass(frozen=True)
 class Found:
-    """The present USB audio devices, sorted by port; reason: why none plays, None if one does."""
+    """The present USB audio devices.
+
+    Attributes
+    ----------
+    devices : tuple of UsbAudioDevice
+        Sorted by port.
+    reason : NotFoundError or None
+        Why none plays; None if one does.
+    """
 
     devices: tuple[UsbAudioDevice, ...]
     reason: NotFoundError | None = None
@@ -135,7 +147,10 @@ class Found:
 def find_devices(root: Path = ROOT) -> Found:
     """Return every USB device with an audio interface; unreadable ones are left out.
 
-    root: the folder above /sys and /proc.
+    Parameters
+    ----------
+    root : Path
+        The folder above /sys and /proc.
     """
     bus = root / "sys/bus/usb/devices"
     names = names_in(bus)

@@ -17,10 +17,8 @@ Pure functions of bytes. Unknown descriptors and the units of 3.0 are skipped.
 from device.usb.descriptors.blocks import DescriptorError
 from device.usb.descriptors.configuration import Configuration
 from device.usb.descriptors.dump import hex_lines, parse_dump
-from device.usb.descriptors.hexdump import parse_hex
 from device.usb.descriptors.playback import PlaybackFormat, playback_formats
 from device.usb.descriptors.reading import WholeDevice, parse_configuration, parse_whole
-from device.usb.descriptors.standard import parse_device
 from device.usb.descriptors.streaming import RateRange
 
 __all__ = [
@@ -31,9 +29,7 @@ __all__ = [
     "WholeDevice",
     "hex_lines",
     "parse_configuration",
-    "parse_device",
     "parse_dump",
-    "parse_hex",
     "parse_whole",
     "playback_formats",
 ]

@@ -43,7 +43,13 @@ _SUPER_SPEED = 0x0300
 
 
 def hex_lines(raw: bytes) -> list[str]:
-    """Return bytes as the lines of a dump that `parse_hex` can read."""
+    """Return bytes as the lines of a dump that `parse_dump` can read.
+
+    Parameters
+    ----------
+    raw : bytes
+        Any bytes.
+    """
     starts = range(0, len(raw), _DUMP_BYTES)
     return [f"{at:04x}: {raw[at : at + _DUMP_BYTES].hex(' ')}" for at in starts]
 
@@ -51,7 +57,15 @@ def hex_lines(raw: bytes) -> list[str]:
 def parse_dump(content: bytes) -> tuple[bytes, ...]:
     """Return the bytes of each device in a dump; a hex dump or a raw file has one.
 
-    DescriptorError: it is none of these, or a line of the text is wrong.
+    Parameters
+    ----------
+    content : bytes
+        A file such as /sys/.../descriptors, or text.
+
+    Raises
+    ------
+    DescriptorError
+        The content has another form, or a line of the text is wrong.
     """
     if content[1:2] in _RAW_TYPES:
         return (content,)

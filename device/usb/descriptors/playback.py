@@ -87,6 +87,11 @@ def playback_formats(configuration: Configuration) -> tuple[PlaybackFormat, ...]
 
     Alternate settings without an isochronous output endpoint, channels or sample size are left out.
     Of 3.0 the channels are known in a basic profile only, and the units never.
+
+    Parameters
+    ----------
+    configuration : Configuration
+        The decoded configuration.
     """
     functions = topologies(configuration)
     implicit = _implicit_endpoints(configuration, functions)

@@ -29,7 +29,13 @@ _ENCODINGS_3 = {**_ENCODINGS_2, 5: "DSD", 6: "raw data", 31: "format bit 31"}
 
 @dataclass(frozen=True, slots=True)
 class RateRange:
-    """All samplerates from a lowest to a highest one, in Hz."""
+    """All samplerates from a lowest to a highest one.
+
+    Attributes
+    ----------
+    lowest, highest : int
+        Hz.
+    """
 
     lowest: int
     highest: int

@@ -5,11 +5,10 @@ import pytest
 from device.usb.descriptors import (
     RateRange,
     parse_configuration,
-    parse_device,
     parse_whole,
     playback_formats,
 )
-from device.usb.descriptors.standard import Synchronisation
+from device.usb.descriptors.standard import Synchronisation, parse_device
 from tests.support import usb_builder as usb
 from tests.support.usb_shapes import SHAPES
 

@@ -5,10 +5,10 @@ import pytest
 from device.usb.descriptors import (
     DescriptorError,
     parse_configuration,
-    parse_device,
     parse_whole,
     playback_formats,
 )
+from device.usb.descriptors.standard import parse_device
 from tests.support import usb_builder as usb
 from tests.support.usb_shapes import SHAPES
 
