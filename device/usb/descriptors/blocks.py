@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 
 from device.errors import UsageError
+from device.values import counted
 
 PROBLEMS_MAX = 200
 """Problems kept of one configuration, enough for a bug report."""
@@ -62,7 +63,7 @@ class Findings:
         """Return the problems by place, each in one line; the last one counts those left out."""
         found = [text for _, text in sorted(self._found, key=lambda problem: problem[0])]
         more = self._count - len(found)
-        return (*found, f"{more} more problems") if more else tuple(found)
+        return (*found, counted(more, "more problems")) if more else tuple(found)
 
 
 class Block:
@@ -123,11 +124,11 @@ def blocks(raw: bytes, at: int, findings: Findings) -> Iterator[Block]:
     while at < end:
         length, left = raw[at], end - at
         if length < LENGTH_MIN or left < LENGTH_MIN:
-            problem = f"bLength is {length}, so the last {left} bytes cannot be read"
+            problem = f"bLength is {length}, so the last {counted(left, 'bytes')} cannot be read"
             findings.note(at, "descriptor", problem)
             return
         if length > left:
-            problem = f"bLength is {length}, but only {left} bytes are left; the end is missing"
+            problem = f"bLength is {length}, but the dump ends after {left} bytes"
             findings.note(at, type_name(raw[at + 1]), problem)
         yield Block(at, raw[at : at + length], findings)
         at += length

@@ -10,6 +10,7 @@ from device.usb.descriptors.configuration import Configuration, Interface
 from device.usb.descriptors.entities import CLOCKS, INPUT, OUTPUT, Entity
 from device.usb.descriptors.standard import Transfer
 from device.usb.descriptors.topology import Topology, topologies
+from device.values import counted
 
 
 def check(configuration: Configuration, findings: Findings) -> None:
@@ -31,13 +32,13 @@ def check(configuration: Configuration, findings: Findings) -> None:
 def _check_counts(configuration: Configuration, findings: Findings) -> None:
     numbers = {interface.number for interface in configuration.interfaces}
     if configuration.interface_count != len(numbers):
-        problem = f"bNumInterfaces is {configuration.interface_count}, but {len(numbers)} follow"
+        problem = f"bNumInterfaces is {configuration.interface_count}, but it has {len(numbers)}"
         findings.note(0, "configuration", problem)
     for spanned in configuration.associations:
         if not spanned or not numbers.issuperset(spanned):
-            problem = f"an association of {len(spanned)} interfaces from {spanned.start} on spans "
-            problem += f"others than those that follow: {listed(numbers)}"
-            findings.note(0, "configuration", problem)
+            span = counted(len(spanned), "interfaces")
+            problem = f"an association has {span} from {spanned.start} on; possible: "
+            findings.note(0, "configuration", problem + listed(numbers))
     settings: set[tuple[int, int]] = set()
     for interface in configuration.interfaces:
         where = (interface.offset, interface.title)
@@ -46,7 +47,7 @@ def _check_counts(configuration: Configuration, findings: Findings) -> None:
         settings.add((interface.number, interface.alternate))
         count, wanted = len(interface.endpoints), interface.endpoint_count
         if count != wanted:
-            findings.note(*where, f"bNumEndpoints is {wanted}, but {count} follow")
+            findings.note(*where, f"bNumEndpoints is {wanted}, but it has {count}")
         missing = sorted(set(interface.listed or ()) - numbers)
         if missing:
             findings.note(*where, f"its header lists interface {missing[0]}, which is missing")
@@ -97,7 +98,7 @@ def _check_streaming(interface: Interface, function: Topology | None, findings: 
     elif function and terminal.kind == INPUT:
         channels = general.channels or (stream_format.channels if stream_format else 0) or 0
         if channels > terminal.channels:
-            problem = f"it has {channels} channels, but terminal {terminal.id} {terminal.channels}"
+            problem = f"it has {channels} channels, but its terminal has {terminal.channels}"
             findings.note(*where, problem)
         if not function.output(terminal.id)[0]:
             problem = f"no path leads from terminal {terminal.id} to an output"

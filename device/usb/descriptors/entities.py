@@ -11,6 +11,7 @@ from enum import IntEnum
 from typing import NamedTuple
 
 from device.usb.descriptors.blocks import Block
+from device.values import counted
 
 USB_STREAMING = 0x0101
 """The terminal type of streams from or to the host."""
@@ -157,7 +158,7 @@ def _bit_maps(block: Block, uac: int) -> tuple[int, ...]:
         return ()
     left = len(block.raw) - at - 1
     if left % size:
-        block.note(f"{left} bytes are left for bit maps of {size} bytes each")
+        block.note(f"its bit maps of {counted(size, 'bytes')} have {counted(left, 'bytes')} in all")
         # Some devices leave out the string index; the last byte then belongs to a bit map.
         left += (left + 1) % size == 0
     return tuple(block.number(here, size) for here in range(at, at + left // size * size, size))

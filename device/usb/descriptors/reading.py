@@ -27,6 +27,7 @@ from device.usb.descriptors.entities import Entity, read_entity, read_header
 from device.usb.descriptors.playback import playback_formats
 from device.usb.descriptors.standard import DeviceDescriptor, parse_device, read_endpoint
 from device.usb.descriptors.streaming import StreamFormat, StreamGeneral, read_format, read_general
+from device.values import counted
 
 CONFIGURATION_BYTES = 9
 INTERFACE_BYTES = 9
@@ -63,10 +64,12 @@ class WholeDevice:
         found, wanted = len(self.configurations), self.device.configurations if self.device else 0
         problems = []
         if found < wanted:
-            problems.append(f"{found} of {wanted} configurations can be read")
+            problems.append(f"{found} of {counted(wanted, 'configurations')} can be read")
         if self.rest:
             at = len(self.raw) - len(self.rest)
-            problems.append(f"the {len(self.rest)} bytes from 0x{at:04x} on are no configuration")
+            problems.append(
+                f"from 0x{at:04x} on, {counted(len(self.rest), 'bytes')} cannot be read"
+            )
         return "; ".join(problems)
 
     def active(self, value: int | None) -> Configuration | None:
@@ -101,20 +104,16 @@ def parse_configuration(raw: bytes, begins_at: int = 0) -> Configuration:
     """
     if len(raw) < CONFIGURATION_BYTES or raw[0] < CONFIGURATION_BYTES or raw[1] != CONFIGURATION:
         raise DescriptorError(
-            f"no configuration: the {len(raw)} bytes from 0x{begins_at:04x} on begin with "
-            f"{raw[:2].hex(' ') or 'nothing'}; at least {CONFIGURATION_BYTES} that begin with "
-            "09 02 are needed, as in /sys/bus/usb/devices/PORT/descriptors"
+            f"no configuration at 0x{begins_at:04x}: {counted(len(raw), 'bytes')} there, "
+            f"{raw[:2].hex(' ') or 'none'} first; needed: {CONFIGURATION_BYTES} or more, 09 02 "
+            "first, as in /sys/bus/usb/devices/PORT/descriptors"
         )
     findings = Findings(begins_at)
     total = int.from_bytes(raw[2:4], "little")
     if total != len(raw):
-        difference = "{} are missing" if total > len(raw) else "{} are too many"
-        findings.note(
-            0,
-            "configuration",
-            f"it has {len(raw)} bytes, but wTotalLength is {total}: "
-            + difference.format(abs(total - len(raw))),
-        )
+        difference = f"{abs(total - len(raw))} {'missing' if total > len(raw) else 'too many'}"
+        problem = f"it has {len(raw)} bytes, but wTotalLength is {total}: {difference}"
+        findings.note(0, "configuration", problem)
     associations: list[range] = []
     interfaces: list[Interface] = []
     group: list[Block] = []

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 from device.usb.descriptors.blocks import DEVICE, Block, DescriptorError
+from device.values import counted
 
 DEVICE_BYTES = 18
 ENDPOINT_BYTES = 7
@@ -98,8 +99,8 @@ def parse_device(raw: bytes) -> DeviceDescriptor:
     """
     if len(raw) < DEVICE_BYTES or raw[0] < DEVICE_BYTES or raw[1] != DEVICE:
         raise DescriptorError(
-            f"no device descriptor: the {len(raw)} bytes begin with {raw[:2].hex(' ') or 'nothing'}"
-            f"; at least {DEVICE_BYTES} that begin with 12 01 are needed"
+            f"no device descriptor: {counted(len(raw), 'bytes')} there, "
+            f"{raw[:2].hex(' ') or 'none'} first; needed: {DEVICE_BYTES} or more, 12 01 first"
         )
 
     def number(at: int) -> int:

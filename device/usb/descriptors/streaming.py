@@ -131,7 +131,7 @@ def read_format(block: Block, uac: int) -> StreamFormat | None:
         if not channels:
             block.note("it has 0 channels")
     if not 1 <= found.subslot_bytes <= 4 or not 1 <= found.bits <= 8 * found.subslot_bytes:
-        block.note(f"samples of {found.bits} bits in {found.subslot_bytes} bytes are impossible")
+        block.note(f"{found.bits} bits a sample in {found.subslot_bytes} bytes are impossible")
     return found
 
 
@@ -148,7 +148,7 @@ def _samplerates(block: Block) -> tuple[int, ...] | RateRange:
         block.note("bSamFreqType is 0 (a range), but its length has no room for two samplerates")
         return ()
     if count > room:
-        block.note(f"bSamFreqType is {count}, but its length has room for {room} samplerates")
+        block.note(f"bSamFreqType is {count}, but its length has room for {room}")
     if 0 in rates:
         block.note("a samplerate is 0 Hz")
     return tuple(rate for rate in rates if rate)
