@@ -26,9 +26,8 @@ USUAL_SHARE = 0.05
 class SimulatedLaboratory:
     """One rig with its instruments; every run begins at rest. One thread uses it.
 
-    snr_db sets noise that is added to each response, in the whole recorded band, relative to it
-    during the sweep. move(volts, samplerate) takes the place of the rig's own models, for coils
-    that these do not describe.
+    snr_db: of white noise that is added to each response, relative to it during the sweep.
+    move(volts, samplerate): replaces the rig's models, for coils that these do not describe.
     """
 
     def __init__(
@@ -81,7 +80,7 @@ class SimulatedLaboratory:
         read = {
             "acceleration": chain.acceleration_m_s2(acceleration),
             "current": _read_scaled(daq, current_range, rate, self._seed + 2, current),
-            # The reference is a divider's volts: loud, without the noise of the others.
+            # A divider's volts: loud, so without the others' noise.
             "voltage": _read_scaled(daq, amplifier.output_limit_v, rate, self._seed + 3, voltage),
             PLAYED: sweep.samples(),
         }
