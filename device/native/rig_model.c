@@ -48,15 +48,19 @@ typedef struct {
 
 /* A step of one length, in which a decay of the flux is exact (Cox and Matthews 2002, ETDRK4): what half
  * of it and all of it keep of the flux and make of a voltage, and of a slope of the voltage; and the
- * weights of what differs from that line at the second and third, and at the last place. */
+ * weights of what differs from that line at the second and third, and at the last place. Slopes of
+ * the decay and of the force factor are by the excursion, where they matter. */
 typedef struct {
-    double width_s, decay_per_s, half_kept, half_level, half_slope, kept, level, slope, middle, last;
+    double width_s, decay_per_s, decay_slope, factor_slope, half_kept, half_level, half_slope, kept, level, slope, middle, last;
 } Step;
 
 INLINE double cubic(const double *c, double t) { return c[0] + t * (c[1] + t * (c[2] + t * c[3])); }
 
-/* Force factor, 1 / L, L' / 2, spring's force. Beyond the table its ends hold, and the spring is straight. */
-INLINE void look_up(const Model *m, const double *table, double y, double found[4])
+INLINE double cubic_slope(const double *c, double t) { return c[1] + t * (2.0 * c[2] + t * 3.0 * c[3]); }
+
+/* Force factor, 1 / L, L' / 2 and the spring's force, then the slopes of the first two. Beyond the table its
+ * ends hold, and the spring is straight. */
+INLINE void look_up(const Model *m, const double *table, double y, double found[6])
 {
     double place = (y - m->lowest_m) * m->intervals_per_m, beyond = 0.0;
     if (!(place >= 0.0)) {
@@ -73,7 +77,9 @@ INLINE void look_up(const Model *m, const double *table, double y, double found[
     for (int k = 0; k < 4; k++)
         found[k] = cubic(row + 4 * k, t);
     if (beyond != 0.0)
-        found[3] += beyond * (row[13] + t * (2.0 * row[14] + t * 3.0 * row[15]));
+        found[3] += beyond * cubic_slope(row + 12, t);
+    for (int k = 0; k < 2; k++)
+        found[4 + k] = beyond != 0.0 ? 0.0 : cubic_slope(row + 4 * k, t) * m->intervals_per_m;
 }
 
 /* Rates of the states, that of the flux without a decay; and current and force factor. */
@@ -85,7 +91,7 @@ INLINE void find_rates(const int n, const Model *m, const double *table, const d
                        double decay_per_s, Rates *rates)
 {
     double *rate = rates->of;
-    double at[4];
+    double at[6];
     look_up(m, table, s[Y], at);
     const double w = n > 3 ? s[U] - s[FRAME_SPEED] : s[U], depth = fabs(s[Y]) - m->stop_m;
     const double current = s[Q] * at[1];
@@ -115,7 +121,8 @@ INLINE void make_step(const int n, const Model *m, const double *table, const St
     const double *a = first->of, *b = second.of, *c = third.of, *d = last.of;
     const double width_s = h->width_s, half_s = 0.5 * width_s, middle_v = 0.5 * (before_v + end_v);
     const double slope = (end_v - before_v) / width_s -
-                         first->force_factor * (n > 3 ? a[U] - a[FRAME_SPEED] : a[U]);
+                         first->force_factor * (n > 3 ? a[U] - a[FRAME_SPEED] : a[U]) -
+                         (h->factor_slope * a[Y] + h->decay_slope * s[Q]) * a[Y];
     const double in_middle = a[Q] + half_s * slope;
     const double flux_middle = h->half_kept * s[Q] + h->half_level * a[Q] + h->half_slope * slope;
     const double flux_end = h->kept * s[Q] + h->level * a[Q] + h->slope * slope;
@@ -144,12 +151,12 @@ INLINE Step step_at(const Model *m, const double *table, double y, const Step *u
 {
     if (usual->width_s * usual->decay_per_s <= 1.0)
         return *usual;
-    double at[4];
+    double at[6];
     look_up(m, table, y, at);
     const double h = usual->width_s, decay_per_s = m->ohm * at[1], z = h * decay_per_s;
     const double half_kept = exp(-0.5 * z), half = (1.0 - half_kept) / (0.5 * z), kept = exp(-z);
     const double one = (1.0 - kept) / z, two = (1.0 - one) / z, three = (0.5 - two) / z;
-    return (Step){h, decay_per_s, half_kept, 0.5 * h * half, 0.5 * h * h * (1.0 - half) / z, kept,
+    return (Step){h, decay_per_s, m->ohm * at[5], at[4], half_kept, 0.5 * h * half, 0.5 * h * h * (1.0 - half) / z, kept,
                   h * one, h * h * two, h * (2.0 * two - 4.0 * three), h * (4.0 * three - two)};
 }
 
@@ -289,7 +296,7 @@ INLINE void find_remainder(const Work *w, size_t frame, double g[2])
     const Model *m = w->model;
     const double y = w->moved[frame], speed = w->moved[w->frames + frame];
     const double linear_a = w->moved[2 * w->frames + frame], q = m->inductance * linear_a;
-    double at[4];
+    double at[6];
     look_up(m, w->table, y, at);
     const double current = q * at[1], depth = fabs(y) - m->stop_m;
     g[FORCE] = (at[0] + at[2] * current) * current - m->force_factor * linear_a - at[3] + m->stiffness * y;
@@ -355,7 +362,7 @@ INLINE void hand_over(const Work *w, State *at, int to_linear)
 {
     if ((at->is_linear != 0.0) == to_linear)
         return;
-    double found[4];
+    double found[6];
     look_up(w->model, w->table, at->s[Y], found);
     const double flux = at->s[Q], ratio = found[1] * w->model->inductance;
     at->s[Q] = to_linear ? flux * ratio : flux / ratio;
@@ -460,9 +467,9 @@ static const char *misfit_of(const View *v, const size_t numbers[5])
     if (v[TABLE].ndim != 2 || v[TABLE].shape[1] != 16 || !(m->intervals >= 1.0) ||
         (double)v[TABLE].shape[0] != m->intervals)
         return "table: not (intervals, 16)";
-    if (v[STEPS].ndim != 2 || v[STEPS].shape[1] != 10 || !(m->levels >= 1.0 && m->levels < 32.0) ||
+    if (v[STEPS].ndim != 2 || v[STEPS].shape[1] != 12 || !(m->levels >= 1.0 && m->levels < 32.0) ||
         (double)v[STEPS].shape[0] != m->levels || !(m->first_level >= 0.0 && m->first_level < m->levels))
-        return "steps: not (levels, 10)";
+        return "steps: not (levels, 12)";
     const size_t n = v[MOVED].shape[0] == 5 ? 5 : 3;
     if (v[BY_SAMPLE].len != n * (n + 2) * sizeof(double) || v[BY_COARSE].len != n * (n + 4) * sizeof(double) ||
         !(m->coarse >= 1.0 && m->coarse < 1e6 && at->since >= 0.0 && at->since < m->coarse))

@@ -67,7 +67,7 @@ class ModelDesign:
             ],
             dtype=np.float64,
         )  # fmt: skip
-        self._steps = np.zeros((self._levels, 10))
+        self._steps = np.zeros((self._levels, 12))
         scale = e.scale
         maps = []
         for width, entry in ((1, e.entry[:, 1:]), (self.coarse, e.entry)):
@@ -86,7 +86,7 @@ class ModelDesign:
         self._numbers[5] = resistance_ohm
         for level in range(self._levels):
             width_s = self._period_s / 2**level
-            self._steps[level] = width_s, decay_per_s, *_flux_step(decay_per_s, width_s)
+            self._steps[level] = width_s, decay_per_s, 0.0, 0.0, *_flux_step(decay_per_s, width_s)
 
     @staticmethod
     def at_rest() -> FloatArray:

@@ -71,7 +71,7 @@ def test_the_non_linear_model_solves_the_equations(rig, seat):
 # stop turns the motion round within some, a step sees less than a whole curve.
 LARGEST = {
     "white noise of 20 V": 1e-5, "hard stops, 100 V": 3e-5,
-    "inductance of 1 uH": 1e-4, "current drive, 3300 ohm": 1e-4,
+    "inductance of 1 uH": 2e-5, "current drive, 3300 ohm": 2e-6,
 }  # fmt: skip
 
 
