@@ -17,8 +17,9 @@ from device.units import FloatArray
 
 FLOOR = 0.01
 """Errors are shares of a peak, or of this share of Xmax where the peak is less."""
-MARGIN = 2.0
-"""The linear model's answer to what it leaves out, times this, estimates its error."""
+MARGIN = 2.5
+"""The linear model's answer to what it leaves out, times this, estimates its error: of white noise
+the largest error lies between the places that are looked at."""
 LONGEST_STEP_S = 1.0 / 40_000.0
 
 _SHORTEST_STEP_S = 0.25e-6

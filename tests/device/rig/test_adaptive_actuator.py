@@ -13,6 +13,7 @@ from scipy.signal import butter, sosfilt
 from device.errors import UsageError
 from device.rig import CONSUMER, PAPER
 from device.rig.adaptive_actuator import AdaptiveActuator
+from device.rig.model_design import MARGIN
 from device.rig.thermal import COPPER_PER_K, Temperatures
 from tests.device.rig.test_rig_models import FS, columns, errors, times_of, tones
 from tools.bench.sections.model_selection import block_errors
@@ -120,7 +121,7 @@ def test_on_a_seat_no_block_is_beyond_the_tolerance_either(tolerance):
     assert min(actuator.frames_by_model.values()) > 0
 
 
-def test_the_estimate_is_twice_the_error_of_a_linear_block():
+def test_the_estimate_is_the_error_of_a_linear_block_with_its_margin():
     actuator = AdaptiveActuator(PAPER, FS, 1e-2)
     volts = 0.5 * np.sin(math.tau * 60.0 * times_of(FS, 1.0))
     true = AdaptiveActuator(PAPER, FS, model="nonlinear", refine=1).move(volts)
@@ -128,7 +129,7 @@ def test_the_estimate_is_twice_the_error_of_a_linear_block():
     wrong = block_errors(actuator.reports, motion, true, PAPER.actuator)
     told = np.array([block.estimate for block in actuator.reports])
     # It sees 6 kHz of the motion, and what is left out of what is left out is a hundredth.
-    assert told == pytest.approx(2.0 * wrong, rel=0.05)
+    assert told == pytest.approx(MARGIN * wrong, rel=0.05)
 
 
 def test_the_dearer_model_runs_only_where_it_has_to():
