@@ -3,8 +3,8 @@
 #include "blocks.h"
 #include "rig_steps.h"
 
-/* The force and the voltage that the linear model leaves out at a sample that it computed. */
-INLINE void find_remainder(const Work *w, size_t frame, double g[2])
+/* The force and the voltage that the linear model neglects at a sample that it has computed. */
+INLINE void find_residual(const Work *w, size_t frame, double g[2])
 {
     const Model *m = w->model;
     const double y = w->moved[frame], speed = w->moved[w->frames + frame];
@@ -20,7 +20,9 @@ INLINE void find_remainder(const Work *w, size_t frame, double g[2])
     g[VOLTS] = m->ohm_at_rest * linear_a - m->ohm * current - (at[0] - m->force_factor) * speed;
 }
 
-INLINE void pass_on(const int n, const double *map, const double last[2], const double new[2], double *d)
+/* Advance the first-order correction over a coarse step; the residual is a line from `last` to `new`. */
+INLINE void advance_correction(const int n, const double *map, const double last[2], const double new[2],
+                               double *d)
 {
     const double *by_last = map + n * n, *by_new = by_last + 2 * n;
     double next[MOST_STATES];
@@ -34,7 +36,7 @@ INLINE void pass_on(const int n, const double *map, const double last[2], const 
     memcpy(d, next, (size_t)n * sizeof *d);
 }
 
-/* How far off the linear model is, as a share of the peaks. */
+/* The error of the linear model as a share of the peaks: the correction of excursion or acceleration. */
 INLINE double error_of(const int n, const Model *m, const double *d, const double g[2], const double peaks[2])
 {
     const double speed = n > 3 ? d[U] - d[FRAME_SPEED] : d[U];
@@ -44,22 +46,22 @@ INLINE double error_of(const int n, const Model *m, const double *d, const doubl
     return of_y > of_a ? of_y : of_a;
 }
 
-/* The largest error of a block that the linear model computed; beyond the tolerance it need not end. */
-INLINE double find_error(const int n, const Work *w, State *at, size_t start, size_t stop,
+/* Estimate the largest error of a block that the linear model has computed; stop beyond the tolerance. */
+INLINE double estimate_error(const int n, const Work *w, State *at, size_t start, size_t stop,
                          const double peaks[2])
 {
     const Model *m = w->model;
     const size_t coarse = (size_t)m->coarse;
     double g[2];
-    find_remainder(w, stop - 1, g);
-    double worst = error_of(n, m, at->left_out, g, peaks);
+    find_residual(w, stop - 1, g);
+    double worst = error_of(n, m, at->correction, g, peaks);
     for (size_t frame = start + coarse - 1 - (size_t)at->since; frame < stop; frame += coarse) {
         if (m->margin * worst > m->tolerance)
             break;
-        find_remainder(w, frame, g);
-        pass_on(n, w->maps.coarse, at->remainder, g, at->left_out);
-        memcpy(at->remainder, g, sizeof g);
-        const double error = error_of(n, m, at->left_out, g, peaks);
+        find_residual(w, frame, g);
+        advance_correction(n, w->maps.coarse, at->residual, g, at->correction);
+        memcpy(at->residual, g, sizeof g);
+        const double error = error_of(n, m, at->correction, g, peaks);
         worst = error > worst ? error : worst;
     }
     return m->margin * worst;
@@ -67,10 +69,10 @@ INLINE double find_error(const int n, const Work *w, State *at, size_t start, si
 
 enum { AUTO, LINEAR, NONLINEAR };
 
-#define ALIKE 0.7   /* a block is like another with this share of its excursion */
-#define UNTRIED 7.0 /* so many such blocks are taken to be beyond the linear model as well */
+#define ALIKE 0.7          /* share of the excursion of a failed block, from which on a block is skipped */
+#define SKIPPED_BLOCKS 7.0 /* at most, after a failure */
 
-/* Models hand over excursion, speed and current, so the flux changes with the inductance. */
+/* Change the model: excursion, speed and current stay, so the flux changes with the inductance. */
 INLINE void hand_over(const Work *w, State *at, int to_linear)
 {
     if ((at->is_linear != 0.0) == to_linear)
@@ -79,44 +81,44 @@ INLINE void hand_over(const Work *w, State *at, int to_linear)
     look_up(w->model, w->table, at->s[Y], found);
     const double flux = at->s[Q], ratio = found[1] * w->model->inductance;
     at->s[Q] = to_linear ? flux * ratio : flux / ratio;
-    at->left_out[Q] += flux - at->s[Q];
+    at->correction[Q] += flux - at->s[Q];
     at->is_linear = to_linear;
 }
 
-/* Whether the linear model suffices for a block; then both are at its end. It is not tried after a block
- * that moves about as much as one that was beyond it, but every so often. */
+/* Try the linear model on a block; return whether it suffices. After a failure, some blocks of about the
+ * same excursion are skipped. */
 INLINE int is_linear_enough(const int n, const Work *w, State *at, size_t start, size_t stop, double *error)
 {
     const Model *m = w->model;
     const State before = *at;
     double peaks[2] = {m->least_y, m->least_a};
-    if (at->untried > 0.0) {
-        at->untried -= 1.0;
+    if (at->blocks_to_skip > 0.0) {
+        at->blocks_to_skip -= 1.0;
         return 0;
     }
     hand_over(w, at, 1);
     run_linear(n, w, at, start, stop, peaks);
-    *error = find_error(n, w, at, start, stop, peaks);
+    *error = estimate_error(n, w, at, start, stop, peaks);
     if (*error <= m->tolerance)
         return 1;
     *at = before;
-    at->beyond_y = 0.0;
-    at->untried = UNTRIED;
+    at->failed_peak_y = 0.0;
+    at->blocks_to_skip = SKIPPED_BLOCKS;
     return 0;
 }
 
-/* What the linear model left out before decays while the other one runs. */
-INLINE void let_decay(const int n, const Work *w, State *at, size_t start, size_t stop)
+/* Let the correction of earlier blocks decay while the non-linear model runs. */
+INLINE void decay_correction(const int n, const Work *w, State *at, size_t start, size_t stop)
 {
     const size_t coarse = (size_t)w->model->coarse;
     const double nothing[2] = {0};
     for (size_t frame = start + coarse - 1 - (size_t)at->since; frame < stop; frame += coarse) {
-        pass_on(n, w->maps.coarse, at->remainder, nothing, at->left_out);
-        memset(at->remainder, 0, sizeof at->remainder);
+        advance_correction(n, w->maps.coarse, at->residual, nothing, at->correction);
+        memset(at->residual, 0, sizeof at->residual);
     }
 }
 
-/* Moves by one block, and reports: 1 for the non-linear model, and the estimated error of the linear. */
+/* Move by one block; report 1 for the non-linear model, and the estimated error of the linear one. */
 INLINE void run_block(const int n, const Work *w, State *at, size_t model, size_t start, size_t stop,
                       double report[2])
 {
@@ -130,12 +132,12 @@ INLINE void run_block(const int n, const Work *w, State *at, size_t model, size_
     if (!is_linear) {
         hand_over(w, at, 0);
         const double peak_y = run_runge_kutta(n, w, at, start, stop);
-        if (at->beyond_y == 0.0)
-            at->beyond_y = peak_y;
-        if (peak_y < ALIKE * at->beyond_y)
-            at->untried = 0.0;
+        if (at->failed_peak_y == 0.0)
+            at->failed_peak_y = peak_y;
+        if (peak_y < ALIKE * at->failed_peak_y)
+            at->blocks_to_skip = 0.0;
         if (model == AUTO)
-            let_decay(n, w, at, start, stop);
+            decay_correction(n, w, at, start, stop);
     }
     report[0] = !is_linear;
     report[1] = is_linear ? error : 0.0;

@@ -26,12 +26,12 @@ typedef struct {
     double sample_s, levels, first_level, coarse;
 } Model;
 
-/* Where a rig is after a sample. left_out: the linear model's answer to what it left out, which is how far
- * off it is; remainder: what it left out last, `since` samples ago. */
+/* The state after a sample. residual: force and voltage that the linear model neglected, `since` samples
+ * ago. correction: its response to them, of first order (the Born term). */
 typedef struct {
-    double s[MOST_STATES], volts, left_out[MOST_STATES], remainder[2], since;
-    double is_linear; /* whether the flux is that of the linear model */
-    double beyond_y, untried; /* excursion of a block beyond the linear model; how many more are not tried */
+    double s[MOST_STATES], volts, correction[MOST_STATES], residual[2], since;
+    double is_linear; /* the flux is that of the linear model */
+    double failed_peak_y, blocks_to_skip; /* excursion of a block too loud for it; blocks until the next try */
     double unresolved; /* frames in which a stop was too hard for the shortest step */
 } State;
 
@@ -48,10 +48,10 @@ typedef struct {
     size_t frames;
 } Work;
 
-/* A step of one length, in which a decay of the flux is exact (Cox and Matthews 2002, ETDRK4): what half
- * of it and all of it keep of the flux and make of a voltage, and of a slope of the voltage; and the
- * weights of what differs from that line at the second and third, and at the last place. Slopes of
- * the decay and of the force factor are by the excursion, where they matter. */
+/* Coefficients of a step of one length, with an exact decay of the flux (Cox and Matthews 2002, ETDRK4).
+ * For half the step and all of it: the flux that is kept, and the flux that a constant voltage and a slope
+ * of the voltage make. middle, last: weights of deviations from that line at the stages. decay_slope,
+ * factor_slope: derivatives of decay and force factor by the excursion, 0 where they do not matter. */
 typedef struct {
     double width_s, decay_per_s, decay_slope, factor_slope;
     double half_kept, half_level, half_slope, kept, level, slope, middle, last;
@@ -115,8 +115,8 @@ INLINE void find_rates(const int n, const Model *m, const double *table, const d
     }
 }
 
-/* One step along a straight line of the volts. first: the rates at its beginning. The voltage that makes
- * the flux is a line as well, by the volts and the acceleration there, and what differs from it. */
+/* Make one step; the volts are a straight line. first: the rates at its beginning. The voltage across the
+ * inductance is split into a line, by volts and acceleration at the beginning, and the deviation from it. */
 INLINE void make_step(const int n, const Model *m, const double *table, const Step *h, const Rates *first,
                       double before_v, double end_v, double *s)
 {
@@ -148,8 +148,8 @@ INLINE void make_step(const int n, const Model *m, const double *table, const St
            h->last * (d[Q] - a[Q] - width_s * slope);
 }
 
-/* The flux of a small inductance settles within a step. There the decay is that at this place, since the
- * stages of a step would lag behind a change of it. */
+/* The step at an excursion. Where the flux settles within a step, the decay is that at this excursion, since
+ * the stages would lag behind a change. */
 INLINE Step step_at(const Model *m, const double *table, double y, const Step *usual)
 {
     if (usual->width_s * usual->decay_per_s <= 1.0)
@@ -164,14 +164,14 @@ INLINE Step step_at(const Model *m, const double *table, double y, const Step *u
                   h * (2.0 * two - 4.0 * three), h * (4.0 * three - two)};
 }
 
-/* How deep a stop can be pressed before an oscillation there turns further in a step than it may. */
+/* The indentation of a stop up to which steps of this length resolve the contact, m. */
 INLINE double deepest(const Model *m, const Step *h)
 {
     const double rad_s = m->contact_turn / h->width_s;
     return rad_s * rad_s * m->contact_mass / (2.0 * m->stop_n_per_m2);
 }
 
-/* The longest steps that follow the contact with a stop, as a level of the steps; levels if none does. */
+/* The level of the longest steps that resolve a contact with a stop; `levels` if none does. */
 INLINE size_t contact_level(const Model *m, const double *s, const double *rate, const Step *steps)
 {
     const size_t first = (size_t)m->first_level, levels = (size_t)m->levels;
@@ -189,7 +189,7 @@ INLINE size_t contact_level(const Model *m, const double *s, const double *rate,
     return levels;
 }
 
-/* A stop that no step can follow holds like a wall. */
+/* A stop too hard for the shortest step holds like a wall. */
 INLINE void hold_at_wall(const int n, const Model *m, const Step *h, double *s)
 {
     const double wall = m->stop_m + deepest(m, h);
@@ -199,8 +199,8 @@ INLINE void hold_at_wall(const int n, const Model *m, const Step *h, double *s)
     }
 }
 
-/* Whether a state is lost: infinite, no number, or on its way there. The rig then begins anew, at rest. */
-INLINE int is_absurd(const int n, const double *s)
+/* Whether a state is infinite, NaN or about to be; the rig then starts again at rest. */
+INLINE int is_lost_state(const int n, const double *s)
 {
     for (int k = 0; k < n; k++)
         if (!(fabs(s[k]) < 1e12))
@@ -208,7 +208,8 @@ INLINE int is_absurd(const int n, const double *s)
     return 0;
 }
 
-INLINE void show(const int n, const Work *w, size_t frame, const double *s, const double *rate, double current)
+INLINE void write_sample(const int n, const Work *w, size_t frame, const double *s, const double *rate,
+                         double current)
 {
     double *moved = w->moved + frame;
     moved[0] = s[Y];
@@ -219,7 +220,7 @@ INLINE void show(const int n, const Work *w, size_t frame, const double *s, cons
         moved[4 * w->frames] = rate[FRAME_SPEED];
 }
 
-/* Moves by at least a step a sample; returns the peak of the excursion. */
+/* Move by at least one step a sample; return the peak of the excursion. */
 INLINE double run_runge_kutta(const int n, const Work *w, State *at, size_t start, size_t stop)
 {
     const Model *m = w->model;
@@ -245,13 +246,13 @@ INLINE double run_runge_kutta(const int n, const Work *w, State *at, size_t star
             if (is_wall)
                 hold_at_wall(n, m, &h, s);
         }
-        const int is_lost = is_absurd(n, s);
+        const int is_lost = is_lost_state(n, s);
         if (is_lost)
             memset(s, 0, sizeof s);
         at->unresolved += is_wall || is_lost;
         before = volts;
         find_rates(n, m, w->table, s, before, steps->decay_per_s, &rates);
-        show(n, w, frame, s, rates.of, rates.current);
+        write_sample(n, w, frame, s, rates.of, rates.current);
         peak_y = fabs(s[Y]) > peak_y ? fabs(s[Y]) : peak_y;
     }
     memcpy(at->s, s, sizeof s);
@@ -259,7 +260,7 @@ INLINE double run_runge_kutta(const int n, const Work *w, State *at, size_t star
     return peak_y;
 }
 
-/* Moves by an exact step a sample; the peaks of excursion and acceleration grow. */
+/* Move by one exact step a sample; raise the peaks of excursion and acceleration. */
 INLINE void run_linear(const int n, const Work *w, State *at, size_t start, size_t stop, double peaks[2])
 {
     const Model *m = w->model;
@@ -287,7 +288,7 @@ INLINE void run_linear(const int n, const Work *w, State *at, size_t start, size
                                   m->frame_damping * s[FRAME_SPEED]) / m->frame_mass;
         peak_y = fabs(s[Y]) > peak_y ? fabs(s[Y]) : peak_y;
         peak_a = fabs(rate[U]) > peak_a ? fabs(rate[U]) : peak_a;
-        show(n, w, frame, s, rate, s[Q] * per_h);
+        write_sample(n, w, frame, s, rate, s[Q] * per_h);
     }
     memcpy(at->s, s, sizeof s);
     at->volts = before;

@@ -1,8 +1,8 @@
 """An actuator that models only what a scene needs: each block gets the cheapest sufficient model.
 
-The linear model moves every block first. Its own answer to the force and voltage that it leaves out
-(the Born term) says how far off it is. Where that may be beyond the tolerance, the block is done
-again by the non-linear model, from the same state: a model begins exactly where the last one ended.
+The linear model moves every block first. Its response to the force and voltage that it neglects
+(the Born term) estimates its error. Beyond the tolerance, the non-linear model moves the block
+again. Each model begins with the excursion, speed and current at which the last one ended.
 """
 
 from collections import deque
@@ -50,7 +50,7 @@ class AdaptiveActuator:
     rig's seat instead of solid ground; the coil warms up. refine: halve the steps of the non-linear
     model so often, which divides their error by 16 each time.
 
-    UsageError: the rig lacks what is asked for, a number is out of range, or nothing is compiled.
+    UsageError: the rig has no such part, a number is out of range, or the library is missing.
     """
 
     def __init__(

@@ -1,9 +1,9 @@
 """The numbers and tables by which compiled code moves a rig (native/rig_model.c).
 
 The linear model is exact for a voltage that is a straight line between samples. The non-linear one
-makes at least one step of fourth order a sample (Runge and Kutta). The flux has a decay of its own,
-often within less than a sample, so its steps contain that decay exactly (Cox and Matthews,
-Exponential time differencing for stiff systems, 2002, scheme ETDRK4).
+makes at least one step of fourth order a sample (Runge and Kutta). The flux may decay within less
+than a sample, so each step contains that decay exactly. The scheme is ETDRK4 of Cox and Matthews,
+Exponential time differencing for stiff systems (2002).
 """
 
 import math
@@ -18,8 +18,8 @@ from device.units import FloatArray
 FLOOR = 0.01
 """Errors are shares of a peak, or of this share of Xmax where the peak is less."""
 MARGIN = 2.5
-"""The linear model's answer to what it leaves out, times this, estimates its error: of white noise
-the largest error lies between the places that are looked at."""
+"""Estimated error of the linear model, over its first-order correction. The largest error of white
+noise is between the samples at which the correction is known."""
 LONGEST_STEP_S = 1.0 / 40_000.0
 
 _SHORTEST_STEP_S = 0.25e-6
@@ -27,7 +27,7 @@ _SHORTEST_STEP_S = 0.25e-6
 _TURN, _CONTACT_TURN = 0.35, 0.125
 """Of the fastest motion below the stops and in them, radians a step at most."""
 _COARSE_HZ = 6_000.0
-"""What the linear model leaves out is looked at so often a second."""
+"""Rate at which the first-order correction is computed."""
 _STATES = 5
 _STATE_NUMBERS = 2 * _STATES + 8
 

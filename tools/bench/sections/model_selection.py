@@ -66,14 +66,14 @@ def model_selection(bench: Workbench) -> Section:
     return Section(
         "Model selection",
         "Sounds of the demo as the rig `paper` plays them, tones in bursts up to full scale, and a "
-        f"drive of {STOP_V:g} V into the stops, {duration_s:g} s each. Under each tolerance: the "
-        "cost of the chosen models, of that of Runge-Kutta throughout in the same run; the "
-        "largest error of a block, of the tolerance; and how long the linear model ran. A block's "
-        "error is the largest difference of excursion or acceleration from Runge-Kutta with a "
-        f"quarter of the step, over the block's peak or {FLOOR:g} of Xmax. Medians of {REPEATS} "
+        f"drive of {STOP_V:g} V into the stops, {duration_s:g} s each. Under each tolerance is the "
+        "cost, over that of Runge-Kutta throughout in the same run. Beside it are the largest "
+        "error of a block, over the tolerance, and the share of time of the linear model. A "
+        "block's error is the largest difference of excursion or acceleration from Runge-Kutta "
+        f"with a quarter of the step, over the block's peak or {FLOOR:g} of Xmax. Medians of {REPEATS} "
         "repeats.",
         (*rows, *clicks),
-        footnote=f"Quiet is the sound above at {QUIET_DB:g} dB. Clicks: what is left above "
+        footnote=f"Quiet is the sound above at {QUIET_DB:g} dB. Clicks: level above "
         f"{FADED_ABOVE_HZ:g} Hz of two swelling tones, over the peak.",
     )
 
