@@ -70,8 +70,8 @@ def model_selection(bench: Workbench) -> Section:
         "cost, over that of Runge-Kutta throughout in the same run. Beside it are the largest "
         "error of a block, over the tolerance, and the share of time of the linear model. A "
         "block's error is the largest difference of excursion or acceleration from Runge-Kutta "
-        f"with a quarter of the step, over the block's peak or {FLOOR:g} of Xmax. Medians of {REPEATS} "
-        "repeats.",
+        f"with a quarter of the step, over the block's peak or {FLOOR:g} of Xmax. Medians of "
+        f"{REPEATS} repeats.",
         (*rows, *clicks),
         footnote=f"Quiet is the sound above at {QUIET_DB:g} dB. Clicks: level above "
         f"{FADED_ABOVE_HZ:g} Hz of two swelling tones, over the peak.",
