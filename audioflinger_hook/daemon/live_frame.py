@@ -36,7 +36,7 @@ def frame_of(
     """
     state = supervisor.states.state
     plays = state is DaemonState.RUNNING
-    native, engine = supervisor.engines.switch.native, supervisor.engines.python
+    native, engine = supervisor.engines.native.engine, supervisor.engines.python
     page = native.page if native is not None and native.audible else None
     if page is None and in_memory and engine is not None and engine.live is not None:
         engine.live.watch()

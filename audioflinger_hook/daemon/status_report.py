@@ -37,7 +37,7 @@ def status_of(supervisor: Supervisor, now_s: float) -> Status:
     """Return the status at `now_s`. Any thread may call it; audio threads do not wait for it."""
     report = supervisor.states.report(now_s)
     tap, device = supervisor.endpoints
-    engine, native = supervisor.engine, supervisor.engines.switch.native
+    engine, native = supervisor.engine, supervisor.engines.native.engine
     status = Status(
         version=__version__,
         pid=os.getpid(),
@@ -49,7 +49,7 @@ def status_of(supervisor: Supervisor, now_s: float) -> Status:
         xruns=Xruns(supervisor.input.xruns, supervisor.output.xruns),
         recoveries=report.recoveries,
         warnings=tuple(supervisor.warnings),
-        engine_reason=supervisor.engines.switch.reason,
+        engine_reason=supervisor.engines.reason,
         engine_pid=native.process_id if native else 0,
         volume_db=supervisor.engines.volume_db,
         device_rate=_device_rate(supervisor),
@@ -95,8 +95,8 @@ def status_of(supervisor: Supervisor, now_s: float) -> Status:
         limited_samples=engine.framework.limited_samples,
         replaced_samples=engine.framework.replaced_samples,
         protection=protection_of(drive.processors),
-        exposure=exposure_of(drive.processors, supervisor.engines.dose_since),
-        actuators=_actuators(engine, supervisor.engines.dose_since),
+        exposure=exposure_of(drive.processors, supervisor.engines.safety.since),
+        actuators=_actuators(engine, supervisor.engines.safety.since),
         profile=engine.framework.settings.profile,
         engine="python",
     )
@@ -108,7 +108,7 @@ def _device_rate(supervisor: Supervisor) -> DeviceRateFigures | None:
 
 
 def _principal(supervisor: Supervisor) -> Sequence[tuple[float, float, float]]:
-    engine, native = supervisor.engine, supervisor.engines.switch.native
+    engine, native = supervisor.engine, supervisor.engines.native.engine
     told: Sequence[tuple[float, float, float]] = ()
     if supervisor.states.state is DaemonState.RUNNING:
         if native is not None and native.audible:

@@ -11,6 +11,7 @@ from audioflinger_hook.daemon.engine import Clocks, Engine
 from audioflinger_hook.daemon.engines import Engines
 from audioflinger_hook.daemon.inputs.base import AudioNode, Input
 from audioflinger_hook.daemon.limit_advice import LimitAdvice
+from audioflinger_hook.daemon.native.abilities import check_engine
 from audioflinger_hook.daemon.outputs.base import Output
 from audioflinger_hook.daemon.run_config import ConfigDiff, RunConfig
 from audioflinger_hook.daemon.safety_keeper import SafetyKeeper
@@ -59,7 +60,7 @@ class Supervisor:
         now_s = clocks.now_s()
         self.states = StateKeeper(now_s)
         self._config = config
-        self._clocks = clocks
+        self._folder = folder
         self.priority = AudioPriority(config.live.realtime)
         self.config_error = ""
         self._endpoints = Endpoints(config, clocks, self.states, self.priority, wake.ring)
@@ -166,7 +167,7 @@ class Supervisor:
             self._link.warning,
             self.priority.warning,
             self.config_error,
-            self.engines.safety_warning,
+            self.engines.safety.warning,
             *self.engines.warnings,
             self._limits.advice(self._config.settings),
         )
@@ -185,7 +186,7 @@ class Supervisor:
         connection = PulseConnection()
         try:
             self._locate_tap(connection.latest, self.output.locate(connection.latest))
-            self.engines.switch.check(connection.latest)
+            check_engine(self._config, connection.latest if self._folder else None)
             if self.output.needs_server:
                 self.output.set_volume(connection)
         finally:
@@ -218,13 +219,13 @@ class Supervisor:
         except NotFoundError as error:
             self.input.close()
             self.priority.restore()
-            self.engines.switch.lose_links(Cause.TAP_LOST, now_s, str(error))
+            self.engines.native.lose_links(Cause.TAP_LOST, now_s, str(error))
             self._idle_policy.wake(now_s)
             self.states.enter(DaemonState.WAITING_FOR_SOUND_SOURCE, now_s, str(error))
             return
-        if self.engines.native_plays(connection, source, device, now_s):
+        if self.engines.maintain(connection, source, device, now_s):
             return
-        if not self.engines.native_has_ended(now_s) or self._rests(connection, snapshot, now_s):
+        if self._rests(connection, snapshot, now_s):
             return
         try:
             self.engines.prepare(source, device, now_s)
@@ -256,7 +257,7 @@ class Supervisor:
         elif engine:
             engine.follow(config.settings, max(0.0, config.live.offset_s))
         self._config = config
-        self.engines.follow(config)
+        self.engines.follow(config, changes)
         self._endpoints.configure(config)
         if changes.priority:
             self.priority.set_wanted(config.live.realtime)
@@ -294,7 +295,7 @@ class Supervisor:
         if self._stalls.woke(now_s, self.rest_s):
             # Devices and servers return one by one after a suspend, so reopen what is available.
             self._endpoints.close()
-            self.engines.switch.close()
+            self.engines.native.close()
             self._idle_policy.wake(now_s)
         if self.engine:
             self._stalls.count_resyncs(self.engine.delay_line.status.resyncs)
@@ -320,7 +321,7 @@ class Supervisor:
             if self.output.needs_server:  # a card or a file continues with silence
                 self.output.close()
             self._drop_in.close()
-            self.engines.switch.close()
+            self.engines.native.close()
             self._link.close()
         self._found = (None, None)
         self.states.enter(DaemonState.WAITING_FOR_SERVER, now_s, reason)
@@ -342,7 +343,7 @@ class Supervisor:
                 self.states.recover(Cause.DEVICE_LOST, now_s, str(error))
             self.output.close()
             self.priority.restore()
-            self.engines.switch.lose_links(Cause.DEVICE_LOST, now_s, str(error))
+            self.engines.native.lose_links(Cause.DEVICE_LOST, now_s, str(error))
             if not self.input.needs_server:  # a file waits for the device
                 self.input.close()
             self._found = (None, None)

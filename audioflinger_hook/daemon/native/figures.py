@@ -41,7 +41,7 @@ def with_native(status: Status, native: NativeEngine, supervisor: Supervisor) ->
     Tap and device belong to one cycle of the graph, so only transform and protection delay the
     vibration, and a monitor that is tapped.
     """
-    settings, since = supervisor.config.settings, supervisor.engines.dose_since
+    settings, since = supervisor.config.settings, supervisor.engines.safety.since
     plan, page, readings = native.plan, native.page, native.readings()
     if plan is None or page is None or readings is None:
         return status
