@@ -106,24 +106,12 @@ class Engines:
         return self._heard_before_s + (engine.frames / engine.samplerate if engine else 0.0)
 
     @property
-    def buffers(self) -> int:
-        """A count that rises while sound is processed."""
-        readings = self.native.engine and self.native.engine.readings()
-        return readings.frames if readings else self.python.buffers if self.python else 0
-
-    @property
-    def frames(self) -> int:
-        """Frames of sound that the present engine has heard."""
-        readings = self.native.engine and self.native.engine.readings()
-        return readings.frames if readings else self.python.frames if self.python else 0
-
-    @property
-    def limited_samples(self) -> int:
-        """Samples of vibration that the present engine has limited at full scale."""
-        readings = self.native.engine and self.native.engine.readings()
-        if readings:
-            return readings.limited_samples
-        return self.python.framework.limited_samples if self.python else 0
+    def counts(self) -> tuple[int, int]:
+        """Frames that the present engine has heard, and samples of vibration that it limited."""
+        native, python = self.native.engine, self.python
+        if native is not None and native.chain is not None:
+            return native.chain.page.frames, native.chain.page.limited_samples
+        return (python.frames, python.framework.limited_samples) if python else (0, 0)
 
     @property
     def warnings(self) -> Iterator[str]:
@@ -148,9 +136,9 @@ class Engines:
     def rigs(self) -> Sequence[DrivenRig | None]:
         """What the engine that plays drives; () for nothing."""
         native = self.native.engine
-        if self.python is None:
-            return native.rigs if native is not None else ()
-        return self.python.drive.processors
+        if self.python is not None:
+            return self.python.drive.processors
+        return native.chain.rigs if native is not None and native.chain is not None else ()
 
     def _restore(self, rigs: Sequence[DrivenRig | None], first: bool) -> None:
         """Let rigs of a new engine or chain continue where those that play, or on record, ended."""
@@ -240,7 +228,7 @@ class Engines:
         elif native is not None and self.reason:
             if not native.fade_out(now_s):
                 return False
-            if native.rigs:  # none any more once it leaves
+            if native.chain is not None:  # none any more once it leaves
                 self.safety.close(self.rigs)
             if not native.leave(now_s):
                 return False

@@ -14,7 +14,7 @@ from audioflinger_hook import __version__
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.daemon.engine import Engine
 from audioflinger_hook.daemon.native.engine import NativeEngine
-from audioflinger_hook.daemon.native.page import TransformReadings
+from audioflinger_hook.daemon.native.page import Page
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.daemon.supervisor import Supervisor
 from audioflinger_hook.drive.driven_rig import DrivenRig
@@ -62,7 +62,7 @@ def status_of(supervisor: Supervisor, now_s: float) -> Status:
         tap=Endpoint(*tap),
         device=Endpoint(*device),
         warnings=tuple(supervisor.warnings),
-        engine_pid=native.process_id if native else 0,
+        engine_pid=native.chain.process_id if native and native.chain else 0,
         volume_db=engines.volume_db,
         device_rate=gathered(DeviceRateFigures, rate) if rate else None,
         applications=supervisor.applications,
@@ -109,18 +109,19 @@ def _of_native(native: NativeEngine, supervisor: Supervisor) -> dict[str, Any]:
     vibration, and a monitor that is tapped.
     """
     settings, resting = supervisor.config.settings, supervisor.states.state is DaemonState.IDLE
-    plan, page, readings = native.plan, native.page, native.readings()
-    if plan is None or page is None or readings is None:
+    chain = native.chain
+    if chain is None:
         return {}
-    latency_frames = max((rig.latency_frames for rig in native.rigs if rig), default=0)
+    plan, page = chain.plan, chain.page
+    latency_frames = max((rig.latency_frames for rig in chain.rigs if rig), default=0)
     # While the graph rests, the plugin does not run, and its last levels stay.
     actuators = range(len(settings.actuators))
-    levels = [Level() if resting else native.level(slot) for slot in actuators]
+    levels = [Level() if resting else page.level(slot) for slot in actuators]
     channels = tuple(level_of(*reading) for reading in page.channel_readings())
     return {
-        "levels": Levels() if resting else Levels(readings.sound, readings.vibration, channels),
+        "levels": Levels() if resting else Levels(*page.levels, channels),
         "latency": LatencyBudget.of(
-            tap_ms=_tap_ms(native, readings),
+            tap_ms=_tap_ms(native, page),
             transform_ms=1e3 * plan.transform.latency_frames / plan.samplerate,
             offset_ms=1e3 * supervisor.offset_s,
             driving_ms=1e3 * latency_frames / plan.samplerate,
@@ -129,26 +130,26 @@ def _of_native(native: NativeEngine, supervisor: Supervisor) -> dict[str, Any]:
         "server": native.server,
         "graph": gathered(
             GraphFigures,
-            readings,
+            page,
             tap="monitor" if native.monitor_reason else "streams",
             tap_reason=native.monitor_reason,
         ),
         "xruns": Xruns(native.errors.count(".tap"), native.errors.count(".vibration")),
-        "limited_samples": readings.limited_samples,
-        "replaced_samples": readings.replaced_samples,
+        "limited_samples": page.limited_samples,
+        "replaced_samples": page.replaced_samples,
         "principal": page.principal(),
         "profile": settings.profile,
         "engine": "native",
         "engine_reason": "",
-        **_of_rigs(native.rigs, levels, settings, supervisor),
+        **_of_rigs(chain.rigs, levels, settings, supervisor),
     }
 
 
-def _tap_ms(native: NativeEngine, readings: TransformReadings) -> float:
+def _tap_ms(native: NativeEngine, page: Page) -> float:
     """Return the delay of the tap: the monitor of a sink that drives is read one cycle late."""
-    if not native.monitor_reason or not readings.samplerate:
+    if not native.monitor_reason or not page.samplerate:
         return 0.0
-    return 1e3 * readings.cycle_frames / readings.samplerate
+    return 1e3 * page.cycle_frames / page.samplerate
 
 
 def _of_rigs(

@@ -196,7 +196,8 @@ class Supervisor:
         """Do what is due: connect, locate, open, check, recover or rest."""
         self._notice_pauses(now_s)
         self.engines.record(now_s)
-        self._limits.update(self.engines.limited_samples, self.engines.frames, now_s)
+        frames, limited = self.engines.counts
+        self._limits.update(limited, frames, now_s)
         connection = None
         try:
             if self._endpoints.needs_server:

@@ -191,7 +191,7 @@ def test_a_page_is_private_and_its_file_goes_with_it(tmp_path: Path) -> None:
         Page(path, 2, 1, [0])
     page.set_actuator(0, -0.5, 9.0)
     page.set_audible(True)
-    assert page.readings().frames == 0
+    assert page.frames == 0
     page.close()
     page.close()
     assert not path.exists()
