@@ -13,6 +13,7 @@ from typing import Any
 from audioflinger_hook import __version__
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.daemon.engine import Engine
+from audioflinger_hook.daemon.native.chain import Chain
 from audioflinger_hook.daemon.native.engine import NativeEngine
 from audioflinger_hook.daemon.native.page import Page
 from audioflinger_hook.daemon.run_config import RunConfig
@@ -40,33 +41,38 @@ from device.units import db_to_amplitude
 
 def status_of(supervisor: Supervisor, now_s: float) -> Status:
     """Return the status at `now_s`."""
-    engines, config = supervisor.engines, supervisor.config
+    engines, states, rate = supervisor.engines, supervisor.states, supervisor.output.measure_rate()
     python, native = engines.python, engines.native.engine
+    chain = native.chain if native is not None else None
     tap, device = supervisor.endpoints
-    rate = supervisor.output.measure_rate()
+    sources: tuple[object, ...] = (supervisor, engines)
     values: dict[str, Any] = {
         "xruns": Xruns(supervisor.input.xruns, supervisor.output.xruns),
+        "engine": "",
         "engine_reason": engines.reason,
-        "server": supervisor.server,
-        "principal": (),
     }
-    if native is not None and native.audible:
-        values |= _of_native(native, supervisor)
+    played: Sequence[tuple[float, float, float]] = ()
+    if chain is not None:
+        values["engine_pid"] = chain.process_id
+    if native is not None and chain is not None and native.audible:
+        sources = (chain.page, supervisor.config, *sources)
+        played = chain.page.principal()
+        values |= _of_native(native, chain, supervisor)
     elif python is not None:
+        sources, played = (python.framework, *sources), python.framework.principal
         values |= _of_python(python, supervisor)
-    values["principal"] = _as_played(values["principal"], supervisor.states.state, config)
-    return Status(
+    return gathered(
+        Status,
+        *sources,
         version=__version__,
         pid=os.getpid(),
-        **vars(supervisor.states.report(now_s)),
+        **vars(states.report(now_s)),
         tap=Endpoint(*tap),
         device=Endpoint(*device),
+        muted=supervisor.config.muted,
         warnings=tuple(supervisor.warnings),
-        engine_pid=native.chain.process_id if native and native.chain else 0,
-        volume_db=engines.volume_db,
         device_rate=gathered(DeviceRateFigures, rate) if rate else None,
-        applications=supervisor.applications,
-        muted=config.muted,
+        principal=_as_played(played, states.state, supervisor.config),
         **values,
     )
 
@@ -93,25 +99,18 @@ def _of_python(engine: Engine, supervisor: Supervisor) -> dict[str, Any]:
         "delay_line": gathered(DelayLineFigures, line),
         "buffer_times": engine.buffer_times.times(),
         "effects_bypassed": tuple(framework.bypassed()),
-        "limited_samples": framework.limited_samples,
-        "replaced_samples": framework.replaced_samples,
-        "principal": framework.principal,
-        "profile": framework.settings.profile,
         "engine": "python",
         **_of_rigs(drive.processors, levels, framework.settings, supervisor),
     }
 
 
-def _of_native(native: NativeEngine, supervisor: Supervisor) -> dict[str, Any]:
-    """Return what the native engine tells; nothing before its first chain.
+def _of_native(native: NativeEngine, chain: Chain, supervisor: Supervisor) -> dict[str, Any]:
+    """Return what the native engine tells.
 
     Tap and device belong to one cycle of the graph, so only transform and protection delay the
     vibration, and a monitor that is tapped.
     """
     settings, resting = supervisor.config.settings, supervisor.states.state is DaemonState.IDLE
-    chain = native.chain
-    if chain is None:
-        return {}
     plan, page = chain.plan, chain.page
     latency_frames = max((rig.latency_frames for rig in chain.rigs if rig), default=0)
     # While the graph rests, the plugin does not run, and its last levels stay.
@@ -135,10 +134,6 @@ def _of_native(native: NativeEngine, supervisor: Supervisor) -> dict[str, Any]:
             tap_reason=native.monitor_reason,
         ),
         "xruns": Xruns(native.errors.count(".tap"), native.errors.count(".vibration")),
-        "limited_samples": page.limited_samples,
-        "replaced_samples": page.replaced_samples,
-        "principal": page.principal(),
-        "profile": settings.profile,
         "engine": "native",
         "engine_reason": "",
         **_of_rigs(chain.rigs, levels, settings, supervisor),

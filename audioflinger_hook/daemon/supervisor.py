@@ -40,7 +40,7 @@ class Supervisor:
     and devices raise nothing: the daemon waits and recovers. An unreadable or unwritable file ends
     the daemon.
 
-    config: what to do. clocks: sources of time; `now_s` is time.monotonic() or a replacement.
+    config: what to do now. clocks: sources of time; `now_s` is time.monotonic() or a replacement.
     wake: rung when something changes. states: the daemon's state and its recoveries. folder:
     private, for files of the native engine; None: only the Python engine. safety: what outlives
     the process; None: nothing does. engines: both engines.
@@ -59,7 +59,7 @@ class Supervisor:
     ) -> None:
         now_s = clocks.now_s()
         self.states = StateKeeper(now_s)
-        self._config = config
+        self.config = config
         self._folder = folder
         self.priority = AudioPriority(config.live.realtime)
         self.config_error = ""
@@ -96,15 +96,10 @@ class Supervisor:
             return RESTING_TICK_S
         return self.engines.tick_s or TICK_S
 
-    @property
-    def heard_s(self) -> float:
-        """Seconds of sound since the first buffer."""
-        return self.engines.heard_s
-
     def played_s(self, now_s: float) -> float:
         """Return the seconds since both ends were first there; of a file's sound, its own time."""
-        if not (self._config.tap_is_live or self._config.device_is_live):
-            return self.heard_s
+        if not (self.config.tap_is_live or self.config.device_is_live):
+            return self.engines.heard_s
         return 0.0 if self.states.ready_s is None else now_s - self.states.ready_s
 
     @property
@@ -115,11 +110,6 @@ class Supervisor:
             (str(self.input), source.name if source else None),
             (str(self.output), sink.name if sink else None),
         )
-
-    @property
-    def config(self) -> RunConfig:
-        """The config that applies."""
-        return self._config
 
     @property
     def server(self) -> str:
@@ -133,12 +123,12 @@ class Supervisor:
         connection, (source, device) = self._link.connection, self._found
         haptic = device.name if device and self.output.needs_server else None
         seen = connection.latest if connection else None
-        return applications_in(seen, self._config.rules, source, haptic)
+        return applications_in(seen, self.config.rules, source, haptic)
 
     @property
     def offset_s(self) -> float:
         """The user's offset in seconds, less the delay of the sound in drop-in mode."""
-        return max(0.0, self._config.live.offset_s) - self._drop_in.delay_s
+        return max(0.0, self.config.live.offset_s) - self._drop_in.delay_s
 
     @property
     def latencies_s(self) -> tuple[float, float]:
@@ -149,13 +139,13 @@ class Supervisor:
         seen = connection.latest if connection else None
         tap_s = 0.0
         if seen and self.input.needs_server:
-            tap_s = tap_latency_s(seen, self._config.live.block_frames, source.samplerate)
+            tap_s = tap_latency_s(seen, self.config.live.block_frames, source.samplerate)
         return tap_s, self.output.delay_s(seen)
 
     @property
     def warnings(self) -> list[str]:
         """Problems to show the user, one line each."""
-        recording = self._config.recording
+        recording = self.config.recording
         warnings = list(self.engine.framework.warnings) if self.engine else []
         for part in (self._drop_in, self.input, self.output):
             warnings += part.warnings
@@ -169,7 +159,7 @@ class Supervisor:
             self.config_error,
             self.engines.safety.warning,
             *self.engines.warnings,
-            self._limits.advice(self._config.settings),
+            self._limits.advice(self.config.settings),
         )
         return [*warnings, *filter(None, others)]
 
@@ -186,7 +176,7 @@ class Supervisor:
         connection = PulseConnection()
         try:
             self._locate_tap(connection.latest, self.output.locate(connection.latest))
-            check_engine(self._config, connection.latest if self._folder else None)
+            check_engine(self.config, connection.latest if self._folder else None)
             if self.output.needs_server:
                 self.output.set_volume(connection)
         finally:
@@ -250,14 +240,14 @@ class Supervisor:
 
         UsageError: the config cannot be applied while the daemon runs; nothing has changed.
         """
-        changes, engine = ConfigDiff.between(self._config, config), self.engine
-        self._endpoints.check_change(self._config, config)
+        changes, engine = ConfigDiff.between(self.config, config), self.engine
+        self._endpoints.check_change(self.config, config)
         if engine and changes.engine:  # raises if the new engine could not be made
             framework = Framework(engine.samplerate, engine.channels, config.settings)
             drive_of(config.settings, engine.samplerate, framework.haptic_channels)
         elif engine:
             engine.follow(config.settings, max(0.0, config.live.offset_s))
-        self._config = config
+        self.config = config
         self.engines.follow(config, changes)
         self._endpoints.configure(config)
         if changes.priority:

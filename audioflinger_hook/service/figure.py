@@ -166,13 +166,15 @@ def metrics(group: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[Entry, Any
 def gathered(kind: type[T], *sources: object, **given: Any) -> T:
     """Return a dataclass of figures: those given, the others from where the table says.
 
-    Each is read from the first source that has it. AttributeError: none has it.
+    Each is read from the first source that has it; where none has it, it has its default.
+    TypeError: it has none.
     """
     for name, known, _ in table(kind):
-        if name not in given:
-            read = known.read or name
-            first = read.partition(".")[0]
-            value = attrgetter(read)(next((one for one in sources if hasattr(one, first)), None))
+        read = known.read or name
+        first = read.partition(".")[0]
+        source = next((one for one in sources if hasattr(one, first)), None)
+        if name not in given and source is not None:
+            value = attrgetter(read)(source)
             given[name] = value if known.scale is None or value is None else known.scale * value
     return kind(**given)
 

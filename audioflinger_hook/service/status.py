@@ -253,7 +253,7 @@ class Status:
     graph: GraphFigures | None = figure(
         "PipeWire's graph; null without the native engine", None, row="server", show=shown.cycle
     )
-    profile: str = figure("profile that plays", "", show="{}")
+    profile: str = figure("profile that plays", "", read="settings.profile", show="{}")
     engine: str = figure(
         'native or python, "" before one plays',
         "",
@@ -263,7 +263,9 @@ class Status:
         words=("native", "python"),
     )
     engine_reason: str = figure("why not the native one", "", row="engine", show=" ({})")
-    engine_pid: int = figure("process of the native engine, 0 for none", 0, kind="gauge")
+    engine_pid: int = figure(
+        "process of the native engine, 0 for none", 0, read="process_id", kind="gauge"
+    )
     latency: LatencyBudget = figure("delay", LatencyBudget, show=shown.latency)
     delay_line: DelayLineFigures = figure(
         "delay line between two clocks: the Python engine's",

@@ -229,8 +229,9 @@ def test_a_figure_is_read_from_the_first_source_that_has_it_in_its_own_unit():
     found = gathered(DelayLineFigures, line, counts)
     assert found.delay_ms == pytest.approx(20.1)
     assert replace(found, delay_ms=0.0) == DelayLineFigures(20.0, 0.0, 1.5, 1, 2, 3, "locked")
-    with pytest.raises(AttributeError):
-        gathered(DelayLineFigures, line)
+    assert gathered(DelayLineFigures, line).overflows == 0
+    with pytest.raises(TypeError, match="address"):
+        gathered(Endpoint, line)
 
 
 # ----------------------------------------------------------------------------------- the view
