@@ -66,7 +66,7 @@ class Partial:
 class Application:
     """An application that has a stream."""
 
-    name: str = figure("its name")
+    name: str = figure("name of the application")
     plays: bool = figure("whether it plays")
     is_felt: bool = figure("whether it vibrates")
 
@@ -109,7 +109,7 @@ class DelayLineFigures:
         "how often the delay line lacked frames", 0, tone="wait", metric="cushion_underruns"
     )
     overflows: int = figure("how often the delay line lost frames", 0)
-    state: str = figure("value of `DelayState`", "empty", read="state.value", show="{}")
+    state: str = figure("what the delay line does", "empty", read="state.value", show="{}")
 
 
 XRUNS = "cushion_xruns{stream}"
@@ -228,14 +228,14 @@ class Status:
         metric="cushion_state{state}",
         words=tuple(one.value for one in DaemonState),
     )
-    reason: str = figure("why, where it waits", row="state", show=": {}")
-    since_s: float = figure("how long in this state", row="state", show=shown.lasting)
+    reason: str = figure("why, where the daemon waits", row="state", show=": {}")
+    since_s: float = figure("how long the state lasts", row="state", show=shown.lasting)
     tap: Endpoint = figure("where sound comes from", show=shown.endpoint)
     device: Endpoint = figure("where vibration goes", show=shown.endpoint)
     muted: bool = figure(
         "whether it is muted", False, row="state", tone="wait", metric="cushion_muted"
     )
-    levels: Levels = figure("levels", Levels)
+    levels: Levels = figure("levels of sound and vibration", Levels)
     volume_db: float = figure(
         "the listener's volume, 0 dB for 100 %; levels are without it",
         0.0,
@@ -266,7 +266,7 @@ class Status:
     engine_pid: int = figure(
         "process of the native engine, 0 for none", 0, read="process_id", kind="gauge"
     )
-    latency: LatencyBudget = figure("delay", LatencyBudget, show=shown.latency)
+    latency: LatencyBudget = figure("delay of the vibration", LatencyBudget, show=shown.latency)
     delay_line: DelayLineFigures = figure(
         "delay line between two clocks: the Python engine's",
         DelayLineFigures,
