@@ -21,13 +21,20 @@ def figures_of(document: dict[str, Any]) -> dict[str, Any]:
     panels: dict[str, list[Any]] = {"health": [], "rig": []}
     for row in status_rows(status):
         if row.panel:
-            panels[row.panel].append([row.label.strip(), str(row), _tone(row), row.help])
+            panels[row.panel].append([row.label.strip(), _text(row), _tone(row), row.help])
     parts = [
         [label_of(name, known), getattr(status.latency, name), known.help]
         for name, known, _ in table(LatencyBudget)
         if name != "total_ms"
     ]
     return {"panels": panels, "parts": parts}
+
+
+def _text(row: Row) -> str:
+    """Return a row's text; that of a rig has a line for each figure."""
+    if row.panel != "rig":
+        return str(row)
+    return "".join(text.replace(", ", "\n", text.startswith(", ")) for text, _ in row.parts)
 
 
 def _tone(row: Row) -> str:

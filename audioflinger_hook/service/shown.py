@@ -115,6 +115,11 @@ def seat(is_known: bool) -> str:
     return "by the rig file's seat" if is_known else "as if the seat moved as the mass"
 
 
+def since(local: str) -> str:
+    """Return since when a dose counts, to the minute."""
+    return f"since {local[:16].replace('T', ' ')}"
+
+
 def tone_of_state(state: DaemonState) -> str:
     """Return how good a state is."""
     good = (DaemonState.RUNNING, DaemonState.IDLE)
@@ -127,8 +132,8 @@ def tone_of_gain(gain: float) -> str:
 
 
 def tone_of_xruns(one: Xruns) -> str:
-    """Return "good" while no buffer was late."""
-    return "wait" if one.tap or one.output else "good"
+    """Return "good" while no buffer was late, "" where nobody knows."""
+    return "wait" if one.tap or one.output else "" if one.tap is None else "good"
 
 
 def tone_of_recoveries(counts: Mapping[Cause, int]) -> str:

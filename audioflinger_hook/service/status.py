@@ -139,7 +139,11 @@ class ProtectionFigures:
     least_gain: float = figure("smallest gain so far")
     limited_by: str = figure('what lowers the gain, "" for nothing', tone="wait")
     excursion_mm: float = figure(
-        "predicted amplitude", read="excursion_m", scale=1e3, metric="cushion_excursion_meters"
+        "predicted amplitude",
+        label="predicted excursion",
+        read="excursion_m",
+        scale=1e3,
+        metric="cushion_excursion_meters",
     )
     coil_c: float | None = figure(
         "predicted temperature; null without thermal data",
@@ -166,7 +170,7 @@ class ExposureFigures:
     running_m_s2: float = figure("r.m.s. of the last second", label="now")
     a8_m_s2: float = figure(
         "daily exposure A(8)",
-        label="A(8)",
+        label="predicted A(8)",
         metric="cushion_exposure_a8_meters_per_second_squared",
     )
     vdv: float = figure("vibration dose value", unit="m/s^1.75", show="VDV {:.3g} m/s^1.75")
@@ -182,7 +186,7 @@ class ExposureFigures:
     cap_gain: float = figure(
         "gain of the cap, 0 to 1", 1.0, read="exposure_gain", quiet=1.0, tone=shown.tone_of_gain
     )
-    since: str = figure('since when it counts; "" for the start', "", show="since {:.16}")
+    since: str = figure('since when it counts; "" for the start', "", show=shown.since)
 
 
 @dataclass(frozen=True)
@@ -197,9 +201,7 @@ class ActuatorFigures:
     gain_db: float = figure("level", show="{:.1f} dB", quiet=0.0)
     polarity: str = figure("normal or inverted", show="{}", quiet="normal")
     delay_ms: float = figure("delay", show="{:.1f} ms later", quiet=0.0)
-    level: Level = figure(
-        "after protection", row="level", panel="rig", show=shown.level, tone="felt"
-    )
+    level: Level = figure("after protection", row="level", show=shown.level, tone="felt")
     protection: ProtectionFigures | None = figure(
         "of its rig; null without", row="protection", panel="rig"
     )

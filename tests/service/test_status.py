@@ -268,12 +268,12 @@ def test_the_view_shows_every_figure():
         "samples    12 limited, 1 replaced",
         "protection blocks 5000, limited 12, silenced 1, replaced samples 3, gain 0.50, least gain "
         "0.25,",
-        "           limited by temperature, excursion 1.23 mm, coil 62 °C, damping made up by "
-        "15.5 dB, felt",
-        "           -1.2 dB against no damping",
-        "exposure   time 10.0 s, now 1.25 m/s², A(8) 0.6 m/s², VDV 9.5 m/s^1.75, above action, "
-        "as if the seat",
-        "           moved as the mass",
+        "           limited by temperature, predicted excursion 1.23 mm, coil 62 °C, damping made "
+        "up by 15.5",
+        "           dB, felt -1.2 dB against no damping",
+        "exposure   time 10.0 s, now 1.25 m/s², predicted A(8) 0.6 m/s², VDV 9.5 m/s^1.75, above "
+        "action, as",
+        "           if the seat moved as the mass",
         "bypassed   loudness",
         "warning    the sink runs at 44100 Hz",
     ]
