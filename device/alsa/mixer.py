@@ -12,7 +12,6 @@ import math
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
 
 from device.alsa.decibels import Decibels, parse_decibels
 from device.alsa.use import DEVICES
@@ -214,12 +213,7 @@ class CardMixer:
     def __enter__(self) -> CardMixer:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _numbers(self) -> list[int]:
@@ -301,23 +295,12 @@ def set_card_volume(
     set and read back, and all of them before the mutes, so that nothing is ever too loud. Where one
     of them cannot be set, the mutes stay.
 
-    Parameters
-    ----------
-    card : int
-        ALSA's number.
-    wanted_db : float
-        The level for each volume.
-    limit_db : float
-        Upper limit of the level.
-    devices : Path
-        The directory of device files.
+    card: ALSA's number. wanted_db: for each volume. limit_db: upper limit. devices: the directory
+    of device files.
 
-    Raises
-    ------
-    NotFoundError
-        The card is missing, has no volume, or does not take the level or let its mute be lifted.
-    UsageError
-        wanted_db is NaN, or a volume's steps are unknown or cannot be set so low.
+    NotFoundError: the card is missing, has no volume, or does not take the level or let its mute
+    be lifted. UsageError: wanted_db is NaN, or a volume's steps are unknown or cannot be set so
+    low.
     """
     with CardMixer(card, devices) as mixer:
         if not mixer.volumes:

@@ -75,33 +75,15 @@ class DelayLine:
     none waits. Frames cross as in `NewestFrames`, all else as an immutable object in one attribute.
     Times are seconds of one monotonic clock, taken when the callback began.
 
-    Parameters
-    ----------
-    channels : int
-        Of every block.
-    samplerate_in, samplerate_out : float
-        Nominal rates in Hz; they may differ.
-    capacity_s : float
-        Seconds of memory, allocated at once. The target stays within three quarters of it.
-    capture_block, output_block : int
-        Frames of a usual `write` and `read`. Other lengths work and count as lateness.
-    offset_s : float
-        Delay added to the necessary delay, in seconds, 0 or more.
-    lateness_least_s : float
-        Least lateness to plan for, so that the first late callbacks do not move the delay.
+    channels: of every block. samplerate_in, samplerate_out: nominal, Hz; they may differ.
+    capacity_s: of the memory, allocated at once; the target stays within three quarters of it.
+    capture_block, output_block: frames of a usual `write` and `read`; others count as lateness.
+    offset_s: delay added to the necessary one, 0 or more. lateness_least_s: the least lateness to
+    plan for, so that the first late callbacks do not move the delay.
+    status: after the last read.
 
-    Attributes
-    ----------
-    status : DelayStatus
-        Status after the last read. Any thread may read it.
-
-    Raises
-    ------
-    UsageError
-        offset_s or capacity_s is out of range.
-    InternalError
-        A block has a wrong shape. Nothing else that is passed to `write` or `read` raises, and
-        `read` then still gives finite frames.
+    UsageError: offset_s or capacity_s is out of range. InternalError: a block has a wrong shape.
+    Nothing else passed to `write` or `read` raises, and `read` still gives finite frames.
     """
 
     def __init__(
@@ -131,7 +113,6 @@ class DelayLine:
         self._resync_frames = max(RESYNC_FRAMES, capture_block // 2)
 
         self._ring = NewestFrames(math.ceil(capacity_s * samplerate_in), channels)
-        # the writer's state
         self._writes = WriteTiming(samplerate_in, capture_block, LATENESS_LIMIT_S)
         # the reader's state
         self._reads = StreamTiming(samplerate_out, output_block, LATENESS_LIMIT_S)
@@ -155,7 +136,7 @@ class DelayLine:
         self._fresh = False
         self._flushed: int | None = None
         self._resyncs = self._underflows = self._overflows = 0
-        # any thread's state
+        # set by any thread
         self._flush_wanted: int | None = None
         self._offset_s = 0.0
         self.offset_s = self._offset_in_force_s = offset_s

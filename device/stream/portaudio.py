@@ -44,7 +44,7 @@ Callback = Callable[[bytes | None, int, Any, int], tuple[bytes | None, int]]
 Result = TypeVar("Result")
 
 _lock = threading.Lock()
-"""Held while PortAudio starts, ends or opens a stream: it does one of these at a time."""
+"""Held while PortAudio starts, ends or opens a stream, and while stderr is replaced."""
 
 _pyaudio: Any = None
 _open: set[str] = set()
@@ -227,7 +227,6 @@ def _call_within(
     )
 
 
-_lock = threading.Lock()
 _filtered = False
 
 
