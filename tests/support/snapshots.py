@@ -25,7 +25,7 @@ def monitor(one: Sink, index: int | None = None) -> Source:
 
 def stream(index: int, on: int | None = None, device_name: str = "", **more: Any) -> Stream:
     """Return a stream without names on the device with the index `on`."""
-    known = dict.fromkeys(("application", "binary", "role", "media"), "")
+    known: dict[str, Any] = dict.fromkeys(("application", "binary", "role", "media"), "")
     known |= {"process_id": None, "corked": False, "mute": False, "properties": {}}
     return Stream(index, on, device_name, **(known | more))
 
