@@ -39,7 +39,7 @@ def public_callables() -> list[tuple[str, Any]]:
     return sorted(found.values(), key=lambda entry: entry[0])
 
 
-NAMED = re.compile(r"(?:^|\. )((?:\w+, )*\w+): ", re.MULTILINE)
+NAMED = re.compile(r"(?:^|\.\s)((?:\w+, )*\w+):\s", re.MULTILINE)
 
 
 def parameters_of(thing: Any) -> set[str]:

@@ -44,7 +44,7 @@ END_S = 0.5
 
 
 class GraphWatch:
-    """The graph as it is now, and the links that are wanted in it.
+    """The present graph, and the wanted links in it.
 
     One thread makes it and calls the methods. Hold `lock` while `graph` or `keeper` is used.
 
@@ -108,7 +108,7 @@ class GraphWatch:
 
 
 class Arrivals:
-    """When to read the two files: what is described waits for more, and both in a busy graph."""
+    """When to read the two files: descriptions wait for more, and both in a busy graph."""
 
     def __init__(self, described: int, announced: int) -> None:
         self._either, self._announced = select.poll(), select.poll()
@@ -212,7 +212,7 @@ class Documents:
     def read(self) -> list[Any]:
         """Return all arrays that have arrived; waits until something is there.
 
-        Each begins and ends with a line of its own, and only its brackets are in the first column.
+        Each begins and ends with a separate line; only its brackets are in the first column.
         """
         block = os.read(self.file, READ_BYTES)
         self.ended = not block

@@ -133,7 +133,7 @@ class DefaultSinkClaim:
     def detect_choice(
         self, snapshot: ServerSnapshot, now_s: float, fit: Collection[str]
     ) -> str | None:
-        """Return the sink that became the default instead of ours, once; else None.
+        """Return a sink that replaced our sink as the default, once; else None.
 
         fit: possible targets, which must persist as default; others are returned at once.
         """

@@ -150,7 +150,7 @@ class ServerDevice(Target):
 
     trouble = (
         "the sound server does not answer or has no such device; "
-        "`cushion devices` lists what it has"
+        "`cushion devices` lists its devices"
     )
 
     def __str__(self) -> str:
