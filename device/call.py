@@ -13,8 +13,7 @@ from device.process import memory_file, started
 
 Result = TypeVar("Result")
 
-LIMIT_S = 30.0
-"""Longest time that a call may take."""
+LIMIT_S = 30.0  # longest time that a call may take
 
 _COMMAND = "import sys; sys.path[:] = {path!r}; from device.call import answer; answer()"
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import struct
 from pathlib import Path
 
-LOADED = 1
-"""PT_LOAD, the type of a part of an ELF file that is mapped into memory."""
+LOADED = 1  # PT_LOAD, the type of a part of an ELF file that is mapped into memory
 
 
 def refuse_cut_off(path: Path) -> None:

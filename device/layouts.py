@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 MINUS_3_DB = 0.5**0.5
 
-CHANNELS_MAX = 64
-"""Largest channel count; Android stops at 32, sound files do not."""
+CHANNELS_MAX = 64  # largest channel count; Android stops at 32, sound files do not
 
 # AOSP's canonical positions by channel count, in the order of their mask bits.
 _FRONT = "FL FR FC LFE BL BR SL SR"

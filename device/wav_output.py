@@ -17,8 +17,7 @@ from device.units import Float32Array, FloatArray, check_channels
 
 _SAMPLE = np.dtype("<f4")
 _IEEE_FLOAT = 3  # WAVE_FORMAT_IEEE_FLOAT
-_IN_DS64 = 0xFFFF_FFFF
-"""Value of a 32-bit size in RF64; the true size is in the ds64 chunk."""
+_IN_DS64 = 0xFFFF_FFFF  # value of a 32-bit size in RF64; the true size is in the ds64 chunk
 
 
 class WavOutput:

@@ -13,18 +13,14 @@ from dataclasses import dataclass
 
 _CONTAINER, _SCALE, _LINEAR, _RANGE, _BOUNDS, _BOUNDS_MUTE = range(6)
 _SILENT_WHEN_LOWEST = 0x10000
-_SILENT = -9_999_999
-"""Lower end of a linear table that means silence."""
+_SILENT = -9_999_999  # lower end of a linear table that means silence
 
-_ABSURD = 100_000
-"""Limit against overflow; no card amplifies by 1000 dB."""
+_ABSURD = 100_000  # limit against overflow; no card amplifies by 1000 dB
 
 _PER_DB = 100.0
-_DEEPEST = 4
-"""Greatest depth of nested tables; real ones have a depth of 1."""
+_DEEPEST = 4  # greatest depth of nested tables; real ones have a depth of 1
 
-Level = Callable[[int], float]
-"""The level of a step in dB."""
+Level = Callable[[int], float]  # the level of a step in dB
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,7 @@ MIN_HZ, MAX_HZ = 8_000, 192_000
 
 USUAL_MIN_HZ = 44_100
 
-CHANNELS_MAX = 32
-"""The limit of every stream."""
+CHANNELS_MAX = 32  # the limit of every stream
 
 PREFERRED = (SampleFormat.S32, SampleFormat.S24_3, SampleFormat.S16)
 """Supported formats, by preference at equal resolution: whole words cost least.

@@ -22,8 +22,7 @@ LOCK_S = 0.00025
 UNLOCK_S = 0.001
 LOCK_AFTER_S = 1.0
 STARVED_AGAIN_S = 1.0
-HOLD_OFF_S = 0.25
-"""Silence after the second starvation within a second: regular bursts would buzz."""
+HOLD_OFF_S = 0.25  # silence after the second starvation within a second: regular bursts would buzz
 
 
 class DelayState(enum.Enum):

@@ -7,8 +7,7 @@ import math
 from collections import deque
 from typing import NamedTuple
 
-WINDOW_S = 60.0
-"""How long callbacks are considered: several times the slowest beat between blocks."""
+WINDOW_S = 60.0  # how long callbacks are considered: several times the slowest beat between blocks
 BUCKET_S = 0.5  # only the earliest callback of each such interval is kept
 SETTLED_S = 0.1
 PREFILL_S = 0.06  # a new stream fills its buffers at once: these early callbacks are no clock

@@ -10,8 +10,7 @@ from typing import NamedTuple
 
 from device.clock.frame_clock import STALLED_S, ClockReading, FrameClock
 
-SHARE = 0.001
-"""The share of callbacks that may come later than the estimate."""
+SHARE = 0.001  # the share of callbacks that may come later than the estimate
 LEAST_S = 0.0005
 
 _BIN_S = 0.0001

@@ -17,11 +17,9 @@ SESSION_MANAGERS = ("WirePlumber", "pipewire-media-session")
 SINK_CLASSES = ("Audio/Sink", "Audio/Duplex")
 """Media classes of nodes that play sound from other nodes."""
 
-LinkPair = tuple[int, int]
-"""Ids of an output port and of the input port that it is linked to."""
+LinkPair = tuple[int, int]  # ids of an output port and of the input port that it is linked to
 
-Index = dict[Any, set[int]]
-"""Ids of objects by a name or by the id of their node."""
+Index = dict[Any, set[int]]  # ids of objects by a name or by the id of their node
 
 
 @dataclass(frozen=True, slots=True)

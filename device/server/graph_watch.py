@@ -26,21 +26,17 @@ from device.server.announcements import Announcements
 from device.server.graph import Graph
 from device.server.link_keeper import LinkKeeper
 
-READER, EDITOR = "pw-dump", "pw-cli"
-"""Programs of PipeWire that report and change the graph."""
+READER, EDITOR = "pw-dump", "pw-cli"  # programs of PipeWire that report and change the graph
 
 PIPE_BYTES, READ_BYTES = 1 << 20, 1 << 16
-GATHER_S = 0.2
-"""Changes are reported at once, and again after so long."""
+GATHER_S = 0.2  # changes are reported at once, and again after so long
 
-DESCRIBED_S = 0.001
-"""Time for more to arrive: `pw-dump` writes hundreds of lines for one change."""
+DESCRIBED_S = 0.001  # time for more to arrive: `pw-dump` writes hundreds of lines for one change
 
 BUSY_READS, BUSY_S, BUSY_WAIT_S = 150, 5.0, 0.02
 """After so many reads in so long, each one waits longer."""
 
-END_S = 0.5
-"""Longest wait for the thread's end."""
+END_S = 0.5  # longest wait for the thread's end
 
 
 class GraphWatch:

@@ -7,8 +7,7 @@ from typing import Protocol
 
 from device.server.graph import Graph, LinkPair
 
-RETRY_S = 0.1
-"""Time between two equal requests."""
+RETRY_S = 0.1  # time between two equal requests
 
 HOLDS_S = 0.2
 """A link that lasts so long has been accepted; one that vanishes earlier counts as missing."""

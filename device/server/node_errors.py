@@ -17,11 +17,9 @@ PROGRAM = "pw-top"
 COMMAND = [PROGRAM, "--batch-mode", "--iterations=2"]
 """The first listing has no counts yet. Two take a second."""
 
-INTERVAL_S = 10.0
-"""Time from one look to the next."""
+INTERVAL_S = 10.0  # time from one look to the next
 
-ERRORS_COLUMN = 8
-"""Of a listing: S ID QUANT RATE WAIT BUSY W/Q B/Q ERR FORMAT NAME."""
+ERRORS_COLUMN = 8  # of a listing: S ID QUANT RATE WAIT BUSY W/Q B/Q ERR FORMAT NAME
 
 
 class NodeErrors:

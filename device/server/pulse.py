@@ -41,8 +41,7 @@ _REST_MAX_S = 2.0  # and only streams wait for it
 
 
 _VOLUME_LOOKS, _VOLUME_LOOK_S = 25, 0.02
-_VOLUME_ROUNDING = 1e-4
-"""Seven of the 65 536 steps of a server's volume."""
+_VOLUME_ROUNDING = 1e-4  # seven of the 65 536 steps of a server's volume
 
 
 class PulseConnection(ConnectionThread):

@@ -18,9 +18,7 @@ NOWHERE = 0xFFFF_FFFF
 STREAMS = frozenset({"sink_input", "source_output"})
 """Facilities of events that change no sink and no source."""
 
-HARDWARE_VOLUME = 0x01
-FLAT_VOLUMES = 0x40
-"""Flags of sinks, as in pulse/def.h."""
+HARDWARE_VOLUME, FLAT_VOLUMES = 0x01, 0x40  # flags of sinks, as in pulse/def.h
 
 
 @dataclass(frozen=True)

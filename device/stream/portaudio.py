@@ -47,8 +47,7 @@ _lock = threading.Lock()
 """Held while PortAudio starts, ends or opens a stream, and while stderr is replaced."""
 
 _pyaudio: Any = None
-_open: set[str] = set()
-"""Tags of the streams that are open, being closed, or never started."""
+_open: set[str] = set()  # tags of the streams that are open, being closed, or never started
 _numbers = itertools.count(1)
 
 
