@@ -130,8 +130,10 @@ class Lateness:
 
     def __init__(self, limit_s: float) -> None:
         self._limit_s = limit_s
-        self._unseen_s = 0.0
-        self.forget()
+        self._counts = [0.0] * (max(1, round(limit_s / _BIN_S)) + 1)
+        self._unseen_s = self._paused_s = 0.0
+        self._weight = 1.0
+        self.estimate_s = min(LEAST_S, limit_s)
         self.known = False
 
     def add(self, late_s: float, seconds: float, paused: bool) -> None:
@@ -158,7 +160,7 @@ class Lateness:
 
     def forget(self) -> None:
         """Drop all entries, which were no lateness."""
-        self._counts = [0.0] * (max(1, round(self._limit_s / _BIN_S)) + 1)
+        self._counts = [0.0] * len(self._counts)
         self._weight = 1.0
         self._paused_s = 0.0
         self.estimate_s = min(LEAST_S, self._limit_s)

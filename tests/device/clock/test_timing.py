@@ -47,7 +47,6 @@ STREAMS = {
 }
 
 
-@pytest.mark.sweep
 @pytest.mark.parametrize("name", STREAMS)
 def test_the_counter_is_known_far_better_than_single_callbacks_tell(name: str) -> None:
     side, limit_s = STREAMS[name]
