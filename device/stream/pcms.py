@@ -101,7 +101,10 @@ class PcmConfig:
             file = memory_file("alsa")
             os.write(file, "\n".join([*text, "pcm.default { type null }", ""]).encode())
         except OSError as error:
-            raise LostError(f"no ALSA configuration can be made ({error.strerror})") from None
+            raise LostError(
+                f"no ALSA configuration can be made in memory ({error.strerror}); end some other "
+                "programs, and start again"
+            ) from None
         os.environ["ALSA_CONFIG_PATH"] = f"/proc/{os.getpid()}/fd/{file}"  # for children, too
         self._use(file)
 
