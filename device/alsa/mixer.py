@@ -56,14 +56,6 @@ class _List(ctypes.Structure):
     )
 
 
-class _Bounds(ctypes.Structure):
-    _fields_ = (("lowest", ctypes.c_long), ("highest", ctypes.c_long), ("step", ctypes.c_long))
-
-
-class _InfoOf(ctypes.Union):
-    _fields_ = (("steps", _Bounds), ("reserved", ctypes.c_ubyte * 128))
-
-
 class _Info(ctypes.Structure):
     _fields_ = (
         ("id", _Id),
@@ -71,20 +63,17 @@ class _Info(ctypes.Structure):
         ("access", ctypes.c_uint),
         ("count", ctypes.c_uint),
         ("owner", ctypes.c_int),
-        ("of", _InfoOf),
-        ("reserved", ctypes.c_ubyte * 64),
+        ("lowest", ctypes.c_long),
+        ("highest", ctypes.c_long),
+        ("reserved", ctypes.c_ubyte * (128 + 64 - 2 * ctypes.sizeof(ctypes.c_long))),
     )
-
-
-class _ValueOf(ctypes.Union):
-    _fields_ = (("steps", ctypes.c_long * 128), ("wide", ctypes.c_longlong * 64))
 
 
 class _Value(ctypes.Structure):
     _fields_ = (
         ("id", _Id),
         ("indirect", ctypes.c_uint),
-        ("of", _ValueOf),
+        ("steps", ctypes.c_long * 128),
         ("reserved", ctypes.c_ubyte * 128),
     )
 
@@ -229,8 +218,7 @@ class CardMixer:
         ]
 
     def _take(self, number: int, volumes: list[MixerVolume], switches: list[MixerSwitch]) -> None:
-        info = _Info()
-        info.id.number = number
+        info = _Info(_Id(number))
         self._ask(_GET_INFO, info)
         allowed = _READABLE | _WRITABLE
         if info.access & allowed != allowed or not 0 < info.count <= 128:
@@ -239,9 +227,8 @@ class CardMixer:
         if info.type == _BOOLEAN and name.endswith(_SWITCH):
             switches.append(MixerSwitch(name, info.count, number))
         if info.type == _INTEGER and name.endswith(_VOLUME):
-            steps = info.of.steps
             words = self._table(number) if info.access & _HAS_TABLE else []
-            decibels = parse_decibels(words, steps.lowest, steps.highest)
+            decibels = parse_decibels(words, info.lowest, info.highest)
             volumes.append(MixerVolume(name, info.count, decibels, number))
 
     def _table(self, number: int) -> list[int]:
@@ -254,16 +241,13 @@ class CardMixer:
         return words[: 2 + words[1] // 4]
 
     def _steps(self, control: MixerVolume | MixerSwitch) -> list[int]:
-        held = _Value()
-        held.id.number = control.number
+        held = _Value(_Id(control.number))
         self._ask(_READ, held)
-        return list(held.of.steps[: control.channels])
+        return list(held.steps[: control.channels])
 
     def _set(self, control: MixerVolume | MixerSwitch, step: int) -> None:
-        held = _Value()
-        held.id.number = control.number
-        for channel in range(control.channels):
-            held.of.steps[channel] = step
+        held = _Value(_Id(control.number))
+        held.steps[: control.channels] = [step] * control.channels
         self._ask(_WRITE, held)
 
     def _ask(self, request: int, what: ctypes.Structure) -> None:

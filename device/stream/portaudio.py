@@ -237,20 +237,12 @@ def filter_stderr() -> bool:
     """
     global _filtered
     with _lock:
-        stream = None if _filtered else _stream()
-        if stream is not None:
-            libc = ctypes.CDLL(None)
-            libc.fopen.restype = ctypes.c_void_p
+        if _filtered or platform.libc_ver()[0] != "glibc":
+            return _filtered
+        libc = ctypes.CDLL(None)
+        libc.fopen.restype = ctypes.c_void_p
+        with suppress(OSError, ValueError):  # another library may keep it as a constant
+            stream = ctypes.c_void_p.in_dll(libc, "stderr")
             if replacement := libc.fopen(os.devnull.encode(), b"we"):
                 stream.value, _filtered = replacement, True
         return _filtered
-
-
-def _stream() -> ctypes.c_void_p | None:
-    """Return C's variable `stderr`; None if it is a constant, as outside the GNU C library."""
-    if platform.libc_ver()[0] != "glibc":
-        return None
-    try:
-        return ctypes.c_void_p.in_dll(ctypes.CDLL(None), "stderr")
-    except (OSError, ValueError):
-        return None
