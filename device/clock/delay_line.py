@@ -47,7 +47,7 @@ class DelayStatus(NamedTuple):
     """A consistent report of a delay line, from the last read.
 
     target_s: the delay that is aimed at. delay_s: time from the capture of a frame to its place in
-    the output, without the latencies of the sound cards; 0 unless SETTLING or LOCKED. ratio_ppm:
+    the output, without the cards' latencies; 0 unless SETTLING or LOCKED. ratio_ppm:
     how much faster than nominal frames are read, within ±2000, and 1000 more while the target
     moves. resyncs: jumps because the delay was too far off, without those to a new offset.
     underflows: how often frames ran out. overflows: how often frames were lost before their read.

@@ -62,8 +62,8 @@ class FrameClock:
     samplerate: nominal, Hz. block_frames: of a usual callback. Only the stream's own thread calls
     `update`; any thread may use the reading that it returns.
 
-    A callback can only be late: because the machine is busy, or because the server's blocks are no
-    multiple of the stream's, which beats over minutes. So the line lies under all callbacks of the
+    A callback can only be late: the machine is busy, or the server's blocks are no multiple of the
+    stream's, which beats over minutes. So the line lies under all callbacks of the
     last minute: it is the middle edge of the lower convex hull of (counter, lateness). S. Moon,
     P. Skelly, D. Towsley, "Estimation and removal of clock skew from network delay measurements"
     (INFOCOM 1999). As far as the callbacks leave it open, the previous rate holds.

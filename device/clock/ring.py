@@ -20,11 +20,11 @@ _SLOPE_S = 0.0005
 class NewestFrames:
     """A bounded ring that always holds the newest frames; the oldest are overwritten.
 
-    One thread writes and one other reads, without locks. The writer sets `claimed` to announce
-    what it overwrites, stores the frames, and then publishes the new count elsewhere. The reader
-    uses frames from `oldest` up to the published count and reads `oldest` again afterwards: if
-    that is still behind what it used, all of it was intact. This needs attributes that are loaded
-    and stored atomically and in order, as CPython's are.
+    One thread writes and one other reads, without locks. The writer sets `claimed`, stores the
+    frames, and then publishes the new count elsewhere. The reader uses frames from `oldest` up to
+    the published count, and reads `oldest` again afterwards. If that is still behind them, all were
+    intact. This needs attributes that are loaded and stored atomically and in order, as CPython's
+    are.
 
     frames: float32 (capacity, channels); frame k is in row k % capacity. claimed: frames that
     were or are being stored since the start.

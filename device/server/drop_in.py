@@ -46,8 +46,8 @@ class DropIn(Listener):
 
     connection: to the server. target: the real sink's name. None stands for the default sink, or
     for the target of a killed process, whose virtual sink is taken over without a gap. delay_s:
-    from the virtual sink's monitor until the real sink plays it: 0 to 0.5 s, at least 0.02 s in
-    effect; None keeps the delay of a killed process. haptic_sink: the sink for vibration, which is
+    from the virtual sink's monitor until the real sink plays it, 0 to 0.5 s, at least 0.02 s in
+    effect. None keeps the delay of a killed process. haptic_sink: the sink for vibration, which is
     never a target.
 
     target_name: the present target, "" for none. reason: a problem for the user, in one line; ""
@@ -96,7 +96,7 @@ class DropIn(Listener):
     def delay_s(self) -> float:
         """The requested delay, at least 0.02 s. Setting it takes effect soon.
 
-        Sound is repeated or lost by the difference, and silent or doubled for up to 20 ms; on
+        Sound is repeated or lost by the difference, and silent or doubled for up to 20 ms. On
         PipeWire a delay of 0.15 s or more may be doubled for that long. UsageError: out of range.
         """
         return self._delay_ms / 1e3

@@ -1,7 +1,7 @@
 """Follows PipeWire's graph and keeps our links in it.
 
 `pw-dump --monitor` reports every change, so nothing is polled. One `pw-cli` that stays open makes
-and removes links within a millisecond, and announces what is new; links belong to it, so they
+and removes links within a millisecond, and announces new objects. Links belong to it, so they
 vanish with the program, however that ends.
 """
 

@@ -1,7 +1,7 @@
 """The process's one PyAudio instance: opens and closes streams within time limits.
 
-Each call that may wait for a sound server runs on a separate thread, so a server that hangs
-blocks that thread and not the caller.
+Each call that may wait for a sound server runs on a separate thread. A server that hangs blocks
+that thread and not the caller.
 """
 
 from __future__ import annotations

@@ -208,7 +208,7 @@ class PlaybackStream(_Stream):
     parameters, attributes and errors are those of `CaptureStream`.
 
     pcm: its target is where the stream plays. samplerate, channels, block_frames, priority: as
-    there. fill: writes into every block, which is all 0, and must not keep it; if it raises, or
+    there. fill: writes into every block, which is all 0, and must not keep it. If it raises, or
     leaves a sample that is not finite, the block becomes silence and counts in `errors`. on_sent:
     gets every block that was sent, silence included, read only, which it may keep. sample_format:
     of the bytes for PortAudio; `Encoder` clamps and rounds to integers.
