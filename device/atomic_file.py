@@ -36,8 +36,8 @@ class AtomicFile:
     path: of the finished file.
 
     UsageError: the folder does not exist, is not a folder or not writable. The same if the path is
-    a folder or a device, or the file there is write-protected. WriteError: the disk is full or failed. Methods
-    raise it, too, and have then aborted.
+    a folder or a device, or the file there is write-protected. WriteError: the disk is full or
+    failed. Methods raise it, too, and have then aborted.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
