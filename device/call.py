@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import Any, Generic, TypeVar, cast
 
 from device.errors import CushionError, LostError
-from device.process import memory_file, started
+from device.process import end, memory_file, started
 
 Result = TypeVar("Result")
 
@@ -83,8 +83,7 @@ class Call(Generic[Result]):
     def _kill(self) -> bool:
         """End the process; whether it was running."""
         running = self._process.poll() is None
-        self._process.kill()
-        self._process.wait()
+        end(self._process)
         return running
 
     def _close_files(self) -> None:

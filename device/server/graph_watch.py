@@ -21,7 +21,7 @@ from contextlib import suppress
 from typing import Any
 
 from device.errors import NotFoundError
-from device.process import started
+from device.process import end, started
 from device.server.announcements import Announcements
 from device.server.graph import Graph
 from device.server.link_keeper import LinkKeeper
@@ -72,10 +72,8 @@ class GraphWatch:
     def close(self) -> None:
         """End the connection; our links vanish. May be repeated; raises nothing."""
         self._process.kill()
-        self._process.wait()
-        self._thread.join(END_S)
-        if self._process.stdout:
-            self._process.stdout.close()
+        self._thread.join(END_S)  # it reads until the program has ended
+        end(self._process)
         self._editor.close()
 
     def _follow(self) -> None:
@@ -165,11 +163,7 @@ class Editor:
     def _end(self) -> None:
         process, self._process = self._process, None
         if process is not None:
-            process.kill()
-            process.wait()
-            if process.stdin is not None:
-                with suppress(OSError):
-                    process.stdin.close()
+            end(process)
 
     def _start(self) -> None:
         self._process = _started([EDITOR, "--monitor"], stdin=subprocess.PIPE, stdout=self._output)

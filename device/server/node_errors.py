@@ -11,7 +11,7 @@ import subprocess
 from collections.abc import Collection
 from contextlib import suppress
 
-from device.process import started
+from device.process import end, started
 
 PROGRAM = "pw-top"
 COMMAND = [PROGRAM, "--batch-mode", "--iterations=2"]
@@ -59,10 +59,7 @@ class NodeErrors:
         process, self._process = self._process, None
         self._printed = b""
         if process is not None:
-            process.kill()
-            process.wait()
-            if process.stdout:
-                process.stdout.close()
+            end(process)
 
     def _ask(self) -> None:
         try:
