@@ -212,9 +212,10 @@ class CardMixer:
         listing = _List(space=len(ids), ids=ctypes.addressof(ids))
         self._ask(_GET_LIST, listing)
         return [
-            each.number
-            for each in ids[: listing.used]
-            if each.interface == _MIXER and each.name.endswith((_VOLUME.encode(), _SWITCH.encode()))
+            control.number
+            for control in ids[: listing.used]
+            if control.interface == _MIXER
+            and control.name.endswith((_VOLUME.encode(), _SWITCH.encode()))
         ]
 
     def _take(self, number: int, volumes: list[MixerVolume], switches: list[MixerSwitch]) -> None:

@@ -132,7 +132,7 @@ class DelayLine:
         self._starved_at_s = -math.inf
         self._not_before_s = -math.inf
         self._from_frame = 0
-        self._fresh = False
+        self._flushing = False
         self._flushed: int | None = None
         self._resyncs = self._underflows = self._overflows = 0
         # set by any thread
@@ -206,7 +206,7 @@ class DelayLine:
             self._flushed = self._flush_wanted
             self._from_frame = self._flushed or 0
             self._stop(DelayState.EMPTY)
-            self._fresh = True
+            self._flushing = True
         played, filled = 0, frames - ahead
         if written is not None and clock is not None:
             self._steer(written, clock, now_s, frames, ahead)
@@ -250,8 +250,8 @@ class DelayLine:
             # A start too close to the newest frame would starve at the first late callback.
             provided = written.lateness_known and self._reads.lateness.known
             # Start at once after a flush: the clocks may correct the delay later by a jump.
-            fresh = self._state is DelayState.FILLING and self._fresh
-            if provided and (known or fresh) and not held_off:
+            flushed = self._state is DelayState.FILLING and self._flushing
+            if provided and (known or flushed) and not held_off:
                 self._start(written, captured, frames)
 
     def _measure(
@@ -290,7 +290,7 @@ class DelayLine:
             self._delay_s = (captured - position) / self.samplerate_in
             self._on_target_s = 0.0
             self._joint.begin()
-            self._fresh = False
+            self._flushing = False
             self._state = DelayState.SETTLING
 
     def _play(self, out: Float32Array, wanted: int, now_s: float) -> int:
