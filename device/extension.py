@@ -36,6 +36,6 @@ def refuse_cut_off(path: Path) -> None:
             struct.unpack_from(order + part, headers, first)
             for first in range(0, len(headers), max(1, length))
         )
-        if all(first + length <= size for kind, first, length in parts if kind == LOADED):
+        if all(first + mapped <= size for kind, first, mapped in parts if kind == LOADED):
             return
     raise ImportError(f"{path} is cut off")
