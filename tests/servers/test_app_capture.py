@@ -35,6 +35,7 @@ from tests.servers.listening import (
     sounding,
     wait_for,
 )
+from tests.support.commands import open_files
 from tools.sound_server import ServerError, SoundServer
 
 ROOT = Path(__file__).parents[2]
@@ -430,7 +431,7 @@ def test_opening_and_closing_leaves_nothing_behind(
     def held() -> tuple[int, int, int]:
         gc.collect()
         outputs = len(connection.snapshot().source_outputs)
-        return outputs, threading.active_count(), len(list(Path("/proc/self/fd").iterdir()))
+        return outputs, threading.active_count(), open_files()
 
     def cycle() -> None:
         apps = AppCaptures()

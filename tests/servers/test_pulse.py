@@ -5,7 +5,6 @@ from __future__ import annotations
 import gc
 import threading
 import time
-from pathlib import Path
 
 import pytest
 
@@ -32,6 +31,7 @@ from tests.servers.listening import (
     playing,
     wait_for,
 )
+from tests.support.commands import open_files
 from tools.sound_server import SoundServer
 
 
@@ -281,7 +281,7 @@ def test_events_come_as_they_happen_and_snapshots_after_them(
 def test_connections_leave_nothing_behind(server: SoundServer) -> None:
     def held() -> tuple[int, int]:
         gc.collect()
-        return threading.active_count(), len(list(Path("/proc/self/fd").iterdir()))
+        return threading.active_count(), open_files()
 
     PulseConnection().close()
     before = held()

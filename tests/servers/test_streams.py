@@ -6,7 +6,6 @@ import ctypes
 import gc
 import resource
 import subprocess
-import sys
 import threading
 import time
 from pathlib import Path
@@ -34,6 +33,8 @@ from tests.servers.listening import (
     steady,
     wait_for,
 )
+from tests.support.commands import open_files
+from tests.support.programs import printed
 from tools.sound_server import SoundServer
 from tools.sound_server_files import wireplumber_generation
 
@@ -314,7 +315,7 @@ def test_opening_and_closing_leaves_nothing_behind(server: SoundServer, pcms: Pc
     def held() -> tuple[int, int, int]:
         gc.collect()
         tasks = len(list(Path("/proc/self/task").iterdir()))
-        return threading.active_count(), tasks, len(list(Path("/proc/self/fd").iterdir()))
+        return threading.active_count(), tasks, open_files()
 
     def grown() -> int | None:
         """Memory after 20 cycles; None if one of them had to leave a stream behind."""
@@ -389,15 +390,7 @@ except LostError as error:
 os.write(2, b"ours\\n")
 pcms.close()
 """
-    done = subprocess.run(
-        [sys.executable, "-c", program],
-        env=server.environment | {"PYTHONPATH": str(Path(__file__).parents[2])},
-        capture_output=True,
-        text=True,
-        timeout=30,
-    )
-    lines = done.stderr.splitlines()
-    assert len(lines) == 2, done.stderr
+    _, lines = printed(program, environment=server.environment)
+    assert len(lines) == 2, lines
     assert "nowhere" in lines[0]
     assert lines[1] == "ours"
-    assert done.returncode == 0

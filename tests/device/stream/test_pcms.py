@@ -11,6 +11,7 @@ import pytest
 from device.errors import LostError
 from device.stream import pcms
 from device.stream.pcms import TAG, PcmConfig, ServerDevice
+from tests.support.commands import open_files
 
 
 def configuration() -> str:
@@ -42,14 +43,14 @@ def test_opening_leads_a_pcm_to_its_target_and_the_environment_is_restored(
 
 
 def test_children_read_the_same_configuration_and_no_file_stays_open() -> None:
-    before = set(Path("/proc/self/fd").iterdir())
+    before = open_files()
     config = PcmConfig("one")
     for _ in range(3):
         with config.opening(config.pcms["one"], "tag", output=False):
             path = os.environ["ALSA_CONFIG_PATH"]
             assert subprocess.check_output(["cat", path], text=True) == configuration()
     config.close()
-    assert set(Path("/proc/self/fd").iterdir()) == before
+    assert open_files() == before
 
 
 def test_without_memory_for_the_file_the_error_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,24 +2,9 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
-
 import pytest
 
-from tests.support.recordings import ROOT
-
-
-def printed(program: str) -> tuple[str, str]:
-    done = subprocess.run(
-        [sys.executable, "-c", program],
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        timeout=30,
-    )
-    return done.stdout.strip(), done.stderr
+from tests.support.programs import printed
 
 
 def test_quietening_libraries_leaves_python_its_voice() -> None:
@@ -32,7 +17,7 @@ def test_quietening_libraries_leaves_python_its_voice() -> None:
     )
     if out == "False False":
         pytest.skip("needs the GNU C library")
-    assert (out, err.splitlines()) == ("True True", ["ours", "also ours"])
+    assert (out, err) == ("True True", ["ours", "also ours"])
 
 
 def test_neither_pulsectl_nor_pyaudio_is_loaded_by_importing_the_packages() -> None:
