@@ -20,7 +20,7 @@ except ImportError:
     compiled = None
 
 
-def needed() -> Compiled:
+def require_compiled() -> Compiled:
     """Return the compiled operations. NotFoundError: the library is missing or damaged."""
     if compiled is None:
         raise NotFoundError(

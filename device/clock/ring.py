@@ -79,7 +79,7 @@ class CubicReader:
 
     def __init__(self, ring: Float32Array) -> None:
         self._ring = ring
-        self._cubic = blocks.needed().cubic
+        self._cubic = blocks.require_compiled().cubic
         self.jump_to(0)
 
     def jump_to(self, position: int) -> None:

@@ -122,7 +122,7 @@ def test_what_does_not_fit_is_refused_and_nothing_is_read(change: dict[str, obje
         "fraction": 0.0,
         "step": 1.0,
     }
-    cubic: Callable[..., None] = blocks.needed().cubic
+    cubic: Callable[..., None] = blocks.require_compiled().cubic
     cubic(**fitting)
     with pytest.raises((TypeError, ValueError, BufferError, OverflowError)):
         cubic(**(fitting | change))
@@ -147,7 +147,7 @@ def test_an_emptied_block_gives_its_bytes_and_is_all_zero_unless_it_is_not_finit
 )
 def test_what_cannot_be_taken_is_refused(array: object) -> None:
     with pytest.raises((TypeError, BufferError)):
-        blocks.needed().peak(array)  # type: ignore[arg-type]
+        blocks.require_compiled().peak(array)  # type: ignore[arg-type]
 
 
 VOLTS = st.floats(-30.0, 30.0) | st.sampled_from([0.0, -0.0, 5e-324, 1e101, math.nan, -math.inf])
@@ -207,7 +207,7 @@ def test_what_is_no_motion_is_refused_and_nothing_is_moved(change: dict[str, obj
         "stop": 8,
         "limit": 1e100,
     }
-    move: Callable[..., int] = blocks.needed().linear_motion
+    move: Callable[..., int] = blocks.require_compiled().linear_motion
     with pytest.raises((TypeError, ValueError, BufferError, OverflowError)):
         move(**(fitting | change))
     assert not state.any()
