@@ -272,7 +272,7 @@ class CardMixer:
 
 
 def set_card_volume(
-    card: int, wanted_db: float, limit_db: float = MAX_VOLUME_DB, devices: Path = DEVICES
+    card: int, wanted_db: float, limit_db: float = MAX_VOLUME_DB
 ) -> tuple[float, ...]:
     """Set all playback volumes of a card, unmute it, and return the level of each volume in dB.
 
@@ -280,14 +280,13 @@ def set_card_volume(
     set and read back, and all of them before the mutes, so that nothing is ever too loud. Where one
     of them cannot be set, the mutes stay.
 
-    card: ALSA's number. wanted_db: for each volume. limit_db: upper limit. devices: the directory
-    of device files.
+    card: ALSA's number. wanted_db: for each volume. limit_db: upper limit.
 
     NotFoundError: the card is missing, has no volume, or does not take the level or let its mute
     be lifted. UsageError: wanted_db is NaN, or a volume's steps are unknown or cannot be set so
     low.
     """
-    with CardMixer(card, devices) as mixer:
+    with CardMixer(card) as mixer:
         if not mixer.volumes:
             has = "a mute and no volume" if mixer.switches else "neither volume nor mute"
             raise NotFoundError(f"sound card {card} has {has} that can be set")
