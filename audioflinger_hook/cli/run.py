@@ -229,7 +229,7 @@ def _keep_on(
 
 def _warnings(supervisor: Supervisor) -> list[str]:
     """Return what the terminal is to show, also which effects are bypassed."""
-    engine = supervisor.engine
+    engine = supervisor.engines.python
     return [*(engine.framework.bypass_warnings() if engine else ()), *supervisor.warnings]
 
 

@@ -22,7 +22,6 @@ from audioflinger_hook.daemon.native.run import NativeRun
 from audioflinger_hook.daemon.outputs.base import StreamOutput
 from audioflinger_hook.daemon.run_config import ConfigDiff, RunConfig
 from audioflinger_hook.daemon.safety_keeper import SafetyKeeper
-from audioflinger_hook.daemon.soft_fade import FADE_S
 from audioflinger_hook.drive.driven_rig import DrivenRig
 from audioflinger_hook.service.state import StateKeeper
 from device.server import PulseConnection, ServerSnapshot
@@ -32,8 +31,11 @@ from device.units import db_to_amplitude
 CHANGE_TICK_S = 0.02
 """Time between ticks during a change of engine."""
 
-PLAYED_S = FADE_S + 0.1
-"""From the start of a fade until the device has played its end."""
+PLAYED_S = 0.1
+"""From the end of a fade until the device has played it."""
+
+FADE_MAX_S = 0.5
+"""Longest wait for the end of a fade: on a busy machine, the output's thread is late."""
 
 NATIVE_TICK_S = 0.25
 """Time between ticks while the native engine plays; what it waits for wakes the daemon."""
@@ -70,6 +72,7 @@ class Engines:
         self._endpoints = endpoints
         self._folder = folder
         self._ends_s: float | None = None
+        self._played_s = 0.0
         self._chosen_for: tuple[object, ...] = ()
         self._streams_gain = 1.0
         self._heard_before_s = 0.0
@@ -220,8 +223,11 @@ class Engines:
         native = self.native.engine
         if self.python is not None and not self.reason:
             if self._ends_s is None:
-                self.python.mute.audible, self._ends_s = False, now_s + PLAYED_S
-            if now_s < self._ends_s:
+                self.python.mute.audible, self._ends_s = False, now_s + FADE_MAX_S
+            fades = self.python.mute.position > 0.0 and self._endpoints.output.is_open
+            if fades and now_s < self._ends_s:
+                self._played_s = now_s + PLAYED_S
+            if now_s < self._played_s:
                 return False
             self._endpoints.close()
             self.drop()

@@ -7,7 +7,7 @@ from pathlib import Path
 from audioflinger_hook.daemon.applications import applications_in
 from audioflinger_hook.daemon.drop_in_control import DropInControl
 from audioflinger_hook.daemon.endpoints import Endpoints
-from audioflinger_hook.daemon.engine import Clocks, Engine
+from audioflinger_hook.daemon.engine import Clocks
 from audioflinger_hook.daemon.engines import Engines
 from audioflinger_hook.daemon.inputs.base import AudioNode, Input
 from audioflinger_hook.daemon.limit_advice import LimitAdvice
@@ -85,11 +85,6 @@ class Supervisor:
         return self._endpoints.output
 
     @property
-    def engine(self) -> Engine | None:
-        """What the audio threads run, None before the first sound and with the native engine."""
-        return self.engines.python
-
-    @property
     def rest_s(self) -> float:
         """Longest time until the next tick, unless `wake` rings."""
         if self.states.state is DaemonState.IDLE:
@@ -146,12 +141,12 @@ class Supervisor:
     def warnings(self) -> list[str]:
         """Problems to show the user, one line each."""
         recording = self.config.recording
-        warnings = list(self.engine.framework.warnings) if self.engine else []
+        warnings = list(self.engines.python.framework.warnings) if self.engines.python else []
         for part in (self._drop_in, self.input, self.output):
             warnings += part.warnings
         if recording:
             warnings += recording.warnings
-            if self.engine and self.engine.framework.bypassed():
+            if self.engines.python and self.engines.python.framework.bypassed():
                 warnings.append("an effect was bypassed, so a replay will differ from it")
         others = (
             self._link.warning,
@@ -222,8 +217,8 @@ class Supervisor:
             self.engines.prepare(source, device, now_s)
             # The input opens first, so that no sound is lost while the output opens.
             self.input.maintain(connection, now_s)
-            assert self.engine is not None
-            self.output.maintain(connection, self.engine.fill, now_s)
+            assert self.engines.python is not None
+            self.output.maintain(connection, self.engines.python.fill, now_s)
         except (LostError, NotFoundError) as error:
             if connection and connection.lost:
                 self._lose_server(now_s, str(error))
@@ -240,7 +235,7 @@ class Supervisor:
 
         UsageError: the config cannot be applied while the daemon runs; nothing has changed.
         """
-        changes, engine = ConfigDiff.between(self.config, config), self.engine
+        changes, engine = ConfigDiff.between(self.config, config), self.engines.python
         self._endpoints.check_change(self.config, config)
         if engine and changes.engine:  # raises if the new engine could not be made
             framework = Framework(engine.samplerate, engine.channels, config.settings)
@@ -288,10 +283,10 @@ class Supervisor:
             self._endpoints.close()
             self.engines.native.close()
             self._idle_policy.wake(now_s)
-        if self.engine:
-            self._stalls.count_resyncs(self.engine.delay_line.status.resyncs)
+        if self.engines.python:
+            self._stalls.count_resyncs(self.engines.python.delay_line.status.resyncs)
             if self.input.needs_server:  # a file may take its time
-                self.engine.framework.look_for_blocked(now_s)
+                self.engines.python.framework.look_for_blocked(now_s)
 
     def _connected(self, now_s: float) -> PulseConnection | None:
         """Return the connection, None while the server cannot be reached."""
@@ -349,7 +344,7 @@ class Supervisor:
         if not (self.input.may_rest and self.output.may_rest):
             self._idle_policy.wake(now_s)
             return False
-        engine = self.engine
+        engine = self.engines.python
         heard = self._idle_policy.resting and self.input.listen(connection, now_s)
         players = self.input.players(snapshot)
         # Without players, no buffers may arrive that would let the vibration fade.
