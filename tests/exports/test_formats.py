@@ -90,9 +90,7 @@ def test_any_curve_keeps_the_rules(
     name: str, compose: Any, parts: Any, repeats: int, band: tuple[float, float] | None
 ) -> None:
     curve = curve_of(parts, repeats)
-    options = ExportOptions(name, device_band_hz=band)
-    job = Job(Path("out"), Settings(), options, DESIGN, 1, 1.0)
-    content, composed = compose(curve, curve.amplitude.size / curve.rate_hz, job)
+    content, composed = compose(curve, curve.amplitude.size / curve.rate_hz, band)
     check(name, content)
     assert all(np.isfinite(value) for value in composed.error.values())
 
