@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from difflib import get_close_matches
 from functools import lru_cache
 from typing import Any
 
 from audioflinger_hook.catalogue.item import Item, shown, typed
-from device.values import nearest
 
 ALIASES = {
     "audio_filepath": "audio",  # NeMo
@@ -17,6 +17,7 @@ ALIASES = {
 }
 """Names of NeMo and lhotse, and ours."""
 
+# Columns whose misspelling would change a result unseen.
 _SIMILAR = ("audio", "start_s", "duration_s", "channels", "profile", "language", "audio_filepath")
 
 
@@ -54,17 +55,10 @@ def cell_value(name: str, cell: str) -> Any:
 
 @lru_cache(maxsize=1024)
 def _meant(name: str) -> str:
-    """Return the known name that differs so little that it is meant, "" for another column."""
-    known = nearest(name, _SIMILAR)
-    return known if known and _differ_little(name, known) else ""
-
-
-def _differ_little(name: str, known: str) -> bool:
-    plain = name.lower().replace("-", "_").strip()
-    return plain in (known, f"{known}s", known.removesuffix("s"), known.removesuffix("_s")) or (
-        abs(len(name) - len(known)) <= 1
-        and sum(a != b for a, b in zip(plain, known, strict=False)) <= 2
-    )
+    """Return the known name that a name misspells, "" for another column."""
+    similar = get_close_matches(name.lower().replace("-", "_"), _SIMILAR, n=1, cutoff=0.8)
+    # lhotse's `channel_ids` is not a misspelling of `channels`.
+    return next((known for known in similar if abs(len(name) - len(known)) <= 1), "")
 
 
 def _from_lhotse(row: dict[str, Any]) -> dict[str, Any]:

@@ -21,12 +21,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from audioflinger_hook.catalogue.addresses import (
-    filesystem_of,
-    is_url,
-    parse_address,
-    scrubbed,
-)
+from audioflinger_hook.catalogue.addresses import filesystem_of, is_url, parse_address, scrubbed
 from audioflinger_hook.catalogue.columns import ALIASES, cell_value, values_of
 from audioflinger_hook.catalogue.item import Item, default_id, shown
 from audioflinger_hook.catalogue.listing import (
@@ -68,18 +63,9 @@ class Mistakes:
 class Manifest:
     """The items of a manifest, in order; each iteration reads it again.
 
-    Parameters
-    ----------
-    address : str
-        A file of JSON lines (also .gz) or CSV (.csv), a folder, a glob, or one sound file; path or
-        URL.
-    out : str
-        The folder of the results. Sounds inside it are no items.
-
-    Raises
-    ------
-    UsageError
-        There is no such manifest, or the address holds credentials.
+    address: path or URL of a file of JSON lines (also .gz), of CSV (.csv), of a folder or of one
+    sound; or a glob. out: the folder of the results; sounds inside it are no items. UsageError:
+    there is no such manifest, or the address holds credentials.
     """
 
     def __init__(self, address: str, out: str) -> None:

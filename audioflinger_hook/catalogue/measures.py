@@ -1,4 +1,4 @@
-"""What a record says about a vibration: its exposure, and its course for a picture."""
+"""The measures in a record: the exposure of a vibration, and its course for a picture."""
 
 from __future__ import annotations
 
@@ -26,12 +26,9 @@ POINTS = 120
 
 
 class VibrationMeter:
-    """Measures a vibration block by block, whatever their lengths; memory does not grow.
+    """Measures a vibration in blocks of any length; memory does not grow.
 
-    Parameters
-    ----------
-    rig : str
-        Name or file of the rig that would play it.
+    rig: name or file of the rig that would play it.
     """
 
     def __init__(self, rig: str) -> None:

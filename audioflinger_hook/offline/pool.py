@@ -82,19 +82,8 @@ class ThisProcess:
 class LocalWorkers:
     """Processes of this machine; when one dies, all are started again.
 
-    Parameters
-    ----------
-    count : int
-        Processes at once.
-    preload : str
-        The module of the work, which is imported once for all processes.
-    items : int
-        How many items may `report_share`.
-
-    Attributes
-    ----------
-    shares : sequence of float
-        The share of each item that is done, 0 to 1.
+    count: processes at once. preload: the module of the work, imported once for all processes.
+    items: number of items that may `report_share`. shares: share of each item that is done, 0 to 1.
     """
 
     def __init__(self, count: int, preload: str, items: int = 0) -> None:

@@ -12,10 +12,10 @@ from pathlib import Path
 
 import numpy as np
 import soundfile
-from numpy.typing import NDArray
 
 from audioflinger_hook.transform.parameters import check_format
 from device.errors import UsageError
+from device.units import Float32Array
 
 BLOCKSIZE_FRAMES = 32_768
 """Frames per buffer: long enough to make the cost of a call negligible; 64 channels take 8 MB."""
@@ -31,25 +31,10 @@ FRAMES_UNKNOWN = 1 << 40
 class FileTap:
     """The frames of any file that libsndfile reads, as float32.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    blocksize : int
-        Frames of a buffer.
-    first : int
-        The frame to begin with; other than 0 only for a file that is `divisible`.
-
-    Attributes
-    ----------
-    warnings : list of str
-        Warnings for the user, one line each; complete at the end of the file.
-
-    Raises
-    ------
-    UsageError
-        The file is missing, unreadable, not sound or empty, or the transform does not support
-        its rate or channel count.
+    path: the file. blocksize: frames of a buffer. first: the frame to begin with; other than 0 only
+    for a file that is `divisible`. warnings: for the user, one line each; complete at the end.
+    UsageError: the file is missing, unreadable, not sound or empty, or the transform does not
+    support its rate or channel count.
     """
 
     format_changed = False
@@ -88,7 +73,7 @@ class FileTap:
         """Whether a part of the file, read alone, has the same frames as in the whole file."""
         return self._file.format in EXACT_FORMATS and self._file.subtype in EXACT_SUBTYPES
 
-    def read(self) -> NDArray[np.float32] | None:
+    def read(self) -> Float32Array | None:
         """Return the next buffer, or None at the end."""
         buffer = self._next
         if not len(buffer):
@@ -108,13 +93,13 @@ class FileTap:
         except (soundfile.LibsndfileError, RuntimeError) as error:
             raise UsageError(f"{self.path} has no frame {frame} ({_reason(error)})") from None
 
-    def _read(self) -> NDArray[np.float32]:
+    def _read(self) -> Float32Array:
         if self.warnings:  # no frames follow one that cannot be decoded
             return np.zeros((0, self.channels), np.float32)
         buffer = np.empty((self._blocksize, self.channels), np.float32)
         before = self._file.tell()
         try:
-            filled: NDArray[np.float32] = self._file.read(out=buffer)
+            filled: Float32Array = self._file.read(out=buffer)
             return filled
         except (soundfile.LibsndfileError, RuntimeError) as error:
             self.warnings.append(f"{self.path} is damaged ({_reason(error)}); taken up to there")
@@ -207,27 +192,20 @@ def _body_is_short(log: str) -> bool:
 class FramesTap:
     """Frames from memory, in buffers of `blocksize`; the last may be shorter.
 
-    Parameters
-    ----------
-    frames : array of float32
-        (frames, channels).
-    samplerate : int
-        Hz.
-    blocksize : int
-        Frames of a buffer.
+    frames: (frames, channels) float32. samplerate: Hz. blocksize: frames of a buffer.
     """
 
     format_changed = False
     discontinuity = False
 
-    def __init__(self, frames: NDArray[np.float32], samplerate: int, blocksize: int) -> None:
+    def __init__(self, frames: Float32Array, samplerate: int, blocksize: int) -> None:
         self._frames = frames
         self._blocksize = blocksize
         self._position = 0
         self.samplerate = samplerate
         self.frames_expected, self.channels = frames.shape
 
-    def read(self) -> NDArray[np.float32] | None:
+    def read(self) -> Float32Array | None:
         """Return the next buffer, or None after the last."""
         first = self._position
         if first >= len(self._frames):

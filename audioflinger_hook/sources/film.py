@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from audioflinger_hook.sources.file import BLOCKSIZE_FRAMES
 from audioflinger_hook.transform.parameters import check_format
 from device.errors import UsageError
+from device.units import Float32Array
 
 FILMS = frozenset(
     f".{ending}"
@@ -34,24 +35,9 @@ EXTRA = "sound tracks of films need PyAV; pip install 'haptic-cushion[films]'"
 class FilmTap:
     """The frames of one sound track, as float32, aligned with the film's beginning.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    track : int, optional
-        The sound track, counted from 1. Default: the file's default track.
-    language : str, optional
-        Language of the track, as in the file, such as "eng".
-
-    Attributes
-    ----------
-    warnings : list of str
-        Warnings for the user, one line each; complete at the end of the file.
-
-    Raises
-    ------
-    UsageError
-        The file cannot be read, has no such sound track, or no sound in it.
+    path: the file. track: the sound track, from 1; default: the file's default track. language: of
+    the track, as in the file, such as "eng". warnings: for the user, one line each; complete at the
+    end. UsageError: the file cannot be read, has no such sound track, or no sound in it.
     """
 
     format_changed = False
@@ -79,7 +65,7 @@ class FilmTap:
             length_s = (self._container.duration or 0) / av.time_base
             self.frames_expected = round(length_s * self.samplerate) or None
             self._buffers = self._buffered(stream)
-            self._next: NDArray[np.float32] | None = next(self._buffers, None)
+            self._next: Float32Array | None = next(self._buffers, None)
             if self._next is None:
                 raise UsageError(f"{path} has no sound in its track; {' '.join(self.warnings)}")
         except UsageError as error:
@@ -87,7 +73,7 @@ class FilmTap:
             named = str(path) in str(error)
             raise error if named else UsageError(f"{path}: {error}") from None
 
-    def read(self) -> NDArray[np.float32] | None:
+    def read(self) -> Float32Array | None:
         """Return the next buffer, or None at the end."""
         buffer, self._next = self._next, next(self._buffers, None)
         return buffer
@@ -115,9 +101,9 @@ class FilmTap:
             raise UsageError(f"{self._path} has no sound track in {language!r}; there are {there}")
         return streams[spoken.index(language)]
 
-    def _buffered(self, stream: Any) -> Iterator[NDArray[np.float32]]:
+    def _buffered(self, stream: Any) -> Iterator[Float32Array]:
         """Yield buffers of one size, but for the last."""
-        waiting: list[NDArray[np.float32]] = []
+        waiting: list[Float32Array] = []
         frames = 0
         for part in self._parts(stream):
             waiting.append(part)
@@ -128,7 +114,7 @@ class FilmTap:
         if frames:
             yield np.concatenate(waiting)
 
-    def _parts(self, stream: Any) -> Iterator[NDArray[np.float32]]:
+    def _parts(self, stream: Any) -> Iterator[Float32Array]:
         """Yield the frames as decoded, with silence where the film has no sound."""
         import av
 

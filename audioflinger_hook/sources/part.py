@@ -4,37 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-from numpy.typing import NDArray
-
 from audioflinger_hook.sources.tap import Tap
 from device.errors import UsageError
+from device.units import Float32Array
 
 
 class PartTap:
     """A part in time of another tap, and some of its channels.
 
-    Parameters
-    ----------
-    tap : Tap
-        The whole sound. Its format must not change.
-    start_s, duration_s : float
-        Where the part begins, and how long it is. None: to the end. A part that would go on after
-        the end of the sound ends there.
-    picked : sequence of int
-        Channels to take, counted from 0; none: all.
-    skipped : int
-        Frames at the beginning of the sound that the tap has left out.
-
-    Attributes
-    ----------
-    warnings : list of str
-        Warnings about the sound; the caller may set another list.
-
-    Raises
-    ------
-    UsageError
-        The sound ends before the part begins, or has no such channel.
+    tap: the whole sound, whose format must not change. start_s, duration_s: beginning and length of
+    the part; None: to the end, where every part ends at the latest. picked: channels to take, from
+    0; none: all. skipped: frames at the beginning that the tap has left out. warnings: about the
+    sound; the caller may set another list. UsageError: the sound ends before the part begins, or
+    has no such channel.
     """
 
     format_changed = False
@@ -67,7 +49,7 @@ class PartTap:
         if self._next is None:
             raise UsageError(f"start_s={start_s:g} is not in the sound, which ends before")
 
-    def read(self) -> NDArray[np.float32] | None:
+    def read(self) -> Float32Array | None:
         """Return the next buffer, or None at the end of the part."""
         buffer = self._next
         if buffer is None:
@@ -84,7 +66,7 @@ class PartTap:
         """Close the whole sound."""
         self._tap.close()
 
-    def _begin(self, skipped: int) -> NDArray[np.float32] | None:
+    def _begin(self, skipped: int) -> Float32Array | None:
         """Return the first buffer, from the frame on with which the part begins."""
         while (buffer := self._tap.read()) is not None:
             if skipped < len(buffer):

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
 from audioflinger_hook.mixer import Mixer
+from device.units import Float32Array
 
 
 class Tap(Protocol):
@@ -28,7 +26,7 @@ class Tap(Protocol):
         """Total number of frames, if known; only for showing progress."""
         ...
 
-    def read(self) -> NDArray[np.float32] | None:
+    def read(self) -> Float32Array | None:
         """Return the next buffer, (frames, channels) float32, or None when the sound has ended.
 
         Called by the thread that steps the chain.

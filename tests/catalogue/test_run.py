@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from audioflinger_hook.catalogue import recipe as recipes
-from audioflinger_hook.catalogue import stamps, work
+from audioflinger_hook.catalogue import storage, work
 from audioflinger_hook.exports.options import FORMATS
 from tests.support.catalogues import LOW_RATE, library, manifest, record, results, rows
 from tests.support.commands import call, cushion, noise, refused, sound, vibration
@@ -395,7 +395,7 @@ def test_i_o_is_repeated_and_nothing_else(sounds, tmp_path, monkeypatch):
     waits: list[float] = []
     fails = [errno.EIO, errno.EIO]
     monkeypatch.setattr("time.sleep", waits.append)
-    identity = stamps.identity_of
+    identity = storage.identity_of
 
     def failing(audio):
         if audio.endswith("s00.wav") and fails:
