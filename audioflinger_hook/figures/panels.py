@@ -26,7 +26,7 @@ TICK_PT = 9.0
 
 MAX_EVENT_LANES = 3
 
-# Dots closer than a cell of this grid would hide one another: only the strongest is drawn.
+# Dots in one cell of this grid would hide one another: only the strongest is drawn.
 DOT_GRID = (460, 150)
 LARGEST_DOT_PT = 5.0  # the diameter at strength 1
 
@@ -142,11 +142,7 @@ def draw_waveform(
 
 
 def draw_spectrogram(
-    axes: Axes,
-    level_db: NDArray[np.float64],
-    duration_s: float,
-    *,
-    range_db: float,
+    axes: Axes, level_db: NDArray[np.float64], duration_s: float, *, range_db: float
 ) -> AxesImage:
     """Draws `level_db` (rows, columns) and returns the image, for its colour bar.
 
