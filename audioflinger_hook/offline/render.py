@@ -87,18 +87,11 @@ def render_file(
 
     Errors are those of `render`.
 
-    Parameters
-    ----------
-    source : Path
-        The sound file.
-    target : Path
-        The WAV file to create or replace.
-    settings : Settings, optional
-        Settings as in a config file; by default those of an empty config file.
-    acceleration : Path, optional
-        The WAV file for the rig's simulated acceleration.
-    progress : callable, optional
-        Called after every buffer with the frames done and the total frames.
+    source: the sound file.
+    target: the WAV file to create or replace.
+    settings: as in a config file; by default those of an empty config file.
+    acceleration: the WAV file for the rig's simulated acceleration.
+    progress: called after every buffer with the frames done and the total frames.
     """
     refuse_same_file(source, target, acceleration)
     tap = FileTap(source)
@@ -198,7 +191,7 @@ def _open_outputs(
     acceleration: Path | None,
     framework: Framework,
     fade_s: float,
-    open_output: OpenOutput = WavOutput,
+    open_output: OpenOutput,
 ) -> tuple[SimulatedRig | None, list[_Driven]]:
     """Add the files to `outputs`; return the simulated rig, and how each file is driven."""
     rate, settings = framework.samplerate, framework.settings
@@ -214,9 +207,9 @@ def _open_outputs(
 
 
 class _Driven(NamedTuple):
-    """A file, which knows the peak of all samples written, and the output to write to instead.
+    """A file, which knows its peak, the drive before it, and the output to write to instead.
 
-    The drive is between the two, and the latency of transform and drive is removed.
+    The latency of transform and drive is removed.
     """
 
     file: FadedOutput
