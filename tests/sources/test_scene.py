@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
@@ -161,9 +162,7 @@ def test_the_demo_is_silent_while_its_engine_pauses_and_loses_none_of_it():
     made = mixdown(Scene("engine", RATE, (engine,), scene.duration_s))
     pause, resume = (round(at_s * RATE) for at_s in engine.pause_s)
     assert not made[pause + 256 : resume - 256].any()
-    alone = SceneTrack(engine.name, RATE, engine.frames, engine.start_s, engine.pcm_format)
-    plain = SceneTrack("plain", engine.samplerate, engine.frames, engine.start_s, engine.pcm_format)
-    assert alone.duration_s != plain.duration_s
+    plain = dataclasses.replace(engine, pause_s=None)
     through = mixdown(Scene("engine", RATE, (plain,), scene.duration_s))
     still = (resume // 256 - pause // 256 - 1) * 256
     begin = resume + 512
