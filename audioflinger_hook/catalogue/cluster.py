@@ -9,6 +9,7 @@ from contextlib import suppress
 from typing import Any, TypeVar
 
 from audioflinger_hook.catalogue.addresses import NO_CREDENTIALS, credentials_in, scrubbed
+from audioflinger_hook.offline.pool import Place
 from device.errors import LostError, UsageError
 
 T = TypeVar("T")
@@ -19,7 +20,7 @@ CONNECT_S = "10s"
 CLOSE_S = 5.0
 
 
-class DaskCluster:
+class DaskCluster(Place):
     """Workers of a Dask cluster, as a `Place`.
 
     address: of a scheduler, such as tcp://HOST:8786; "local" starts a cluster on this machine with
@@ -83,9 +84,6 @@ class DaskCluster:
         if self._client.status != "running":
             raise self._gone() from None
         return False
-
-    def __enter__(self) -> DaskCluster:
-        return self
 
     def __exit__(self, kind: object, error: object, trace: object) -> None:
         with suppress(Exception):

@@ -31,6 +31,7 @@ from audioflinger_hook.exports.export import export
 from audioflinger_hook.sources import FileTap, TapClient
 from audioflinger_hook.sources.film import FILMS, FilmTap
 from audioflinger_hook.sources.part import PartTap
+from audioflinger_hook.sources.tap import SteadyTap
 from device.errors import CushionError, InternalError, UsageError
 
 State = Literal["rendered", "skipped", "failed"]
@@ -206,24 +207,19 @@ def _render(
     return record
 
 
-def open_sound(path: Path, item: Item, recipe: Recipe) -> SoundTap:
+def open_sound(path: Path, item: Item, recipe: Recipe) -> SteadyTap:
     """Return a tap on an item's sound. UsageError: it cannot be read, or has no such part."""
     tap, skipped = _open(path, item, recipe)
     if not (item.start_s or item.duration_s or item.picked):
         return tap
     try:
-        part = PartTap(tap, item.start_s, item.duration_s, item.picked, skipped)
+        return PartTap(tap, item.start_s, item.duration_s, item.picked, skipped)
     except UsageError:
         tap.close()
         raise
-    part.warnings = tap.warnings
-    return part
 
 
-SoundTap = FileTap | FilmTap | PartTap
-
-
-def _open(path: Path, item: Item, recipe: Recipe) -> tuple[FileTap | FilmTap, int]:
+def _open(path: Path, item: Item, recipe: Recipe) -> tuple[SteadyTap, int]:
     """Return a tap on the whole sound, and the number of frames that it leaves out."""
     track, language = item.track or recipe.track, item.language or recipe.language
     is_film = item.track or item.language or path.suffix.lower() in FILMS

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from audioflinger_hook.capture import Capture, CaptureBuffer
+from audioflinger_hook.sources.tap import named
 from audioflinger_hook.transform.parameters import check_format
 from device.errors import UsageError
 from device.units import Float32Array
@@ -71,4 +72,4 @@ class CaptureTap:
             check_format(self.samplerate, self.channels)
         except UsageError as error:
             self.close()
-            raise UsageError(f"{self.folder}: {error}") from None
+            raise named(error, self.folder) from None

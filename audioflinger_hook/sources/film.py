@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from audioflinger_hook.sources.file import BLOCKSIZE_FRAMES
+from audioflinger_hook.sources.tap import SteadyTap, named
 from audioflinger_hook.transform.parameters import check_format
 from device.errors import UsageError
 from device.units import Float32Array
@@ -32,23 +33,19 @@ GAP_MAX_S = 24 * 3600.0
 EXTRA = "sound tracks of films need PyAV; pip install 'haptic-cushion[films]'"
 
 
-class FilmTap:
+class FilmTap(SteadyTap):
     """The frames of one sound track, as float32, aligned with the film's beginning.
 
     path: the file. track: the sound track, from 1; default: the file's default track. language: of
-    the track, as in the file, such as "eng". warnings: for the user, one line each; complete at the
-    end. UsageError: the file cannot be read, has no such sound track, or no sound in it.
+    the track, as in the file, such as "eng". UsageError: the file cannot be read, has no such sound
+    track, or no sound in it.
     """
-
-    format_changed = False
-    discontinuity = False
 
     def __init__(self, path: Path, *, track: int | None = None, language: str | None = None):
         try:
             import av
         except ImportError:
             raise UsageError(f"{path}: {EXTRA}") from None
-        self.warnings: list[str] = []
         self._path = path
         self._errors = (av.error.FFmpegError, ValueError)
         try:
@@ -57,26 +54,19 @@ class FilmTap:
             raise UsageError(f"{path} cannot be read as a film ({_reason(error)})") from None
         try:
             stream = self._chosen(track, language)
-            self.samplerate = int(stream.codec_context.sample_rate)
-            self.channels = int(stream.codec_context.channels)
-            check_format(self.samplerate, self.channels)
-            self._layout = stream.codec_context.layout
+            codec = stream.codec_context
+            format_ = (int(codec.sample_rate), int(codec.channels))
+            check_format(*format_)
+            self._layout = codec.layout
             self._start_s = (self._container.start_time or 0) / av.time_base
             length_s = (self._container.duration or 0) / av.time_base
-            self.frames_expected = round(length_s * self.samplerate) or None
-            self._buffers = self._buffered(stream)
-            self._next: Float32Array | None = next(self._buffers, None)
+            expected = round(length_s * format_[0]) or None
+            super().__init__(*format_, self._buffered(stream), expected)
             if self._next is None:
                 raise UsageError(f"{path} has no sound in its track; {' '.join(self.warnings)}")
         except UsageError as error:
             self.close()
-            named = str(path) in str(error)
-            raise error if named else UsageError(f"{path}: {error}") from None
-
-    def read(self) -> Float32Array | None:
-        """Return the next buffer, or None at the end."""
-        buffer, self._next = self._next, next(self._buffers, None)
-        return buffer
+            raise named(error, path) from None
 
     def close(self) -> None:
         """Close the file."""

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Protocol
 
 from audioflinger_hook.mixer import Mixer
+from device.errors import UsageError
 from device.units import Float32Array
 
 
@@ -61,3 +63,42 @@ class Client(Protocol):
     def close(self) -> None:
         """Let go of the source. May be called more than once."""
         ...
+
+
+class SteadyTap:
+    """A tap of one format without discontinuities.
+
+    The first buffer is taken at once, because a header may promise frames that are missing.
+
+    samplerate: Hz. buffers: (frames, channels) each, in order. frames_expected: total frames, None
+    if unknown. warnings: for the user, one line each; complete at the end of the sound.
+    """
+
+    format_changed = False
+    discontinuity = False
+
+    def __init__(
+        self,
+        samplerate: int,
+        channels: int,
+        buffers: Iterator[Float32Array],
+        frames_expected: int | None,
+    ) -> None:
+        self.samplerate, self.channels = samplerate, channels
+        self.frames_expected = frames_expected
+        self.warnings: list[str] = []
+        self._buffers = buffers
+        self._next = next(buffers, None)
+
+    def read(self) -> Float32Array | None:
+        """Return the next buffer, or None at the end."""
+        buffer, self._next = self._next, next(self._buffers, None)
+        return buffer
+
+    def close(self) -> None:
+        """Let go of the source. May be called more than once."""
+
+
+def named(error: UsageError, source: object) -> UsageError:
+    """Return the error with the name of its source, if it lacks it."""
+    return error if str(source) in str(error) else UsageError(f"{source}: {error}")

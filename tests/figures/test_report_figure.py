@@ -55,7 +55,7 @@ def test_the_report_is_a_png_of_1600_by_1500_pixels_and_at_most_a_megabyte():
     with Image.open(io.BytesIO(png)) as picture:
         assert picture.format == "PNG"
         assert picture.size == (WIDTH_PX, HEIGHT_PX) == (1600, 1500)
-        assert picture.text["Description"] == "peak 1"
+        assert picture.info["Description"] == "peak 1"
     assert len(png) <= 1_000_000
 
 
