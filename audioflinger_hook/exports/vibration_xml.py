@@ -8,6 +8,7 @@ holds the amplitude, 0 to 255, in steps of 10 ms or more; its frequency is the m
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -155,17 +156,12 @@ def _steps(curve: VibrationCurve, duration_s: float) -> list[tuple[int, int]]:
 
 
 def _without_short_rests(durations: Any, amplitude: Any) -> Any:
-    """Return the amplitudes with 1 in place of 0 in rests that are short or inside a sound."""
+    """Return the amplitudes with 1 in place of 0 in short rests inside a sound."""
     filled = amplitude.copy()
-    first = 0
-    while first < len(filled):
-        end = first
-        while end < len(filled) and amplitude[end] == 0:
-            end += 1
-        inside = first > 0 and end < len(filled)
-        if end > first and inside and int(durations[first:end].sum()) < SILENT_MS:
+    edges = np.flatnonzero(np.diff(amplitude == 0)) + 1
+    for first, end in pairwise(edges.tolist()):
+        if amplitude[first] == 0 and int(durations[first:end].sum()) < SILENT_MS:
             filled[first:end] = 1
-        first = max(end, first + 1)
     return filled
 
 

@@ -89,25 +89,25 @@ def render_files(
         def submit(item: int) -> Future[Rendered]:
             return pool.submit(_try_item, item, sources[item], targets[item], settings)
 
+        def result(future: Future[Rendered]) -> Rendered:
+            while not wait([future], SHARE_S).done:
+                if report_share:
+                    report_share(sum(pool.shares) / count)
+            return future.result()
+
         futures = [submit(item) for item in range(count)]
-        for item in range(count):
-            again = False
-            while True:
-                while not wait(futures[item : item + 1], SHARE_S).done:
-                    if report_share:
-                        report_share(sum(pool.shares) / count)
+        for item, future in enumerate(futures):
+            try:
                 try:
-                    came = futures[item].result()
+                    came = result(future)
                 except BrokenExecutor:
-                    # Whose process died is not known. So each unfinished file is rendered once
-                    # more, alone: the others wait for their turn here.
-                    if not again:
-                        again, futures[item] = True, submit(item)
-                        continue
-                    error = f"{sources[item]}: its process died twice, {DIED}"
-                    code = InternalError.exit_code
-                    came = Rendered(sources[item], targets[item], error=error, exit_code=code)
-                break
+                    # Whose process died is not known. So each unfinished file is rendered again,
+                    # alone: the others wait for their turn here.
+                    came = result(submit(item))
+            except BrokenExecutor:
+                error = f"{sources[item]}: its process died twice, {DIED}"
+                code = InternalError.exit_code
+                came = Rendered(sources[item], targets[item], error=error, exit_code=code)
             yield came
 
 

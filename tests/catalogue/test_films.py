@@ -5,12 +5,11 @@ from fractions import Fraction
 import av
 import numpy as np
 import pytest
-import soundfile
 
 from audioflinger_hook.sources.film import FilmTap
 from device.errors import UsageError
 from tests.support.catalogues import manifest, record
-from tests.support.commands import call
+from tests.support.commands import call, sound
 from tests.support.taps import frames_of
 
 RATE = 48_000
@@ -41,11 +40,11 @@ def film(
             container.mux(video.encode())
         for stream, (_, length_s, tone_hz) in zip(streams, tracks, strict=True):
             frames = round(length_s * RATE)
-            sound = tone(frames, tone_hz)
+            wave = tone(frames, tone_hz)
             for first in range(0, frames, PIECE):
                 if hole and hole[0] * RATE <= first < hole[1] * RATE:
                     continue
-                piece = np.clip(sound[first : first + PIECE], -1.0, 1.0)
+                piece = np.clip(wave[first : first + PIECE], -1.0, 1.0)
                 packed = np.ascontiguousarray((piece * 32_767).astype(np.int16).reshape(1, -1))
                 heard = av.AudioFrame.from_ndarray(packed, format="s16", layout="stereo")
                 heard.sample_rate = RATE
@@ -78,9 +77,7 @@ def test_a_lossless_track_is_read_to_the_last_sample(tmp_path, ending):
 
 def test_a_film_gives_the_bytes_of_its_sound_as_a_file(tmp_path):
     film(tmp_path / "a.mkv")
-    soundfile.write(
-        tmp_path / "a.wav", frames_of(FilmTap(tmp_path / "a.mkv")), RATE, subtype="FLOAT"
-    )
+    sound(tmp_path / "a.wav", frames_of(FilmTap(tmp_path / "a.mkv")), RATE)
     assert call("render", tmp_path / "a.wav", tmp_path / "alone.wav").code == 0
     listed = manifest(tmp_path / "l.jsonl", {"audio": "a.mkv"})
     assert call("catalogue", listed, "--out", tmp_path / "out").code == 0
