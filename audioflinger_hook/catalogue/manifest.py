@@ -41,7 +41,7 @@ SHOWN_MAX = 100
 
 LINE_MAX = 1 << 20
 PARTITIONS, SPOOLED_BYTES = 64, 1 << 16
-"""All ids are divided by their hashes; what is beyond these bytes goes to temporary files."""
+"""All ids are divided by their hashes; more than these bytes go to temporary files."""
 
 _ENTRY = Struct("<QQ")
 
@@ -94,7 +94,7 @@ class Manifest:
                 name = int.from_bytes(blake2b(os.fsencode(item.id), digest_size=8).digest())
                 parts[name % PARTITIONS].write(_ENTRY.pack(name, item.line))
             for part in parts:
-                self._find_twins(part, mistakes)
+                self._find_duplicates(part, mistakes)
         if not count and not mistakes.count:
             raise UsageError(f"{scrubbed(self.address)} has no items; give a manifest of sounds")
         return count, mistakes
@@ -286,7 +286,9 @@ class Manifest:
                 if is_sound(path):
                     yield path
 
-    def _find_twins(self, part: tempfile.SpooledTemporaryFile[bytes], mistakes: Mistakes) -> None:
+    def _find_duplicates(
+        self, part: tempfile.SpooledTemporaryFile[bytes], mistakes: Mistakes
+    ) -> None:
         """Find two items with one id, in one partition of all ids."""
         part.seek(0)
         entries = np.frombuffer(part.read(), [("name", "<u8"), ("line", "<u8")])

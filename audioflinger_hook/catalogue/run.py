@@ -43,7 +43,7 @@ class Run:
     ends its worker is found and fails, and no other item does. Finished items of a repeated batch
     are skipped by their records.
 
-    items: read as they are needed. place: where batches run. timing: clock and pauses of the
+    items: read one batch at a time. place: where batches run. timing: clock and pauses of the
     workers.
     """
 

@@ -59,8 +59,12 @@ class Summary:
             **{name: getattr(self, name) for name in counts},
             "sound_s": round(self.sound_s, 3),
             "worker_s": round(self.worker_s, 3),
-            "slowest": [{"id": name, "seconds": rank} for rank, _, name, _ in _down(self.slowest)],
-            "strangest": [{"id": name, "reason": text} for *_, name, text in _down(self.strangest)],
+            "slowest": [
+                {"id": name, "seconds": rank} for rank, _, name, _ in _descending(self.slowest)
+            ],
+            "strangest": [
+                {"id": name, "reason": text} for *_, name, text in _descending(self.strangest)
+            ],
         }
 
     def lines(self) -> list[str]:
@@ -73,7 +77,7 @@ class Summary:
         ]
         for title, kept in (("slowest", self.slowest), ("strangest", self.strangest)):
             if kept:
-                listed = ", ".join(f"{name} ({text})" for *_, name, text in _down(kept)[:5])
+                listed = ", ".join(f"{name} ({text})" for *_, name, text in _descending(kept)[:5])
                 found.append(f"{title}: {listed}")
         return found
 
@@ -103,7 +107,7 @@ def strangeness(record: Mapping[str, Any]) -> tuple[float, str]:
     return 0.0, ""
 
 
-def _down(heap: list[tuple[float, int, str, str]]) -> list[tuple[float, int, str, str]]:
+def _descending(heap: list[tuple[float, int, str, str]]) -> list[tuple[float, int, str, str]]:
     return sorted(heap, reverse=True)
 
 

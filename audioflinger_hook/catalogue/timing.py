@@ -36,7 +36,7 @@ class UnreadableError(StorageError):
 
 @dataclass(frozen=True)
 class Timing:
-    """Functions that tell the time and wait, and how often failed I/O is repeated.
+    """A clock, a way to wait, and the number of repetitions of failed I/O.
 
     clock: seconds, from any origin. sleep: waits for seconds. retries: repetitions.
     """

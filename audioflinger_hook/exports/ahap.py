@@ -1,7 +1,7 @@
 """AHAP 1.0 for Apple's Core Haptics: continuous events, their curves, and transients.
 
-Limits: a continuous event lasts 30 s at most; a curve has 16 points at most; at most 60 points a
-second; times of a curve's points are relative to the curve. A player multiplies intensities of
+Limits: 30 s for a continuous event, 16 points for a curve, 60 points a second. Times of a curve's
+points are relative to the curve. A player multiplies intensities of
 curve and event and adds their sharpness, also for transients, so transients are divided by the
 curve. Intensity is the square root of amplitude.
 """

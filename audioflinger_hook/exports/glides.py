@@ -41,7 +41,7 @@ FRAME, FRAMES, CHANNEL, SLOT, START_HZ, END_HZ, START_LEVEL, END_LEVEL, START_PH
 class Onset:
     """Where vibration begins or is struck again.
 
-    before, after: the envelope on both sides, in full scale; hz: of what begins.
+    before, after: the envelope on both sides, in full scale; hz: of the beginning vibration.
     """
 
     time_s: float
@@ -192,8 +192,8 @@ class CurveReader:
 
     def add(self, rows: FloatArray, frame: int) -> None:
         """Take this channel's rows; all that begin before this frame are there."""
-        fresh = rows[:, SLOT] >= first_onset_slot(self._design)
-        born = rows[fresh & (rows[:, START_LEVEL] == 0.0) & (rows[:, END_LEVEL] > 0.0)]
+        of_onset = rows[:, SLOT] >= first_onset_slot(self._design)
+        born = rows[of_onset & (rows[:, START_LEVEL] == 0.0) & (rows[:, END_LEVEL] > 0.0)]
         self._births += [(row[FRAME], row[START_HZ]) for row in born.tolist()]
         self._vibration.add(rows)
         sample_frames = self._design.grid.decimation * self._steps

@@ -2,7 +2,7 @@
 
 An effect has one whole frequency in Hz, so that players which integrate frequency and players
 which do not agree. Where a partial drifts from that by 0.03 cycles, another effect goes on in
-phase. Positions are in ms. Tracks born of an onset are kept as they are, in ticks of 2 ms.
+phase. Positions are in ms. Tracks of onsets are kept unchanged, in ticks of 2 ms.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from device.rig import rig_by_name
 TICKS_A_SECOND = 1_000
 LEVEL_1_BANDS, LEVEL_2_BANDS = 7, 63
 DRIFT_TURNS = 0.03
-"""Largest error of a phase, in cycles. At 0.1, beats of steady partials are felt differently: the
+"""Largest error of a phase, in cycles. At 0.1, beats of steady partials differ: the
 envelope of an engine correlates by 0.80 with the vibration's, and by 0.97 at 0.03."""
 
 BODY_PART_UNSPECIFIED = 0

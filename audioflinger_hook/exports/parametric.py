@@ -167,7 +167,7 @@ class TrackWriter(ABC):
 
     @abstractmethod
     def write_rest(self, duration_s: float) -> dict[str, int]:
-        """Write what is missing in the file, and return counts for the report."""
+        """Write the rest of the file, and return counts for the report."""
 
 
 def json_bytes(document: dict[str, Any]) -> bytes:

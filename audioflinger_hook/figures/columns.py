@@ -76,8 +76,8 @@ def spectrogram_db(
     """Short-time amplitude in dB (a sine of amplitude 1 is 0 dB), shape (rows, columns).
 
     Hamming windows of `window_s` seconds stand at the columns' centres, with zeros beyond the
-    signal's ends. Row `i` shows the frequency `rows_hz[i]` (ascending): the largest bin nearer to
-    it than to the other rows, or, where rows are finer than bins, the interpolation between bins.
+    signal's ends. Row `i` shows the frequency `rows_hz[i]` (ascending): the largest of the bins
+    that are nearest to it. Where rows are finer than bins, it interpolates between bins.
     Rows above half the samplerate are at the floor of -200 dB.
     """
     window_frames = max(4, round(window_s * samplerate))

@@ -1,9 +1,8 @@
 """The report: one picture of sound, principal frequencies, vibration and acceleration.
 
-In the manner of the paper's Figures 7 and 8, five panels on one time axis: the audio, its spectrum
-with the principal frequencies, the vibration made of them, its spectrum, and the acceleration of
-the cushion. Needs matplotlib (an optional extra) and uses only its objects: no pyplot, and no
-setting that another figure in the same process would see.
+Five panels share a time axis, as in the paper's Figures 7 and 8. They show the audio, its spectrum
+with the principal frequencies, the vibration, its spectrum, and the cushion's acceleration. Needs
+matplotlib, an optional extra, but neither pyplot nor settings that another figure would see.
 """
 
 from __future__ import annotations

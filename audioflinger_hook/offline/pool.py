@@ -131,7 +131,7 @@ class LocalWorkers(Place):
 
 
 def report_share(item: int, share: float) -> None:
-    """Tell the pool the share of an item that is done; for the work, in a worker."""
+    """Report the share of an item that is done to the pool; called by the work in a worker."""
     _shares[item] = share
 
 

@@ -36,7 +36,7 @@ Wait = Callable[[int], None]
 """Called with the frames done; returns when the next frames are due."""
 
 OpenOutput = Callable[[Path, int, int], VibrationOutput]
-"""Opens the vibration's file: path, rate in Hz and channels of what will be written to it."""
+"""Opens the vibration's file: path, rate in Hz, channels."""
 
 Observe = Callable[[Framework], Callable[[Step], None] | None]
 """Called before the first step; the function that it returns is called after every step."""
@@ -135,7 +135,7 @@ def render(
     warnings: warnings about the source, complete when it has ended.
     fade_s: length of the fade at the end in seconds; 0 keeps every sample as it was computed.
     open_output: opens the vibration's file; default: a float32 WAV.
-    observe: called before the first step; what it returns is called after every step.
+    observe: called before the first step; the function that it returns is called after every step.
     UsageError: the source cannot be used, or a target cannot be written.
     WriteError: the disk is full or failed.
     InternalError: the haptic effect failed.

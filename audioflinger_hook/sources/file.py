@@ -96,7 +96,7 @@ class FileTap(SteadyTap):
 
 
 def _open(path: Path) -> soundfile.SoundFile:
-    """Return the opened file, or raise UsageError with what is wrong with it."""
+    """Return the opened file. UsageError: it cannot be read as sound."""
     try:
         # By descriptor, not by name: libsndfile would trust a name's ending and read text named
         # .vox as sound.

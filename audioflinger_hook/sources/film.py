@@ -151,7 +151,7 @@ class FilmTap(SteadyTap):
 
 
 def _opened(av: Any, path: Path) -> Any:
-    """Open a film whose titles may be in any encoding; PyAV 19 takes them so by itself."""
+    """Open a film whose titles may be in any encoding; PyAV 19 needs no option for it."""
     if int(av.__version__.partition(".")[0]) >= 19:
         return av.open(str(path))
     return av.open(str(path), metadata_errors="replace")

@@ -88,7 +88,7 @@ class _Voice:
         )
 
     def play(self, first: int, last: int) -> None:
-        """Do what is due in the mix's frames from `first` up to `last`."""
+        """Start, pause, resume and fill the track in the mix's frames from `first` up to `last`."""
         if first <= self.start < last:
             self._start(self.start - first)
         if first <= self.pause < last:

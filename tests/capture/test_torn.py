@@ -98,8 +98,8 @@ def end_of_each_buffer(folder, name):
     """Return the length that a file must have for each buffer of SMALL to be whole."""
     if name == INDEX_NAME:
         header, *lines = (folder / name).read_bytes().splitlines()
-        ends = np.cumsum([len(line) + 1 for line in (header, *lines)])[1:]
-        return dict(enumerate(ends - 1))  # a line is whole without its line break
+        after = np.cumsum([len(line) + 1 for line in (header, *lines)])[1:]
+        return dict(enumerate(after - 1))  # a line is whole without its line break
     ends, end = {}, SAMPLES_OFFSET
     rate = 44_100 if name[-5] == "2" else 48_000
     for number, (stream, frames, samplerate, channels) in enumerate(SMALL):

@@ -76,7 +76,7 @@ def test_memory_does_not_grow_with_the_manifest_and_a_done_item_takes_under_2_ms
         print(f"{lines} lines: {1e3 * wall_s / lines:.3f} ms an item, {peaks[lines]:.0f} MB")
         if lines == 1_000_000:  # of fewer items, the start of the processes is most of it
             assert wall_s / lines <= 2e-3
-    # 16 bytes a line for the search of twins may stay in memory up to 4 MB in all.
+    # 16 bytes a line for the search of duplicates may stay in memory up to 4 MB in all.
     assert peaks[many] - peaks[few] <= 8.0
 
 
