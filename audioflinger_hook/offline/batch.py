@@ -13,6 +13,7 @@ from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.offline.pool import DIED, LocalWorkers
 from audioflinger_hook.offline.pool import report_share as report_to_pool
 from audioflinger_hook.offline.render import RenderReport, render_file
+from audioflinger_hook.sources.tap import named
 from device.errors import CushionError, InternalError, UsageError
 
 ReportShare = Callable[[float], None]
@@ -125,18 +126,12 @@ def _try_file(
     try:
         report = render_file(source, target, settings, progress=progress)
     except CushionError as error:
-        return Rendered(source, target, error=_named(error, source), exit_code=error.exit_code)
+        return Rendered(source, target, error=str(named(error, source)), exit_code=error.exit_code)
     except Exception as error:
         said = f"{type(error).__name__}: {error}; this is a fault of cushion, please report it"
         wrapped = InternalError(f"{source}: {said}")
         return Rendered(source, target, error=str(wrapped), exit_code=wrapped.exit_code)
     return Rendered(source, target, report)
-
-
-def _named(error: CushionError, source: Path) -> str:
-    """Return an error's text, with the file's name added if it is missing."""
-    text = str(error)
-    return text if str(source) in text else str(type(error)(f"{source}: {text}"))
 
 
 def _share_of(item: int, items: int, report_share: ReportShare | None) -> ReportShare:

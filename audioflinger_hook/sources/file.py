@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import soundfile
 
-from audioflinger_hook.sources.tap import SteadyTap, named
+from audioflinger_hook.sources.tap import SteadyTap, named, reason_of
 from audioflinger_hook.transform.parameters import check_format
 from device.errors import UsageError
 from device.units import Float32Array
@@ -67,7 +67,7 @@ class FileTap(SteadyTap):
         try:
             self._file.seek(frame)
         except (soundfile.LibsndfileError, RuntimeError) as error:
-            raise UsageError(f"{self.path} has no frame {frame} ({_reason(error)})") from None
+            raise UsageError(f"{self.path} has no frame {frame} ({reason_of(error)})") from None
 
     def _decoded(self, first: int, expected: int | None) -> Iterator[Float32Array]:
         """Yield the buffers from a frame on, up to the end or the first damage."""
@@ -91,7 +91,7 @@ class FileTap(SteadyTap):
             filled: Float32Array = self._file.read(out=buffer)
             return filled
         except (soundfile.LibsndfileError, RuntimeError) as error:
-            self.warnings.append(f"{self.path} is damaged ({_reason(error)}); taken up to there")
+            self.warnings.append(f"{self.path} is damaged ({reason_of(error)}); taken up to there")
             return buffer[: max(0, self._file.tell() - before)]
 
 
@@ -106,7 +106,7 @@ def _open(path: Path) -> soundfile.SoundFile:
     except PermissionError:
         raise UsageError(f"{path} may not be read; check its permissions") from None
     except (OSError, ValueError) as error:
-        raise UsageError(f"{path} cannot be opened ({_reason(error)})") from None
+        raise UsageError(f"{path} cannot be opened ({reason_of(error)})") from None
     kind = os.fstat(descriptor)
     try:
         if stat.S_ISDIR(kind.st_mode):
@@ -122,15 +122,10 @@ def _open(path: Path) -> soundfile.SoundFile:
         raise
     except (soundfile.LibsndfileError, OSError, TypeError, ValueError) as error:
         raise UsageError(
-            f"{path} is not a sound file that can be read ({_reason(error)}); "
+            f"{path} is not a sound file that can be read ({reason_of(error)}); "
             "allowed: WAV, FLAC, Ogg, MP3, AIFF and other formats of libsndfile; the sound of a "
             "film becomes one by `ffmpeg -i FILM sound.wav`"
         ) from None
-
-
-def _reason(error: Exception) -> str:
-    text = getattr(error, "error_string", None) or getattr(error, "strerror", None) or str(error)
-    return str(text).strip().rstrip(".") or type(error).__name__
 
 
 @contextmanager

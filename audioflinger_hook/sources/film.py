@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from audioflinger_hook.sources.file import BLOCKSIZE_FRAMES
-from audioflinger_hook.sources.tap import SteadyTap, named
+from audioflinger_hook.sources.tap import SteadyTap, named, reason_of
 from audioflinger_hook.transform.parameters import check_format
 from device.errors import UsageError
 from device.units import Float32Array
@@ -51,7 +51,7 @@ class FilmTap(SteadyTap):
         try:
             self._container: Any = _opened(av, path)
         except (*self._errors, OSError) as error:
-            raise UsageError(f"{path} cannot be read as a film ({_reason(error)})") from None
+            raise UsageError(f"{path} cannot be read as a film ({reason_of(error)})") from None
         try:
             stream = self._chosen(track, language)
             codec = stream.codec_context
@@ -147,7 +147,9 @@ class FilmTap(SteadyTap):
 
     def _note(self, error: Exception) -> None:
         if not self.warnings:
-            self.warnings.append(f"{self._path} is damaged ({_reason(error)}); its sound was taken")
+            self.warnings.append(
+                f"{self._path} is damaged ({reason_of(error)}); its sound was taken"
+            )
 
 
 def _opened(av: Any, path: Path) -> Any:
@@ -155,7 +157,3 @@ def _opened(av: Any, path: Path) -> Any:
     if int(av.__version__.partition(".")[0]) >= 19:
         return av.open(str(path))
     return av.open(str(path), metadata_errors="replace")
-
-
-def _reason(error: Exception) -> str:
-    return str(getattr(error, "strerror", None) or error).strip() or type(error).__name__

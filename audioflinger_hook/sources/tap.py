@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Protocol
 
 from audioflinger_hook.mixer import Mixer
-from device.errors import UsageError
+from device.errors import CushionError
 from device.units import Float32Array
 
 
@@ -99,6 +99,12 @@ class SteadyTap:
         """Let go of the source. May be called more than once."""
 
 
-def named(error: UsageError, source: object) -> UsageError:
+def named(error: CushionError, source: object) -> CushionError:
     """Return the error with the name of its source, if it lacks it."""
-    return error if str(source) in str(error) else UsageError(f"{source}: {error}")
+    return error if str(source) in str(error) else type(error)(f"{source}: {error}")
+
+
+def reason_of(error: Exception) -> str:
+    """Return the reason that a library gives for an error, without its code."""
+    text = getattr(error, "error_string", None) or getattr(error, "strerror", None) or str(error)
+    return str(text).strip().rstrip(".") or type(error).__name__

@@ -54,46 +54,53 @@ def after_some_work(process, out, draw):
     time.sleep(draw.uniform(0.0, 0.1))
 
 
-SEEDS = [0, *(pytest.param(seed, marks=pytest.mark.exhaustive) for seed in range(1, 3))]
+HARMS = [
+    *(("workers", 0), ("client", 0), (signal.SIGINT, 0)),
+    *(
+        pytest.param(harm, 1, marks=pytest.mark.exhaustive)
+        for harm in ("workers", "client", signal.SIGTERM)
+    ),
+]
 
 
-@pytest.mark.parametrize("seed", SEEDS)
-def test_killed_local_workers_lose_nothing(sounds, expected, tmp_path, seed):
+@pytest.mark.parametrize(("harm", "seed"), HARMS)
+def test_a_run_that_is_killed_or_interrupted_loses_nothing_and_the_next_goes_on(
+    sounds, expected, tmp_path, harm, seed
+):
     out, draw = tmp_path / "out", random.Random(seed)
-    with start("catalogue", sounds, "--out", out, "--workers", 2, "--json") as process:
-        after_some_work(process, out, draw)
-        victims = workers_of(process)
-        for victim in draw.sample(victims, min(len(victims), draw.choice((1, 1, 2)))):
-            with contextlib.suppress(psutil.NoSuchProcess):
-                victim.kill()
-        before = finished(out)
-        stdout, stderr = process.communicate(timeout=60)
-    assert (process.returncode, stderr) == (0, "")
-    assert json.loads(stdout)["items"] == ITEMS
-    assert results(out) == expected
-    # Finished results were not made again: at most the item under way in each worker was.
-    assert before.items() <= finished(out).items()
-
-
-@pytest.mark.parametrize("seed", SEEDS)
-def test_a_killed_client_loses_nothing_and_leaves_no_process(sounds, expected, tmp_path, seed):
-    out, draw = tmp_path / "out", random.Random(seed)
-    workers = draw.choice((1, 2)) if seed else 2
-    with start("catalogue", sounds, "--out", out, "--workers", workers) as process:
+    run = ("catalogue", sounds, "--out", out, "--workers", 2, "--json")
+    with start(*run, start_new_session=True) as process:
         after_some_work(process, out, draw)
         helpers = psutil.Process(process.pid).children(recursive=True)
-        process.send_signal(signal.SIGKILL)
-        process.communicate(timeout=60)
+        before = finished(out)
+        if harm == "workers":
+            victims = workers_of(process)
+            for victim in draw.sample(victims, min(len(victims), draw.choice((1, 1, 2)))):
+                with contextlib.suppress(psutil.NoSuchProcess):
+                    victim.kill()
+        elif harm == "client":
+            process.kill()
+        else:
+            os.killpg(process.pid, harm)  # as a terminal does: to the workers, too
+        stdout, stderr = process.communicate(timeout=60)
     _, alive = psutil.wait_procs(helpers, timeout=30)
     assert not alive
     assert whole(out, expected)
-    before = finished(out)
-    assert len([name for name in results(out) if name[0] != "."]) - len(before) <= workers
-    done = cushion("catalogue", sounds, "--out", out, "--workers", 2, "--json")
+    if harm == "workers":
+        assert (process.returncode, stderr, json.loads(stdout)["items"]) == (0, "", ITEMS)
+        assert results(out) == expected
+    elif harm != "client":
+        assert (process.returncode, stderr) == (130, "cushion: interrupted\n")
+        assert not list(out.glob(".*"))
+    # Finished results are not made again: at most the item under way in each worker is.
+    kept = finished(out)
+    assert before.items() <= kept.items()
+    assert len([name for name in results(out) if name[0] != "."]) - len(kept) <= 2
+    done = cushion(*run)
     assert (done.code, done.stderr) == (0, "")
-    assert json.loads(done.stdout)["skipped"] == len(before)
+    assert json.loads(done.stdout)["skipped"] == len(kept)
     assert results(out) == expected
-    assert before.items() <= finished(out).items()
+    assert kept.items() <= finished(out).items()
 
 
 def test_only_parts_of_dead_processes_that_this_one_can_see_are_removed(tmp_path):
@@ -112,30 +119,6 @@ def test_only_parts_of_dead_processes_that_this_one_can_see_are_removed(tmp_path
         (out / name).touch()
     LocalStorage(out).put("a.wav", lambda path: path.write_bytes(b"a"))
     assert sorted(path.name for path in out.iterdir()) == sorted(["a.wav", *kept])
-
-
-@pytest.mark.parametrize(
-    "number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.exhaustive)]
-)
-@pytest.mark.parametrize("workers", [pytest.param(1, marks=pytest.mark.exhaustive), 2])
-def test_an_interrupted_run_keeps_whole_items_and_the_next_goes_on(
-    sounds, expected, tmp_path, number, workers
-):
-    out = tmp_path / "out"
-    with start(
-        "catalogue", sounds, "--out", out, "--workers", workers, start_new_session=True
-    ) as process:
-        after_some_work(process, out, random.Random(1))
-        os.killpg(process.pid, number)  # as a terminal does: to the workers, too
-        _, stderr = process.communicate(timeout=60)
-    assert process.returncode == 130
-    assert stderr == "cushion: interrupted\n"
-    assert whole(out, expected)
-    assert not list(out.glob(".*"))
-    before = finished(out)
-    assert call("catalogue", sounds, "--out", out, "--workers", 1).code == 0
-    assert results(out) == expected
-    assert before.items() <= finished(out).items()
 
 
 def test_an_item_that_ends_its_worker_fails_alone(tmp_path):
