@@ -198,14 +198,12 @@ def _draw_acceleration(axes: Axes, acceleration: Samples, samplerate: int) -> No
     """Panel 5: the predicted acceleration of the cushion, with its short-time RMS."""
     columns = acceleration[:, None]
     times_s, peak = _draw_outline(axes, columns, samplerate, palette.FELT_LIGHT, 0.1, "m/s²")
-    # Of long sound a column shows more than the window.
-    window_s = max(RMS_WINDOW_S, acceleration.size / samplerate / COLUMNS)
-    rms = short_time_rms(acceleration, samplerate, COLUMNS, window_s)
+    rms = short_time_rms(acceleration, samplerate, COLUMNS, RMS_WINDOW_S)
     axes.plot(times_s, rms, color=palette.INK, linewidth=1.2)
     panels.draw_heading(
         axes,
         "Acceleration",
-        f"of the cushion, predicted; dark line: RMS over {1000.0 * window_s:.0f} ms",
+        f"of the cushion, predicted; dark line: RMS over {1000.0 * RMS_WINDOW_S:.0f} ms",
         f"peak {peak:.3g} m/s² ({peak / STANDARD_GRAVITY_M_S2:.2g} g)",
     )
 

@@ -101,12 +101,6 @@ def test_very_short_sound_and_any_rate_and_number_of_channels_are_drawn(
     assert picture_of(duration_s, samplerate, audio=noise).shape == (1500, 1600, 3)
 
 
-@pytest.mark.exhaustive
-def test_ten_minutes_are_drawn_at_a_low_cost():
-    given = arguments(600.0)
-    assert cost_ffts(lambda: report_png(**given)) < in_ffts(6.0)
-
-
 def test_parts_of_different_length_share_one_time_axis():
     picture_of(vibration=np.zeros(500), acceleration_m_s2=np.zeros(7))
 
@@ -186,7 +180,7 @@ def test_the_short_time_rms_of_a_constant_is_that_constant(frames):
 
 
 @pytest.mark.parametrize("rows_hz", [np.geomspace(50, 12_000, 200), np.linspace(0, 8_000, 161)])
-@pytest.mark.parametrize("duration_s", [1.0, 20.0])
+@pytest.mark.parametrize("duration_s", [1.0, 15.0])
 def test_a_full_scale_tone_is_0_dbfs_in_the_row_of_its_frequency(rows_hz, duration_s):
     time_s = np.arange(round(duration_s * 48_000)) / 48_000
     level_db = columns.spectrogram_db(
