@@ -24,13 +24,12 @@ from audioflinger_hook.mixer import PcmFormat
 from audioflinger_hook.scenes.chord import chord
 from audioflinger_hook.scenes.engine import engine
 from audioflinger_hook.scenes.impacts import explosion, footsteps
-from audioflinger_hook.scenes.shaping import MIN_SAMPLERATE
 from audioflinger_hook.scenes.speech import speech
-from device.errors import UsageError
 from device.units import Float32Array
 
 DEMO_DURATION_S = 15.0
-MAX_SAMPLERATE = 192_000
+SAMPLERATE = 48_000
+"""Rate of the mix in Hz."""
 
 Voice = Callable[[int, np.random.Generator, float], Float32Array]
 
@@ -115,18 +114,11 @@ DEMO_TRACKS = (
 _SEED = 2718
 
 
-def demo_scene(samplerate: int = 48_000) -> Scene:
-    """Return the demo scene: five tracks, to be mixed in stereo.
+def demo_scene() -> Scene:
+    """Return the demo scene: five tracks, to be mixed in stereo at 48 kHz.
 
     Deterministic, without I/O, in under a second. The arrays are read-only.
-
-    samplerate: of the mix, 16 000 to 192 000 Hz. UsageError: it is out of range.
     """
-    if not MIN_SAMPLERATE <= samplerate <= MAX_SAMPLERATE:
-        raise UsageError(
-            f"samplerate={samplerate} is outside {MIN_SAMPLERATE} to {MAX_SAMPLERATE} Hz, where "
-            "the demo scene keeps its character; make it at 48000 Hz and resample"
-        )
     tracks = []
     for index, demo in enumerate(DEMO_TRACKS):
         # Each voice has its generator, so a change to one leaves the others unchanged.
@@ -136,4 +128,4 @@ def demo_scene(samplerate: int = 48_000) -> Scene:
         frames.setflags(write=False)
         place = (demo.start_s, demo.pcm_format, demo.pause_s)
         tracks.append(SceneTrack(demo.name, demo.samplerate, frames, *place))
-    return Scene("demo", samplerate, tuple(tracks), DEMO_DURATION_S)
+    return Scene("demo", SAMPLERATE, tuple(tracks), DEMO_DURATION_S)

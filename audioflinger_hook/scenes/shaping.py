@@ -13,9 +13,6 @@ from numpy.typing import NDArray
 
 Signal = NDArray[np.float64]
 
-# Every voice keeps its character down to here: the hiss of speech starts at 5 kHz.
-MIN_SAMPLERATE = 16_000
-
 
 def time_axis(duration_s: float, samplerate: int) -> Signal:
     """The time in seconds of each frame of `duration_s` seconds, shape (frames,)."""

@@ -3,7 +3,6 @@ import pytest
 
 from audioflinger_hook.scenes import Scene, SceneTrack, demo_scene
 from audioflinger_hook.sources import mixdown
-from device.errors import UsageError
 from tests.support.costs import cost_ffts
 from tools.bench.cost import in_ffts
 
@@ -13,7 +12,7 @@ NAMES = ["engine", "footsteps", "speech", "explosion", "chord"]
 
 @pytest.fixture(scope="module")
 def scene():
-    return demo_scene(SAMPLERATE)
+    return demo_scene()
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +37,7 @@ def longest_silence_s(frames):
 
 @pytest.mark.exhaustive
 def test_the_demo_scene_is_the_same_bytes_twice(mix):
-    assert mixdown(demo_scene(SAMPLERATE)).tobytes() == mix.tobytes()
+    assert mixdown(demo_scene()).tobytes() == mix.tobytes()
 
 
 def test_the_demo_scene_is_15_seconds_of_stereo_float32_at_48_khz(scene, mix):
@@ -118,23 +117,7 @@ def test_the_events_are_the_sounding_stretches_of_all_tracks_in_order_of_time(sc
 
 @pytest.mark.exhaustive
 def test_making_the_demo_scene_takes_less_than_a_second_and_a_half_of_a_quick_machine():
-    assert cost_ffts(lambda: demo_scene(SAMPLERATE)) < in_ffts(1.5)
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("samplerate", [16_000, 22_050, 44_100, 96_000])
-def test_the_demo_scene_keeps_its_shape_at_other_rates(samplerate):
-    scene = demo_scene(samplerate)
-    mix = mixdown(scene)
-    assert mix.shape == (15 * samplerate, 2)
-    assert np.all(np.isfinite(mix))
-    assert np.max(np.abs(mix)) <= 1.0
-
-
-@pytest.mark.parametrize("samplerate", [0, 8_000, 384_000])
-def test_a_rate_outside_the_range_is_refused_with_its_value(samplerate):
-    with pytest.raises(UsageError, match=f"samplerate={samplerate} is outside 16000 to 192000"):
-        demo_scene(samplerate)
+    assert cost_ffts(lambda: demo_scene()) < in_ffts(1.5)
 
 
 def test_the_tracks_of_the_demo_scene_cannot_be_changed_by_accident(scene):
