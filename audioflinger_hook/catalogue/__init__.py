@@ -6,7 +6,7 @@
 | module | what it does |
 | --- | --- |
 | `addresses` | paths and URLs; removes credentials from texts |
-| `item`, `manifest`, `columns`, `listing` | the items of a catalogue, streamed and checked |
+| `item`, `manifest`, `listing` | the items of a catalogue, streamed and checked |
 | `recipe` | how results are made, and the key of a result |
 | `storage` | sounds and results, here or remote; whole files or none |
 | `measures` | exposure and course of a vibration |

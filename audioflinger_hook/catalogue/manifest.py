@@ -22,8 +22,14 @@ from typing import IO, Any
 import numpy as np
 
 from audioflinger_hook.catalogue.addresses import filesystem_of, is_url, parse_address, scrubbed
-from audioflinger_hook.catalogue.columns import ALIASES, cell_value, values_of
-from audioflinger_hook.catalogue.item import Item, default_id, shown
+from audioflinger_hook.catalogue.item import (
+    ALIASES,
+    Item,
+    cell_value,
+    default_id,
+    shown,
+    values_of,
+)
 from audioflinger_hook.catalogue.listing import (
     SOUNDS,
     ending_of,
