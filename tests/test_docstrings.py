@@ -19,7 +19,7 @@ SECTION = re.compile(
     r"^(\w[\w ]*)\n-{3,}\n(.*?)(?=^\w[\w ]*\n-{3,}\n|\Z)", re.MULTILINE | re.DOTALL
 )
 
-NAMED = re.compile(r"(?:^|(?<=[.;] ))(\w+(?:, \w+)*):\s", re.MULTILINE)
+NAMED = re.compile(r"(?:^|(?<=[.;]\s))(\w+(?:, \w+)*):\s", re.MULTILINE)
 
 
 def public_callables() -> list[tuple[str, Any]]:
