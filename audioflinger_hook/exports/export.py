@@ -19,6 +19,7 @@ from audioflinger_hook.exports.options import (
     format_of,
 )
 from audioflinger_hook.exports.parametric import (
+    Composed,
     CurveWriter,
     DescribedOutput,
     Job,
@@ -90,7 +91,7 @@ def export(
     file = opener.file
     limited = getattr(file, "limited_samples", 0)
     more = [f"{limited} samples beyond full scale were limited"] if limited else []
-    composed = file.composed if isinstance(file, DescribedOutput) else None
+    composed = file.composed if isinstance(file, DescribedOutput) else Composed()
     return ExportReport(
         format=name,
         frames=-(-report.frames * file.samplerate // report.samplerate),
@@ -104,8 +105,8 @@ def export(
         replaced_samples=report.replaced_samples,
         bytes=target.stat().st_size,
         exposure=report.exposure,
-        error=composed.error if composed else {},
-        warnings=[*report.warnings, *more, *(composed.warnings if composed else ())],
+        error=composed.error,
+        warnings=[*report.warnings, *more, *composed.warnings],
     )
 
 
