@@ -9,6 +9,7 @@ from contextlib import suppress
 from typing import Any, TypeVar
 
 from audioflinger_hook.catalogue.addresses import NO_CREDENTIALS, credentials_in, scrubbed
+from audioflinger_hook.offline.pool import Place
 from device.errors import LostError, UsageError
 
 T = TypeVar("T")
@@ -19,22 +20,11 @@ CONNECT_S = "10s"
 CLOSE_S = 5.0
 
 
-class DaskCluster:
+class DaskCluster(Place):
     """Workers of a Dask cluster, as a `Place`.
 
-    Parameters
-    ----------
-    address : str
-        A scheduler's address, such as tcp://HOST:8786; "local" starts a cluster on this machine.
-    count : int
-        Workers of a local cluster.
-
-    Raises
-    ------
-    UsageError
-        dask.distributed is not installed.
-    LostError
-        The scheduler does not answer.
+    address: of a scheduler, such as tcp://HOST:8786; "local" starts a cluster on this machine with
+    `count` workers. UsageError: dask.distributed is not installed. LostError: no scheduler answers.
     """
 
     def __init__(self, address: str, count: int) -> None:
@@ -50,7 +40,7 @@ class DaskCluster:
         self._cluster: Any = None
         for name in list(logging.root.manager.loggerDict):
             if name.startswith(("distributed", "tornado")):
-                # What they tell reaches the user as errors of ours, without tracebacks.
+                # Users get our errors instead, without tracebacks.
                 logging.getLogger(name).setLevel(logging.CRITICAL + 1)
         dask.config.set({"distributed.comm.timeouts.connect": CONNECT_S})
         new_client: Any = distributed.Client
@@ -95,17 +85,12 @@ class DaskCluster:
             raise self._gone() from None
         return False
 
-    def __enter__(self) -> DaskCluster:
-        return self
-
     def __exit__(self, kind: object, error: object, trace: object) -> None:
         with suppress(Exception):
             self._pool.shutdown(wait=False)
-        with suppress(Exception):
-            self._client.close(timeout=CLOSE_S)
-        if self._cluster is not None:
+        for one in (self._client, self._cluster):
             with suppress(Exception):
-                self._cluster.close(timeout=CLOSE_S)
+                one.close(timeout=CLOSE_S)
 
     def _gone(self) -> LostError:
         return LostError(

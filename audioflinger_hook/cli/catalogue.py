@@ -19,11 +19,10 @@ from audioflinger_hook.catalogue.manifest import Manifest
 from audioflinger_hook.catalogue.page import Page
 from audioflinger_hook.catalogue.recipe import Recipe
 from audioflinger_hook.catalogue.run import Run, shard_of
-from audioflinger_hook.catalogue.status import status_of
 from audioflinger_hook.catalogue.storage import storage_of
 from audioflinger_hook.catalogue.summary import Failures, Summary
 from audioflinger_hook.catalogue.timing import Timing
-from audioflinger_hook.catalogue.work import Outcome, do_batch
+from audioflinger_hook.catalogue.work import Outcome, do_batch, status_of
 from audioflinger_hook.cli.render import chosen_settings, chosen_workers
 from audioflinger_hook.cli.terminal import complain, progress_bar, warn
 from audioflinger_hook.exports.options import ExportOptions

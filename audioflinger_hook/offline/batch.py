@@ -13,6 +13,7 @@ from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.offline.pool import DIED, LocalWorkers
 from audioflinger_hook.offline.pool import report_share as report_to_pool
 from audioflinger_hook.offline.render import RenderReport, render_file
+from audioflinger_hook.sources.tap import named
 from device.errors import CushionError, InternalError, UsageError
 
 ReportShare = Callable[[float], None]
@@ -89,25 +90,25 @@ def render_files(
         def submit(item: int) -> Future[Rendered]:
             return pool.submit(_try_item, item, sources[item], targets[item], settings)
 
+        def result(future: Future[Rendered]) -> Rendered:
+            while not wait([future], SHARE_S).done:
+                if report_share:
+                    report_share(sum(pool.shares) / count)
+            return future.result()
+
         futures = [submit(item) for item in range(count)]
-        for item in range(count):
-            again = False
-            while True:
-                while not wait(futures[item : item + 1], SHARE_S).done:
-                    if report_share:
-                        report_share(sum(pool.shares) / count)
+        for item, future in enumerate(futures):
+            try:
                 try:
-                    came = futures[item].result()
+                    came = result(future)
                 except BrokenExecutor:
-                    # Whose process died is not known. So each unfinished file is rendered once
-                    # more, alone: the others wait for their turn here.
-                    if not again:
-                        again, futures[item] = True, submit(item)
-                        continue
-                    error = f"{sources[item]}: its process died twice, {DIED}"
-                    code = InternalError.exit_code
-                    came = Rendered(sources[item], targets[item], error=error, exit_code=code)
-                break
+                    # Whose process died is not known. So each unfinished file is rendered again,
+                    # alone: the others wait for their turn here.
+                    came = result(submit(item))
+            except BrokenExecutor:
+                error = f"{sources[item]}: its process died twice, {DIED}"
+                code = InternalError.exit_code
+                came = Rendered(sources[item], targets[item], error=error, exit_code=code)
             yield came
 
 
@@ -125,18 +126,12 @@ def _try_file(
     try:
         report = render_file(source, target, settings, progress=progress)
     except CushionError as error:
-        return Rendered(source, target, error=_named(error, source), exit_code=error.exit_code)
+        return Rendered(source, target, error=str(named(error, source)), exit_code=error.exit_code)
     except Exception as error:
         said = f"{type(error).__name__}: {error}; this is a fault of cushion, please report it"
         wrapped = InternalError(f"{source}: {said}")
         return Rendered(source, target, error=str(wrapped), exit_code=wrapped.exit_code)
     return Rendered(source, target, report)
-
-
-def _named(error: CushionError, source: Path) -> str:
-    """Return an error's text, with the file's name added if it is missing."""
-    text = str(error)
-    return text if str(source) in text else str(type(error)(f"{source}: {text}"))
 
 
 def _share_of(item: int, items: int, report_share: ReportShare | None) -> ReportShare:

@@ -9,12 +9,13 @@ import multiprocessing
 import os
 import signal
 import threading
+from abc import ABC, abstractmethod
 from collections.abc import Callable, MutableSequence
 from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
 from multiprocessing import forkserver
 from multiprocessing.connection import wait
-from types import FrameType, TracebackType
-from typing import Any, Protocol, TypeVar
+from types import FrameType
+from typing import Any, Self, TypeVar
 
 T = TypeVar("T")
 
@@ -30,32 +31,29 @@ def usable_cores() -> int:
     return len(os.sched_getaffinity(0))
 
 
-class Place(Protocol):
+class Place(ABC):
     """A place where batches run; a context manager. Use it from one thread."""
 
+    @abstractmethod
     def slots(self) -> int:
         """Return how many batches run at once now."""
-        ...
 
+    @abstractmethod
     def submit(self, work: Callable[..., T], *arguments: Any) -> Future[T]:
         """Start a batch, or let it wait for a slot."""
-        ...
 
+    @abstractmethod
     def lost_worker(self, error: BaseException) -> bool:
         """Return whether a batch failed because its worker died. The place then works again."""
-        ...
 
-    def __enter__(self) -> Place: ...
+    def __enter__(self) -> Self:
+        return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None: ...
+    @abstractmethod
+    def __exit__(self, kind: object, error: object, trace: object) -> None: ...
 
 
-class ThisProcess:
+class ThisProcess(Place):
     """Runs each batch at once, in this process."""
 
     def slots(self) -> int:
@@ -72,29 +70,15 @@ class ThisProcess:
         """Return False: only this process hands out work."""
         return False
 
-    def __enter__(self) -> ThisProcess:
-        return self
-
     def __exit__(self, kind: object, error: object, trace: object) -> None:
         pass
 
 
-class LocalWorkers:
+class LocalWorkers(Place):
     """Processes of this machine; when one dies, all are started again.
 
-    Parameters
-    ----------
-    count : int
-        Processes at once.
-    preload : str
-        The module of the work, which is imported once for all processes.
-    items : int
-        How many items may `report_share`.
-
-    Attributes
-    ----------
-    shares : sequence of float
-        The share of each item that is done, 0 to 1.
+    count: processes at once. preload: the module of the work, imported once for all processes.
+    items: number of items that may `report_share`. shares: share of each item that is done, 0 to 1.
     """
 
     def __init__(self, count: int, preload: str, items: int = 0) -> None:
@@ -131,9 +115,6 @@ class LocalWorkers:
         """Return whether the pool broke; it is replaced by the next `submit`."""
         return isinstance(error, BrokenExecutor)
 
-    def __enter__(self) -> LocalWorkers:
-        return self
-
     def __exit__(self, kind: object, error: object, trace: object) -> None:
         if kind is not None:
             # Items under way are dropped. Results appear whole, so nothing half is left.
@@ -150,7 +131,7 @@ class LocalWorkers:
 
 
 def report_share(item: int, share: float) -> None:
-    """Tell the pool the share of an item that is done; for the work, in a worker."""
+    """Report the share of an item that is done to the pool; called by the work in a worker."""
     _shares[item] = share
 
 

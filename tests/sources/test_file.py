@@ -6,14 +6,7 @@ import pytest
 from audioflinger_hook.sources import FileTap
 from device.errors import UsageError
 from tests.support.commands import noise, sound
-
-
-def frames_of(tap: FileTap) -> np.ndarray:
-    found = []
-    while (buffer := tap.read()) is not None:
-        found.append(buffer)
-    tap.close()
-    return np.concatenate(found)
+from tests.support.taps import frames_of
 
 
 @pytest.mark.parametrize("subtype", ["PCM_U8", "PCM_16", "PCM_24", "FLOAT"])
