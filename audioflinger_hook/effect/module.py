@@ -157,64 +157,41 @@ class EffectModule(EffectControl):
 
     def _forgive(self) -> None:
         super()._forgive()
-        self._lent.recall()
-        self._mixed.recall()
         self._late = 0
 
 
 class Loan:
-    """A copy of a buffer, lent to an engine; the next copy uses the same memory.
+    """A copy of a buffer, lent to an engine, in memory for `samples` samples.
 
-    samples: of the largest buffer. An engine that keeps the arrays and changes them later harms
-    only its own next copy.
+    An engine that keeps the arrays and changes them later harms only its own next copy.
     """
 
     def __init__(self, samples: int) -> None:
-        self._storage = np.zeros(samples, np.float32)
-        self._own = self._storage[:0]
-        self._layout: tuple[tuple[int, ...], tuple[int, ...]] | None = None
-        self.recall()
+        self._memory = np.zeros(samples, np.float32)
 
     def of(self, buffer: MixBuffer) -> MixBuffer:
         """Return a copy of a buffer."""
-        layout = (buffer.audio.shape, buffer.haptic.shape)
-        if layout != self._layout:
-            boundary, size = buffer.audio.size, buffer.samples.size
-            self._own = self._storage[:size]
-            samples = self._storage[:size]
-            audio = samples[:boundary].reshape(layout[0])
-            haptic = samples[boundary:].reshape(layout[1])
-            self._copy = MixBuffer(0, 0)
-            self._copy.samples, self._copy.audio, self._copy.haptic = samples, audio, haptic
-            self._arrays, self._layout = (samples, audio, haptic), layout
-        np.copyto(self._own, buffer.samples)
-        return self._copy
+        self._lent = MixBuffer.like(buffer, self._memory)
+        self._arrays = self._lent.samples, self._lent.audio, self._lent.haptic
+        np.copyto(self._lent.samples, buffer.samples)
+        return self._lent
 
     def is_back(self, original: MixBuffer) -> bool:
         """Return whether the copy still has its own arrays in the same layout."""
-        lent, (samples, audio, haptic) = self._copy, self._arrays
-        try:
-            same = lent.samples is samples and lent.audio is audio and lent.haptic is haptic
-        except AttributeError:
-            same = False
-        return same and same_layout(lent, original)
-
-    def recall(self) -> None:
-        """Use new arrays for the next copy."""
-        self._copy = MixBuffer(0, 0)
-        self._arrays = (self._copy.samples, self._copy.audio, self._copy.haptic)
-        self._layout = None
+        held = [vars(self._lent).get(name) for name in ("samples", "audio", "haptic")]
+        same = all(one is other for one, other in zip(held, self._arrays, strict=True))
+        return same and same_layout(self._lent, original)
 
 
 def same_layout(one: MixBuffer, other: MixBuffer) -> bool:
     """Return whether two buffers have equal shapes and types."""
-    return (
-        one.samples.shape == other.samples.shape
-        and one.samples.dtype == other.samples.dtype
-        and one.audio.shape == other.audio.shape
-        and one.audio.dtype == other.audio.dtype
-        and one.haptic.shape == other.haptic.shape
-        and one.haptic.dtype == other.haptic.dtype
+    return all(
+        mine.shape == theirs.shape and mine.dtype == theirs.dtype
+        for mine, theirs in (
+            (one.samples, other.samples),
+            (one.audio, other.audio),
+            (one.haptic, other.haptic),
+        )
     )
 
 
@@ -227,10 +204,10 @@ def _spoiled(made: MixBuffer, source: MixBuffer, target: MixBuffer) -> bool:
     """Return whether an engine made finite sound or vibration non-finite."""
     if all_finite(made.samples):
         return False
-    for after, first, second in (
-        (made.audio, source.audio, target.audio),
-        (made.haptic, source.haptic, target.haptic),
-    ):
-        if not all_finite(after) and all_finite(first) and all_finite(second):
-            return True
-    return False
+    return any(
+        not all_finite(after) and all_finite(first) and all_finite(second)
+        for after, first, second in (
+            (made.audio, source.audio, target.audio),
+            (made.haptic, source.haptic, target.haptic),
+        )
+    )

@@ -11,15 +11,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from audioflinger_hook.mixer import (
+    EffectsPort,
     Mixer,
     MixerState,
-    NoEffects,
     PcmFormat,
 )
-from audioflinger_hook.mixer.layouts import sides
 from audioflinger_hook.mixer.mix_buffer import MixBuffer
 from audioflinger_hook.mixer.pcm import decode, encode
 from device.errors import InternalError, UsageError
+from device.layouts import sides
 
 RATE = 48_000
 FRAMES = 960
@@ -465,7 +465,7 @@ def test_eight_tracks_cost_under_two_percent_and_the_cost_grows_linearly() -> No
 
 
 def test_cycles_leave_no_memory_behind() -> None:
-    class QuietChain(NoEffects):
+    class QuietChain(EffectsPort):
         def sessions(self):
             return (1,)
 

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from audioflinger_hook.mixer.layouts import layout, sides
 from audioflinger_hook.mixer.track_mixer import VolumeRamp, gains_of, usable_gain
+from device.layouts import layout, sides
 
 SMALLEST_NORMAL = 2.0**-126
 
