@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from audioflinger_hook.drive.rig_driver import RigDriver
 from device.drive.damping import Damping, choose_damping
 from device.drive.damping.design import (
     Resonance,
@@ -23,6 +22,7 @@ from device.rig import CONSUMER, PAPER
 from device.rig.actuator import LinearActuator
 from device.rig.parameters import detune
 from tests.support.random_rigs import random_rig
+from tools.rig_driver import RigDriver
 
 ACTUATOR = PAPER.actuator
 STRONG = replace(ACTUATOR, force_factor_n_per_a=16.0)

@@ -6,13 +6,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from audioflinger_hook.drive.drive import Drive
-from audioflinger_hook.drive.rig_driver import RigDriver
 from device.drive import ActuatorSettings, ChannelMap, channels_needed, sources_of
 from device.drive.channel_router import ChannelRouter, RoutedFill
 from device.drive.outputs import AlignedOutput, DrivenOutput
 from device.errors import InternalError, UsageError
 from device.rig import CONSUMER, PAPER
 from device.rig.simulated_rig import SimulatedRig
+from tools.rig_driver import RigDriver
 
 RATE = 8_000
 FADE_S = 0.01

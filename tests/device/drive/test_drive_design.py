@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from audioflinger_hook.drive.rig_driver import RigDriver
 from device.drive.design import damping_for, drive_design
 from device.errors import InternalError, UsageError
 from device.rig import CONSUMER, PAPER
 from device.rig.actuator import LinearActuator
+from tools.rig_driver import RigDriver
 
 RATE = 48_000
 SOURCE_OHM = PAPER.amplifier.source_impedance_ohm

@@ -9,7 +9,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import butter, sosfilt, sosfreqz
 
-from audioflinger_hook.drive.rig_driver import RigDriver
 from device.drive.exposure.design import decimation_taps
 from device.drive.exposure.dose import (
     ACTION_A8_M_S2,
@@ -29,6 +28,7 @@ from device.rig.actuator import SEAT_ACCELERATION, LinearActuator
 from device.rig.adaptive_actuator import AdaptiveActuator
 from device.rig.model_levels import ModelLevel
 from device.rig.seat import SeatMotion
+from tools.rig_driver import RigDriver
 
 RATES = [8_000, 11_025, 16_000, 22_050, 32_000, 44_100, 48_000, 96_000, 192_000]
 BAND_HZ = np.geomspace(0.5, 80.0, 200)

@@ -5,13 +5,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from audioflinger_hook.drive.rig_driver import RigDriver
 from device.drive.channel_map import ChannelMap
 from device.drive.damping.design import inverse_damping, no_damping
 from device.drive.outputs import AlignedOutput, DrivenOutput
 from device.errors import InternalError
 from device.rig import PAPER
 from device.rig.simulated_rig import SimulatedRig
+from tools.rig_driver import RigDriver
 
 RATE = 8_000
 

@@ -12,11 +12,9 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import linprog
 from scipy.signal import sosfilt
 
-from audioflinger_hook.drive.rig_driver import RigDriver
 from device.drive.exposure.dose import ACTION_A8_M_S2, DAY_S, DoseSums
 from device.drive.protection.bounding_models import RESERVE, bounding_models
 from device.drive.protection.limits import Limits, limits_of
-from device.drive.protection.thermal import CoilTemperature
 from device.drive.safety import SafetyState
 from device.errors import InternalError, UsageError
 from device.rig import CONSUMER, PAPER
@@ -24,7 +22,7 @@ from device.rig.actuator import LinearActuator
 from device.rig.electronics import Amplifier, Band
 from device.rig.parameters import ThermalParameters, detune
 from device.rig.simulated_rig import SimulatedRig
-from device.rig.thermal import COPPER_PER_K
+from device.rig.thermal import COPPER_PER_K, Temperatures
 from tests.support.possible_actuators import (
     DRIVES,
     FREE,
@@ -38,6 +36,7 @@ from tests.support.possible_actuators import (
     searched_drive,
     strong,
 )
+from tools.rig_driver import RigDriver
 
 ACTUATOR = PAPER.actuator
 assert PAPER.thermal
@@ -538,28 +537,27 @@ def thermal_reference(parameters, power_w, seconds):
 
 
 def test_the_thermal_masses_follow_their_equations():
-    coil = CoilTemperature(THERMAL, 3.3, 0.002)
+    warm = Temperatures(THERMAL)
     for _ in range(20_000):
-        coil.step(10.0)
-    expected = thermal_reference(THERMAL, 10.0, 40.0)
+        warm.heat(10.0, 0.002)
+    expected = thermal_reference(THERMAL, 10.0, 40.0) - THERMAL.ambient_c
     # Stepped exactly: rounding over 20 000 steps.
-    np.testing.assert_allclose([coil.coil_c, coil.magnet_c], expected, rtol=1e-8)
+    np.testing.assert_allclose([warm.coil_k, warm.magnet_k], expected, rtol=1e-8)
 
 
 def test_the_warm_coil_has_the_resistance_of_warm_copper():
-    coil = CoilTemperature(ThermalParameters(4, 8, 3, 400, ambient_c=20.0), 3.3, 0.002)
-    assert coil.resistance_ohm == pytest.approx(3.3)
-    coil.set_temperatures(120.0, 20.0)
-    assert coil.coil_c == pytest.approx(120.0)
-    assert coil.resistance_ohm == pytest.approx(3.3 * 1.393)
+    warm = Temperatures(ThermalParameters(4, 8, 3, 400, ambient_c=20.0))
+    assert warm.resistance_ohm(3.3) == pytest.approx(3.3)
+    warm.coil_k = 100.0
+    assert warm.resistance_ohm(3.3) == pytest.approx(3.3 * 1.393)
     assert COPPER_PER_K == 0.00393
 
 
 def test_in_the_long_run_the_coil_is_as_warm_as_both_resistances_say():
-    coil = CoilTemperature(THERMAL, 3.3, 10.0)
+    warm = Temperatures(THERMAL)
     for _ in range(10_000):
-        coil.step(5.0)
-    assert coil.coil_c == pytest.approx(20.0 + 5.0 * (4.0 + 3.0), rel=1e-9)
+        warm.heat(5.0, 10.0)
+    assert warm.coil_k == pytest.approx(5.0 * (4.0 + 3.0), rel=1e-9)
 
 
 @pytest.mark.exhaustive
