@@ -10,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from audioflinger_hook.effect.commands import CommandCheck
-from audioflinger_hook.effect.haptic_parameters import DRAIN, HAPTIC_CUSHION, HAPTIC_PARAMETERS
 from audioflinger_hook.effect.interface import (
     EINVAL,
     ENOSYS,
@@ -21,7 +20,7 @@ from audioflinger_hook.effect.interface import (
     VendorCommand,
 )
 from audioflinger_hook.effect.module import EffectModule
-from tests.effect.test_engines import FakeClock, Probe, config
+from tests.support.effects import FakeClock, Probe, config
 
 KNOBS = (
     Parameter("level", float, 0.5, 0.0, 1.0),
@@ -194,22 +193,6 @@ def test_no_command_raises_and_only_right_ones_reach_the_engine(code, data):
     else:
         assert len(seen) <= 1
     assert module.faults == 0 or code == Command.GET_PARAM
-
-
-@given(st.sampled_from([knob.name for knob in (*KNOBS, *HAPTIC_PARAMETERS)]), anything)
-def test_a_value_that_a_parameter_does_not_accept_is_never_set(name, value):
-    for table, descriptor in ((KNOBS, probe_and_module()[0].descriptor), (None, HAPTIC_CUSHION)):
-        parameters = {knob.name: knob for knob in table or HAPTIC_PARAMETERS}
-        status = CommandCheck(descriptor).status(Command.SET_PARAM, (name, value))
-        knob = parameters.get(name)
-        taken = knob is not None and not knob.read_only and knob.accepts(value)
-        assert status == (OK if taken else EINVAL)
-
-
-def test_a_vendor_command_is_the_effects_own():
-    assert CommandCheck(HAPTIC_CUSHION).status(DRAIN, None) == OK
-    assert CommandCheck(HAPTIC_CUSHION).status(DRAIN, 1) == EINVAL
-    assert CommandCheck(HAPTIC_CUSHION).status(DRAIN + 9, None) == EINVAL
 
 
 def test_a_parameter_says_what_it_may_hold():

@@ -12,6 +12,7 @@ from device.drive.outputs import AlignedOutput, DrivenOutput
 from device.errors import InternalError, UsageError
 from device.rig import CONSUMER, PAPER
 from device.rig.simulated_rig import SimulatedRig
+from tests.support.outputs import KeptOutput
 from tools.rig_driver import RigDriver
 
 RATE = 8_000
@@ -36,27 +37,6 @@ def cut(signal, lengths):
         stop = start + lengths[turn % len(lengths)]
         yield signal[start:stop]
         start, turn = stop, turn + 1
-
-
-class Kept:
-    """An output that keeps everything."""
-
-    def __init__(self, channels, samplerate=RATE):
-        self.channels, self.samplerate, self.blocks = channels, samplerate, []
-        self.closed = self.aborted = False
-
-    def write(self, vibration):
-        self.blocks.append(np.array(vibration))
-
-    def close(self):
-        self.closed = True
-
-    def abort(self):
-        self.aborted = True
-
-    @property
-    def whole(self):
-        return np.concatenate(self.blocks)
 
 
 def test_an_actuator_without_wishes_gets_its_source_bit_for_bit_and_at_once():
@@ -341,14 +321,14 @@ def test_files_have_what_each_channel_would_get_under_its_sound_and_as_long_as_i
         ActuatorSettings((0,), "right", polarity="inverted"),
     ]
     channel_map = ChannelMap.of([actuator.channels for actuator in wanted], 3)
-    kept = Kept(3)
+    kept = KeptOutput(RATE, 3)
     drive = Drive(wanted, RATE)
     output = DrivenOutput(AlignedOutput(kept, drive.latency_frames), drive, channel_map)
     vibration = 0.1 * noise(1_000, 2)
     for part in cut(vibration, [300, 77]):
         output.write(part)
     output.close()
-    assert kept.closed
+    assert kept.ended == ["closed"]
     assert kept.whole.shape == (1_000, 3)
     assert np.array_equal(kept.whole[:, 0], -vibration[:, 1])
     assert not kept.whole[:, 1].any()
@@ -358,7 +338,7 @@ def test_files_have_what_each_channel_would_get_under_its_sound_and_as_long_as_i
 
 
 def test_each_channel_moves_its_own_simulated_rig_or_none():
-    kept, alone = Kept(3), Kept(1)
+    kept, alone = KeptOutput(RATE, 3), KeptOutput(RATE)
     rigs = SimulatedRig([PAPER, None, CONSUMER], RATE, recorder=kept)
     one = SimulatedRig(PAPER, RATE, 1, recorder=alone)
     vibration = noise(2_000, 3)
@@ -366,7 +346,7 @@ def test_each_channel_moves_its_own_simulated_rig_or_none():
         rigs.write(part)
         one.write(part[:, :1])
     rigs.close()
-    assert kept.closed
+    assert kept.ended == ["closed"]
     assert np.array_equal(kept.whole[:, 0], alone.whole[:, 0])
     assert not kept.whole[:, 1].any()
     assert not np.array_equal(kept.whole[:, 2], kept.whole[:, 0])
