@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, ClassVar
 
 from device.errors import NotFoundError
 
@@ -18,8 +19,10 @@ class _Range(ctypes.Structure):
     _fields_ = (("hint", ctypes.c_int), ("lower", ctypes.c_float), ("upper", ctypes.c_float))
 
 
-class _Descriptor(ctypes.Structure):
-    _fields_ = (
+class FaceDescriptor(ctypes.Structure):
+    """The beginning of LADSPAFaceDescriptor, which describes a face and its ports."""
+
+    _fields_: ClassVar[Sequence[tuple[str, Any]]] = (
         ("unique_id", ctypes.c_ulong),
         ("label", ctypes.c_char_p),
         ("properties", ctypes.c_int),
@@ -71,7 +74,7 @@ def _faces(plugin: Path) -> Iterator[Face]:
         describe = ctypes.CDLL(str(plugin)).ladspa_descriptor
     except (OSError, AttributeError) as error:
         raise NotFoundError(f"the plugin cannot be loaded: {error}; run `make run`") from None
-    describe.argtypes, describe.restype = [ctypes.c_ulong], ctypes.POINTER(_Descriptor)
+    describe.argtypes, describe.restype = [ctypes.c_ulong], ctypes.POINTER(FaceDescriptor)
     index = 0
     while found := describe(index):
         index += 1

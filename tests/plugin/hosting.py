@@ -14,6 +14,7 @@ from audioflinger_hook.config.profiles import parameters_of
 from audioflinger_hook.core.design import core_design
 from audioflinger_hook.mixer.layouts import source_weights
 from audioflinger_hook.plugin import plugin_path
+from audioflinger_hook.plugin.faces import FaceDescriptor
 from audioflinger_hook.transform import HapticTransform
 from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.downmix import source_mixes
@@ -33,8 +34,8 @@ STRONG = replace(PAPER, amplifier=replace(PAPER.amplifier, gain=400.0))
 LATENCY, SOUND_PEAK, VIBRATION_PEAK = 3, 4, 5
 
 
-class Descriptor(ctypes.Structure):
-    """LADSPA_Descriptor."""
+class Descriptor(FaceDescriptor):
+    """LADSPA_Descriptor, whose beginning describes the ports."""
 
 
 Instantiate = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.POINTER(Descriptor), ctypes.c_ulong)
@@ -43,16 +44,6 @@ Run = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_ulong)
 Call = ctypes.CFUNCTYPE(None, ctypes.c_void_p)
 
 Descriptor._fields_ = [
-    ("unique_id", ctypes.c_ulong),
-    ("label", ctypes.c_char_p),
-    ("properties", ctypes.c_int),
-    ("name", ctypes.c_char_p),
-    ("maker", ctypes.c_char_p),
-    ("copyright", ctypes.c_char_p),
-    ("port_count", ctypes.c_ulong),
-    ("port_descriptors", ctypes.POINTER(ctypes.c_int)),
-    ("port_names", ctypes.POINTER(ctypes.c_char_p)),
-    ("port_ranges", ctypes.c_void_p),
     ("implementation", ctypes.c_void_p),
     ("instantiate", Instantiate),
     ("connect_port", Connect),

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -12,6 +11,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import linprog
 from scipy.signal import sosfilt
 
+from device.drive.damping.design import inverse_damping
 from device.drive.exposure.dose import ACTION_A8_M_S2, DAY_S, DoseSums
 from device.drive.protection.bounding_models import RESERVE, bounding_models
 from device.drive.protection.limits import Limits, limits_of
@@ -106,20 +106,6 @@ def test_a_tone_at_resonance_that_would_exceed_the_excursion_comes_up_to_it_and_
     assert 0.85 < largest <= 1.0  # 9.1 % are held back for actuators between the models
     assert protector.protection().infeasible_blocks == 0
     assert np.abs(out).max() <= 1.0
-
-
-genes = st.tuples(
-    st.floats(60.0, 110.0), st.floats(0.0, 1.0), st.floats(0.02, 0.2), st.floats(10.0, 300.0),
-    st.floats(-1.0, 1.0), st.floats(-1.5, 1.5), st.booleans(),
-)  # fmt: skip
-
-
-def drive_of(frequency_hz, phase, until_s, other_hz, other, level, squared, seconds=0.25):
-    """A gated tone or square wave near the resonance and another tone, (frames,)."""
-    time_s = np.arange(round(seconds * RATE)) / RATE
-    wave = np.sin(math.tau * (frequency_hz * time_s + phase))
-    wave = np.where(time_s < until_s, np.sign(wave) if squared else wave, 0.0)
-    return level * (wave + other * np.sin(math.tau * other_hz * time_s))
 
 
 # --------------------------------------------------------------- every cause of a shifted f0
@@ -338,15 +324,6 @@ def test_the_whole_twin_stays_within_xmax_whatever_its_amplifier_adds(rig, frequ
             assert protector.protection().infeasible_blocks == 0
 
 
-@pytest.mark.exhaustive
-@settings(max_examples=30)
-@given(genes, st.sampled_from(TIGHT))
-def test_no_tones_and_bursts_take_the_whole_twin_beyond_xmax(found, rig):
-    protector, out = protect(rig, np.clip(drive_of(*found), -1.0, 1.0))
-    assert max(reached_on_the_twin(rig, out, (-0.1, 0.0, 0.1))) <= 1.0
-    assert protector.protection().infeasible_blocks == 0
-
-
 @pytest.mark.parametrize(("rig", "frequency_hz"), [(TIGHT[0], 15.0), (TIGHT[2], 15.0)])
 def test_a_protection_that_did_not_know_the_amplifiers_band_would_let_it_through(rig, frequency_hz):
     unaware = replace(rig, amplifier=replace(rig.amplifier, low_cut_hz=0.0))
@@ -404,55 +381,6 @@ def test_what_follows_a_loud_part_is_not_turned_down_for_long():
     end = len(drive) + latency
     assert np.array_equal(out[end - RATE : end], drive[-RATE:].astype(np.float32))
     assert protector.protection().least_gain < 0.7
-
-
-def largest_non_linear(rig, drives, *, steps=6):
-    """The largest |x| over Xmax of each drive, (frames, drives), by Runge-Kutta of fourth order.
-
-    Stiffness +50 %, Bl -25 % and inductance -+23 % at Xmax, the force from the inductance too:
-    written from the equations, apart from the models under test.
-    """
-    p, x_max = rig.actuator, rig.actuator.x_max_m
-    volts = volts_of(rig, drives)
-
-    def slopes(state, e):
-        x, v, i = state
-        share = x / x_max
-        bl = p.force_factor_n_per_a / (1 + share**2 / 3)
-        bend = np.tanh(share)
-        inductance = p.inductance_h * (1 - 0.3 * bend)
-        gradient = -0.3 * p.inductance_h / x_max * (1 - bend**2)
-        force = bl * i + i * i * gradient / 2 - p.damping_n_s_per_m * v
-        force -= p.stiffness_n_per_m * (1 + share**2 / 2) * x
-        rest = e - p.resistance_ohm * i - (bl + i * gradient) * v
-        return np.array([v, force / p.moving_mass_kg, rest / inductance])
-
-    step = 1.0 / RATE / steps
-    state, largest = np.zeros((3, drives.shape[1])), np.zeros(drives.shape[1])
-    for start, end in pairwise(volts):
-        for part in range(steps):
-            e0, e1, e2 = (start + (end - start) * (part + at) / steps for at in (0, 0.5, 1))
-            k1 = slopes(state, e0)
-            k2 = slopes(state + step / 2 * k1, e1)
-            k3 = slopes(state + step / 2 * k2, e1)
-            k4 = slopes(state + step * k3, e2)
-            state = state + step / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-            largest = np.maximum(largest, np.abs(state[0]))
-    return largest / x_max
-
-
-@pytest.mark.exhaustive
-def test_a_rig_that_stiffens_stays_under_a_tenth_more_than_its_limit():
-    rng = np.random.default_rng(11)
-    frames = RATE // 4
-    tones = [tone(f, 0.25, shape=s) for f in range(70, 131, 6) for s in (np.sin, square)]
-    sweeps = [
-        np.sin(np.cumsum(np.linspace(start, 200 - start, frames)) * math.tau / RATE)
-        for start in (60, 75, 125, 140)
-    ]
-    steps = [np.repeat(rng.uniform(-2, 2, frames // 20), 20) for _ in range(6)]
-    outs = np.column_stack([protect(LOUD, drive)[1] for drive in tones + sweeps + steps])
-    assert largest_non_linear(LOUD, outs).max() <= 1.10
 
 
 # -------------------------------------------------------------------------------- untouched
@@ -649,27 +577,6 @@ def test_the_cap_is_named_although_the_drive_is_beyond_other_limits_too():
 # --------------------------------------------------------------------------------------- live
 
 
-@pytest.mark.exhaustive
-@settings(max_examples=20)
-@given(
-    st.lists(st.integers(0, 4_000), max_size=12),
-    st.integers(0, 2**32 - 1),
-    st.sampled_from([np.float32, np.float64]),
-)
-def test_any_split_into_blocks_gives_the_same_bytes(cuts, seed, dtype):
-    rng = np.random.default_rng(seed)
-    stream = rng.uniform(-1, 1, (4_000, 2)) + tone(85.0, 0.5)[:, None]
-    stream[2_000:3_000] = 0.0
-    stream[[50, 60]] = [[np.nan, 0.0], [np.inf, -np.inf]]
-    stream = stream.astype(dtype)
-    whole, split = RigDriver(LOUD, RATE, 2), RigDriver(LOUD, RATE, 2)
-    expected = whole.process(stream.copy())
-    blocks = [split.process(block.copy()) for block in np.split(stream, sorted(cuts))]
-    assert np.concatenate(blocks).tobytes() == expected.tobytes()
-    assert split.readings == whole.readings
-    assert split.protection().replaced_samples == 3
-
-
 def test_channels_are_held_by_their_own_gains():
     quiet, loud = 0.1 * tone(60.0, 0.5), tone(85.0, 0.5)
     protector = RigDriver(LOUD, RATE, 2)
@@ -680,15 +587,24 @@ def test_channels_are_held_by_their_own_gains():
 
 
 @pytest.mark.exhaustive
-@settings(max_examples=40)
-@given(st.lists(st.floats(width=32), max_size=300), st.sampled_from([LOUD, LOUDER]))
-def test_what_leaves_is_finite_and_within_full_scale_whatever_comes(samples, rig):
-    protector = RigDriver(rig, RATE, 1)
-    out = protector.process(np.array(samples, np.float32)[:, None])
-    rest = protector.process(np.zeros((200, 1)))
+@settings(max_examples=100)
+@given(
+    st.lists(st.floats(), max_size=300),
+    st.sampled_from([np.float32, np.float64]),
+    st.sampled_from([LOUD, LOUDER]),
+    st.sampled_from([None, inverse_damping(ACTUATOR, 0.5)]),
+)
+@pytest.mark.filterwarnings("ignore:overflow encountered in cast")
+def test_what_leaves_is_finite_and_within_full_scale_whatever_comes(samples, dtype, rig, damping):
+    protector = RigDriver(rig, RATE, 1, damping=damping)
+    out = protector.process(np.array(samples).astype(dtype)[:, None])
+    rest = protector.process(np.zeros((200, 1), dtype))
     level = protector.limits.level * (1 + 1e-6)
     assert (np.abs(out) <= level).all()
     assert (np.abs(rest) <= level).all()
+    exposure = protector.exposure()
+    readings = exposure.running_m_s2, exposure.a8_m_s2, exposure.vdv, exposure.extrapolated
+    assert np.isfinite(readings).all()
 
 
 def test_silence_comes_to_rest_and_stays_there():
@@ -699,16 +615,6 @@ def test_silence_comes_to_rest_and_stays_there():
     assert not out.any()
     status = protector.protection()
     assert (status.excursion_m, status.gain, status.limited_by) == (0.0, 1.0, "")
-
-
-def test_after_reset_it_is_as_new():
-    protector = RigDriver(LOUD, RATE, 1)
-    drive = tone(85.0, 0.3)[:, None]
-    first = protector.process(drive.copy())
-    before = protector.protection()
-    protector.reset()
-    assert protector.process(drive.copy()).tobytes() == first.tobytes()
-    assert protector.protection() == before
 
 
 # ---------------------------------------------------------------------------------- bad input
