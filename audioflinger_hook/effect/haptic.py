@@ -119,36 +119,36 @@ class Vibration:
         return out
 
     def _write(self, owed: FloatArray, out: NDArray[np.float32], goal: float) -> None:
-        """Write vibration (frames, voices) to the haptic channels and end at the gain `goal`.
+        """Write vibration (frames, channels) to the haptic channels and end at the gain `goal`.
 
-        A voice is one channel of vibration from the transform. If there are more haptic channels
-        than voices, haptic channel h plays voice h mod voices. If there are fewer, channel h plays
-        the mean of voices h, h + haptic_channels, ...: no voice is left out, and equal voices keep
-        their level.
+        If there are more haptic channels, haptic channel h plays channel h mod channels. If there
+        are fewer, it plays the mean of channels h, h + haptic_channels, ...: none is left out, and
+        equal channels keep their level.
         """
         level, self._level = self._level, goal
         if level == goal == 0.0:
             out[:] = 0.0
             return
-        frames, voices = owed.shape
-        places = out.shape[1]
+        frames, channels = owed.shape
+        haptic_channels = out.shape[1]
         fits = frames <= self._column.size
         column = self._column[:frames] if fits else np.zeros(frames)
         counted = self._counted[:frames] if fits else np.arange(1.0, frames + 1.0)
-        for place in range(places):
-            np.copyto(column, owed[:, place % voices])
-            if places < voices:
+        for haptic_channel in range(haptic_channels):
+            np.copyto(column, owed[:, haptic_channel % channels])
+            if haptic_channels < channels:
                 # one by one: NumPy's order of a sum depends on the shape, so on the blocks
-                for voice in range(place + places, voices, places):
-                    column += owed[:, voice]
-                column /= len(range(place, voices, places))
+                mixed = range(haptic_channel, channels, haptic_channels)
+                for channel in mixed[1:]:
+                    column += owed[:, channel]
+                column /= len(mixed)
             if level != goal:
                 column *= level + (goal - level) * (counted / frames)
             elif goal != 1.0:
                 column *= goal
             if self.clip:
                 self._clipped += cut_to_full_scale(column)
-            out[:, place] = column
+            out[:, haptic_channel] = column
 
 
 def cut_to_full_scale(samples: FloatArray) -> int:

@@ -122,8 +122,8 @@ class Framework:
     @property
     def principal(self) -> tuple[tuple[float, float, float], ...]:
         """What the latest hop vibrates; see `HapticTransform.principal`. Any thread."""
-        status, told = self.haptic.command(PRINCIPAL)
-        return told if status == OK and isinstance(told, tuple) else ()
+        status, partials = self.haptic.command(PRINCIPAL)
+        return partials if status == OK and isinstance(partials, tuple) else ()
 
     def take_glides(self) -> NDArray[np.float64]:
         """Return what the partials did since the last call; see `HapticTransform.take_glides`.

@@ -13,7 +13,7 @@ from string import Template
 from audioflinger_hook.config.profiles import PROFILES, parameters_of
 from audioflinger_hook.core.design import core_design
 from audioflinger_hook.plugin import FILE_NAME, plugin_path, turtle
-from audioflinger_hook.plugin.faces import public_faces
+from audioflinger_hook.plugin.variants import public_variants
 from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.parameters import check_format
 from device.atomic_file import write_bytes_atomically
@@ -86,7 +86,7 @@ def install(places: Places, profile: str, device: str | None, rates_hz: tuple[in
     for rate_hz in rates_hz:
         check_format(rate_hz, 1)
     _refuse_foreign(places)
-    faces = public_faces(built)
+    variants = public_variants(built)
     designs = {
         f"{name}-{rate_hz}.design": core_design(
             rate_hz, CHANNELS, transform=LiveDesign.of(parameters_of(name), rate_hz).records()
@@ -105,7 +105,7 @@ def install(places: Places, profile: str, device: str | None, rates_hz: tuple[in
             write_bytes_atomically(folder / FILE_NAME, content)
         texts = {"manifest.ttl": turtle.manifest, turtle.DESCRIPTION: turtle.description}
         for name, made in texts.items():
-            write_bytes_atomically(places.bundle / name, made(faces, MARKER).encode())
+            write_bytes_atomically(places.bundle / name, made(variants, MARKER).encode())
         if device is not None:
             chain = _filled(
                 "chain.conf",

@@ -213,6 +213,7 @@ def unspeakable(source, target):
     raise Unspeakable
 
 
+EXCHANGED = "exchanged or reshaped its arrays; write into them, as in target.audio[:] = ..."
 MISBEHAVIOURS = [
     (scribble_and_raise, "raised ZeroDivisionError: by zero in the middle in process"),
     (leave, "raised SystemExit: 3 in process"),
@@ -224,11 +225,11 @@ MISBEHAVIOURS = [
     (lambda source, target: True, "answered process with bool; allowed: OK (0), ENODATA"),
     (lambda source, target: np.zeros(3), "answered process with ndarray; allowed: OK (0), ENODATA"),
     (lambda source, target: EINVAL, "answered process with -22; allowed: OK (0), ENODATA"),
-    (exchange, "exchanged or reshaped its arrays; write into them, as in target.audio[:] = ..."),
-    (drop, "exchanged or reshaped its arrays; write into them, as in target.audio[:] = ..."),
+    (exchange, EXCHANGED),
+    (drop, EXCHANGED),
     pytest.param(
         reshape,
-        "exchanged or reshaped its arrays; write into them, as in target.audio[:] = ...",
+        EXCHANGED,
         marks=pytest.mark.filterwarnings("ignore::DeprecationWarning"),
     ),
 ]

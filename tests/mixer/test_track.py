@@ -82,22 +82,6 @@ def test_the_ring_takes_what_fits_and_by_default_has_to_be_full_before_it_sounds
     assert player.cycle().any()
 
 
-@pytest.mark.parametrize("pcm_format", list(PcmFormat))
-def test_every_format_plays(pcm_format: PcmFormat) -> None:
-    mixer = Mixer(RATE, 1)
-    track = mixer.create_track("any", pcm_format, RATE, 1)
-    half = {
-        PcmFormat.U8: b"\xc0",
-        PcmFormat.I16: b"\x00\x40",
-        PcmFormat.I24: b"\x00\x00\x40",
-        PcmFormat.I32: b"\x00\x00\x00\x40",
-        PcmFormat.FLOAT: b"\x00\x00\x00\x3f",
-    }
-    track.write(half[pcm_format] * track.room)
-    track.start()
-    assert (mixer.cycle(0.0).buffer.audio == 0.5).all()
-
-
 def test_a_starving_track_is_skipped_counted_and_continues_where_it_was() -> None:
     player = Player(ring_frames=4 * FRAMES, start_threshold=FRAMES)
     sound = noise(4 * FRAMES)

@@ -90,7 +90,7 @@ FRAMES = 100_000
 
 
 @given(seed=seeds, rate_hz=rates_hz, profile=st.sampled_from(PROFILES))
-def test_a_face_gives_the_bytes_of_ctypes_at_any_rate_with_any_blocks_sound_and_controls(
+def test_a_variant_gives_the_bytes_of_ctypes_at_any_rate_with_any_blocks_sound_and_controls(
     seed: int, rate_hz: int, profile: str, designs: Path
 ) -> None:
     rng = np.random.default_rng(seed)
@@ -263,7 +263,7 @@ def set_any_controls(rng: np.random.Generator, controls: Controls) -> None:
     seed=seeds, rate_hz=rates_hz, kind=st.sampled_from(DESIGNS), channels=st.sampled_from([2, 6])
 )
 @example(seed=0, rate_hz=176_400, kind="several", channels=2)  # its blocks have few divisors
-def test_the_daemons_face_gives_the_bytes_of_ctypes_whatever_it_plays(
+def test_the_daemons_variant_gives_the_bytes_of_ctypes_whatever_it_plays(
     tmp_path_factory: pytest.TempPathFactory, seed: int, rate_hz: int, kind: str, channels: int
 ) -> None:
     rng, folder = np.random.default_rng(seed), tmp_path_factory.mktemp("daemon")
@@ -388,7 +388,7 @@ def tried(
 def test_a_host_may_end_what_was_not_instantiated_as_ffmpeg_does() -> None:
     code = (
         "from tests.plugin.hosting import descriptors; "
-        "[face.cleanup(None) for face in descriptors().values()]"
+        "[one.cleanup(None) for one in descriptors().values()]"
     )
     folder = Path(__file__).parents[2]
     assert subprocess.run([sys.executable, "-c", code], cwd=folder).returncode == 0
@@ -447,6 +447,6 @@ def test_no_mutated_design_crashes_the_host(data: st.DataObject, designs: Path) 
         del os.environ["HAPTIC_CUSHION_DESIGN"]
 
 
-def test_the_faces_are_those_that_hosts_and_the_daemon_ask_for() -> None:
+def test_the_variants_are_those_that_hosts_and_the_daemon_ask_for() -> None:
     labels = [f"haptic_cushion_{name}" for name in (*PROFILES, "mono", "daemon")]
     assert list(descriptors()) == labels
