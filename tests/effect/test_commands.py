@@ -41,20 +41,8 @@ def probe_and_module(flags=EffectFlag.INSERT):
 
 
 NAN, INF = float("nan"), float("inf")
-WRONG_CODES = (
-    -1,
-    22,
-    0xFFFF,
-    0x1_0000,
-    0x1_0007,
-    2**70,
-    3.0,
-    "ENABLE",
-    None,
-    True,
-    [],
-    np.int64(3),
-)
+WRONG_NUMBERS = (-1, 22, 0xFFFF, 0x1_0000, 0x1_0007, 2**70)
+WRONG_CODES: tuple[object, ...] = (*WRONG_NUMBERS, 3.0, "ENABLE", None, True, [], np.int64(3))
 WRONG_VALUES: dict[object, tuple[object, ...]] = {
     "level": ("0.5", True, 1.0000001, NAN, INF, 10**400, np.float64(0.5), np.zeros(3), None),
     "count": (3.0, 0),
