@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
@@ -380,35 +380,31 @@ def test_wrong_volumes_are_refused() -> None:
     assert track.volume == (1.0,)
 
 
-def test_a_wrong_track_is_refused_with_everything_that_is_wrong() -> None:
-    mixer = Mixer(RATE, 2)
-    with pytest.raises(UsageError) as refused:
-        mixer.create_track(
-            "bad", cast(PcmFormat, "mp3"), 1, 0, session=-4, ring_frames=0, start_threshold=0
-        )
-    said = str(refused.value)
-    for part in ("'bad'", "'mp3'", "samplerate=1 Hz", "1000 to 768000 Hz", "channels=0",
-                 "1 to 64", "session=-4", "ring_frames=0", "start_threshold=0"):  # fmt: skip
-        assert part in said
-    assert mixer.tracks == ()
-
-
 @pytest.mark.parametrize(
     ("wrong", "said"),
     [
-        ({"samplerate": 999}, "samplerate=999 Hz"),
-        ({"samplerate": 768_001}, "samplerate=768001 Hz"),
-        ({"samplerate": 48_000.0}, r"samplerate=48000\.0 is not a whole number"),
-        ({"samplerate": True}, "samplerate=True"),
-        ({"channels": 65}, "channels=65"),
-        ({"ring_frames": 959}, "ring_frames=959: want at least 960"),
-        ({"start_threshold": 1_921}, "start_threshold=1921: want 1 to 1920"),
+        ({"samplerate": 999}, ["samplerate=999 Hz: want 1000 to 768000 Hz"]),
+        ({"samplerate": 768_001}, ["samplerate=768001 Hz"]),
+        ({"samplerate": 48_000.0}, ["samplerate=48000.0 is not a whole number"]),
+        ({"samplerate": True}, ["samplerate=True"]),
+        (
+            {"channels": 65, "ring_frames": 959, "session": -4, "pcm_format": "mp3"},
+            ["'t'", "'mp3'", "channels=65: want 1 to 64", "ring_frames=959: want at least 960",
+             "session=-4"],
+        ),
+        ({"start_threshold": 1_921}, ["start_threshold=1921: want 1 to 1920"]),
     ],
-)
-def test_each_number_out_of_range_is_named_with_its_range(wrong: dict[str, Any], said: str) -> None:
-    good = {"samplerate": RATE, "channels": 2}
-    with pytest.raises(UsageError, match=said):
-        Mixer(RATE, 2).create_track("t", PcmFormat.FLOAT, **(good | wrong))
+)  # fmt: skip
+def test_a_wrong_track_is_refused_with_everything_that_is_wrong(
+    wrong: dict[str, Any], said: list[str]
+) -> None:
+    mixer = Mixer(RATE, 2)
+    good: dict[str, Any] = {"pcm_format": PcmFormat.FLOAT, "samplerate": RATE, "channels": 2}
+    with pytest.raises(UsageError) as refused:
+        mixer.create_track("t", **(good | wrong))
+    for part in said:
+        assert part in str(refused.value)
+    assert mixer.tracks == ()
 
 
 def test_a_track_that_changes_its_format_is_refused_and_plays_on() -> None:

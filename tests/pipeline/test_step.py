@@ -89,27 +89,14 @@ def run(client, settings, outputs=None):
 @pytest.mark.sweep
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("blocksize", BLOCKSIZES)
-def test_a_file_in_any_blocksize_gives_the_same_bytes(
-    scene_file, mix, expected, tmp_path, form, blocksize
+def test_a_file_and_a_scene_in_any_blocksize_give_the_same_bytes(
+    scene, scene_file, mix, expected, tmp_path, form, blocksize
 ):
     path = tmp_path / "out.wav"
-    client = TapClient(FileTap(scene_file, blocksize))
-    steps, _ = run(client, Settings(form=form), [WavOutput(path, RATE, 1)])
-    assert np.array_equal(np.concatenate([step.audio for step in steps]), mix)
-    assert np.array_equal(vibration(path), expected[form])
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("form", FORMS)
-@pytest.mark.parametrize("blocksize", BLOCKSIZES)
-def test_a_scene_in_any_blocksize_gives_the_same_bytes(
-    scene, mix, expected, tmp_path, form, blocksize
-):
-    path = tmp_path / "out.wav"
-    client = SceneClient(scene, blocksize)
-    steps, _ = run(client, Settings(form=form), [WavOutput(path, RATE, 1)])
-    assert np.array_equal(np.concatenate([step.audio for step in steps]), mix)
-    assert np.array_equal(vibration(path), expected[form])
+    for client in (TapClient(FileTap(scene_file, blocksize)), SceneClient(scene, blocksize)):
+        steps, _ = run(client, Settings(form=form), [WavOutput(path, RATE, 1)])
+        assert np.array_equal(np.concatenate([step.audio for step in steps]), mix)
+        assert np.array_equal(vibration(path), expected[form])
 
 
 def test_every_output_gets_the_same_and_nothing_twice(mix, expected):

@@ -2,12 +2,10 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from device.drive.channel_map import ChannelMap
 from device.drive.damping.design import inverse_damping, no_damping
-from device.drive.outputs import AlignedOutput, DrivenOutput
+from device.drive.outputs import DrivenOutput
 from device.errors import InternalError
 from device.rig import PAPER
 from device.rig.simulated_rig import SimulatedRig
@@ -31,31 +29,6 @@ def driven(output, damping):
 
 
 vibration = np.random.default_rng(4).uniform(-0.5, 0.5, (2_000, 2)).astype(np.float32)
-
-
-@pytest.mark.exhaustive
-@given(st.lists(st.integers(0, 2_000), max_size=8))
-def test_without_damping_the_same_comes_out_whole_whatever_the_blocks(cuts):
-    kept = KeptOutput(RATE, 2)
-    output = AlignedOutput(driven(kept, no_damping()), 0)
-    for block in np.split(vibration, sorted(cuts)):
-        output.write(block)
-    output.close()
-    received = kept.whole
-    late = 2 * 16  # two blocks of 2 ms
-    assert not received[:late].any()
-    assert np.array_equal(received[late:], vibration)
-    assert kept.ended == ["closed"]
-
-
-def test_aligned_behind_it_takes_the_delay_out():
-    kept = KeptOutput(RATE, 2)
-    series = InSeries(no_damping())
-    aligned = AlignedOutput(kept, series.latency_frames)
-    output = DrivenOutput(aligned, series, ChannelMap.repeated(2, 2))
-    output.write(vibration)
-    output.close()
-    assert np.array_equal(kept.whole, vibration)
 
 
 def test_what_is_written_is_not_changed_and_a_simulated_rig_may_lie_behind():
