@@ -43,27 +43,16 @@ PLAYING = (TrackState.ACTIVE, TrackState.PAUSING, TrackState.RESUMING, TrackStat
 """The states in which a track may be part of the mix."""
 
 _S, _R = TrackState, Request
-_AFTER = {
-    (_S.IDLE, _R.START): _S.ACTIVE,
-    (_S.STOPPED, _R.START): _S.ACTIVE,
-    (_S.FLUSHED, _R.START): _S.ACTIVE,
-    (_S.STOPPING, _R.START): _S.ACTIVE,
-    (_S.PAUSED, _R.START): _S.RESUMING,
-    (_S.PAUSING, _R.START): _S.RESUMING,
-    (_S.ACTIVE, _R.PAUSE): _S.PAUSING,
-    (_S.RESUMING, _R.PAUSE): _S.PAUSING,
-    (_S.ACTIVE, _R.STOP): _S.STOPPING,
-    (_S.RESUMING, _R.STOP): _S.STOPPING,
-    (_S.PAUSING, _R.STOP): _S.STOPPED,
-    (_S.PAUSED, _R.STOP): _S.STOPPED,
-    (_S.IDLE, _R.FLUSH): _S.FLUSHED,
-    (_S.PAUSING, _R.FLUSH): _S.FLUSHED,
-    (_S.PAUSED, _R.FLUSH): _S.FLUSHED,
-    (_S.STOPPING, _R.FLUSH): _S.FLUSHED,
-    (_S.STOPPED, _R.FLUSH): _S.FLUSHED,
-    (_S.ACTIVE, _R.REMOVE): _S.PAUSING,
-    (_S.RESUMING, _R.REMOVE): _S.PAUSING,
-}
+_TRANSITIONS = (
+    ((_S.IDLE, _S.STOPPED, _S.FLUSHED, _S.STOPPING), _R.START, _S.ACTIVE),
+    ((_S.PAUSED, _S.PAUSING), _R.START, _S.RESUMING),
+    ((_S.ACTIVE, _S.RESUMING), _R.PAUSE, _S.PAUSING),
+    ((_S.ACTIVE, _S.RESUMING), _R.STOP, _S.STOPPING),
+    ((_S.PAUSING, _S.PAUSED), _R.STOP, _S.STOPPED),
+    ((_S.IDLE, _S.PAUSING, _S.PAUSED, _S.STOPPING, _S.STOPPED), _R.FLUSH, _S.FLUSHED),
+    ((_S.ACTIVE, _S.RESUMING), _R.REMOVE, _S.PAUSING),
+)
+_AFTER = {(old, request): new for states, request, new in _TRANSITIONS for old in states}
 
 
 def after(state: TrackState, request: Request) -> TrackState:

@@ -236,7 +236,7 @@ class Framework:
             raise UsageError(f"no transform can be made at {samplerate} Hz: {error}") from error
 
     def _explain(self) -> None:
-        """Raise UsageError with what is wrong with the format or the settings."""
+        """Raise UsageError with the mistake in the format or the settings."""
         self._try(self.mixer.samplerate, self.mixer.channels, self.settings)
         raise UsageError(f"the haptic effect {self.haptic.bypassed or 'refused its parameters'}")
 

@@ -88,7 +88,7 @@ class Pipeline:
         client.connect(framework.mixer)
 
     def step(self, now_s: float = 0.0) -> Step | None:
-        """Do one cycle and return what it moved; None once everything has been sent.
+        """Do one cycle and return its sound and vibration; None once everything has been sent.
 
         now_s: seconds of any monotonic clock.
         """
