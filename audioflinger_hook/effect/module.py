@@ -178,20 +178,23 @@ class Loan:
 
     def is_back(self, original: MixBuffer) -> bool:
         """Return whether the copy still has its own arrays in the same layout."""
-        held = [vars(self._lent).get(name) for name in ("samples", "audio", "haptic")]
-        same = all(one is other for one, other in zip(held, self._arrays, strict=True))
-        return same and same_layout(self._lent, original)
+        lent, (samples, audio, haptic) = self._lent, self._arrays
+        try:
+            same = lent.samples is samples and lent.audio is audio and lent.haptic is haptic
+        except AttributeError:
+            return False
+        return same and same_layout(lent, original)
 
 
 def same_layout(one: MixBuffer, other: MixBuffer) -> bool:
     """Return whether two buffers have equal shapes and types."""
-    return all(
-        mine.shape == theirs.shape and mine.dtype == theirs.dtype
-        for mine, theirs in (
-            (one.samples, other.samples),
-            (one.audio, other.audio),
-            (one.haptic, other.haptic),
-        )
+    return (
+        one.samples.shape == other.samples.shape
+        and one.samples.dtype == other.samples.dtype
+        and one.audio.shape == other.audio.shape
+        and one.audio.dtype == other.audio.dtype
+        and one.haptic.shape == other.haptic.shape
+        and one.haptic.dtype == other.haptic.dtype
     )
 
 
