@@ -45,11 +45,11 @@ OTHERS = [name for name in PROFILES if name != "paper"]
 
 
 def test_the_default_is_the_paper_s_and_changes_nothing():
+    assert len({parameters_of(name) for name in PROFILES}) == len(PROFILES), "all are different"
     assert next(iter(PROFILES)) == Settings().profile == "paper"
     assert values_of("paper") == {}
     assert parameters_of("paper") == TransformParameters() == Settings().parameters
     assert tuple(PROFILES) == ("paper", "cinema", "game", "music")
-    assert len({parameters_of(name) for name in PROFILES}) == len(PROFILES), "all are different"
 
 
 @pytest.mark.parametrize("name", OTHERS)
