@@ -49,21 +49,12 @@ OF_PROFILE = TransformParameters()
 class Settings(Described):
     """Settings of the transform, the effects and the rig.
 
-    With actuators, their sources select what is transformed, and `channels` is "mono".
+    With actuators, their sources select the transformed sound, and `channels` is "mono".
 
-    Raises
-    ------
-    UsageError
-        The settings contain refused choices; the message names all of them.
-
-    Attributes
-    ----------
-    parameters : TransformParameters
-        Default: those of the profile.
-    said : tuple of str
-        Names of parameters set individually; they override any profile.
-    actuators : tuple of ActuatorSettings
-        What each actuator plays, and where. Without actuators, all channels play one vibration.
+    parameters: of the transform; default: those of the profile.
+    said: names of parameters set individually; they override any profile.
+    actuators: each actuator's source and channels; without any, all channels play one vibration.
+    UsageError: some choices are refused; the message names all of them.
     """
 
     profile: Annotated[
@@ -132,7 +123,7 @@ class Settings(Described):
 
     @classmethod
     def contradictions(cls, values: Mapping[str, Any]) -> dict[str, Refusal]:
-        """Refuse `channels` if actuators define what is transformed."""
+        """Refuse `channels` if actuators have sources."""
         if not values.get("actuators") or values.get("channels") != "each":
             return {}
         allowed = "mono: the source of every [[actuator]] says what it plays"

@@ -34,12 +34,12 @@ from audioflinger_hook.daemon.native.taps import tap_of
 from audioflinger_hook.daemon.outputs.base import DeviceVolume
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.daemon.soft_fade import FADE_S, SoftFade
-from audioflinger_hook.mixer.layouts import layout
 from audioflinger_hook.service.state import StateKeeper
 from audioflinger_hook.sources import parse_tap
 from device.address import parse_device
 from device.drive import ActuatorSettings
 from device.errors import NotFoundError, UsageError
+from device.layouts import layout
 from device.server import PulseConnection
 from device.server.snapshot import ServerSnapshot, Sink, Source
 

@@ -14,13 +14,13 @@ from hypothesis import strategies as st
 
 from audioflinger_hook.daemon.safety_keeper import FILE, MARK, SAVE_S, Moment, SafetyKeeper
 from audioflinger_hook.drive.drive import Drive
-from audioflinger_hook.drive.rig_driver import RigDriver
 from device.drive.exposure.design import worst_second
 from device.drive.protection.limits import limits_of
-from device.drive.protection.thermal import CoilTemperature
-from device.drive.safety import SafetyBounds, SafetyState
+from device.drive.safety import SafetyBounds, SafetyState, power_to_limit_w
 from device.rig import CONSUMER, PAPER, Rig
 from device.rig.parameters import ThermalParameters
+from device.rig.thermal import Temperatures
+from tools.rig_driver import RigDriver
 
 RATE = 8_000
 NOON = datetime(2026, 5, 1, 12, tzinfo=timezone(timedelta(hours=2)))
@@ -104,14 +104,14 @@ def test_after_a_kill_it_is_at_least_as_warm_as_it_is_and_at_most_ten_kelvin_mor
     time.go(passed_s, boot)
     state, keeper = restored(tmp_path, time)
     assert PAPER.thermal
-    true = CoilTemperature(PAPER.thermal, PAPER.actuator.resistance_ohm, SAVE_S + passed_s)
-    true.set_temperatures(119.0, 60.0)
-    true.step(0.0)
+    ambient_c, true = PAPER.thermal.ambient_c, Temperatures(PAPER.thermal)
+    true.coil_k, true.magnet_k = 119.0 - ambient_c, 60.0 - ambient_c
+    true.heat(0.0, SAVE_S + passed_s)
     assert state.coil_c is not None
     assert state.magnet_c is not None
-    assert true.coil_c <= state.coil_c + 1e-9
-    assert state.coil_c <= true.coil_c + 10.0
-    assert true.magnet_c <= state.magnet_c + 1e-9
+    assert ambient_c + true.coil_k <= state.coil_c + 1e-9
+    assert state.coil_c <= ambient_c + true.coil_k + 10.0
+    assert ambient_c + true.magnet_k <= state.magnet_c + 1e-9
     assert state.dose.squares >= before.dose.squares
     assert state.dose.fourths >= before.dose.fourths
     assert keeper.warning == ""
@@ -131,12 +131,13 @@ def test_nothing_that_protection_allows_is_warmer_than_the_bound(
     assert strong.thermal
     bounds = SafetyBounds(strong, worst_second(strong, RATE))
     state = bounds.after_unrecorded(SafetyState(coil_c, 20.0), seconds)
-    coil = CoilTemperature(strong.thermal, strong.actuator.resistance_ohm, 0.002)
-    coil.set_temperatures(coil_c, 20.0)
+    ambient_c, warm = strong.thermal.ambient_c, Temperatures(strong.thermal)
+    warm.coil_k, warm.magnet_k = coil_c - ambient_c, 20.0 - ambient_c
     for _ in range(int(seconds / 0.002)):
-        coil.step(0.999 * min(coil.power_allowed(LIMIT_C), 20.0**2 / 3.3))  # 20 V, 3.3 ohm
+        allowed_w = power_to_limit_w(warm, LIMIT_C - ambient_c)
+        warm.heat(0.999 * min(allowed_w, 20.0**2 / 3.3), 0.002)  # 20 V, 3.3 ohm
     assert state.coil_c is not None
-    assert coil.coil_c <= state.coil_c + 0.02
+    assert ambient_c + warm.coil_k <= state.coil_c + 0.02
     assert state.coil_c <= LIMIT_C
 
 

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from audioflinger_hook.drive.rig_driver import RigDriver
 from device.errors import LostError, UsageError
 from device.identification import IdentificationError
 from device.identification.calibration import STEPS, calibrate
@@ -22,6 +21,7 @@ from device.rig.electronics import Amplifier, Dac
 from tests.support.eddy_coils import EddyActuator
 from tests.support.random_rigs import truth
 from tests.support.simulated_devices import BLOCK, RATE, SimulatedDevices
+from tools.rig_driver import RigDriver
 
 EXHAUSTIVE = pytest.mark.exhaustive
 

@@ -9,7 +9,6 @@ from itertools import product
 
 import numpy as np
 
-from audioflinger_hook.drive.rig_driver import RigDriver
 from audioflinger_hook.transform import FloatArray
 from device.drive.damping import choose_damping
 from device.drive.protection.design import BLOCK_S
@@ -22,6 +21,7 @@ from tools.bench.cost import in_ffts, interleaved
 from tools.bench.report import Must, Row, Section
 from tools.bench.sounds.signals import SAMPLERATE
 from tools.bench.workbench import Workbench
+from tools.rig_driver import RigDriver
 
 LOUD = replace(PAPER, amplifier=replace(PAPER.amplifier, gain=20.0, current_limit_a=math.inf))
 """The `paper` rig behind an amplifier that can drive it to 1.5 Xmax."""

@@ -57,5 +57,5 @@ class RigDriver(DrivenRig):
 
     @property
     def readings(self) -> tuple[ProtectionStatus, Exposure]:
-        """What is known of the protection and of the exposure."""
+        """Readings of protection and exposure."""
         return self.protection(), self.exposure()

@@ -1,11 +1,12 @@
-"""The plugin's faces as a host sees them: labels, ports and ranges, read from the compiled file."""
+"""The plugin's variants as hosts see them: labels, ports and ranges, from the compiled file."""
 
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, ClassVar
 
 from device.errors import NotFoundError
 
@@ -18,8 +19,10 @@ class _Range(ctypes.Structure):
     _fields_ = (("hint", ctypes.c_int), ("lower", ctypes.c_float), ("upper", ctypes.c_float))
 
 
-class _Descriptor(ctypes.Structure):
-    _fields_ = (
+class VariantDescriptor(ctypes.Structure):
+    """The beginning of LADSPA_Descriptor, which describes a variant and its ports."""
+
+    _fields_: ClassVar[Sequence[tuple[str, Any]]] = (
         ("unique_id", ctypes.c_ulong),
         ("label", ctypes.c_char_p),
         ("properties", ctypes.c_int),
@@ -45,7 +48,7 @@ class Port:
 
 
 @dataclass(frozen=True)
-class Face:
+class PluginVariant:
     """One plugin of the file: its label, its name for people and its ports."""
 
     label: str
@@ -58,25 +61,25 @@ class Face:
         return self.label.rpartition("_")[2]
 
 
-def public_faces(plugin: Path) -> tuple[Face, ...]:
-    """Return the faces that any host may use, from the compiled plugin.
+def public_variants(plugin: Path) -> tuple[PluginVariant, ...]:
+    """Return the variants that any host may use, from the compiled plugin.
 
     NotFoundError: the file cannot be loaded.
     """
-    return tuple(face for face in _faces(plugin) if face.label not in OF_THE_DAEMON)
+    return tuple(variant for variant in _variants(plugin) if variant.label not in OF_THE_DAEMON)
 
 
-def _faces(plugin: Path) -> Iterator[Face]:
+def _variants(plugin: Path) -> Iterator[PluginVariant]:
     try:
         describe = ctypes.CDLL(str(plugin)).ladspa_descriptor
     except (OSError, AttributeError) as error:
         raise NotFoundError(f"the plugin cannot be loaded: {error}; run `make run`") from None
-    describe.argtypes, describe.restype = [ctypes.c_ulong], ctypes.POINTER(_Descriptor)
+    describe.argtypes, describe.restype = [ctypes.c_ulong], ctypes.POINTER(VariantDescriptor)
     index = 0
     while found := describe(index):
         index += 1
         shown = found.contents
-        yield Face(
+        yield PluginVariant(
             shown.label.decode(),
             shown.name.decode(),
             tuple(
