@@ -524,9 +524,11 @@ def test_a_drive_that_no_other_limit_touches_still_comes_up_to_the_temperature_o
 
 
 def test_more_power_than_a_cool_coil_may_take_is_lowered_before_it_is_warm():
-    rig = replace(LOUD, thermal=ThermalParameters(4.0, 0.05, 3.0, 400.0))
+    # 0.6 W are wanted of a coil that may have 0.5 W: 0.01 J/K and 100 K over 2 s. No other limit is
+    # in reach, so that blocks would leave unchanged.
+    rig = replace(LOUD, thermal=ThermalParameters(1e3, 0.01, 3.0, 400.0))
     protector = RigDriver(rig, 6_000, 1, limits=limits_of(rig))
-    protector.process(0.3 * tone(20.0, 0.1, 6_000)[:, None])
+    protector.process(0.1 * tone(20.0, 0.15, 6_000)[:, None])
     status = protector.protection()
     assert status.limited_by == "temperature"
     assert (status.coil_c or math.nan) < 30.0
