@@ -12,7 +12,9 @@ import signal
 import subprocess
 import sys
 import tracemalloc
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,7 +23,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from audioflinger_hook.capture import Capture, CaptureWriter
-from audioflinger_hook.capture.format import INDEX_NAME, SAMPLES_OFFSET, EndRecord, records
+from audioflinger_hook.capture.format import (
+    INDEX_NAME,
+    SAMPLES_OFFSET,
+    BufferRecord,
+    DroppedRecord,
+    EndRecord,
+    Header,
+    parse_line,
+    records,
+)
 from device.errors import UsageError, WriteError
 from device.values import counted
 from tests.support.recordings import ROOT
@@ -435,6 +446,27 @@ def test_lines_that_vanish_or_are_overwritten_are_a_gap_with_a_warning(damaged):
 def test_a_line_that_is_too_long_is_one_damaged_line(tmp_path):
     (tmp_path / INDEX_NAME).write_bytes(b"x" * 500_000 + b"\n" + EndRecord({}).line())
     assert list(records(tmp_path / INDEX_NAME)) == [None, EndRecord({})]
+
+
+WHOLE = BufferRecord("tap", 0, 1, 0, 3, 48_000, 2, 0.0, False, "00000000")
+END, DROPPED, HEADER = EndRecord({"tap": 1}), DroppedRecord("tap", 1, 0), Header(streams=["tap"])
+
+
+@pytest.mark.parametrize(
+    ("record", "name", "value"),
+    [
+        *((WHOLE, name, -1) for name in ("buffer", "first", "frames")),
+        *((WHOLE, name, 0) for name in ("segment", "samplerate", "channels", "time_s")),
+        *((WHOLE, "stream", 1), (WHOLE, "discontinuity", 1), (WHOLE, "frames", True)),
+        *((DROPPED, "frames", -1), (END, "buffers", {"tap": -1}), (END, "buffers", {"tap": True})),
+        *((HEADER, "streams", [1]), (HEADER, "facts", {"x": [1]})),
+    ],
+)
+def test_a_line_with_a_value_that_no_recorder_writes_is_damaged(
+    record: Any, name: str, value: object
+) -> None:
+    assert parse_line(record.line()) == record
+    assert parse_line(replace(record, **{name: value}).line()) is None
 
 
 def test_a_damaged_first_line_costs_no_buffer(damaged):
