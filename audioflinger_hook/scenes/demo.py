@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
@@ -31,7 +32,8 @@ DEMO_DURATION_S = 15.0
 SAMPLERATE = 48_000
 """Rate of the mix in Hz."""
 
-Voice = Callable[[int, np.random.Generator, float], Float32Array]
+# A string, so that importing this does not import numpy.random.
+Voice: TypeAlias = "Callable[[int, np.random.Generator, float], Float32Array]"
 
 
 # eq=False: comparing arrays with == gives arrays, so a generated __eq__ could only fail.
