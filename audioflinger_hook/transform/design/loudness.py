@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -88,9 +89,12 @@ class LoudnessDesign:
     """Low-pass before the low rate: second-order sections, (sections, 6)."""
     quadrature: FloatArray
     """Squares of the all-passes' coefficients, (2, 4)."""
-    low_bands: FloatArray
-    """(low bands, 5): real and imaginary part of the pole, gain before it, factor from the sum of
-    squares over a tick to excitation, number of the band of loudness."""
+    low_poles: FloatArray
+    """(low bands, 3): real and imaginary part of the pole, and the gain before it."""
+    low_weights: FloatArray
+    """Of each low band: factor from the sum of squares over a tick to its excitation."""
+    low_band_of: FloatArray
+    """Of each low band: number of its band of loudness."""
     high_edges: FloatArray
     """Bins of the short window: the first of each high band, and past the last."""
     high_weights: FloatArray
@@ -113,7 +117,7 @@ class LoudnessDesign:
     ) -> LoudnessDesign:
         """Return the design for a grid and the short windows of a samplerate in Hz."""
         if not followed:
-            return cls(*8 * (np.zeros(0),))
+            return cls(*10 * (np.zeros(0),))
         low_rate_hz = samplerate / grid.decimation
         lows = [band for band in range(len(LOW_BAND_OF)) if LOW_EDGES_HZ[band + 1] < low_rate_hz / 2]
         edges, highs = _high_bands(onsets, samplerate / onsets.short_length)
@@ -126,7 +130,9 @@ class LoudnessDesign:
         return cls(
             low_smooth=smooth,
             quadrature=np.array(QUADRATURE) ** 2,
-            low_bands=np.array([_low_band(low, low_rate_hz, grid.tick_steps) for low in lows]),
+            low_poles=np.array([_pole(low, low_rate_hz) for low in lows]),
+            low_weights=np.array([_low_weight(low) for low in lows]) / grid.tick_steps,
+            low_band_of=np.array([LOW_BAND_OF[low] for low in lows], dtype=np.float64),
             high_edges=np.array(edges, dtype=np.float64),
             # The mean square of a full-scale tone is a half.
             high_weights=2.0 * 10.0 ** (0.1 * OVER_QUIET_DB[highs]),
@@ -136,17 +142,20 @@ class LoudnessDesign:
         )
 
 
-def _low_band(low: int, low_rate_hz: float, tick_steps: int) -> tuple[float, ...]:
-    """Return a row of `low_bands`."""
+def _pole(low: int, low_rate_hz: float) -> tuple[float, float, float]:
+    """Return a row of `low_poles`."""
     below_hz, above_hz = LOW_EDGES_HZ[low : low + 2]
-    centre_hz, band = 0.5 * (below_hz + above_hz), LOW_BAND_OF[low]
-    radius = np.exp(-np.pi * POLE_WIDTH * (above_hz - below_hz) / low_rate_hz)
-    turn = 2.0 * np.pi * centre_hz / low_rate_hz
-    over_db = OVER_QUIET_DB[band] + LOW_DB
-    if band == 0:
-        over_db += np.interp(centre_hz, DEEP_HZ, DEEP_DB)
-    weight = 10.0 ** (0.1 * over_db) / tick_steps
-    return radius * np.cos(turn), radius * np.sin(turn), 1.0 - radius, weight, float(band)
+    radius = math.exp(-math.pi * POLE_WIDTH * (above_hz - below_hz) / low_rate_hz)
+    turn = math.pi * (below_hz + above_hz) / low_rate_hz
+    return radius * math.cos(turn), radius * math.sin(turn), 1.0 - radius
+
+
+def _low_weight(low: int) -> float:
+    """Return the factor from a tone's mean square of the analytic signal to its excitation."""
+    over_db = float(OVER_QUIET_DB[LOW_BAND_OF[low]]) + LOW_DB
+    if LOW_BAND_OF[low] == 0:
+        over_db += float(np.interp(sum(LOW_EDGES_HZ[low : low + 2]) / 2, DEEP_HZ, DEEP_DB))
+    return math.pow(10.0, 0.1 * over_db)
 
 
 def _high_bands(onsets: OnsetDesign, bin_hz: float) -> tuple[list[int], list[int]]:

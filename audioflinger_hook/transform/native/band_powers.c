@@ -10,7 +10,7 @@
 #include "common.h"
 #include "filter_cascade.h"
 
-size_t band_powers_low(const Settings *settings) { return settings->low_bands.length / LOW_NUMBERS; }
+size_t band_powers_low(const Settings *settings) { return settings->low_weights.length; }
 
 size_t band_powers_high(const Settings *settings) { return settings->high_weights.length; }
 
@@ -77,7 +77,7 @@ SIMD_CLONES_NARROW static void hear_low(const Settings *s, LowBands *low, const 
     const double *chain = s->quadrature.at;
     Poles poles = {{0.0}, {0.0}, {0.0}};
     for (size_t band = 0; band < band_powers_low(s); band++) {
-        const double *row = s->low_bands.at + LOW_NUMBERS * band;
+        const double *row = s->low_poles.at + LOW_NUMBERS * band;
         poles.real[band] = row[0];
         poles.imaginary[band] = row[1];
         poles.feed[band] = row[2];
@@ -103,10 +103,8 @@ void band_powers_hear(const Settings *s, const BandPowers *powers, const double 
     double squares[LOW_MAX] = {0.0}, now[BANDS_MAX];
     memset(excitation, 0, band_powers_count(s) * sizeof(double));
     hear_low(s, powers->low, samples, squares);
-    for (size_t band = 0; band < low; band++) {
-        const double *row = s->low_bands.at + LOW_NUMBERS * band;
-        excitation[(size_t)row[4]] += row[3] * squares[band];
-    }
+    for (size_t band = 0; band < low; band++)
+        excitation[(size_t)s->low_band_of.at[band]] += s->low_weights.at[band] * squares[band];
     double *above = excitation + (band_powers_count(s) - high);
     for (size_t band = 0; band < high; band++) {
         double power = 0.0;

@@ -57,15 +57,14 @@ static int ascend(Table edges, double most)
 static const char *loudness_misfit(const Settings *s)
 {
     const size_t bands = s->loudness_scale.length, high = s->high_weights.length;
-    const size_t low = s->low_bands.length / LOW_NUMBERS, groups = s->loudness_groups.length;
+    const size_t low = s->low_weights.length, groups = s->loudness_groups.length;
     if (bands > BANDS_MAX || s->loudness_widths.length != bands || high > bands)
         return "loudness_scale, loudness_widths: not one a band, or too many";
-    if (s->low_bands.length % LOW_NUMBERS || low > LOW_MAX)
-        return "low_bands: not rows, or too many";
+    if (s->low_poles.length != LOW_NUMBERS * low || s->low_band_of.length != low || low > LOW_MAX)
+        return "low_poles, low_weights, low_band_of: not of the same bands, or too many";
     for (size_t one = 0; one < low; one++)
-        if (!(s->low_bands.at[LOW_NUMBERS * one + 4] >= 0.0 &&
-              s->low_bands.at[LOW_NUMBERS * one + 4] < (double)bands))
-            return "low_bands: of a band that is not there";
+        if (!(s->low_band_of.at[one] >= 0.0 && s->low_band_of.at[one] < (double)bands))
+            return "low_band_of: a band that is not there";
     if (s->high_edges.length != (high ? high + 1 : 0) || !ascend(s->high_edges, (double)s->short_bins))
         return "high_edges: not one more than bands, or not ascending within the bins";
     if (s->low_smooth.length % SECTION_NUMBERS || s->low_smooth.length / SECTION_NUMBERS > SECTIONS_MAX ||

@@ -145,8 +145,8 @@
     ENTRY(slope) /* of vibration for each dB of loudness */                                        \
     ENTRY(gain_max) /* of amplitudes, a factor */
 
-/* Numbers of each entry of low_bands. */
-#define LOW_NUMBERS 5
+/* Numbers of each row of low_poles. */
+#define LOW_NUMBERS 3
 
 /* Tables, each with its length. */
 #define TABLES(ENTRY)                                                                              \
@@ -175,7 +175,9 @@
     ENTRY(begin_fade) /* of the first frames of a stream, after begin_frames of silence */         \
     ENTRY(low_smooth) /* sections before the low rate, for the low bands */                        \
     ENTRY(quadrature) /* squares of the all-passes: of one chain, then of the other */             \
-    ENTRY(low_bands) /* LOW_NUMBERS for each: pole, its feed, factor on squares, band of loudness */\
+    ENTRY(low_poles)   /* LOW_NUMBERS of each low band: its pole, and the gain before it */         \
+    ENTRY(low_weights) /* of each: factor on its squares, */                                       \
+    ENTRY(low_band_of) /* and its band of loudness */                                              \
     ENTRY(high_edges) /* short bins: the first of each high band, and past the last */             \
     ENTRY(high_weights) /* of each high band: factor on its power */                               \
     ENTRY(loudness_scale) /* of bands: sone per Bark at the threshold; empty if not followed */    \
