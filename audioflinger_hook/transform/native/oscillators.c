@@ -165,9 +165,15 @@ static double beat_of(const Settings *s, const Sounding *sounding)
 
 /* --------------------------------------------------------------------------------------- one tick */
 
+/* The factor on an amplitude. */
+static double driven(const Settings *s, const Drive *drive, double hz)
+{
+    return drive->gain * exact_pow(table_at(s->felt_weights, s->gain_step_hz, hz), drive->moved);
+}
+
 /* Write down what the glides of a kind do in this tick, with their gain. */
 static void log_tick(const Settings *s, OscillatorTick now, const Glides *glides, size_t slots,
-                     size_t first_slot, TickShapes shapes, double before, double after)
+                     size_t first_slot, TickShapes shapes, const Drive *before, const Drive *after)
 {
     const size_t last = shapes.at + s->tick_steps - 1;
     for (size_t slot = 0; now.log->on && slot < slots; slot++) {
@@ -182,10 +188,12 @@ static void log_tick(const Settings *s, OscillatorTick now, const Glides *glides
             turns = hz * shapes.seconds[shapes.at - 1] + rise_hz * shapes.glide_s[shapes.at - 1];
         }
         const double phase = glides->start_phase[slot] + turns;
+        const double from_hz = hz + rise_hz * whole, to_hz = hz + rise_hz * shapes.whole[last];
         glide_log_add(now.log, (GlideRow){
             (double)now.log->frame, (double)s->tick_frames, (double)now.voice,
-            (double)(first_slot + slot), hz + rise_hz * whole, hz + rise_hz * shapes.whole[last],
-            before * (start + rise * begun), after * (start + rise * shapes.shape[last]),
+            (double)(first_slot + slot), from_hz, to_hz,
+            driven(s, before, from_hz) * (start + rise * begun),
+            driven(s, after, to_hz) * (start + rise * shapes.shape[last]),
             phase - floor(phase),
         });
     }
@@ -218,7 +226,8 @@ size_t oscillators_play(const Settings *s, const Oscillators *oscillators, Oscil
     }
     oscillate(sounding.turns, sounding.count * steps, sounding.wave);
     const double moved = concentrate(s, &sounding, now.wanted, drive->moved);
-    const double beat = beat_of(s, &sounding), before = drive->gain;
+    const double beat = beat_of(s, &sounding);
+    const Drive before = *drive;
     double most = 0.0;
     size_t limited = 0;
     for (size_t step = 0; step < steps; step++)
@@ -226,9 +235,9 @@ size_t oscillators_play(const Settings *s, const Oscillators *oscillators, Oscil
     most = sqrt(most);
     for (size_t step = 0; most > SILENT && step < steps; step++) {
         const double part = (double)(step + 1) / (double)steps, sum = sum_of(&sounding, step);
-        const double wanted = drive->wanted + (now.wanted - drive->wanted) * part;
+        const double wanted = before.wanted + (now.wanted - before.wanted) * part;
         const double strength = larger(sqrt(power_of(&sounding, step)), s->weakest_step * most);
-        double gain = wanted / (strength * sqrt(drive->beat + (beat - drive->beat) * part));
+        double gain = wanted / (strength * sqrt(before.beat + (beat - before.beat) * part));
         gain = smaller(gain, s->gain_max);
         if (gain * sum > s->ceiling) {
             gain = s->ceiling / sum;
@@ -240,12 +249,12 @@ size_t oscillators_play(const Settings *s, const Oscillators *oscillators, Oscil
         low_rate[step] = gain * total;
         drive->gain = gain;
     }
-    log_tick(s, now, &oscillators->hop, tracking_slots(s), 0, hop, before, drive->gain);
-    if (now.fresh)
-        log_tick(s, now, now.fresh, s->fresh_max, tracking_slots(s), tick, before, drive->gain);
     drive->wanted = now.wanted;
     drive->beat = beat;
     drive->moved = moved;
+    log_tick(s, now, &oscillators->hop, tracking_slots(s), 0, hop, &before, drive);
+    if (now.fresh)
+        log_tick(s, now, now.fresh, s->fresh_max, tracking_slots(s), tick, &before, drive);
     return limited;
 }
 
