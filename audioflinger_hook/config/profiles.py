@@ -46,7 +46,7 @@ PROFILES: dict[str, dict[str, ProfileValue]] = {
     "cinema": {
         **FOLLOWING,
         "merge_ratio": ProfileValue(0.8, "tones that a body cannot distinguish would warble"),
-        "loudness_target_db": ProfileValue(-22.5, "room for what is louder than the rest"),
+        "loudness_target_db": ProfileValue(-24.0, "room for what is louder than the rest"),
     },
     "game": {
         **FOLLOWING,

@@ -32,9 +32,6 @@ START_S, START_WEIGHT_S = 2.0, 0.5
 """In so much sound, the programme's level is found at the beginning of a stream: it moves towards
 the mean, in which the level before counts as so much sound."""
 
-START_DOWN_DB, START_UP_DB = -20.0, 0.0
-"""It does so by these distances at most."""
-
 RELEASE_DB_A_S = 10.0
 """Rate at which what counts for the programme falls; it rises at once."""
 
@@ -114,8 +111,8 @@ class StrengthDesign:
     felt_weights: FloatArray
     """Sensitivity by vibration frequency, in steps of `gain_step_hz`."""
     programme_top: float = PROGRAMME_TOP_DB
-    start_down: float = START_DOWN_DB
-    start_up: float = START_UP_DB
+    start_near: float = 10.0
+    """It goes down to so much over what is heard: a soft beginning is still felt as one."""
     far: float = 20.0
     """More than this is not missing."""
     floor_under: float = 35.0

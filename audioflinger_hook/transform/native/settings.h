@@ -109,8 +109,7 @@
     ENTRY(far) /* longest distance that counts */                                                  \
     ENTRY(start_ticks) /* of sound in which it is found fast, */                                   \
     ENTRY(start_weight) /* as if so many had been heard before */                                  \
-    ENTRY(start_down) /* by distances down to this */                                              \
-    ENTRY(start_up) /* and up to this */                                                           \
+    ENTRY(start_near) /* until it is so near */                                                    \
     ENTRY(release) /* of the loud level, */                                                        \
     ENTRY(slow_followed) /* which is averaged */                                                   \
     ENTRY(floor_min) /* loudness up to which nothing is felt */                                    \

@@ -55,7 +55,7 @@ static void move_programme(const Settings *s, Strength *strength, double gate)
                   missing * (missing > 0.0 ? s->programme_rise : s->programme_fall);
     if (strength->heard < s->start_ticks) {
         strength->heard += 1.0;
-        move += within(above, s->start_down, s->start_up) / (s->start_weight + strength->heard);
+        move += within(above + s->start_near, -s->far, 0.0) / (s->start_weight + strength->heard);
     }
     strength->programme = within(strength->programme + gate * move, s->programme_min, s->programme_top);
 }
