@@ -211,7 +211,10 @@ def _designed(parameters: TransformParameters, samplerate: int, find_onsets: boo
     # end of a glide that takes half its own length on average.
     glide_hops = 0.5 + (ATTACK_HOPS + 1.0) / 4.0
     tonal_frames = grid.window_frames / 2 + glide_hops * grid.hop_frames + smoothing_frames
-    onset_frames = (1.0 + onsets.delay_ticks) * grid.tick_frames + smoothing_frames
+    followed = parameters.loudness_db > 0.0
+    loudness = LoudnessDesign.of(followed, grid, onsets, samplerate)
+    delay_ticks = loudness.delay_ticks if followed else onsets.delay_ticks
+    onset_frames = (1.0 + delay_ticks) * grid.tick_frames + smoothing_frames
     latency_frames = round(onset_frames if find_onsets else tonal_frames)
     suppression_db = parameters.speech_suppression_db
     design = LiveDesign(
@@ -225,7 +228,7 @@ def _designed(parameters: TransformParameters, samplerate: int, find_onsets: boo
         onsets=onsets,
         tracking=TrackingDesign.of(parameters, grid.hop_s),
         synthesis=replace(synthesis, begin_frames=latency_frames),
-        loudness=LoudnessDesign.of(parameters.loudness_db > 0.0, grid, onsets, samplerate),
+        loudness=loudness,
         strength=StrengthDesign.of(parameters, grid),
         # Without suppression these numbers are not used.
         speech=SpeechDesign.of(

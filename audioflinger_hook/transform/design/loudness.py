@@ -111,6 +111,13 @@ class LoudnessDesign:
     """Above a band its specific loudness N' falls by this / N'^0.25 of itself for each Bark: nearly
     what the table of slopes in ISO 532-1 says."""
 
+    @property
+    def delay_ticks(self) -> float:
+        """Ticks by which the strength of an onset follows on average: it goes on a line over a tick,
+        and is amplitude in proportion to sone, the power to 0.3, of more and more of the average."""
+        shares = np.arange(1, self.average_ticks) / self.average_ticks
+        return 0.5 + float((1.0 - shares**0.3).sum())
+
     @classmethod
     def of(
         cls, followed: bool, grid: LiveGrid, onsets: OnsetDesign, samplerate: int

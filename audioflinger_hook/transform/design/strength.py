@@ -128,12 +128,12 @@ class StrengthDesign:
     deviation_start: float = 3.0
     deviation_max: float = 10.0
     """Mean deviation at the beginning, and what one tick counts for it at most."""
-    boost_deviations: float = 2.0
+    boost_deviations: float = 2.5
     """A rise is what is so many mean deviations over what is usual: noise, vibrato and beats raise
     their own."""
     boost_slope: float = 4.0
     """dB that are wanted for each dB more, ..."""
-    boost_max: float = 6.5
+    boost_max: float = 5.0
     """... up to this, ..."""
     boost_share_from: float = 0.02
     """... of a group that has this share of all loudness, ..."""
