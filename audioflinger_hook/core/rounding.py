@@ -76,9 +76,7 @@ def round_filter(
     return np.array(b), np.array(_polynomial(poles))
 
 
-def round_sections(
-    zeros: Iterable[complex], poles: Iterable[complex], gain: float
-) -> FloatArray:
+def round_sections(zeros: Iterable[complex], poles: Iterable[complex], gain: float) -> FloatArray:
     """Return a digital filter as second-order sections (sections, 6), from its rounded roots.
 
     zeros, poles: as many of one as of the other, complex ones in conjugate pairs; the first section

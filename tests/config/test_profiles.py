@@ -48,7 +48,7 @@ def test_the_default_is_the_paper_s_and_changes_nothing():
     assert next(iter(PROFILES)) == Settings().profile == "paper"
     assert values_of("paper") == {}
     assert parameters_of("paper") == TransformParameters() == Settings().parameters
-    assert tuple(PROFILES) == ("paper", "cinema", "game", "music")
+    assert tuple(PROFILES) == ("paper", "cinema", "game", "music", "speech")
 
 
 @pytest.mark.parametrize("name", OTHERS)
@@ -107,9 +107,13 @@ def test_a_profile_and_a_number_that_cannot_go_together_are_a_mistake(tmp_path):
 
 def test_a_profile_that_does_not_exist_is_refused_with_those_that_do():
     for wrong in ("Cinema", "", "loud"):
-        with pytest.raises(UsageError, match=r"profile=.*allowed: paper, cinema, game, music"):
+        with pytest.raises(
+            UsageError, match=r"profile=.*allowed: paper, cinema, game, music, speech"
+        ):
             Settings(profile=wrong)
-        with pytest.raises(UsageError, match=r"profile=.*allowed: paper, cinema, game, music"):
+        with pytest.raises(
+            UsageError, match=r"profile=.*allowed: paper, cinema, game, music, speech"
+        ):
             Settings().choosing(profile=wrong)
 
 
@@ -174,7 +178,7 @@ def test_a_config_that_names_no_profile_is_checked_and_loaded_with_the_command_s
 
 def test_the_demo_names_the_profiles_that_there_are(tmp_path):
     error = refused(call("demo", "--fast", "--out", tmp_path / "out", "--profile", "loud"))
-    assert "profile='loud' is not known; allowed: paper, cinema, game, music" in error
+    assert "profile='loud' is not known; allowed: paper, cinema, game, music, speech" in error
     assert not (tmp_path / "out").exists()
 
 

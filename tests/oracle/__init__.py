@@ -115,7 +115,9 @@ def _play(s, voices, sound, begins, whole):
     rows: list[Any] = [whole.glides]
     for which, voice in enumerate(voices):
         parts = [(s.hop_frames, voice.partials.glides), (s.tick_frames, voice.fresh.glides)]
-        played, limited, driven_glides = vibrate(s, *(some for _, some in parts), voice.wanted[:tick])
+        played, limited, driven_glides = vibrate(
+            s, *(some for _, some in parts), voice.wanted[:tick]
+        )
         part = whole.samples[begin + s.tick_frames :, which]
         part[: played.size] = played[: part.size]
         whole.limited += limited
@@ -134,8 +136,11 @@ def vibrate(s: Any, hops: Any, fresh: Any, wanted: Any) -> tuple[FloatArray, int
     waves = _waves(s, hops, s.attack, s.glide, s.glide_s)
     waves += _waves(s, fresh, s.tick_glide, s.tick_glide, s.tick_glide_s)
     if s.loudness_scale.size:
-        rows = [(tick + part, slot, numbers[:, part * s.tick_steps :][:, : s.tick_steps + 1])
-                for tick, slot, numbers in waves for part in range(numbers.shape[1] // s.tick_steps)]
+        rows = [
+            (tick + part, slot, numbers[:, part * s.tick_steps :][:, : s.tick_steps + 1])
+            for tick, slot, numbers in waves
+            for part in range(numbers.shape[1] // s.tick_steps)
+        ]
         low_rate, steps, glides = driven(s, rows, wanted)
         limited = steps * s.decimation
     else:
@@ -144,7 +149,11 @@ def vibrate(s: Any, hops: Any, fresh: Any, wanted: Any) -> tuple[FloatArray, int
             wave = amplitude * np.cos(2.0 * np.pi * turns)
             low_rate[tick * s.tick_steps :][: wave.size - 1] += wave[1:]
     low_rate = low_rate[: ticks * s.tick_steps]
-    smooth = sosfilt(s.low_sections.copy(), low_rate) if s.low_sections.size else lfilter(s.low_b, s.low_a, low_rate)
+    smooth = (
+        sosfilt(s.low_sections.copy(), low_rate)
+        if s.low_sections.size
+        else lfilter(s.low_b, s.low_a, low_rate)
+    )
     padded = np.concatenate((np.zeros(len(s.phases) - 1), smooth))
     newest = [padded[tap : tap + smooth.size] for tap in range(len(s.phases))]
     vibration = (np.stack(newest, axis=1) @ s.phases).reshape(-1)
@@ -167,4 +176,6 @@ def _waves(s, glides, attack, release, glide_s):
     turns = start_hz * s.seconds[: attack.size] + (end_hz - start_hz) * glide_s + phase
     moving = (start_hz + (end_hz - start_hz) * release, start + (end - start) * shape, turns)
     begins = np.stack((start_hz, start, phase), axis=1)
-    return list(zip(tick, slots, np.concatenate((begins, np.stack(moving, axis=1)), axis=2), strict=True))
+    return list(
+        zip(tick, slots, np.concatenate((begins, np.stack(moving, axis=1)), axis=2), strict=True)
+    )

@@ -126,7 +126,9 @@ class LoudnessDesign:
         if not followed:
             return cls(*10 * (np.zeros(0),))
         low_rate_hz = samplerate / grid.decimation
-        lows = [band for band in range(len(LOW_BAND_OF)) if LOW_EDGES_HZ[band + 1] < low_rate_hz / 2]
+        lows = [
+            band for band in range(len(LOW_BAND_OF)) if LOW_EDGES_HZ[band + 1] < low_rate_hz / 2
+        ]
         edges, highs = _high_bands(onsets, samplerate / onsets.short_length)
         bands = [*dict.fromkeys(LOW_BAND_OF[low] for low in lows), *highs]
         quiet_db, groups = QUIET_DB[bands], np.searchsorted(bands, GROUPS)

@@ -89,8 +89,10 @@ class StrengthDesign:
     """Rate at which the noise floor rises."""
     gate: float
     """Width of the soft gate over the noise floor."""
+    jitter: float
+    """Smaller changes of loudness are jitter, of which steady sounds consist, ..."""
     jitter_followed: float
-    """Share of small changes of loudness that is followed."""
+    """... and of which this share is followed."""
     group_smooth: float
     """Share of a tick in the sone of a group of bands."""
     group_up: float
@@ -102,6 +104,8 @@ class StrengthDesign:
     boost_hold_ticks: float
     """Ticks for which what a rise adds stays."""
     boost_fall: float
+    boost_max: float
+    """Most that a rise adds."""
     target: float
     """Vibration at the programme's level."""
     slope: float
@@ -120,8 +124,6 @@ class StrengthDesign:
     gate_margin: float = 0.01
     """Share of the gate's width that is still silent. At the floor itself, where the quietest
     recent tick stands exactly, rounding would decide."""
-    jitter: float = 2.5
-    """Smaller changes of loudness are jitter, of which steady sounds consist."""
     group_sone: float = GROUP_SONE
     silence_db: float = 10.0 * math.log2(GROUP_SONE)
     """Level of a group of bands in silence."""
@@ -133,8 +135,6 @@ class StrengthDesign:
     their own."""
     boost_slope: float = 4.0
     """dB that are wanted for each dB more, ..."""
-    boost_max: float = 5.0
-    """... up to this, ..."""
     boost_share_from: float = 0.02
     """... of a group that has this share of all loudness, ..."""
     boost_share_width: float = 0.05
@@ -175,6 +175,7 @@ class StrengthDesign:
             floor_min=parameters.loudness_floor_db,
             floor_rise=FLOOR_RISE_DB_A_S * tick_s,
             gate=parameters.loudness_gate_db,
+            jitter=parameters.jitter_db,
             jitter_followed=min(1.0, tick_s / JITTER_S),
             group_smooth=min(1.0, tick_s / GROUP_S),
             group_up=tick_s / GROUP_UP_S,
@@ -182,6 +183,7 @@ class StrengthDesign:
             group_deviates=tick_s / GROUP_DEVIATES_S,
             boost_hold_ticks=float(round(BOOST_HOLD_S / tick_s)),
             boost_fall=BOOST_FALL_DB_A_S * tick_s,
+            boost_max=parameters.rise_db,
             target=parameters.loudness_target_db,
             slope=parameters.dynamics,
             gain_max=math.pow(10.0, parameters.loudness_db / 20.0),

@@ -45,11 +45,11 @@ STEADY_RATIO, MERGED_STEADY_RATIO = 0.03, 0.12
 hold several tones, or noise."""
 
 LOW_PASS, HIGH_PASS = ELLIPTIC_6, BUTTERWORTH_1
-"""Of the samples at the low rate; the second one is for strength "felt". A steeper one turns phases
+"""Of the samples at the low rate; the second one not in the paper's form. A steeper one turns phases
 so far that impacts are blunt."""
 
 HIGH_PASS_HZ = (42.0, 14.0)
-"""For strength "felt", two high-passes lower swings of the envelope below the lowest vibration, where
+"""Two high-passes lower swings of the envelope below the lowest vibration, where
 an actuator moves far for a weak sensation. Amplitudes undo their gain. The second one lowers the
 energy under 15 Hz of the worst sound by 4 dB and takes 0.6 ms."""
 
@@ -233,7 +233,7 @@ class SynthesisDesign:
         if not followed and parameters.strength == "flat":
             low_b, low_a = round_filter(zeros, poles, gain)
         else:
-            for hz in HIGH_PASS_HZ if parameters.strength != "flat" else ():
+            for hz in HIGH_PASS_HZ:
                 high = high_pass(HIGH_PASS, hz, low_rate_hz)
                 zeros = np.concatenate((zeros, high.zeros))
                 poles = np.concatenate((poles, high.poles))
