@@ -28,8 +28,8 @@ class TransformParameters(Described):
     """All parameters that shape the vibration; the defaults are the paper's.
 
     The fields `loudness_*` and `speech_suppression_db` act only in the live form. If `loudness_db`
-    is 0, the other four loudness fields, `dynamics`, `rise_db` and `jitter_db` have no effect. For all levels, 0 dB is a full-scale tone;
-    for loudness, a full-scale tone of 1 kHz.
+    is 0, the other four loudness fields, `dynamics`, `rise_db` and `jitter_db` have no effect. For
+    all levels, 0 dB is a full-scale tone; for loudness, a full-scale tone of 1 kHz.
 
     Raises
     ------

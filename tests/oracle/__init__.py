@@ -130,8 +130,8 @@ def _play(s, voices, sound, begins, whole):
 
 def vibrate(s: Any, hops: Any, fresh: Any, wanted: Any) -> tuple[FloatArray, int, Any]:
     """Return the vibration (ticks x tick_frames,) after each of some ticks; how many samples of it
-    were limited; and, where loudness is followed, the glides of each tick. hops, fresh: glides over a
-    hop, and over a tick. wanted: strength at the end of each tick."""
+    were limited; and, where loudness is followed, the glides of each tick. hops, fresh: glides over
+    a hop, and over a tick. wanted: strength at the end of each tick."""
     ticks, limited, glides = len(wanted), 0, []
     waves = _waves(s, hops, s.attack, s.glide, s.glide_s)
     waves += _waves(s, fresh, s.tick_glide, s.tick_glide, s.tick_glide_s)
@@ -166,8 +166,8 @@ def vibrate(s: Any, hops: Any, fresh: Any, wanted: Any) -> tuple[FloatArray, int
 
 def _waves(s, glides, attack, release, glide_s):
     """Return of glides of one length tick, slot and (3, steps + 1): Hz, amplitude and turns, from
-    their start on; phase is the integral of frequency. One shape serves all glides from one tick on,
-    by whether their sum rises: it never exceeds both its ends."""
+    their start on; phase is the integral of frequency. One shape serves all glides from one tick
+    on, by whether their sum rises: it never exceeds both its ends."""
     first, slots, *numbers = np.array(glides).reshape(-1, 7).T
     tick = first.astype(int)
     start_hz, end_hz, start, end, phase = (each[:, None] for each in numbers)

@@ -1,5 +1,5 @@
-"""Loudness of ticks after ISO 532-1: "Loudness" in docs/transform.md. Levels are in dB; 0 dB is that
-of 94 phon. s: the numbers and tables of `LoudnessDesign`."""
+"""Loudness of ticks after ISO 532-1: "Loudness" in docs/transform.md. Levels are in dB; 0 dB is
+that of 94 phon. s: the numbers and tables of `LoudnessDesign`."""
 
 from typing import Any
 
@@ -16,8 +16,8 @@ def at_hz(s: Any, table: FloatArray, hz: Any) -> FloatArray:
 
 
 def excitation(s: Any, sound: FloatArray, short_power: FloatArray) -> FloatArray:
-    """Return the excitation of each band over its threshold in quiet, (ticks, bands), of band-passed
-    sound (ticks x tick_frames,) and the powers of the onset search (ticks, bins)."""
+    """Return the excitation of each band over its threshold in quiet, (ticks, bands), of
+    band-passed sound (ticks x tick_frames,) and the powers of the onset search (ticks, bins)."""
     if s.low_smooth.size:
         sound = sosfilt(s.low_smooth.copy(), sound)
     turned, straight = sound[s.decimation - 1 :: s.decimation], np.roll(sound, s.decimation)
@@ -43,8 +43,8 @@ def excitation(s: Any, sound: FloatArray, short_power: FloatArray) -> FloatArray
 
 
 def loudness(s: Any, bands: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the loudness level of ticks in dB, and in sone that of all bands, each (ticks,), and of
-    each group by itself (ticks, groups), from excitations (ticks, bands)."""
+    """Return the loudness level of ticks in dB, and in sone that of all bands, each (ticks,), and
+    of each group by itself (ticks, groups), from excitations (ticks, bands)."""
     root = (0.75 + 0.25 * bands) ** 0.25  # by the threshold factor of ISO 532-1, 0.25
     cores = np.maximum(0.0, s.loudness_scale * (root - 1.0))
     sone, above = np.zeros((2, len(bands)))

@@ -84,9 +84,10 @@ class Strength:
 
 
 def driven(s: Any, rows: Any, wanted: list[float]) -> tuple[FloatArray, IntArray, list[FloatArray]]:
-    """Return oscillators at the low rate, (ticks x tick_steps,), as strong as is wanted at the end of
-    each tick; the number of their steps that were limited; and the glides of each tick. rows: (tick,
-    slot, numbers), numbers (4, tick_steps + 1): Hz, amplitude, turns, from the tick's start on."""
+    """Return oscillators at the low rate, (ticks x tick_steps,), as strong as is wanted at the end
+    of each tick; the number of their steps that were limited; and the glides of each tick. rows:
+    (tick, slot, numbers), numbers (4, tick_steps + 1): Hz, amplitude, turns, from the tick's start
+    on."""
     low_rate, limited, glides = np.zeros((len(wanted), s.tick_steps)), 0, []
     part = np.arange(s.tick_steps + 1) / s.tick_steps
     before, beat_before, moved_before, gain_before = 0.0, 1.0, 0.0, 0.0
@@ -118,7 +119,7 @@ def driven(s: Any, rows: Any, wanted: list[float]) -> tuple[FloatArray, IntArray
             strength = np.maximum(strength, s.weakest_step * strength.max())
             beats = np.sqrt(beat_before + (beat - beat_before) * line)
             gain = np.minimum(s.gain_max, (before + (now - before) * line) / (strength * beats))
-            room = s.ceiling / amplitude.sum(axis=0)[1:]
+            room = s.ceiling / np.maximum(amplitude.sum(axis=0)[1:], 1e-300)
             limited += int((gain > room).sum())
             gain = np.minimum(gain, room)
             waves = amplitude * np.cos(2.0 * np.pi * turns)

@@ -22,8 +22,8 @@ Told = tuple[float, float, float]
 
 class Voice:
     """What one voice remembers from hop to hop. ringing: hops until the low-pass is at rest;
-    limited: samples that the ceiling has lowered; told: what the latest hop vibrates; wanted: strength
-    at the end of each tick, without loudness 1."""
+    limited: samples that the ceiling has lowered; told: what the latest hop vibrates; wanted:
+    strength at the end of each tick, without loudness 1."""
 
     def __init__(self, s: Any) -> None:
         self.s = s
@@ -107,19 +107,17 @@ class Voice:
     def _amplitudes(self, found, hz):
         """Return the amplitudes of a hop's partials: mapping and speech; by loudness, only their
         proportion matters; else the ceiling."""
-        s, tilt, gain = self.s, np.ones(hz.size), 1.0
+        s, tilt = self.s, np.ones(hz.size)
         if self.strength and hz.size:
             # What is felt well takes less of the room under full scale.
             tilt = at_hz(s, s.felt_weights, hz) ** 0.5
             plain = s.mapping.amplitudes(found.amplitude, found.r) * tilt
-            gain = float(plain @ plain) ** s.evening
         # Speech is lowered before the mapping, so that what it loses is not missing from the rest.
         left = self.speech.gains(found.audio_hz) if self.speech else np.ones(hz.size)
         amplitude = s.mapping.amplitudes(found.amplitude * left, found.r * left) * tilt
         if self.strength and self.speech and hz.size:
             share = self._felt(amplitude, hz) / self._felt(plain, hz)
             self.strength.speech_left = min(1.0, share)
-        amplitude = amplitude * gain
         if self.strength or amplitude.sum() <= s.ceiling:
             return amplitude
         self.limited += s.hop_frames
@@ -129,8 +127,8 @@ class Voice:
         """Return Hz of vibration, weight and amplitude of what has begun in a group of bands."""
         hz, weight = self.onsets.estimate(tick, group)
         s, (_, level) = self.s, self.onsets.known(tick)
-        if self.strength and level > 0.0:
-            level *= level ** (2.0 * s.evening) * at_hz(s, s.felt_weights, hz) ** 0.5
+        if self.strength:
+            level *= float(at_hz(s, s.felt_weights, hz)) ** 0.5
         if self.speech:
             audio_hz = np.array([s.mapping.audio_hz(hz)])
             level *= float(self.speech.gains(audio_hz, coarse=True)[0])

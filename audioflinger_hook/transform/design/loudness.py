@@ -75,10 +75,12 @@ QUADRATURE = (
 "Hilbert transform". The image is 44 dB down."""
 
 AVERAGE_TICKS = 3
-"""The onset search's window is 5 ms. Over three ticks, a tone's power hardly wavers with its phase."""
+"""The onset search's window is 5 ms. Over three ticks, a tone's power hardly wavers with its
+phase."""
 
 GROUPS = (0, 1, 3, 6, 9, 12, 14, 16, 20)
-"""Bands at which groups begin, and past the last: edges at 90, 280, 560, 1120, 2240, 4500, 7100 Hz."""
+"""Bands at which groups begin, and past the last: edges at 90, 280, 560, 1120, 2240, 4500, 7100
+Hz."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,8 +115,9 @@ class LoudnessDesign:
 
     @property
     def delay_ticks(self) -> float:
-        """Ticks by which the strength of an onset follows on average: it goes on a line over a tick,
-        and is amplitude in proportion to sone, the power to 0.3, of more and more of the average."""
+        """Ticks by which the strength of an onset follows on average: it goes on a line over a
+        tick, and is amplitude in proportion to sone, the power to 0.3, of more and more of the
+        average."""
         shares = np.arange(1, self.average_ticks) / self.average_ticks
         return 0.5 + float((1.0 - shares**0.3).sum())
 
@@ -134,7 +137,7 @@ class LoudnessDesign:
         quiet_db, groups = QUIET_DB[bands], np.searchsorted(bands, GROUPS)
         widths = np.diff((0.0, *BARKS))[bands]
         smooth = np.zeros(0)
-        if LOW_TOP_HZ < 0.4 * low_rate_hz and grid.decimation > 1:
+        if 0.4 * low_rate_hz > LOW_TOP_HZ and grid.decimation > 1:
             smooth = round_sections(*low_pass(BUTTERWORTH_5, LOW_TOP_HZ, samplerate))
         return cls(
             low_smooth=smooth,

@@ -1,4 +1,5 @@
-"""Design of the strength by loudness: the programme's level, the gate, rises, the wanted strength."""
+"""Design of the strength by loudness: the programme's level, the gate, rises, the wanted
+strength."""
 
 from __future__ import annotations
 
@@ -48,18 +49,14 @@ JITTER_S, SLOW_S = 0.1, 0.03
 """Times in which jitter of loudness, and what counts for the programme, are averaged."""
 
 GROUP_S, GROUP_UP_S, GROUP_DOWN_S, GROUP_DEVIATES_S = 0.006, 0.2, 0.4, 1.0
-"""Times in which the level of a group of bands is averaged, what is usual follows a rise, or a fall,
-and its mean deviation is found."""
+"""Times in which the level of a group of bands is averaged, what is usual follows a rise, or a
+fall, and its mean deviation is found."""
 
 GROUP_SONE = 0.02
 """Added to the sone of a group: below, a rise is none."""
 
 BOOST_HOLD_S, BOOST_FALL_DB_A_S = 0.03, 80.0
 """How long what a rise adds stays, and how fast it goes."""
-
-EVENING = -0.35
-"""The partials of a window have the level that their energy has to the power 0.3: what is loud takes
-over from what is soft within some milliseconds, and not at once."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,8 +148,6 @@ class StrengthDesign:
     """Least strength of a step that is made up for, as a share of the tick's."""
     concentrated: float = 4.0
     """What would be limited takes on the sensitivity of a seated body to this power at most."""
-    evening: float = EVENING
-    """Power of a window's energy by which its partials' amplitudes are multiplied."""
     nothing: float = 1e-9
     """Sone that count as none."""
 

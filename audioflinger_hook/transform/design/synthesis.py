@@ -45,19 +45,22 @@ STEADY_RATIO, MERGED_STEADY_RATIO = 0.03, 0.12
 hold several tones, or noise."""
 
 LOW_PASS, HIGH_PASS = ELLIPTIC_6, BUTTERWORTH_1
-"""Of the samples at the low rate; the second one not in the paper's form. A steeper one turns phases
-so far that impacts are blunt."""
+"""Of the samples at the low rate; the second one not in the paper's form. A steeper one turns
+phases so far that impacts are blunt."""
 
-HIGH_PASS_HZ = (42.0, 14.0)
+HIGH_PASS_HZ = (42.0, 18.0)
 """Two high-passes lower swings of the envelope below the lowest vibration, where
 an actuator moves far for a weak sensation. Amplitudes undo their gain. The second one lowers the
-energy under 15 Hz of the worst sound by 4 dB and takes 0.6 ms."""
+energy under 15 Hz of the worst sound by 4 dB and takes 0.7 ms."""
 
 GAIN_FLOOR = 0.45
 """Amplitudes undo at most a fall to this: under the lowest vibration frequency none is played."""
 
 BEGIN_S = 0.005
 """A stream fades in over this time."""
+
+LEAST_EDGE_HZ = 220.0
+"""But in the paper's form, the pass band ends here or higher: a lower one would be later."""
 
 EDGE_MARGIN = 1.01
 """The pass band ends at the top vibration frequency times this."""
@@ -227,10 +230,12 @@ class SynthesisDesign:
         """Return the design for one grid and samplerate."""
         top_hz = EDGE_MARGIN * parameters.vibration_top_hz
         low_rate_hz = samplerate / grid.decimation
-        zeros, poles, gain = low_pass(LOW_PASS, top_hz, low_rate_hz)
-        low_b, low_a, sections = np.zeros(0), np.zeros(0), np.zeros(0)
         followed = parameters.loudness_db > 0.0
-        if not followed and parameters.strength == "flat":
+        plain = not followed and parameters.strength == "flat"
+        edge_hz = top_hz if plain else max(top_hz, EDGE_MARGIN * LEAST_EDGE_HZ)
+        zeros, poles, gain = low_pass(LOW_PASS, edge_hz, low_rate_hz)
+        low_b, low_a, sections = np.zeros(0), np.zeros(0), np.zeros(0)
+        if plain:
             low_b, low_a = round_filter(zeros, poles, gain)
         else:
             for hz in HIGH_PASS_HZ:

@@ -32,14 +32,6 @@ static void lower_speech(Live *live, const Voice *voice, size_t count)
     }
 }
 
-static double power_of(const double *amplitude, size_t count)
-{
-    double power = 0.0;
-    for (size_t one = 0; one < count; one++)
-        power += amplitude[one] * amplitude[one];
-    return power;
-}
-
 static double felt_power(const Live *live, size_t count)
 {
     const Settings *s = &live->settings;
@@ -55,10 +47,8 @@ int levels_set(Live *live, Voice *voice, size_t count)
 {
     const Settings *s = &live->settings;
     const int followed = loudness_is_on(s), lowered = s->speech_db > 0.0;
-    double gain = 1.0, total = 0.0;
+    double total = 0.0;
     strengthen(live, count);
-    if (followed)
-        gain = evened(s, power_of(live->amplitude, count));
     /* Before the law of level, so that what speech loses is not missing from the rest. */
     if (lowered) {
         const double before = felt_power(live, count);
@@ -68,7 +58,7 @@ int levels_set(Live *live, Voice *voice, size_t count)
             voice->strength->speech_left = smaller(1.0, sqrt(felt_power(live, count) / before));
     }
     for (size_t one = 0; one < count; one++)
-        total += live->amplitude[one] *= gain;
+        total += live->amplitude[one];
     const int limited = !followed && !(total <= s->ceiling);
     if (limited)
         for (size_t one = 0; one < count; one++)

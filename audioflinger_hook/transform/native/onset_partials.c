@@ -32,7 +32,7 @@ static Estimate estimate(const Settings *s, OnsetSources sources, Group group)
     const double level = onsets_level(sources.onsets);
     double amplitude = told.weight * level;
     if (loudness_is_on(s))
-        amplitude *= evened(s, level * level) * tilt(s, told.hz);
+        amplitude *= tilt(s, told.hz);
     if (s->speech_db > 0.0)
         amplitude *= speech_coarse_gain(s, sources.speech, heard_hz(s, told.hz));
     return (Estimate){told.hz, told.weight, amplitude * smoothing_gain(s, told.hz)};

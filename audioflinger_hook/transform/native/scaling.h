@@ -43,11 +43,4 @@ INLINED double tilt(const Settings *s, double hz)
     return sqrt(table_at(s->felt_weights, s->gain_step_hz, hz));
 }
 
-/* The factor that makes all levels more alike. Strength is made later: this decides how fast what is
- * loud takes over from what is soft. power: of all that one window shows. */
-INLINED double evened(const Settings *s, double power)
-{
-    return power > 0.0 ? exact_pow(power, s->evening) : 1.0;
-}
-
 #endif

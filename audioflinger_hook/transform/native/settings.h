@@ -99,7 +99,6 @@
 #define FOLLOWER(ENTRY)                                                                            \
     ENTRY(nothing) /* loudness that counts as none */                                              \
     ENTRY(silence_db) /* level of a group in silence */                                            \
-    ENTRY(evening) /* power of the energy of a window by which its amplitudes are made more alike */\
     ENTRY(programme_start) /* level of the programme before anything is heard, */                  \
     ENTRY(programme_min)                                                                           \
     ENTRY(programme_top)                                                                           \
