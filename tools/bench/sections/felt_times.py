@@ -11,10 +11,11 @@ from audioflinger_hook.transform import FloatArray
 from tools.bench.measures.felt import weighted
 from tools.bench.measures.impacts import Attack, attack, envelope, is_impact, onset_frame
 from tools.bench.measures.steadiness import rises_of_its_own, warble
+from tools.bench.methods import Method
 from tools.bench.report import Row
-from tools.bench.sections.felt_levels import VOLUMES_DB, Felt, Series, pink_noise
+from tools.bench.sections.felt_levels import VOLUMES_DB, Series
 from tools.bench.sounds.real_sounds import RealSound, of_kinds
-from tools.bench.sounds.signals import SAMPLERATE, tone
+from tools.bench.sounds.signals import SAMPLERATE, pink_noise, tone
 
 IMPACTS = {"drums": 12.0, "shots": 12.0, "explosions": 20.0}
 """Classes of impacts, with the limit of the 95th percentile in ms."""
@@ -37,7 +38,7 @@ RISING = ("music", "engines", "speech")
 
 
 def impact_rows(
-    methods: Sequence[Felt], sounds: Sequence[RealSound], series: Series
+    methods: Sequence[Method], sounds: Sequence[RealSound], series: Series
 ) -> Iterator[Row]:
     """Yield how far the vibration of impacts is behind their sound, alone and over music.
 
@@ -65,7 +66,7 @@ def impact_rows(
         series |= drum_series(methods, after_silence(drums[0].sound))
 
 
-def _attacks(method: Felt, played: Sequence[FloatArray], at_s: float) -> list[Attack | None]:
+def _attacks(method: Method, played: Sequence[FloatArray], at_s: float) -> list[Attack | None]:
     """Return the attack of every sound at both volumes."""
     return [
         attack(sound, method.vibration(sound, volume_db), SAMPLERATE, at_s)
@@ -80,7 +81,7 @@ def after_silence(sound: FloatArray) -> FloatArray:
     return np.concatenate((silence, sound[: round(IMPACT_S * SAMPLERATE)], silence))
 
 
-def drum_series(methods: Sequence[Felt], sound: FloatArray) -> Series:
+def drum_series(methods: Sequence[Method], sound: FloatArray) -> Series:
     """Return the envelopes every ms around a drum's onset, of its sound and its vibrations."""
     level = envelope(sound, SAMPLERATE)
     first = onset_frame(level, SAMPLERATE, BEFORE_S) - round(DRUM_BEFORE_S * SAMPLERATE)
@@ -104,7 +105,7 @@ def over_music(shot: FloatArray, music: FloatArray) -> FloatArray:
 
 
 def _lag_rows(
-    kind: str, found: Sequence[Attack | None], limit_ms: float, method: Felt
+    kind: str, found: Sequence[Attack | None], limit_ms: float, method: Method
 ) -> Iterator[Row]:
     """Yield median and 95th percentile of the attacks that are felt, and how many are."""
     felt = [each for each in found if each]
@@ -132,11 +133,12 @@ def chord() -> FloatArray:
 
 def steady_noise() -> FloatArray:
     """Return steady pink noise, (frames,)."""
-    return np.asarray(10.0 ** (NOISE_DB / 20.0) * pink_noise(round(STEADY_S * SAMPLERATE)))
+    noise = pink_noise(round(STEADY_S * SAMPLERATE), np.random.default_rng(7))
+    return 10.0 ** (NOISE_DB / 20.0) * np.sqrt(0.5) * noise
 
 
 def steady_rows(
-    methods: Sequence[Felt], sounds: Sequence[RealSound], series: Series
+    methods: Sequence[Method], sounds: Sequence[RealSound], series: Series
 ) -> Iterator[Row]:
     """Yield the modulation of steady sounds, and rises of vibration that the sound has not.
 
@@ -165,9 +167,9 @@ def steady_rows(
             yield Row(title, mean, "", method.name, method.must("<=", 4.0))
 
 
-def _settled(method: Felt, sound: FloatArray, volume_db: float) -> FloatArray:
+def _settled(method: Method, sound: FloatArray, volume_db: float) -> FloatArray:
     return _weighted(method, sound, volume_db)[round(SETTLED_FROM_S * SAMPLERATE) :]
 
 
-def _weighted(method: Felt, sound: FloatArray, volume_db: float = 0.0) -> FloatArray:
+def _weighted(method: Method, sound: FloatArray, volume_db: float = 0.0) -> FloatArray:
     return weighted(method.vibration(sound, volume_db), SAMPLERATE)

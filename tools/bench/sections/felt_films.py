@@ -1,0 +1,164 @@
+"""What is felt of films, games and concerts, and of impacts over music, against what is heard."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from audioflinger_hook.transform import FloatArray
+from tools.bench.measures.contrasts import (
+    STEPS_A_SECOND,
+    added_db,
+    felt_levels_db,
+    heard_db,
+    loud_db,
+    standing_out,
+    steps,
+    strokes_db,
+)
+from tools.bench.measures.felt import weighted
+from tools.bench.methods import Method
+from tools.bench.report import Row
+from tools.bench.sounds.films import Film, OverMusic
+from tools.bench.sounds.signals import SAMPLERATE
+
+VOLUMES_DB = (0.0, -20.0)
+SOUND = "sound"
+"""The column of what is heard."""
+STROKES = {"film": "explosions", "game": "explosions", "concert": "drums"}
+SETTLED_HISS_S = 5.0
+"""The last seconds of the hiss count."""
+OVER_SHARE, QUIET_SHARE, OUT_LESS, HISS_DB, WORD_DB = 0.6, 0.45, 15.0, -10.0, 4.0
+WORST = 2.0 / 3.0
+"""No single film may stay under that share of a limit."""
+ADDS_DB, IMPACTS_FELT = 1.5, 75.0
+
+
+@dataclass(frozen=True)
+class Contrasts:
+    """Contrasts of one film, heard or felt, in dB; `out` in % of its strokes.
+
+    over: strokes over dialogue. quiet: the quiet under the action. hiss: against speech. word: how
+    much stronger the first words after the hiss are than the same words before.
+    """
+
+    over: float
+    quiet: float
+    out: float
+    hiss: float
+    word: float
+
+
+def contrasts(levels: FloatArray, film: Film) -> Contrasts:
+    """Return the contrasts of the levels of a film's sound or vibration."""
+    at = {
+        name: levels[steps(getattr(film, name), SAMPLERATE)]
+        for name in ("dialogue", "quiet", "action", "hiss", "word", "again")
+    }
+    strokes = np.round(np.array(film.strokes) * (STEPS_A_SECOND / SAMPLERATE))
+    dialogue = loud_db(at["dialogue"])
+    return Contrasts(
+        over=float(strokes_db(levels, strokes).mean()) - dialogue,
+        quiet=float(np.median(at["action"]) - np.median(at["quiet"])),
+        out=standing_out(levels, strokes),
+        hiss=float(np.median(at["hiss"][-round(SETTLED_HISS_S * STEPS_A_SECOND) :])) - dialogue,
+        word=loud_db(at["again"]) - loud_db(at["word"]),
+    )
+
+
+def heard_contrasts(film: Film) -> Contrasts:
+    """Return the contrasts of a film's sound over 90 Hz."""
+    return contrasts(heard_db(film.sound, SAMPLERATE), film)
+
+
+def felt_contrasts(method: Method, film: Film, volume_db: float) -> Contrasts:
+    """Return the contrasts of a film's vibration at a volume, velocity-weighted."""
+    vibration = method.vibration(film.sound, volume_db)
+    return contrasts(felt_levels_db(vibration, SAMPLERATE), film)
+
+
+def film_rows(methods: Sequence[Method], films: Sequence[Film]) -> Iterator[Row]:
+    """Yield the rows of every kind of film, at both volumes; the sound's own have a column."""
+    for kind in dict.fromkeys(each.kind for each in films):
+        mine = [each for each in films if each.kind == kind]
+        own = [heard_contrasts(each) for each in mine]
+        for volume_db in VOLUMES_DB:
+            title = f"{kind}, at {volume_db:g} dB" if volume_db else kind
+            yield from _own_rows(title, kind, own)
+            for method in methods:
+                felt = [felt_contrasts(method, each, volume_db) for each in mine]
+                yield from _kind_rows(title, kind, felt, own, method)
+
+
+def _own_rows(title: str, kind: str, own: Sequence[Contrasts]) -> Iterator[Row]:
+    strokes = STROKES[kind]
+    yield Row(f"{title}: {strokes} over dialogue", _mean(own, "over"), "dB", SOUND)
+    yield Row(f"{title}: quiet scene under action", _mean(own, "quiet"), "dB", SOUND)
+    yield Row(f"{title}: {strokes} that stand out", _mean(own, "out"), "%", SOUND)
+    yield Row(f"{title}: hiss against speech", _mean(own, "hiss"), "dB", SOUND)
+    yield Row(f"{title}: next word too strong by", _mean(own, "word"), "dB", SOUND)
+
+
+def _kind_rows(
+    title: str, kind: str, felt: Sequence[Contrasts], own: Sequence[Contrasts], method: Method
+) -> Iterator[Row]:
+    """Yield means over films, and the worst film."""
+    name, strokes = method.name, STROKES[kind]
+    for what, field, limit in (
+        (f"{strokes} over dialogue", "over", OVER_SHARE),
+        ("quiet scene under action", "quiet", QUIET_SHARE),
+    ):
+        yield Row(f"{title}: {what}", _mean(felt, field), "dB", name)
+        share = _mean(felt, field) / _mean(own, field)
+        must = method.must(">=", limit)
+        yield Row(f"{title}: {what}, share of the sound's", share, "", name, must)
+        shares = [
+            getattr(one, field) / getattr(of, field) for one, of in zip(felt, own, strict=True)
+        ]
+        must = method.must(">=", limit * WORST)
+        yield Row(f"{title}: {what}, share of the sound's, worst", min(shares), "", name, must)
+    out, wanted = _mean(felt, "out"), _mean(own, "out") - OUT_LESS
+    yield Row(f"{title}: {strokes} that stand out", out, "%", name, method.must(">=", wanted))
+    shares = [one.out / max(1e-9, of.out - OUT_LESS) for one, of in zip(felt, own, strict=True)]
+    must = method.must(">=", WORST)
+    yield Row(
+        f"{title}: {strokes} that stand out, share of the limit, worst", min(shares), "", name, must
+    )
+    for what, field, limit in (
+        ("hiss against speech", "hiss", HISS_DB),
+        ("next word too strong by", "word", WORD_DB),
+    ):
+        worst = max(getattr(one, field) for one in felt)
+        loosest = limit * WORST if limit < 0.0 else limit / WORST
+        yield Row(f"{title}: {what}", _mean(felt, field), "dB", name, method.must("<=", limit))
+        yield Row(f"{title}: {what}, worst", worst, "dB", name, method.must("<=", loosest))
+
+
+def _mean(of: Sequence[Contrasts], field: str) -> float:
+    return float(np.mean([getattr(one, field) for one in of]))
+
+
+def over_music_rows(methods: Sequence[Method], mixes: Sequence[OverMusic]) -> Iterator[Row]:
+    """Yield the share of impacts over music that add 1.5 dB or more within 90 ms."""
+    title = f"impacts over music that add {ADDS_DB:g} dB"
+    heard = [added_db(each.sound, each.music, SAMPLERATE, each.at) for each in mixes]
+    yield Row(title, _share(heard), "%", SOUND)
+    for method in methods:
+        alone: dict[int, FloatArray] = {}
+        added = []
+        for each in mixes:
+            if id(each.music) not in alone:
+                alone[id(each.music)] = _felt(method, each.music)
+            felt = _felt(method, each.sound)
+            added.append(added_db(felt, alone[id(each.music)], SAMPLERATE, each.at))
+        yield Row(title, _share(added), "%", method.name, method.must(">=", IMPACTS_FELT))
+
+
+def _felt(method: Method, sound: FloatArray) -> FloatArray:
+    return weighted(method.vibration(sound), SAMPLERATE)
+
+
+def _share(added: Sequence[float]) -> float:
+    return 100.0 * float(np.mean(np.array(added) >= ADDS_DB))
