@@ -1,6 +1,6 @@
 """Strong against weak in one programme: levels, rises, and what stands out. Pure functions.
 
-Levels are in dB, every ms: the r.m.s. of the last 125 ms, a full-scale sine at 0, -100 or more.
+Levels are in dB, every ms: the r.m.s. of the last 125 ms, a full-scale sine at 0, at least -70.
 """
 
 from __future__ import annotations
@@ -9,11 +9,10 @@ import numpy as np
 from scipy.signal import butter, sosfilt
 
 from audioflinger_hook.transform import FloatArray
-from tools.bench.measures.felt import weighted
+from tools.bench.measures.felt import NOTHING_DB, weighted
 
 LEVEL_S = 0.125
 STEPS_A_SECOND = 1_000
-LEAST_DB = -100.0
 HEARD_FROM_HZ = 90.0
 """What is under it, small loudspeakers do not play and a seat plays anyway."""
 STROKE_S = 0.5
@@ -36,7 +35,7 @@ def levels_db(signal: FloatArray, samplerate: int) -> FloatArray:
     width = round(LEVEL_S * STEPS_A_SECOND)
     first = np.maximum(np.arange(1, energy.size) - width, 0)
     mean = (energy[1:] - energy[first]) / (width * step)
-    levels: FloatArray = 10.0 * np.log10(np.maximum(2.0 * mean, 10.0 ** (LEAST_DB / 10.0)))
+    levels: FloatArray = 10.0 * np.log10(np.maximum(2.0 * mean, 10.0 ** (NOTHING_DB / 10.0)))
     return levels
 
 

@@ -134,7 +134,7 @@ def chord() -> FloatArray:
 def steady_noise() -> FloatArray:
     """Return steady pink noise, (frames,)."""
     noise = pink_noise(round(STEADY_S * SAMPLERATE), np.random.default_rng(7))
-    return 10.0 ** (NOISE_DB / 20.0) * np.sqrt(0.5) * noise
+    return np.asarray(10.0 ** (NOISE_DB / 20.0) * np.sqrt(0.5) * noise)
 
 
 def steady_rows(
