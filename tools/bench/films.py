@@ -17,7 +17,7 @@ from typing import Any
 from audioflinger_hook.config.profiles import PROFILES
 from device.errors import CushionError
 from tools.bench.methods import function_method, other_methods, profile_methods
-from tools.bench.report import NOT_MET, Row, number
+from tools.bench.report import NOT_MET, Row
 from tools.bench.sections.real_sounds import PARTS, material, parts
 from tools.bench.sounds.films import LAYOUTS
 from tools.bench.sounds.real_sounds import HALVES, SOUNDS_COMMAND, sounds_folder
@@ -74,10 +74,9 @@ def show(rows: Sequence[Row]) -> None:
         mine = [row for row in rows if row.name == name]
         cells = []
         for row in mine:
-            shown = row.note if row.value is None else f"{number(row.value)} {row.unit}".strip()
             limit = f" ({row.must.shown(row.unit)})" if row.must else ""
             wrong = f" {NOT_MET}" if row.met is False else ""
-            cells.append(f"{row.column} {shown}{limit}{wrong}")
+            cells.append(f"{row.column} {row.shown()}{limit}{wrong}")
         print(f"{name}: {'; '.join(cells)}")
         notes = [row.note for row in mine if row.note and row.value is not None]
         if notes:

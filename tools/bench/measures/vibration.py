@@ -130,6 +130,14 @@ def energy_above_db(vibration: FloatArray, samplerate: int, corner_hz: float = 2
     return _ratio_db(float(power[above].sum()), float(power.sum()))
 
 
+def energy_under_db(vibration: FloatArray, samplerate: int, corner_hz: float) -> float:
+    """Return the share of energy under a corner, in dB of all of it; -inf for silence."""
+    spectrum = np.fft.rfft(vibration, 2 * vibration.size)
+    power = spectrum.real**2 + spectrum.imag**2
+    under = np.fft.rfftfreq(2 * vibration.size, 1.0 / samplerate) < corner_hz
+    return _ratio_db(float(power[under].sum()), float(power.sum()))
+
+
 class Frequencies(Protocol):
     """Frequencies of several windows: parallel arrays."""
 

@@ -37,8 +37,12 @@ class Material:
 
 
 def material(half: Half, a_class: int | None, films: int) -> Material:
-    """Return the sounds of a half, at most so many of each class; empty where there are none."""
-    return Material(real_sounds(half, a_class), real_sounds("all", a_class), films)
+    """Return the sounds of a half, at most so many of each class; empty where there are none.
+
+    Rows that need many sounds get both halves, but not while values are chosen on one of them.
+    """
+    chosen = real_sounds(half, a_class)
+    return Material(chosen, real_sounds("all", a_class) if half == "report" else chosen, films)
 
 
 Part = Callable[[], Iterable[Row]]
@@ -58,7 +62,7 @@ def parts(methods: Sequence[Method], of: Material, series: Series) -> dict[str, 
         "impacts": lambda: felt_films.over_music_rows(
             methods, impacts_over_music(of.half, PIECES_AN_IMPACT)
         ),
-        "singles": lambda: felt_singles.single_rows(methods, of.half),
+        "singles": lambda: felt_singles.single_rows(methods, of.all, of.half),
         "beginnings": lambda: felt_singles.beginning_rows(methods, of.half),
         "attacks": lambda: felt_times.impact_rows(methods, of.half, series),
         "tones": lambda: felt_singles.tone_rows(methods, of.tones),

@@ -25,7 +25,7 @@ PAUSE_S = 0.3
 JOIN_S = 0.05
 """A sound that goes on is repeated with such a cross-fade."""
 FAINT_DB = -40.0
-"""A sound is trimmed to where its envelope first has this share of its largest value."""
+"""What is weaker, against the peak, is silence before a sound."""
 
 MUSIC_DB, IMPACT_PEAK_DB, IMPACT_AT_S, MIX_S = -18.0, -3.0, 4.0, 5.0
 
@@ -183,8 +183,8 @@ def going_on(sound: FloatArray, frames: int, level_db: float) -> FloatArray:
 
 def from_onset(sound: FloatArray) -> FloatArray:
     """Return a sound without what is silent before it."""
-    level = envelope(sound, SAMPLERATE)
-    return sound[int((level >= db(FAINT_DB) * float(level.max())).argmax()) :]
+    size = np.abs(sound)
+    return sound[int((size >= db(FAINT_DB) * float(size.max())).argmax()) :]
 
 
 def add(sound: FloatArray, at: int, part: FloatArray) -> None:
