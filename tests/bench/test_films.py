@@ -276,7 +276,10 @@ def test_pink_noise_has_as_much_energy_in_every_octave():
 
 
 def test_the_sound_has_a_column_of_its_own_on_films_and_on_impacts():
-    assert {row.column for row in felt_films.film_rows([], [film("film", SOUNDS, 0)])} == {"sound"}
+    series: felt_films.Series = {}
+    rows = list(felt_films.film_rows([], [film("film", SOUNDS, 0)], series))
+    assert {row.column for row in rows} == {"sound"}
+    assert len(series["film, sound"]) == 1_060
     rows = list(felt_films.over_music_rows([], impacts_over_music(SOUNDS, 1)))
     assert [row.column for row in rows] == ["sound"]
     assert (rows[0].value or 0.0) > 80.0

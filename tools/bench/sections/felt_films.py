@@ -36,6 +36,13 @@ WORST = 2.0 / 3.0
 ADDS_DB, IMPACTS_FELT = 1.5, 75.0
 
 
+FILM, PARTS, BLOWS = "film, ", "film's parts", "film's strokes"
+"""How the names in the section's series begin."""
+SHOWN_S = 0.1
+
+Series = dict[str, tuple[float, ...]]
+
+
 @dataclass(frozen=True)
 class Contrasts:
     """Contrasts of one film, heard or felt, in dB; `out` in % of its strokes.
@@ -79,8 +86,12 @@ def felt_contrasts(method: Method, film: Film, volume_db: float) -> Contrasts:
     return contrasts(felt_levels_db(vibration, SAMPLERATE), film)
 
 
-def film_rows(methods: Sequence[Method], films: Sequence[Film]) -> Iterator[Row]:
-    """Yield the rows of every kind of film, at both volumes; the sound's own have a column."""
+def film_rows(methods: Sequence[Method], films: Sequence[Film], series: Series) -> Iterator[Row]:
+    """Yield the rows of every kind of film, at both volumes; the sound's own have a column.
+
+    The series gets the levels of the first film.
+    """
+    series |= film_series(methods, films[0])
     for kind in dict.fromkeys(each.kind for each in films):
         mine = [each for each in films if each.kind == kind]
         own = [heard_contrasts(each) for each in mine]
@@ -162,9 +173,37 @@ def _mean(of: Sequence[Contrasts], field: str) -> float:
     return float(np.mean([getattr(one, field) for one in of]))
 
 
+def film_series(methods: Sequence[Method], film: Film) -> Series:
+    """Return levels of a film every 0.1 s, heard and felt, against the film's own dialogue, dB.
+
+    The ends of its parts and its strokes are in s.
+    """
+    levels = {SOUND: heard_db(film.sound, SAMPLERATE)}
+    levels |= {
+        each.name: felt_levels_db(each.vibration(film.sound), SAMPLERATE) for each in methods
+    }
+    dialogue = steps(film.dialogue, SAMPLERATE)
+    series = {
+        f"{FILM}{name}": tuple(np.round(_shown(each) - loud_db(each[dialogue]), 2).tolist())
+        for name, each in levels.items()
+    }
+    ends = (film.dialogue, film.quiet, film.action, film.hiss)
+    series[PARTS] = tuple(each.stop / SAMPLERATE for each in ends)
+    series[BLOWS] = tuple(each / SAMPLERATE for each in film.strokes)
+    return series
+
+
+def _shown(levels: FloatArray) -> FloatArray:
+    """Return the highest level in every 0.1 s."""
+    every = round(SHOWN_S * STEPS_A_SECOND)
+    return np.asarray(levels[: levels.size // every * every].reshape(-1, every).max(axis=1))
+
+
 def over_music_rows(methods: Sequence[Method], mixes: Sequence[OverMusic]) -> Iterator[Row]:
     """Yield the share of impacts over music that add 1.5 dB or more within 90 ms."""
     title = f"impacts over music that add {ADDS_DB:g} dB"
+    if not mixes:
+        return
     heard = [added_db(each.sound, each.music, SAMPLERATE, each.at) for each in mixes]
     yield Row(title, _share(heard), "%", SOUND)
     for method in methods:

@@ -92,11 +92,11 @@ def film(kind: str, sounds: Sequence[RealSound], seed: int) -> Film:
     places = [slice(*ends_) for ends_ in zip([0, *ends], ends, strict=False)]
     dialogue, quiet, action, hiss, again = places
     sound = db(HISS_DB) * pink_noise(ends[-1], rng)
-    spoken = [_spoken(each) for each in _some(rng, sounds, "speech", 12)]
-    last = spoken[0]
-    said = _filled(spoken[1:], dialogue.stop - dialogue.start - last.size)
+    words = [spoken(each) for each in _some(rng, sounds, "speech", 12)]
+    last = words[0]
+    said = _filled(words[1:], dialogue.stop - dialogue.start - last.size)
     sound[dialogue] += np.concatenate((said, last))
-    sound[again] += _filled(spoken, again.stop - again.start)
+    sound[again] += _filled(words, again.stop - again.start)
     for place, kinds, level_db in (
         (quiet, layout.quiet, layout.quiet_db),
         (action, layout.action, layout.action_db),
@@ -144,15 +144,15 @@ def _spread(
     return list(zip(places, _some(rng, sounds, kind, count), strict=True))
 
 
-def _spoken(one: RealSound) -> FloatArray:
+def spoken(one: RealSound) -> FloatArray:
     """Return a speech sound from its first word on, at the level of dialogue, and a pause."""
     sound = db(DIALOGUE_DB - LOUDNESS_DB) * even(from_onset(one.sound))
     return np.concatenate((sound, np.zeros(round(PAUSE_S * SAMPLERATE))))
 
 
-def _filled(spoken: Sequence[FloatArray], frames: int) -> FloatArray:
+def _filled(words: Sequence[FloatArray], frames: int) -> FloatArray:
     """Return speech one after another, cut with a short fade, of so many frames."""
-    said = np.resize(np.concatenate(spoken), frames)
+    said = np.resize(np.concatenate(words), frames)
     fade = round(JOIN_S * SAMPLERATE)
     said[-fade:] *= np.linspace(1.0, 0.0, fade)
     return said
