@@ -12,6 +12,7 @@ from tools.bench.measures.contrasts import (
     heard_db,
     levels_db,
     loud_db,
+    rises_db,
     standing_out,
     strokes_db,
 )
@@ -153,6 +154,16 @@ def test_strokes_stand_out_if_their_rise_is_larger_than_most_others():
     # Rises of noise are much alike: a moment that adds nothing seldom is among the largest tenth.
     quiet = np.full(20_000, -30.0)
     assert standing_out(quiet, strokes) == 0.0
+
+
+@given(st.lists(st.floats(-70.0, 0.0), min_size=300, max_size=600))
+@settings(max_examples=20)
+def test_a_rise_goes_to_the_highest_level_of_the_next_quarter_of_a_second(levels):
+    found = rises_db(np.array(levels))
+    assert found.size == len(levels) - 250
+    assert found.tolist() == [
+        max(levels[at : at + 251]) - levels[at] for at in range(len(levels) - 250)
+    ]
 
 
 def test_what_a_stroke_adds_is_the_ratio_of_energies_after_it():

@@ -65,7 +65,7 @@ PICTURES = (
     Picture("baselines", "Cost, lag and similarity of each baseline", "Baselines",
             "baselines.baselines"),
     Picture("real_sounds", "A film heard and felt; a drum, a swell and a chord, by profile",
-            "On real sounds", "real_sounds.real_sounds", True),
+            "On real sounds", "real_sounds.real_sounds", True, 64),
     Picture("models", "Error of the simulated motion over cost", "Work and precision",
             "rig.models", True),
     Picture("damping", "Residual vibration over the true f0", "Residual vibration",

@@ -6,6 +6,7 @@ Levels are in dB, every ms: the r.m.s. of the last 125 ms, a full-scale sine at 
 from __future__ import annotations
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d
 from scipy.signal import butter, sosfilt
 
 from audioflinger_hook.transform import FloatArray
@@ -71,8 +72,10 @@ def strokes_db(levels: FloatArray, strokes: FloatArray) -> FloatArray:
 def rises_db(levels: FloatArray) -> FloatArray:
     """Return for every step how far the level rises within 0.25 s; shorter than the levels."""
     after = round(RISE_S * STEPS_A_SECOND)
-    ahead = np.lib.stride_tricks.sliding_window_view(levels, after + 1).max(axis=1)
-    return np.asarray(ahead - levels[: ahead.size])
+    # The filter's window lies around its step.
+    around = maximum_filter1d(levels, after + 1, origin=-(after // 2))
+    rises: FloatArray = (around - levels)[: levels.size - after]
+    return rises
 
 
 def standing_out(levels: FloatArray, strokes: FloatArray) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -86,21 +86,33 @@ def felt_contrasts(method: Method, film: Film, volume_db: float) -> Contrasts:
     return contrasts(felt_levels_db(vibration, SAMPLERATE), film)
 
 
-def film_rows(methods: Sequence[Method], films: Sequence[Film], series: Series) -> Iterator[Row]:
-    """Yield the rows of every kind of film, at both volumes; the sound's own have a column.
+def film_rows(methods: Sequence[Method], films: Iterable[Film], series: Series) -> Iterator[Row]:
+    """Yield the rows of every kind of film; the sound's own have a column.
 
-    The series gets the levels of the first film.
+    Profiles are measured at full volume and 20 dB lower, other methods at full volume. The series
+    gets the levels of the first film.
     """
-    series |= film_series(methods, films[0])
-    for kind in dict.fromkeys(each.kind for each in films):
-        mine = [each for each in films if each.kind == kind]
-        own = [heard_contrasts(each) for each in mine]
+    own: dict[str, list[Contrasts]] = {}
+    felt: dict[tuple[str, float, str], list[Contrasts]] = {}
+    for each in films:
+        if not own:
+            series |= film_series(methods, each)
+        own.setdefault(each.kind, []).append(heard_contrasts(each))
+        for volume_db in VOLUMES_DB:
+            for method in _at(volume_db, methods):
+                found = felt_contrasts(method, each, volume_db)
+                felt.setdefault((each.kind, volume_db, method.name), []).append(found)
+    for kind, heard in own.items():
         for volume_db in VOLUMES_DB:
             title = f"{kind}, at {volume_db:g} dB" if volume_db else kind
-            yield from _own_rows(title, kind, own)
-            for method in methods:
-                felt = [felt_contrasts(method, each, volume_db) for each in mine]
-                yield from _kind_rows(title, kind, felt, own, method)
+            yield from _own_rows(title, kind, heard)
+            for method in _at(volume_db, methods):
+                mine = felt[kind, volume_db, method.name]
+                yield from _kind_rows(title, kind, mine, heard, method)
+
+
+def _at(volume_db: float, methods: Sequence[Method]) -> list[Method]:
+    return [each for each in methods if not volume_db or each.limited or each.parameters]
 
 
 def _own_rows(title: str, kind: str, own: Sequence[Contrasts]) -> Iterator[Row]:

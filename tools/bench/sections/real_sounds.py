@@ -70,7 +70,7 @@ def parts(methods: Sequence[Method], of: Material, series: Series) -> dict[str, 
     return {
         "films": lambda: felt_films.film_rows(
             methods,
-            [film(kind, of.half, seed) for kind in of.kinds for seed in range(of.films)],
+            (film(kind, of.half, seed) for kind in of.kinds for seed in range(of.films)),
             series,
         ),
         "impacts": lambda: felt_films.over_music_rows(

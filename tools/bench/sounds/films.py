@@ -21,7 +21,7 @@ DIALOGUE_DB, HISS_DB = -25.5, -70.0
 """Of speech while it sounds, and of the hiss."""
 STROKES, STROKE_S, STROKE_FADE_S = 8, 3.0, 0.5
 BUSY, BUSY_PEAK_DB, BUSY_S = 16, -12.0, 0.6
-PAUSE_S = 0.3
+PAUSE_S, HISS_PIECE_S = 0.3, 10.0
 JOIN_S = 0.05
 """A sound that goes on is repeated with such a cross-fade."""
 FAINT_DB = -40.0
@@ -91,7 +91,7 @@ def film(kind: str, sounds: Sequence[RealSound], seed: int) -> Film:
     ends = np.cumsum([round(each * SAMPLERATE) for each in lasts]).tolist()
     places = [slice(*ends_) for ends_ in zip([0, *ends], ends, strict=False)]
     dialogue, quiet, action, hiss, again = places
-    sound = db(HISS_DB) * pink_noise(ends[-1], rng)
+    sound = going_on(pink_noise(round(HISS_PIECE_S * SAMPLERATE), rng), ends[-1], HISS_DB)
     words = [spoken(each) for each in _some(rng, sounds, "speech", 12)]
     last = words[0]
     said = _filled(words[1:], dialogue.stop - dialogue.start - last.size)
