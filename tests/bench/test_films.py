@@ -5,6 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from audioflinger_hook.transform import TransformParameters
+from device.rig.rig_file import SHIPPED
 from tools.bench.measures.classes import features, told_apart
 from tools.bench.measures.contrasts import (
     added_db,
@@ -20,8 +22,10 @@ from tools.bench.measures.match import match, pieces_rms
 from tools.bench.measures.vibration import energy_under_db, steady_fit
 from tools.bench.sections import felt_films, felt_singles
 from tools.bench.sections.felt_films import Contrasts, contrasts, heard_contrasts, missed
+from tools.bench.sections.felt_rigs import over_dialogue
 from tools.bench.sounds.films import (
     LAYOUTS,
+    Film,
     film,
     from_onset,
     going_on,
@@ -294,3 +298,20 @@ def test_the_sound_has_a_column_of_its_own_on_films_and_on_impacts():
     rows = list(felt_films.over_music_rows([], impacts_over_music(SOUNDS, 1)))
     assert [row.column for row in rows] == ["sound"]
     assert (rows[0].value or 0.0) > 80.0
+
+
+def short_film(stroke_gain):
+    """Two seconds of a tone, then two of the same tone with a stroke in them."""
+    sound = tone(60.0, 0.05, 4.0)
+    sound[3 * SECOND : 3 * SECOND + SECOND // 4] *= stroke_gain
+    said, action = slice(0, 2 * SECOND), slice(2 * SECOND, 4 * SECOND)
+    return Film("film", sound, said, said, action, action, (3 * SECOND,), action, action)
+
+
+@pytest.mark.parametrize("rig", SHIPPED)
+def test_a_rigs_seat_moves_more_for_a_stroke_that_is_stronger(rig):
+    tonal = TransformParameters(strength="flat")
+    even, strong = (over_dialogue(short_film(gain), rig, "off", tonal) for gain in (1.0, 4.0))
+    assert even == pytest.approx(0.0, abs=1.5)
+    # An onset may add to the stroke's 12 dB.
+    assert strong == pytest.approx(12.0, abs=3.0)
