@@ -279,6 +279,19 @@ def test_a_tone_is_pure_with_every_profile(name, hz):
     assert residual_db < (-45 if hz < 60 else -60 if parameters.jitter_db > 2.0 else -55)
 
 
+@pytest.mark.parametrize("name", ["cinema", "game", "music"])
+def test_a_profile_levels_the_resonance_of_a_rig_that_is_set(name: str) -> None:
+    plain = Settings(profile=name)
+    assert plain.transform_parameters.strength == "felt"
+    for given in ({"rig": "consumer"}, {"damping": "auto"}, {"protection": "on"}):
+        levelled = Settings(profile=name, **given).transform_parameters
+        assert levelled.strength == "rig"
+        assert levelled.resonance_hz > 0.0
+        said = Settings(profile=name, said=("strength",), **given)
+        assert said.transform_parameters.strength == "felt"
+    assert Settings(profile="paper", rig="consumer").transform_parameters.strength == "flat"
+
+
 def test_strength_rig_takes_the_rig_s_resonance_unless_one_is_set() -> None:
     settings = Settings(parameters=TransformParameters(strength="rig"))
     free, damped = (replace(settings, damping=one).transform_parameters for one in ("off", "auto"))
