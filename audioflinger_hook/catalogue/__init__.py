@@ -1,6 +1,6 @@
 """Whole libraries of sound, on one machine or many.
 
-    manifest -> items -> run -> executors -> work -> storage
+    manifest -> items -> run -> pool or cluster -> work -> storage
                           '--> summary, page
 
 | module | what it does |
@@ -11,6 +11,6 @@
 | `storage` | sounds and results, here or remote; whole files or none |
 | `measures` | exposure and course of a vibration |
 | `work` | one item: record, reading, export |
-| `executors`, `run` | where batches run, and the run itself |
+| `run`, `cluster` | the run itself; batches on a Dask cluster (`offline/pool.py`: in processes) |
 | `summary`, `page`, `status` | what came of a run |
 """

@@ -8,11 +8,11 @@ from collections.abc import Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, wait
 from itertools import islice
 
-from audioflinger_hook.catalogue.executors import Place
 from audioflinger_hook.catalogue.item import Item
 from audioflinger_hook.catalogue.recipe import Recipe
 from audioflinger_hook.catalogue.timing import Timing
 from audioflinger_hook.catalogue.work import Outcome, do_batch
+from audioflinger_hook.offline.pool import DIED, Place
 from device.errors import InternalError
 
 BATCH_MAX = 256
@@ -129,10 +129,7 @@ class Run:
         if self._deaths[item.line] < DEATHS_MAX:
             self._suspects.appendleft(batch)
             return []
-        error = (
-            f"{item.audio}: its worker died {DEATHS_MAX} times, for lack of memory or by a fault "
-            "of a decoder; look at the file and the machine's log"
-        )
+        error = f"{item.audio}: its worker died {DEATHS_MAX} times, {DIED}"
         return [Outcome(item, "failed", 0.0, error=error, exit_code=InternalError.exit_code)]
 
     def _adapt(self, found: list[Outcome]) -> None:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from audioflinger_hook.config.schema import ACTUATOR, KEYS, RENAMED, Key
+from audioflinger_hook.config.schema import ACTUATOR, KEYS, Key
 from device.atomic_file import make_private_folder, write_bytes_atomically
 from device.errors import InternalError, UsageError
 from device.values import Text, nearest
@@ -41,7 +41,7 @@ def editable(name: str) -> Key:
 
 
 def apply_edits(document: MutableMapping[str, Any], edits: Edits) -> None:
-    """Change the values of a document. Old names of an edited key are left out."""
+    """Change the values of a document."""
     for name, value in edits.items():
         section, _, key = name.rpartition(".")
         table = document
@@ -51,9 +51,6 @@ def apply_edits(document: MutableMapping[str, Any], edits: Edits) -> None:
             if section not in document and value is None:
                 continue
             table = document.setdefault(section, {})
-        for old, new in RENAMED.get(section, {}).items():
-            if new == key and old != key:
-                table.pop(old, None)
         if value is None:
             table.pop(key, None)
         else:

@@ -27,7 +27,7 @@ from audioflinger_hook.figures.columns import (
     spectrogram_db,
 )
 from audioflinger_hook.figures.panels import Event, Principal
-from device import write_bytes_atomically
+from device.atomic_file import write_bytes_atomically
 
 WIDTH_PX, HEIGHT_PX, DPI = 1600, 1500, 150
 LEFT, RIGHT, TOP, BOTTOM = 0.072, 0.935, 0.922, 0.05

@@ -3,14 +3,23 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import BrokenExecutor, Future, wait
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from audioflinger_hook.config.settings import Settings
+from audioflinger_hook.offline.pool import DIED, LocalWorkers
+from audioflinger_hook.offline.pool import report_share as report_to_pool
 from audioflinger_hook.offline.render import RenderReport, render_file
-from audioflinger_hook.offline.workers import ReportShare, WorkerLost, Workers
 from device.errors import CushionError, InternalError, UsageError
+
+ReportShare = Callable[[float], None]
+"""Called with the share of the work that is done, 0 to 1."""
+
+SHARE_S = 0.1
+"""Time between reports of the share."""
 
 
 @dataclass(frozen=True)
@@ -69,22 +78,41 @@ def render_files(
     report_share: called with the share of all files that is done.
     """
 
-    def work(item: int, report_share: ReportShare) -> Rendered:
-        return _try_file(sources[item], targets[item], settings, report_share)
-
-    if min(workers, len(sources)) <= 1:
-        for item in range(len(sources)):
-            yield work(item, _share_of(item, len(sources), report_share))
+    count = len(sources)
+    if min(workers, count) <= 1:
+        for item in range(count):
+            share = _share_of(item, count, report_share)
+            yield _try_file(sources[item], targets[item], settings, share)
         return
-    with Workers(work, len(sources), workers) as pool:
-        for item, came in enumerate(pool.results(report_share)):
-            if isinstance(came, WorkerLost):
-                error = f"{sources[item]}: the process that rendered it was {came}; render it again"
-                yield Rendered(
-                    sources[item], targets[item], error=error, exit_code=InternalError.exit_code
-                )
-            else:
-                yield came
+    with LocalWorkers(min(workers, count), __name__, count) as pool:
+
+        def submit(item: int) -> Future[Rendered]:
+            return pool.submit(_try_item, item, sources[item], targets[item], settings)
+
+        futures = [submit(item) for item in range(count)]
+        for item in range(count):
+            again = False
+            while True:
+                while not wait(futures[item : item + 1], SHARE_S).done:
+                    if report_share:
+                        report_share(sum(pool.shares) / count)
+                try:
+                    came = futures[item].result()
+                except BrokenExecutor:
+                    # Whose process died is not known. So each unfinished file is rendered once
+                    # more, alone: the others wait for their turn here.
+                    if not again:
+                        again, futures[item] = True, submit(item)
+                        continue
+                    error = f"{sources[item]}: its process died twice, {DIED}"
+                    code = InternalError.exit_code
+                    came = Rendered(sources[item], targets[item], error=error, exit_code=code)
+                break
+            yield came
+
+
+def _try_item(item: int, source: Path, target: Path, settings: Settings) -> Rendered:
+    return _try_file(source, target, settings, partial(report_to_pool, item))
 
 
 def _try_file(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
@@ -14,7 +13,6 @@ from numpy.typing import NDArray
 
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.drive.drive import Drive
-from audioflinger_hook.offline.sections import Plan, plan_for, sections_of
 from audioflinger_hook.pipeline.framework import (
     OFFLINE_HAL_FRAMES,
     Framework,
@@ -22,7 +20,7 @@ from audioflinger_hook.pipeline.framework import (
     drive_of,
     simulated_rig_of,
 )
-from audioflinger_hook.pipeline.step import HapticSink, Pipeline
+from audioflinger_hook.pipeline.step import Pipeline
 from audioflinger_hook.sources import Client, FileTap, TapClient
 from device.drive.channel_map import ChannelMap
 from device.drive.exposure import Exposure
@@ -87,11 +85,10 @@ def render_file(
     *,
     acceleration: Path | None = None,
     progress: Progress | None = None,
-    workers: int = 1,
 ) -> RenderReport:
     """Write the vibration of a sound file as float32 WAV of the same rate and length.
 
-    With several workers, call it from the main thread. Errors are those of `render`.
+    Errors are those of `render`.
 
     Parameters
     ----------
@@ -105,14 +102,8 @@ def render_file(
         The WAV file for the rig's simulated acceleration.
     progress : callable, optional
         Called after every buffer with the frames done and the total frames.
-    workers : int
-        Processes that may share the work if the form of the transform allows it; the bytes do not
-        depend on it.
     """
     refuse_same_file(source, target, acceleration)
-    settings = settings or Settings()
-    if workers > 1 and (plan := plan_for(source, settings)):
-        return _render_sections(plan, workers, target, acceleration, progress)
     tap = FileTap(source)
     return render(
         TapClient(tap),
@@ -200,58 +191,6 @@ def render(
         exposure=_largest_exposure(written[0].drive),
         models=rig.seconds if rig else [],
         warnings=[*framework.warnings, *framework.bypass_warnings(), *warnings],
-    )
-
-
-def _render_sections(
-    plan: Plan,
-    workers: int,
-    target: Path,
-    acceleration: Path | None,
-    progress: Progress | None,
-) -> RenderReport:
-    """Do the work of `render` with vibration that is made in sections."""
-    settings = plan.settings
-    outputs: list[VibrationOutput] = []
-    frames = replaced = 0
-    try:
-        framework = Framework(
-            plan.samplerate, plan.channels, settings, hal_frames=OFFLINE_HAL_FRAMES
-        )
-        rig, written = _open_outputs(outputs, target, acceleration, framework, FADE_S)
-        sink = HapticSink(*(one.taken for one in written), clip=False)
-        # Outputs that remove the framework's latency get that many frames before the first section.
-        sink.send(np.zeros((framework.latency_frames, framework.haptic_channels), np.float32))
-        with closing(sections_of(plan, workers)) as sections:
-            for section in sections:
-                for first in range(0, len(section.vibration), OFFLINE_HAL_FRAMES):
-                    part = section.vibration[first : first + OFFLINE_HAL_FRAMES]
-                    sink.send(part)
-                    frames += len(part)
-                    if progress:
-                        progress(frames, plan.sections * plan.frames)
-                replaced += section.replaced_samples
-        for output in reversed([one.taken for one in written]):
-            output.close()
-    except BaseException:
-        for output in outputs:
-            output.abort()
-        raise
-    return RenderReport(
-        frames=frames,
-        samplerate=plan.samplerate,
-        channels=outputs[0].channels,
-        transform=settings.form,
-        profile=settings.profile,
-        latency_s=framework.latency_s,
-        peak=written[0].file.peak,
-        limited_samples=0,
-        replaced_samples=replaced,
-        peak_acceleration_m_s2=rig.peak_acceleration_m_s2 if rig else None,
-        strength_db=written[0].drive.strength_db,
-        exposure=_largest_exposure(written[0].drive),
-        models=rig.seconds if rig else [],
-        warnings=[*framework.warnings, *section.warnings],
     )
 
 

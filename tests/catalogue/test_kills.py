@@ -16,7 +16,7 @@ import pytest
 
 from audioflinger_hook.catalogue.storage import PART, LocalStorage
 from tests.support.catalogues import library, manifest, results, rows
-from tests.support.commands import call, cushion, environment, start, until
+from tests.support.commands import call, cushion, environment, start, until, workers_of
 
 ITEMS = 16
 FRAMES = 240_000
@@ -52,13 +52,6 @@ def after_some_work(process, out, draw):
     most = draw.randrange(1, ITEMS - 4)
     until(lambda: out.is_dir() and len(list(out.glob("s*.json"))) >= most, process)
     time.sleep(draw.uniform(0.0, 0.1))
-
-
-def workers_of(process):
-    """Return the worker processes of a run, not the server that forks them."""
-    return [
-        worker for server in psutil.Process(process.pid).children() for worker in server.children()
-    ]
 
 
 SEEDS = [0, *(pytest.param(seed, marks=pytest.mark.exhaustive) for seed in range(1, 3))]
@@ -293,7 +286,7 @@ def test_a_local_dask_cluster_gives_the_same_bytes(sounds, expected, tmp_path):
 
 
 def test_a_scheduler_that_is_not_there_is_an_error_of_one_line(sounds, tmp_path, monkeypatch):
-    monkeypatch.setattr("audioflinger_hook.catalogue.executors.CONNECT_S", "0.5s")
+    monkeypatch.setattr("audioflinger_hook.catalogue.cluster.CONNECT_S", "0.5s")
     done = call("catalogue", sounds, "--out", tmp_path / "out", "--dask", "tcp://127.0.0.1:9")
     assert done.code == 4
     assert done.stderr.startswith("cushion: error: no Dask scheduler answers at tcp://127.0.0.1:9")

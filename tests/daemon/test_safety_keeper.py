@@ -72,7 +72,8 @@ def played(drive: Drive, seconds: float) -> None:
 def killed(folder: Path, time: Time, coil_c: float = 119.0, magnet_c: float = 60.0) -> Drive:
     """A drive whose process was killed just before its next write."""
     keeper, drive = SafetyKeeper(folder, time), driven()
-    keeper.restore(drive.processors, "dac")
+    keeper.note_device("dac")
+    keeper.restore(drive.processors)
     played(drive, 1.0)
     set_state(drive, coil_c, magnet_c)
     keeper.update(drive.processors, 0.0)
@@ -82,7 +83,8 @@ def killed(folder: Path, time: Time, coil_c: float = 119.0, magnet_c: float = 60
 
 def restored(folder: Path, time: Time, device: str = "dac") -> tuple[SafetyState, SafetyKeeper]:
     keeper, drive = SafetyKeeper(folder, time), driven()
-    keeper.restore(drive.processors, device)
+    keeper.note_device(device)
+    keeper.restore(drive.processors)
     return state_of(drive), keeper
 
 
@@ -156,7 +158,8 @@ def test_no_drive_adds_more_to_the_dose_than_the_bound(rig: Rig) -> None:
 def test_a_clean_end_is_continued_exactly(tmp_path: Path) -> None:
     time = Time()
     keeper, drive = SafetyKeeper(tmp_path, time), driven()
-    keeper.restore(drive.processors, "dac")
+    keeper.note_device("dac")
+    keeper.restore(drive.processors)
     played(drive, 2.0)
     set_state(drive, 80.0, 40.0)
     keeper.close(drive.processors)
@@ -215,7 +218,8 @@ def test_a_clock_that_is_set_back_within_a_boot_does_not_count(tmp_path: Path) -
 def test_the_dose_is_of_the_day_and_ends_at_midnight_while_it_runs(tmp_path: Path) -> None:
     time = Time()
     keeper, drive = SafetyKeeper(tmp_path, time), driven()
-    keeper.restore(drive.processors, "dac")
+    keeper.note_device("dac")
+    keeper.restore(drive.processors)
     played(drive, 2.0)
     assert state_of(drive).dose.squares > 0.0
     time.go(12.5 * 3_600.0)
@@ -232,11 +236,13 @@ def test_the_dose_is_of_the_day_and_ends_at_midnight_while_it_runs(tmp_path: Pat
 def test_the_dose_ends_at_midnight_also_while_nothing_plays(tmp_path: Path) -> None:
     time = Time()
     keeper, drive = SafetyKeeper(tmp_path, time), driven()
-    keeper.restore(drive.processors, "dac")
+    keeper.note_device("dac")
+    keeper.restore(drive.processors)
     played(drive, 2.0)
     keeper.close(drive.processors)
     waiting = driven()
-    keeper.restore(waiting.processors, "dac")
+    keeper.note_device("dac")
+    keeper.restore(waiting.processors)
     assert state_of(waiting).dose.squares > 0.0
     time.go(12.5 * 3_600.0)
     keeper.update((*drive.processors, *waiting.processors), 100.0)
@@ -249,7 +255,8 @@ def test_the_dose_ends_at_midnight_also_while_nothing_plays(tmp_path: Path) -> N
 def test_what_moves_to_another_device_is_recorded_there(tmp_path: Path) -> None:
     time = Time()
     keeper, drive = SafetyKeeper(tmp_path, time), driven()
-    keeper.restore(drive.processors, "dac")
+    keeper.note_device("dac")
+    keeper.restore(drive.processors)
     played(drive, 1.0)
     keeper.note_device("another")
     set_state(drive, 100.0, 60.0)
@@ -273,6 +280,7 @@ def test_another_device_is_cold_but_has_the_dose_of_who_sits_there(tmp_path: Pat
 def test_a_folder_that_cannot_be_written_is_one_warning(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     keeper, drive = SafetyKeeper(tmp_path / "file" / "folder", Time()), driven()
-    keeper.restore(drive.processors, "dac")
+    keeper.note_device("dac")
+    keeper.restore(drive.processors)
     keeper.update(drive.processors, 0.0)
     assert "not kept" in keeper.warning

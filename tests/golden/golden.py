@@ -54,7 +54,7 @@ exposure_cap = "limit"
 CONFIGS = {
     "level": "gain_db = -7.5\n",
     "parameters": 'profile = "music"\n[transform]\nthreshold_hz = 0.1\npartials_max = 9\n',
-    "follower": "[transform]\nfollower_db = 20\nfollower_slope_db = 8\n",
+    "follower": "[transform]\nloudness_db = 20\ndynamics = 0.4\n",
     "jnd": '[transform]\nmapping = "jnd"\nlevel_law = "energy"\nspeech_suppression_db = 12\n',
     "damped": 'damping = "auto"\nrig = "consumer"\n',
     "protected": 'protection = "on"\nexposure_cap = "action"\n',

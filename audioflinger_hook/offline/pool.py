@@ -1,31 +1,33 @@
-"""Where batches run: in this process, in processes of this machine, or on a Dask cluster.
+"""The one pool of processes: several files and whole catalogues are worked on there.
 
-Each is a `concurrent.futures.Executor`; Dask offers one, too.
+`catalogue/cluster.py` offers the same interface for a cluster.
 """
 
 from __future__ import annotations
 
-import logging
 import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, MutableSequence
 from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
-from contextlib import suppress
+from multiprocessing import forkserver
 from multiprocessing.connection import wait
 from types import FrameType, TracebackType
 from typing import Any, Protocol, TypeVar
 
-from audioflinger_hook.catalogue.addresses import NO_CREDENTIALS, credentials_in, scrubbed
-from device.errors import LostError, UsageError
-
 T = TypeVar("T")
 
-CLUSTER_EXTRA = "--dask needs dask.distributed; pip install 'haptic-cushion[cluster]'"
-LOCAL_CLUSTER = "local"
-CONNECT_S = "10s"
-CLOSE_S = 5.0
+WORKERS_MAX = 256
+DIED = "for lack of memory or by a fault of a decoder; look at the file and the machine's log"
+"""Why a worker dies, as far as is known."""
+
+_shares: MutableSequence[float] = []  # in a worker: the pool's
+
+
+def usable_cores() -> int:
+    """Return how many cores this process may use."""
+    return len(os.sched_getaffinity(0))
 
 
 class Place(Protocol):
@@ -84,9 +86,18 @@ class LocalWorkers:
     ----------
     count : int
         Processes at once.
+    preload : str
+        The module of the work, which is imported once for all processes.
+    items : int
+        How many items may `report_share`.
+
+    Attributes
+    ----------
+    shares : sequence of float
+        The share of each item that is done, 0 to 1.
     """
 
-    def __init__(self, count: int) -> None:
+    def __init__(self, count: int, preload: str, items: int = 0) -> None:
         self._count = count
         # Workers use all cores already: threads of BLAS would only wait for one another.
         for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -94,7 +105,14 @@ class LocalWorkers:
         # A server process imports everything once and forks workers, which then start at once.
         # Forks of this process would inherit the state of its threads.
         self._context = multiprocessing.get_context("forkserver")
-        self._context.set_forkserver_preload(["audioflinger_hook.catalogue.work"])
+        self._context.set_forkserver_preload([preload])
+        # A closed terminal ends this process alone, which then ends the server and its workers.
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGHUP,))
+        try:
+            forkserver.ensure_running()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        self.shares: MutableSequence[float] = self._context.RawArray("d", items)
         self._pool = self._new_pool()
 
     def slots(self) -> int:
@@ -124,15 +142,22 @@ class LocalWorkers:
         self._pool.shutdown(wait=True, cancel_futures=True)
 
     def _new_pool(self) -> ProcessPoolExecutor:
-        return ProcessPoolExecutor(self._count, self._context, _begin_worker)
+        return ProcessPoolExecutor(self._count, self._context, _begin_worker, (self.shares,))
 
     def _renew(self) -> None:
         self._pool.shutdown(wait=True, cancel_futures=True)
         self._pool = self._new_pool()
 
 
-def _begin_worker() -> None:
+def report_share(item: int, share: float) -> None:
+    """Tell the pool the share of an item that is done; for the work, in a worker."""
+    _shares[item] = share
+
+
+def _begin_worker(shares: MutableSequence[float]) -> None:
     """Prepare a worker: the main process handles Ctrl-C and SIGHUP, and no worker outlives it."""
+    global _shares
+    _shares = shares
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _interrupt_once)
@@ -158,98 +183,3 @@ def _unless_ended(work: Callable[..., T], *arguments: Any) -> T:
         return work(*arguments)
     except KeyboardInterrupt:
         os._exit(1)
-
-
-class DaskCluster:
-    """Workers of a Dask cluster, which may come and go.
-
-    Parameters
-    ----------
-    address : str
-        A scheduler's address, such as tcp://HOST:8786; "local" starts a cluster on this machine.
-    count : int
-        Workers of a local cluster.
-
-    Raises
-    ------
-    UsageError
-        dask.distributed is not installed.
-    LostError
-        The scheduler does not answer.
-    """
-
-    def __init__(self, address: str, count: int) -> None:
-        try:
-            import dask
-            import distributed
-        except ImportError:
-            raise UsageError(CLUSTER_EXTRA) from None
-        if credentials_in(address):
-            raise UsageError(f"--dask={scrubbed(address)} {NO_CREDENTIALS}")
-        self._lost = distributed.KilledWorker
-        self.address = address
-        self._cluster: Any = None
-        for name in list(logging.root.manager.loggerDict):
-            if name.startswith(("distributed", "tornado")):
-                # What they tell reaches the user as errors of ours, without tracebacks.
-                logging.getLogger(name).setLevel(logging.CRITICAL + 1)
-        dask.config.set({"distributed.comm.timeouts.connect": CONNECT_S})
-        new_client: Any = distributed.Client
-        try:
-            if address == LOCAL_CLUSTER:
-                self._cluster = distributed.LocalCluster(
-                    n_workers=count,
-                    threads_per_worker=1,
-                    dashboard_address=":0",
-                    silence_logs=logging.CRITICAL,
-                )
-            self._client = new_client(
-                self._cluster or address, timeout=CONNECT_S, set_as_default=False
-            )
-        except (OSError, ValueError, TypeError, ImportError) as error:
-            said = scrubbed(f"{type(error).__name__}: {error}")
-            raise LostError(
-                f"no Dask scheduler answers at {scrubbed(address)} ({said}); start one with "
-                "`dask scheduler`, or use --dask local"
-            ) from None
-        self._pool = self._client.get_executor(pure=False)
-
-    def slots(self) -> int:
-        """Return how many threads the workers have now, 1 while there are none."""
-        if self._client.status != "running":
-            raise self._gone()
-        return max(1, int(self._client.scheduler_info(n_workers=0)["total_threads"]))
-
-    def submit(self, work: Callable[..., T], *arguments: Any) -> Future[T]:
-        """Send a batch to the scheduler."""
-        try:
-            future: Future[T] = self._pool.submit(work, *arguments)
-        except Exception as error:
-            raise self._gone() from error
-        return future
-
-    def lost_worker(self, error: BaseException) -> bool:
-        """Return whether several workers died with a batch. LostError: the scheduler is gone."""
-        if isinstance(error, self._lost):
-            return True
-        if self._client.status != "running":
-            raise self._gone() from None
-        return False
-
-    def __enter__(self) -> DaskCluster:
-        return self
-
-    def __exit__(self, kind: object, error: object, trace: object) -> None:
-        with suppress(Exception):
-            self._pool.shutdown(wait=False)
-        with suppress(Exception):
-            self._client.close(timeout=CLOSE_S)
-        if self._cluster is not None:
-            with suppress(Exception):
-                self._cluster.close(timeout=CLOSE_S)
-
-    def _gone(self) -> LostError:
-        return LostError(
-            f"the Dask scheduler at {scrubbed(self.address)} is gone; finished results are kept: "
-            "start it and run the same command again"
-        )
