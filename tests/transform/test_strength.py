@@ -286,7 +286,7 @@ def test_strength_rig_levels_what_a_resonant_seat_makes_of_tones(rig):
     spread_db = {}
     for strength in ("felt", "rig"):
         parameters = replace(parameters_of("cinema"), strength=strength)
-        settings = Settings(rig=rig.name, parameters=parameters)
+        settings = Settings(rig=rig.name, parameters=parameters, said=("strength",))
         mapping = VibrationMapping.of(parameters)
         felt_db = []
         for hz in (40.0, 80.0, 160.0, 400.0, 1_000.0, 3_000.0):
