@@ -145,13 +145,23 @@ class Settings(Described):
     def transform_parameters(self) -> TransformParameters:
         """The parameters; strength "rig" without a resonance gets that of the damped rig.
 
+        A profile's strength "felt" becomes "rig" where a rig is set: another one than the default,
+        or one that is damped, protected or whose exposure is limited.
+
         UsageError: the rig's file cannot be read any more.
         """
         chosen = self.parameters
+        if chosen.strength == "felt" and "strength" not in self.said and self._rig_is_set:
+            chosen = replace(chosen, strength="rig")
         if chosen.strength != "rig" or chosen.resonance_hz:
             return chosen
         hz, q = resonance_as_damped(rig_by_name(self.rig).actuator, self.damping == "auto")
         return replace(chosen, resonance_hz=hz, resonance_q=q)
+
+    @property
+    def _rig_is_set(self) -> bool:
+        acts = (self.damping, self.protection, self.exposure_cap)
+        return self.rig != SHIPPED[0] or acts != (DAMPING[0], PROTECTION[0], EXPOSURE_CAP[0])
 
     @property
     def sources(self) -> tuple[str, ...]:

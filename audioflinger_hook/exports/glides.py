@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
+from scipy.signal import lfilter, sosfilt
 
 from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.design.synthesis import glide_shape, glide_turns
@@ -80,6 +80,8 @@ def rising(design: LiveDesign, rows: FloatArray) -> NDArray[np.bool_]:
     """Return of each row of a channel whether it belongs to a hop whose amplitudes rise in sum."""
     if not len(rows):
         return np.zeros(0, dtype=np.bool_)
+    if design.loudness.loudness_scale.size:  # glides of one tick each
+        return np.zeros(len(rows), dtype=np.bool_)
     of_hop = rows[:, SLOT] < first_onset_slot(design)
     rise = np.where(of_hop, rows[:, END_LEVEL] - rows[:, START_LEVEL], 0.0)
     _, hop = np.unique(rows[:, FRAME], return_inverse=True)
@@ -109,13 +111,18 @@ def low_pass(
     design: LiveDesign, signal: NDArray[np.complex128], state: NDArray[np.complex128]
 ) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
     """Return what the live form's low-pass makes of a signal, and its next state."""
-    smooth, state = lfilter(design.synthesis.low_b, design.synthesis.low_a, signal, zi=state)
+    made = design.synthesis
+    if made.low_sections.size:
+        return sosfilt(np.array(made.low_sections), signal, zi=state)  # type: ignore[no-any-return]
+    smooth, state = lfilter(made.low_b, made.low_a, signal, zi=state)
     return smooth, state
 
 
 def at_rest(design: LiveDesign) -> NDArray[np.complex128]:
     """Return the low-pass's state after silence."""
-    return np.zeros(design.synthesis.low_a.size - 1, np.complex128)
+    sections = design.synthesis.low_sections
+    shape = (len(sections), 2) if sections.size else (design.synthesis.low_a.size - 1,)
+    return np.zeros(shape, np.complex128)
 
 
 def aligned_s(design: LiveDesign, frame: float) -> float:

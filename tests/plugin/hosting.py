@@ -23,7 +23,7 @@ from device.rig import CONSUMER, PAPER
 
 Floats = NDArray[np.float32]
 
-PROFILES = ("paper", "cinema", "game", "music")
+PROFILES = ("paper", "cinema", "game", "music", "speech")
 RATES_HZ = (
     *(8_000, 11_025, 16_000, 22_050, 32_000, 44_100, 48_000, 88_200, 96_000, 176_400, 192_000),
 )

@@ -3,7 +3,7 @@
 #ifndef CUSHION_FILTER_CASCADE_H
 #define CUSHION_FILTER_CASCADE_H
 
-#include "../../transform/native/common.h"
+#include "common.h"
 
 #define SECTION_NUMBERS 6
 #define SECTIONS_MAX 8
