@@ -18,7 +18,8 @@ from tools.bench.measures.contrasts import (
     standing_out,
     strokes_db,
 )
-from tools.bench.measures.match import match, pieces_rms
+from tools.bench.measures.loudness import STEP_S, loudness_sone
+from tools.bench.measures.match import PIECE_S, match, pieces_rms
 from tools.bench.measures.vibration import energy_under_db, steady_fit
 from tools.bench.sections import felt_films, felt_singles
 from tools.bench.sections.felt_films import Contrasts, contrasts, heard_contrasts, missed
@@ -214,12 +215,31 @@ def test_a_film_misses_what_is_under_two_thirds_of_a_limit():
 
 
 @given(st.floats(0.01, 100.0), st.integers(0, 4))
-def test_a_vibration_in_proportion_to_loudness_matches_fully_at_any_gain_up_to_80_ms_late(
+def test_a_vibration_in_proportion_to_loudness_matches_fully_at_any_gain_up_to_80_ms_before(
     gain, late
 ):
-    sone = 1.0 + np.sin(np.arange(100) / 7.0)
-    rms = gain * np.concatenate((np.full(late, 0.5), sone))[: sone.size]
-    assert match(sone, rms) == pytest.approx(100.0, abs=1e-6)
+    rms = 1.0 + np.sin(np.arange(100) / 7.0)
+    sone = np.concatenate((np.full(late, 0.5), rms))[: rms.size]
+    assert match(sone, gain * rms) == pytest.approx(100.0, abs=1e-6)
+
+
+def test_a_vibration_that_comes_after_its_loudness_does_not_match_fully():
+    sone = 1.0 + np.sin(np.arange(100) / 2.0)
+    assert match(sone, np.roll(sone, 2)) < 80.0
+
+
+@pytest.mark.parametrize("onset_s", [0.3, 0.35])
+def test_the_soft_power_of_a_sounds_own_strength_matches_its_momentary_loudness(onset_s):
+    pytest.importorskip("mosqito")
+    sound = 0.3 * np.random.default_rng(1).standard_normal(SECOND)
+    at = round(onset_s * SECOND)
+    sound[:at] = 0.0
+    sound[at:] *= np.exp(-np.arange(SECOND - at) / 6_000.0)
+    steps = round(PIECE_S / STEP_S)
+    sone = loudness_sone(sound)
+    sone = sone[: sone.size // steps * steps].reshape(-1, steps).mean(axis=1)
+    # In time with the sound: its amplitude to the power that loudness follows.
+    assert match(sone, pieces_rms(sound, SAMPLERATE) ** 0.6) > 90.0
 
 
 def test_a_constant_vibration_matches_a_steady_sound_and_not_a_changing_one():

@@ -11,8 +11,8 @@
 | sections | one function a section of the report |
 | figures | the pictures of a report |
 
-`python -m tools.bench.films` measures only what is felt of films and real sounds: of chosen profiles,
-or of any function from sound to vibration.
+`python -m tools.bench.films` measures only what is felt of films and real sounds: of chosen
+profiles, or of any function from sound to vibration.
 
 `python -m tools.bench` measures everything; `run.run_bench` does the same from Python.
 """

@@ -29,8 +29,10 @@ def pieces_rms(signal: FloatArray, samplerate: int) -> FloatArray:
 def match(sone: FloatArray, rms: FloatArray) -> float:
     """Return the match of loudness and vibration, both every 20 ms; 100 is the best.
 
-    It is 100 (1 - (1 - r) min(1, v / 0.5)), with r Pearson's of both at the best delay of 0 to
-    80 ms, and v the coefficient of variation of the loudness: a steady sound asks for little.
+    It is 100 (1 - (1 - r) min(1, v / 0.5)), with r Pearson's of both where the loudness comes 0 to
+    80 ms later than the vibration, at the best such delay, and v the coefficient of variation of
+    the loudness: a steady sound asks for little. Momentary loudness follows its own sound late, by
+    20 ms as a rule, so that a vibration in time with the sound comes first.
     """
     count = min(sone.size, rms.size)
     sone, rms = sone[:count], rms[:count]
@@ -39,7 +41,7 @@ def match(sone: FloatArray, rms: FloatArray) -> float:
         return 100.0
     found = []
     for late in range(1 + round(LATEST_S / PIECE_S)):
-        one, other = sone[: count - late], rms[late:]
+        one, other = sone[late:], rms[: count - late]
         if one.size > 2 and one.std() > 0.0 and other.std() > 0.0:
             found.append(float(np.corrcoef(one, other)[0, 1]))
     r = max(found, default=0.0)
