@@ -272,11 +272,16 @@ def test_a_tone_is_pure_with_every_profile(name, hz):
 def test_a_profile_levels_the_resonance_of_a_rig_that_is_set(name: str) -> None:
     plain = Settings(profile=name)
     assert plain.transform_parameters.strength == "felt"
-    for given in ({"rig": "consumer"}, {"damping": "auto"}, {"protection": "on"}):
-        levelled = Settings(profile=name, **given).transform_parameters
+    given = (
+        replace(plain, rig="consumer"),
+        replace(plain, damping="auto"),
+        replace(plain, protection="on"),
+    )
+    for settings in given:
+        levelled = settings.transform_parameters
         assert levelled.strength == "rig"
         assert levelled.resonance_hz > 0.0
-        said = Settings(profile=name, said=("strength",), **given)
+        said = replace(settings, said=("strength",))
         assert said.transform_parameters.strength == "felt"
     assert Settings(profile="paper", rig="consumer").transform_parameters.strength == "flat"
 

@@ -116,7 +116,7 @@ def _play(s, voices, sound, begins, whole):
     for which, voice in enumerate(voices):
         parts = [(s.hop_frames, voice.partials.glides), (s.tick_frames, voice.fresh.glides)]
         played, limited, driven_glides = vibrate(
-            s, *(some for _, some in parts), voice.wanted[:tick]
+            s, voice.partials.glides, voice.fresh.glides, voice.wanted[:tick]
         )
         part = whole.samples[begin + s.tick_frames :, which]
         part[: played.size] = played[: part.size]
@@ -132,7 +132,8 @@ def vibrate(s: Any, hops: Any, fresh: Any, wanted: Any) -> tuple[FloatArray, int
     """Return the vibration (ticks x tick_frames,) after each of some ticks; how many samples of it
     were limited; and, where loudness is followed, the glides of each tick. hops, fresh: glides over
     a hop, and over a tick. wanted: strength at the end of each tick."""
-    ticks, limited, glides = len(wanted), 0, []
+    ticks, limited = len(wanted), 0
+    glides: list[Any] = []
     waves = _waves(s, hops, s.attack, s.glide, s.glide_s)
     waves += _waves(s, fresh, s.tick_glide, s.tick_glide, s.tick_glide_s)
     if s.loudness_scale.size:

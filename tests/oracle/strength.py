@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from audioflinger_hook.transform.arrays import FloatArray, IntArray
+from audioflinger_hook.transform.arrays import FloatArray
 from tests.oracle.loudness import at_hz
 
 
@@ -83,15 +83,16 @@ class Strength:
             self.boost_db = max(extra, self.boost_db - s.boost_fall)
 
 
-def driven(s: Any, rows: Any, wanted: list[float]) -> tuple[FloatArray, IntArray, list[FloatArray]]:
+def driven(s: Any, rows: Any, wanted: list[float]) -> tuple[FloatArray, int, list[Any]]:
     """Return oscillators at the low rate, (ticks x tick_steps,), as strong as is wanted at the end
     of each tick; the number of their steps that were limited; and the glides of each tick. rows:
     (tick, slot, numbers), numbers (4, tick_steps + 1): Hz, amplitude, turns, from the tick's start
     on."""
-    low_rate, limited, glides = np.zeros((len(wanted), s.tick_steps)), 0, []
+    low_rate, limited = np.zeros((len(wanted), s.tick_steps)), 0
+    glides: list[Any] = []
     part = np.arange(s.tick_steps + 1) / s.tick_steps
     before, beat_before, moved_before, gain_before = 0.0, 1.0, 0.0, 0.0
-    of_tick = [[] for _ in wanted]
+    of_tick: list[list[Any]] = [[] for _ in wanted]
     for tick, slot, numbers in rows:
         if tick < len(wanted):
             of_tick[tick].append((slot, numbers))
