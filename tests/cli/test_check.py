@@ -200,7 +200,10 @@ def test_rendering_with_mistakes_names_the_first_and_how_many_more(config, tmp_p
     source = sound(tmp_path / "in.wav", noise(3_000))
     path = config(FIVE_MISTAKES)
     error = refused(call("render", source, tmp_path / "out.wav", "--config", path))
-    assert 'line 2: profile = "loud" is not known; allowed: paper, cinema, game, music, speech' in error
+    assert (
+        'line 2: profile = "loud" is not known; allowed: paper, cinema, game, music, speech'
+        in error
+    )
     assert "and 4 more" in error
     assert listing(tmp_path).keys() == {"in.wav", "config.toml"}
 

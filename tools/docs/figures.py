@@ -18,7 +18,6 @@ PYTHON = r"\w+ [\d.]+,( quantum \d+,)? 512 frames"
 LOST = "sounds not felt at all"
 EXPLOSIONS = "film: explosions over dialogue"
 IMPACTS = "impacts over music that add .*"
-SHOTS = "shots: peak off the sound's, median"
 
 SENTENCES = {
     "README.md": (
@@ -31,7 +30,6 @@ SENTENCES = {
         "distortion under {thdn_db} dB",
         "is under {above_250_db} dB on {recordings} recordings",
         "Damping takes {damped_db} dB off",
-        "Half of the single shots have their peak more than {shot_ms} ms from that of the sound",
         "Over loud music {impacts} % of impacts are felt",
     ),
     "docs/results.md": (
@@ -130,7 +128,6 @@ def figures(found: Benchmarks) -> dict[str, str]:
         "thdn_db": ceil(found.one("Steady tones", r"worst THD\+N, 150 .*")),
         "above_250_db": ceil(found.one("Energy above 250 Hz", "worst recording")),
         "damped_db": round(undamped - damped, 1),
-        "shot_ms": floor(found.one("On real sounds", SHOTS, "cinema")),
         "paper_ms": round(paper + lag),
         "cinema_ms": round(cinema + lag),
         "burst_ms": round(max(found.all(bursts, streams, "to half, median")), 1),
