@@ -14,7 +14,9 @@ from typing import NamedTuple
 
 from device.server.snapshot import ServerSnapshot, default_name
 
-AFTER_S = 1.0  # the check comes this long after the last change
+AFTER_S = 1.0  # the check comes this long after the last change,
+
+AT_MOST_S = 5.0  # and this long after the first one, also while changes go on
 
 RENEW_AGAIN_S = 30.0  # least time between two detections
 
@@ -43,18 +45,23 @@ class DefaultsCheck:
     def __init__(self, disagreed: Callable[[Defaults], None]) -> None:
         self._disagreed = disagreed
         self._not_before_s = -math.inf
+        self._changed_s: float | None = None  # the first change since the last check
         self.due_s: float | None = None
 
     def note_change(self, now_s: float, snapshot: ServerSnapshot) -> None:
         """Schedule a check after a change."""
-        if snapshot.kind == "PipeWire":
-            self.due_s = max(now_s + AFTER_S, self._not_before_s)
+        if snapshot.kind != "PipeWire":
+            return
+        if self._changed_s is None:
+            self._changed_s = now_s
+        settled_s = min(now_s + AFTER_S, self._changed_s + AT_MOST_S)
+        self.due_s = max(settled_s, self._not_before_s)
 
     def check_if_due(self, now_s: float, snapshot: ServerSnapshot) -> None:
         """Start a check on another thread if it is due."""
         if self.due_s is None or now_s < self.due_s:
             return
-        self.due_s = None
+        self.due_s = self._changed_s = None
         known = Defaults.of(snapshot)
 
         def check() -> None:

@@ -187,9 +187,14 @@ def test_other_methods_have_no_latency_and_the_null_model_no_change():
 
 def test_more_than_150_sounds_are_matched_only_where_no_value_is_chosen_on_them(monkeypatch):
     asked: list[str] = []
-    monkeypatch.setattr(section, "real_sounds", lambda half, _: asked.append(half) or (half,))
-    assert section.material("choose", None, 1).all == ("choose",)
-    assert section.material("report", None, 1).all == ("all",)
+
+    def sounds_of(half, _):
+        asked.append(half)
+        return (half,)
+
+    monkeypatch.setattr(section, "real_sounds", sounds_of)
+    assert [str(one) for one in section.material("choose", None, 1).all] == ["choose"]
+    assert [str(one) for one in section.material("report", None, 1).all] == ["all"]
     assert asked == ["choose", "report", "all"]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -32,6 +33,8 @@ from tests.servers.daemons import (
     tone,
 )
 from tests.servers.listening import RATE_HZ, playing, recording, wait_for
+from tests.servers.witness import Verdict
+from tools.live_latency.pauses import PauseWitness
 from tools.sound_server import SoundServer
 
 pytestmark = pytest.mark.calm
@@ -60,27 +63,38 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> tuple[Float32Array, Float
     return sound, soundfile.read(target, always_2d=True)[0][:, 0]
 
 
-def test_what_plays_is_felt_as_a_file_of_it_is_rendered(
-    server: SoundServer, scene: tuple[Float32Array, FloatArray], tmp_path: Path
-) -> None:
-    sound, vibration = scene
+def take(server: SoundServer, sound: Float32Array, folder: Path) -> tuple[Float32Array, str, float]:
+    """What is felt of a sound, the daemon's status, and how long a core was taken away in s."""
     with (
+        closing(PauseWitness()) as witness,
         running(server) as daemon,
-        recording(server, "haptic.monitor", tmp_path / "felt") as felt,
+        recording(server, "haptic.monitor", folder / "felt") as felt,
         playing(server, "desktop", sound),
     ):
         wait_for(lambda: felt_now(felt), "vibration")
         enough = len(felt()) + int((SCENE_S + 0.5) * RATE_HZ)
         wait_for(lambda: len(felt()) > enough, "the whole of it", 2.0 * SCENE_S)
-        status = daemon.status()
-    heard = felt()[:, 0]
-    alike = likeness(envelope(heard), envelope(vibration))
-    lag = best_lag(envelope(heard), envelope(vibration))
-    got = heard[lag * RATE_HZ // 1_000 :][: len(sound)].astype(np.float64)
-    level_db = 10.0 * np.log10(np.mean(got**2) / np.mean(vibration**2))
-    print(f"{server.kind}: correlation {alike:.4f}, level {level_db:+.2f} dB, {status}")
-    assert alike >= 0.97
-    assert abs(level_db) <= 0.5
+        status = str(daemon.status())
+        away_s = max((one.seconds for one in witness.core_pauses()), default=0.0)
+    return felt()[:, 0], status, away_s
+
+
+def test_what_plays_is_felt_as_a_file_of_it_is_rendered(
+    server: SoundServer, scene: tuple[Float32Array, FloatArray], tmp_path: Path
+) -> None:
+    """A take counts only if no core was taken away for 20 ms, which no stream outlasts."""
+    sound, vibration = scene
+    shown, verdict = False, Verdict("felt as rendered", needed=1, stray=0)
+    while not shown:
+        heard, status, away_s = take(server, sound, tmp_path)
+        alike = likeness(envelope(heard), envelope(vibration))
+        lag = best_lag(envelope(heard), envelope(vibration))
+        got = heard[lag * RATE_HZ // 1_000 :][: len(sound)].astype(np.float64)
+        level_db = float(10.0 * np.log10(np.mean(got**2) / np.mean(vibration**2)))
+        found = f"correlation {alike:.4f}, level {level_db:+.2f} dB, {status}"
+        print(f"{server.kind}: {found}, a core was away for {1e3 * away_s:.0f} ms")
+        good = alike >= 0.97 and abs(level_db) <= 0.5
+        shown = verdict.add(found, good=good, witness_torn=away_s > 0.02)
 
 
 def test_it_ends_after_the_seconds_asked_for_and_tells_what_it_does_until_then(
