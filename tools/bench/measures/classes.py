@@ -13,8 +13,8 @@ HIGHEST_HZ = 250.0
 WITHIN_DB = 40.0
 """Frames weaker than that under the strongest one do not count."""
 NEIGHBOURS = 5
-LEAST_SPREAD = 1e-6
-"""A feature with less spread over the sounds is the same for all but for rounding."""
+LEAST_SPREAD = 0.1
+"""A feature that varies less over the sounds, in dB or Hz, is not felt and does not count."""
 
 
 def features(vibration: FloatArray, samplerate: int) -> FloatArray:
@@ -47,10 +47,13 @@ def told_apart(found: FloatArray, kinds: Sequence[str]) -> float:
 
     It is the mean over classes, so that chance gives 100 over their number. found: (sounds,
     features); each sound is judged by the five nearest others, and the nearest of these decides
-    where two classes are as frequent. Features are scaled to a spread of 1.
+    where two classes are as frequent. Features are scaled to a spread of 1; those with less than
+    0.1 dB or Hz are left out.
     """
     spread = found.std(axis=0)
-    scaled = (found - found.mean(axis=0)) / np.where(spread > LEAST_SPREAD, spread, 1.0)
+    scaled = ((found - found.mean(axis=0)) / np.maximum(spread, LEAST_SPREAD)) * (
+        spread > LEAST_SPREAD
+    )
     distance = np.linalg.norm(scaled[:, None] - scaled[None], axis=2)
     np.fill_diagonal(distance, np.inf)
     names = np.array(kinds)

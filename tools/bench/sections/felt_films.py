@@ -137,7 +137,7 @@ def _kind_rows(
         ("quiet scene under action", "quiet", QUIET_SHARE),
     ):
         yield _spread_row(f"{title}: {what}", "dB", felt, field, name)
-        share = _mean(felt, field) / _mean(own, field)
+        share = round(_mean(felt, field) / _mean(own, field), 3)
         must = method.must(">=", limit)
         yield Row(f"{title}: {what}, share of the sound's", share, "", name, must)
     must = method.must(">=", out_limit)
@@ -152,7 +152,7 @@ def _kind_rows(
     note = ", ".join(dict.fromkeys(each for one in failed for each in one))
     yield Row(
         f"{title}: films under two thirds of a limit", float(count), f"of {len(felt)}", name, must,
-        note=f"{name}: {note}" if note else "",
+        note=f"{name}: {note}" if note and method.limited else "",
     )  # fmt: skip
 
 
@@ -177,7 +177,8 @@ def _spread_row(
     must: Must | None = None,
 ) -> Row:
     """Return the mean over films, with the smallest and the largest."""
-    values = [getattr(one, field) for one in of]
+    # Rounded, so that what is nothing looks like it.
+    values = [round(getattr(one, field), 3) for one in of]
     return Row(title, float(np.mean(values)), unit, column, must, min(values), max(values))
 
 
