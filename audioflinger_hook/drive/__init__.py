@@ -4,6 +4,7 @@
 | ------------- | ------------------------------------------------------------------------------ |
 | drive.py      | `Drive`: the drives of one device's actuators                                  |
 | driven_rig.py | `DrivenRig`: what the core says of the actuators that drive one rig            |
+| rig_driver.py | `RigDriver`: one rig alone                                                     |
 
-device/drive designs the processing of a rig; core/drive computes it.
+What is done for a rig is designed in device/drive and computed in core/drive.
 """

@@ -1,22 +1,23 @@
 """AHAP 1.0 for Apple's Core Haptics: continuous events, their curves, and transients.
 
-Limits: 30 s for a continuous event, 16 points for a curve, 60 points a second. Times of a curve's
-points are relative to the curve. A player multiplies intensities of
+Limits: a continuous event lasts 30 s at most; a curve has 16 points at most; at most 60 points a
+second; times of a curve's points are relative to the curve. A player multiplies intensities of
 curve and event and adds their sharpness, also for transients, so transients are divided by the
 curve. Intensity is the square root of amplitude.
 """
 
 from __future__ import annotations
 
+import json
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from audioflinger_hook.exports.envelope import Envelope, Limits, envelope_of
+from audioflinger_hook.exports.band import band_text, to_device_hz
+from audioflinger_hook.exports.envelope import PERCEPTUAL, Envelope, Limits, envelope_of
 from audioflinger_hook.exports.glides import VibrationCurve
-from audioflinger_hook.exports.options import Band, band_text, share_of, to_device_hz
-from audioflinger_hook.exports.parametric import SHORTEST_S, Composed, json_bytes, rounded
+from audioflinger_hook.exports.parametric import Composed, Job
 from device.units import FloatArray
 
 CONTINUOUS_MAX_S = 30.0
@@ -25,15 +26,16 @@ SHARPNESS_LOW_HZ, SHARPNESS_HIGH_HZ = 65.0, 300.0
 """Frequencies of sharpness 0 and 1; the scale is linear. Apple publishes none: this is the common
 reading."""
 
-LIMITS = Limits(spacing_s=1 / 59, longest_s=2.0, square_root=True)
+LIMITS = Limits(spacing_s=1 / 59, longest_s=2.0, law=PERCEPTUAL)
+SHORTEST_S = 0.001
+DECIMALS = 5
 
 
-def compose(
-    curve: VibrationCurve, duration_s: float, band_hz: Band | None
-) -> tuple[bytes, Composed]:
+def compose(curve: VibrationCurve, duration_s: float, job: Job) -> tuple[bytes, Composed]:
     """Return the content of an AHAP file, and its errors."""
     length_s = max(SHORTEST_S, duration_s)
     envelope = envelope_of(curve, length_s, LIMITS)
+    band_hz = job.options.device_band_hz
     hz = to_device_hz(envelope.hz, band_hz)
     sharpness = sharpness_of(hz)
     pattern = [
@@ -53,12 +55,14 @@ def compose(
         },
         "Pattern": pattern,
     }
-    return json_bytes(document), Composed(envelope.error, _warnings(envelope, hz))
+    text = json.dumps(document, separators=(",", ":"))
+    return text.encode(), Composed(envelope.error, _warnings(envelope, hz))
 
 
 def sharpness_of(hz: FloatArray) -> FloatArray:
     """Return the sharpness, 0 to 1, of a device's frequencies."""
-    return share_of(hz, SHARPNESS_LOW_HZ, SHARPNESS_HIGH_HZ)
+    share = (hz - SHARPNESS_LOW_HZ) / (SHARPNESS_HIGH_HZ - SHARPNESS_LOW_HZ)
+    return np.clip(share, 0.0, 1.0)
 
 
 def _continuous(duration_s: float) -> list[dict[str, Any]]:
@@ -66,8 +70,8 @@ def _continuous(duration_s: float) -> list[dict[str, Any]]:
     if len(edges) > 2 and edges[-1] - edges[-2] < SHORTEST_S:
         edges.pop()
     return [
-        {"Event": {"Time": rounded(first), "EventType": "HapticContinuous",
-                   "EventDuration": rounded(min(CONTINUOUS_MAX_S, end - first)),
+        {"Event": {"Time": _rounded(first), "EventType": "HapticContinuous",
+                   "EventDuration": _rounded(min(CONTINUOUS_MAX_S, end - first)),
                    "EventParameters": _parameters(1.0, 0.0)}}
         for first, end in pairwise(edges)
     ]  # fmt: skip
@@ -82,9 +86,9 @@ def _curves(name: str, time_s: FloatArray, values: FloatArray) -> list[dict[str,
         end = min(first + CURVE_POINTS_MAX, time_s.size)
         if step.size:
             end = first + int(step[0]) + 1
-        start_s = rounded(time_s[first])
+        start_s = _rounded(time_s[first])
         points = [
-            {"Time": rounded(at - start_s), "ParameterValue": rounded(value)}
+            {"Time": _rounded(at - start_s), "ParameterValue": _rounded(value)}
             for at, value in zip(time_s[first:end], values[first:end], strict=True)
         ]
         curves.append(
@@ -97,7 +101,7 @@ def _curves(name: str, time_s: FloatArray, values: FloatArray) -> list[dict[str,
 
 
 def _transients(
-    envelope: Envelope, sharpness: FloatArray, band_hz: Band | None
+    envelope: Envelope, sharpness: FloatArray, band_hz: tuple[float, float] | None
 ) -> list[dict[str, Any]]:
     events = []
     for one in envelope.transients:
@@ -106,7 +110,7 @@ def _transients(
         wanted = sharpness_of(to_device_hz(np.array(one.hz), band_hz))
         added = float(np.clip(wanted - sharpness[one.place], 0.0, 1.0))
         events.append(
-            {"Event": {"Time": rounded(one.time_s), "EventType": "HapticTransient",
+            {"Event": {"Time": _rounded(one.time_s), "EventType": "HapticTransient",
                        "EventParameters": _parameters(intensity, added)}}
         )  # fmt: skip
     return events
@@ -114,8 +118,8 @@ def _transients(
 
 def _parameters(intensity: float, sharpness: float) -> list[dict[str, Any]]:
     return [
-        {"ParameterID": "HapticIntensity", "ParameterValue": rounded(intensity)},
-        {"ParameterID": "HapticSharpness", "ParameterValue": rounded(sharpness)},
+        {"ParameterID": "HapticIntensity", "ParameterValue": _rounded(intensity)},
+        {"ParameterID": "HapticSharpness", "ParameterValue": _rounded(sharpness)},
     ]
 
 
@@ -127,4 +131,10 @@ def _warnings(envelope: Envelope, hz: FloatArray) -> tuple[str, ...]:
             f"{low:.0%} of the vibration is under {SHARPNESS_LOW_HZ:g} Hz, where AHAP's sharpness "
             "is 0; --device-band 80:230 keeps its frequencies apart"
         )
-    return (*found, *envelope.warnings)
+    if envelope.clipped_points:
+        found.append(f"{envelope.clipped_points} points beyond full scale were limited")
+    return tuple(found)
+
+
+def _rounded(value: float) -> float:
+    return round(float(value), DECIMALS) + 0.0

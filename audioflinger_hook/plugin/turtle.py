@@ -1,11 +1,11 @@
-"""The Turtle files of the LV2 bundle, which describe the plugin's variants to hosts."""
+"""The Turtle files of the LV2 bundle, which describe the plugin's faces to hosts."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
 
-from audioflinger_hook.plugin.variants import AUDIO, CONTROL, INPUT, PluginVariant, Port
+from audioflinger_hook.plugin.faces import AUDIO, CONTROL, INPUT, Face, Port
 
 BINARY = "haptic_cushion.so"
 DESCRIPTION = "haptic_cushion.ttl"
@@ -22,27 +22,27 @@ _PREFIXES = """\
 _UNITS = {"dB": "units:db", "ms": "units:ms", "dBFS": "units:db"}
 
 
-def manifest(variants: Sequence[PluginVariant], marker: str) -> str:
+def manifest(faces: Sequence[Face], marker: str) -> str:
     """Return manifest.ttl: which plugins there are, and where. marker: a comment's text."""
     entries = [
-        f"<{PREFIX}{variant.profile}>\n    a lv2:Plugin ;\n    lv2:binary <{BINARY}> ;\n"
+        f"<{PREFIX}{face.profile}>\n    a lv2:Plugin ;\n    lv2:binary <{BINARY}> ;\n"
         f"    rdfs:seeAlso <{DESCRIPTION}> .\n"
-        for variant in variants
+        for face in faces
     ]
     return "\n".join((f"# {marker}\n{_PREFIXES}", *entries))
 
 
-def description(variants: Sequence[PluginVariant], marker: str) -> str:
+def description(faces: Sequence[Face], marker: str) -> str:
     """Return the file that describes the plugins and their ports. marker: a comment's text."""
-    return "\n".join((f"# {marker}\n{_PREFIXES}", *map(_plugin, variants)))
+    return "\n".join((f"# {marker}\n{_PREFIXES}", *map(_plugin, faces)))
 
 
-def _plugin(variant: PluginVariant) -> str:
-    ports = " , ".join(_port(index, port) for index, port in enumerate(variant.ports))
+def _plugin(face: Face) -> str:
+    ports = " , ".join(_port(index, port) for index, port in enumerate(face.ports))
     return (
-        f"<{PREFIX}{variant.profile}>\n"
+        f"<{PREFIX}{face.profile}>\n"
         "    a lv2:Plugin , lv2:ConverterPlugin ;\n"
-        f'    doap:name "{variant.name}" ;\n'
+        f'    doap:name "{face.name}" ;\n'
         "    doap:license <https://www.apache.org/licenses/LICENSE-2.0> ;\n"
         '    rdfs:comment "Turns sound into vibration for a cushion or seat." ;\n'
         "    lv2:minorVersion 2 ;\n"

@@ -51,7 +51,12 @@ class VoicesClient:
     mixed into them. The supervising thread calls `add` and `remove`. The thread on which all sounds
     arrive calls the other methods and steps the pipeline.
 
-    samplerate, channels: of the mix and of every voice; Hz.
+    Parameters
+    ----------
+    samplerate : int
+        Rate of the mix and of every voice, Hz.
+    channels : int
+        Channels of the mix and of every voice.
     """
 
     frames_expected = None

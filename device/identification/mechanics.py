@@ -1,7 +1,8 @@
-"""Moving mass, Bl, f0 and Qms, from several measurements or with values of the rig's file.
+"""Moving mass, Bl, f0 and Qms, from several measurements or with what the rig's file states.
 
-Under voltage drive the mode's poles solve (s^2 + s w0 / Qms + w0^2) Z + s Bl^2 / m = 0. Z is the
-coil's impedance at rest. The impedance alone gives only Bl^2 / m (Thiele, Small).
+Under voltage drive the mode's poles solve (s^2 + s w0 / Qms + w0^2) Z + s Bl^2 / m = 0, where Z
+is the coil's impedance at rest.
+The impedance alone gives Bl^2 / m only (Thiele, Small).
 """
 
 from __future__ import annotations
@@ -158,14 +159,14 @@ def by_known_mass(impedance: Impedance, mass: Estimate) -> Values:
 def by_acceleration(impedance: Impedance, mode: Mode) -> Values:
     """Return Bl and m from the impedance (Bl^2 / m) and acceleration for current (Bl / m).
 
-    Both must be measured on solid ground, because a moving frame affects the coil but not the
-    accelerometer.
+    Both must be on solid ground: on a seat the coil feels the frame move, and the accelerometer
+    does not.
     """
     force_factor, mass = (
         multiply_powers([(impedance.fit, MOTIONAL), (mode.fit, {0: power})], math.tau)
         for power in (-1.0, -2.0)
     )
-    return _checked(force_factor, mass, "fasten the accelerometer to the moving part")
+    return _checked(force_factor, mass, "fasten the accelerometer to what moves and sweep again")
 
 
 def _checked(force_factor: Estimate, mass: Estimate, advice: str) -> Values:

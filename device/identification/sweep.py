@@ -1,7 +1,8 @@
 """The exponential sine sweep and the times at which its harmonics appear.
 
-The frequency rises exponentially. After deconvolution each order of distortion therefore precedes
-the linear response by another time (Farina, AES 108th Convention, 2000).
+Farina, "Simultaneous measurement of impulse response and distortion with a swept-sine technique",
+AES 108th Convention, 2000: the frequency rises exponentially, so after deconvolution each order of
+distortion precedes the linear response by a time of its own.
 """
 
 import math

@@ -98,7 +98,7 @@ class LibPulse:
             self.proplist_free(properties)
 
     def __getattr__(self, name: str) -> Any:
-        # type checkers then accept any attribute
+        # tells type checkers that any attribute may exist
         raise AttributeError(name)
 
 

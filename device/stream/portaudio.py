@@ -1,7 +1,7 @@
 """The process's one PyAudio instance: opens and closes streams within time limits.
 
-Each call that may wait for a sound server runs on a separate thread. A server that hangs blocks
-that thread and not the caller.
+Each call that may wait for a sound server runs on a separate thread, so a server that hangs
+blocks that thread and not the caller.
 """
 
 from __future__ import annotations
@@ -44,10 +44,11 @@ Callback = Callable[[bytes | None, int, Any, int], tuple[bytes | None, int]]
 Result = TypeVar("Result")
 
 _lock = threading.Lock()
-"""Held while PortAudio starts, ends or opens a stream, and while stderr is replaced."""
+"""Held while PortAudio starts, ends or opens a stream: it does one of these at a time."""
 
 _pyaudio: Any = None
-_open: set[str] = set()  # tags of the streams that are open, being closed, or never started
+_open: set[str] = set()
+"""Tags of the streams that are open, being closed, or never started."""
 _numbers = itertools.count(1)
 
 
@@ -226,6 +227,7 @@ def _call_within(
     )
 
 
+_lock = threading.Lock()
 _filtered = False
 
 
@@ -237,12 +239,20 @@ def filter_stderr() -> bool:
     """
     global _filtered
     with _lock:
-        if _filtered or platform.libc_ver()[0] != "glibc":
-            return _filtered
-        libc = ctypes.CDLL(None)
-        libc.fopen.restype = ctypes.c_void_p
-        with suppress(OSError, ValueError):  # another library may keep it as a constant
-            stream = ctypes.c_void_p.in_dll(libc, "stderr")
+        stream = None if _filtered else _stream()
+        if stream is not None:
+            libc = ctypes.CDLL(None)
+            libc.fopen.restype = ctypes.c_void_p
             if replacement := libc.fopen(os.devnull.encode(), b"we"):
                 stream.value, _filtered = replacement, True
         return _filtered
+
+
+def _stream() -> ctypes.c_void_p | None:
+    """Return C's variable `stderr`; None if it is a constant, as outside the GNU C library."""
+    if platform.libc_ver()[0] != "glibc":
+        return None
+    try:
+        return ctypes.c_void_p.in_dll(ctypes.CDLL(None), "stderr")
+    except (OSError, ValueError):
+        return None

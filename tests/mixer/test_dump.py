@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from audioflinger_hook.mixer import EffectsPort, Mixer, PcmFormat, dump
+from audioflinger_hook.mixer import Mixer, NoEffects, PcmFormat, dump
 
 
-class TwoChains(EffectsPort):
+class TwoChains(NoEffects):
     def sessions(self):
         return (0, 7)
 

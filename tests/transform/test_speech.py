@@ -1,7 +1,6 @@
 """Speech suppression of the live form: what is lowered, and that nothing else changes."""
 
 import functools
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -34,7 +33,7 @@ KNOWN_S = 1.0
 
 @functools.cache
 def demo():
-    return replace(demo_scene(), samplerate=RATE)
+    return demo_scene(RATE)
 
 
 @functools.cache

@@ -6,10 +6,11 @@ import os
 import resource
 import shutil
 import subprocess
+import sys
 
 import pytest
 
-from tests.support.programs import printed
+from tests.support.recordings import ROOT
 
 NICE = os.getpriority(os.PRIO_PROCESS, 0)
 UNPRIVILEGED = ("setpriv", "--bounding-set=-sys_nice", "--inh-caps=-sys_nice")
@@ -28,9 +29,17 @@ def with_limits(*limits: str) -> pytest.MarkDecorator:
 
 
 def told(program: str, *within: str) -> str:
-    out, errors = printed(program, *within)
-    assert errors == []
-    return out
+    """What a program in a process of its own prints."""
+    done = subprocess.run(
+        [*within, sys.executable, "-c", program],
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=30,
+    )
+    assert done.stderr == ""
+    assert done.returncode == 0
+    return done.stdout.strip()
 
 
 CLAIM = """
