@@ -135,7 +135,6 @@ def _begin_worker() -> None:
     """Prepare a worker: the main process handles Ctrl-C and SIGHUP, and no worker outlives it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, _interrupt_once)
     parent = multiprocessing.parent_process()
     if parent is None:
         return
@@ -153,9 +152,16 @@ def _interrupt_once(_signal: int, _frame: FrameType | None) -> None:
 
 
 def _unless_ended(work: Callable[..., T], *arguments: Any) -> T:
-    """Return the work's result; after SIGTERM the process ends, when files are cleaned up."""
+    """Return the work's result; after SIGTERM the process ends, when files are cleaned up.
+
+    Between batches SIGTERM ends a process at once, without a traceback.
+    """
     try:
-        return work(*arguments)
+        signal.signal(signal.SIGTERM, _interrupt_once)
+        try:
+            return work(*arguments)
+        finally:
+            signal.signal(signal.SIGTERM, signal.SIG_DFL)
     except KeyboardInterrupt:
         os._exit(1)
 
