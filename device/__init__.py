@@ -16,37 +16,15 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from device.atomic_file import AtomicFile, write_bytes_atomically
     from device.errors import CushionError
-    from device.output import VibrationOutput
     from device.rig import PAPER, Rig, rig_by_name
-    from device.wav_output import WavOutput
 
-__all__ = [
-    "PAPER",
-    "AtomicFile",
-    "CushionError",
-    "Rig",
-    "VibrationOutput",
-    "WavOutput",
-    "rig_by_name",
-    "write_bytes_atomically",
-]
-
-_HOMES = {
-    "PAPER": "device.rig",
-    "AtomicFile": "device.atomic_file",
-    "CushionError": "device.errors",
-    "Rig": "device.rig",
-    "VibrationOutput": "device.output",
-    "WavOutput": "device.wav_output",
-    "rig_by_name": "device.rig",
-    "write_bytes_atomically": "device.atomic_file",
-}
+__all__ = ["PAPER", "CushionError", "Rig", "rig_by_name"]
 
 
 def __getattr__(name: str) -> Any:
     """Import a public name when it is first used: an error or an option needs no NumPy."""
-    if name not in _HOMES:
+    if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_HOMES[name]), name)
+    home = "device.errors" if name == "CushionError" else "device.rig"
+    return getattr(import_module(home), name)

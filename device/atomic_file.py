@@ -11,7 +11,6 @@ import errno
 import os
 import stat
 from pathlib import Path
-from types import TracebackType
 
 from device.errors import CushionError, UsageError, WriteError
 
@@ -34,18 +33,11 @@ class AtomicFile:
     that name. As a context manager, it commits, or aborts on an exception. A link is followed: the
     file it points to is replaced. Use from one thread at a time.
 
-    Parameters
-    ----------
-    path : path-like
-        Path of the finished file.
+    path: of the finished file.
 
-    Raises
-    ------
-    UsageError
-        The folder does not exist, is not a folder or not writable; the path is a folder or a
-        device; the file there is write-protected.
-    WriteError
-        The disk is full or failed. Methods raise it, too, and have then aborted.
+    UsageError: the folder does not exist, is not a folder or not writable. The same if the path is
+    a folder or a device, or the file there is write-protected. WriteError: the disk is full or
+    failed. Methods raise it, too, and have then aborted.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
@@ -127,12 +119,7 @@ class AtomicFile:
     def __enter__(self) -> "AtomicFile":
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if kind is None:
             self.commit()
         else:
@@ -172,12 +159,7 @@ class AtomicFile:
 def write_bytes_atomically(path: str | os.PathLike[str], content: bytes) -> None:
     """Write a complete file, or leave it unchanged and raise an error of `AtomicFile`.
 
-    Parameters
-    ----------
-    path : path-like
-        The file to create or replace.
-    content : bytes
-        The new content.
+    path: the file to create or replace. content: all of it.
     """
     with AtomicFile(path) as file:
         file.write(content)

@@ -1,4 +1,4 @@
-"""Operations on blocks of frames: compiled code if it could be built, else NumPy."""
+"""Operations on blocks of frames, most of them compiled."""
 
 from __future__ import annotations
 
@@ -9,14 +9,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from device.compiled_blocks import Compiled, load_blocks
+from device.errors import NotFoundError
 from device.units import Float32Array, FloatArray
 
 compiled: Compiled | None
-"""What is compiled, or None if it could not be built."""
+"""The compiled operations; None if the library is missing or damaged."""
 try:
     compiled = load_blocks()
 except ImportError:
     compiled = None
+
+
+def require_compiled() -> Compiled:
+    """Return the compiled operations. NotFoundError: the library is missing or damaged."""
+    if compiled is None:
+        raise NotFoundError(
+            "device/blocks_library.so is missing or damaged; run `make run` with a C compiler"
+        )
+    return compiled
 
 
 def peak(frames: Float32Array | FloatArray) -> float:

@@ -1,4 +1,4 @@
-"""One call of a function in a process of its own, whose memory goes when it ends."""
+"""One call of a function in a separate process, whose memory goes when it ends."""
 
 from __future__ import annotations
 
@@ -6,15 +6,14 @@ import os
 import pickle
 import sys
 from collections.abc import Callable
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar, cast
 
 from device.errors import CushionError, LostError
-from device.process import memory_file, started
+from device.process import end, memory_file, started
 
 Result = TypeVar("Result")
 
-LIMIT_S = 30.0
-"""Longest time that a call may take."""
+LIMIT_S = 30.0  # longest time that a call may take
 
 _COMMAND = "import sys; sys.path[:] = {path!r}; from device.call import answer; answer()"
 
@@ -49,10 +48,8 @@ class Call(Generic[Result]):
 
     def is_over(self, now_s: float) -> bool:
         """Return whether the process has ended; one that takes over LIMIT_S is ended."""
-        if self._process.poll() is None and now_s > self._until_s:
+        if now_s > self._until_s and self._kill():
             self._is_late = True
-            self._process.kill()
-            self._process.wait()
         return self._process.poll() is not None
 
     def result(self) -> Result:
@@ -76,15 +73,18 @@ class Call(Generic[Result]):
             raise LostError(f"{self._what} cannot be computed: {error}")
         if error is not None:
             raise error
-        found: Result = result
-        return found
+        return cast(Result, result)
 
     def close(self) -> None:
         """End the process. May be repeated; raises nothing."""
-        if self._process.poll() is None:
-            self._process.kill()
-            self._process.wait()
+        self._kill()
         self._close_files()
+
+    def _kill(self) -> bool:
+        """End the process; whether it was running."""
+        running = self._process.poll() is None
+        end(self._process)
+        return running
 
     def _close_files(self) -> None:
         while self._files:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Sequence
 from ctypes import POINTER, byref, c_char_p, c_double, c_int, c_size_t, c_void_p
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from device.extension import refuse_cut_off
 from device.units import Float32Array, FloatArray
 
 FILE = Path(__file__).with_name("blocks_library.so")
-WRITTEN = ("state", "moved", "path", "report", "pair", "out")
+WRITTEN = ("state", "moved", "report", "out")
 """Names of arrays that are written to."""
 
 
@@ -45,22 +46,15 @@ class Compiled:
             self._peak = library.blocks_peak
             self._cubic = library.blocks_cubic
             self._linear_motion = library.blocks_linear_motion
-            self._nonlinear_motion = library.blocks_nonlinear_motion
-            self._linear_suffices = library.blocks_linear_suffices
+            self._move_rig = library.blocks_move_rig
         except (OSError, AttributeError) as error:
             raise ImportError(f"{FILE}: {error}") from error
         view, size = POINTER(_View), POINTER(c_size_t)
         self._peak.restype, self._peak.argtypes = c_double, [c_void_p, c_size_t, c_int]
         self._cubic.argtypes = [view, view, c_size_t, c_double, c_double]
         self._linear_motion.argtypes = [view, c_size_t, c_size_t, c_double, size]
-        self._nonlinear_motion.argtypes = [view, size, c_size_t, size]
-        self._linear_suffices.argtypes = [view, size, c_double, size]
-        for function in (
-            self._cubic,
-            self._linear_motion,
-            self._nonlinear_motion,
-            self._linear_suffices,
-        ):
+        self._move_rig.argtypes = [view, size]
+        for function in (self._cubic, self._linear_motion, self._move_rig):
             function.restype = c_char_p
 
     def peak(self, frames: Float32Array | FloatArray) -> float:
@@ -102,83 +96,36 @@ class Compiled:
         _check(self._linear_motion(views, *numbers, byref(found)))
         return found.value
 
-    def nonlinear_motion(
+    def move_rig(
         self,
         volts: FloatArray,
         moved: FloatArray,
-        model: FloatArray,
-        table: FloatArray,
-        maps: FloatArray,
-        bases: FloatArray,
-        path: FloatArray,
+        design: Sequence[FloatArray],
+        state: FloatArray,
         report: FloatArray,
-        start: int,
-        stop: int,
-        first: int,
-        each: int,
-        mask: int,
-    ) -> int:
-        """Add the non-linear model's difference to moved[:, start:stop], (5, frames).
+        numbers: Sequence[int],
+    ) -> None:
+        """Fill moved[:, start:stop], (4 or 5, frames), from volts[start:stop], (frames,).
 
-        moved: the linear solution of volts, (frames,); rows with a bit in `mask` change. The next
-        arrays are those of `NonlinearModel`; path goes on. Each block, the first of `first` samples
-        and the others of `each`, fills a row of report, (blocks, 4): peaks of excursion and
-        acceleration, and the errors of both. Returns how many samples were before a step failed.
+        design, state: of `ModelDesign`; the state goes on. report, (blocks, 2): 1 for each block by
+        the non-linear model, and the error of the linear one as far as it was estimated. numbers:
+        start, stop, frames of the first block and of each other, and the model: 0 chooses block by
+        block, 1 is linear, 2 non-linear.
         """
+        model, table, steps, by_sample, by_coarse = design
         views = _views(
             np.float64,
             volts=volts,
             moved=moved,
             model=model,
             table=table,
-            maps=maps,
-            bases=bases,
-            path=path,
+            steps=steps,
+            by_sample=by_sample,
+            by_coarse=by_coarse,
+            state=state,
             report=report,
         )
-        found = c_size_t()
-        numbers = _counts(start, stop, first, each)
-        _check(self._nonlinear_motion(views, numbers, _count(mask), byref(found)))
-        return found.value
-
-    def linear_suffices(
-        self,
-        volts: FloatArray,
-        moved: FloatArray,
-        model: FloatArray,
-        table: FloatArray,
-        maps: FloatArray,
-        bases: FloatArray,
-        path: FloatArray,
-        report: FloatArray,
-        pair: FloatArray,
-        start: int,
-        stop: int,
-        first: int,
-        each: int,
-        margin: float,
-    ) -> int:
-        """Return for how many of the first blocks `margin` times the Born term is small enough.
-
-        Their rows of report are as above. pair, (2, 5), goes on to the end of those: the difference
-        of the linear model, and that with the Born term. Volts and moved do not change.
-        """
-        views = _views(
-            np.float64,
-            volts=volts,
-            moved=moved,
-            model=model,
-            table=table,
-            maps=maps,
-            bases=bases,
-            path=path,
-            report=report,
-            pair=pair,
-        )
-        found = c_size_t()
-        numbers = _counts(start, stop, first, each)
-        _check(self._linear_suffices(views, numbers, float(margin), byref(found)))
-        return found.value
+        _check(self._move_rig(views, _counts(*numbers)))
 
 
 def load_blocks() -> Compiled:

@@ -1,6 +1,6 @@
 """The errors that a user may see, and the exit code of a command for each error.
 
-A message is one line: what is wrong, which value, what is allowed, what to do. Any exception that
+A message is one line: the mistake, the value, the allowed values, the remedy. Any exception that
 is no `CushionError` is a mistake of the program.
 """
 

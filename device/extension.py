@@ -5,8 +5,7 @@ from __future__ import annotations
 import struct
 from pathlib import Path
 
-LOADED = 1
-"""PT_LOAD, the type of a part of an ELF file that is mapped into memory."""
+LOADED = 1  # PT_LOAD, the type of a part of an ELF file that is mapped into memory
 
 
 def refuse_cut_off(path: Path) -> None:
@@ -21,7 +20,7 @@ def refuse_cut_off(path: Path) -> None:
             if len(head) < 64 or head[:4] != b"\x7fELF":
                 return
             order = "<" if head[5] == 1 else ">"
-            # Offset, length and count of the program headers; each header tells what is mapped.
+            # Offset, length and count of the program headers; a header describes a mapped part.
             if head[4] == 2:
                 place, part = "32xQ14xHH", "I4xQ16xQ"
             else:
@@ -37,6 +36,6 @@ def refuse_cut_off(path: Path) -> None:
             struct.unpack_from(order + part, headers, first)
             for first in range(0, len(headers), max(1, length))
         )
-        if all(first + taken <= size for kind, first, taken in parts if kind == LOADED):
+        if all(first + mapped <= size for kind, first, mapped in parts if kind == LOADED):
             return
     raise ImportError(f"{path} is cut off")

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 MINUS_3_DB = 0.5**0.5
 
-CHANNELS_MAX = 64
-"""Largest channel count; Android stops at 32, sound files do not."""
+CHANNELS_MAX = 64  # largest channel count; Android stops at 32, sound files do not
 
 # AOSP's canonical positions by channel count, in the order of their mask bits.
 _FRONT = "FL FR FC LFE BL BR SL SR"
@@ -67,8 +66,8 @@ def order_from_alsa(channels: int) -> tuple[int, ...] | None:
 def sides(channels: int) -> str:
     """One letter per channel: the volume that it follows, L, R, or C for the mean of both.
 
-    As in AudioFlinger, except for the one channel of a mono mix: it is C here and L there, since a
-    sound panned right must not vanish. With two LFE channels (22.2) the first is L, the second R.
+    As in AudioFlinger, except for a mono mix: its channel is C here and L there, since a sound
+    panned right must not vanish. With two LFE channels (22.2) the first is L, the second R.
     """
     positions = layout(channels)
     two_lfe = "LFE2" in positions
@@ -90,8 +89,8 @@ def downmix(channels: int) -> NDArray[np.float64]:
     """How much each channel counts in the two halves, left and right, of the mix: (channels, 2).
 
     The mix is the mean of both halves. After ITU-R BS.775-3, table 2: the front pair counts fully
-    on its side; every other channel of a side, the centre and the bass channel count 3 dB less,
-    the latter two on both sides. A centre that is behind or above counts 6 dB less on both.
+    on its side. Every other channel of a side counts 3 dB less; so do the centre and the bass
+    channel, on both sides. A centre that is behind or above counts 6 dB less on both.
     Nothing is scaled to fit full scale: the same stereo has the same level in every layout.
     Of a count whose positions are not known, the mix and both halves are the mean of all channels.
     """

@@ -26,14 +26,9 @@ class VibrationOutput(Protocol):
     def write(self, vibration: FloatArray | Float32Array) -> None:
         """Take one block: (frames, channels), full scale ±1.0, any number of frames, also 0.
 
-        The array is not kept: the caller may reuse it after the return.
-
-        Raises
-        ------
-        InternalError
-            The block has another shape, or the output is closed.
-        WriteError
-            The disk is full or failed; the output has discarded everything, as `abort` does.
+        The array is not kept: the caller may reuse it after the return. InternalError: the block
+        has another shape, or the output is closed. WriteError: the disk is full or failed; the
+        output has discarded everything, as `abort` does.
         """
         ...
 

@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 from collections.abc import Sequence
+from contextlib import suppress
 
 _PR_SET_PDEATHSIG = 1
 _MFD_CLOEXEC = 1
@@ -48,3 +49,13 @@ def started(
         preexec_fn=ends_with_us,
         process_group=0,
     )
+
+
+def end(process: subprocess.Popen[bytes]) -> None:
+    """Kill a program, wait for its end, and close our ends of its pipes. May be repeated."""
+    process.kill()
+    process.wait()
+    for pipe in (process.stdin, process.stdout):
+        if pipe is not None:
+            with suppress(OSError):  # what it has not read is lost
+                pipe.close()

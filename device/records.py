@@ -5,5 +5,4 @@ from __future__ import annotations
 from device.units import FloatArray
 
 Record = int | float | FloatArray
-Records = dict[str, Record]
-"""Counts, numbers and tables of float64, by name."""
+Records = dict[str, Record]  # counts, numbers and tables of float64, by name

@@ -53,7 +53,7 @@ def nearest(name: str, names: Iterable[str]) -> str:
 
 @dataclass(frozen=True)
 class Refusal:
-    """Why a value is refused, what is allowed instead, and the most similar allowed name."""
+    """Why a value is refused, the allowed values, and the most similar allowed name."""
 
     wrong: str
     allowed: str
@@ -203,7 +203,7 @@ class Text(Description):
 
 
 def _type_name(kind: Any) -> str:
-    """Return a type as it is written; Python 3.13 puts Path into pathlib._local."""
+    """Return a type's name in code; Python 3.13 puts Path into pathlib._local."""
     name = kind.__name__ if isinstance(kind, type) else str(kind)
     return name.replace("pathlib._local.", "pathlib.")
 

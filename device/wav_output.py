@@ -17,8 +17,7 @@ from device.units import Float32Array, FloatArray, check_channels
 
 _SAMPLE = np.dtype("<f4")
 _IEEE_FLOAT = 3  # WAVE_FORMAT_IEEE_FLOAT
-_IN_DS64 = 0xFFFF_FFFF
-"""Value of a 32-bit size in RF64; the true size is in the ds64 chunk."""
+_IN_DS64 = 0xFFFF_FFFF  # value of a 32-bit size in RF64; the true size is in the ds64 chunk
 
 
 class WavOutput:
@@ -26,23 +25,11 @@ class WavOutput:
 
     Memory use does not depend on the length. Samples are stored as given, also beyond ±1.0.
 
-    Parameters
-    ----------
-    path : path-like
-        The file to create or replace.
-    samplerate : int
-        Rate in Hz.
-    channels : int
-        1 to 16383.
-    comment : str, optional
-        Stored as the file's comment (RIFF INFO, UTF-8).
+    path: the file to create or replace. samplerate: Hz. channels: 1 to 16383. comment: stored as
+    the file's comment (RIFF INFO, UTF-8); None for none. frames: number written so far.
 
-    Raises
-    ------
-    UsageError
-        The file cannot be created there, see `AtomicFile`.
-    WriteError
-        The disk is full or failed, here or in `write` and `close`; no file is left then.
+    UsageError: the file cannot be created there, see `AtomicFile`. WriteError: the disk is full or
+    failed, here or in `write` and `close`; no file is left then.
     """
 
     def __init__(
@@ -53,50 +40,38 @@ class WavOutput:
         *,
         comment: str | None = None,
     ) -> None:
-        self._samplerate = samplerate
-        self._channels = channels
+        self.samplerate = samplerate
+        self.channels = channels
+        self.frames = 0
         self._comment = comment
-        self._frames = 0
         # The final header replaces this one at the end; both have the same length.
-        placeholder = wav_header(samplerate, channels, 0, comment)
-        file = AtomicFile(path)
-        file.write(placeholder)
-        self._file: AtomicFile | None = file
-
-    @property
-    def samplerate(self) -> int:
-        """Rate in Hz."""
-        return self._samplerate
-
-    @property
-    def channels(self) -> int:
-        """Number of channels."""
-        return self._channels
-
-    @property
-    def frames(self) -> int:
-        """Number of frames written so far."""
-        return self._frames
+        header = self._header()
+        self._file: AtomicFile | None = AtomicFile(path)
+        self._file.write(header)
 
     def write(self, vibration: FloatArray | Float32Array) -> None:
         """Append (frames, channels) samples, rounded to float32."""
         if self._file is None:
             raise InternalError("the WAV file is closed: nothing can be written to it")
-        check_channels(vibration, self._channels)
+        check_channels(vibration, self.channels)
         if vibration.size == 0:  # a memoryview of an empty array cannot be cast to bytes
             return
-        samples = np.ascontiguousarray(vibration, dtype=_SAMPLE)
-        self._append(samples.data)
-        self._frames += len(vibration)
+        try:
+            self._file.write(np.ascontiguousarray(vibration, dtype=_SAMPLE).data)
+        except WriteError:
+            self._file = None
+            raise
+        self.frames += len(vibration)
 
     def close(self) -> None:
         """Complete the header, check the size and give the file its name."""
         file, self._file = self._file, None
         if file is None:
             return
-        header = wav_header(self._samplerate, self._channels, self._frames, self._comment)
+        header = self._header()
         file.overwrite(header)
-        size, expected = file.size(), self._size(self._frames, header)
+        expected = len(header) + self.frames * self.channels * _SAMPLE.itemsize
+        size = file.size()
         if size != expected:
             file.abort()
             raise WriteError(
@@ -111,16 +86,8 @@ class WavOutput:
         if file is not None:
             file.abort()
 
-    def _append(self, samples: memoryview) -> None:
-        assert self._file is not None
-        try:
-            self._file.write(samples)
-        except WriteError:
-            self._file = None
-            raise
-
-    def _size(self, frames: int, header: bytes) -> int:
-        return len(header) + frames * self._channels * _SAMPLE.itemsize
+    def _header(self) -> bytes:
+        return wav_header(self.samplerate, self.channels, self.frames, self._comment)
 
 
 def wav_header(samplerate: int, channels: int, frames: int, comment: str | None = None) -> bytes:

@@ -1,4 +1,4 @@
-"""Every parameter of what a package offers is documented, in numpydoc's sections."""
+"""Every parameter of what a package offers is documented, as `name: text` or in a section."""
 
 from __future__ import annotations
 
@@ -18,6 +18,8 @@ import device
 SECTION = re.compile(
     r"^(\w[\w ]*)\n-{3,}\n(.*?)(?=^\w[\w ]*\n-{3,}\n|\Z)", re.MULTILINE | re.DOTALL
 )
+
+NAMED = re.compile(r"(?:^|(?<=[.;]\s))(\w+(?:, \w+)*):\s", re.MULTILINE)
 
 
 def public_callables() -> list[tuple[str, Any]]:
@@ -56,9 +58,9 @@ def parameters_of(thing: Any) -> set[str]:
 
 
 def documented_in(text: str) -> set[str]:
-    """Return the names that the sections Parameters and Attributes list."""
+    """Return the names before a colon, and those that Parameters and Attributes list."""
     sections = {match[1]: match[2] for match in SECTION.finditer(text)}
-    listed: set[str] = set()
+    listed = {name for names in NAMED.findall(text) for name in names.split(", ")}
     for section in ("Parameters", "Attributes"):
         for names in re.findall(
             r"^([\w*, ]+?)(?: ?:.*)?$", sections.get(section, ""), re.MULTILINE
@@ -72,7 +74,7 @@ def test_every_parameter_of_a_public_callable_is_documented(name: str, thing: An
     text = inspect.getdoc(thing) or ""
     assert text.splitlines()[0].rstrip().endswith("."), f"{name}: the first line is no sentence"
     missing = parameters_of(thing) - documented_in(text) - {"args", "kwargs"}
-    assert not missing, f"{name}: no `Parameters` entry for {', '.join(sorted(missing))}"
+    assert not missing, f"{name}: the docstring does not describe {', '.join(sorted(missing))}"
 
 
 def test_the_packages_offer_something() -> None:

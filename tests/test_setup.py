@@ -101,7 +101,7 @@ def test_the_wheel_holds_what_is_compiled_and_no_source_of_it(wheel_names):
     assert {core, "device/blocks_library.so"} <= set(wheel_names)
     suffixes = {Path(name).suffix for name in wheel_names if name.split("/")[0] in PACKAGES}
     page = {".html", ".css", ".js", ".svg"}
-    assert suffixes <= {".py", ".so", ".typed", ".toml", ".xml", ".json"} | page
+    assert suffixes <= {".py", ".so", ".typed", ".toml", ".xml", ".json", ".conf"} | page
 
 
 @pytest.mark.exhaustive

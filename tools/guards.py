@@ -48,7 +48,7 @@ GUARD = "device/server/guard.py"
 PLACED = "tests/device/server/test_placement.py"
 DELAY_LINE = "device/clock/delay_line.py"
 STALLS = "tests/device/clock/test_faults.py"
-SWITCH = "audioflinger_hook/daemon/engine_switch.py"
+NATIVE = "audioflinger_hook/daemon/native/run.py"
 SWITCHED = "tests/daemon/test_failing_engine.py"
 CHAINS = "audioflinger_hook/daemon/native/chains.py"
 TAPS = "audioflinger_hook/daemon/native/taps.py"
@@ -236,14 +236,14 @@ MUTATIONS = (
     ),
     Mutation(
         "a native engine that fails again and again gives way",
-        SWITCH,
+        NATIVE,
         "if not lost or self._failures >= FAILURES_MAX:",
         "if not lost:",
         SWITCHED,
     ),
     Mutation(
         "a native engine that does not start in time gives way",
-        SWITCH,
+        NATIVE,
         "elif now_s - self._began_s > START_S:",
         "elif False:",
         SWITCHED,

@@ -44,8 +44,9 @@ import math
 import re
 import zlib
 from collections.abc import Generator, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
+from typing import Any, ClassVar, get_origin, get_type_hints
 
 from device.errors import InternalError, UsageError
 
@@ -69,25 +70,55 @@ _SEGMENT_NAME = re.compile(rf"({'|'.join(STREAMS)})-(\d{{4,}})\.wav")
 _CRC = re.compile(rb'(\{.*),"crc":"([0-9a-f]{8})"\}\n?', re.DOTALL)
 
 
-@dataclass(frozen=True, slots=True)
-class Header:
-    """The first line: the streams and the recorder's settings."""
+@dataclass(frozen=True)
+class Record:
+    """A valid line of the index; also one of a kind that this program does not know."""
 
-    streams: tuple[str, ...]
-    facts: Facts = field(default_factory=dict)
-    format: str = FORMAT
-    version: int = VERSION
+    KIND: ClassVar[str] = ""
+
+    def is_valid(self) -> bool:
+        """Return whether every field has a value that a recorder writes."""
+        return True
 
     def line(self) -> bytes:
-        """The line, with its line break."""
-        fields = {"format": self.format, "version": self.version, "streams": list(self.streams)}
-        return _line("capture", {**fields, "facts": dict(self.facts)})
+        """Return the line, with its line break. InternalError: no line can hold the fields."""
+        members = {"kind": self.KIND, **asdict(self)}
+        try:
+            text = json.dumps(members, separators=(",", ":"), allow_nan=False)
+        except (TypeError, ValueError) as error:
+            raise InternalError(
+                f"a {self.KIND} line of a capture cannot hold {members}: {error}"
+            ) from error
+        body = text[:-1].encode()
+        line = b'%s,"crc":"%08x"}\n' % (body, zlib.crc32(body))
+        if len(line) > LINE_BYTES_MAX:
+            raise InternalError(
+                f"a {self.KIND} line of a capture has {len(line)} bytes; allowed: {LINE_BYTES_MAX}"
+            )
+        return line
 
 
-@dataclass(frozen=True, slots=True)
-class BufferRecord:
+@dataclass(frozen=True)
+class Header(Record):
+    """The first line: the streams and the recorder's settings."""
+
+    KIND: ClassVar[str] = "capture"
+    format: str = FORMAT
+    version: int = VERSION
+    streams: list[str] = field(default_factory=list)
+    facts: dict[str, str | int | float | bool] = field(default_factory=dict)
+
+    def is_valid(self) -> bool:
+        """Return whether names of streams are texts and facts are plain values."""
+        plain = all(isinstance(fact, str | int | float | bool) for fact in self.facts.values())
+        return plain and all(isinstance(name, str) for name in self.streams)
+
+
+@dataclass(frozen=True)
+class BufferRecord(Record):
     """One buffer: where its samples are, and how and when it was delivered."""
 
+    KIND: ClassVar[str] = "buffer"
     stream: str
     buffer: int
     segment: int
@@ -97,54 +128,56 @@ class BufferRecord:
     channels: int
     time_s: float
     discontinuity: bool
-    samples_crc: int
+    samples_crc: str
 
-    def line(self) -> bytes:
-        """The line, with its line break."""
-        return _line("buffer", {**asdict(self), "samples_crc": f"{self.samples_crc:08x}"})
+    def is_valid(self) -> bool:
+        """Return whether counts and time are possible."""
+        from_0, from_1 = min(self.buffer, self.first, self.frames), min(self.segment, self.channels)
+        return from_0 >= 0 and from_1 >= 1 and self.samplerate >= 1 and math.isfinite(self.time_s)
 
 
-@dataclass(frozen=True, slots=True)
-class DroppedRecord:
+@dataclass(frozen=True)
+class DroppedRecord(Record):
     """Lost buffers before the next buffer of the stream."""
 
+    KIND: ClassVar[str] = "dropped"
     stream: str
     buffers: int
     frames: int
 
-    def line(self) -> bytes:
-        """The line, with its line break."""
-        return _line("dropped", asdict(self))
+    def is_valid(self) -> bool:
+        """Return whether the counts are possible."""
+        return min(self.buffers, self.frames) >= 0
 
 
-@dataclass(frozen=True, slots=True)
-class EndRecord:
+@dataclass(frozen=True)
+class EndRecord(Record):
     """The capture was closed; how many buffers each stream holds."""
 
-    buffers: Mapping[str, int]
+    KIND: ClassVar[str] = "end"
+    buffers: dict[str, int]
 
-    def line(self) -> bytes:
-        """The line, with its line break."""
-        return _line("end", {"buffers": dict(self.buffers)})
-
-
-@dataclass(frozen=True, slots=True)
-class OtherRecord:
-    """A valid line of a kind that this program does not know."""
-
-    kind: str
+    def is_valid(self) -> bool:
+        """Return whether the counts are possible."""
+        return all(type(count) is int and count >= 0 for count in self.buffers.values())
 
 
-Record = Header | BufferRecord | DroppedRecord | EndRecord | OtherRecord
+KINDS = (Header, BufferRecord, DroppedRecord, EndRecord)
+TYPES: dict[type[Record], dict[str, Any]] = {
+    kind: {one.name: get_origin(hints[one.name]) or hints[one.name] for one in fields(kind)}
+    for kind in (Record, *KINDS)
+    for hints in [get_type_hints(kind)]
+}
+"""The type that JSON gives to each field of a kind of record."""
 
 
 def segment_name(stream: str, segment: int) -> str:
-    """The file name of a stream's segment; segments count from 1."""
+    """Return the file name of a stream's segment; segments count from 1."""
     return f"{stream}-{segment:04d}.wav"
 
 
 def segment_paths(folder: Path, stream: str) -> dict[int, Path]:
-    """The segments of a stream in the folder, by number, ascending."""
+    """Return the segments of a stream in the folder, by number, ascending."""
     numbers = []
     for name in (path.name for path in folder.iterdir()):
         found = _SEGMENT_NAME.fullmatch(name)
@@ -162,89 +195,16 @@ def parse_line(line: bytes) -> Record | None:
     if not found or zlib.crc32(found[1]) != int(found[2], 16):
         return None
     try:
-        fields = json.loads(found[1] + b"}")
-        return _record(fields)
+        members = json.loads(found[1] + b"}")
+        if type(members["kind"]) is not str:
+            return None
+        kind = next((one for one in KINDS if members["kind"] == one.KIND), Record)
+        given = {name: members[name] for name in TYPES[kind]}
+        fitting = all(type(given[name]) is one for name, one in TYPES[kind].items())
+        record = kind(**given) if fitting else None
+        return record if record and record.is_valid() else None
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return None
-
-
-def _line(kind: str, fields: Mapping[str, object]) -> bytes:
-    try:
-        text = json.dumps({"kind": kind, **fields}, separators=(",", ":"), allow_nan=False)
-    except (TypeError, ValueError) as error:
-        raise InternalError(f"a {kind} line of a capture cannot hold {fields}: {error}") from error
-    body = text[:-1].encode()
-    line = b'%s,"crc":"%08x"}\n' % (body, zlib.crc32(body))
-    if len(line) > LINE_BYTES_MAX:
-        raise InternalError(
-            f"a {kind} line of a capture has {len(line)} bytes; allowed: {LINE_BYTES_MAX}"
-        )
-    return line
-
-
-def _record(fields: dict[str, object]) -> Record | None:
-    kind = fields["kind"]
-    if kind == "buffer":
-        return _buffer_record(fields)
-    if kind == "dropped":
-        counts = _count(fields["buffers"]), _count(fields["frames"])
-        return DroppedRecord(_text(fields["stream"]), *counts)
-    if kind == "end":
-        return EndRecord({_text(name): _count(n) for name, n in _members(fields["buffers"])})
-    if kind == "capture":
-        streams = fields["streams"]
-        return Header(
-            tuple(_text(name) for name in streams) if isinstance(streams, list) else (),
-            {name: _fact(fact) for name, fact in _members(fields["facts"])},
-            _text(fields["format"]),
-            _count(fields["version"]),
-        )
-    return OtherRecord(_text(kind))
-
-
-def _buffer_record(fields: Mapping[str, object]) -> BufferRecord:
-    time_s, discontinuity = fields["time_s"], fields["discontinuity"]
-    if not isinstance(time_s, float) or not math.isfinite(time_s):
-        raise TypeError
-    if not isinstance(discontinuity, bool):
-        raise TypeError
-    return BufferRecord(
-        stream=_text(fields["stream"]),
-        buffer=_count(fields["buffer"]),
-        segment=_count(fields["segment"], 1),
-        first=_count(fields["first"]),
-        frames=_count(fields["frames"]),
-        samplerate=_count(fields["samplerate"], 1),
-        channels=_count(fields["channels"], 1),
-        time_s=time_s,
-        discontinuity=discontinuity,
-        samples_crc=int(_text(fields["samples_crc"]), 16),
-    )
-
-
-def _count(found: object, least: int = 0) -> int:
-    # bool is an int to isinstance
-    if type(found) is not int or found < least:
-        raise TypeError
-    return found
-
-
-def _text(found: object) -> str:
-    if not isinstance(found, str):
-        raise TypeError
-    return found
-
-
-def _fact(found: object) -> str | int | float | bool:
-    if not isinstance(found, str | int | float | bool):
-        raise TypeError
-    return found
-
-
-def _members(found: object) -> list[tuple[str, object]]:
-    if not isinstance(found, dict):
-        raise TypeError
-    return list(found.items())
 
 
 def records(path: Path) -> Generator[Record | None, None, None]:
@@ -266,7 +226,7 @@ def records(path: Path) -> Generator[Record | None, None, None]:
 
 
 def first_record(path: Path) -> Record | None:
-    """The first valid line: the header, or if it is damaged another line; or None."""
+    """Return the first valid line: the header, or if it is damaged another line; or None."""
     with contextlib.closing(records(path)) as found:
         return next((record for record in found if record is not None), None)
 

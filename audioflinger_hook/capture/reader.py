@@ -7,9 +7,6 @@ from collections.abc import Generator, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from audioflinger_hook.capture.format import (
     FORMAT,
     INDEX_NAME,
@@ -35,6 +32,7 @@ from audioflinger_hook.capture.segment import (
     segment_format,
 )
 from device.errors import UsageError
+from device.units import Float32Array
 from device.values import counted
 
 Buffers = Generator[CaptureBuffer, None, None]
@@ -51,24 +49,9 @@ class Capture:
       buffer is a discontinuity, and a warning has the count.
     - Index missing: the segments in order, as buffers of 1024 frames.
 
-    Parameters
-    ----------
-    folder : path
-        The capture.
-
-    Attributes
-    ----------
-    streams : tuple of str
-        The streams in the capture.
-    facts : mapping
-        Settings that the recorder stored.
-    warnings : list of str
-        Losses and assumptions, one line each; complete once `buffers` was read to its end.
-
-    Raises
-    ------
-    UsageError
-        The folder is missing, unreadable, no capture, or of an unknown version.
+    folder: the capture. streams: those in it. facts: settings that the recorder stored. warnings:
+    losses and assumptions, one line each; complete once `buffers` was read to its end. UsageError:
+    the folder is missing, unreadable, no capture, or of an unknown version.
     """
 
     def __init__(self, folder: str | os.PathLike[str]) -> None:
@@ -81,7 +64,7 @@ class Capture:
         first = first_record(self._index) if self._index.is_file() else None
         if isinstance(first, Header):
             _refuse_unless_known(self.folder, first)
-            self.streams, self.facts = first.streams, first.facts
+            self.streams, self.facts = tuple(first.streams), first.facts
         elif first is not None:
             self.streams = found
             self._warn(f"{self._index}: the first line is damaged; version {VERSION} is assumed")
@@ -98,7 +81,7 @@ class Capture:
             )
 
     def buffers(self, stream: str = "tap") -> Buffers:
-        """The stream's buffers in order. Several iterations may run at a time.
+        """Return the stream's buffers in order. Several iterations may run at a time.
 
         UsageError: there is no such stream, a file may not be read, or the index is missing and the
             order of the segments is ambiguous.
@@ -112,7 +95,7 @@ class Capture:
         return self._rebuild(stream) if self._rebuilt else self._read(stream)
 
     def frames_expected(self, stream: str = "tap") -> int:
-        """Frames of the stream, from the lengths of its segments: fast, for progress only."""
+        """Return the frames of a stream by the lengths of its segments: fast, for progress only."""
         found = map(segment_format, segment_paths(self.folder, stream).values())
         return sum(segment.frames_there for segment in found if segment is not None)
 
@@ -233,8 +216,8 @@ class _Samples:
         self._path: Path | None = None
         self._segment: SegmentReader | None = None
 
-    def read(self, record: BufferRecord) -> NDArray[np.float32] | None:
-        """The buffer's samples, or None if they are incomplete."""
+    def read(self, record: BufferRecord) -> Float32Array | None:
+        """Return the buffer's samples, or None if they are incomplete."""
         path = self._folder / segment_name(record.stream, record.segment)
         if path != self._path:
             self.close()
@@ -259,7 +242,7 @@ def _none() -> Buffers:
 
 
 def _streams_there(folder: Path) -> tuple[str, ...]:
-    """The streams with a segment in the folder. UsageError: the folder cannot be read."""
+    """Return the streams with a segment in the folder. UsageError: the folder cannot be read."""
     try:
         if not folder.exists():
             raise UsageError(f"{folder} does not exist; give the folder of a capture")

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from queue import SimpleQueue
 
 import numpy as np
-from numpy.typing import NDArray
 
 from audioflinger_hook.capture.writer import CaptureWriter
 from device.errors import CushionError, InternalError
+from device.units import Float32Array
 
 CAPACITY_SAMPLES = 1 << 22
 """Largest number of waiting samples of a stream: 16 MB, or 43 s of 48 kHz stereo."""
@@ -34,19 +34,10 @@ class _Handed:
 class CaptureRecorder:
     """A capture that the audio thread can feed. One thread feeds each stream.
 
-    Parameters
-    ----------
-    writer : CaptureWriter
-        Writes the capture; the recorder owns it from now on.
-    capacity_samples : int
-        Largest number of waiting samples of each stream, and of samples in a buffer.
-    capacity_buffers : int
-        Largest number of waiting buffers of each stream.
-
-    Attributes
-    ----------
-    error : CushionError or None
-        Why writing ended, such as a full disk. From then on every buffer is dropped, and `close`
+    writer: writes the capture; the recorder owns it from now on.
+    capacity_samples, capacity_buffers: most waiting samples and buffers of each stream; a buffer
+        has at most as many samples.
+    error: why writing ended, such as a full disk. From then on every buffer is dropped, and `close`
         raises it.
     """
 
@@ -72,7 +63,7 @@ class CaptureRecorder:
     def offer(
         self,
         stream: str,
-        frames: NDArray[np.float32],
+        frames: Float32Array,
         samplerate: int,
         time_s: float,
         *,
@@ -99,7 +90,7 @@ class CaptureRecorder:
         return True
 
     def dropped(self, stream: str) -> tuple[int, int]:
-        """Buffers and frames of the stream that could not be kept so far. Any thread."""
+        """Return the buffers and frames of the stream that were lost so far. Any thread."""
         return self._lanes[stream].dropped()
 
     def close(self) -> None:
@@ -179,11 +170,11 @@ class _Lane:
         self._head = self._put = 0  # moved by the feeding thread
         self._tail = self._released = 0  # moved by the writing thread, while something is waiting
         self.dropped_buffers = self.dropped_frames = 0
-        self._told = (0, 0)
+        self._reported = (0, 0)
         self.unwritten_buffers = self.unwritten_frames = 0
 
     def put(
-        self, frames: NDArray[np.float32], samplerate: int, time_s: float, discontinuity: bool
+        self, frames: Float32Array, samplerate: int, time_s: float, discontinuity: bool
     ) -> _Handed | None:
         """Copy a buffer into the ring, or count it as dropped and return None."""
         capacity = len(self._ring)
@@ -210,7 +201,7 @@ class _Lane:
         self.dropped_frames += frames
 
     def dropped(self) -> tuple[int, int]:
-        """Buffers and frames not kept so far, because of a full ring or of the writer."""
+        """Return buffers and frames not kept so far, because of a full ring or of the writer."""
         return (
             self.dropped_buffers + self.unwritten_buffers,
             self.dropped_frames + self.unwritten_frames,
@@ -222,13 +213,13 @@ class _Lane:
         self.unwritten_buffers = self.unwritten_frames = 0
 
     def take_dropped(self) -> tuple[int, int]:
-        """Buffers and frames dropped since the last call."""
-        buffers, frames = self._told
-        self._told = (self.dropped_buffers, self.dropped_frames)
+        """Return the buffers and frames dropped since the last call."""
+        buffers, frames = self._reported
+        self._reported = (self.dropped_buffers, self.dropped_frames)
         return self.dropped_buffers - buffers, self.dropped_frames - frames
 
-    def samples_of(self, handed: _Handed) -> NDArray[np.float32]:
-        """The buffer's samples in the ring."""
+    def samples_of(self, handed: _Handed) -> Float32Array:
+        """Return the buffer's samples in the ring."""
         start = handed.start % len(self._ring)
         return self._ring[start : start + handed.end - handed.start].reshape(handed.shape)
 

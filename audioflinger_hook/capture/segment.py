@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import stat
 import struct
 import zlib
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from audioflinger_hook.capture.format import INDEX_NAME, SAMPLES_OFFSET, segment_name, segment_paths
 from device.errors import InternalError, UsageError
+from device.units import Float32Array
 from device.wav_output import wav_header
 
 _SAMPLE = np.dtype("<f4")
@@ -27,10 +26,10 @@ _FACT_FRAMES_AT = 82
 
 @dataclass(frozen=True)
 class SegmentFormat:
-    """Format and length of a segment.
+    """Format and length of a segment; samplerate in Hz.
 
-    samplerate: Hz; frames: whole frames according to the header, which counts only whole buffers;
-    frames_there: whole frames according to the file's length.
+    frames: whole frames by the header, which counts only whole buffers. frames_there: whole frames
+    by the file's length.
     """
 
     samplerate: int
@@ -61,11 +60,11 @@ class SegmentWriter:
             self.discard()
             raise
 
-    def append(self, frames: NDArray[np.float32]) -> int:
-        """Write a buffer's samples after those kept, and return their CRC-32."""
+    def append(self, frames: Float32Array) -> str:
+        """Write a buffer's samples after those kept; return their CRC-32, 8 hexadecimal digits."""
         samples = np.ascontiguousarray(frames, _SAMPLE).reshape(-1).view(np.uint8).data
         write_at(self._fd, samples, self._size())
-        return zlib.crc32(samples)
+        return f"{zlib.crc32(samples):08x}"
 
     def keep(self, frames: int) -> None:
         """Count the frames appended last, also in the header."""
@@ -75,7 +74,7 @@ class SegmentWriter:
     def cut(self, frames: int) -> None:
         """Go back to the first `frames` frames, if the disk allows it."""
         self.frames = frames
-        with contextlib.suppress(OSError):  # bytes after the counted frames harm no reader
+        with suppress(OSError):  # bytes after the counted frames harm no reader
             os.ftruncate(self._fd, self._size())
             write_at(self._fd, wav_header(self.samplerate, self.channels, frames), 0)
 
@@ -88,7 +87,7 @@ class SegmentWriter:
     def discard(self) -> None:
         """Close the file and remove it."""
         self.close()
-        with contextlib.suppress(OSError):
+        with suppress(OSError):
             self.path.unlink()
 
     def _size(self) -> int:
@@ -117,12 +116,10 @@ class SegmentReader:
             self.close()
             raise UsageError(f"{path} is not a file; a capture's segment was expected there")
 
-    def read(
-        self, first: int, frames: int, channels: int, crc: int | None = None
-    ) -> NDArray[np.float32] | None:
+    def read(self, first: int, frames: int, channels: int, crc: str = "") -> Float32Array | None:
         """Return samples (frames, channels) from frame `first` on, or None if they are incomplete.
 
-        crc: the CRC-32 that the samples must have; None if it is not known.
+        crc: the CRC-32 that the samples must have; "" if it is not known.
         """
         start = SAMPLES_OFFSET + first * channels * _SAMPLE.itemsize
         # Check this first: a damaged count must not allocate memory.
@@ -132,21 +129,19 @@ class SegmentReader:
         content = samples.reshape(-1).view(np.uint8).data
         if not _read_at(self._fd, content, start):
             return None
-        if crc is not None and zlib.crc32(content) != crc:
+        if crc and f"{zlib.crc32(content):08x}" != crc:
             return None
         return samples.astype(np.float32, copy=False)
 
     def format(self) -> SegmentFormat | None:
-        """Format and length of the segment; None if its header is not from a `SegmentWriter`."""
+        """Return format and length; None if the header is not from a `SegmentWriter`."""
         header = bytearray(SAMPLES_OFFSET)
         if not _read_at(self._fd, memoryview(header), 0):
             return None
         _tag, channels, samplerate = struct.unpack_from("<HHI", header, _FORMAT_AT)
-        frames: int
-        if header.startswith(b"RF64"):
-            (frames,) = struct.unpack_from("<Q", header, _DS64_FRAMES_AT)
-        else:
-            (frames,) = struct.unpack_from("<I", header, _FACT_FRAMES_AT)
+        long = header.startswith(b"RF64")
+        at = ("<Q", header, _DS64_FRAMES_AT) if long else ("<I", header, _FACT_FRAMES_AT)
+        frames: int = struct.unpack_from(*at)[0]
         try:
             if wav_header(samplerate, channels, frames) != header:
                 return None
@@ -163,8 +158,8 @@ class SegmentReader:
 
 
 def segment_format(path: Path) -> SegmentFormat | None:
-    """`SegmentReader.format` of the file; raises the errors of `SegmentReader`."""
-    with contextlib.closing(SegmentReader(path)) as reader:
+    """Return `SegmentReader.format` of a file; raises the errors of `SegmentReader`."""
+    with closing(SegmentReader(path)) as reader:
         return reader.format()
 
 
@@ -193,17 +188,15 @@ class CaptureBuffer:
 
     Attributes
     ----------
-    frames : array of float32
-        (frames, channels), possibly empty; the reader owns it.
-    samplerate : int
-        Hz.
+    frames, samplerate : array of float32, int
+        (frames, channels), possibly empty, which the reader owns; Hz.
     time_s : float
-        Time when the buffer was delivered, in seconds of the recorder's monotonic clock.
+        Time of delivery, in seconds of the recorder's monotonic clock.
     discontinuity : bool
         Whether frames are missing before it: at the source, in the recorder or in the capture.
     """
 
-    frames: NDArray[np.float32]
+    frames: Float32Array
     samplerate: int
     time_s: float
     discontinuity: bool
@@ -224,7 +217,7 @@ REBUILT_FRAMES = 1_024
 
 
 def rebuilt_buffers(folder: Path, stream: str) -> Iterator[CaptureBuffer]:
-    """The stream in buffers of `REBUILT_FRAMES`; the last of each segment may be shorter.
+    """Yield the stream in buffers of `REBUILT_FRAMES`; the last of each segment may be shorter.
 
     Raises UsageError if the order of the segments is ambiguous, or a segment is not from a capture.
     """
@@ -242,7 +235,7 @@ def rebuilt_buffers(folder: Path, stream: str) -> Iterator[CaptureBuffer]:
 
 
 def ordered_segments(folder: Path, stream: str) -> list[tuple[Path, SegmentFormat]]:
-    """The stream's segments in order. UsageError: the order cannot be known."""
+    """Return the stream's segments in order. UsageError: the order cannot be known."""
     paths = segment_paths(folder, stream)
     segments = []
     for expected, (number, path) in enumerate(paths.items(), 1):

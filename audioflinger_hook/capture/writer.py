@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import math
 import os
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from audioflinger_hook import __version__
 from audioflinger_hook.capture.format import (
@@ -27,6 +26,7 @@ from audioflinger_hook.capture.format import (
 )
 from audioflinger_hook.capture.segment import SegmentWriter, write_at
 from device.errors import CushionError, InternalError, UsageError, WriteError
+from device.units import Float32Array
 
 _NOT_THE_USERS_FAULT = {errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EMFILE, errno.ENFILE}
 _REASONS = {
@@ -58,21 +58,11 @@ class CaptureWriter:
     writer is closed. Memory use is constant. Each call waits for the operating system, so use one
     thread, not the audio thread (see `CaptureRecorder`).
 
-    Parameters
-    ----------
-    folder : path
-        A new or empty folder.
-    streams : sequence of str
-        The streams that will be written, from `STREAMS`.
-    facts : mapping or None
-        Settings for the first line of the index, by name.
-
-    Raises
-    ------
-    UsageError
-        The path is not empty, is no folder, or cannot be written.
-    WriteError
-        The disk is full or failed, here and in every method.
+    folder: a new or empty one.
+    streams: those that will be written, from `STREAMS`.
+    facts: settings for the first line of the index, by name.
+    UsageError: the path is not empty, is no folder, or cannot be written.
+    WriteError: the disk is full or failed, here and in every method.
     """
 
     def __init__(
@@ -87,9 +77,8 @@ class CaptureWriter:
         self.folder = Path(folder)
         self._streams = {stream: _Stream() for stream in streams}
         self._failure: WriteError | None = None
-        header = Header(
-            tuple(streams), {"program": f"haptic-cushion {__version__}", **(facts or {})}
-        ).line()
+        program = f"haptic-cushion {__version__}"
+        header = Header(streams=[*streams], facts={"program": program, **(facts or {})}).line()
         self._index_fd = _new_index(self.folder, header)
         self._index_bytes = len(header)
 
@@ -99,17 +88,17 @@ class CaptureWriter:
         return tuple(self._streams)
 
     def buffers(self, stream: str) -> int:
-        """How many buffers of the stream were written."""
+        """Return how many buffers of the stream were written."""
         return self._streams[stream].buffers
 
     def frames(self, stream: str) -> int:
-        """How many frames of the stream were written."""
+        """Return how many frames of the stream were written."""
         return self._streams[stream].frames
 
     def write_buffer(
         self,
         stream: str,
-        frames: NDArray[np.float32],
+        frames: Float32Array,
         samplerate: int,
         time_s: float,
         *,
@@ -170,7 +159,7 @@ class CaptureWriter:
                 counts = {stream: state.buffers for stream, state in self._streams.items()}
                 self._append_line(EndRecord(counts).line())
                 os.fsync(self._index_fd)
-                with contextlib.suppress(OSError):  # some file systems cannot sync folders
+                with suppress(OSError):  # some file systems cannot sync folders
                     _fsync(self.folder)
         finally:
             self._release()
@@ -205,7 +194,7 @@ class CaptureWriter:
         write_at(self._index_fd, line, self._index_bytes)
         self._index_bytes += len(line)
 
-    @contextlib.contextmanager
+    @contextmanager
     def _all_or_nothing(self, stream: str = "", before: _Stream | None = None) -> Iterator[None]:
         """If the block fails, undo its writes: the index lines, and the samples of the stream."""
         index_bytes = self._index_bytes
@@ -213,7 +202,7 @@ class CaptureWriter:
             yield
         except BaseException as error:  # even an interruption must not leave half a buffer
             self._index_bytes = index_bytes
-            with contextlib.suppress(OSError):  # a reader recognises half a line by its CRC
+            with suppress(OSError):  # a reader recognises half a line by its CRC
                 os.ftruncate(self._index_fd, index_bytes)
             if before:
                 self._go_back(stream, before)
@@ -247,7 +236,7 @@ class CaptureWriter:
             self._index_fd = -1
 
 
-def _check_buffer(frames: NDArray[np.float32], time_s: float) -> None:
+def _check_buffer(frames: Float32Array, time_s: float) -> None:
     if frames.ndim != 2 or frames.dtype != np.float32:
         raise InternalError(
             f"a buffer of {frames.dtype} has shape {frames.shape}: "
@@ -273,7 +262,7 @@ def _new_index(folder: Path, header: bytes) -> int:
         return fd
     except (OSError, ValueError) as error:
         if made:
-            with contextlib.suppress(OSError):
+            with suppress(OSError):
                 folder.rmdir()
         raise _folder_failure(folder, error) from error
 

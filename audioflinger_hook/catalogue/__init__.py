@@ -1,6 +1,6 @@
 """Whole libraries of sound, on one machine or many.
 
-    manifest -> items -> run -> executors -> work -> storage
+    manifest -> items -> run -> pool or cluster -> work -> storage
                           '--> summary, page
 
 | module | what it does |
@@ -10,7 +10,7 @@
 | `recipe` | how results are made, and the key of a result |
 | `storage` | sounds and results, here or remote; whole files or none |
 | `measures` | exposure and course of a vibration |
-| `work` | one item: record, reading, export |
-| `executors`, `run` | where batches run, and the run itself |
-| `summary`, `page`, `status` | what came of a run |
+| `work` | one item: its state, record, reading, export |
+| `run`, `cluster` | the run itself; batches on a Dask cluster (`offline/pool.py`: in processes) |
+| `summary`, `page` | the report of a run |
 """

@@ -1,4 +1,4 @@
-"""One item of a catalogue: the sound, what part of it, and the name of its result."""
+"""One item of a catalogue: the sound, a part of it, the name of its result, and its columns."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from difflib import get_close_matches
+from functools import lru_cache
 from pathlib import PurePosixPath
 from typing import Annotated, Any, ClassVar
 from urllib.parse import urlsplit
@@ -25,6 +27,18 @@ RESERVED = re.compile(r"catalogue|failed(-\d+-of-\d+)?")
 """Names of the run's own files in the output folder."""
 
 NAME_BYTES_MAX = 200
+
+ALIASES = {
+    "audio_filepath": "audio",  # NeMo
+    "offset": "start_s",
+    "start": "start_s",  # lhotse
+    "duration": "duration_s",
+    "channel": "channels",
+}
+"""Names of NeMo and lhotse, and ours."""
+
+# Columns whose misspelling would change a result unseen.
+_SIMILAR = ("audio", "start_s", "duration_s", "channels", "profile", "language", "audio_filepath")
 
 
 @dataclass(frozen=True)
@@ -145,7 +159,7 @@ def shown(value: object) -> str:
     return repr(text if len(text) <= 80 else f"{text[:77]}...")
 
 
-def typed(values: Mapping[str, Any]) -> dict[str, Any]:
+def _typed(values: Mapping[str, Any]) -> dict[str, Any]:
     """Return a row's values with the types of the fields, as far as they have them."""
     found = {name: value for name, value in values.items() if value is not None}
     channels = found.get("channels")
@@ -157,3 +171,55 @@ def typed(values: Mapping[str, Any]) -> dict[str, Any]:
         if type(found.get(name)) is int:
             found[name] = float(found[name])
     return found
+
+
+def values_of(row: dict[str, Any]) -> tuple[dict[str, Any], list[str]]:
+    """Return a row's values by our names, and its mistakes: contradictions and misspelled names."""
+    values: dict[str, Any] = {}
+    mistakes = []
+    for name, value in _from_lhotse(row).items():
+        ours = ALIASES.get(name, name)
+        if ours in Item.NAMES:
+            if ours not in values:
+                values[ours] = value
+            elif values[ours] != value:
+                both = f"{shown(values[ours])} and {shown(value)}"
+                mistakes.append(f"{ours} is given twice, as {both}; leave one out")
+        elif guess := _meant(name):
+            mistakes.append(f"{shown(name)} is not known; did you mean {guess}?")
+    return values if mistakes else _typed(values), mistakes
+
+
+def cell_value(name: str, cell: str) -> Any:
+    """Return the value of a cell of CSV, a number where the column has numbers."""
+    ours = ALIASES.get(name, name)
+    try:
+        if ours == "track":
+            return int(cell)
+        if ours in Item.NUMBERS:
+            return float(cell)
+        if ours == "channels" and cell not in ("mono", "each"):
+            return [int(one) for one in cell.split()]
+    except ValueError:
+        pass
+    return cell
+
+
+@lru_cache(maxsize=1024)
+def _meant(name: str) -> str:
+    """Return the known name that a name misspells, "" for another column."""
+    similar = get_close_matches(name.lower().replace("-", "_"), _SIMILAR, n=1, cutoff=0.8)
+    # lhotse's `channel_ids` is not a misspelling of `channels`.
+    return next((known for known in similar if abs(len(name) - len(known)) <= 1), "")
+
+
+def _from_lhotse(row: dict[str, Any]) -> dict[str, Any]:
+    """Return the row with the audio of a lhotse recording or cut, if it is one."""
+    recording = row.get("recording", row)
+    sources = recording.get("sources") if isinstance(recording, dict) else None
+    if not isinstance(sources, list) or len(sources) != 1 or not isinstance(sources[0], dict):
+        return row
+    source = sources[0]
+    if source.get("type") not in ("file", "url"):
+        return row
+    return {**row, "audio": source.get("source")}

@@ -21,14 +21,15 @@ from typing import IO, Any
 
 import numpy as np
 
-from audioflinger_hook.catalogue.addresses import (
-    filesystem_of,
-    is_url,
-    parse_address,
-    scrubbed,
+from audioflinger_hook.catalogue.addresses import filesystem_of, is_url, parse_address, scrubbed
+from audioflinger_hook.catalogue.item import (
+    ALIASES,
+    Item,
+    cell_value,
+    default_id,
+    shown,
+    values_of,
 )
-from audioflinger_hook.catalogue.columns import ALIASES, cell_value, values_of
-from audioflinger_hook.catalogue.item import Item, default_id, shown
 from audioflinger_hook.catalogue.listing import (
     SOUNDS,
     ending_of,
@@ -46,7 +47,7 @@ SHOWN_MAX = 100
 
 LINE_MAX = 1 << 20
 PARTITIONS, SPOOLED_BYTES = 64, 1 << 16
-"""All ids are divided by their hashes; what is beyond these bytes goes to temporary files."""
+"""All ids are divided by their hashes; more than these bytes go to temporary files."""
 
 _ENTRY = Struct("<QQ")
 
@@ -68,18 +69,9 @@ class Mistakes:
 class Manifest:
     """The items of a manifest, in order; each iteration reads it again.
 
-    Parameters
-    ----------
-    address : str
-        A file of JSON lines (also .gz) or CSV (.csv), a folder, a glob, or one sound file; path or
-        URL.
-    out : str
-        The folder of the results. Sounds inside it are no items.
-
-    Raises
-    ------
-    UsageError
-        There is no such manifest, or the address holds credentials.
+    address: path or URL of a file of JSON lines (also .gz), of CSV (.csv), of a folder or of one
+    sound; or a glob. out: the folder of the results; sounds inside it are no items. UsageError:
+    there is no such manifest, or the address holds credentials.
     """
 
     def __init__(self, address: str, out: str) -> None:
@@ -108,7 +100,7 @@ class Manifest:
                 name = int.from_bytes(blake2b(os.fsencode(item.id), digest_size=8).digest())
                 parts[name % PARTITIONS].write(_ENTRY.pack(name, item.line))
             for part in parts:
-                self._find_twins(part, mistakes)
+                self._find_duplicates(part, mistakes)
         if not count and not mistakes.count:
             raise UsageError(f"{scrubbed(self.address)} has no items; give a manifest of sounds")
         return count, mistakes
@@ -300,7 +292,9 @@ class Manifest:
                 if is_sound(path):
                     yield path
 
-    def _find_twins(self, part: tempfile.SpooledTemporaryFile[bytes], mistakes: Mistakes) -> None:
+    def _find_duplicates(
+        self, part: tempfile.SpooledTemporaryFile[bytes], mistakes: Mistakes
+    ) -> None:
         """Find two items with one id, in one partition of all ids."""
         part.seek(0)
         entries = np.frombuffer(part.read(), [("name", "<u8"), ("line", "<u8")])

@@ -1,4 +1,4 @@
-"""What a record says about a vibration: its exposure, and its course for a picture."""
+"""The measures in a record: the exposure of a vibration, and its course for a picture."""
 
 from __future__ import annotations
 
@@ -26,12 +26,9 @@ POINTS = 120
 
 
 class VibrationMeter:
-    """Measures a vibration block by block, whatever their lengths; memory does not grow.
+    """Measures a vibration in blocks of any length; memory does not grow.
 
-    Parameters
-    ----------
-    rig : str
-        Name or file of the rig that would play it.
+    rig: name or file of the rig that would play it.
     """
 
     def __init__(self, rig: str) -> None:
@@ -64,10 +61,10 @@ class VibrationMeter:
     def measures(self) -> dict[str, Any]:
         """Return exposure and course of all that was taken.
 
-        exposure_a8_m_s2: A(8) of ISO 2631-1 that the sound adds to a day, of the strongest channel:
-            the weighted acceleration of the rig's linear model at full volume, spread over 8 h.
-        course: peaks in thousandths of full scale, in order of time, 1 to 240; course_step_s: the
-            time of each.
+        exposure_a8_m_s2: A(8) of ISO 2631-1 that the sound adds to a day, by the strongest channel.
+            It is the weighted acceleration of the rig's linear model at full volume, over 8 h.
+        course: 1 to 240 peaks in thousandths of full scale, in order of time.
+        course_step_s: the time of each peak.
         """
         if self._filled:
             self._take_block()

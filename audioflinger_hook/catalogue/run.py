@@ -8,11 +8,11 @@ from collections.abc import Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, wait
 from itertools import islice
 
-from audioflinger_hook.catalogue.executors import Place
 from audioflinger_hook.catalogue.item import Item
 from audioflinger_hook.catalogue.recipe import Recipe
 from audioflinger_hook.catalogue.timing import Timing
 from audioflinger_hook.catalogue.work import Outcome, do_batch
+from audioflinger_hook.offline.pool import DIED, Place
 from device.errors import InternalError
 
 BATCH_MAX = 256
@@ -23,7 +23,7 @@ AHEAD = 2
 """Batches per slot that are under way or wait for a slot."""
 
 POLL_S = 2.0
-"""How often it is looked whether the place has other slots, or is gone."""
+"""Time between two checks whether the place has other slots, or is gone."""
 
 DEATHS_MAX = 2
 """An item with which this many workers died, while nothing else ran, has failed."""
@@ -39,20 +39,12 @@ def shard_of(items: Iterable[Item], index: int, count: int) -> Iterator[Item]:
 class Run:
     """Works on all items of a run. Iterate over `outcomes` once, from one thread.
 
-    If workers die, the batches that they may have had run again, one at a time, so that an item
-    which ends its worker is found and fails, and no other item does. Finished items of a repeated
-    batch are skipped by their records.
+    If workers die, the batches that they may have had run again, one at a time. So an item that
+    ends its worker is found and fails, and no other item does. Finished items of a repeated batch
+    are skipped by their records.
 
-    Parameters
-    ----------
-    recipe : Recipe
-        How results are made.
-    items : iterable of Item
-        Read as they are needed.
-    place : Place
-        Where batches run.
-    timing : Timing
-        Clock and pauses of the workers.
+    items: read one batch at a time. place: where batches run. timing: clock and pauses of the
+    workers.
     """
 
     def __init__(self, recipe: Recipe, items: Iterable[Item], place: Place, timing: Timing) -> None:
@@ -129,10 +121,7 @@ class Run:
         if self._deaths[item.line] < DEATHS_MAX:
             self._suspects.appendleft(batch)
             return []
-        error = (
-            f"{item.audio}: its worker died {DEATHS_MAX} times, for lack of memory or by a fault "
-            "of a decoder; look at the file and the machine's log"
-        )
+        error = f"{item.audio}: its worker died {DEATHS_MAX} times, {DIED}"
         return [Outcome(item, "failed", 0.0, error=error, exit_code=InternalError.exit_code)]
 
     def _adapt(self, found: list[Outcome]) -> None:

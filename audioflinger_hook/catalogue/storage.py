@@ -2,25 +2,25 @@
 
 A result is made under a hidden name and renamed, or uploaded in one request: it appears whole or
 not at all. Its record is deleted before a new result appears, and written after it. A record also
-says how the result's file is known again (`stamp`), so it never describes another file's bytes.
+has the result's stamp, so it never describes another file's bytes.
 """
 
 from __future__ import annotations
 
-import contextlib
+import hashlib
 import os
 import secrets
 import socket
 import tempfile
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path, PurePosixPath
-from typing import Protocol, TypeVar
+from typing import Any, TypeVar
 
 from audioflinger_hook.catalogue.addresses import filesystem_of, is_url, remote_errors, scrubbed
-from audioflinger_hook.catalogue.stamps import Stamp, digest, local_stamp, remote_stamp
 from audioflinger_hook.catalogue.timing import StorageError, UnreadableError
 from device.atomic_file import AtomicFile
 from device.errors import UsageError, WriteError
@@ -31,83 +31,76 @@ RECORD = ".json"
 """Ending of a record's name, after the name of its result."""
 
 PART = ".part+"
-"""How the name of a result under way begins. Host, the numbering of its processes, process and a
-random number follow: containers of one host number their processes on their own."""
+"""Beginning of the name of an unfinished result. Host, process namespace, process and a random
+number follow, because containers of one host number their processes separately."""
 
 ATOMIC = frozenset({"s3", "s3a", "gs", "gcs", "az", "abfs", "abfss", "adl", "memory"})
 """Storages in which an upload appears whole; elsewhere it is uploaded and then renamed."""
 
-
-@cache
-def _machine_start() -> str:
-    """Return how the names of parts begin that processes make which this one can see."""
-    numbering = 0
-    with contextlib.suppress(OSError):
-        numbering = Path("/proc/self/ns/pid").stat().st_ino
-    return f"{PART}{socket.gethostname()}+{numbering}+"
+ETAGS = (
+    "ETag", "etag", "md5Hash", "content_md5", "generation", "version", "VersionId", "mtime",
+    "LastModified", "last_modified", "modified", "updated", "created",
+)  # fmt: skip
+"""What storages call the etag of a file, or whatever else changes with its content."""
 
 
-def _part_start(process: int) -> str:
-    return f"{_machine_start()}{process}+"
+@dataclass(frozen=True)
+class Stamp:
+    """What identifies a file: bytes (None if unknown), and times or an etag, as text."""
+
+    size: int | None
+    stamp: str
 
 
 @dataclass(frozen=True)
 class Made:
-    """A result that was put in its place: its size, its stamp and its SHA-256."""
+    """A result in its place: bytes, stamp and SHA-256."""
 
     size: int
     stamp: str
     sha256: str
 
 
-class Storage(Protocol):
-    """A folder of results. Any thread; names are relative paths."""
+class Storage(ABC):
+    """A folder of results. Any thread; names are relative paths. Errors are `CushionError`s."""
 
+    @abstractmethod
     def prepare(self) -> None:
         """Make the folder if it is missing. UsageError: this is not possible."""
-        ...
 
+    @abstractmethod
     def stamp(self, name: str) -> Stamp | None:
-        """Return what a file is known by, None if there is none."""
-        ...
+        """Return what identifies a file, None if there is none."""
 
+    @abstractmethod
     def read(self, name: str) -> bytes | None:
         """Return the content of a small file, None if there is none."""
-        ...
 
+    @abstractmethod
     def write(self, name: str, content: bytes) -> None:
         """Write a small file, whole or not at all."""
-        ...
 
+    @abstractmethod
     def delete(self, name: str) -> None:
         """Delete a file, if there is one."""
-        ...
 
+    @abstractmethod
     def put(self, name: str, make: Callable[[Path], T]) -> tuple[T, Made]:
         """Make a result and put it in its place; its record is deleted before.
 
         make: writes the file at a path, which has the ending of the name.
         """
-        ...
 
     def restamped(self, name: str, sha256: str) -> str | None:
-        """Return the stamp of a file that has this SHA-256; None if it has not, or is remote."""
-        ...
+        """Return the stamp of a file that has this SHA-256; None if it has not, or is remote.
+
+        Rendering a sound again costs hardly more than to download its result.
+        """
+        return None
 
 
-def storage_of(address: str) -> Storage:
-    """Return the storage of an address from `parse_address`."""
-    return RemoteStorage(address) if is_url(address) else LocalStorage(Path(address))
-
-
-class LocalStorage:
-    """A folder of this machine.
-
-    Parameters
-    ----------
-    root : Path
-        The folder, absolute.
-    """
+class LocalStorage(Storage):
+    """A folder of this machine. root: its absolute path."""
 
     def __init__(self, root: Path) -> None:
         self._root = root
@@ -115,41 +108,38 @@ class LocalStorage:
 
     def prepare(self) -> None:
         """Make the folder, if the folder above it exists."""
+        root = self._root
         try:
-            self._root.mkdir(exist_ok=True)
+            root.mkdir(exist_ok=True)
         except OSError as error:
-            above = (
-                "" if self._root.parent.is_dir() else f"; the folder {self._root.parent} is missing"
-            )
+            above = "" if root.parent.is_dir() else f"; the folder {root.parent} is missing"
             raise UsageError(
-                f"the output folder {self._root} cannot be made ({error.strerror}){above}"
+                f"the output folder {root} cannot be made ({error.strerror}){above}"
             ) from None
-        if not os.access(self._root, os.W_OK | os.X_OK):
-            raise UsageError(f"the output folder {self._root} is not writable; name another")
+        if not os.access(root, os.W_OK | os.X_OK):
+            raise UsageError(f"the output folder {root} is not writable; name another")
 
     def stamp(self, name: str) -> Stamp | None:
-        """Return size, time and number of a file."""
-        try:
-            return local_stamp(self._root / name)
-        except (FileNotFoundError, NotADirectoryError):
-            return None
+        """Return size, time and inode number of a file."""
+        with suppress(FileNotFoundError, NotADirectoryError):
+            return _local_stamp(self._root / name)
+        return None
 
     def read(self, name: str) -> bytes | None:
         """Return a file's content."""
-        try:
+        with suppress(FileNotFoundError, NotADirectoryError):
             return (self._root / name).read_bytes()
-        except (FileNotFoundError, NotADirectoryError):
-            return None
+        return None
 
     def write(self, name: str, content: bytes) -> None:
-        """Write a file without waiting for the disk: a torn record is not believed."""
+        """Write a file without waiting for the disk, since torn records are recognised."""
         file = AtomicFile(self._root / name)
         file.write(content)
         file.commit(sync=False)
 
     def delete(self, name: str) -> None:
         """Delete a file."""
-        with contextlib.suppress(FileNotFoundError, NotADirectoryError):
+        with suppress(FileNotFoundError, NotADirectoryError):
             (self._root / name).unlink()
 
     def put(self, name: str, make: Callable[[Path], T]) -> tuple[T, Made]:
@@ -159,11 +149,12 @@ class LocalStorage:
             target.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise WriteError(f"cannot make the folder {target.parent}: {error.strerror}") from error
-        part = target.with_name(f"{_part_start(os.getpid())}{secrets.token_hex(6)}{target.suffix}")
+        number = f"{os.getpid()}+{secrets.token_hex(6)}"
+        part = target.with_name(f"{_machine_start()}{number}{target.suffix}")
         try:
             self._tidy_up(target.parent)
             result = make(part)
-            stamp, sha256 = local_stamp(part), digest(part)
+            stamp, sha256 = _local_stamp(part), digest(part)
             self.delete(name + RECORD)
             part.replace(target)
         except OSError as error:
@@ -172,8 +163,13 @@ class LocalStorage:
             part.unlink(missing_ok=True)
         return result, Made(stamp.size or 0, stamp.stamp, sha256)
 
+    def restamped(self, name: str, sha256: str) -> str | None:
+        """Return the stamp of a copy of the same bytes."""
+        path = self._root / name
+        return _local_stamp(path).stamp if digest(path) == sha256 else None
+
     def _tidy_up(self, folder: Path) -> None:
-        """Delete, once, what processes of this machine were making there when they were killed."""
+        """Delete, once, the unfinished results of killed processes of this machine."""
         if folder in self._tidy:
             return
         self._tidy.add(folder)
@@ -184,20 +180,9 @@ class LocalStorage:
             if process.isdigit() and not Path("/proc", process).exists():
                 part.unlink(missing_ok=True)
 
-    def restamped(self, name: str, sha256: str) -> str | None:
-        """Return the stamp of a copy of the same bytes."""
-        path = self._root / name
-        return local_stamp(path).stamp if digest(path) == sha256 else None
 
-
-class RemoteStorage:
-    """A folder behind a URL that fsspec knows.
-
-    Parameters
-    ----------
-    url : str
-        The folder, without credentials.
-    """
+class RemoteStorage(Storage):
+    """A folder behind a URL that fsspec knows. url: the folder, without credentials."""
 
     def __init__(self, url: str) -> None:
         self._url = url
@@ -206,25 +191,21 @@ class RemoteStorage:
 
     def prepare(self) -> None:
         """Make the folder where folders exist."""
-        with self._errors(self._url):
+        with remote_errors(scrubbed(self._url), StorageError):
             self._files.makedirs(self._root, exist_ok=True)
 
     def stamp(self, name: str) -> Stamp | None:
         """Return size and etag of a file, or what the storage has in place of an etag."""
-        with self._errors(name):
-            try:
-                return remote_stamp(self._files.info(self._path(name)))
-            except FileNotFoundError:
-                return None
+        with self._errors(name), suppress(FileNotFoundError):
+            return _remote_stamp(self._files.info(self._path(name)))
+        return None
 
     def read(self, name: str) -> bytes | None:
         """Return a file's content."""
-        with self._errors(name):
-            try:
-                content: bytes = self._files.cat_file(self._path(name))
-                return content
-            except FileNotFoundError:
-                return None
+        with self._errors(name), suppress(FileNotFoundError):
+            content: bytes = self._files.cat_file(self._path(name))
+            return content
+        return None
 
     def write(self, name: str, content: bytes) -> None:
         """Upload a small file."""
@@ -235,7 +216,7 @@ class RemoteStorage:
 
     def delete(self, name: str) -> None:
         """Delete a file."""
-        with self._errors(name), contextlib.suppress(FileNotFoundError):
+        with self._errors(name), suppress(FileNotFoundError):
             self._files.rm_file(self._path(name))
 
     def put(self, name: str, make: Callable[[Path], T]) -> tuple[T, Made]:
@@ -251,24 +232,20 @@ class RemoteStorage:
             raise StorageError(f"{self._shown(name)} is not whole after its upload; try again")
         return result, Made(size, found.stamp, sha256)
 
-    def restamped(self, name: str, sha256: str) -> str | None:
-        """Return None: rendering is hardly dearer than a download."""
-        return None
-
     def _upload(self, path: Path, name: str) -> None:
         target = self._path(name)
         with self._errors(name):
             if self._atomic:
                 self._files.put_file(str(path), target)
                 return
-            parent, _, last = target.rpartition("/")
+            parent = target.rpartition("/")[0]
             part = f"{parent}/.{secrets.token_hex(6)}.part"
             self._files.makedirs(parent, exist_ok=True)
             try:
                 self._files.put_file(str(path), part)
-                self._files.mv(part, f"{parent}/{last}")
+                self._files.mv(part, target)
             except BaseException:
-                with contextlib.suppress(Exception):
+                with suppress(Exception):
                     self._files.rm_file(part)
                 raise
 
@@ -276,12 +253,28 @@ class RemoteStorage:
         return f"{self._root}/{name}"
 
     def _shown(self, name: str) -> str:
-        return scrubbed(name if is_url(name) else f"{self._url}/{name}")
+        return scrubbed(f"{self._url}/{name}")
 
-    @contextmanager
-    def _errors(self, name: str) -> Iterator[None]:
-        with remote_errors(self._shown(name), StorageError):
-            yield
+    def _errors(self, name: str) -> AbstractContextManager[None]:
+        return remote_errors(self._shown(name), StorageError)
+
+
+def storage_of(address: str) -> Storage:
+    """Return the storage of an address from `parse_address`."""
+    return RemoteStorage(address) if is_url(address) else LocalStorage(Path(address))
+
+
+def identity_of(audio: str) -> Stamp | None:
+    """Return what identifies a sound, None if there is no such file."""
+    if is_url(audio):
+        filesystem, inside = filesystem_of(audio)
+        with remote_errors(scrubbed(audio), UnreadableError):
+            return _remote_stamp(filesystem.info(inside))
+    try:
+        found = Path(audio).stat()
+    except (OSError, ValueError):
+        return None
+    return Stamp(found.st_size, str(found.st_mtime_ns))
 
 
 @contextmanager
@@ -296,3 +289,29 @@ def local_copy(audio: str) -> Iterator[Path]:
         with remote_errors(scrubbed(audio), UnreadableError):
             filesystem.get_file(inside, str(path))
         yield path
+
+
+def digest(path: Path) -> str:
+    """Return the SHA-256 of a file's content. OSError: it cannot be read."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _local_stamp(path: Path) -> Stamp:
+    found = path.stat()
+    return Stamp(found.st_size, f"{found.st_mtime_ns}-{found.st_ino}")
+
+
+def _remote_stamp(info: dict[str, Any]) -> Stamp:
+    found = [f"{name}={info[name]}" for name in ETAGS if info.get(name)]
+    size = info.get("size")
+    return Stamp(None if size is None else int(size), found[0] if found else "")
+
+
+@cache
+def _machine_start() -> str:
+    """Return the beginning of names of parts by processes that this one can see."""
+    namespace = 0
+    with suppress(OSError):
+        namespace = Path("/proc/self/ns/pid").stat().st_ino
+    return f"{PART}{socket.gethostname()}+{namespace}+"

@@ -23,18 +23,10 @@ STRANGE_LEAK_DB = -30.0
 
 @dataclass
 class Summary:
-    """What came of a run so far; its size does not grow with the number of items.
+    """The result of a run so far; its size does not grow with the number of items.
 
-    Attributes
-    ----------
-    items, rendered, skipped, failed : int
-        Counts.
-    sound_s, worker_s : float
-        Length of the sounds that were rendered, and the time that workers took for them.
-    exit_code : int
-        That of the worst failure.
-    slowest, strangest : list
-        (rank, count, item's id, text), heaps.
+    sound_s, worker_s: length of the rendered sounds, and the time of workers for them.
+    exit_code: of the worst failure. slowest, strangest: heaps of (rank, count, item's id, text).
     """
 
     items: int = 0
@@ -62,15 +54,17 @@ class Summary:
 
     def document(self) -> dict[str, Any]:
         """Return the summary as a JSON document."""
+        counts = ("items", "rendered", "skipped", "failed")
         return {
-            "items": self.items,
-            "rendered": self.rendered,
-            "skipped": self.skipped,
-            "failed": self.failed,
+            **{name: getattr(self, name) for name in counts},
             "sound_s": round(self.sound_s, 3),
             "worker_s": round(self.worker_s, 3),
-            "slowest": [{"id": name, "seconds": rank} for rank, _, name, _ in _down(self.slowest)],
-            "strangest": [{"id": name, "reason": text} for *_, name, text in _down(self.strangest)],
+            "slowest": [
+                {"id": name, "seconds": rank} for rank, _, name, _ in _descending(self.slowest)
+            ],
+            "strangest": [
+                {"id": name, "reason": text} for *_, name, text in _descending(self.strangest)
+            ],
         }
 
     def lines(self) -> list[str]:
@@ -83,7 +77,7 @@ class Summary:
         ]
         for title, kept in (("slowest", self.slowest), ("strangest", self.strangest)):
             if kept:
-                listed = ", ".join(f"{name} ({text})" for *_, name, text in _down(kept)[:5])
+                listed = ", ".join(f"{name} ({text})" for *_, name, text in _descending(kept)[:5])
                 found.append(f"{title}: {listed}")
         return found
 
@@ -113,7 +107,7 @@ def strangeness(record: Mapping[str, Any]) -> tuple[float, str]:
     return 0.0, ""
 
 
-def _down(heap: list[tuple[float, int, str, str]]) -> list[tuple[float, int, str, str]]:
+def _descending(heap: list[tuple[float, int, str, str]]) -> list[tuple[float, int, str, str]]:
     return sorted(heap, reverse=True)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import errno
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -36,7 +36,7 @@ class UnreadableError(StorageError):
 
 @dataclass(frozen=True)
 class Timing:
-    """Functions that tell the time and wait, and how often failed I/O is repeated.
+    """A clock, a way to wait, and the number of repetitions of failed I/O.
 
     clock: seconds, from any origin. sleep: waits for seconds. retries: repetitions.
     """
@@ -61,19 +61,17 @@ class Timing:
 
 def is_transient(error: BaseException | None) -> bool:
     """Return whether an error, or one that led to it, is an error of I/O that may pass."""
-    while error is not None:
-        if isinstance(error, (StorageError, TimeoutError, ConnectionError)):
-            return True
-        if isinstance(error, OSError) and error.errno in TRANSIENT:
-            return True
-        error = error.__cause__ or error.__context__
-    return False
+    passing = (StorageError, TimeoutError, ConnectionError)
+    return any(isinstance(one, passing) for one in _chain(error)) or has_errno(error, *TRANSIENT)
 
 
 def has_errno(error: BaseException | None, *numbers: int) -> bool:
     """Return whether an error, or one that led to it, has one of these numbers."""
+    return any(isinstance(one, OSError) and one.errno in numbers for one in _chain(error))
+
+
+def _chain(error: BaseException | None) -> Iterator[BaseException]:
+    """Yield an error and those that led to it."""
     while error is not None:
-        if isinstance(error, OSError) and error.errno in numbers:
-            return True
+        yield error
         error = error.__cause__ or error.__context__
-    return False

@@ -1,4 +1,4 @@
-"""The work on one item: look at its record, and render it if there is no right result yet."""
+"""The work on one item: check its record, and render it if there is no right result yet."""
 
 from __future__ import annotations
 
@@ -7,27 +7,35 @@ import json
 import math
 import pickle
 import platform
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from audioflinger_hook.catalogue.addresses import is_url, scrubbed
 from audioflinger_hook.catalogue.item import Item
 from audioflinger_hook.catalogue.listing import is_same
 from audioflinger_hook.catalogue.measures import VibrationMeter
 from audioflinger_hook.catalogue.recipe import VERSION, Recipe
-from audioflinger_hook.catalogue.stamps import identity_of, sha256_of
-from audioflinger_hook.catalogue.storage import RECORD, Storage, local_copy, storage_of
+from audioflinger_hook.catalogue.storage import (
+    RECORD,
+    Storage,
+    digest,
+    identity_of,
+    local_copy,
+    storage_of,
+)
 from audioflinger_hook.catalogue.timing import Timing, has_errno
 from audioflinger_hook.exports.export import export
 from audioflinger_hook.sources import FileTap, TapClient
 from audioflinger_hook.sources.film import FILMS, FilmTap
 from audioflinger_hook.sources.part import PartTap
+from audioflinger_hook.sources.tap import SteadyTap
 from device.errors import CushionError, InternalError, UsageError
 
 State = Literal["rendered", "skipped", "failed"]
+
 
 FIGURES = (
     "frames", "samplerate", "channels", "peak", "leak_above_250_hz_db", "limited_samples",
@@ -40,7 +48,7 @@ FIGURES = (
 class Outcome:
     """The result of one item.
 
-    record: of its result, as in the file beside it; empty if the item failed.
+    record: the content of the file beside the result; empty if the item failed.
     error, exit_code: why it failed, in one line, and the exit code of that kind of error.
     stops: whether every other item would fail in the same way, as on a full disk.
     """
@@ -52,6 +60,17 @@ class Outcome:
     error: str = ""
     exit_code: int = 0
     stops: bool = False
+
+
+class ItemStatus(NamedTuple):
+    """What a run would do with one item, and the error of an unreadable one.
+
+    done: skip it. outdated: replace a result or record that is not right. missing: render it.
+    unreadable: fail, since the sound cannot be read.
+    """
+
+    state: Literal["done", "outdated", "missing", "unreadable"]
+    error: str = ""
 
 
 def do_batch(recipe: bytes, items: Sequence[Item], timing: Timing) -> list[Outcome]:
@@ -99,27 +118,42 @@ def do_item(recipe: Recipe, item: Item, timing: Timing) -> Outcome:
     )
 
 
-def record_of(recipe: Recipe, item: Item, storage: Storage) -> tuple[str | None, dict[str, Any]]:
+def status_of(recipe: Recipe, items: Iterable[Item], timing: Timing) -> Iterator[ItemStatus]:
+    """Yield the state of each item, in order. LostError or UsageError: the storage is gone."""
+    storage = storage_of(recipe.out)
+    for item in items:
+        try:
+            key, record = timing.repeated(lambda: _record_of(recipe, item, storage))  # noqa: B023
+        except CushionError as error:
+            yield ItemStatus("unreadable", str(error))
+            continue
+        name = recipe.name(item)
+        if record:
+            yield ItemStatus("done")
+        elif key is None or storage.stamp(name) or storage.stamp(name + RECORD):
+            yield ItemStatus("outdated")
+        else:
+            yield ItemStatus("missing")
+
+
+def _record_of(recipe: Recipe, item: Item, storage: Storage) -> tuple[str | None, dict[str, Any]]:
     """Return the key that an item's result must have, and the record of a result that has it.
 
     The key is None if the sound's SHA-256 must be known and the sound is remote; the record is
     empty if there is no right and whole result.
     """
-    name = recipe.name(item)
     key = _key(recipe, item)
-    if key is None:
-        return None, {}
-    return key, _right_record(storage, name, key)
+    return key, {} if key is None else _right_record(storage, recipe.name(item), key)
 
 
 def _do(recipe: Recipe, item: Item, timing: Timing) -> tuple[State, dict[str, Any]]:
     storage = _storage(recipe.out)
-    key, record = record_of(recipe, item, storage)
+    key, record = _record_of(recipe, item, storage)
     if record:
         return "skipped", record
     with local_copy(item.audio) as path:
         if key is None:
-            key = recipe.key(item, {"sha256": sha256_of(path)})
+            key = recipe.key(item, {"sha256": _sha256_of(path)})
             if record := _right_record(storage, recipe.name(item), key):
                 return "skipped", record
         return "rendered", _render(recipe, item, storage, path, key, timing)
@@ -173,24 +207,19 @@ def _render(
     return record
 
 
-def open_sound(path: Path, item: Item, recipe: Recipe) -> SoundTap:
+def open_sound(path: Path, item: Item, recipe: Recipe) -> SteadyTap:
     """Return a tap on an item's sound. UsageError: it cannot be read, or has no such part."""
     tap, skipped = _open(path, item, recipe)
     if not (item.start_s or item.duration_s or item.picked):
         return tap
     try:
-        part = PartTap(tap, item.start_s, item.duration_s, item.picked, skipped)
+        return PartTap(tap, item.start_s, item.duration_s, item.picked, skipped)
     except UsageError:
         tap.close()
         raise
-    part.warnings = tap.warnings
-    return part
 
 
-SoundTap = FileTap | FilmTap | PartTap
-
-
-def _open(path: Path, item: Item, recipe: Recipe) -> tuple[FileTap | FilmTap, int]:
+def _open(path: Path, item: Item, recipe: Recipe) -> tuple[SteadyTap, int]:
     """Return a tap on the whole sound, and the number of frames that it leaves out."""
     track, language = item.track or recipe.track, item.language or recipe.language
     is_film = item.track or item.language or path.suffix.lower() in FILMS
@@ -201,10 +230,8 @@ def _open(path: Path, item: Item, recipe: Recipe) -> tuple[FileTap | FilmTap, in
     except UsageError as error:
         if "is not a sound file" not in str(error):
             raise
-        try:
-            return FilmTap(
-                path, track=track, language=language
-            ), 0  # AAC, WMA and others that libsndfile does not read
+        try:  # AAC, WMA and others that libsndfile does not read
+            return FilmTap(path, track=track, language=language), 0
         except UsageError:
             raise error from None
     first = round(item.start_s * tap.samplerate)
@@ -223,12 +250,19 @@ def _key(recipe: Recipe, item: Item) -> str | None:
     if recipe.verify:
         if is_url(item.audio):
             return None
-        return recipe.key(item, {"sha256": sha256_of(Path(item.audio))})
+        return recipe.key(item, {"sha256": _sha256_of(Path(item.audio))})
     found = identity_of(item.audio)
     if found is None:
         FileTap(Path(item.audio)).close()  # its error says what is wrong
         raise UsageError(f"{item.audio} cannot be read; check the path")
     return recipe.key(item, {"audio": item.audio, "size": found.size, "stamp": found.stamp})
+
+
+def _sha256_of(path: Path) -> str:
+    try:
+        return digest(path)
+    except OSError as error:
+        raise UsageError(f"{path} cannot be read ({error.strerror})") from error
 
 
 def _right_record(storage: Storage, name: str, key: str) -> dict[str, Any]:

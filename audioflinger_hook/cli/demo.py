@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import io
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -142,7 +141,7 @@ def _draw(
     values: Mapping[str, str],
 ) -> None:
     """Write the picture with the main values as text; needs matplotlib."""
-    from audioflinger_hook.figures.report import draw_report
+    from audioflinger_hook.figures.report import report_png
 
     settings = framework.settings
     frames = scene.frame_count
@@ -158,16 +157,12 @@ def _draw(
             principals.append((middle_s, p.audio_hz, p.vibration_hz, strength))
     vibration = np.concatenate(played.vibration)[latency : latency + frames]
     acceleration = np.concatenate(played.acceleration)[:frames]
-    picture = io.BytesIO()
-    draw_report(
-        picture,
+    picture = report_png(
         title="Haptic Cushion: sound and vibration",
         samplerate=scene.samplerate,
         audio=sound,
         vibration=vibration[:, 0],
-        vibration_samplerate=scene.samplerate,
         acceleration_m_s2=acceleration[:, 0],
-        acceleration_samplerate=scene.samplerate,
         principals=principals,
         events=scene.events(),
         facts=(
@@ -177,7 +172,7 @@ def _draw(
         ),
         description="; ".join(f"{name}: {value}" for name, value in values.items()),
     )
-    write_bytes_atomically(path, picture.getvalue())
+    write_bytes_atomically(path, picture)
 
 
 def _main_values(framework: Framework, rig: SimulatedRig, played: Played) -> dict[str, str]:

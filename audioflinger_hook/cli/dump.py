@@ -6,8 +6,8 @@ import argparse
 import time
 from contextlib import closing
 
-from audioflinger_hook.cli.check import load_config
 from audioflinger_hook.cli.terminal import warn
+from audioflinger_hook.config import file as config
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.pipeline.framework import Framework
 from audioflinger_hook.pipeline.step import Pipeline
@@ -20,7 +20,7 @@ DEFAULT_S = 1.0
 
 def run(options: argparse.Namespace) -> int:
     """Play a tap up to a given time, as fast as possible, and print the framework's state."""
-    settings = load_config(options.config).settings if options.config else Settings()
+    settings = config.load(options.config).settings if options.config else Settings()
     client = open_client(parse_tap(options.tap))
     cycle_times_s = []
     frames = 0

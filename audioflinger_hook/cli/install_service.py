@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import sys
 
-from audioflinger_hook.cli.check import load_config
 from audioflinger_hook.config import file as config
 from audioflinger_hook.config.profiles import LIVE_DEFAULT
 from audioflinger_hook.service.install import install, remove, systemd_version
@@ -48,7 +47,7 @@ def _print_udev() -> None:
 
 def _config_names_a_device() -> bool:
     path = config.default_path()
-    return path.exists() and load_config(path, LIVE_DEFAULT).live.device is not None
+    return path.exists() and config.load(path, LIVE_DEFAULT).live.device is not None
 
 
 def _refuse_without_device() -> None:

@@ -164,7 +164,7 @@ def _monitor(command: Parser) -> None:
 
 
 def _usb(command: Parser) -> None:
-    does = "describe: show descriptors; set: set volume, samplerate and mute, without a driver"
+    does = "describe: show formats; set: set volume, samplerate and mute, without a driver"
     command.add_argument("does", choices=("describe", "set"), metavar="describe|set", help=does)
     names = "usb:VID:PID[:SERIAL][@PORT]; default: all"
     command.add_argument("device", nargs="?", metavar="DEVICE", help=names)

@@ -8,12 +8,12 @@ import json
 from collections.abc import Mapping
 from pathlib import Path
 
-from audioflinger_hook.cli.check import load_config
 from audioflinger_hook.cli.terminal import complain, level_text, progress_bar, warn
+from audioflinger_hook.config import file as config
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.offline.batch import Rendered, render_files, targets_in
+from audioflinger_hook.offline.pool import WORKERS_MAX, usable_cores
 from audioflinger_hook.offline.render import RenderReport, render_file
-from audioflinger_hook.offline.workers import WORKERS_MAX, usable_cores
 from device.errors import UsageError
 from device.values import counted
 
@@ -37,7 +37,6 @@ def run(options: argparse.Namespace) -> int:
             settings,
             acceleration=options.acceleration,
             progress=progress,
-            workers=workers,
         )
     show_report(report, options)
     return 0
@@ -125,7 +124,7 @@ def chosen_settings(options: argparse.Namespace, recorded: Settings | None = Non
     """
     default = options.default_profile
     if options.config:
-        settings = load_config(options.config, default).settings
+        settings = config.load(options.config, default).settings
     else:
         settings = recorded or Settings(profile=default)
     given = {

@@ -11,7 +11,6 @@ from contextlib import nullcontext
 from datetime import datetime
 from pathlib import Path
 
-from audioflinger_hook.cli.check import load_config
 from audioflinger_hook.cli.moment import present_moment
 from audioflinger_hook.cli.open_files import allow_open_files
 from audioflinger_hook.cli.replay import capture_files
@@ -126,7 +125,7 @@ def _run_config(options: argparse.Namespace, edits: Edits | None = None) -> RunC
     path = options.config or config.default_path()
     edits = edits or {}
     if options.config or path.exists() or edits:
-        found = load_config(path, options.default_profile, edits or None)
+        found = config.load(path, options.default_profile, edits or None)
     else:
         found = config.Config(Settings(profile=options.default_profile))
     settings, live = found.settings, found.live
@@ -219,7 +218,7 @@ def _keep_on(
             notes, warnings = supervisor.states.notes(), _warnings(supervisor)
             reporter.report(report, notes, warnings, now_s)
             reporter.show_meter(lambda: status_of(supervisor, time.monotonic()), now_s)
-            if watchdog.due(supervisor.engines.buffers, report.state, now_s):
+            if watchdog.due(supervisor.engines.counts[0], report.state, now_s):
                 reporter.notifier.send("WATCHDOG=1")
             wake.wait(min(supervisor.rest_s, watchdog.check_s or supervisor.rest_s))
     finally:
@@ -230,7 +229,7 @@ def _keep_on(
 
 def _warnings(supervisor: Supervisor) -> list[str]:
     """Return what the terminal is to show, also which effects are bypassed."""
-    engine = supervisor.engine
+    engine = supervisor.engines.python
     return [*(engine.framework.bypass_warnings() if engine else ()), *supervisor.warnings]
 
 

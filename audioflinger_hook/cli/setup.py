@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 from audioflinger_hook.cli import setup_files
-from audioflinger_hook.cli.check import load_config
 from audioflinger_hook.cli.outputs import COILS, Output, list_outputs, shaker_pair
 from audioflinger_hook.cli.questions import agree, name_some, pick
 from audioflinger_hook.cli.setup_tone import Felt, try_output
@@ -64,7 +63,7 @@ def run(options: argparse.Namespace) -> int:
     before = setup_files.text_of(path)
     wired: tuple[ActuatorSettings, ...] = ()
     if before is not None:  # one with mistakes is for its owner to repair
-        wired = load_config(path, LIVE_DEFAULT).settings.actuators
+        wired = config.load(path, LIVE_DEFAULT).settings.actuators
     profile = _known_profile(options.profile)
     has_service = not options.no_service and service.installed_text() is not None
     choice = _choose_output(options, wired)

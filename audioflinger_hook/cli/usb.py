@@ -1,4 +1,4 @@
-"""`cushion usb`: a USB audio device's descriptors, for people and for bug reports; its settings."""
+"""`cushion usb`: what a USB audio device, or a dump of one, plays and where it is damaged."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ import json
 import math
 import sys
 from contextlib import closing, suppress
-from dataclasses import fields, is_dataclass
-from enum import Enum
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +19,9 @@ from device.errors import CushionError, NoUsbDeviceError, UsageError
 from device.usb import UsbAudioDevice, UsbIdentity, find_devices, find_one, identify
 from device.usb.control import UsbControl, held_by, open_control
 from device.usb.descriptors import (
-    Configuration,
+    PlaybackFormat,
     RateRange,
     WholeDevice,
-    describe,
     hex_lines,
     parse_dump,
     parse_whole,
@@ -34,7 +32,6 @@ from device.usb.take_over import take_over
 
 DUMP_BYTES_MAX = 4 << 20
 """Largest size of a dump as text; a device has at most 64 kB of descriptors."""
-
 
 Found = tuple[UsbAudioDevice | None, WholeDevice, dict[str, Any] | None]
 """A device, None for a dump; its descriptors; its settings, None where it was not asked."""
@@ -56,12 +53,12 @@ def run(options: argparse.Namespace) -> int:
             (device, parse_whole(read_descriptors(device)), _settings(device, options.take_over))
             for device in _devices(options.device)
         ]
+    documents = [_document(*each) for each in found]
     if options.json:
-        documents = [_document(*each) for each in found]
         single = options.device or (options.hex is not None and len(documents) == 1)
         print(json.dumps(documents[0] if single else documents, indent=2))
     else:
-        print("\n\n".join(_text(*each) for each in found))
+        print("\n\n".join(map(_text, documents)))
     return 0
 
 
@@ -70,7 +67,7 @@ def _devices(name: str | None) -> tuple[UsbAudioDevice, ...]:
     if name is not None:
         return (find_one(UsbIdentity.parse(name), found),)
     if not found.devices:
-        raise found.reason or NoUsbDeviceError("no USB audio device is there; plug one in")
+        raise found.reason or NoUsbDeviceError("no USB audio device is plugged in")
     return found.devices
 
 
@@ -137,59 +134,110 @@ def _asked(control: UsbControl) -> dict[str, Any]:
     with suppress(CushionError):
         settings["samplerate"] = control.samplerate()
     with suppress(CushionError):
-        settings["samplerates"] = [_plain(each) for each in control.samplerates()]
+        settings["samplerates"] = [asdict(each) for each in control.samplerates()]
     return settings
 
 
-def _text(
+def _document(
     device: UsbAudioDevice | None, whole: WholeDevice, settings: dict[str, Any] | None
-) -> str:
-    lines = []
+) -> dict[str, Any]:
+    """Return all that is known of a device, as --json prints it."""
+    document: dict[str, Any] = {}
     if device is not None:
-        name = identify(device, find_devices().devices)
-        cards = ", ".join(f"card {card.number} ({card.id})" for card in device.cards) or "no card"
-        lines.append(f"{device.label} ({name}), port {device.port}, {cards}")
-    if not whole.configurations:
-        lines.append("no configuration could be read")
+        name = str(identify(device, find_devices().devices))
+        document = {"name": name, "label": device.label, "port": device.port}
+        document |= {"cards": [asdict(card) for card in device.cards], "mixer": mixer_of(device)}
     active = whole.active(device.configuration) if device else None
-    for place, configuration in enumerate(whole.configurations):
-        speed = device.speed if device else 0.0
-        lines.append(describe(whole.device if not place else None, configuration, speed))
-        if len(whole.configurations) > 1 and configuration is active:
-            lines.append(f"configuration {configuration.header.value} is the active one")
-        lines += [
-            f"plays: interface {each['interface']}.{each['alternate']}, {format_text(each)}"
-            for each in _formats(configuration, device, active, settings)
-        ]
-    if device is not None:
-        lines += mixer_lines(mixer_of(device))
-    lines += _settings_lines(settings)
-    if whole.rest:
-        lines.append(f"not understood: {whole.rest.hex(' ')}")
-    return "\n".join([*lines, "bytes:", *hex_lines(whole.raw())])
-
-
-def _formats(
-    configuration: Configuration,
-    device: UsbAudioDevice | None,
-    active: Configuration | None,
-    settings: dict[str, Any] | None,
-) -> list[dict[str, Any]]:
-    """Return the formats of a configuration; driver and device report the active one."""
-    if configuration is not active:
-        return formats_of(configuration)
     asked = [RateRange(**each) for each in (settings or {}).get("samplerates", [])]
-    return formats_of(configuration, device, asked)
+    configurations = []
+    for each in whole.configurations:
+        # Driver and device report the formats of the active configuration alone.
+        formats = formats_of(each, device, asked) if each is active else formats_of(each)
+        configurations.append(
+            {
+                "value": each.value,
+                "audio_class": each.uac,
+                "active": each is active if device else None,
+                "problems": list(each.problems),
+                "playback": [_playback(playback) for playback in playback_formats(each)],
+                "formats": formats,
+                "bytes": each.raw.hex(),
+            }
+        )
+    return document | {
+        "device": asdict(whole.device) if whole.device else None,
+        "configurations": configurations,
+        "problem": whole.problem or None,
+        "rest": whole.rest.hex(),
+        "settings": settings,
+        "bytes": whole.raw.hex(),
+    }
+
+
+def _playback(playback: PlaybackFormat) -> dict[str, Any]:
+    return asdict(playback) | {"synchronisation": playback.synchronisation.name.lower()}
+
+
+def _text(document: dict[str, Any]) -> str:
+    """Return a document in words. Its bytes come last, as a dump that --hex can read."""
+    lines = []
+    if "name" in document:
+        cards = ", ".join(f"card {card['number']} ({card['id']})" for card in document["cards"])
+        lines.append(
+            f"{document['label']} ({document['name']}), port {document['port']}, "
+            f"{cards or 'no card'}"
+        )
+    if device := document["device"]:
+        lines.append(
+            f"device {device['vendor_id']:04x}:{device['product_id']:04x}, release "
+            f"{_version(device['release'])}, USB {_version(device['usb'])}"
+        )
+    for configuration in document["configurations"]:
+        lines += _configuration_lines(configuration, len(document["configurations"]) > 1)
+    if "mixer" in document:
+        lines += mixer_lines(document["mixer"])
+    lines += _settings_lines(document["settings"])
+    if document["problem"]:
+        lines.append(f"problem: {document['problem']}")
+    return "\n".join([*lines, "bytes:", *hex_lines(bytes.fromhex(document["bytes"]))])
+
+
+def _configuration_lines(configuration: dict[str, Any], is_one_of_several: bool) -> list[str]:
+    uac, value = configuration["audio_class"], configuration["value"]
+    lines = [f"configuration {value}: {f'USB Audio {uac}.0' if uac else 'no audio'}"]
+    if is_one_of_several and configuration["active"]:
+        lines.append(f"configuration {value} is the active one")
+    lines += [f"problem: {problem}" for problem in configuration["problems"]]
+    lines += [
+        f"plays: interface {each['interface']}.{each['alternate']}, {format_text(each)}"
+        for each in configuration["formats"]
+    ]
+    if uac and not configuration["formats"]:
+        lines.append("plays: nothing")
+    settable = {
+        f"{control} can be set on channels {', '.join(map(_channel, channels))}"
+        for each in configuration["playback"]
+        for control in ("volume", "mute")
+        if (channels := each[f"{control}_channels"])
+    }
+    return lines + sorted(settable, reverse=True)
+
+
+def _channel(number: int) -> str:
+    return str(number) if number else "0 (all)"
+
+
+def _version(number: int) -> str:
+    """Return a version such as 2.01 for 0x0201, a binary-coded decimal."""
+    return f"{number >> 8:x}.{number & 0xFF:02x}"
 
 
 def _settings_lines(settings: dict[str, Any] | None) -> list[str]:
     if settings is None:
         return []
     lines = [
-        f"volume of channel {each['channel']}: "
-        + ("silence" if each["db"] is None else f"{each['db']:+.2f} dB")
-        + f", {each['lowest_db']:+.2f} to {each['highest_db']:+.2f} dB "
-        f"in steps of {each['step_db']:.3g} dB"
+        f"volume of channel {each['channel']}: {_level(each['db'])}, {each['lowest_db']:+.2f} to "
+        f"{each['highest_db']:+.2f} dB in steps of {each['step_db']:.3g} dB"
         for each in settings["volumes"]
     ]
     lines += [
@@ -203,51 +251,11 @@ def _settings_lines(settings: dict[str, Any] | None) -> list[str]:
     return lines
 
 
-def _document(
-    device: UsbAudioDevice | None, whole: WholeDevice, settings: dict[str, Any] | None
-) -> dict[str, Any]:
-    document: dict[str, Any] = {}
-    if device is not None:
-        document["name"] = str(identify(device, find_devices().devices))
-        document |= {"port": device.port, "cards": _plain(device.cards), "mixer": mixer_of(device)}
-    active = whole.active(device.configuration) if device else None
-    configurations = [
-        {
-            **_plain(configuration),
-            "active": configuration is active if device else None,
-            "problems": [str(problem) for problem in configuration.problems],
-            "playback": _plain(playback_formats(configuration)),
-            "formats": _formats(configuration, device, active, settings),
-            "bytes": configuration.raw().hex(),
-        }
-        for configuration in whole.configurations
-    ]
-    document |= {"device": _plain(whole.device), "configurations": configurations}
-    rest = {"rest": whole.rest.hex(), "settings": settings, "bytes": whole.raw().hex()}
-    return document | rest
-
-
-def _plain(item: Any) -> Any:
-    """Return an item in JSON's types: bytes in hex, enums by name, dataclasses with kind."""
-    if is_dataclass(item) and not isinstance(item, type):
-        kind = {"kind": item.kind} if hasattr(item, "kind") else {}
-        return kind | {each.name: _plain(getattr(item, each.name)) for each in fields(item)}
-    if isinstance(item, (tuple, list)):
-        return [_plain(each) for each in item]
-    if isinstance(item, bytes):
-        return item.hex()
-    if isinstance(item, Enum):
-        return item.name.lower()
-    if isinstance(item, Path):
-        return str(item)
-    return item
-
-
 def mixer_of(device: UsbAudioDevice) -> dict[str, Any]:
     """Return the controls of a device's cards, for JSON.
 
-    Levels are in dB, by channel, None for silence; they are left out if the steps of a volume are
-    not known in dB. problem: why something could not be read, else None.
+    Levels are in dB, by channel, None for silence; they are missing if the volume's steps are not
+    known in dB. problem: why a control could not be read, else None.
     """
     volumes: list[dict[str, Any]] = []
     mutes: list[dict[str, Any]] = []
@@ -258,13 +266,13 @@ def mixer_of(device: UsbAudioDevice) -> dict[str, Any]:
         try:
             with CardMixer(card.number) as mixer:
                 for volume in mixer.volumes:
-                    told: dict[str, Any] = {"name": volume.name}
+                    shown: dict[str, Any] = {"name": volume.name}
                     levels, decibels = mixer.volume_db(volume), volume.decibels
                     if levels is not None and decibels is not None:
-                        told["db"] = [_finite(level) for level in levels]
-                        told["lowest_db"] = _finite(decibels.lowest_db)
-                        told["highest_db"] = _finite(decibels.highest_db)
-                    volumes.append(told)
+                        shown["db"] = [_finite(level) for level in levels]
+                        shown["lowest_db"] = _finite(decibels.lowest_db)
+                        shown["highest_db"] = _finite(decibels.highest_db)
+                    volumes.append(shown)
                 for switch in mixer.switches:
                     mutes.append({"name": switch.name, "muted": list(mixer.muted(switch))})
         except CushionError as error:

@@ -1,7 +1,7 @@
-"""The formats that a USB device plays: by its descriptors, its clock and the kernel's own list.
+"""The formats that a USB device plays, from its descriptors, its clock and its driver.
 
-Descriptors of class 2 and 3 leave the samplerates to the clock, and those of class 3 the channels
-to the device. A driver that holds the device has asked for both, and lists them.
+Descriptors of class 2 and 3 have no samplerates, and those of class 3 no channels. The driver of a
+device has read both from the device and lists them.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ def formats_of(
 ) -> list[dict[str, Any]]:
     """Return the formats for JSON, in the order of the descriptors.
 
-    configuration: the one in use. device: whose driver is asked; None for a dump. asked: rates of
-    its clock, as the device reported them.
+    configuration: the active one. device: None for a dump, which has no driver. asked: rates that
+    the device's clock reported.
     """
     listed = by_setting(device, root) if device else {}
     decoded = playback_formats(configuration) if configuration else ()

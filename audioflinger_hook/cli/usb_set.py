@@ -1,4 +1,4 @@
-"""`cushion usb set`: the own volume, mute and samplerate of a device that no driver holds."""
+"""`cushion usb set`: volume, mute and samplerate of a device that no driver holds."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from device.usb.control import UsbControl, open_control
 
 
 def run(options: argparse.Namespace) -> int:
-    """Set what is asked for, read it back and print it. The samplerate comes first, a mute last."""
+    """Set the options' values, read them back and print them; a mute is lifted last."""
     if options.hex is not None or options.take_over or options.json:
         raise UsageError("usb set goes with neither --hex, --take-over nor --json")
     if options.device is None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping
 from typing import Any
 
@@ -51,13 +52,8 @@ def actuator_text(channels: tuple[str, ...]) -> str:
 
 def _comment(text: str) -> str:
     """Return a comment of lines that are not too long."""
-    lines, line = [], "#"
-    for word in text.split():
-        if len(line) + 1 + len(word) > WIDTH and line != "#":
-            lines.append(line)
-            line = "#"
-        line += f" {word}"
-    return "\n".join([*lines, line, ""])
+    lines = textwrap.wrap(text, WIDTH - 2, break_long_words=False, break_on_hyphens=False)
+    return "".join(f"# {line}\n" for line in lines)
 
 
 def _line(name: str, value: Any) -> str:

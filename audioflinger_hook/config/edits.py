@@ -1,4 +1,4 @@
-"""Changes to the values of a config file: applied to what was read, or written into its text.
+"""Changes to the values of a config file, applied to a document or written into its text.
 
 An edit names a key as `key` or `section.key`; the value None leaves the key out of the file.
 """
@@ -8,11 +8,10 @@ from __future__ import annotations
 import tomllib
 from collections import deque
 from collections.abc import Mapping, MutableMapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from audioflinger_hook.config.schema import ACTUATOR, KEYS, RENAMED, Key
+from audioflinger_hook.config.schema import ACTUATOR, KEYS, Key
 from device.atomic_file import make_private_folder, write_bytes_atomically
 from device.errors import InternalError, UsageError
 from device.values import Text, nearest
@@ -41,7 +40,7 @@ def editable(name: str) -> Key:
 
 
 def apply_edits(document: MutableMapping[str, Any], edits: Edits) -> None:
-    """Change the values of a document. Old names of an edited key are left out."""
+    """Change the values of a document."""
     for name, value in edits.items():
         section, _, key = name.rpartition(".")
         table = document
@@ -51,9 +50,6 @@ def apply_edits(document: MutableMapping[str, Any], edits: Edits) -> None:
             if section not in document and value is None:
                 continue
             table = document.setdefault(section, {})
-        for old, new in RENAMED.get(section, {}).items():
-            if new == key and old != key:
-                table.pop(old, None)
         if value is None:
             table.pop(key, None)
         else:
@@ -83,19 +79,8 @@ def edited_text(text: str, edits: Edits) -> str:
     return changed
 
 
-@dataclass(frozen=True)
-class _Before:
-    """One key before a change: its value, None for no such key; whether that is to be an edit.
-
-    What the file holds needs none, until the file is saved with another value.
-    """
-
-    is_edit: bool
-    value: Any
-
-
 class LiveEdits:
-    """What was changed since the daemon began, on top of its config file. For one thread.
+    """Changes since the daemon began, on top of its config file. For one thread.
 
     values: the edits that apply.
     """
@@ -104,7 +89,8 @@ class LiveEdits:
         self._path = path
         self.values: dict[str, Any] = {}
         self._saved: dict[str, Any] = {}
-        self._undo: deque[dict[str, _Before]] = deque(maxlen=UNDO_MAX)
+        # The edits before each change.
+        self._undo: deque[dict[str, Any]] = deque(maxlen=UNDO_MAX)
 
     @property
     def unsaved(self) -> frozenset[str]:
@@ -123,9 +109,8 @@ class LiveEdits:
 
     def accept(self, changes: Edits) -> None:
         """Make these changes; only after they were checked."""
-        document = self._document()
-        self._undo.append({name: self._before(name, document) for name in changes})
-        self.values.update(changes)
+        self._undo.append(self.values)
+        self.values = self.with_changes(changes)
 
     def without_last(self) -> dict[str, Any]:
         """Return the edits as they would be without the last change.
@@ -134,13 +119,7 @@ class LiveEdits:
         """
         if not self._undo:
             raise UsageError("there is nothing to undo; nothing has been changed since the start")
-        values = dict(self.values)
-        for name, before in self._undo[-1].items():
-            if before.is_edit:
-                values[name] = before.value
-            else:
-                values.pop(name, None)
-        return values
+        return dict(self._undo[-1])
 
     def undo(self) -> None:
         """Undo the last change; only after `without_last` was checked."""
@@ -148,7 +127,7 @@ class LiveEdits:
         self._undo.pop()
 
     def save(self) -> None:
-        """Write the edits into the file, which is made where it is missing.
+        """Write the edits into the file, which is made if it is missing.
 
         UsageError: the file is not TOML, or cannot be written.
         WriteError: the disk is full or failed.
@@ -159,8 +138,10 @@ class LiveEdits:
             make_private_folder(self._path.parent)
             write_bytes_atomically(self._path, changed.encode())
         self._saved = dict(self.values)
-        for change in self._undo:
-            change.update({name: _Before(True, before.value) for name, before in change.items()})
+        # To undo an edit that the file holds takes an edit with the file's earlier value.
+        document = tomllib.loads(text)
+        before = {name: _value(document, name) for name in self.values}
+        self._undo = deque(({**before, **edits} for edits in self._undo), UNDO_MAX)
 
     def _text(self) -> str:
         try:
@@ -170,15 +151,9 @@ class LiveEdits:
         except (OSError, UnicodeDecodeError) as error:
             raise UsageError(f"{self._path} cannot be read ({error}); check the file") from error
 
-    def _document(self) -> dict[str, Any]:
-        try:
-            return tomllib.loads(self._text())
-        except (UsageError, ValueError):
-            return {}
 
-    def _before(self, name: str, document: dict[str, Any]) -> _Before:
-        if name in self.values:
-            return _Before(True, self.values[name])
-        section, _, key = name.rpartition(".")
-        table = document.get(section, {}) if section else document
-        return _Before(False, table.get(key) if isinstance(table, dict) else None)
+def _value(document: dict[str, Any], name: str) -> Any:
+    """Return the value of a key of an edit, None if the document has no such key."""
+    section, _, key = name.rpartition(".")
+    table = document.get(section, {}) if section else document
+    return table.get(key) if isinstance(table, dict) else None

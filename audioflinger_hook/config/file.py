@@ -13,10 +13,9 @@ from audioflinger_hook.config.schema import (
     ACTUATOR,
     HEADERS,
     KEYS,
-    RENAMED,
+    REPLACED,
     SECTIONS,
     keys_of,
-    rescaled,
 )
 from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.config.toml_text import Mistake, lines_of_keys, parse, printable, text_of
@@ -32,12 +31,10 @@ class Config:
 
     settings: of the transform, the effects and the rig.
     live: where live sound comes from and where the vibration goes.
-    warning: the keys with old names, "" if there are none.
     """
 
     settings: Settings = field(default_factory=Settings)
     live: LiveSettings = field(default_factory=LiveSettings)
-    warning: str = ""
 
 
 def default_path() -> Path:
@@ -86,7 +83,7 @@ def check_text(
 
 
 class _Reading:
-    """Accepted values, mistakes and keys with old names of one document."""
+    """Accepted values and mistakes of one document."""
 
     def __init__(
         self,
@@ -100,7 +97,6 @@ class _Reading:
         self.folder = folder
         self.mistakes = mistakes
         self.shown: dict[str, str] = {}
-        self.renamed: list[str] = []
         # The accepted values of fields, by class; for actuators, the values of the last actuator.
         self.accepted: dict[type[Described], dict[str, Any]] = {key.owner: {} for key in KEYS}
         self.actuators: list[dict[str, Any]] = []
@@ -135,25 +131,16 @@ class _Reading:
                 self._add(f"{prefix}channels", Refusal("is missing", allowed))
 
     def _read_table(self, section: str, prefix: str, table: dict[str, Any]) -> None:
-        known, renamed = keys_of(section), RENAMED.get(section, {})
-        for written, value in table.items():
-            shown = f"{prefix}{written}"
+        known = keys_of(section)
+        for name, value in table.items():
+            shown = f"{prefix}{name}"
             if not isinstance(value, dict):
                 self.shown[shown] = _shown(value)
-            name = renamed.get(written, written)
             if name not in known:
                 self._add(shown, _unknown(section, name, is_section=isinstance(value, dict)))
                 continue
             key = known[name]
-            if name != written:
-                if name in table:
-                    wrong = f"is the old name of {prefix}{name}, which is given, too"
-                    self._add(shown, Refusal(wrong, f"{name} alone"))
-                    continue
-                self.lines[f"{prefix}{name}"] = self._line(shown)
-                self.shown[f"{prefix}{name}"] = self.shown.get(shown, "")
-                self.renamed.append(f"line {self._line(shown)}: {shown} is now {prefix}{name}")
-            resolved = key.description.resolved(rescaled(written, value), self.folder)
+            resolved = key.description.resolved(value, self.folder)
             if refusal := key.description.refuse(resolved):
                 self._add(shown, refusal)
                 self.refused.add((key.owner, key.field))
@@ -193,10 +180,7 @@ class _Reading:
                 "actuators": tuple(ActuatorSettings(**actuator) for actuator in self.actuators),
             }
         )
-        warning = ""
-        if self.renamed:
-            warning = f"{', '.join(self.renamed)}; the next release knows the new names only"
-        return Config(settings, LiveSettings(**self.accepted[LiveSettings]), warning)
+        return Config(settings, LiveSettings(**self.accepted[LiveSettings]))
 
     def _line(self, key: str) -> int:
         """Return the line of a key, or of the section that holds it inline; 0 if unknown."""
@@ -211,6 +195,9 @@ class _Reading:
 
 def _unknown(section: str, name: str, is_section: bool) -> Refusal:
     """Return the refusal of an unknown key or section, with the most similar known name."""
+    if name in REPLACED.get(section, {}):
+        new = REPLACED[section][name]
+        return Refusal("is no key any more", new)
     known = [*keys_of(section), *(HEADERS.values() if not section else ())]
     elsewhere = [
         f"{name} in {HEADERS[key.section]}" if key.section else f"{name} at the top level"

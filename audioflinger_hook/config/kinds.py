@@ -48,7 +48,7 @@ class FileName(Text):
         return str(folder / value) if isinstance(value, str) and value else value
 
     def refuse(self, value: object) -> Refusal | None:
-        """Refuse what is not the path of a file."""
+        """Refuse other values than the path of a file."""
         if isinstance(value, Path):
             return None
         if not isinstance(value, str) or not value:
@@ -85,7 +85,7 @@ class Taps(Address):
     """The address of one tap, or a list of applications."""
 
     def refuse(self, value: object) -> Refusal | None:
-        """Refuse what is neither one tap nor a list of applications."""
+        """Refuse other values than one tap or a list of applications."""
         taps = [value] if isinstance(value, str) else value
         if not isinstance(taps, (list, tuple)) or not all(isinstance(tap, str) for tap in taps):
             return Refusal("is not a tap or a list of taps", self.allowed)
@@ -120,7 +120,7 @@ class Names(Description):
         return '["NAME", ...]'
 
     def refuse(self, value: object) -> Refusal | None:
-        """Refuse what is not a list of names."""
+        """Refuse other values than a list of names."""
         names = value if isinstance(value, (list, tuple)) else [None]
         if all(isinstance(name, str) and name.strip() for name in names):
             return None

@@ -27,6 +27,9 @@ FOLLOWED = ProfileValue(54.0, "whispers vibrate, too; silence and the noise of t
 FLOOR = ProfileValue(-68.0, "soft sounds vibrate at a low volume; inaudible hiss does not")
 FELT = ProfileValue("felt", "as strong as a seated body feels it, whatever its frequency")
 DEEP = ProfileValue(20.0, "sub-bass vibrates, down to the lowest notes")
+SONE = ProfileValue(
+    0.64, "amplitude nearly in proportion to sone: what is twice as loud is felt so"
+)
 LOWER = ProfileValue("jnd", "a seated body feels lower vibration better, and amplifiers have room")
 
 FOLLOWING = {
@@ -36,6 +39,7 @@ FOLLOWING = {
     "strength": FELT,
     "band_low_hz": DEEP,
     "mapping": LOWER,
+    "dynamics": SONE,
 }
 """What all profiles but the paper's have in common: vibration as strong as sound is loud."""
 
@@ -43,22 +47,38 @@ PROFILES: dict[str, dict[str, ProfileValue]] = {
     "paper": {},
     "cinema": {
         **FOLLOWING,
-        "merge_ratio": ProfileValue(0.6, "tones that a body cannot distinguish would warble"),
-        "loudness_target_db": ProfileValue(-19.8, "a subwoofer's tone at -12 dBFS is felt at -18"),
+        "merge_ratio": ProfileValue(0.8, "tones that a body cannot distinguish would warble"),
+        "loudness_target_db": ProfileValue(-24.0, "room for what is louder than the rest"),
     },
     "game": {
         **FOLLOWING,
         "window_s": ProfileValue(
             0.033, "sustained levels and endings are 11 ms earlier; vibration begins at 30 Hz"
         ),
-        "merge_ratio": ProfileValue(0.7, "shots and steps stand out of few, steady vibrations"),
-        "loudness_target_db": ProfileValue(-20.8, "a subwoofer's tone at -12 dBFS is felt at -18"),
+        "merge_ratio": ProfileValue(0.8, "shots and steps stand out of few, steady vibrations"),
+        "loudness_target_db": ProfileValue(-24.0, "room for what is louder than the rest"),
     },
     "music": {
         **FOLLOWING,
-        "dynamics": ProfileValue(0.5, "music has a small range of loudness: keep half of it"),
+        "dynamics": ProfileValue(
+            0.6, "amplitude in proportion to sone, as in cinema, a little less"
+        ),
         "merge_ratio": ProfileValue(0.6, "tones that a body cannot distinguish would warble"),
-        "loudness_target_db": ProfileValue(-22.5, "room for half of the loudness of loud passages"),
+        "loudness_target_db": ProfileValue(-24.0, "room for what is louder than the rest"),
+    },
+    "speech": {
+        **{name: choice for name, choice in FOLLOWING.items() if name != "strength"},
+        "band_low_hz": ProfileValue(150.0, "the bass of music and engines does not hide a voice"),
+        "band_high_hz": ProfileValue(5_000.0, "nor does what is brighter than it"),
+        "vibration_top_hz": ProfileValue(
+            80.0, "all of a voice is felt alike, so that its syllables are what changes"
+        ),
+        "dynamics": ProfileValue(0.9, "syllables are felt apart; music under speech is soft"),
+        "rise_db": ProfileValue(0.0, "consonants are no blows: vibration follows the syllables"),
+        "jitter_db": ProfileValue(1.0, "even small changes of a voice are followed"),
+        "merge_ratio": ProfileValue(0.8, "tones that a body cannot distinguish would warble"),
+        "loudness_floor_db": ProfileValue(-75.0, "soft words vibrate, too"),
+        "loudness_target_db": ProfileValue(-24.0, "room for what is louder than the rest"),
     },
 }
 """Every profile by its name."""

@@ -50,27 +50,18 @@ OPTIONS = {
 "" means that help lists the words of a choice, or that the option is a switch.
 """
 
-RENAMED_PARAMETERS = {
+REPLACED_PARAMETERS = {
     "follower_db": "loudness_db",
     "follower_target_db": "loudness_target_db",
-    "follower_slope_db": "dynamics",
-    "loudness_slope_db": "dynamics",
+    "follower_slope_db": "dynamics, with a twentieth of the value",
+    "loudness_slope_db": "dynamics, with a twentieth of the value",
     "follower_floor_db": "loudness_floor_db",
     "follower_gate_db": "loudness_gate_db",
 }
-"""New names of renamed parameters, by the names in older configs and captures."""
+"""What replaces parameters of older configs and captures."""
 
-RESCALED = {"follower_slope_db": 1.0 / 20.0, "loudness_slope_db": 1.0 / 20.0}
-"""Factors on the values of old names: the slope was dB for 20 phon, `dynamics` is dB per phon."""
-
-RENAMED = {"transform": {"form": "transform", **RENAMED_PARAMETERS}}
-"""New names of renamed keys, by section and old name. Old names work for one release."""
-
-
-def rescaled(name: str, value: Any) -> Any:
-    """Return the value that belongs to the new name, from that of a key or field of this name."""
-    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    return value * RESCALED[name] if name in RESCALED and is_number else value
+REPLACED = {"transform": {"form": "transform", **REPLACED_PARAMETERS}}
+"""What replaces keys of older configs, by section."""
 
 
 _OWNERS: tuple[tuple[type[Described], str, str], ...] = (
@@ -205,7 +196,4 @@ def json_schema() -> dict[str, Any]:
 def _table(section: str) -> dict[str, Any]:
     keys = keys_of(section)
     properties = {name: key.json_schema() for name, key in keys.items()}
-    for old, new in RENAMED.get(section, {}).items():
-        description = f"Renamed to {new}."
-        properties[old] = {**properties[new], "description": description, "deprecated": True}
     return {"type": "object", "additionalProperties": False, "properties": properties}

@@ -49,21 +49,12 @@ OF_PROFILE = TransformParameters()
 class Settings(Described):
     """Settings of the transform, the effects and the rig.
 
-    With actuators, their sources select what is transformed, and `channels` is "mono".
+    With actuators, their sources select the transformed sound, and `channels` is "mono".
 
-    Raises
-    ------
-    UsageError
-        The settings contain refused choices; the message names all of them.
-
-    Attributes
-    ----------
-    parameters : TransformParameters
-        Default: those of the profile.
-    said : tuple of str
-        Names of parameters set individually; they override any profile.
-    actuators : tuple of ActuatorSettings
-        What each actuator plays, and where. Without actuators, all channels play one vibration.
+    parameters: of the transform; default: those of the profile.
+    said: names of parameters set individually; they override any profile.
+    actuators: each actuator's source and channels; without any, all channels play one vibration.
+    UsageError: some choices are refused; the message names all of them.
     """
 
     profile: Annotated[
@@ -132,7 +123,7 @@ class Settings(Described):
 
     @classmethod
     def contradictions(cls, values: Mapping[str, Any]) -> dict[str, Refusal]:
-        """Refuse `channels` if actuators define what is transformed."""
+        """Refuse `channels` if actuators have sources."""
         if not values.get("actuators") or values.get("channels") != "each":
             return {}
         allowed = "mono: the source of every [[actuator]] says what it plays"
@@ -154,13 +145,23 @@ class Settings(Described):
     def transform_parameters(self) -> TransformParameters:
         """The parameters; strength "rig" without a resonance gets that of the damped rig.
 
+        A profile's strength "felt" becomes "rig" where a rig is set: another one than the default,
+        or one that is damped, protected or whose exposure is limited.
+
         UsageError: the rig's file cannot be read any more.
         """
         chosen = self.parameters
+        if chosen.strength == "felt" and "strength" not in self.said and self._rig_is_set:
+            chosen = replace(chosen, strength="rig")
         if chosen.strength != "rig" or chosen.resonance_hz:
             return chosen
         hz, q = resonance_as_damped(rig_by_name(self.rig).actuator, self.damping == "auto")
         return replace(chosen, resonance_hz=hz, resonance_q=q)
+
+    @property
+    def _rig_is_set(self) -> bool:
+        acts = (self.damping, self.protection, self.exposure_cap)
+        return self.rig != SHIPPED[0] or acts != (DAMPING[0], PROTECTION[0], EXPOSURE_CAP[0])
 
     @property
     def sources(self) -> tuple[str, ...]:

@@ -22,8 +22,8 @@ class Mistake:
 
     key: the key as `section.key`.
     line: its line, counted from 1; 0 if it has none.
-    value, problem, allowed, nearest: the value, what is wrong with it, what is allowed, and the
-        known name that is most similar.
+    value, problem, allowed, nearest: the value, its mistake, the allowed values, and the most
+        similar known name.
     """
 
     key: str

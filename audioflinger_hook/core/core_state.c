@@ -165,7 +165,8 @@ size_t core_glides_max(const Core *core, size_t frames)
     if (!core->design.has_transform)
         return 0;
     const size_t of_hops = (frames / s->hop_frames + 2) * tracking_slots(s);
-    const size_t of_ticks = (frames / s->tick_frames + 2) * s->fresh_max;
+    const size_t of_tick = loudness_is_on(s) ? tracking_slots(s) + s->fresh_max : s->fresh_max;
+    const size_t of_ticks = (frames / s->tick_frames + 2) * of_tick;
     return core->live.voices_count * (of_hops + of_ticks);
 }
 

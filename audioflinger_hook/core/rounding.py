@@ -76,6 +76,34 @@ def round_filter(
     return np.array(b), np.array(_polynomial(poles))
 
 
+def round_sections(zeros: Iterable[complex], poles: Iterable[complex], gain: float) -> FloatArray:
+    """Return a digital filter as second-order sections (sections, 6), from its rounded roots.
+
+    zeros, poles: as many of one as of the other, complex ones in conjugate pairs; the first section
+    has the gain. A pole with a high Q is in one section with the lowest of the zeros.
+    """
+    of_poles, of_zeros = _pairs(poles), _pairs(zeros)
+    complex_zeros = sum(abs(pair[0].imag) > 0.0 for pair in of_zeros)
+    of_zeros[:complex_zeros] = of_zeros[:complex_zeros][::-1]
+    rows = np.zeros((len(of_poles), 6))
+    for row, on_zeros, on_poles in zip(rows, of_zeros, of_poles, strict=True):
+        b, a = round_filter(on_zeros, on_poles, gain)
+        row[: b.size], row[3 : 3 + a.size] = b, a
+        gain = 1.0
+    return rows
+
+
+def _pairs(roots: Iterable[complex]) -> list[list[complex]]:
+    """Return roots in conjugate pairs by frequency, then real ones in twos."""
+    given = [complex(one) for one in roots]
+    near_real = [one for one in given if abs(one.imag) < 2.0**-ROOT_BITS]
+    upper = sorted((one for one in given if one.imag >= 2.0**-ROOT_BITS), key=lambda one: -one.real)
+    real = sorted((complex(one.real) for one in near_real), key=lambda one: one.real)
+    return [[one, one.conjugate()] for one in upper] + [
+        real[at : at + 2] for at in range(0, len(real), 2)
+    ]
+
+
 def _polynomial(roots: Iterable[complex]) -> list[float]:
     """Return the coefficients of prod(1 - root / z), in sums and products of floats alone.
 

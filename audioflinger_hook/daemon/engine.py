@@ -66,8 +66,8 @@ class Engine:
     before all effects, which it must copy. last_sound_s: when the latest frames that were not
     silent arrived. faded: whether the latest measured vibration is below FADED. sound, vibration:
     levels of the mix, and of the vibration before the drive. driven: level of each named actuator.
-    before_fill: called by `fill` before it reads; set it before the first `fill`. fade: of what
-    `fill` writes. mute: the user's fade, after that one.
+    before_fill: called by `fill` before it reads; set it before the first `fill`. mute: fade of
+    what `fill` writes.
     live: what a live page reads, None for nothing; set it before the first `advance`.
     """
 
@@ -110,7 +110,6 @@ class Engine:
         self.frames = 0
         self.frames_max = self.framework.mixer.frames
         self.before_fill: Callable[[], None] = lambda: None
-        self.fade = SoftFade(output_samplerate)
         self.mute = SoftFade(output_samplerate)
         self.live: LiveMemory | None = None
         self.filled_s = -math.inf
@@ -232,8 +231,6 @@ class Engine:
         start = self._start
         self._start = min(start + frames, self._end)
         out[:] = self._read[start : self._start]
-        if not (self.fade.audible and self.fade.position == 1.0):
-            self.fade.apply(out)
         if not (self.mute.audible and self.mute.position == 1.0):
             self.mute.apply(out)
 

@@ -36,8 +36,9 @@ def frame_of(
     """
     state = supervisor.states.state
     plays = state is DaemonState.RUNNING
-    native, engine = supervisor.engines.switch.native, supervisor.engines.python
-    page = native.page if native is not None and native.audible else None
+    native, engine = supervisor.engines.native.engine, supervisor.engines.python
+    chain = native.chain if native is not None and native.audible else None
+    page = chain.page if chain is not None else None
     if page is None and in_memory and engine is not None and engine.live is not None:
         engine.live.watch()
         page = engine.live.page

@@ -14,7 +14,7 @@ import numpy as np
 
 from audioflinger_hook.capture import STREAMS, CaptureRecorder, CaptureWriter
 from audioflinger_hook.capture.format import Facts
-from audioflinger_hook.config.schema import RENAMED_PARAMETERS, rescaled
+from audioflinger_hook.config.schema import REPLACED_PARAMETERS
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.daemon.engine import OnMix, OnStep
 from audioflinger_hook.transform import TransformParameters
@@ -59,16 +59,16 @@ def settings_from(facts: Facts) -> Settings | None:
     """
     if "form" not in facts:
         return None
-    facts = {RENAMED_PARAMETERS.get(n, n): rescaled(n, value) for n, value in facts.items()}
     try:
+        for name in REPLACED_PARAMETERS.keys() & facts.keys():
+            raise UsageError(f"{name} is now {REPLACED_PARAMETERS[name]}")
         parameters = TransformParameters(**_named(TransformParameters, facts))
         chosen = _named(Settings, facts)
         chosen.pop(NESTED, None)
         if "effects_file" in chosen:
             chosen["effects_file"] = Path(chosen["effects_file"])
         if SAID in chosen:
-            said = chosen[SAID].split(",")
-            chosen[SAID] = tuple(RENAMED_PARAMETERS.get(name, name) for name in said)
+            chosen[SAID] = tuple(chosen[SAID].split(","))
         if ACTUATORS in chosen:
             tables = json.loads(chosen[ACTUATORS])
             chosen[ACTUATORS] = tuple(ActuatorSettings.from_values(table) for table in tables)

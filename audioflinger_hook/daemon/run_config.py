@@ -97,8 +97,7 @@ class ConfigDiff:
     streams opened later), actuators (faded) and offset (the delay jumps, faded over 5 ms). A
     change of transform fades out and restarts after the transform's latency. tap and device reopen
     one stream, drop_in the virtual sink, blocks both streams, engine everything except the
-    connection. way is the choice of the native or the Python engine: one ends before the other
-    begins.
+    connection. way is the choice of the native or the Python engine.
     """
 
     level: bool = False
@@ -146,6 +145,12 @@ class ConfigDiff:
             blocks=old.live.block_frames != new.live.block_frames,
             engine=before != unaffected,
         )
+
+    @property
+    def concerns_engine(self) -> bool:
+        """Whether another engine may be needed, or one that failed may work now."""
+        slight = dict.fromkeys(("level", "volume", "offset", "priority"), False)
+        return replace(self, **slight).any
 
     @property
     def any(self) -> bool:

@@ -33,6 +33,9 @@ UNRECORDED_S = 1.5
 """What a killed process may have done after its last write: until the next one, which a busy
 machine delays, and the dose's last tenth of a second."""
 
+BEGIN_S = 0.3
+"""From the last look at what plays to the first block of what follows it."""
+
 UNSYNCED_S = 60.0
 """The same after the machine itself has ended: the system writes files later than we do."""
 
@@ -49,10 +52,10 @@ class Moment:
     time to the minute, such as "2026-05-01T09:30+02:00".
     """
 
-    boot: str
-    boot_s: float
-    wall_s: float
-    local: str
+    boot: str = ""
+    boot_s: float = 0.0
+    wall_s: float = 0.0
+    local: str = ""
 
     @property
     def day(self) -> str:
@@ -63,25 +66,26 @@ class Moment:
 class SafetyKeeper:
     """Restores and records the state of a device's rigs. For the supervising thread alone.
 
-    folder: where the file is, made if missing; None keeps nothing. moment: tells the present.
-    warning: what the user should know, "" for nothing. since: local time since when the dose
-    counts, "" before the first restore.
+    folder: where the file is, made if missing; None: nothing outlives the process. moment: tells
+    the present. warning: what the user should know, "" for nothing. since: local time since when
+    the dose counts, "" before the first restore.
     """
 
-    def __init__(self, folder: Path | None, moment: Callable[[], Moment]) -> None:
+    def __init__(self, folder: Path | None = None, moment: Callable[[], Moment] = Moment) -> None:
         self._folder = folder
         self._moment = moment
         self._saved_s = -math.inf
         self._saved: list[SafetyState] = []
+        self._ended: dict[tuple[int, int], SafetyState] = {}
         self._day = self._device = ""
         self.since = ""
         self.warning = ""
 
-    def restore(self, rigs: Rigs, device: str) -> None:
-        """Let rigs continue where the last ones on this device ended; before their first block."""
+    def restore(self, rigs: Rigs) -> None:
+        """Let rigs continue where the last ones on the device ended; before their first block."""
         if self._folder is None or not any(rigs):
             return
-        now, self._device = self._moment(), device
+        now, device = self._moment(), self._device
         known, trouble = self._read(now)
         self._day = now.day
         self.since = now.local
@@ -115,8 +119,22 @@ class SafetyKeeper:
 
     def note_device(self, device: str) -> None:
         """Record under this device from now on: the vibration goes there."""
-        self._device = device
-        self._saved_s = -math.inf
+        if device != self._device:
+            self._device = device
+            self._saved_s = -math.inf
+
+    def carry_over(self, playing: Rigs, rigs: Rigs) -> None:
+        """Let rigs continue where those are that play; before their first block."""
+        known = _states_of(playing)
+        if not known and (self._folder is None or self.warning):
+            known = self._ended  # what is not on record has not cooled down for all we know
+        for index, rig in enumerate(rigs):
+            if rig is not None and known:
+                bounds, states = rig.bounds(), list(rig.safety_states())
+                for channel in range(rig.channels):
+                    if (state := known.get((index, channel))) is not None:
+                        states[channel] = bounds.after_unrecorded(state, BEGIN_S)
+                rig.restore(states)
 
     def update(self, rigs: Rigs, now_s: float) -> None:
         """Record what has changed, if it is time, and begin a new dose with a new day.
@@ -139,6 +157,7 @@ class SafetyKeeper:
 
     def close(self, rigs: Rigs) -> None:
         """Record the end. Raises nothing."""
+        self._ended = _states_of(rigs)
         if self._day and any(rigs):
             self._write(rigs, self._moment(), sync=True)
 
@@ -182,6 +201,16 @@ class SafetyKeeper:
 
 def _key(device: str, index: int, channel: int) -> str:
     return f"{device} {index}.{channel}"
+
+
+def _states_of(rigs: Rigs) -> dict[tuple[int, int], SafetyState]:
+    """Return what must not be forgotten, by number of the rig and of its channel."""
+    return {
+        (index, channel): state
+        for index, rig in enumerate(rigs)
+        if rig is not None
+        for channel, state in enumerate(rig.safety_states())
+    }
 
 
 def _each(known: dict[str, Any]) -> Sequence[dict[str, Any]]:

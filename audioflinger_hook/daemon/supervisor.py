@@ -7,10 +7,11 @@ from pathlib import Path
 from audioflinger_hook.daemon.applications import applications_in
 from audioflinger_hook.daemon.drop_in_control import DropInControl
 from audioflinger_hook.daemon.endpoints import Endpoints
-from audioflinger_hook.daemon.engine import Clocks, Engine
+from audioflinger_hook.daemon.engine import Clocks
 from audioflinger_hook.daemon.engines import Engines
 from audioflinger_hook.daemon.inputs.base import AudioNode, Input
 from audioflinger_hook.daemon.limit_advice import LimitAdvice
+from audioflinger_hook.daemon.native.abilities import check_engine
 from audioflinger_hook.daemon.outputs.base import Output
 from audioflinger_hook.daemon.run_config import ConfigDiff, RunConfig
 from audioflinger_hook.daemon.safety_keeper import SafetyKeeper
@@ -39,7 +40,7 @@ class Supervisor:
     and devices raise nothing: the daemon waits and recovers. An unreadable or unwritable file ends
     the daemon.
 
-    config: what to do. clocks: sources of time; `now_s` is time.monotonic() or a replacement.
+    config: what to do now. clocks: sources of time; `now_s` is time.monotonic() or a replacement.
     wake: rung when something changes. states: the daemon's state and its recoveries. folder:
     private, for files of the native engine; None: only the Python engine. safety: what outlives
     the process; None: nothing does. engines: both engines.
@@ -58,8 +59,8 @@ class Supervisor:
     ) -> None:
         now_s = clocks.now_s()
         self.states = StateKeeper(now_s)
-        self._config = config
-        self._clocks = clocks
+        self.config = config
+        self._folder = folder
         self.priority = AudioPriority(config.live.realtime)
         self.config_error = ""
         self._endpoints = Endpoints(config, clocks, self.states, self.priority, wake.ring)
@@ -84,26 +85,16 @@ class Supervisor:
         return self._endpoints.output
 
     @property
-    def engine(self) -> Engine | None:
-        """What the audio threads run, None before the first sound and with the native engine."""
-        return self.engines.python
-
-    @property
     def rest_s(self) -> float:
         """Longest time until the next tick, unless `wake` rings."""
         if self.states.state is DaemonState.IDLE:
             return RESTING_TICK_S
         return self.engines.tick_s or TICK_S
 
-    @property
-    def heard_s(self) -> float:
-        """Seconds of sound since the first buffer."""
-        return self.engines.heard_s
-
     def played_s(self, now_s: float) -> float:
         """Return the seconds since both ends were first there; of a file's sound, its own time."""
-        if not (self._config.tap_is_live or self._config.device_is_live):
-            return self.heard_s
+        if not (self.config.tap_is_live or self.config.device_is_live):
+            return self.engines.heard_s
         return 0.0 if self.states.ready_s is None else now_s - self.states.ready_s
 
     @property
@@ -114,11 +105,6 @@ class Supervisor:
             (str(self.input), source.name if source else None),
             (str(self.output), sink.name if sink else None),
         )
-
-    @property
-    def config(self) -> RunConfig:
-        """The config that applies."""
-        return self._config
 
     @property
     def server(self) -> str:
@@ -132,12 +118,12 @@ class Supervisor:
         connection, (source, device) = self._link.connection, self._found
         haptic = device.name if device and self.output.needs_server else None
         seen = connection.latest if connection else None
-        return applications_in(seen, self._config.rules, source, haptic)
+        return applications_in(seen, self.config.rules, source, haptic)
 
     @property
     def offset_s(self) -> float:
         """The user's offset in seconds, less the delay of the sound in drop-in mode."""
-        return max(0.0, self._config.live.offset_s) - self._drop_in.delay_s
+        return max(0.0, self.config.live.offset_s) - self._drop_in.delay_s
 
     @property
     def latencies_s(self) -> tuple[float, float]:
@@ -148,27 +134,27 @@ class Supervisor:
         seen = connection.latest if connection else None
         tap_s = 0.0
         if seen and self.input.needs_server:
-            tap_s = tap_latency_s(seen, self._config.live.block_frames, source.samplerate)
+            tap_s = tap_latency_s(seen, self.config.live.block_frames, source.samplerate)
         return tap_s, self.output.delay_s(seen)
 
     @property
     def warnings(self) -> list[str]:
         """Problems to show the user, one line each."""
-        recording = self._config.recording
-        warnings = list(self.engine.framework.warnings) if self.engine else []
+        recording = self.config.recording
+        warnings = list(self.engines.python.framework.warnings) if self.engines.python else []
         for part in (self._drop_in, self.input, self.output):
             warnings += part.warnings
         if recording:
             warnings += recording.warnings
-            if self.engine and self.engine.framework.bypassed():
+            if self.engines.python and self.engines.python.framework.bypassed():
                 warnings.append("an effect was bypassed, so a replay will differ from it")
         others = (
             self._link.warning,
             self.priority.warning,
             self.config_error,
-            self.engines.safety_warning,
+            self.engines.safety.warning,
             *self.engines.warnings,
-            self._limits.advice(self._config.settings),
+            self._limits.advice(self.config.settings),
         )
         return [*warnings, *filter(None, others)]
 
@@ -185,7 +171,7 @@ class Supervisor:
         connection = PulseConnection()
         try:
             self._locate_tap(connection.latest, self.output.locate(connection.latest))
-            self.engines.switch.check(connection.latest)
+            check_engine(self.config, connection.latest if self._folder else None)
             if self.output.needs_server:
                 self.output.set_volume(connection)
         finally:
@@ -195,7 +181,8 @@ class Supervisor:
         """Do what is due: connect, locate, open, check, recover or rest."""
         self._notice_pauses(now_s)
         self.engines.record(now_s)
-        self._limits.update(self.engines.limited_samples, self.engines.frames, now_s)
+        frames, limited = self.engines.counts
+        self._limits.update(limited, frames, now_s)
         connection = None
         try:
             if self._endpoints.needs_server:
@@ -218,20 +205,20 @@ class Supervisor:
         except NotFoundError as error:
             self.input.close()
             self.priority.restore()
-            self.engines.switch.lose_links(Cause.TAP_LOST, now_s, str(error))
+            self.engines.native.lose_links(Cause.TAP_LOST, now_s, str(error))
             self._idle_policy.wake(now_s)
             self.states.enter(DaemonState.WAITING_FOR_SOUND_SOURCE, now_s, str(error))
             return
-        if self.engines.native_plays(connection, source, device, now_s):
+        if self.engines.maintain(connection, source, device, now_s):
             return
-        if not self.engines.native_has_ended(now_s) or self._rests(connection, snapshot, now_s):
+        if self._rests(connection, snapshot, now_s):
             return
         try:
             self.engines.prepare(source, device, now_s)
             # The input opens first, so that no sound is lost while the output opens.
             self.input.maintain(connection, now_s)
-            assert self.engine is not None
-            self.output.maintain(connection, self.engine.fill, now_s)
+            assert self.engines.python is not None
+            self.output.maintain(connection, self.engines.python.fill, now_s)
         except (LostError, NotFoundError) as error:
             if connection and connection.lost:
                 self._lose_server(now_s, str(error))
@@ -248,15 +235,15 @@ class Supervisor:
 
         UsageError: the config cannot be applied while the daemon runs; nothing has changed.
         """
-        changes, engine = ConfigDiff.between(self._config, config), self.engine
-        self._endpoints.check_change(self._config, config)
+        changes, engine = ConfigDiff.between(self.config, config), self.engines.python
+        self._endpoints.check_change(self.config, config)
         if engine and changes.engine:  # raises if the new engine could not be made
             framework = Framework(engine.samplerate, engine.channels, config.settings)
             drive_of(config.settings, engine.samplerate, framework.haptic_channels)
         elif engine:
             engine.follow(config.settings, max(0.0, config.live.offset_s))
-        self._config = config
-        self.engines.follow(config)
+        self.config = config
+        self.engines.follow(config, changes)
         self._endpoints.configure(config)
         if changes.priority:
             self.priority.set_wanted(config.live.realtime)
@@ -294,12 +281,12 @@ class Supervisor:
         if self._stalls.woke(now_s, self.rest_s):
             # Devices and servers return one by one after a suspend, so reopen what is available.
             self._endpoints.close()
-            self.engines.switch.close()
+            self.engines.native.close()
             self._idle_policy.wake(now_s)
-        if self.engine:
-            self._stalls.count_resyncs(self.engine.delay_line.status.resyncs)
+        if self.engines.python:
+            self._stalls.count_resyncs(self.engines.python.delay_line.status.resyncs)
             if self.input.needs_server:  # a file may take its time
-                self.engine.framework.look_for_blocked(now_s)
+                self.engines.python.framework.look_for_blocked(now_s)
 
     def _connected(self, now_s: float) -> PulseConnection | None:
         """Return the connection, None while the server cannot be reached."""
@@ -320,7 +307,7 @@ class Supervisor:
             if self.output.needs_server:  # a card or a file continues with silence
                 self.output.close()
             self._drop_in.close()
-            self.engines.switch.close()
+            self.engines.native.close()
             self._link.close()
         self._found = (None, None)
         self.states.enter(DaemonState.WAITING_FOR_SERVER, now_s, reason)
@@ -342,7 +329,7 @@ class Supervisor:
                 self.states.recover(Cause.DEVICE_LOST, now_s, str(error))
             self.output.close()
             self.priority.restore()
-            self.engines.switch.lose_links(Cause.DEVICE_LOST, now_s, str(error))
+            self.engines.native.lose_links(Cause.DEVICE_LOST, now_s, str(error))
             if not self.input.needs_server:  # a file waits for the device
                 self.input.close()
             self._found = (None, None)
@@ -357,7 +344,7 @@ class Supervisor:
         if not (self.input.may_rest and self.output.may_rest):
             self._idle_policy.wake(now_s)
             return False
-        engine = self.engine
+        engine = self.engines.python
         heard = self._idle_policy.resting and self.input.listen(connection, now_s)
         players = self.input.players(snapshot)
         # Without players, no buffers may arrive that would let the vibration fade.

@@ -16,7 +16,7 @@ from device.errors import InternalError, UsageError
 from device.units import Block, Float32Array, check_channels
 
 WHOLE_DEVICE = (ActuatorSettings((0,)),)
-"""Placeholder if no actuator is named: what is listed holds for all channels."""
+"""Stands for all channels if no actuator is named."""
 
 
 class Drive:
@@ -35,8 +35,8 @@ class Drive:
     rig, damping, protection, exposure_cap: values for actuators that do not set their own.
     sources: names of the input columns; empty if no actuators are named.
     inputs, outputs: columns of the blocks that come and leave.
-    processors: what is done for each actuator's rig, None if its settings are all "off"; one for
-        all channels, if no actuators are named.
+    processors: readings of each actuator's rig, None if its settings are all "off"; one for all
+        channels, if no actuators are named.
     latency_frames: latency of all actuators in frames, without their `delay_ms`.
     UsageError: there is no such rig, the sample rate is too low for its processing, or there are
         more than 64 actuators.

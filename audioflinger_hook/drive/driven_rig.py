@@ -13,13 +13,10 @@ from device.units import amplitude_to_db
 
 
 class DrivenRig:
-    """Readings of the core's actuators that drive one rig, one for each channel.
+    """Readings of the core's actuators that drive one rig, one for each channel. Any thread.
 
-    Any thread may call the methods.
-
-    design: of what is done for the rig. controls, readings: of the core. slots: its actuators.
-    rig, exposure_cap, knows_seat, makeup_db, latency_frames: see `DriveDesign`. channels: number
-    of the actuators.
+    controls, readings, slots: of the core, and its actuators for this rig.
+    rig, exposure_cap, knows_seat, makeup_db, latency_frames: see `DriveDesign`.
     """
 
     def __init__(
@@ -77,9 +74,9 @@ class DrivenRig:
 
         It is the ratio of the Wk-weighted r.m.s.; None without damping or before any vibration.
         """
-        felt = max(one.squares for one in self._readings)
-        without = max(one.undamped_squares for one in self._readings)
-        return 0.5 * amplitude_to_db(felt / without) if felt and without else None
+        driven = max(one.squares for one in self._readings)
+        undamped = max(one.undamped_squares for one in self._readings)
+        return 0.5 * amplitude_to_db(driven / undamped) if driven and undamped else None
 
     def safety_states(self) -> tuple[SafetyState, ...]:
         """Return what must not be forgotten, for each channel."""

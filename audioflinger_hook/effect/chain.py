@@ -17,7 +17,7 @@ from audioflinger_hook.effect.interface import (
 )
 from audioflinger_hook.effect.module import EffectModule, same_layout
 from audioflinger_hook.effect.registry import descriptor_problem
-from audioflinger_hook.mixer.effects_port import DEVICE, OUTPUT_STAGE
+from audioflinger_hook.mixer.effects_port import DEVICE, OUTPUT_STAGE, EffectsPort
 from audioflinger_hook.mixer.mix_buffer import MixBuffer
 from device.errors import UsageError
 
@@ -28,17 +28,15 @@ READINGS_EVERY_S = 1.0
 """Interval at which effects are asked for their state; a dump shows the last answer."""
 
 
-class EffectChains:
+class EffectChains(EffectsPort):
     """All effects of one mixer, by session.
 
-    Effects may be added before or after `set_format`. The caller clears the haptic channels
-    before every mix. All calls come from the thread that steps the mixer, except `sessions`,
-    `modules`, `effects`, `bypassed` and `dump`, which only read. `process` and `end_of_cycle`
-    neither raise, block nor log.
+    The caller clears the haptic channels before every mix. All calls come from the thread that
+    steps the mixer, except those that only read: `sessions`, `modules`, `effects`, `bypassed` and
+    `dump`. `process` and `end_of_cycle` neither raise, block nor log.
 
-    clock: seconds, read before and after each effect. budget_share: one effect may take this share
-    of a buffer's length; more counts as an overrun. With inf, for offline work, no effect is
-    bypassed for its time, and equal input gives equal bytes.
+    clock: seconds. budget_share: share of a buffer's length that one effect may take; more is an
+    overrun. With inf, for offline work, time bypasses no effect: equal input gives equal bytes.
     """
 
     def __init__(self, clock: Callable[[], float], *, budget_share: float = BUDGET_SHARE) -> None:
@@ -131,32 +129,31 @@ class EffectChains:
         """Send every effect the requests made since the last cycle."""
         self._now_s = now_s
         self._cycles += 1
-        for session in self._sessions:
-            for module in self._chains[session]:
-                module.update_state()
+        effects = self.effects()
+        for module in effects:
+            module.update_state()
         if not 0.0 <= now_s - self._read_s < READINGS_EVERY_S:
             self._read_s = now_s
-            for session in self._sessions:
-                for module in self._chains[session]:
-                    if not module.fault:
-                        module.readings = asked_lines(module)
+            for module in effects:
+                if not module.fault:
+                    module.readings = asked_lines(module)
 
     def set_format(self, samplerate: int, channels: int, haptic_channels: int, frames: int) -> None:
         """Configure all effects: rate in Hz, channels of sound and vibration, frames per buffer."""
         self._config = EffectConfig(samplerate, channels, haptic_channels, frames)
-        budget_s = self._budget_s()
-        for session in self._sessions:
-            for module in self._chains[session]:
-                module.budget_s = budget_s
-                module.set_config(self._config)
+        for module in self.effects():
+            module.budget_s = self._budget_s()
+            module.set_config(self._config)
 
     def dump(self) -> list[str]:
         """Return the lines that `dumpsys media.audio_flinger` would show about effects."""
-        sessions = self._sessions
-        lines = [f"{len(sessions)} Effect Chains"]
+        lines = [f"{len(self._sessions)} Effect Chains"]
         lines.append(f"  cycles: {self._cycles}, last at {self._now_s:.3f} s")
-        for session in sessions:
-            lines += [f"  {line}" for line in chain_lines(session, self.modules(session))]
+        for session in self._sessions:
+            modules = self.modules(session)
+            lines.append(f"  {len(modules)} effects for session {session}")
+            for place, module in enumerate(modules):
+                lines += [f"    {line}" for line in effect_lines(place, module)]
         return lines
 
     def _budget_s(self) -> float:
@@ -209,27 +206,11 @@ def insert_index(new: EffectDescriptor, chain: Sequence[EffectDescriptor]) -> in
     return places[0][0] if places else len(chain)
 
 
-KIND_NAMES = {
-    EffectFlag.INSERT: "insert",
-    EffectFlag.AUXILIARY: "auxiliary",
-    EffectFlag.REPLACE: "replace",
-    EffectFlag.PRE_PROC: "preproc",
-    EffectFlag.POST_PROC: "postproc",
-}
-PLACE_NAMES = {
-    EffectFlag.INSERT_ANY: "any",
-    EffectFlag.INSERT_FIRST: "first",
-    EffectFlag.INSERT_LAST: "last",
-    EffectFlag.INSERT_EXCLUSIVE: "exclusive",
-}
+KIND_NAMES = ("insert", "auxiliary", "replace", "preproc", "postproc")
+"""By the bits of TYPE_MASK."""
 
-
-def chain_lines(session: int, modules: Sequence[EffectModule]) -> list[str]:
-    """Return the lines of one chain in a dump. Any thread may call it, as it only reads."""
-    lines = [f"{len(modules)} effects for session {session}"]
-    for place, module in enumerate(modules):
-        lines += [f"  {line}" for line in effect_lines(place, module)]
-    return lines
+PLACE_NAMES = ("any", "first", "last", "exclusive")
+"""By the bits of INSERT_MASK, above those of TYPE_MASK."""
 
 
 def effect_lines(place: int, module: EffectModule) -> list[str]:
@@ -238,8 +219,8 @@ def effect_lines(place: int, module: EffectModule) -> list[str]:
     lines = [
         f"Effect {place}: {descriptor.name}",
         "  Session State    Enabled Bypassed",
-        f"  {module.session:<7} {module.state.name:<8} {yes_no(module.enabled):<7} "
-        f"{yes_no(bool(module.bypassed))}",
+        f"  {module.session:<7} {module.state.name:<8} {'y' if module.enabled else 'n':<7} "
+        f"{'y' if module.bypassed else 'n'}",
         "  Descriptor:",
         f"  - UUID: {descriptor.uuid}",
         f"  - TYPE: {descriptor.type_uuid}",
@@ -278,16 +259,14 @@ def asked_lines(module: EffectModule) -> tuple[str, ...]:
 
 def flags_text(flags: EffectFlag) -> str:
     """Return an effect's flags in words."""
-    kind = KIND_NAMES.get(flags & EffectFlag.TYPE_MASK, "unknown")
-    place = PLACE_NAMES.get(flags & EffectFlag.INSERT_MASK, "unknown")
-    words = [f"conn. mode: {kind}", f"insert pref: {place}"]
+    kind = flags & EffectFlag.TYPE_MASK
+    place = (flags & EffectFlag.INSERT_MASK) >> 3
+    words = [
+        f"conn. mode: {KIND_NAMES[kind] if kind < len(KIND_NAMES) else 'unknown'}",
+        f"insert pref: {PLACE_NAMES[place] if place < len(PLACE_NAMES) else 'unknown'}",
+    ]
     if flags & EffectFlag.VOLUME_MASK:
         words.append("told of volume")
     if flags & EffectFlag.DEVICE_MASK:
         words.append("told of devices")
     return ", ".join(words)
-
-
-def yes_no(truth: bool) -> str:
-    """Return y or n."""
-    return "y" if truth else "n"

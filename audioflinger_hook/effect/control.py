@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from enum import Enum, auto
 from pathlib import PurePath
+from traceback import walk_tb
 
 import numpy as np
 
@@ -59,15 +60,14 @@ ON_DISABLE = {new: old for old, new in ON_ENABLE.items()}
 class EffectControl:
     """An engine that may raise or answer nonsense, held through its lifecycle.
 
-    `enable` and `disable` only set the state. `update_state` sends it to the engine at the end of
-    the next cycle, so it takes effect with the buffer after that cycle. An engine that refuses its
-    configuration (`refusal`) is bypassed until it accepts one. An engine with a `fault` is bypassed
-    until it is enabled again, after a new INIT and SET_CONFIG. `given_up`: why another thread does
-    not wait for the engine. `complaint` is the last refusal or fault. `readings` are the lines with
-    which the engine last described its own state.
+    `enable` and `disable` only set the state; `update_state` sends it to the engine at the end of
+    the next cycle. An engine that refuses its configuration (`refusal`) is bypassed until it
+    accepts one. An engine with a `fault` is bypassed until it is enabled again, after a new INIT
+    and SET_CONFIG. `given_up`: why another thread does not wait for the engine. `complaint`: the
+    last refusal or fault. `readings`: lines with which the engine described its own state.
 
-    All calls come from the thread that steps the mixer, between buffers. None raises, except
-    KeyboardInterrupt, which is the user's. Any thread may read the attributes.
+    All calls come from the thread that steps the mixer, between buffers; any thread may read. None
+    raises, except KeyboardInterrupt, which is the user's.
     """
 
     def __init__(self, engine: EffectEngine, session: int) -> None:
@@ -228,7 +228,7 @@ class EffectControl:
     def _initialise(self) -> None:
         status, _ = self.send(Command.INIT)
         self._initialised = status == OK
-        if not self._initialised:
+        if status != OK:
             self._refused("INIT", status)
 
     def _configure(self) -> int:
@@ -303,12 +303,11 @@ def error_text(error: BaseException) -> str:
 
 def place_text(error: BaseException) -> str:
     """Return ` (FILE, line N)` of the line that raised an exception; never raises."""
-    raised = error.__traceback__
-    while raised is not None and raised.tb_next is not None:
-        raised = raised.tb_next
-    if raised is None:
+    places = [*walk_tb(error.__traceback__)]
+    if not places:
         return ""
-    return f" ({PurePath(raised.tb_frame.f_code.co_filename).name}, line {raised.tb_lineno})"
+    frame, line = places[-1]
+    return f" ({PurePath(frame.f_code.co_filename).name}, line {line})"
 
 
 def answer_text(answer: object) -> str:

@@ -38,6 +38,10 @@ def _parameter(name: str, described: Description, default: Value, meaning: str =
     return Parameter(name, str, default, choices=words, meaning=meaning)
 
 
+def _switch(name: str, default: bool, meaning: str) -> Parameter:
+    return Parameter(name, bool, default, meaning=meaning)
+
+
 RESTARTING = frozenset({*TRANSFORM_FIELDS, "form", "per_channel", "sources"})
 """Parameters whose change needs a new transform."""
 
@@ -47,33 +51,17 @@ HAPTIC_PARAMETERS = (
         for name, described in TransformParameters.DESCRIPTIONS.items()
     ),
     _parameter("form", Settings.DESCRIPTIONS["form"], Settings.form),
+    _switch("per_channel", False, "transform each channel instead of the mono mix of all"),
     Parameter(
-        "per_channel",
-        bool,
-        False,
-        meaning="transform each channel instead of the mono mix of all",
-    ),
-    Parameter(
-        "sources",
-        str,
-        "",
+        *("sources", str, ""),
         meaning="source of each haptic channel instead, such as left,right; empty: see per_channel",
     ),
     _parameter(
-        "gain_db",
-        Settings.DESCRIPTIONS["gain_db"],
-        Settings.gain_db,
+        *("gain_db", Settings.DESCRIPTIONS["gain_db"], Settings.gain_db),
         "level of the vibration; reached over one buffer",
     ),
-    Parameter(
-        "mute", bool, False, meaning="down to silence over one buffer, and back in the same way"
-    ),
-    Parameter(
-        "clip",
-        bool,
-        True,
-        meaning="cut what is beyond full scale; without it the reference form may exceed it",
-    ),
+    _switch("mute", False, "down to silence over one buffer, and back in the same way"),
+    _switch("clip", True, "limit to full scale; without it the reference form may exceed it"),
     Parameter("latency_frames", int, unit="frames", meaning="by which vibration follows its sound"),
     Parameter("limited_samples", int, meaning="of vibration, changed by limiter or full scale"),
     Parameter("replaced_samples", int, meaning="of sound, unusable and taken for 0"),

@@ -157,53 +157,33 @@ class EffectModule(EffectControl):
 
     def _forgive(self) -> None:
         super()._forgive()
-        self._lent.recall()
-        self._mixed.recall()
         self._late = 0
 
 
 class Loan:
-    """A copy of a buffer, lent to an engine; the next copy uses the same memory.
+    """A copy of a buffer, lent to an engine, in memory for `samples` samples.
 
-    samples: of the largest buffer. An engine that keeps the arrays and changes them later harms
-    only its own next copy.
+    An engine that keeps the arrays and changes them later harms only its own next copy.
     """
 
     def __init__(self, samples: int) -> None:
-        self._storage = np.zeros(samples, np.float32)
-        self._own = self._storage[:0]
-        self._layout: tuple[tuple[int, ...], tuple[int, ...]] | None = None
-        self.recall()
+        self._memory = np.zeros(samples, np.float32)
 
     def of(self, buffer: MixBuffer) -> MixBuffer:
         """Return a copy of a buffer."""
-        layout = (buffer.audio.shape, buffer.haptic.shape)
-        if layout != self._layout:
-            boundary, size = buffer.audio.size, buffer.samples.size
-            self._own = self._storage[:size]
-            samples = self._storage[:size]
-            audio = samples[:boundary].reshape(layout[0])
-            haptic = samples[boundary:].reshape(layout[1])
-            self._copy = MixBuffer(0, 0)
-            self._copy.samples, self._copy.audio, self._copy.haptic = samples, audio, haptic
-            self._arrays, self._layout = (samples, audio, haptic), layout
-        np.copyto(self._own, buffer.samples)
-        return self._copy
+        self._lent = MixBuffer.like(buffer, self._memory)
+        self._arrays = self._lent.samples, self._lent.audio, self._lent.haptic
+        np.copyto(self._lent.samples, buffer.samples)
+        return self._lent
 
     def is_back(self, original: MixBuffer) -> bool:
         """Return whether the copy still has its own arrays in the same layout."""
-        lent, (samples, audio, haptic) = self._copy, self._arrays
+        lent, (samples, audio, haptic) = self._lent, self._arrays
         try:
             same = lent.samples is samples and lent.audio is audio and lent.haptic is haptic
         except AttributeError:
-            same = False
+            return False
         return same and same_layout(lent, original)
-
-    def recall(self) -> None:
-        """Use new arrays for the next copy."""
-        self._copy = MixBuffer(0, 0)
-        self._arrays = (self._copy.samples, self._copy.audio, self._copy.haptic)
-        self._layout = None
 
 
 def same_layout(one: MixBuffer, other: MixBuffer) -> bool:
@@ -227,10 +207,10 @@ def _spoiled(made: MixBuffer, source: MixBuffer, target: MixBuffer) -> bool:
     """Return whether an engine made finite sound or vibration non-finite."""
     if all_finite(made.samples):
         return False
-    for after, first, second in (
-        (made.audio, source.audio, target.audio),
-        (made.haptic, source.haptic, target.haptic),
-    ):
-        if not all_finite(after) and all_finite(first) and all_finite(second):
-            return True
-    return False
+    return any(
+        not all_finite(after) and all_finite(first) and all_finite(second)
+        for after, first, second in (
+            (made.audio, source.audio, target.audio),
+            (made.haptic, source.haptic, target.haptic),
+        )
+    )

@@ -159,7 +159,7 @@ def _changed_ns(place: str) -> int:
 def _entry_points(
     _path: tuple[tuple[str, int], ...],
 ) -> tuple[list[tuple[str, EntryPoint]], list[str]]:
-    """Return what is installed, and problems. The path is where, and when each place changed."""
+    """Return the entry points, and problems. The path: each place, and when it changed."""
     problems: list[str] = []
     found: list[tuple[str, EntryPoint]] = []
     seen: set[str] = set()
@@ -182,7 +182,7 @@ def _entry_points(
 
 
 def descriptor_problem(descriptor: object) -> str:
-    """Return what is wrong with a descriptor, or "" for a valid one; never raises."""
+    """Return the mistake in a descriptor, or "" for a valid one; never raises."""
     if type(descriptor) is not EffectDescriptor:
         return f"{type(descriptor).__name__} is not an EffectDescriptor"
     if type(descriptor.uuid) is not UUID or type(descriptor.type_uuid) is not UUID:

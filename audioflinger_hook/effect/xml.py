@@ -45,7 +45,7 @@ NOT_EMULATED = ("preprocess", "deviceEffects", "effectProxy")
 
 @dataclass(frozen=True)
 class Finding:
-    """A problem in a file: its line, from 1, and what is wrong."""
+    """A problem in a file: its line, from 1, and its description."""
 
     line: int
     text: str
@@ -58,8 +58,8 @@ class Finding:
 class DeclaredEffects:
     """Effects that a file declares and the registry has.
 
-    effects: UUID by name; postprocess: UUIDs by stream, in order. problems: what was left out and
-    why, one entry per problem.
+    effects: UUID by name. postprocess: UUIDs by stream, in order. problems: each element that was
+    left out, with the reason.
     """
 
     effects: dict[str, UUID] = field(default_factory=dict)

@@ -1,23 +1,22 @@
 """AHAP 1.0 for Apple's Core Haptics: continuous events, their curves, and transients.
 
-Limits: a continuous event lasts 30 s at most; a curve has 16 points at most; at most 60 points a
-second; times of a curve's points are relative to the curve. A player multiplies intensities of
+Limits: 30 s for a continuous event, 16 points for a curve, 60 points a second. Times of a curve's
+points are relative to the curve. A player multiplies intensities of
 curve and event and adds their sharpness, also for transients, so transients are divided by the
 curve. Intensity is the square root of amplitude.
 """
 
 from __future__ import annotations
 
-import json
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from audioflinger_hook.exports.band import band_text, to_device_hz
-from audioflinger_hook.exports.envelope import PERCEPTUAL, Envelope, Limits, envelope_of
+from audioflinger_hook.exports.envelope import Envelope, Limits, envelope_of
 from audioflinger_hook.exports.glides import VibrationCurve
-from audioflinger_hook.exports.parametric import Composed, Job
+from audioflinger_hook.exports.options import Band, band_text, share_of, to_device_hz
+from audioflinger_hook.exports.parametric import SHORTEST_S, Composed, json_bytes, rounded
 from device.units import FloatArray
 
 CONTINUOUS_MAX_S = 30.0
@@ -26,16 +25,15 @@ SHARPNESS_LOW_HZ, SHARPNESS_HIGH_HZ = 65.0, 300.0
 """Frequencies of sharpness 0 and 1; the scale is linear. Apple publishes none: this is the common
 reading."""
 
-LIMITS = Limits(spacing_s=1 / 59, longest_s=2.0, law=PERCEPTUAL)
-SHORTEST_S = 0.001
-DECIMALS = 5
+LIMITS = Limits(spacing_s=1 / 59, longest_s=2.0, square_root=True)
 
 
-def compose(curve: VibrationCurve, duration_s: float, job: Job) -> tuple[bytes, Composed]:
+def compose(
+    curve: VibrationCurve, duration_s: float, band_hz: Band | None
+) -> tuple[bytes, Composed]:
     """Return the content of an AHAP file, and its errors."""
     length_s = max(SHORTEST_S, duration_s)
     envelope = envelope_of(curve, length_s, LIMITS)
-    band_hz = job.options.device_band_hz
     hz = to_device_hz(envelope.hz, band_hz)
     sharpness = sharpness_of(hz)
     pattern = [
@@ -55,14 +53,12 @@ def compose(curve: VibrationCurve, duration_s: float, job: Job) -> tuple[bytes, 
         },
         "Pattern": pattern,
     }
-    text = json.dumps(document, separators=(",", ":"))
-    return text.encode(), Composed(envelope.error, _warnings(envelope, hz))
+    return json_bytes(document), Composed(envelope.error, _warnings(envelope, hz))
 
 
 def sharpness_of(hz: FloatArray) -> FloatArray:
     """Return the sharpness, 0 to 1, of a device's frequencies."""
-    share = (hz - SHARPNESS_LOW_HZ) / (SHARPNESS_HIGH_HZ - SHARPNESS_LOW_HZ)
-    return np.clip(share, 0.0, 1.0)
+    return share_of(hz, SHARPNESS_LOW_HZ, SHARPNESS_HIGH_HZ)
 
 
 def _continuous(duration_s: float) -> list[dict[str, Any]]:
@@ -70,8 +66,8 @@ def _continuous(duration_s: float) -> list[dict[str, Any]]:
     if len(edges) > 2 and edges[-1] - edges[-2] < SHORTEST_S:
         edges.pop()
     return [
-        {"Event": {"Time": _rounded(first), "EventType": "HapticContinuous",
-                   "EventDuration": _rounded(min(CONTINUOUS_MAX_S, end - first)),
+        {"Event": {"Time": rounded(first), "EventType": "HapticContinuous",
+                   "EventDuration": rounded(min(CONTINUOUS_MAX_S, end - first)),
                    "EventParameters": _parameters(1.0, 0.0)}}
         for first, end in pairwise(edges)
     ]  # fmt: skip
@@ -86,9 +82,9 @@ def _curves(name: str, time_s: FloatArray, values: FloatArray) -> list[dict[str,
         end = min(first + CURVE_POINTS_MAX, time_s.size)
         if step.size:
             end = first + int(step[0]) + 1
-        start_s = _rounded(time_s[first])
+        start_s = rounded(time_s[first])
         points = [
-            {"Time": _rounded(at - start_s), "ParameterValue": _rounded(value)}
+            {"Time": rounded(at - start_s), "ParameterValue": rounded(value)}
             for at, value in zip(time_s[first:end], values[first:end], strict=True)
         ]
         curves.append(
@@ -101,7 +97,7 @@ def _curves(name: str, time_s: FloatArray, values: FloatArray) -> list[dict[str,
 
 
 def _transients(
-    envelope: Envelope, sharpness: FloatArray, band_hz: tuple[float, float] | None
+    envelope: Envelope, sharpness: FloatArray, band_hz: Band | None
 ) -> list[dict[str, Any]]:
     events = []
     for one in envelope.transients:
@@ -110,7 +106,7 @@ def _transients(
         wanted = sharpness_of(to_device_hz(np.array(one.hz), band_hz))
         added = float(np.clip(wanted - sharpness[one.place], 0.0, 1.0))
         events.append(
-            {"Event": {"Time": _rounded(one.time_s), "EventType": "HapticTransient",
+            {"Event": {"Time": rounded(one.time_s), "EventType": "HapticTransient",
                        "EventParameters": _parameters(intensity, added)}}
         )  # fmt: skip
     return events
@@ -118,8 +114,8 @@ def _transients(
 
 def _parameters(intensity: float, sharpness: float) -> list[dict[str, Any]]:
     return [
-        {"ParameterID": "HapticIntensity", "ParameterValue": _rounded(intensity)},
-        {"ParameterID": "HapticSharpness", "ParameterValue": _rounded(sharpness)},
+        {"ParameterID": "HapticIntensity", "ParameterValue": rounded(intensity)},
+        {"ParameterID": "HapticSharpness", "ParameterValue": rounded(sharpness)},
     ]
 
 
@@ -131,10 +127,4 @@ def _warnings(envelope: Envelope, hz: FloatArray) -> tuple[str, ...]:
             f"{low:.0%} of the vibration is under {SHARPNESS_LOW_HZ:g} Hz, where AHAP's sharpness "
             "is 0; --device-band 80:230 keeps its frequencies apart"
         )
-    if envelope.clipped_points:
-        found.append(f"{envelope.clipped_points} points beyond full scale were limited")
-    return tuple(found)
-
-
-def _rounded(value: float) -> float:
-    return round(float(value), DECIMALS) + 0.0
+    return (*found, *envelope.warnings)

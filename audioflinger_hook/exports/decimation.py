@@ -76,7 +76,7 @@ Watch = Callable[[FloatArray | Float32Array, int], None]
 
 
 class LeakMeter:
-    """Measures the energy above 250 Hz of what passes to an output. Use from one thread.
+    """Passes vibration to an output and measures its energy above 250 Hz. Use from one thread.
 
     An elliptic high-pass of order 12 separates it: 0.1 dB of ripple above 250 Hz, 80 dB of
     attenuation below 230 Hz.

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solveh_banded
 
 from audioflinger_hook.exports.glides import VibrationCurve
-from audioflinger_hook.exports.simplify import simplify
+from audioflinger_hook.exports.simplify import fitted, simplify
 from device.units import FloatArray, amplitude_to_db
 
 SMOOTHED_S = 0.03
@@ -25,24 +23,8 @@ envelope starts with the other half and has all of it after this time."""
 LEVEL_TOLERANCE = 0.012
 """Largest error of the envelope, of its largest written value."""
 
-TIED = 1e-3
-"""Weight of the curve's own value at a point, in samples, against the least-squares fit."""
-
 FREQUENCY_TOLERANCE_HZ = 4.0
 """Largest error of the frequency where the envelope is largest; more where it is weak."""
-
-
-@dataclass(frozen=True)
-class Law:
-    """How an amplitude is written: `write` and its inverse `read`, both on 0 to 1."""
-
-    write: Callable[[FloatArray], FloatArray]
-    read: Callable[[FloatArray], FloatArray]
-
-
-LINEAR = Law(np.asarray, np.asarray)
-PERCEPTUAL = Law(np.sqrt, np.square)
-"""The square root of amplitude, where a player squares what it reads."""
 
 
 @dataclass(frozen=True)
@@ -51,14 +33,14 @@ class Limits:
 
     spacing_s: least distance of two points; at an onset two points share a time.
     longest_s: largest distance of two points.
-    law: how amplitudes are written.
+    square_root: the player squares levels, so the square root of amplitude is written.
     tolerance: largest error of the envelope, of its largest written value.
     transients: whether an onset's rise is shared between the envelope and a transient.
     """
 
     spacing_s: float
     longest_s: float
-    law: Law = LINEAR
+    square_root: bool = False
     tolerance: float = LEVEL_TOLERANCE
     transients: bool = True
 
@@ -77,18 +59,11 @@ class Transient:
 class Envelope:
     """Points of written level (0 to 1) and frequency in Hz; linear between them.
 
-    Attributes
-    ----------
-    time_s, level, hz : ndarray
-        (n,) ascending in time, from 0 to the duration; two points at an onset have the same time.
-    transients : tuple of Transient
-        In order.
-    error : dict
-        `envelope_error_db`: r.m.s. error of the smoothed envelope, transients included, in dB of
-        its r.m.s.;
-        `frequency_error_hz`: r.m.s. error, weighted by power; `points`, `transients`: counts.
-    clipped_points : int
-        Points above full scale, written as 1.
+    time_s, level, hz: (n,) from 0 to the duration; two points at an onset have the same time.
+    transients: in order of time.
+    error: `envelope_error_db`, r.m.s. error of the smoothed envelope with its transients, in dB of
+        its r.m.s.; `frequency_error_hz`, r.m.s., weighted by power; counts `points`, `transients`.
+    clipped_points: points above full scale, written as 1.
     """
 
     time_s: FloatArray
@@ -98,13 +73,19 @@ class Envelope:
     error: dict[str, float]
     clipped_points: int
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What the user should know."""
+        clipped = self.clipped_points
+        return (f"{clipped} points beyond full scale were limited",) if clipped else ()
+
 
 def envelope_of(curve: VibrationCurve, duration_s: float, limits: Limits) -> Envelope:
     """Return the simplified envelope of a channel's vibration.
 
     duration_s: where the last point is.
     """
-    law, rate = limits.law, curve.rate_hz
+    rate = curve.rate_hz
     times = curve.times_s
     at = {int(np.ceil((one.time_s - curve.start_s) * rate)): one for one in curve.onsets}
     edges, smooth = _edges(curve), smoothed(curve)
@@ -119,7 +100,7 @@ def envelope_of(curve: VibrationCurve, duration_s: float, limits: Limits) -> Env
         if pulse > 0.0:
             lowered[cut : cut + after.size] -= pulse * fall
             found[cut] = Transient(0, at[cut].time_s, pulse, at[cut].hz)
-    written = law.write(lowered)
+    written = np.sqrt(lowered) if limits.square_root else lowered
     clipped = written > 1.0
     written = np.minimum(written, 1.0)
     points = np.column_stack((written, curve.hz.astype(np.float64)))
@@ -152,75 +133,27 @@ def envelope_of(curve: VibrationCurve, duration_s: float, limits: Limits) -> Env
         levels.append(np.clip(fitted(times[part], written[part], times[chosen]), 0.0, 1.0))
         kept.append(chosen)
     places = np.concatenate(kept)
-    level, hz = np.concatenate(levels), points[places, 1]
-    return Envelope(
-        np.array(time_s),
-        level,
-        hz,
-        tuple(transients),
-        _errors(curve, smooth, np.array(time_s), law.read(level), hz, transients),
-        int(clipped[places].sum()),
-    )
+    level, hz, at_s = np.concatenate(levels), points[places, 1], np.array(time_s)
+    played = np.square(level) if limits.square_root else level
+    error = _errors(curve, smooth, at_s, played, hz, transients)
+    return Envelope(at_s, level, hz, tuple(transients), error, int(clipped[places].sum()))
 
 
-def fitted(times: FloatArray, values: FloatArray, knots: FloatArray) -> FloatArray:
-    """Return the values at the knots whose straight lines are nearest to a curve by least squares.
-
-    times, values: (n,) the curve. knots: (k,) ascending, within the times.
-    """
-    if knots.size < 3 or knots[0] == knots[-1]:
-        return np.interp(knots, times, values)
-    place = np.clip(np.searchsorted(knots, times, "right") - 1, 0, knots.size - 2)
-    share = (times - knots[place]) / np.diff(knots)[place]
-    size = knots.size
-    diagonal = np.bincount(place, (1 - share) ** 2, size) + np.bincount(place + 1, share**2, size)
-    beside = np.bincount(place, share * (1 - share), size)
-    wanted = np.bincount(place, (1 - share) * values, size)
-    wanted += np.bincount(place + 1, share * values, size)
-    # A little of the curve itself, so that a knot between two samples has a value.
-    bands = np.vstack((np.concatenate(([0.0], beside[:-1])), diagonal + TIED))
-    found: FloatArray = solveh_banded(bands, wanted + TIED * np.interp(knots, times, values))
-    return found
-
-
-def played(
-    times_s: FloatArray, envelope: tuple[FloatArray, FloatArray], transients: list[Transient]
-) -> FloatArray:
-    """Return the amplitude at some times: the envelope (times, amplitudes) and its transients."""
-    amplitude = np.interp(times_s, *envelope)
-    for one in transients:
-        first, end = np.searchsorted(times_s, [one.time_s, one.time_s + TRANSIENT_S])
-        age = (times_s[first:end] - one.time_s) / TRANSIENT_S
-        amplitude[first:end] += one.amplitude * (1.0 - age)
-    return amplitude
-
-
-def envelope_error(
-    curve: VibrationCurve, time_s: FloatArray, amplitude: FloatArray
-) -> dict[str, float]:
-    """Return `envelope_error_db` of an envelope without transients; see `Envelope`."""
-    return _envelope_error(curve, np.interp(curve.times_s, time_s, amplitude))
-
-
-def _envelope_error(curve: VibrationCurve, made: FloatArray) -> dict[str, float]:
-    """Compare amplitudes, both smoothed; nothing is returned for silence."""
+def envelope_error(curve: VibrationCurve, amplitude: FloatArray) -> dict[str, float]:
+    """Return `envelope_error_db` of amplitudes at the curve's times; nothing for silence."""
     wanted = smoothed(curve)
     total = float(np.square(wanted).sum())
     if not total:
         return {}
-    off = smoothed(replace(curve, amplitude=made.astype(np.float32))) - wanted
+    off = smoothed(replace(curve, amplitude=amplitude.astype(np.float32))) - wanted
     error = float(np.sqrt(np.square(off).sum() / total))
     return {"envelope_error_db": max(-120.0, amplitude_to_db(error))}
 
 
 def smoothed(curve: VibrationCurve) -> FloatArray:
     """Return the amplitude smoothed between onsets."""
-    smooth = np.empty(curve.amplitude.size)
-    edges = _edges(curve)
-    for first, end in pairwise(edges):
-        part = curve.amplitude[first:end].astype(np.float64)
-        smooth[first:end] = _smoothed(part, curve.rate_hz)
-    return smooth
+    parts = [curve.amplitude[first:end] for first, end in pairwise(_edges(curve))]
+    return np.concatenate([_smoothed(part.astype(np.float64), curve.rate_hz) for part in parts])
 
 
 def _edges(curve: VibrationCurve) -> list[int]:
@@ -238,10 +171,15 @@ def _errors(
     hz: FloatArray,
     transients: list[Transient],
 ) -> dict[str, float]:
-    times = curve.times_s
-    power = smooth * smooth
+    """Return the errors of an envelope, given by its points, as a player plays it."""
+    times, power = curve.times_s, smooth * smooth
+    played = np.interp(times, time_s, amplitude)
+    for one in transients:
+        first, end = np.searchsorted(times, [one.time_s, one.time_s + TRANSIENT_S])
+        age = (times[first:end] - one.time_s) / TRANSIENT_S
+        played[first:end] += one.amplitude * (1.0 - age)
     found = {"points": float(time_s.size), "transients": float(len(transients))}
-    found |= _envelope_error(curve, played(times, (time_s, amplitude), transients))
+    found |= envelope_error(curve, played)
     if power.any():
         off_hz = np.interp(times, time_s, hz) - curve.hz
         found["frequency_error_hz"] = float(np.sqrt((power * off_hz**2).sum() / power.sum()))

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
+from scipy.signal import lfilter, sosfilt
 
 from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.design.synthesis import glide_shape, glide_turns
@@ -33,7 +33,7 @@ RISE_FROM = 0.4
 AUDIBLE = 0.01
 """... and by this share of the loudest envelope."""
 
-FRAME, FRAMES, VOICE, SLOT, START_HZ, END_HZ, START_LEVEL, END_LEVEL, START_PHASE = range(9)
+FRAME, FRAMES, CHANNEL, SLOT, START_HZ, END_HZ, START_LEVEL, END_LEVEL, START_PHASE = range(9)
 """Columns of recorded glides, see `GLIDE_COLUMNS`."""
 
 
@@ -41,7 +41,7 @@ FRAME, FRAMES, VOICE, SLOT, START_HZ, END_HZ, START_LEVEL, END_LEVEL, START_PHAS
 class Onset:
     """Where vibration begins or is struck again.
 
-    before, after: the envelope on both sides, in full scale; hz: of what begins.
+    before, after: the envelope on both sides, in full scale; hz: of the beginning vibration.
     """
 
     time_s: float
@@ -54,14 +54,9 @@ class Onset:
 class VibrationCurve:
     """The vibration of one channel, sampled at `rate_hz` from `start_s` on.
 
-    Attributes
-    ----------
-    amplitude : ndarray
-        (n,) magnitude of the analytic signal, r.m.s. over a sample, full scale.
-    hz : ndarray
-        (n,) mean frequency, weighted by power; held where nothing vibrates.
-    onsets : tuple of Onset
-        In order, at least `ONSETS_APART_S` apart.
+    amplitude: (n,) magnitude of the analytic signal, r.m.s. over a sample, full scale.
+    hz: (n,) mean frequency, weighted by power; held where nothing vibrates.
+    onsets: in order of time, at least `ONSETS_APART_S` apart.
     """
 
     rate_hz: float
@@ -76,7 +71,7 @@ class VibrationCurve:
         return self.start_s + np.arange(self.amplitude.size) / self.rate_hz
 
 
-def first_fresh_slot(design: LiveDesign) -> int:
+def first_onset_slot(design: LiveDesign) -> int:
     """Return the number of the first slot of partials that are born of an onset."""
     return 2 * (design.analysis.partials_max + design.onsets.fresh_max)
 
@@ -85,7 +80,9 @@ def rising(design: LiveDesign, rows: FloatArray) -> NDArray[np.bool_]:
     """Return of each row of a channel whether it belongs to a hop whose amplitudes rise in sum."""
     if not len(rows):
         return np.zeros(0, dtype=np.bool_)
-    of_hop = rows[:, SLOT] < first_fresh_slot(design)
+    if design.loudness.loudness_scale.size:  # glides of one tick each
+        return np.zeros(len(rows), dtype=np.bool_)
+    of_hop = rows[:, SLOT] < first_onset_slot(design)
     rise = np.where(of_hop, rows[:, END_LEVEL] - rows[:, START_LEVEL], 0.0)
     _, hop = np.unique(rows[:, FRAME], return_inverse=True)
     found: NDArray[np.bool_] = of_hop & (np.bincount(hop, rise)[hop] > design.synthesis.still)
@@ -114,13 +111,18 @@ def low_pass(
     design: LiveDesign, signal: NDArray[np.complex128], state: NDArray[np.complex128]
 ) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
     """Return what the live form's low-pass makes of a signal, and its next state."""
-    smooth, state = lfilter(design.synthesis.low_b, design.synthesis.low_a, signal, zi=state)
+    made = design.synthesis
+    if made.low_sections.size:
+        return sosfilt(np.array(made.low_sections), signal, zi=state)  # type: ignore[no-any-return]
+    smooth, state = lfilter(made.low_b, made.low_a, signal, zi=state)
     return smooth, state
 
 
 def at_rest(design: LiveDesign) -> NDArray[np.complex128]:
     """Return the low-pass's state after silence."""
-    return np.zeros(design.synthesis.low_a.size - 1, np.complex128)
+    sections = design.synthesis.low_sections
+    shape = (len(sections), 2) if sections.size else (design.synthesis.low_a.size - 1,)
+    return np.zeros(shape, np.complex128)
 
 
 def aligned_s(design: LiveDesign, frame: float) -> float:
@@ -144,8 +146,8 @@ class AnalyticVibration:
     def __init__(self, design: LiveDesign) -> None:
         self._design = design
         self._next = 0
-        self._signal = np.zeros(0, np.complex128)
-        self._power, self._moment = np.zeros((2, 0))
+        # Rows: the signal; the sum of the partials' powers; that sum, each times its frequency.
+        self._sums = np.zeros((3, 0), np.complex128)
         self._state = at_rest(design)
 
     def add(self, rows: FloatArray) -> None:
@@ -160,30 +162,21 @@ class AnalyticVibration:
             chosen = rows[:, FRAMES] == frames
             signal, hz = analytic(design, rows[chosen], rises[chosen])
             power = signal.real**2 + signal.imag**2
-            moment = power * hz
-            for row, place in enumerate(first[chosen].tolist()):
-                part = slice(place, place + signal.shape[1])
-                self._signal[part] += signal[row]
-                self._power[part] += power[row]
-                self._moment[part] += moment[row]
+            added = np.stack((signal, power, power * hz), axis=1)
+            for one, place in zip(added, first[chosen].tolist(), strict=True):
+                self._sums[:, place : place + one.shape[1]] += one
 
     def take(self, steps: int) -> tuple[NDArray[np.complex128], FloatArray, FloatArray]:
         """Return the next steps: signal, sum of the partials' powers, and that times frequency."""
         self._reserve(steps)
-        signal, self._signal = self._signal[:steps], self._signal[steps:]
-        power, self._power = self._power[:steps], self._power[steps:]
-        moment, self._moment = self._moment[:steps], self._moment[steps:]
+        taken, self._sums = self._sums[:, :steps], self._sums[:, steps:]
         self._next += steps
-        smooth, self._state = low_pass(self._design, signal, self._state)
-        return smooth, power, moment
+        smooth, self._state = low_pass(self._design, taken[0], self._state)
+        return smooth, taken[1].real, taken[2].real
 
     def _reserve(self, steps: int) -> None:
-        lacking = steps - self._signal.size
-        if lacking > 0:
-            more = np.zeros(lacking)
-            self._signal = np.concatenate((self._signal, more))
-            self._power = np.concatenate((self._power, more))
-            self._moment = np.concatenate((self._moment, more))
+        lacking = max(0, steps - self._sums.shape[1])
+        self._sums = np.pad(self._sums, ((0, 0), (0, lacking)))
 
 
 class CurveReader:
@@ -206,8 +199,8 @@ class CurveReader:
 
     def add(self, rows: FloatArray, frame: int) -> None:
         """Take this channel's rows; all that begin before this frame are there."""
-        fresh = rows[:, SLOT] >= first_fresh_slot(self._design)
-        born = rows[fresh & (rows[:, START_LEVEL] == 0.0) & (rows[:, END_LEVEL] > 0.0)]
+        of_onset = rows[:, SLOT] >= first_onset_slot(self._design)
+        born = rows[of_onset & (rows[:, START_LEVEL] == 0.0) & (rows[:, END_LEVEL] > 0.0)]
         self._births += [(row[FRAME], row[START_HZ]) for row in born.tolist()]
         self._vibration.add(rows)
         sample_frames = self._design.grid.decimation * self._steps

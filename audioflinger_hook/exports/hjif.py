@@ -2,30 +2,26 @@
 
 An effect has one whole frequency in Hz, so that players which integrate frequency and players
 which do not agree. Where a partial drifts from that by 0.03 cycles, another effect goes on in
-phase. Positions are in ms. Tracks born of an onset are kept as they are, in ticks of 2 ms.
+phase. Positions are in ms. Tracks of onsets are kept unchanged, in ticks of 2 ms.
 """
 
 from __future__ import annotations
 
-import json
 import math
 from typing import Any
 
 import numpy as np
 
-from audioflinger_hook.exports.band import band_text
-from audioflinger_hook.exports.options import VIBRATION_HIGH_HZ, VIBRATION_LOW_HZ
-from audioflinger_hook.exports.parametric import Composed, Job, check_duration
-from audioflinger_hook.exports.tracks import PartialTrack, TrackReader
-from device.atomic_file import write_bytes_atomically
+from audioflinger_hook.exports.options import VIBRATION_HIGH_HZ, VIBRATION_LOW_HZ, band_text
+from audioflinger_hook.exports.parametric import Job, TrackWriter, json_bytes
+from audioflinger_hook.exports.tracks import PartialTrack
 from device.errors import UsageError
 from device.rig import rig_by_name
-from device.units import FloatArray
 
 TICKS_A_SECOND = 1_000
 LEVEL_1_BANDS, LEVEL_2_BANDS = 7, 63
 DRIFT_TURNS = 0.03
-"""Largest error of a phase, in cycles. At 0.1, beats of steady partials are felt differently: the
+"""Largest error of a phase, in cycles. At 0.1, beats of steady partials differ: the
 envelope of an engine correlates by 0.80 with the vibration's, and by 0.97 at 0.03."""
 
 BODY_PART_UNSPECIFIED = 0
@@ -34,26 +30,19 @@ DATE = "2024-01-01"
 """Date of the description, fixed so that equal sounds give equal files."""
 
 
-class HjifWriter:
-    """Collects the tracks of all channels and writes them. Use from one thread."""
+class HjifWriter(TrackWriter):
+    """Collects the tracks of all channels and writes them at the end. Use from one thread."""
 
     def __init__(self, job: Job) -> None:
-        self._job = job
-        self._readers = [TrackReader(job.design, job.gain) for _ in range(job.channels)]
+        super().__init__(job)
         self._waves: list[list[dict[str, Any]]] = [[] for _ in range(job.channels)]
-        self._tracks = 0
 
-    def add(self, voice: int, rows: FloatArray, frame: int) -> None:
-        """Take glides, until the sound is too long for such a file."""
-        check_duration(frame / self._job.design.samplerate, "hjif")
-        for track in self._readers[voice].add(rows, frame):
-            self._take(voice, track)
+    def take(self, channel: int, track: PartialTrack) -> None:
+        """Keep a track as effects."""
+        self._waves[channel] += effects_of(track)
 
-    def finish(self, duration_s: float) -> Composed:
-        """Write the file."""
-        for voice, reader in enumerate(self._readers):
-            for track in reader.rest():
-                self._take(voice, track)
+    def write_rest(self, duration_s: float) -> dict[str, int]:
+        """Write the file. UsageError: more partials sound at a time than the format has bands."""
         bands = [_banded(waves) for waves in self._waves]
         most = max(len(one) for one in bands)
         if most > LEVEL_2_BANDS:
@@ -61,25 +50,14 @@ class HjifWriter:
                 f"{most} partials sound at the same time, but the format hjif has "
                 f"{LEVEL_2_BANDS} bands; set partials_max to 16 or less, or use the format partials"
             )
-        document = self._document(bands, most, duration_s)
-        text = json.dumps(document, separators=(",", ":"))
-        write_bytes_atomically(self._job.target, text.encode())
+        self._job.file.write(json_bytes(self._document(bands, most, duration_s)))
         keyframes = sum(len(effect["keyframes"]) for waves in self._waves for effect in waves)
-        counts = {"tracks": self._tracks, "bands": most, "keyframes": keyframes}
-        return Composed({name: float(count) for name, count in counts.items()})
-
-    def abort(self) -> None:
-        """Do nothing: the file is written at the end."""
-
-    def _take(self, voice: int, track: PartialTrack) -> None:
-        self._tracks += 1
-        self._waves[voice] += effects_of(track, self._job.options.device_band_hz)
+        return {"bands": most, "keyframes": keyframes}
 
     def _document(
         self, bands: list[list[list[dict[str, Any]]]], most: int, duration_s: float
     ) -> dict[str, Any]:
-        band_hz = self._job.options.device_band_hz
-        low_hz, high_hz = band_hz or (VIBRATION_LOW_HZ, VIBRATION_HIGH_HZ)
+        low_hz, high_hz = self._band_hz or (VIBRATION_LOW_HZ, VIBRATION_HIGH_HZ)
         limits = {
             "lower_frequency_limit": math.floor(low_hz),
             "upper_frequency_limit": math.ceil(high_hz),
@@ -91,7 +69,7 @@ class HjifWriter:
             "date": DATE,
             "description": (
                 f"Haptic Cushion, {duration_s:.3f} s; a sine's phase is in radians; "
-                f"{band_text(band_hz)}"
+                f"{band_text(self._band_hz)}"
             ),
             "timescale": TICKS_A_SECOND,
             "avatars": [{"id": 0, "lod": 0, "type": "Vibration"}],
@@ -129,7 +107,7 @@ class HjifWriter:
         resonance_hz = min(max(rig.actuator.resonance_hz, low_hz), high_hz)
         return {
             "id": 0,
-            "name": "device" if self._job.options.device_band_hz else rig.name,
+            "name": "device" if self._band_hz else rig.name,
             "body_part_mask": BODY_PART_UNSPECIFIED,
             "minimum_frequency": low_hz,
             "maximum_frequency": high_hz,
@@ -138,9 +116,8 @@ class HjifWriter:
         }
 
 
-def effects_of(track: PartialTrack, band_hz: tuple[float, float] | None) -> list[dict[str, Any]]:
+def effects_of(track: PartialTrack) -> list[dict[str, Any]]:
     """Return a track as effects that follow one another in phase, none overlapping the next."""
-    track = track.on_device(band_hz)
     times, amplitude = track.time_s, np.minimum(1.0, track.amplitude)
     first = max(0, math.ceil(TICKS_A_SECOND * float(times[0])))
     last = math.floor(TICKS_A_SECOND * float(times[-1]))

@@ -5,12 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
+
 from device.drive.exposure import Exposure
 from device.errors import UsageError
+from device.units import FloatArray
 from device.values import nearest
 
 VIBRATION_LOW_HZ, VIBRATION_HIGH_HZ = 20.0, 220.0
 """Band of the vibration, which `device_band_hz` maps to another one."""
+
+Band = tuple[float, float]
+"""Lowest and highest frequency in Hz."""
 
 DEVICE_MIN_HZ, DEVICE_MAX_HZ = 20.0, 1_000.0
 DEVICE_SPAN_MIN_HZ = 10.0
@@ -21,18 +27,9 @@ OUTPUT_RATE_MIN_HZ, OUTPUT_RATE_MAX_HZ = 1_000, 768_000
 class Format:
     """An export format.
 
-    Attributes
-    ----------
-    suffixes : tuple of str
-        Endings of file names that choose this format; the first is the usual one.
-    description : str
-        What a file holds.
-    parametric : bool
-        Whether it holds envelopes or partials instead of a waveform.
-    channels_max : int
-        Most channels of vibration.
-    whole : bool
-        Whether its file is made as a whole, so that the sound may last 3 hours at most.
+    suffixes: endings of file names that choose it; the first is the usual one. description: what a
+    file holds. parametric: it holds envelopes or partials instead of a waveform. channels_max: of
+    vibration. whole: its file is made as a whole, so that the sound may last 3 hours at most.
     """
 
     suffixes: tuple[str, ...]
@@ -61,26 +58,16 @@ FORMATS: dict[str, Format] = {
 
 @dataclass(frozen=True)
 class ExportOptions:
-    """How a sound is exported.
+    """How a sound is exported. UsageError: a value is out of range, or the format cannot hold it.
 
-    Attributes
-    ----------
-    format : str
-        A name in `FORMATS`.
-    output_rate_hz : int or None
-        Rate of the file, 1 000 to 768 000 Hz; None: that of the sound. Waveforms only.
-    device_band_hz : tuple of float or None
-        Band that the target's actuator plays; 20-220 Hz is mapped to it. Parametric formats only.
-
-    Raises
-    ------
-    UsageError
-        A value is out of range, or the format cannot hold it.
+    format: a name in `FORMATS`. output_rate_hz: rate of the file, 1 000 to 768 000 Hz, for
+    waveforms; None: that of the sound. device_band_hz: band that the target's actuator plays, for
+    parametric formats; 20-220 Hz is mapped to it.
     """
 
     format: str
     output_rate_hz: int | None = None
-    device_band_hz: tuple[float, float] | None = None
+    device_band_hz: Band | None = None
 
     def __post_init__(self) -> None:
         if self.format not in FORMATS:
@@ -128,20 +115,12 @@ class ExportOptions:
 class ExportReport:
     """What was exported. Field names contain their units; frames and samples are counts.
 
-    Attributes
-    ----------
-    frames, samplerate, channels : int
-        Of the file if it is a waveform, otherwise of the vibration that it describes.
-    peak : float
-        Largest magnitude of the vibration; 1.0 is full scale.
-    leak_above_250_hz_db : float or None
-        Energy of the vibration above 250 Hz in dB of all its energy; None for silence.
-    exposure : Exposure or None
-        Of the rig, if it is damped, protected or capped.
-    limited_samples : int
-        Samples that the limiter or the format's full scale has changed.
-    error : dict
-        Measured error of a parametric format against the partials that it was made from.
+    frames, samplerate, channels: of the file if it is a waveform, otherwise of the vibration.
+    peak: largest magnitude of the vibration; 1.0 is full scale.
+    leak_above_250_hz_db: energy of the vibration above 250 Hz in dB of all; None for silence.
+    exposure: of the rig, if it is damped, protected or capped.
+    limited_samples: samples that the limiter or the format's full scale has changed.
+    error: measured error of a parametric format against its partials.
     """
 
     format: str
@@ -191,3 +170,26 @@ def check_channel_count(name: str, channels: int) -> None:
             f"the format {name} cannot hold {channels} channels of vibration; allowed: 1 to "
             f"{most}; use channels = mono, fewer actuators, or one of: {', '.join(enough)}"
         )
+
+
+def to_device_hz(hz: FloatArray, band_hz: Band | None) -> FloatArray:
+    """Return the frequencies that a device plays for 20-220 Hz of vibration, on a straight line.
+
+    band_hz: lowest and highest frequency of the device; None: frequencies do not change.
+    """
+    if band_hz is None:
+        return hz
+    low_hz, high_hz = band_hz
+    return low_hz + share_of(hz, VIBRATION_LOW_HZ, VIBRATION_HIGH_HZ) * (high_hz - low_hz)
+
+
+def share_of(hz: FloatArray, low_hz: float, high_hz: float) -> FloatArray:
+    """Return where frequencies are in a band: 0 at its low end and below, 1 at its high end."""
+    return np.clip((hz - low_hz) / (high_hz - low_hz), 0.0, 1.0)
+
+
+def band_text(band_hz: Band | None) -> str:
+    """Return the sentence in a file about the mapping of frequencies."""
+    if band_hz is None:
+        return "frequencies are those of the vibration, 20-220 Hz"
+    return f"20-220 Hz of vibration are mapped to {band_hz[0]:g}-{band_hz[1]:g} Hz of the device"

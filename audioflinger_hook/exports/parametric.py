@@ -1,66 +1,48 @@
-"""Exports of envelopes and partials, from the glides of the live form."""
+"""Outputs and writers of formats that hold envelopes or partials instead of samples."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import json
+from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 from audioflinger_hook.config.settings import Settings
-from audioflinger_hook.exports.decimation import LeakMeter, Watch
-from audioflinger_hook.exports.glides import VOICE, CurveReader, VibrationCurve
-from audioflinger_hook.exports.options import (
-    FORMATS,
-    ExportOptions,
-    ExportReport,
-    check_channel_count,
-)
-from audioflinger_hook.pipeline.framework import OFFLINE_HAL_FRAMES, Framework
-from audioflinger_hook.pipeline.step import Pipeline
-from audioflinger_hook.sources import Client
+from audioflinger_hook.exports.glides import CHANNEL, CurveReader, VibrationCurve
+from audioflinger_hook.exports.options import FORMATS, Band, ExportOptions
+from audioflinger_hook.exports.tracks import PartialTrack, TrackReader
+from audioflinger_hook.pipeline.framework import Framework
+from audioflinger_hook.pipeline.step import Step
 from audioflinger_hook.transform.design import LiveDesign
-from device.atomic_file import write_bytes_atomically
-from device.blocks import peak
-from device.drive.outputs import AlignedOutput
+from device.atomic_file import AtomicFile
 from device.errors import UsageError
 from device.units import Float32Array, FloatArray, db_to_amplitude
 
 DURATION_MAX_S = 3 * 3600.0
 """Longest sound of formats whose file must be made as a whole."""
 
-Progress = Callable[[int, int | None], None]
+SHORTEST_S = 0.001
+DECIMALS = 5
 
 
 @dataclass(frozen=True)
 class Composed:
-    """What a writer has written: measured errors, and warnings."""
+    """Measured errors of a file, and warnings."""
 
     error: dict[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
 
 
-class Writer(Protocol):
-    """Makes a file from the glides of all channels of vibration."""
-
-    def add(self, voice: int, rows: FloatArray, frame: int) -> None:
-        """Take a channel's glides; all that begin before the frame are there."""
-        ...
-
-    def finish(self, duration_s: float) -> Composed:
-        """Write the file."""
-        ...
-
-    def abort(self) -> None:
-        """Discard the file."""
-        ...
+Compose = Callable[[VibrationCurve, float, Band | None], tuple[bytes, Composed]]
 
 
 @dataclass(frozen=True)
 class Job:
-    """What a writer needs to know. gain: factor on amplitudes. channels: of vibration."""
+    """What a writer needs. channels: of vibration. gain: factor on amplitudes."""
 
-    target: Path
+    file: AtomicFile
     settings: Settings
     options: ExportOptions
     design: LiveDesign
@@ -68,50 +50,134 @@ class Job:
     gain: float
 
 
-Compose = Callable[[VibrationCurve, float, Job], tuple[bytes, Composed]]
+class Writer(Protocol):
+    """Makes a file from the glides of all channels of vibration. Use from one thread."""
+
+    def add(self, channel: int, rows: FloatArray, frame: int) -> None:
+        """Take a channel's glides; all that begin before the frame are there."""
+        ...
+
+    def finish(self, duration_s: float) -> Composed:
+        """Write the rest of the file."""
+        ...
+
+
+class DescribedOutput:
+    """A `VibrationOutput` whose file is made from glides instead of samples. Use from one thread.
+
+    path: the file to create or replace. samplerate: Hz. channels: of vibration. composed: errors
+    and warnings, once it is closed. UsageError, WriteError: as for `AtomicFile`.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        samplerate: int,
+        channels: int,
+        settings: Settings,
+        options: ExportOptions,
+        open_writer: Callable[[Job], Writer],
+    ) -> None:
+        self.samplerate, self.channels = samplerate, channels
+        self.composed = Composed()
+        self._format = options.format
+        self._file = AtomicFile(path)
+        design = LiveDesign.of(settings.parameters, samplerate)
+        gain = db_to_amplitude(settings.gain_db)
+        self._writer = open_writer(Job(self._file, settings, options, design, channels, gain))
+        self._heard = self._played = 0  # frames of sound and of vibration
+
+    def observe(self, framework: Framework) -> Callable[[Step], None]:
+        """Start to record glides; return the function that takes them after every step."""
+        framework.take_glides()
+
+        def take(step: Step) -> None:
+            self._heard += len(step.audio)
+            self._played += len(step.vibration)
+            if FORMATS[self._format].whole:
+                check_duration(self._played / self.samplerate, self._format)
+            rows = framework.take_glides()
+            for channel in range(self.channels):
+                self._writer.add(channel, rows[rows[:, CHANNEL] == channel], self._played)
+
+        return take
+
+    def write(self, vibration: FloatArray | Float32Array) -> None:
+        """Do nothing: the glides have all of the vibration."""
+
+    def close(self) -> None:
+        """Write the rest, and give the file its name."""
+        self.composed = self._writer.finish(self._heard / self.samplerate)
+        self._file.commit()
+
+    def abort(self) -> None:
+        """Discard the file."""
+        self._file.abort()
 
 
 class CurveWriter:
-    """Writes a format that is made from the curve of one channel. Use from one thread.
+    """Writes a format that is made from the curve of one channel.
 
-    compose: makes the file's content from the curve, the duration in seconds and the job.
+    compose: makes the file's content from the curve, the duration in seconds and the device's band.
     """
 
     def __init__(self, job: Job, compose: Compose) -> None:
         self._job, self._compose = job, compose
         self._reader = CurveReader(job.design, job.gain)
 
-    def add(self, voice: int, rows: FloatArray, frame: int) -> None:
-        """Take glides, until the sound is too long for such a file."""
-        check_duration(frame / self._job.design.samplerate, self._job.options.format)
+    def add(self, channel: int, rows: FloatArray, frame: int) -> None:
+        """Take glides."""
         self._reader.add(rows, frame)
 
     def finish(self, duration_s: float) -> Composed:
         """Write the file."""
-        content, composed = self._compose(self._reader.curve(duration_s), duration_s, self._job)
-        write_bytes_atomically(self._job.target, content)
+        curve, band_hz = self._reader.curve(duration_s), self._job.options.device_band_hz
+        content, composed = self._compose(curve, duration_s, band_hz)
+        self._job.file.write(content)
         return composed
 
-    def abort(self) -> None:
-        """Do nothing: the file is written at the end."""
+
+class TrackWriter(ABC):
+    """Writes a format that is made from partial tracks."""
+
+    def __init__(self, job: Job) -> None:
+        self._job = job
+        self._band_hz = job.options.device_band_hz
+        self._readers = [TrackReader(job.design, job.gain) for _ in range(job.channels)]
+        self._tracks = 0
+
+    def add(self, channel: int, rows: FloatArray, frame: int) -> None:
+        """Take glides and the tracks that have ended."""
+        for track in self._readers[channel].add(rows, frame):
+            self._tracks += 1
+            self.take(channel, track.on_device(self._band_hz))
+
+    def finish(self, duration_s: float) -> Composed:
+        """Take the tracks that last to the end, and write the rest."""
+        for channel, reader in enumerate(self._readers):
+            for track in reader.rest():
+                self._tracks += 1
+                self.take(channel, track.on_device(self._band_hz))
+        counts = {"tracks": self._tracks, **self.write_rest(duration_s)}
+        return Composed({name: float(count) for name, count in counts.items()})
+
+    @abstractmethod
+    def take(self, channel: int, track: PartialTrack) -> None:
+        """Take a track with the device's frequencies."""
+
+    @abstractmethod
+    def write_rest(self, duration_s: float) -> dict[str, int]:
+        """Write the rest of the file, and return counts for the report."""
 
 
-class _Heard:
-    """Takes the vibration without keeping it, and knows its peak."""
+def json_bytes(document: dict[str, Any]) -> bytes:
+    """Return a document as JSON without spaces."""
+    return json.dumps(document, separators=(",", ":")).encode()
 
-    def __init__(self, samplerate: int, channels: int) -> None:
-        self.samplerate, self.channels = samplerate, channels
-        self.peak = 0.0
 
-    def write(self, vibration: FloatArray | Float32Array) -> None:
-        """Take a block."""
-        self.peak = max(self.peak, peak(vibration)) if len(vibration) else self.peak
-
-    def close(self) -> None:
-        """Do nothing."""
-
-    def abort(self) -> None:
-        """Do nothing."""
+def rounded(value: float) -> float:
+    """Return a value with 5 decimals, and 0 for -0."""
+    return round(float(value), DECIMALS) + 0.0
 
 
 def check_duration(duration_s: float, name: str) -> None:
@@ -125,84 +191,19 @@ def check_duration(duration_s: float, name: str) -> None:
 
 def refuse_settings(name: str, settings: Settings) -> None:
     """Raise UsageError for settings that a format without a waveform cannot hold."""
-    unheld = {
-        "transform": settings.form != "live",
-        "damping": settings.damping != "off",
-        "protection": settings.protection != "off",
-        "exposure_cap": settings.exposure_cap != "off",
-        "actuator": bool(settings.actuators),
-    }
-    if unheld["transform"]:
+    if settings.form != "live":
         raise UsageError(
             f"transform = {settings.form!r} tracks no partials, from which the format {name} is "
             "made; allowed: live; use --transform live, or the format wav or flac"
         )
-    if wrong := [key for key, there in unheld.items() if there]:
+    unheld = [
+        key for key in ("damping", "protection", "exposure_cap") if getattr(settings, key) != "off"
+    ]
+    if settings.actuators:
+        unheld.append("actuator")
+    if unheld:
         raise UsageError(
             f"the format {name} describes vibration for any actuator and cannot hold "
-            f"{', '.join(wrong)}, which shape the waveform for one rig; allowed: off, and no "
+            f"{', '.join(unheld)}, which shape the waveform for one rig; allowed: off, and no "
             "[[actuator]]; change the config, or use the format wav or flac"
         )
-
-
-def export_parametric(
-    open_writer: Callable[[Job], Writer],
-    client: Client,
-    target: Path,
-    settings: Settings,
-    options: ExportOptions,
-    progress: Progress | None,
-    warnings: Sequence[str],
-    watch: Watch | None = None,
-) -> ExportReport:
-    """Play a client's sound, let a writer make the file, and return the report.
-
-    Raises as `export`.
-    """
-    name = options.format
-    refuse_settings(name, settings)
-    if FORMATS[name].whole and client.frames_expected:
-        check_duration(client.frames_expected / client.samplerate, name)
-    framework = Framework(
-        client.samplerate, client.channels, settings, hal_frames=OFFLINE_HAL_FRAMES
-    )
-    rate, channels = framework.samplerate, framework.haptic_channels
-    check_channel_count(name, channels)
-    design = LiveDesign.of(settings.parameters, rate)
-    job = Job(target, settings, options, design, channels, db_to_amplitude(settings.gain_db))
-    framework.take_glides()  # starts the recording
-    heard = _Heard(rate, channels)
-    meter = LeakMeter(heard, watch)
-    writer = open_writer(job)
-    try:
-        chain = Pipeline(client, framework, [AlignedOutput(meter, framework.latency_frames)])
-        frames = played = 0
-        while step := chain.step():
-            framework.check_haptics()
-            frames += len(step.audio)
-            played += len(step.vibration)
-            rows = framework.take_glides()
-            for voice in range(channels):
-                writer.add(voice, rows[rows[:, VOICE] == voice], played)
-            if progress:
-                progress(frames, client.frames_expected)
-        chain.close()
-        composed = writer.finish(frames / rate)
-    except BaseException:
-        writer.abort()
-        raise
-    return ExportReport(
-        format=name,
-        frames=frames,
-        samplerate=rate,
-        channels=channels,
-        duration_s=frames / rate,
-        profile=settings.profile,
-        peak=heard.peak,
-        leak_above_250_hz_db=meter.leak_db,
-        limited_samples=framework.limited_samples,
-        replaced_samples=framework.replaced_samples,
-        bytes=target.stat().st_size,
-        error=composed.error,
-        warnings=[*framework.warnings, *framework.bypass_warnings(), *warnings, *composed.warnings],
-    )

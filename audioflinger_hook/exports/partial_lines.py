@@ -6,27 +6,22 @@ cut.
 
 from __future__ import annotations
 
-import json
+from typing import Any
 
 import numpy as np
 
-from audioflinger_hook.exports.parametric import Composed, Job
-from audioflinger_hook.exports.tracks import PartialTrack, TrackReader
-from device.atomic_file import AtomicFile
-from device.units import FloatArray
+from audioflinger_hook.exports.parametric import Job, TrackWriter, json_bytes
+from audioflinger_hook.exports.tracks import PartialTrack
 
 VERSION = 1
 
 
-class PartialLines:
+class PartialLines(TrackWriter):
     """Writes the tracks of all channels. Use from one thread."""
 
     def __init__(self, job: Job) -> None:
-        self._band_hz = job.options.device_band_hz
-        self._readers = [TrackReader(job.design, job.gain) for _ in range(job.channels)]
-        self._file = AtomicFile(job.target)
-        self._tracks = self._points = 0
-        low_hz, high_hz = self._band_hz or (None, None)
+        super().__init__(job)
+        self._points = 0
         self._line(
             {
                 "type": "header",
@@ -35,31 +30,12 @@ class PartialLines:
                 "samplerate_hz": job.design.samplerate,
                 "channels": job.channels,
                 "profile": job.settings.profile,
-                "device_band_hz": [low_hz, high_hz] if self._band_hz else None,
+                "device_band_hz": list(self._band_hz) if self._band_hz else None,
             }
         )
 
-    def add(self, voice: int, rows: FloatArray, frame: int) -> None:
-        """Take glides and write the tracks that have ended."""
-        for track in self._readers[voice].add(rows, frame):
-            self._write(voice, track)
-
-    def finish(self, duration_s: float) -> Composed:
-        """Write the rest and give the file its name."""
-        for voice, reader in enumerate(self._readers):
-            for track in reader.rest():
-                self._write(voice, track)
-        self._line({"type": "end", "duration_s": duration_s, "tracks": self._tracks})
-        self._file.commit()
-        return Composed({"tracks": float(self._tracks), "points": float(self._points)})
-
-    def abort(self) -> None:
-        """Discard the file."""
-        self._file.abort()
-
-    def _write(self, voice: int, track: PartialTrack) -> None:
-        track = track.on_device(self._band_hz)
-        self._tracks += 1
+    def take(self, channel: int, track: PartialTrack) -> None:
+        """Write a track that has ended."""
         self._points += track.time_s.size
         columns = (
             np.round(track.time_s, 6),
@@ -70,12 +46,17 @@ class PartialLines:
         self._line(
             {
                 "type": "track",
-                "channel": voice,
+                "channel": channel,
                 "track": track.number,
                 "onset": track.onset,
                 "points": np.column_stack(columns).tolist(),
             }
         )
 
-    def _line(self, entry: dict[str, object]) -> None:
-        self._file.write(json.dumps(entry, separators=(",", ":")).encode() + b"\n")
+    def write_rest(self, duration_s: float) -> dict[str, int]:
+        """Write the last line."""
+        self._line({"type": "end", "duration_s": duration_s, "tracks": self._tracks})
+        return {"points": self._points}
+
+    def _line(self, entry: dict[str, Any]) -> None:
+        self._job.file.write(json_bytes(entry) + b"\n")

@@ -7,8 +7,12 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solveh_banded
 
 from device.units import FloatArray
+
+TIED = 1e-3
+"""Weight of the curve's own value at a point, in samples, against the least-squares fit."""
 
 
 def simplify(
@@ -57,3 +61,23 @@ def simplify(
         consider(first, place)
         consider(place, end)
     return np.array(sorted(kept), dtype=np.intp)
+
+
+def fitted(times: FloatArray, values: FloatArray, knots: FloatArray) -> FloatArray:
+    """Return the values at the knots whose straight lines are nearest to a curve by least squares.
+
+    times, values: (n,) the curve. knots: (k,) ascending, within the times.
+    """
+    if knots.size < 3 or knots[0] == knots[-1]:
+        return np.interp(knots, times, values)
+    place = np.clip(np.searchsorted(knots, times, "right") - 1, 0, knots.size - 2)
+    share = (times - knots[place]) / np.diff(knots)[place]
+    size = knots.size
+    diagonal = np.bincount(place, (1 - share) ** 2, size) + np.bincount(place + 1, share**2, size)
+    beside = np.bincount(place, share * (1 - share), size)
+    wanted = np.bincount(place, (1 - share) * values, size)
+    wanted += np.bincount(place + 1, share * values, size)
+    # A little of the curve itself, so that a knot between two samples has a value.
+    bands = np.vstack((np.concatenate(([0.0], beside[:-1])), diagonal + TIED))
+    found: FloatArray = solveh_banded(bands, wanted + TIED * np.interp(knots, times, values))
+    return found

@@ -20,15 +20,7 @@ the caller's blocks, and the Vorbis encoder's stack stays small."""
 class LibsndfileTarget:
     """The file object that libsndfile writes to; it keeps the reason of a failure.
 
-    Parameters
-    ----------
-    path : Path
-        The file to create or replace.
-
-    Raises
-    ------
-    UsageError, WriteError
-        As `AtomicFile`.
+    path: the file to create or replace. UsageError, WriteError: as `AtomicFile`.
     """
 
     def __init__(self, path: Path) -> None:
@@ -83,29 +75,11 @@ class SoundFileOutput:
 
     Samples beyond ±1.0 are limited and counted. Use from one thread.
 
-    Parameters
-    ----------
-    path : Path
-        The file to create or replace.
-    samplerate : int
-        Rate in Hz.
-    channels : int
-        Number of channels.
-    format : str
-        libsndfile's name of the format, such as "FLAC".
-    subtype : str
-        Its name of the coding, such as "PCM_24".
-    target : LibsndfileTarget, optional
-        Takes the encoded bytes; default: the file.
-    level : float, optional
-        Compression level, 0 to 1; default: libsndfile's.
-
-    Raises
-    ------
-    UsageError
-        The format does not allow the rate or the channels, or the file cannot be created.
-    WriteError
-        The disk is full or failed, here or in `write` and `close`; no file is left then.
+    path: the file to create or replace. samplerate: Hz. format, subtype: libsndfile's names, such
+    as "FLAC" and "PCM_24". target: takes the encoded bytes; default: the file. level: compression,
+    0 to 1; default: libsndfile's. UsageError: the format does not allow the rate or the channels,
+    or the file cannot be created. WriteError: the disk is full or failed, here or in `write` and
+    `close`; no file is left then.
     """
 
     def __init__(

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from audioflinger_hook.exports.band import to_device_hz
 from audioflinger_hook.exports.glides import (
     FRAME,
     FRAMES,
@@ -16,10 +15,11 @@ from audioflinger_hook.exports.glides import (
     aligned_s,
     analytic,
     at_rest,
-    first_fresh_slot,
+    first_onset_slot,
     low_pass,
     rising,
 )
+from audioflinger_hook.exports.options import Band, to_device_hz
 from audioflinger_hook.exports.simplify import simplify
 from audioflinger_hook.transform.design import LiveDesign
 from device.units import FloatArray
@@ -34,8 +34,8 @@ RING_S = 0.06
 FAINT = 0.003
 POINT_S = 0.002
 LEVEL_TOLERANCE, HZ_TOLERANCE = 0.01, 0.3
-"""Largest error of the straight lines: of amplitude, as a share of the track's largest, and of
-frequency in Hz where the track is loudest, more where it is weak."""
+"""Largest errors of the straight lines: of amplitude, as a share of the track's largest; of
+frequency in Hz. Where the track is weak, the frequency may be off by more."""
 
 LONGEST_S = 0.1
 """Points are at most this far apart, so that straight lines of frequency keep the phase."""
@@ -45,15 +45,9 @@ LONGEST_S = 0.1
 class PartialTrack:
     """A partial; amplitude and frequency are linear between its points.
 
-    Attributes
-    ----------
-    number : int
-        Of the track, counted from 0 in its channel.
-    onset : bool
-        Whether an onset gave birth to it. It ends where the analysis takes over.
-    time_s, hz, amplitude, turns : ndarray
-        (n,) time in the aligned vibration; vibration frequency; full scale; phase in cycles, not
-        wrapped, of a cosine.
+    number: counted from 0 in its channel. onset: it began with an onset, and ends where the
+    analysis takes over. time_s: (n,) in the aligned vibration. hz: (n,) vibration frequency.
+    amplitude: (n,) full scale. turns: (n,) phase of a cosine in cycles, not wrapped.
     """
 
     number: int
@@ -76,14 +70,14 @@ class PartialTrack:
         )
         return turns
 
-    def on_device(self, band_hz: tuple[float, float] | None) -> PartialTrack:
+    def on_device(self, band_hz: Band | None) -> PartialTrack:
         """Return the track with the frequencies that a device plays, continuous in phase."""
         if band_hz is None:
             return self
         hz = to_device_hz(self.hz, band_hz)
         turned = np.cumsum(np.diff(self.time_s) * (hz[1:] + hz[:-1]) / 2)
         turns = self.turns[0] + np.concatenate(([0.0], turned))
-        return PartialTrack(self.number, self.onset, self.time_s, hz, self.amplitude, turns)
+        return replace(self, hz=hz, turns=turns)
 
 
 class TrackReader:
@@ -153,7 +147,7 @@ class TrackReader:
             max(1, round(POINT_S * low_rate_hz)),
             round(LONGEST_S * low_rate_hz),
         )
-        onset = slot >= first_fresh_slot(design)
+        onset = slot >= first_onset_slot(design)
         columns = (values[kept] for values in (times, hz, amplitude, turns))
         yield PartialTrack(self._count, onset, *columns)
         self._count += 1

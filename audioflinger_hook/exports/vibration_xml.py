@@ -8,14 +8,15 @@ holds the amplitude, 0 to 255, in steps of 10 ms or more; its frequency is the m
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from audioflinger_hook.exports.band import band_text, to_device_hz
 from audioflinger_hook.exports.envelope import Envelope, Limits, envelope_error, envelope_of
 from audioflinger_hook.exports.glides import VibrationCurve
-from audioflinger_hook.exports.parametric import Composed, Job
+from audioflinger_hook.exports.options import Band, band_text, to_device_hz
+from audioflinger_hook.exports.parametric import Composed
 from device.errors import UsageError
 
 POINTS_MAX, POINT_MIN_MS, POINT_MAX_MS = 16, 20, 1_000
@@ -37,10 +38,11 @@ LIMITS = Limits(spacing_s=1e-3 * POINT_MIN_MS, longest_s=0.9, transients=False)
 STEP_TOLERANCE = 0.02
 
 
-def compose(curve: VibrationCurve, duration_s: float, job: Job) -> tuple[bytes, Composed]:
+def compose(
+    curve: VibrationCurve, duration_s: float, band_hz: Band | None
+) -> tuple[bytes, Composed]:
     """Return the content of a vibration file, and its errors."""
     length_s = max(1e-3 * POINT_MIN_MS, duration_s)
-    band_hz = job.options.device_band_hz
     for tolerance in TOLERANCES:
         envelope = envelope_of(curve, length_s, replace(LIMITS, tolerance=tolerance))
         points = _points(envelope)
@@ -48,7 +50,7 @@ def compose(curve: VibrationCurve, duration_s: float, job: Job) -> tuple[bytes, 
             continue
         ends_s = 1e-3 * np.cumsum([0, *(duration for duration, _, _ in points)])
         levels = np.array([0.0, *(level for _, level, _ in points)])
-        error = envelope_error(curve, ends_s, levels)
+        error = envelope_error(curve, np.interp(curve.times_s, ends_s, levels))
         if error.get("envelope_error_db", -120.0) <= FOLLOWS_DB:
             return _envelope_effect(points, envelope, band_hz), Composed(
                 {**error, "points": float(len(points))}
@@ -93,7 +95,7 @@ def _points(envelope: Envelope) -> list[tuple[int, float, float]]:
 def _envelope_effect(
     points: list[tuple[int, float, float]],
     envelope: Envelope,
-    band_hz: tuple[float, float] | None,
+    band_hz: Band | None,
 ) -> bytes:
     hz = to_device_hz(np.array([envelope.hz[0], *(one[2] for one in points)]), band_hz)
     lines = [
@@ -106,7 +108,7 @@ def _envelope_effect(
 
 
 def _waveform_effect(
-    curve: VibrationCurve, duration_s: float, band_hz: tuple[float, float] | None
+    curve: VibrationCurve, duration_s: float, band_hz: Band | None
 ) -> tuple[bytes, Composed]:
     steps = _steps(curve, duration_s)
     if len(steps) > STEPS_MAX:
@@ -122,7 +124,7 @@ def _waveform_effect(
     ends_s = 1e-3 * np.cumsum([0, *(duration for duration, _ in steps)])
     levels = np.array([amplitude for _, amplitude in steps]) / AMPLITUDE_MAX
     times, values = np.repeat(ends_s, 2)[1:-1], np.repeat(levels, 2)
-    error = envelope_error(curve, times, values)
+    error = envelope_error(curve, np.interp(curve.times_s, times, values))
     warning = (
         "the vibration needs more than 16 points, so the file holds amplitudes without "
         "frequencies; the phone's motor vibrates at its own"
@@ -154,17 +156,12 @@ def _steps(curve: VibrationCurve, duration_s: float) -> list[tuple[int, int]]:
 
 
 def _without_short_rests(durations: Any, amplitude: Any) -> Any:
-    """Return the amplitudes with 1 in place of 0 in rests that are short or inside a sound."""
+    """Return the amplitudes with 1 in place of 0 in short rests inside a sound."""
     filled = amplitude.copy()
-    first = 0
-    while first < len(filled):
-        end = first
-        while end < len(filled) and amplitude[end] == 0:
-            end += 1
-        inside = first > 0 and end < len(filled)
-        if end > first and inside and int(durations[first:end].sum()) < SILENT_MS:
+    edges = np.flatnonzero(np.diff(amplitude == 0)) + 1
+    for first, end in pairwise(edges.tolist()):
+        if amplitude[first] == 0 and int(durations[first:end].sum()) < SILENT_MS:
             filled[first:end] = 1
-        first = max(end, first + 1)
     return filled
 
 

@@ -1,8 +1,7 @@
 """Signals reduced to what a picture can show: a few numbers for each of its pixel columns.
 
 Conventions: a signal is one-dimensional, full scale is 1, and `columns` cut its frames into that
-many stretches of equal length. The cost of a spectrum depends on the columns, not on the signal's
-length, so ten minutes are drawn nearly as fast as ten seconds.
+many stretches of equal length.
 """
 
 from __future__ import annotations
@@ -13,9 +12,6 @@ from scipy.fft import next_fast_len, rfft
 
 # Amplitudes below this are shown as this: 20 log10 of it is -200 dB, under any colour scale.
 AMPLITUDE_FLOOR = 1e-10
-
-# A column longer than its window shows the mean of a few windows, not of all that would fit.
-MAX_WINDOWS_PER_COLUMN = 4
 
 # Blocks for the short-time RMS, each column's share of the signal cut this fine.
 _BLOCKS_PER_COLUMN = 8
@@ -76,8 +72,8 @@ def spectrogram_db(
     """Short-time amplitude in dB (a sine of amplitude 1 is 0 dB), shape (rows, columns).
 
     Hamming windows of `window_s` seconds stand at the columns' centres, with zeros beyond the
-    signal's ends. Row `i` shows the frequency `rows_hz[i]` (ascending): the largest bin nearer to
-    it than to the other rows, or, where rows are finer than bins, the interpolation between bins.
+    signal's ends. Row `i` shows the frequency `rows_hz[i]` (ascending): the largest of the bins
+    that are nearest to it. Where rows are finer than bins, it interpolates between bins.
     Rows above half the samplerate are at the floor of -200 dB.
     """
     window_frames = max(4, round(window_s * samplerate))
@@ -85,12 +81,9 @@ def spectrogram_db(
     window = np.hamming(window_frames + 1)[:-1]
     scale = 2.0 / window.sum()
 
-    column_s = signal.size / samplerate / columns
-    per_column = int(np.clip(np.ceil(2.0 * column_s / window_s), 1, MAX_WINDOWS_PER_COLUMN))
     # With half a window of zeros before it, a window that starts at a frame has its centre there.
     padded = np.pad(signal, (window_frames // 2, window_frames))
-    centre = (np.arange(columns * per_column) + 0.5) * (signal.size / (columns * per_column))
-    starts = centre.astype(np.int64)
+    starts = ((np.arange(columns) + 0.5) * (signal.size / columns)).astype(np.int64)
     windows = np.lib.stride_tricks.sliding_window_view(padded, window_frames)
 
     rows = _RowsOfBins(rows_hz, samplerate / transform_frames, transform_frames // 2 + 1)
@@ -99,7 +92,6 @@ def spectrogram_db(
         batch = starts[first : first + _WINDOWS_PER_BATCH]
         spectrum = rfft(windows[batch] * window, transform_frames, axis=1)
         power[:, first : first + batch.size] = rows.pick(np.abs(spectrum.T) * scale) ** 2
-    power = power.reshape(rows_hz.size, columns, per_column).mean(axis=2)
     power[rows_hz > samplerate / 2.0] = 0.0
     return np.asarray(10.0 * np.log10(np.maximum(power, AMPLITUDE_FLOOR**2)), dtype=np.float64)
 

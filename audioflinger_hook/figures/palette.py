@@ -1,7 +1,7 @@
 """The colours of all figures, and PNG files of only these colours.
 
-One look: what is heard is slate blue, what is felt is the accent, words are dark grey, and what
-only helps to read is light grey. Levels have a colour map of their own in the blue of the heard.
+Sound is slate blue, vibration has the accent colour, words are dark grey, lines are light grey.
+Levels have a colour map in the blue of sound.
 """
 
 from __future__ import annotations
@@ -47,20 +47,18 @@ def level_map() -> LinearSegmentedColormap:
 
 
 def indexed_png(rgba: NDArray[np.uint8], dots_per_inch: int, description: str = "") -> bytes:
-    """A PNG of the opaque picture `rgba` (height, width, 4) in 256 colours, as bytes.
+    """Return a PNG of the opaque picture `rgba` (height, width, 4) in 256 colours.
 
-    `description`, if any, is its text chunk of that name.
+    The colours are those of this module and their blends; any other becomes the nearest of them.
+    One byte a pixel makes the file a third as large, since a PNG cannot compress a spectrogram.
 
-    The colours are those of this module and their blends; anything else becomes the nearest of
-    them. A spectrogram is noise to a PNG: one byte a pixel makes the file a third as large.
+    description: its text chunk of that name, if any.
     """
-    colours = _indexed_colours()
     palette = Image.new("P", (1, 1))
-    palette.putpalette(colours.tobytes())
+    palette.putpalette(_indexed_colours().tobytes())
     picture = Image.fromarray(rgba[:, :, :3])
     indexed = picture.quantize(palette=palette, dither=Image.Dither.NONE)
-    content = io.BytesIO()
-    texts = PngInfo()
+    content, texts = io.BytesIO(), PngInfo()
     if description:
         texts.add_text("Description", description)
     dpi = (dots_per_inch, dots_per_inch)

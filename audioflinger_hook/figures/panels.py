@@ -26,7 +26,7 @@ TICK_PT = 9.0
 
 MAX_EVENT_LANES = 3
 
-# Dots closer than a cell of this grid would hide one another: only the strongest is drawn.
+# Dots in one cell of this grid would hide one another: only the strongest is drawn.
 DOT_GRID = (460, 150)
 LARGEST_DOT_PT = 5.0  # the diameter at strength 1
 
@@ -62,21 +62,10 @@ def draw_heading(axes: Axes, name: str, explanation: str, right: str = "") -> No
 
 
 def label_time_axis(axes: Axes, duration_s: float) -> None:
-    """Ticks and a label in seconds, or in minutes and seconds from three minutes on."""
+    """Limits, ticks and a label in seconds."""
     axes.set_xlim(0.0, duration_s)
-    if duration_s < 180.0:
-        axes.xaxis.set_major_locator(MaxNLocator(nbins=16, steps=[1, 2, 2.5, 5, 10]))
-        axes.set_xlabel("time (s)", fontsize=LABEL_PT, fontfamily=FONT, color=INK)
-        return
-    step_s = next(
-        (step for step in (30, 60, 120, 300, 600, 1200) if duration_s / step <= 16.0),
-        3600.0 * np.ceil(duration_s / 3600.0 / 16.0),
-    )
-    axes.xaxis.set_major_locator(FixedLocator(list(np.arange(0.0, duration_s + 1e-9, step_s))))
-    axes.xaxis.set_major_formatter(
-        FuncFormatter(lambda at_s, _: f"{int(at_s) // 60}:{int(at_s) % 60:02d}")
-    )
-    axes.set_xlabel("time (min:s)", fontsize=LABEL_PT, fontfamily=FONT, color=INK)
+    axes.xaxis.set_major_locator(MaxNLocator(nbins=16, steps=[1, 2, 2.5, 5, 10]))
+    axes.set_xlabel("time (s)", fontsize=LABEL_PT, fontfamily=FONT, color=INK)
 
 
 def label_values(axes: Axes, label: str) -> None:
@@ -142,11 +131,7 @@ def draw_waveform(
 
 
 def draw_spectrogram(
-    axes: Axes,
-    level_db: NDArray[np.float64],
-    duration_s: float,
-    *,
-    range_db: float,
+    axes: Axes, level_db: NDArray[np.float64], duration_s: float, *, range_db: float
 ) -> AxesImage:
     """Draws `level_db` (rows, columns) and returns the image, for its colour bar.
 

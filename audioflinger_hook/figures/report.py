@@ -1,16 +1,13 @@
-"""The report: one picture of what was heard, what was found in it, and what was felt.
+"""The report: one picture of sound, principal frequencies, vibration and acceleration.
 
-In the manner of the paper's Figures 7 and 8, five panels on one time axis: the audio, its spectrum
-with the principal frequencies, the vibration made of them, its spectrum, and the acceleration of
-the cushion. Needs matplotlib (an optional extra) and uses only its objects: no pyplot, and no
-setting that another figure in the same process would see.
+Five panels share a time axis, as in the paper's Figures 7 and 8. They show the audio, its spectrum
+with the principal frequencies, the vibration, its spectrum, and the cushion's acceleration. Needs
+matplotlib, an optional extra, but neither pyplot nor settings that another figure would see.
 """
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
-from typing import BinaryIO
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -27,13 +24,12 @@ from audioflinger_hook.figures.columns import (
     spectrogram_db,
 )
 from audioflinger_hook.figures.panels import Event, Principal
-from device import write_bytes_atomically
 
 WIDTH_PX, HEIGHT_PX, DPI = 1600, 1500, 150
 LEFT, RIGHT, TOP, BOTTOM = 0.072, 0.935, 0.922, 0.05
 
-# One column of numbers for each pixel across the panels, and half as many for spectra: at 15 s that
-# is still two for each window, and the file is a third smaller.
+# One column for each pixel across the panels. Spectra have half as many: at 15 s still two for each
+# window, in a file that is a third smaller.
 COLUMNS = round((RIGHT - LEFT) * WIDTH_PX)
 SPECTRUM_COLUMNS = COLUMNS // 2
 
@@ -45,7 +41,7 @@ AUDIO_RANGE_DB = 60.0
 VIBRATION_LIMITS_HZ = (0.0, 260.0)
 VIBRATION_BAND_HZ = (20.0, 220.0)
 VIBRATION_ROWS = 131
-# Longer than the audio's: 46 ms cannot tell 40 Hz from 80 Hz, and nobody feels in 46 ms either.
+# Longer than the audio's: 46 ms cannot tell 40 Hz from 80 Hz.
 VIBRATION_WINDOW_S = 0.16
 VIBRATION_RANGE_DB = 50.0
 
@@ -55,43 +51,34 @@ STANDARD_GRAVITY_M_S2 = 9.80665
 Samples = NDArray[np.floating]
 
 
-def draw_report(
-    path: str | os.PathLike[str] | BinaryIO,
+def report_png(
     *,
     title: str,
     samplerate: int,
     audio: Samples,
     vibration: Samples,
-    vibration_samplerate: int,
     acceleration_m_s2: Samples,
-    acceleration_samplerate: int,
     principals: Sequence[Principal],
     events: Sequence[Event],
     facts: Sequence[str] = (),
     description: str = "",
-) -> None:
-    """Writes the report as a PNG of 1600 x 1500 pixels to `path`, a file name or a binary file.
+) -> bytes:
+    """Return the report as a PNG of 1600 x 1500 pixels.
 
-    `audio` has the shape (frames, channels), `vibration` and `acceleration_m_s2` (frames,), each
-    at its own samplerate in Hz and all starting at the same moment; audio and vibration have full
-    scale 1. `principals` are (time in s, audio frequency in Hz, vibration frequency in Hz, strength
-    from 0 to 1); `events` are (start in s, end in s, label); `facts` are short texts for the line
-    under the title; `description` is not drawn but stored as the PNG's text chunk of that name.
-    Samples that are not finite are drawn as zero.
+    All signals have the same samplerate in Hz and start at the same moment; samples that are not
+    finite are drawn as zero.
 
-    A file name gets the whole picture or stays as it was. Raises ValueError for arrays of the wrong
-    shape or without frames, and what `device.AtomicFile` raises if the file cannot be written.
+    audio: (frames, channels), full scale 1. vibration: (frames,), full scale 1.
+    acceleration_m_s2: (frames,).
+    principals: (time in s, audio frequency in Hz, vibration frequency in Hz, strength 0 to 1).
+    events: (start in s, end in s, label). facts: short texts for the line under the title.
+    description: not drawn, but stored as the PNG's text chunk of that name.
+    ValueError: an array has the wrong shape or type, or no frames.
     """
     audio = _checked("audio", audio, samplerate, dimensions=2)
-    vibration = _checked("vibration", vibration, vibration_samplerate, dimensions=1)
-    acceleration = _checked(
-        "acceleration_m_s2", acceleration_m_s2, acceleration_samplerate, dimensions=1
-    )
-    duration_s = max(
-        audio.shape[0] / samplerate,
-        vibration.size / vibration_samplerate,
-        acceleration.size / acceleration_samplerate,
-    )
+    vibration = _checked("vibration", vibration, samplerate, dimensions=1)
+    acceleration = _checked("acceleration_m_s2", acceleration_m_s2, samplerate, dimensions=1)
+    duration_s = max(len(one) for one in (audio, vibration, acceleration)) / samplerate
 
     width_pt = (RIGHT - LEFT) * WIDTH_PX * 72.0 / DPI
     named = [(start_s, end_s, _drawable(label)) for start_s, end_s, label in events]
@@ -120,18 +107,14 @@ def draw_report(
     mono = audio.mean(axis=1)
     _draw_audio(panel_axes[0], audio, mono, samplerate)
     _draw_audio_spectrum(figure, panel_axes[1], mono, samplerate, found)
-    _draw_vibration(panel_axes[2], vibration, vibration_samplerate)
-    _draw_vibration_spectrum(figure, panel_axes[3], vibration, vibration_samplerate, found)
-    _draw_acceleration(panel_axes[4], acceleration, acceleration_samplerate)
+    _draw_vibration(panel_axes[2], vibration, samplerate)
+    _draw_vibration_spectrum(figure, panel_axes[3], vibration, samplerate, found)
+    _draw_acceleration(panel_axes[4], acceleration, samplerate)
 
     # matplotlib's canvas is not typed yet everywhere
     canvas.draw()  # type: ignore[no-untyped-call, unused-ignore]
     rgba = np.asarray(canvas.buffer_rgba())  # type: ignore[no-untyped-call, unused-ignore]
-    picture = palette.indexed_png(rgba, DPI, description)
-    if isinstance(path, (str, os.PathLike)):
-        write_bytes_atomically(path, picture)
-    else:
-        path.write(picture)
+    return palette.indexed_png(rgba, DPI, description)
 
 
 def _draw_title(figure: Figure, title: str, facts: Sequence[str]) -> None:
@@ -146,17 +129,27 @@ def _draw_title(figure: Figure, title: str, facts: Sequence[str]) -> None:
     )  # fmt: skip
 
 
-def _draw_audio(axes: Axes, audio: Samples, mono: Samples, samplerate: int) -> None:
-    """Panel 1: the peaks of all channels in light, the RMS of their mean in dark."""
-    times_s = column_times_s(mono.size / samplerate, COLUMNS)
-    outlines = [envelope(audio[:, channel], COLUMNS) for channel in range(audio.shape[1])]
+def _draw_outline(
+    axes: Axes, signal: Samples, samplerate: int, colour: str, at_least: float, unit: str
+) -> tuple[NDArray[np.float64], float]:
+    """Draw the peaks of all channels, (frames, channels); return the columns' times and the peak.
+
+    at_least: the least reach of the vertical axis.
+    """
+    times_s = column_times_s(len(signal) / samplerate, COLUMNS)
+    outlines = [envelope(channel, COLUMNS) for channel in signal.T]
     lowest = np.min([low for low, _ in outlines], axis=0)
     highest = np.max([high for _, high in outlines], axis=0)
-    panels.draw_waveform(axes, times_s, lowest, highest, palette.HEARD_LIGHT, at_least=0.01)
+    panels.draw_waveform(axes, times_s, lowest, highest, colour, at_least=at_least)
+    panels.label_values(axes, unit)
+    return times_s, max(float(np.max(highest)), -float(np.min(lowest)))
+
+
+def _draw_audio(axes: Axes, audio: Samples, mono: Samples, samplerate: int) -> None:
+    """Panel 1: the peaks of all channels in light, the RMS of their mean in dark."""
+    times_s, peak = _draw_outline(axes, audio, samplerate, palette.HEARD_LIGHT, 0.01, "full scale")
     rms = short_time_rms(mono, samplerate, COLUMNS, RMS_WINDOW_S)
     axes.fill_between(times_s, -rms, rms, color=palette.HEARD, linewidth=0.0)
-    panels.label_values(axes, "full scale")
-    peak = max(float(np.max(highest)), -float(np.min(lowest)))
     panels.draw_heading(axes, "Audio", "peaks, and in dark the RMS", _peak_in_dbfs(peak))
 
 
@@ -174,11 +167,8 @@ def _draw_audio_spectrum(
 
 def _draw_vibration(axes: Axes, vibration: Samples, samplerate: int) -> None:
     """Panel 3: the vibration's waveform."""
-    times_s = column_times_s(vibration.size / samplerate, COLUMNS)
-    lowest, highest = envelope(vibration, COLUMNS)
-    panels.draw_waveform(axes, times_s, lowest, highest, palette.FELT, at_least=0.01)
-    panels.label_values(axes, "full scale")
-    peak = max(float(np.max(highest)), -float(np.min(lowest)))
+    columns = vibration[:, None]
+    _, peak = _draw_outline(axes, columns, samplerate, palette.FELT, 0.01, "full scale")
     panels.draw_heading(axes, "Vibration", "what the amplifier is given", _peak_in_dbfs(peak))
 
 
@@ -206,19 +196,14 @@ def _draw_vibration_spectrum(
 
 def _draw_acceleration(axes: Axes, acceleration: Samples, samplerate: int) -> None:
     """Panel 5: the predicted acceleration of the cushion, with its short-time RMS."""
-    times_s = column_times_s(acceleration.size / samplerate, COLUMNS)
-    lowest, highest = envelope(acceleration, COLUMNS)
-    panels.draw_waveform(axes, times_s, lowest, highest, palette.FELT_LIGHT, at_least=0.1)
-    # Of long sound a column shows more than the window.
-    window_s = max(RMS_WINDOW_S, acceleration.size / samplerate / COLUMNS)
-    rms = short_time_rms(acceleration, samplerate, COLUMNS, window_s)
+    columns = acceleration[:, None]
+    times_s, peak = _draw_outline(axes, columns, samplerate, palette.FELT_LIGHT, 0.1, "m/s²")
+    rms = short_time_rms(acceleration, samplerate, COLUMNS, RMS_WINDOW_S)
     axes.plot(times_s, rms, color=palette.INK, linewidth=1.2)
-    panels.label_values(axes, "m/s²")
-    peak = max(float(np.max(highest)), -float(np.min(lowest)))
     panels.draw_heading(
         axes,
         "Acceleration",
-        f"of the cushion, predicted; dark line: RMS over {1000.0 * window_s:.0f} ms",
+        f"of the cushion, predicted; dark line: RMS over {1000.0 * RMS_WINDOW_S:.0f} ms",
         f"peak {peak:.3g} m/s² ({peak / STANDARD_GRAVITY_M_S2:.2g} g)",
     )
 
@@ -238,7 +223,7 @@ def _draw_spectrum(
     window_s: float,
     range_db: float,
 ) -> None:
-    """A spectrogram on a prepared frequency axis, with a slim colour bar in the right margin."""
+    """Draw a spectrogram on a prepared frequency axis, with a slim colour bar at its right."""
     level_db = spectrogram_db(
         signal, samplerate, window_s=window_s, columns=SPECTRUM_COLUMNS, rows_hz=rows_hz
     )
@@ -259,7 +244,7 @@ def _draw_spectrum(
 
 
 def _checked(name: str, signal: Samples, samplerate: int, *, dimensions: int) -> Samples:
-    """`signal` with what is not finite replaced by 0, or a ValueError that says what is wrong."""
+    """Return `signal` with 0 for samples that are not finite. ValueError: it cannot be drawn."""
     signal = np.asarray(signal)
     shape = "(frames, channels)" if dimensions == 2 else "(frames,)"
     if signal.ndim != dimensions or signal.size == 0:
@@ -281,6 +266,6 @@ def _shortened(text: str, letters: int) -> str:
 
 
 def _drawable(text: str) -> str:
-    """`text` with every letter that the font lacks as "?": matplotlib would warn and draw a box."""
+    """Return `text` with "?" for letters that the font lacks: matplotlib would warn."""
     known = get_font(findfont(panels.FONT)).get_charmap()
     return "".join(letter if ord(letter) in known else "?" for letter in text)

@@ -5,12 +5,12 @@
     pcm, track                     the formats and tracks that a client writes to
     layouts, kaiser, resampler     steps from a track into the mix
     track_mixer                    one track on the mixer's side, with its volume
-    session, mixer                 the cycle
+    mixer                          the cycle
     mix_buffer, effects_port       the buffer, the sinks and effects that it passes
 """
 
 from audioflinger_hook.mixer.dump import dump
-from audioflinger_hook.mixer.effects_port import EffectsPort, NoEffects
+from audioflinger_hook.mixer.effects_port import EffectsPort
 from audioflinger_hook.mixer.mix_buffer import Sink
 from audioflinger_hook.mixer.mixer import CycleReport, Mixer, MixerState
 from audioflinger_hook.mixer.pcm import PcmFormat
@@ -21,7 +21,6 @@ __all__ = [
     "EffectsPort",
     "Mixer",
     "MixerState",
-    "NoEffects",
     "PcmFormat",
     "Sink",
     "Track",

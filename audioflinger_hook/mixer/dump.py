@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from statistics import mean, median_high
 
 from audioflinger_hook.mixer.mixer import Mixer, MixerState
 from audioflinger_hook.mixer.track import Track
@@ -15,16 +16,11 @@ _COLUMNS = (
 
 
 def dump(mixer: Mixer, cycle_times_s: Sequence[float] = ()) -> str:
-    """Return the thread, its tracks and effect chains as lines of text.
+    """Return the thread, tracks and effect chains of a mixer as lines of text.
 
     Any thread may call it; the values may then belong to two neighbouring cycles.
 
-    Parameters
-    ----------
-    mixer : Mixer
-        The mixer to describe.
-    cycle_times_s : sequence of float
-        Durations of the last cycles in seconds, if they were measured.
+    mixer, cycle_times_s: the mixer; durations of the last cycles in s, if they were measured.
     """
     lines = [*_thread(mixer), *_cycle_times(mixer, cycle_times_s), *_tracks(mixer)]
     lines += [f"  {line}" for line in mixer.effects.dump()]
@@ -61,17 +57,12 @@ def _cycle_times(mixer: Mixer, times_s: Sequence[float]) -> list[str]:
     written = mixer.cycles_written
     frames = mixer.frames_written / written if written else mixer.frames
     buffer_s = frames / mixer.samplerate
-    ordered = sorted(times_s)
-    shown = {
-        "mean": sum(ordered) / len(ordered),
-        "median": ordered[len(ordered) // 2],
-        "max": ordered[-1],
-    }
+    shown = {"mean": mean(times_s), "median": median_high(times_s), "max": max(times_s)}
     words = ", ".join(
         f"{name} {time_s * 1e6:.0f} us ({100.0 * time_s / buffer_s:.2f} %)"
         for name, time_s in shown.items()
     )
-    return [f"  Cycle time of {len(ordered)} cycles, part of their length: {words}"]
+    return [f"  Cycle time of {len(times_s)} cycles, part of their length: {words}"]
 
 
 def _tracks(mixer: Mixer) -> list[str]:

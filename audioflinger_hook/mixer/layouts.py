@@ -8,18 +8,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from device.layouts import CHANNELS_MAX, MINUS_3_DB, downmix, layout, sides
-
-__all__ = [
-    "CHANNELS_MAX",
-    "MINUS_3_DB",
-    "ChannelMap",
-    "depths",
-    "layout",
-    "mapping",
-    "sides",
-    "source_weights",
-]
+from device.layouts import MINUS_3_DB, downmix, layout, sides
 
 _BACK = ("BL", "BR", "BC", "TBL", "TBC", "TBR")
 _FRONT_PREFIXES = ("F", "TF", "BF")
@@ -95,12 +84,12 @@ class ChannelMap:
     ) -> NDArray[np.float32]:
         """Return the frames (n, track channels) in the mix's channels, in the memory of `mapped`.
 
-        If nothing is to be done, the frames themselves are returned; mono stays (n, 1), to
-        broadcast.
-        mapped: (n, mix channels); spare: (n,), overwritten. Called by the mixer's thread.
+        Frames that need no mapping are returned themselves; mono stays (n, 1), to broadcast.
+        mapped: (n or more, mix channels); spare: (n or more,). Called by the mixer's thread.
         """
         if self.is_identity or self.broadcasts:
             return frames
+        mapped, spare = mapped[: len(frames)], spare[: len(frames)]
         mapped[...] = 0.0
         for source, target, gain in self._routes:
             # one route after another: the same sum whatever the number of frames

@@ -42,12 +42,19 @@ class MixBuffer:
     """
 
     def __init__(self, frames: int, channels: int, haptic_channels: int = 0) -> None:
-        self._memory: NDArray[np.float32] = np.zeros(
-            frames * (channels + haptic_channels), np.float32
-        )
+        self._memory = np.zeros(frames * (channels + haptic_channels), np.float32)
         self._channels = channels
         self._haptic_channels = haptic_channels
         self.hold(frames)
+
+    @classmethod
+    def like(cls, other: MixBuffer, memory: NDArray[np.float32]) -> MixBuffer:
+        """Return a buffer of the same layout in other memory, (samples or more,) float32."""
+        buffer = cls.__new__(cls)
+        buffer._memory = memory
+        buffer._channels, buffer._haptic_channels = other.audio.shape[1], other.haptic.shape[1]
+        buffer.hold(other.frames)
+        return buffer
 
     def hold(self, frames: int) -> None:
         """Hold this many frames from now on, at most the initial number; contents are undefined.

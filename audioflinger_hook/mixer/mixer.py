@@ -11,17 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from audioflinger_hook.mixer.effects_port import (
-    DEVICE,
-    OUTPUT_MIX,
-    OUTPUT_STAGE,
-    EffectsPort,
-    NoEffects,
-)
-from audioflinger_hook.mixer.layouts import CHANNELS_MAX
+from audioflinger_hook.mixer.effects_port import DEVICE, OUTPUT_MIX, OUTPUT_STAGE, EffectsPort
 from audioflinger_hook.mixer.mix_buffer import MixBuffer, Sink, normal_buffer_frames
 from audioflinger_hook.mixer.pcm import PcmFormat
-from audioflinger_hook.mixer.session import SessionMix
 from audioflinger_hook.mixer.track import (
     SAMPLERATE_MAX,
     SAMPLERATE_MIN,
@@ -31,42 +23,33 @@ from audioflinger_hook.mixer.track import (
 )
 from audioflinger_hook.mixer.track_mixer import Lane, Readiness
 from device.errors import UsageError
+from device.layouts import CHANNELS_MAX
 from device.units import Float32Array
 
 STANDBY_DELAY_S = 3.0
 """Time from the last mix with a track in it to standby, if no track is active."""
 
+TAIL_S = 1.0
+"""Seconds of zeros that a chain gets after its last track, so that its effects can decay."""
+
 HAL_FRAMES_MAX = 1 << 16
 
 
 class MixerState(Enum):
-    """What a cycle found and wrote."""
+    """State of the mixer in a cycle."""
 
-    STANDBY = "standby"
-    """Nothing was written."""
-    IDLE = "idle"
-    """No active track; silence was written."""
-    ENABLED = "enabled"
-    """No active track had a whole period of frames; silence was written."""
-    READY = "ready"
-    """At least one track was mixed."""
+    STANDBY = "standby"  # nothing was written
+    IDLE = "idle"  # no active track; silence was written
+    ENABLED = "enabled"  # no active track had a whole period of frames; silence was written
+    READY = "ready"  # at least one track was mixed
 
 
 class CycleReport(NamedTuple):
-    """What one cycle did.
+    """Report of one cycle.
 
-    Attributes
-    ----------
-    state : MixerState
-        What the cycle found.
-    frames_written : int
-        Frames written to the sinks, 0 in standby.
-    tracks_mixed : int
-        Tracks in the mix.
-    underruns : int
-        Active tracks that had less than a whole period of frames.
-    buffer : MixBuffer
-        The buffer written to the sinks, silence in standby; the next cycle reuses it.
+    state, tracks_mixed: of the cycle. frames_written: to the sinks, 0 in standby.
+    underruns: active tracks that had less than a whole period of frames.
+    buffer: as written, silence in standby; the next cycle reuses it.
     """
 
     state: MixerState
@@ -82,36 +65,16 @@ class Mixer:
     The caller of `cycle` sets the pace. One thread calls `cycle`; each client's thread makes and
     uses its own tracks; any thread may call `post` and read attributes. Nothing waits.
 
-    Parameters
-    ----------
-    samplerate : int
-        Rate of the mix, Hz.
-    channels : int
-        Audio channels of the mix.
-    hal_frames : int
-        Frames that the output takes at once; the frames of a whole cycle follow from it.
-    haptic_channels : int
-        Haptic channels behind the audio.
-    sinks : sequence of Sink
-        Each sink takes every buffer that is written.
-    effects : EffectsPort or None
-        The effect chains; None for none.
-    standby_delay_s : float
-        Seconds without an active track until standby. With inf there is no standby: silence is
-        written whenever no track is active.
-
-    Attributes
-    ----------
-    frames : int
-        Frames of a whole cycle.
-    on_mix : callable or None
-        Called in each cycle with the mix before the effects of session 0, (frames, channels). The
-        mixer reuses the array.
-
-    Raises
-    ------
-    UsageError
-        Numbers are out of range; the message names all such numbers.
+    samplerate: Hz of the mix.
+    channels, haptic_channels: of the mix; the haptic channels follow the audio.
+    hal_frames: frames that the output takes at once; `frames`, those of a whole cycle, follow.
+    sinks: each takes every buffer that is written.
+    effects: the effect chains; None for none.
+    standby_delay_s: seconds without an active track until standby. With inf, silence is written
+        instead.
+    on_mix: called in each cycle with the mix before the effects of session 0, (frames, channels);
+        the mixer reuses the array.
+    UsageError: numbers are out of range; the message names all of them.
     """
 
     def __init__(
@@ -125,9 +88,22 @@ class Mixer:
         effects: EffectsPort | None = None,
         standby_delay_s: float = STANDBY_DELAY_S,
     ) -> None:
+        wrong = [
+            *out_of_range("hal_frames", hal_frames, 1, HAL_FRAMES_MAX, ""),
+            *out_of_range("samplerate", samplerate, SAMPLERATE_MIN, SAMPLERATE_MAX, " Hz"),
+            *out_of_range("channels", channels, 1, CHANNELS_MAX, ""),
+            *out_of_range("haptic_channels", haptic_channels, 0, CHANNELS_MAX, ""),
+        ]
+        if wrong:
+            raise UsageError(f"the mix cannot have {'; '.join(wrong)}")
+        self.samplerate = samplerate
+        self.channels = channels
+        self.haptic_channels = haptic_channels
         self.hal_frames = hal_frames
+        self.frames = normal_buffer_frames(samplerate, hal_frames)
+        self.buffer = MixBuffer(self.frames, channels, haptic_channels)
         self.sinks = tuple(sinks)
-        self.effects: EffectsPort = NoEffects() if effects is None else effects
+        self.effects: EffectsPort = effects or EffectsPort()
         self.on_mix: Callable[[Float32Array], None] | None = None
         self._events: deque[Callable[[], None]] = deque()
         self._lanes: tuple[Lane, ...] = ()
@@ -143,7 +119,8 @@ class Mixer:
         self.frames_written = 0
         self.failed_events = 0
         self.last_failure = ""
-        self._configure(samplerate, channels, haptic_channels)
+        self._scratch = np.zeros((self.frames, channels), np.float32)
+        self.effects.set_format(samplerate, channels, haptic_channels, self.frames)
 
     @property
     def tracks(self) -> tuple[Track, ...]:
@@ -268,7 +245,7 @@ class Mixer:
             self.buffer.hold(frames)
         scratch = self._scratch[:frames]
         for of_player in self._sessions.values():
-            of_player.hold(frames)
+            of_player.buffer.hold(frames)
         self.buffer.haptic[...] = 0.0
         self._empty = True
         mixed = underruns = 0
@@ -317,24 +294,39 @@ class Mixer:
             if session in self._chains:
                 self.effects.process(session, buffer, now_s)
 
-    def _configure(self, samplerate: int, channels: int, haptic_channels: int) -> None:
-        self._check(samplerate, channels, haptic_channels)
-        frames = normal_buffer_frames(samplerate, self.hal_frames)
-        self.effects.set_format(samplerate, channels, haptic_channels, frames)
-        self.samplerate = samplerate
-        self.channels = channels
-        self.haptic_channels = haptic_channels
-        self.frames = frames
-        self.buffer = MixBuffer(self.frames, channels, haptic_channels)
-        self._scratch = np.zeros((self.frames, channels), np.float32)
-        self._sessions = {}
 
-    def _check(self, samplerate: int, channels: int, haptic_channels: int) -> None:
-        wrong = [
-            *out_of_range("hal_frames", self.hal_frames, 1, HAL_FRAMES_MAX, ""),
-            *out_of_range("samplerate", samplerate, SAMPLERATE_MIN, SAMPLERATE_MAX, " Hz"),
-            *out_of_range("channels", channels, 1, CHANNELS_MAX, ""),
-            *out_of_range("haptic_channels", haptic_channels, 0, CHANNELS_MAX, ""),
-        ]
-        if wrong:
-            raise UsageError(f"the mix cannot have {'; '.join(wrong)}")
+class SessionMix:
+    """The mix of one player session, which passes its effects and then joins the whole mix."""
+
+    def __init__(self, samplerate: int, frames: int, channels: int, haptic_channels: int) -> None:
+        self.buffer = MixBuffer(frames, channels, haptic_channels)
+        self._tail_whole = round(TAIL_S * samplerate)
+        self._tail_left = 0
+        self._empty = True
+
+    def add(self, lane: Lane, scratch: Float32Array) -> None:
+        """Add one track that is ready."""
+        lane.mix(self.buffer.audio, scratch, first=self._empty)
+        self._empty = False
+
+    def begin(self) -> bool:
+        """Prepare the buffer for the effects; return False if the effects' tail is over.
+
+        Call once per cycle, after the tracks.
+        """
+        self.buffer.haptic[...] = 0.0
+        if not self._empty:
+            self._empty = True
+            self._tail_left = self._tail_whole
+            return True
+        self.buffer.audio[...] = 0.0
+        if self._tail_left <= 0:
+            return False
+        self._tail_left -= self.buffer.frames
+        return True
+
+    def clear(self) -> None:
+        """Forget the session's sound and its tail, for standby."""
+        self.buffer.clear()
+        self._empty = True
+        self._tail_left = 0

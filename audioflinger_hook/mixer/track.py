@@ -10,30 +10,22 @@ from typing import TypeGuard
 import numpy as np
 from numpy.typing import NDArray
 
-from audioflinger_hook.mixer.layouts import CHANNELS_MAX
 from audioflinger_hook.mixer.pcm import PcmData, PcmFormat, decode_rows, stored_frames
 from device.errors import UsageError
+from device.layouts import CHANNELS_MAX
 
 
 class TrackState(Enum):
     """State of a track. Only the mixer's thread changes it."""
 
-    IDLE = "idle"
-    """Made, never started."""
-    ACTIVE = "active"
-    """Playing, or filling up to the start threshold."""
-    PAUSING = "pausing"
-    """Its next buffer ramps down."""
-    PAUSED = "paused"
-    """Silent; the frames left in the ring stay."""
-    RESUMING = "resuming"
-    """Its next buffer ramps up."""
-    STOPPING = "stopping"
-    """Playing what was written before the stop."""
-    STOPPED = "stopped"
-    """Played to the end."""
-    FLUSHED = "flushed"
-    """What was written before the flush has been dropped."""
+    IDLE = "idle"  # made, never started
+    ACTIVE = "active"  # playing, or filling up to the start threshold
+    PAUSING = "pausing"  # the next buffer ramps down
+    PAUSED = "paused"  # silent; the frames left in the ring stay
+    RESUMING = "resuming"  # the next buffer ramps up
+    STOPPING = "stopping"  # playing the frames written before the stop
+    STOPPED = "stopped"  # played to the end
+    FLUSHED = "flushed"  # the frames written before the flush are dropped
 
 
 class Request(Enum):
@@ -51,27 +43,16 @@ PLAYING = (TrackState.ACTIVE, TrackState.PAUSING, TrackState.RESUMING, TrackStat
 """The states in which a track may be part of the mix."""
 
 _S, _R = TrackState, Request
-_AFTER = {
-    (_S.IDLE, _R.START): _S.ACTIVE,
-    (_S.STOPPED, _R.START): _S.ACTIVE,
-    (_S.FLUSHED, _R.START): _S.ACTIVE,
-    (_S.STOPPING, _R.START): _S.ACTIVE,
-    (_S.PAUSED, _R.START): _S.RESUMING,
-    (_S.PAUSING, _R.START): _S.RESUMING,
-    (_S.ACTIVE, _R.PAUSE): _S.PAUSING,
-    (_S.RESUMING, _R.PAUSE): _S.PAUSING,
-    (_S.ACTIVE, _R.STOP): _S.STOPPING,
-    (_S.RESUMING, _R.STOP): _S.STOPPING,
-    (_S.PAUSING, _R.STOP): _S.STOPPED,
-    (_S.PAUSED, _R.STOP): _S.STOPPED,
-    (_S.IDLE, _R.FLUSH): _S.FLUSHED,
-    (_S.PAUSING, _R.FLUSH): _S.FLUSHED,
-    (_S.PAUSED, _R.FLUSH): _S.FLUSHED,
-    (_S.STOPPING, _R.FLUSH): _S.FLUSHED,
-    (_S.STOPPED, _R.FLUSH): _S.FLUSHED,
-    (_S.ACTIVE, _R.REMOVE): _S.PAUSING,
-    (_S.RESUMING, _R.REMOVE): _S.PAUSING,
-}
+_TRANSITIONS = (
+    ((_S.IDLE, _S.STOPPED, _S.FLUSHED, _S.STOPPING), _R.START, _S.ACTIVE),
+    ((_S.PAUSED, _S.PAUSING), _R.START, _S.RESUMING),
+    ((_S.ACTIVE, _S.RESUMING), _R.PAUSE, _S.PAUSING),
+    ((_S.ACTIVE, _S.RESUMING), _R.STOP, _S.STOPPING),
+    ((_S.PAUSING, _S.PAUSED), _R.STOP, _S.STOPPED),
+    ((_S.IDLE, _S.PAUSING, _S.PAUSED, _S.STOPPING, _S.STOPPED), _R.FLUSH, _S.FLUSHED),
+    ((_S.ACTIVE, _S.RESUMING), _R.REMOVE, _S.PAUSING),
+)
+_AFTER = {(old, request): new for states, request, new in _TRANSITIONS for old in states}
 
 
 def after(state: TrackState, request: Request) -> TrackState:
@@ -118,7 +99,7 @@ class FrameRing:
         self.read += count
 
     def skip_to(self, position: int) -> None:
-        """Drop what was written before `position`. Called by the reading thread."""
+        """Drop the frames before `position`. Called by the reading thread."""
         self.read = max(self.read, position)
 
     def _spans(self, position: int, count: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
@@ -133,8 +114,6 @@ SAMPLERATE_MAX = 768_000
 PERIODS_IN_RING = 2
 """Mix periods that a ring holds by default."""
 
-__all__ = ["Track", "TrackState"]
-
 
 class Track:
     """One client's stream into the mix; `Mixer.create_track` makes it.
@@ -143,33 +122,14 @@ class Track:
     them waits. The mixer carries requests out in order at the start of its next cycle. Any thread
     may read the properties.
 
-    Parameters
-    ----------
-    track_id : int
-        Number of the track, unique in its mixer.
-    name : str
-        Name of the track in the dump.
-    session : int
-        The player session whose effect chain the track passes, 0 for none.
-    pcm_format : PcmFormat
-        Sample format of what the client writes.
-    samplerate : int
-        Rate of what the client writes, Hz.
-    channels : int
-        Channels of what the client writes.
-    mix_samplerate : int
-        Rate of the mix, Hz.
-    mix_frames : int
-        Frames of the mix in one cycle.
-    ring_frames : int or None
-        Capacity of the ring, at least one cycle; two by default.
-    start_threshold : int or None
-        Frames in the ring before the track first sounds; a full ring by default.
-
-    Raises
-    ------
-    UsageError
-        Values are out of range; the message names all such values.
+    track_id: number, unique in its mixer.
+    name: in the dump.
+    session: the player session whose effect chain the track passes, 0 for none.
+    pcm_format, samplerate, channels: of the client's samples; the rate in Hz.
+    mix_samplerate, mix_frames: rate of the mix, Hz, and its frames in one cycle.
+    ring_frames: capacity of the ring, at least one cycle; two by default.
+    start_threshold: frames in the ring before the track first sounds; a full ring by default.
+    UsageError: values are out of range; the message names all of them.
     """
 
     def __init__(
@@ -249,13 +209,8 @@ class Track:
         """Store as many frames as there is room for and return their number; never waits.
 
         samples: whole frames of the track's format, as bytes or as an array of that type, flat or
-        (frames, channels). Offer the frames not stored again after a cycle. The samples are copied,
-        so the caller may reuse their memory.
-
-        Raises
-        ------
-        UsageError
-            The samples have another type or shape; nothing is stored then.
+            (frames, channels); copied. Offer the frames not stored again after a cycle.
+        UsageError: the samples have another type or shape; nothing is stored then.
         """
         if self._is_float_block(samples):
             taken = min(len(samples), self.ring.room)
@@ -294,12 +249,8 @@ class Track:
         """Set the gain, 0 to 1, reached over the next buffer.
 
         volume: one gain for all channels, or (left, right), or one gain per channel of the mix.
-        NaN, negative and subnormal gains are 0, gains above 1 are 1.
-
-        Raises
-        ------
-        UsageError
-            No gain is given, or more than 64.
+            NaN, negative and subnormal gains are 0, gains above 1 are 1.
+        UsageError: no gain is given, or more than 64.
         """
         gains = (float(volume),) if isinstance(volume, int | float) else tuple(map(float, volume))
         if not 1 <= len(gains) <= CHANNELS_MAX:

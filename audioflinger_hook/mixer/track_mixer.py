@@ -9,9 +9,10 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
-from audioflinger_hook.mixer.layouts import ChannelMap, sides
+from audioflinger_hook.mixer.layouts import ChannelMap
 from audioflinger_hook.mixer.resampler import Resampler
 from audioflinger_hook.mixer.track import PLAYING, Request, Track, TrackState, after, period_frames
+from device.layouts import sides
 
 SMALLEST_NORMAL = float(np.finfo(np.float32).tiny)
 
@@ -121,13 +122,11 @@ RETRIES = 50
 
 
 class Readiness(Enum):
-    """What a track can give in a cycle."""
+    """Whether a track can be mixed in a cycle."""
 
     READY = "ready"
-    WAITING = "waiting"
-    """No sound, as expected: the track is filling up or has just become silent."""
-    UNDERRUN = "underrun"
-    """Less than a whole period: the cycle goes on without the track."""
+    WAITING = "waiting"  # no sound, as expected: it is filling up or has just become silent
+    UNDERRUN = "underrun"  # less than a whole period: the cycle goes on without the track
 
 
 class Lane:
@@ -211,16 +210,13 @@ class Lane:
         """
         sound = self._taken()
         if self._map.folds:
-            taken = len(sound)
-            sound = self._map.apply(sound, self._mapped[:taken], self._spare[:taken])
+            sound = self._map.apply(sound, self._mapped, self._spare)
         if self._resampler is not None:
             self._resampler.feed(sound)
-            at_rate = self._at_rate[: self._cycle_frames]
-            self._resampler.produce(at_rate)
-            sound = at_rate
+            sound = self._at_rate[: self._cycle_frames]
+            self._resampler.produce(sound)
         if self._map.spreads:
-            frames = len(sound)
-            sound = self._map.apply(sound, self._mapped[:frames], self._spare[:frames])
+            sound = self._map.apply(sound, self._mapped, self._spare)
         goal = None if self._state is TrackState.PAUSING else self._goal()
         self._ramp.mix(sound, target, goal, scratch, first=first)
         # only now may the client write over the frames that were read in place

@@ -3,14 +3,24 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import BrokenExecutor, Future, wait
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from audioflinger_hook.config.settings import Settings
+from audioflinger_hook.offline.pool import DIED, LocalWorkers
+from audioflinger_hook.offline.pool import report_share as report_to_pool
 from audioflinger_hook.offline.render import RenderReport, render_file
-from audioflinger_hook.offline.workers import ReportShare, WorkerLost, Workers
+from audioflinger_hook.sources.tap import named
 from device.errors import CushionError, InternalError, UsageError
+
+ReportShare = Callable[[float], None]
+"""Called with the share of the work that is done, 0 to 1."""
+
+SHARE_S = 0.1
+"""Time between reports of the share."""
 
 
 @dataclass(frozen=True)
@@ -69,22 +79,41 @@ def render_files(
     report_share: called with the share of all files that is done.
     """
 
-    def work(item: int, report_share: ReportShare) -> Rendered:
-        return _try_file(sources[item], targets[item], settings, report_share)
-
-    if min(workers, len(sources)) <= 1:
-        for item in range(len(sources)):
-            yield work(item, _share_of(item, len(sources), report_share))
+    count = len(sources)
+    if min(workers, count) <= 1:
+        for item in range(count):
+            share = _share_of(item, count, report_share)
+            yield _try_file(sources[item], targets[item], settings, share)
         return
-    with Workers(work, len(sources), workers) as pool:
-        for item, came in enumerate(pool.results(report_share)):
-            if isinstance(came, WorkerLost):
-                error = f"{sources[item]}: the process that rendered it was {came}; render it again"
-                yield Rendered(
-                    sources[item], targets[item], error=error, exit_code=InternalError.exit_code
-                )
-            else:
-                yield came
+    with LocalWorkers(min(workers, count), __name__, count) as pool:
+
+        def submit(item: int) -> Future[Rendered]:
+            return pool.submit(_try_item, item, sources[item], targets[item], settings)
+
+        def result(future: Future[Rendered]) -> Rendered:
+            while not wait([future], SHARE_S).done:
+                if report_share:
+                    report_share(sum(pool.shares) / count)
+            return future.result()
+
+        futures = [submit(item) for item in range(count)]
+        for item, future in enumerate(futures):
+            try:
+                try:
+                    came = result(future)
+                except BrokenExecutor:
+                    # Whose process died is not known. So each unfinished file is rendered again,
+                    # alone: the others wait for their turn here.
+                    came = result(submit(item))
+            except BrokenExecutor:
+                error = f"{sources[item]}: its process died twice, {DIED}"
+                code = InternalError.exit_code
+                came = Rendered(sources[item], targets[item], error=error, exit_code=code)
+            yield came
+
+
+def _try_item(item: int, source: Path, target: Path, settings: Settings) -> Rendered:
+    return _try_file(source, target, settings, partial(report_to_pool, item))
 
 
 def _try_file(
@@ -97,18 +126,12 @@ def _try_file(
     try:
         report = render_file(source, target, settings, progress=progress)
     except CushionError as error:
-        return Rendered(source, target, error=_named(error, source), exit_code=error.exit_code)
+        return Rendered(source, target, error=str(named(error, source)), exit_code=error.exit_code)
     except Exception as error:
         said = f"{type(error).__name__}: {error}; this is a fault of cushion, please report it"
         wrapped = InternalError(f"{source}: {said}")
         return Rendered(source, target, error=str(wrapped), exit_code=wrapped.exit_code)
     return Rendered(source, target, report)
-
-
-def _named(error: CushionError, source: Path) -> str:
-    """Return an error's text, with the file's name added if it is missing."""
-    text = str(error)
-    return text if str(source) in text else str(type(error)(f"{source}: {text}"))
 
 
 def _share_of(item: int, items: int, report_share: ReportShare | None) -> ReportShare:

@@ -79,49 +79,33 @@ def inspect_tap(
     exact = None if at_s is None else min(at_s, LONGEST_S) * tap.samplerate
     # The start of a unit, printed with six decimals and read again, must select that unit.
     wanted = None if exact is None else int(exact + PRINTED_S * tap.samplerate) // window
-    frames = 0
-    done = 0
-    while True:
+
+    def unit_of(number: int, frames: FloatArray) -> Unit:
+        found = transform.analyse(frames[None])
+        at_hz = vibration_hz(found.audio_hz, parameters)
+        columns = (found.audio_hz, found.amplitude, found.bandwidth_hz, found.r, at_hz)
+        rows = zip(*(column.tolist() for column in columns), strict=True)
+        principal = [PrincipalFrequency(*row) for row in rows]
+        return Unit(number, number * (window / tap.samplerate), principal)
+
+    frames = done = 0
+    ended = False
+    while not ended:
         buffer = tap.read()
         if buffer is None:
-            units = transform.cut_last()
+            units, ended = transform.cut_last(), True
         else:
             frames += len(buffer)
             units = transform.cut(mix.process(channel_rows(replace_unusable(buffer)[0])))
-        if wanted is None:
-            yield from _units(transform, parameters, units, done, tap.samplerate)
-        elif wanted < done + len(units) and exact is not None and exact < frames:
-            one = units[wanted - done : wanted - done + 1]
-            yield from _units(transform, parameters, one, wanted, tap.samplerate)
+        if exact is None or wanted is None:
+            for number, unit in enumerate(units, start=done):
+                yield unit_of(number, unit)
+        elif wanted < done + len(units) and exact < frames:
+            yield unit_of(wanted, units[wanted - done])
             return
         done += len(units)
-        if buffer is None:
-            break
     if wanted is not None:
         raise UsageError(
             f"time {at_s:g} s is after the end of the sound; "
             f"allowed: 0 to {frames / tap.samplerate:.3f} s, the end itself excluded"
         )
-
-
-def _units(
-    transform: ReferenceTransform,
-    parameters: TransformParameters,
-    units: FloatArray,
-    first: int,
-    samplerate: int,
-) -> Iterator[Unit]:
-    window_s = transform.latency_frames / samplerate
-    for number, frames in enumerate(units, start=first):
-        found = transform.analyse(frames[None])
-        columns = (
-            found.audio_hz,
-            found.amplitude,
-            found.bandwidth_hz,
-            found.r,
-            vibration_hz(found.audio_hz, parameters),
-        )
-        principal = [
-            PrincipalFrequency(*row) for row in zip(*(c.tolist() for c in columns), strict=True)
-        ]
-        yield Unit(number, number * window_s, principal)

@@ -4,17 +4,12 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.drive.drive import Drive
-from audioflinger_hook.offline.sections import Plan, plan_for, sections_of
 from audioflinger_hook.pipeline.framework import (
     OFFLINE_HAL_FRAMES,
     Framework,
@@ -22,7 +17,7 @@ from audioflinger_hook.pipeline.framework import (
     drive_of,
     simulated_rig_of,
 )
-from audioflinger_hook.pipeline.step import HapticSink, Pipeline
+from audioflinger_hook.pipeline.step import Pipeline, Step
 from audioflinger_hook.sources import Client, FileTap, TapClient
 from device.drive.channel_map import ChannelMap
 from device.drive.exposure import Exposure
@@ -41,10 +36,10 @@ Wait = Callable[[int], None]
 """Called with the frames done; returns when the next frames are due."""
 
 OpenOutput = Callable[[Path, int, int], VibrationOutput]
-"""Opens the vibration's file: path, rate in Hz and channels of what will be written to it."""
+"""Opens the vibration's file: path, rate in Hz, channels."""
 
-Hear = Callable[[NDArray[np.float32]], None]
-"""Called with the sound of every buffer, (frames, channels), before its vibration is aligned."""
+Observe = Callable[[Framework], Callable[[Step], None] | None]
+"""Called before the first step; the function that it returns is called after every step."""
 
 ACCELERATION_COMMENT = (
     f"predicted acceleration, full scale = {ACCELERATION_FULL_SCALE_M_S2:g} m/s^2"
@@ -87,32 +82,18 @@ def render_file(
     *,
     acceleration: Path | None = None,
     progress: Progress | None = None,
-    workers: int = 1,
 ) -> RenderReport:
     """Write the vibration of a sound file as float32 WAV of the same rate and length.
 
-    With several workers, call it from the main thread. Errors are those of `render`.
+    Errors are those of `render`.
 
-    Parameters
-    ----------
-    source : Path
-        The sound file.
-    target : Path
-        The WAV file to create or replace.
-    settings : Settings, optional
-        Settings as in a config file; by default those of an empty config file.
-    acceleration : Path, optional
-        The WAV file for the rig's simulated acceleration.
-    progress : callable, optional
-        Called after every buffer with the frames done and the total frames.
-    workers : int
-        Processes that may share the work if the form of the transform allows it; the bytes do not
-        depend on it.
+    source: the sound file.
+    target: the WAV file to create or replace.
+    settings: as in a config file; by default those of an empty config file.
+    acceleration: the WAV file for the rig's simulated acceleration.
+    progress: called after every buffer with the frames done and the total frames.
     """
     refuse_same_file(source, target, acceleration)
-    settings = settings or Settings()
-    if workers > 1 and (plan := plan_for(source, settings)):
-        return _render_sections(plan, workers, target, acceleration, progress)
     tap = FileTap(source)
     return render(
         TapClient(tap),
@@ -135,7 +116,7 @@ def render(
     warnings: Sequence[str] = (),
     fade_s: float = FADE_S,
     open_output: OpenOutput = WavOutput,
-    hear: Hear | None = None,
+    observe: Observe | None = None,
 ) -> RenderReport:
     """Write the vibration of a client's sound as float32 WAV of the mix's rate and length.
 
@@ -154,7 +135,7 @@ def render(
     warnings: warnings about the source, complete when it has ended.
     fade_s: length of the fade at the end in seconds; 0 keeps every sample as it was computed.
     open_output: opens the vibration's file; default: a float32 WAV.
-    hear: called with the sound of every buffer.
+    observe: called before the first step; the function that it returns is called after every step.
     UsageError: the source cannot be used, or a target cannot be written.
     WriteError: the disk is full or failed.
     InternalError: the haptic effect failed.
@@ -168,12 +149,13 @@ def render(
         rate = framework.samplerate
         rig, written = _open_outputs(outputs, target, acceleration, framework, fade_s, open_output)
         chain = Pipeline(client, framework, [one.taken for one in written])
+        take = observe(framework) if observe else None
         frames = 0
         while step := chain.step():
             framework.check_haptics()
             frames += len(step.audio)
-            if hear:
-                hear(step.audio)
+            if take:
+                take(step)
             if progress:
                 progress(frames, client.frames_expected)
             if wait:
@@ -203,65 +185,13 @@ def render(
     )
 
 
-def _render_sections(
-    plan: Plan,
-    workers: int,
-    target: Path,
-    acceleration: Path | None,
-    progress: Progress | None,
-) -> RenderReport:
-    """Do the work of `render` with vibration that is made in sections."""
-    settings = plan.settings
-    outputs: list[VibrationOutput] = []
-    frames = replaced = 0
-    try:
-        framework = Framework(
-            plan.samplerate, plan.channels, settings, hal_frames=OFFLINE_HAL_FRAMES
-        )
-        rig, written = _open_outputs(outputs, target, acceleration, framework, FADE_S)
-        sink = HapticSink(*(one.taken for one in written), clip=False)
-        # Outputs that remove the framework's latency get that many frames before the first section.
-        sink.send(np.zeros((framework.latency_frames, framework.haptic_channels), np.float32))
-        with closing(sections_of(plan, workers)) as sections:
-            for section in sections:
-                for first in range(0, len(section.vibration), OFFLINE_HAL_FRAMES):
-                    part = section.vibration[first : first + OFFLINE_HAL_FRAMES]
-                    sink.send(part)
-                    frames += len(part)
-                    if progress:
-                        progress(frames, plan.sections * plan.frames)
-                replaced += section.replaced_samples
-        for output in reversed([one.taken for one in written]):
-            output.close()
-    except BaseException:
-        for output in outputs:
-            output.abort()
-        raise
-    return RenderReport(
-        frames=frames,
-        samplerate=plan.samplerate,
-        channels=outputs[0].channels,
-        transform=settings.form,
-        profile=settings.profile,
-        latency_s=framework.latency_s,
-        peak=written[0].file.peak,
-        limited_samples=0,
-        replaced_samples=replaced,
-        peak_acceleration_m_s2=rig.peak_acceleration_m_s2 if rig else None,
-        strength_db=written[0].drive.strength_db,
-        exposure=_largest_exposure(written[0].drive),
-        models=rig.seconds if rig else [],
-        warnings=[*framework.warnings, *section.warnings],
-    )
-
-
 def _open_outputs(
     outputs: list[VibrationOutput],
     target: Path,
     acceleration: Path | None,
     framework: Framework,
     fade_s: float,
-    open_output: OpenOutput = WavOutput,
+    open_output: OpenOutput,
 ) -> tuple[SimulatedRig | None, list[_Driven]]:
     """Add the files to `outputs`; return the simulated rig, and how each file is driven."""
     rate, settings = framework.samplerate, framework.settings
@@ -277,9 +207,9 @@ def _open_outputs(
 
 
 class _Driven(NamedTuple):
-    """A file, which knows the peak of all samples written, and the output to write to instead.
+    """A file, which knows its peak, the drive before it, and the output to write to instead.
 
-    The drive is between the two, and the latency of transform and drive is removed.
+    The latency of transform and drive is removed.
     """
 
     file: FadedOutput

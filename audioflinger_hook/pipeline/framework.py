@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,14 +47,14 @@ class Framework:
     The thread that steps the mix calls all methods but `change` and `look_for_blocked`, which
     another thread calls; any thread may call `dump`, `bypassed` and the properties.
 
-    samplerate: rate of the mix in Hz. channels: channels of the mix. The mix has one haptic
-    channel; with `settings.channels` = "each", as many as it has channels; with named actuators,
-    one for each of their sources. settings: how vibration is made. hal_frames: frames that the
-    output takes at once. clock: returns seconds; an effect that takes too long by this clock is
-    bypassed. None offline, as the result must not depend on time. standby_delay_s: see `Mixer`;
-    infinite for files, which keep their silence. warnings: effects that were left out, or are
-    slower than they could be. UsageError: format and settings cannot be combined, or the effects
-    file cannot be read or does not apply the haptic effect.
+    samplerate, channels: of the mix, in Hz. The mix has one haptic channel; with
+        `settings.channels` = "each", one for each channel; with named actuators, one for each of
+        their sources.
+    hal_frames, standby_delay_s: see `Mixer`; files keep their silence, so inf.
+    clock: seconds; an effect that takes too long is bypassed. None for files: time has no effect.
+    warnings: effects that were left out.
+    UsageError: format and settings cannot be combined, or the effects file cannot be read or does
+        not apply the haptic effect.
     """
 
     def __init__(
@@ -121,26 +122,21 @@ class Framework:
     @property
     def principal(self) -> tuple[tuple[float, float, float], ...]:
         """What the latest hop vibrates; see `HapticTransform.principal`. Any thread."""
-        status, told = self.haptic.command(PRINCIPAL)
-        return told if status == OK and isinstance(told, tuple) else ()
+        status, partials = self.haptic.command(PRINCIPAL)
+        return partials if status == OK and isinstance(partials, tuple) else ()
 
     def take_glides(self) -> NDArray[np.float64]:
         """Return what the partials did since the last call; see `HapticTransform.take_glides`.
 
         The first call starts the recording, which is for files only.
         """
-        status, rows = self.haptic.command(GLIDES)
-        self.check_haptics()
-        if status != OK or not isinstance(rows, np.ndarray):
-            raise InternalError(f"the haptic effect failed: status {status}")
-        return rows
+        return self._array(GLIDES)
 
     def change(self, settings: Settings) -> None:
-        """Use other parameters and another gain from the next cycle on.
+        """Use other parameters and another gain from the next cycle on; nothing else may differ.
 
-        All other settings must be unchanged. A new gain is reached within one buffer. With other
-        parameters the vibration fades out within one buffer and restarts `latency_frames` later.
-        Parameters are checked here, on the calling thread.
+        A new gain is reached within one buffer. With other parameters the vibration fades out
+        within one buffer and restarts `latency_frames` later.
 
         UsageError: the settings cannot be used with this mix; nothing has changed.
         """
@@ -161,11 +157,7 @@ class Framework:
 
         Raises InternalError as `check_haptics` does.
         """
-        status, drained = self.haptic.command(DRAIN)
-        self.check_haptics()
-        if status != OK or not isinstance(drained, np.ndarray):
-            raise InternalError(f"the haptic effect failed: status {status}")
-        return drained
+        return self._array(DRAIN)
 
     def check_haptics(self) -> None:
         """Raise InternalError with the reason if the haptic effect is bypassed.
@@ -192,10 +184,7 @@ class Framework:
         self._block_watch.look(others, now_s)
 
     def dump(self, cycle_times_s: Sequence[float] = ()) -> str:
-        """Describe thread, tracks, chains and effects as `dumpsys media.audio_flinger` would.
-
-        cycle_times_s: durations of the last cycles, if measured.
-        """
+        """Return thread, tracks and chains as text, see `dump` of the mixer."""
         return dump(self.mixer, cycle_times_s)
 
     def _add_effects(self) -> EffectModule:
@@ -247,9 +236,17 @@ class Framework:
             raise UsageError(f"no transform can be made at {samplerate} Hz: {error}") from error
 
     def _explain(self) -> None:
-        """Raise UsageError with what is wrong with the format or the settings."""
+        """Raise UsageError with the mistake in the format or the settings."""
         self._try(self.mixer.samplerate, self.mixer.channels, self.settings)
         raise UsageError(f"the haptic effect {self.haptic.bypassed or 'refused its parameters'}")
+
+    def _array(self, code: int) -> NDArray[Any]:
+        """Return the haptic effect's reply to a vendor command."""
+        status, reply = self.haptic.command(code)
+        self.check_haptics()
+        if status != OK or not isinstance(reply, np.ndarray):
+            raise InternalError(f"the haptic effect failed: status {status}")
+        return reply
 
     def _reading(self, name: str) -> int:
         status, value = self.haptic.command(Command.GET_PARAM, name)

@@ -16,10 +16,9 @@ from device.output import VibrationOutput
 
 
 class Step(NamedTuple):
-    """The sound as mixed and the vibration as sent in one step, float32.
+    """The sound as mixed and the vibration as sent in one step, float32; maybe empty.
 
-    The last step has no sound, only the vibration that was held back. Both arrays are empty while
-    the client has nothing yet.
+    The last step has no sound, only the vibration that was held back.
     """
 
     audio: NDArray[np.float32]
@@ -89,23 +88,21 @@ class Pipeline:
         client.connect(framework.mixer)
 
     def step(self, now_s: float = 0.0) -> Step | None:
-        """Do one cycle and return what it moved; None once everything has been sent.
+        """Do one cycle and return its sound and vibration; None once everything has been sent.
 
         now_s: seconds of any monotonic clock.
         """
         if self._ended:
             return None
-        frames = self._client.play()
+        frames, mixer = self._client.play(), self._framework.mixer
+        audio = np.zeros((0, mixer.channels), np.float32)
         if frames is None:
             self._ended = True
             self._sink.send(self._framework.drain())
-            audio = np.zeros((0, self._framework.mixer.channels), np.float32)
         elif frames == 0:
-            mixer = self._framework.mixer
-            nothing = np.zeros((0, mixer.channels + mixer.haptic_channels), np.float32)
-            return Step(nothing[:, : mixer.channels], nothing[:, mixer.channels :])
+            return Step(audio, np.zeros((0, mixer.haptic_channels), np.float32))
         else:
-            audio = self._framework.mixer.cycle(now_s, frames).buffer.audio.copy()
+            audio = mixer.cycle(now_s, frames).buffer.audio.copy()
         return Step(audio, self._sink.sent.copy())
 
     def close(self) -> None:

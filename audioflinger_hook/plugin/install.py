@@ -6,12 +6,14 @@ import json
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from importlib.resources import files
 from pathlib import Path
+from string import Template
 
 from audioflinger_hook.config.profiles import PROFILES, parameters_of
 from audioflinger_hook.core.design import core_design
 from audioflinger_hook.plugin import FILE_NAME, plugin_path, turtle
-from audioflinger_hook.plugin.faces import public_faces
+from audioflinger_hook.plugin.variants import public_variants
 from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.parameters import check_format
 from device.atomic_file import write_bytes_atomically
@@ -26,53 +28,6 @@ BUNDLE = "haptic-cushion.lv2"
 CHAIN = "haptic-cushion.conf"
 HOST = "filter-chain.conf"
 HOST_FOLDERS = (Path("/usr/share/pipewire"), Path("/etc/pipewire"))
-
-_HOST = """\
-# {marker}
-# It stands in for PipeWire's own filter-chain.conf, which is not installed here.
-context.spa-libs = {{
-    audio.convert.* = audioconvert/libspa-audioconvert
-    support.* = support/libspa-support
-}}
-context.modules = [
-    {{ name = libpipewire-module-rt args = {{ nice.level = -11 }} flags = [ ifexists nofail ] }}
-    {{ name = libpipewire-module-protocol-native }}
-    {{ name = libpipewire-module-client-node }}
-    {{ name = libpipewire-module-adapter }}
-]
-"""
-
-_CHAIN = """\
-# {marker}
-context.modules = [
-    {{ name = libpipewire-module-filter-chain
-        args = {{
-            node.description = "Haptic Cushion ({profile})"
-            media.name = "Haptic Cushion ({profile})"
-            filter.graph = {{
-                nodes = [
-                    {{ type = ladspa plugin = {plugin}
-                        name = cushion label = haptic_cushion_{profile} }}
-                ]
-            }}
-            capture.props = {{
-                node.name = "haptic-cushion.tap"
-                stream.capture.sink = true
-                node.passive = true
-                audio.position = [ FL FR ]
-            }}
-            playback.props = {{
-                node.name = "haptic-cushion.vibration"
-                node.target = {device}
-                target.object = {device}
-                node.dont-reconnect = true
-                node.passive = true
-                audio.position = [ FL FR ]
-            }}
-        }}
-    }}
-]
-"""
 
 
 @dataclass(frozen=True)
@@ -131,7 +86,7 @@ def install(places: Places, profile: str, device: str | None, rates_hz: tuple[in
     for rate_hz in rates_hz:
         check_format(rate_hz, 1)
     _refuse_foreign(places)
-    faces = public_faces(built)
+    variants = public_variants(built)
     designs = {
         f"{name}-{rate_hz}.design": core_design(
             rate_hz, CHANNELS, transform=LiveDesign.of(parameters_of(name), rate_hz).records()
@@ -150,23 +105,23 @@ def install(places: Places, profile: str, device: str | None, rates_hz: tuple[in
             write_bytes_atomically(folder / FILE_NAME, content)
         texts = {"manifest.ttl": turtle.manifest, turtle.DESCRIPTION: turtle.description}
         for name, made in texts.items():
-            write_bytes_atomically(places.bundle / name, made(faces, MARKER).encode())
+            write_bytes_atomically(places.bundle / name, made(variants, MARKER).encode())
         if device is not None:
-            chain = _CHAIN.format(
-                marker=MARKER,
+            chain = _filled(
+                "chain.conf",
                 profile=profile,
                 plugin=json.dumps(str(places.plugin)),
                 device=json.dumps(device),
             )
-            write_bytes_atomically(places.chain, chain.encode())
+            write_bytes_atomically(places.chain, chain)
             if not any((folder / HOST).exists() for folder in (places.host.parent, *HOST_FOLDERS)):
-                write_bytes_atomically(places.host, _HOST.format(marker=MARKER).encode())
+                write_bytes_atomically(places.host, _filled("host.conf"))
     except OSError as error:
         raise WriteError(f"cannot write {error.filename}: {error.strerror}") from error
 
 
 def remove(places: Places) -> list[Path]:
-    """Remove what `install` wrote, and return what was removed. May be repeated.
+    """Remove the files that `install` wrote, and return their paths. May be repeated.
 
     UsageError: a foreign file is where ours belongs; nothing was removed.
     """
@@ -188,6 +143,12 @@ def loading_commands() -> tuple[str, str]:
     """Return the commands that load PipeWire's drop-in: now, and at every login."""
     now = "pipewire -c filter-chain.conf"
     return now, "systemctl --user enable --now filter-chain.service"
+
+
+def _filled(name: str, **values: str) -> bytes:
+    """Return a file of this package's folder `pipewire` with its variables filled in."""
+    template = files("audioflinger_hook.plugin").joinpath("pipewire", name).read_text()
+    return Template(template).substitute(values, marker=MARKER).encode()
 
 
 def _refuse_foreign(places: Places) -> None:

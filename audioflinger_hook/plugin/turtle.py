@@ -1,11 +1,11 @@
-"""The Turtle files of the LV2 bundle, which describe the plugin's faces to hosts."""
+"""The Turtle files of the LV2 bundle, which describe the plugin's variants to hosts."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
 
-from audioflinger_hook.plugin.faces import AUDIO, CONTROL, INPUT, Face, Port
+from audioflinger_hook.plugin.variants import AUDIO, CONTROL, INPUT, PluginVariant, Port
 
 BINARY = "haptic_cushion.so"
 DESCRIPTION = "haptic_cushion.ttl"
@@ -22,27 +22,27 @@ _PREFIXES = """\
 _UNITS = {"dB": "units:db", "ms": "units:ms", "dBFS": "units:db"}
 
 
-def manifest(faces: Sequence[Face], marker: str) -> str:
+def manifest(variants: Sequence[PluginVariant], marker: str) -> str:
     """Return manifest.ttl: which plugins there are, and where. marker: a comment's text."""
     entries = [
-        f"<{PREFIX}{face.profile}>\n    a lv2:Plugin ;\n    lv2:binary <{BINARY}> ;\n"
+        f"<{PREFIX}{variant.profile}>\n    a lv2:Plugin ;\n    lv2:binary <{BINARY}> ;\n"
         f"    rdfs:seeAlso <{DESCRIPTION}> .\n"
-        for face in faces
+        for variant in variants
     ]
     return "\n".join((f"# {marker}\n{_PREFIXES}", *entries))
 
 
-def description(faces: Sequence[Face], marker: str) -> str:
+def description(variants: Sequence[PluginVariant], marker: str) -> str:
     """Return the file that describes the plugins and their ports. marker: a comment's text."""
-    return "\n".join((f"# {marker}\n{_PREFIXES}", *map(_plugin, faces)))
+    return "\n".join((f"# {marker}\n{_PREFIXES}", *map(_plugin, variants)))
 
 
-def _plugin(face: Face) -> str:
-    ports = " , ".join(_port(index, port) for index, port in enumerate(face.ports))
+def _plugin(variant: PluginVariant) -> str:
+    ports = " , ".join(_port(index, port) for index, port in enumerate(variant.ports))
     return (
-        f"<{PREFIX}{face.profile}>\n"
+        f"<{PREFIX}{variant.profile}>\n"
         "    a lv2:Plugin , lv2:ConverterPlugin ;\n"
-        f'    doap:name "{face.name}" ;\n'
+        f'    doap:name "{variant.name}" ;\n'
         "    doap:license <https://www.apache.org/licenses/LICENSE-2.0> ;\n"
         '    rdfs:comment "Turns sound into vibration for a cushion or seat." ;\n'
         "    lv2:minorVersion 2 ;\n"

@@ -78,7 +78,7 @@ def _piano(
 
 
 def _pad(frames: int, samplerate: int, rng: np.random.Generator) -> Signal:
-    """Soft strings on `PAD_NOTES_HZ`, shape (frames, 2): detuned, and filtered like felt."""
+    """Soft strings on `PAD_NOTES_HZ`, shape (frames, 2): detuned, and low-passed."""
     time_s = np.arange(frames) / samplerate
     pad = np.zeros((frames, 2))
     for frequency_hz in PAD_NOTES_HZ:

@@ -1,4 +1,4 @@
-"""The tools all voices share: curves over time, filtered noise, ringing modes, place and room.
+"""Tools of all voices: curves over time, filtered noise, ringing modes, place and room.
 
 Mono signals are float64 of shape (frames,), stereo ones (frames, 2). Nothing here keeps state.
 """
@@ -13,9 +13,6 @@ from numpy.typing import NDArray
 
 Signal = NDArray[np.float64]
 
-# Every voice keeps its character down to here: the hiss of speech starts at 5 kHz.
-MIN_SAMPLERATE = 16_000
-
 
 def time_axis(duration_s: float, samplerate: int) -> Signal:
     """The time in seconds of each frame of `duration_s` seconds, shape (frames,)."""
@@ -29,9 +26,8 @@ def curve(time_s: Signal, points: Sequence[tuple[float, float]]) -> Signal:
     """
     knots_s, values = np.array(points, dtype=np.float64).T
     inside_s = np.clip(time_s, knots_s[0], knots_s[-1])
-    return np.asarray(
-        scipy.interpolate.PchipInterpolator(knots_s, values)(inside_s), dtype=np.float64
-    )
+    smooth = scipy.interpolate.PchipInterpolator(knots_s, values)
+    return np.asarray(smooth(inside_s), dtype=np.float64)
 
 
 def phase_of(frequency_hz: Signal, samplerate: int) -> Signal:
@@ -44,14 +40,11 @@ def band(
 ) -> Signal:
     """`signal` between two corners (Butterworth, along axis 0); None leaves that side open."""
     high_hz = None if high_hz is None or high_hz >= 0.45 * samplerate else high_hz
-    if low_hz is None and high_hz is None:
+    corners_hz = [hz for hz in (low_hz, high_hz) if hz is not None]
+    if not corners_hz:
         return signal
-    if low_hz is None:
-        sos = scipy.signal.butter(order, high_hz, "lowpass", fs=samplerate, output="sos")
-    elif high_hz is None:
-        sos = scipy.signal.butter(order, low_hz, "highpass", fs=samplerate, output="sos")
-    else:
-        sos = scipy.signal.butter(order, (low_hz, high_hz), "bandpass", fs=samplerate, output="sos")
+    kind = "bandpass" if len(corners_hz) == 2 else "lowpass" if low_hz is None else "highpass"
+    sos = scipy.signal.butter(order, np.squeeze(corners_hz), kind, fs=samplerate, output="sos")
     return np.asarray(scipy.signal.sosfilt(sos, signal, axis=0), dtype=np.float64)
 
 
@@ -89,7 +82,7 @@ def room(
     time_s = time_axis(decay_s, samplerate)
     tail = rng.standard_normal((time_s.size, 2)) * 10.0 ** (-3.0 * time_s / decay_s)[:, None]
     tail = band(tail, 120.0, high_hz, samplerate, order=1)
-    # A few milliseconds of nothing first, as from walls that are not at the ear.
+    # Walls are some metres away, so the tail starts after 8 ms.
     tail[: round(0.008 * samplerate)] = 0.0
     tail *= np.sqrt(level / np.sum(tail**2, axis=0))
     wet = scipy.signal.fftconvolve(dry, tail, axes=0)[: dry.shape[0]]

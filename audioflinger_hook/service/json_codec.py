@@ -38,6 +38,11 @@ def from_json(kind: type[T], text: str | bytes) -> T:
         raise UsageError(
             f"the document is not JSON: {one_line(str(error))}; give one JSON document"
         ) from error
+    return from_document(kind, document)
+
+
+def from_document(kind: type[T], document: object) -> T:
+    """Return the dataclass in a document that is parsed already; UsageError as for `from_json`."""
     return _typed(kind, document, "")  # type: ignore[no-any-return]
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from audioflinger_hook.service.figure import figure
 from device.blocks import peak
 from device.units import Float32Array, FloatArray, amplitude_to_db
 
@@ -37,8 +38,8 @@ _BELOW = math.pow(10.0, (FLOOR_DBFS - 1.0) / 20.0)
 class Level:
     """Peak and RMS in dBFS: 0 is a sample of 1.0 (peak) or a square wave of it (RMS)."""
 
-    peak_dbfs: float = FLOOR_DBFS
-    rms_dbfs: float = FLOOR_DBFS
+    peak_dbfs: float = figure("peak", FLOOR_DBFS, metric="cushion_level_peak_ratio{^signal}")
+    rms_dbfs: float = figure("RMS", FLOOR_DBFS, metric="cushion_level_rms_ratio{^signal}")
 
 
 Reading = tuple[float, float]
@@ -155,21 +156,22 @@ _BOUND_BINS = [math.ceil(math.log(bound / SHORTEST_S) * _BINS_PER_E) for bound i
 
 @dataclass(frozen=True)
 class BufferTimes:
-    """Computing times of buffers in ms: median, 99th percentile and maximum; 0 before the first.
+    """Computing times of buffers; 0 before the first."""
 
-    buffer_ms: playing time of the last buffer; share_percent: computing time in % of playing time.
-    counts: buffers that took no longer than each of `TIME_BOUNDS_S`, then all; busy_s: their sum;
-    late: buffers that took longer to compute than to play.
-    """
-
-    p50_ms: float = 0.0
-    p99_ms: float = 0.0
-    max_ms: float = 0.0
-    buffer_ms: float = 0.0
-    share_percent: float = 0.0
-    counts: tuple[int, ...] = ()
-    busy_s: float = 0.0
-    late: int = 0
+    p50_ms: float = figure("median", 0.0)
+    p99_ms: float = figure("99th percentile", 0.0)
+    max_ms: float = figure("longest", 0.0)
+    buffer_ms: float = figure("playing time of the last buffer", 0.0)
+    share_percent: float = figure("computing time as a share of playing time", 0.0)
+    counts: tuple[int, ...] = figure("buffers under each of `TIME_BOUNDS_S`, then all", ())
+    busy_s: float = figure("sum of all", 0.0, show="")
+    late: int = figure(
+        "buffers that took longer to compute than to play",
+        0,
+        quiet=0,
+        tone="wait",
+        metric="cushion_late_callbacks",
+    )
 
 
 class BufferClock:

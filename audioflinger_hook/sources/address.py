@@ -30,15 +30,7 @@ SOUND_SUFFIXES = (".wav", ".flac", ".ogg", ".mp3", ".aiff", ".aif", ".opus")
 
 @dataclass(frozen=True)
 class TapAddress:
-    """One source of sound.
-
-    Attributes
-    ----------
-    kind : str
-        One of `KINDS`.
-    name : str
-        Name, path or folder; empty for `default`.
-    """
+    """A source of sound. kind: one of `KINDS`. name: name, path or folder; empty for `default`."""
 
     kind: Kind
     name: str = ""
@@ -52,16 +44,8 @@ def parse_tap(text: str) -> TapAddress:
 
     A word without a colon is the name of a sink, unless it is a path. Names are taken literally.
 
-    Parameters
-    ----------
-    text : str
-        What the user wrote.
-
-    Raises
-    ------
-    UsageError
-        The kind is unknown, a name is missing, or `default` has a name. A path without "file:" is
-        refused as well.
+    text: the user's text. UsageError: the kind is unknown, a name is missing, or `default` has a
+    name; a path without "file:" is refused as well.
     """
     if text == "default":
         return TapAddress("default")
@@ -90,15 +74,7 @@ def parse_tap(text: str) -> TapAddress:
 def open_client(address: TapAddress) -> Client:
     """Return a client of the mixer: one track per sound for a scene, else one track.
 
-    Parameters
-    ----------
-    address : TapAddress
-        The source.
-
-    Raises
-    ------
-    UsageError, NotFoundError
-        As for `open_tap`.
+    address: the source. UsageError, NotFoundError: as for `open_tap`.
     """
     return SceneClient(_scene(address)) if address.kind == "scene" else TapClient(open_tap(address))
 
@@ -106,17 +82,8 @@ def open_client(address: TapAddress) -> Client:
 def open_tap(address: TapAddress) -> Tap:
     """Return an open tap, with its format.
 
-    Parameters
-    ----------
-    address : TapAddress
-        The source: a file, a capture or a scene.
-
-    Raises
-    ------
-    UsageError
-        The scene is unknown, or the file or the capture cannot be used.
-    NotFoundError
-        The source needs a sound server.
+    address: a file, a capture or a scene. UsageError: the scene is unknown, or the file or the
+    capture cannot be used. NotFoundError: the source needs a sound server.
     """
     if address.kind == "file":
         return FileTap(Path(address.name))
@@ -133,8 +100,6 @@ def open_tap(address: TapAddress) -> Tap:
 
 def _scene(address: TapAddress) -> Scene:
     if address.name not in SCENES:
-        raise UsageError(
-            f"tap {str(address)!r}: unknown scene; allowed: "
-            + ", ".join(f"scene:{name}" for name in SCENES)
-        )
+        allowed = ", ".join(f"scene:{name}" for name in SCENES)
+        raise UsageError(f"tap {str(address)!r}: unknown scene; allowed: {allowed}")
     return demo_scene()

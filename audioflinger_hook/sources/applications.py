@@ -51,12 +51,7 @@ class VoicesClient:
     mixed into them. The supervising thread calls `add` and `remove`. The thread on which all sounds
     arrive calls the other methods and steps the pipeline.
 
-    Parameters
-    ----------
-    samplerate : int
-        Rate of the mix and of every voice, Hz.
-    channels : int
-        Channels of the mix and of every voice.
+    samplerate, channels: of the mix and of every voice; Hz.
     """
 
     frames_expected = None

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from audioflinger_hook.capture import Capture, CaptureBuffer
+from audioflinger_hook.sources.tap import named
 from audioflinger_hook.transform.parameters import check_format
 from device.errors import UsageError
+from device.units import Float32Array
 
 
 class CaptureTap:
@@ -17,32 +16,15 @@ class CaptureTap:
 
     Use from the thread that steps the pipeline; reads are from disk.
 
-    Parameters
-    ----------
-    folder : Path
-        The capture.
-
-    Attributes
-    ----------
-    samplerate, channels : int
-        Format of the buffer read last; before the first buffer, the format of the first.
-    format_changed : bool
-        Whether the format of the buffer read last differs from the format before.
-    discontinuity : bool
-        Whether frames are missing before the buffer read last.
-    time_s : float
-        Time when that buffer was delivered, in seconds of the recorder's monotonic clock.
-    warnings : list of str
-        Warnings for the user, one line each; complete once `read` has returned None.
-    facts : mapping
-        Settings that the recorder stored, by name.
-    frames_expected : int
-        Total frames in the capture's WAV files.
-
-    Raises
-    ------
-    UsageError
-        The folder is not a readable capture or has no sound. Also raised by `read`: the
+    folder: the capture.
+    samplerate, channels: of the buffer read last; before the first buffer, of the first. Hz.
+    format_changed: whether the format of the buffer read last differs from the one before.
+    discontinuity: whether frames are missing before the buffer read last.
+    time_s: its time of delivery, in seconds of the recorder's monotonic clock.
+    warnings: for the user, one line each; complete once `read` has returned None.
+    facts: settings that the recorder stored, by name.
+    frames_expected: total frames in the capture's WAV files.
+    UsageError: the folder is no readable capture or has no sound. `read` raises it, too, if the
         transform does not support the rate or channel count.
     """
 
@@ -66,7 +48,7 @@ class CaptureTap:
         self.discontinuity = self._next.discontinuity
         self.time_s = self._next.time_s
 
-    def read(self) -> NDArray[np.float32] | None:
+    def read(self) -> Float32Array | None:
         """Return the next buffer, or None at the end."""
         buffer = self._next or next(self._buffers, None)
         self._next = None
@@ -90,4 +72,4 @@ class CaptureTap:
             check_format(self.samplerate, self.channels)
         except UsageError as error:
             self.close()
-            raise UsageError(f"{self.folder}: {error}") from None
+            raise named(error, self.folder) from None

@@ -12,10 +12,11 @@ from pathlib import Path
 
 import numpy as np
 import soundfile
-from numpy.typing import NDArray
 
+from audioflinger_hook.sources.tap import SteadyTap, named, reason_of
 from audioflinger_hook.transform.parameters import check_format
 from device.errors import UsageError
+from device.units import Float32Array
 
 BLOCKSIZE_FRAMES = 32_768
 """Frames per buffer: long enough to make the cost of a call negligible; 64 channels take 8 MB."""
@@ -28,75 +29,35 @@ FRAMES_UNKNOWN = 1 << 40
 """libsndfile reports such a number for a stream whose header does not state its length."""
 
 
-class FileTap:
+class FileTap(SteadyTap):
     """The frames of any file that libsndfile reads, as float32.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    blocksize : int
-        Frames of a buffer.
-    first : int
-        The frame to begin with; other than 0 only for a file that is `divisible`.
-
-    Attributes
-    ----------
-    warnings : list of str
-        Warnings for the user, one line each; complete at the end of the file.
-
-    Raises
-    ------
-    UsageError
-        The file is missing, unreadable, not sound or empty, or the transform does not support
-        its rate or channel count.
+    path: the file. blocksize: frames of a buffer. first: the frame to begin with; other than 0 only
+    for a file that is `divisible`. UsageError: the file is missing, unreadable, not sound or empty,
+    or the transform does not support its rate or channel count.
     """
-
-    format_changed = False
-    discontinuity = False
 
     def __init__(self, path: Path, blocksize: int = BLOCKSIZE_FRAMES, *, first: int = 0) -> None:
         self.path = path
-        self.warnings: list[str] = []
         self._blocksize = blocksize
         self._file = _open(path)
-        self.samplerate: int = self._file.samplerate
-        self.channels: int = self._file.channels
-        self._delivered = first
+        frames, format_ = int(self._file.frames), (self._file.samplerate, self._file.channels)
+        expected = frames if 0 < frames < FRAMES_UNKNOWN else None
         try:
             if first:
                 self._skip_to(first)
-            check_format(self.samplerate, self.channels)
-            # The header may promise frames that are missing: only a first buffer proves sound.
-            self._next = self._read()
-            if not len(self._next):
+            check_format(*format_)
+            super().__init__(*format_, self._decoded(first, expected), expected)
+            if self._next is None:
                 raise UsageError(f"{path} has no sound (0 frames); give a file with sound in it")
         except UsageError as error:
             self.close()
-            if str(path) in str(error):
-                raise
-            raise UsageError(f"{path}: {error}") from None
-
-    @property
-    def frames_expected(self) -> int | None:
-        """Frames that the header promises, or None if the header has no number."""
-        frames = int(self._file.frames)
-        return frames if 0 < frames < FRAMES_UNKNOWN else None
+            raise named(error, path) from None
 
     @property
     def divisible(self) -> bool:
         """Whether a part of the file, read alone, has the same frames as in the whole file."""
         return self._file.format in EXACT_FORMATS and self._file.subtype in EXACT_SUBTYPES
-
-    def read(self) -> NDArray[np.float32] | None:
-        """Return the next buffer, or None at the end."""
-        buffer = self._next
-        if not len(buffer):
-            self._note_short_body()
-            return None
-        self._delivered += len(buffer)
-        self._next = self._read()
-        return buffer
 
     def close(self) -> None:
         """Close the file."""
@@ -106,34 +67,36 @@ class FileTap:
         try:
             self._file.seek(frame)
         except (soundfile.LibsndfileError, RuntimeError) as error:
-            raise UsageError(f"{self.path} has no frame {frame} ({_reason(error)})") from None
+            raise UsageError(f"{self.path} has no frame {frame} ({reason_of(error)})") from None
 
-    def _read(self) -> NDArray[np.float32]:
-        if self.warnings:  # no frames follow one that cannot be decoded
-            return np.zeros((0, self.channels), np.float32)
+    def _decoded(self, first: int, expected: int | None) -> Iterator[Float32Array]:
+        """Yield the buffers from a frame on, up to the end or the first damage."""
+        delivered = first
+        while len(buffer := self._read()):
+            delivered += len(buffer)
+            yield buffer
+            if self.warnings:  # no frames follow one that cannot be decoded
+                return
+        missing = expected is not None and delivered < expected
+        if not self.warnings and (missing or _body_is_short(self._file.extra_info)):
+            self.warnings.append(
+                f"{self.path} is shorter than its header says; "
+                f"the {delivered} frames that are there were taken"
+            )
+
+    def _read(self) -> Float32Array:
         buffer = np.empty((self._blocksize, self.channels), np.float32)
         before = self._file.tell()
         try:
-            filled: NDArray[np.float32] = self._file.read(out=buffer)
+            filled: Float32Array = self._file.read(out=buffer)
             return filled
         except (soundfile.LibsndfileError, RuntimeError) as error:
-            self.warnings.append(f"{self.path} is damaged ({_reason(error)}); taken up to there")
+            self.warnings.append(f"{self.path} is damaged ({reason_of(error)}); taken up to there")
             return buffer[: max(0, self._file.tell() - before)]
-
-    def _note_short_body(self) -> None:
-        if self.warnings:
-            return
-        expected = self.frames_expected
-        short = _body_is_short(self._file.extra_info)
-        if short or (expected is not None and self._delivered < expected):
-            self.warnings.append(
-                f"{self.path} is shorter than its header says; "
-                f"the {self._delivered} frames that are there were taken"
-            )
 
 
 def _open(path: Path) -> soundfile.SoundFile:
-    """Return the opened file, or raise UsageError with what is wrong with it."""
+    """Return the opened file. UsageError: it cannot be read as sound."""
     try:
         # By descriptor, not by name: libsndfile would trust a name's ending and read text named
         # .vox as sound.
@@ -143,7 +106,7 @@ def _open(path: Path) -> soundfile.SoundFile:
     except PermissionError:
         raise UsageError(f"{path} may not be read; check its permissions") from None
     except (OSError, ValueError) as error:
-        raise UsageError(f"{path} cannot be opened ({_reason(error)})") from None
+        raise UsageError(f"{path} cannot be opened ({reason_of(error)})") from None
     kind = os.fstat(descriptor)
     try:
         if stat.S_ISDIR(kind.st_mode):
@@ -159,15 +122,10 @@ def _open(path: Path) -> soundfile.SoundFile:
         raise
     except (soundfile.LibsndfileError, OSError, TypeError, ValueError) as error:
         raise UsageError(
-            f"{path} is not a sound file that can be read ({_reason(error)}); "
+            f"{path} is not a sound file that can be read ({reason_of(error)}); "
             "allowed: WAV, FLAC, Ogg, MP3, AIFF and other formats of libsndfile; the sound of a "
             "film becomes one by `ffmpeg -i FILM sound.wav`"
         ) from None
-
-
-def _reason(error: Exception) -> str:
-    text = getattr(error, "error_string", None) or getattr(error, "strerror", None) or str(error)
-    return str(text).strip().rstrip(".") or type(error).__name__
 
 
 @contextmanager
@@ -204,36 +162,13 @@ def _body_is_short(log: str) -> bool:
     return re.search(r"Ogg\s*: (Last page lacks|Junk after the last page)", log) is not None
 
 
-class FramesTap:
+class FramesTap(SteadyTap):
     """Frames from memory, in buffers of `blocksize`; the last may be shorter.
 
-    Parameters
-    ----------
-    frames : array of float32
-        (frames, channels).
-    samplerate : int
-        Hz.
-    blocksize : int
-        Frames of a buffer.
+    frames: (frames, channels) float32. samplerate: Hz. blocksize: frames of a buffer.
     """
 
-    format_changed = False
-    discontinuity = False
-
-    def __init__(self, frames: NDArray[np.float32], samplerate: int, blocksize: int) -> None:
-        self._frames = frames
-        self._blocksize = blocksize
-        self._position = 0
-        self.samplerate = samplerate
-        self.frames_expected, self.channels = frames.shape
-
-    def read(self) -> NDArray[np.float32] | None:
-        """Return the next buffer, or None after the last."""
-        first = self._position
-        if first >= len(self._frames):
-            return None
-        self._position = first + self._blocksize
-        return self._frames[first : self._position]
-
-    def close(self) -> None:
-        """Do nothing, as no resource is held."""
+    def __init__(self, frames: Float32Array, samplerate: int, blocksize: int) -> None:
+        starts = range(0, len(frames), blocksize)
+        buffers = (frames[first : first + blocksize] for first in starts)
+        super().__init__(samplerate, frames.shape[1], buffers, len(frames))

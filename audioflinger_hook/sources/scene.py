@@ -6,12 +6,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from audioflinger_hook.mixer import Mixer, Track
 from audioflinger_hook.mixer.pcm import encode
 from audioflinger_hook.mixer.track import period_frames
 from audioflinger_hook.scenes import Scene, SceneTrack
+from device.units import Float32Array
 
 CYCLE_FRAMES = 256
 """Frames of a cycle, as many as a sound server delivers at a time."""
@@ -23,12 +23,7 @@ class SceneClient:
     A track starts on its exact frame. A pause begins with the cycle that contains its time, and
     ramps over that cycle.
 
-    Parameters
-    ----------
-    scene : Scene
-        The sounds.
-    cycle_frames : int
-        Frames of a cycle, at most the mixer's.
+    scene: the sounds. cycle_frames: frames of a cycle, at most the mixer's.
     """
 
     def __init__(self, scene: Scene, cycle_frames: int = CYCLE_FRAMES) -> None:
@@ -93,7 +88,7 @@ class _Voice:
         )
 
     def play(self, first: int, last: int) -> None:
-        """Do what is due in the mix's frames from `first` up to `last`."""
+        """Start, pause, resume and fill the track in the mix's frames from `first` up to `last`."""
         if first <= self.start < last:
             self._start(self.start - first)
         if first <= self.pause < last:
@@ -119,14 +114,8 @@ class _Voice:
         self.stored = self.stored[taken:]
 
 
-def mixdown(scene: Scene) -> NDArray[np.float32]:
-    """Return the mixed sound of a scene, (frames, channels) float32.
-
-    Parameters
-    ----------
-    scene : Scene
-        The sounds.
-    """
+def mixdown(scene: Scene) -> Float32Array:
+    """Return the mixed sound of a scene, (frames, channels) float32. scene: the sounds."""
     mixer = Mixer(scene.samplerate, scene.channels, standby_delay_s=math.inf)
     client = SceneClient(scene)
     client.connect(mixer)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
 from audioflinger_hook.mixer import Mixer
+from device.errors import CushionError
+from device.units import Float32Array
 
 
 class Tap(Protocol):
@@ -28,7 +28,7 @@ class Tap(Protocol):
         """Total number of frames, if known; only for showing progress."""
         ...
 
-    def read(self) -> NDArray[np.float32] | None:
+    def read(self) -> Float32Array | None:
         """Return the next buffer, (frames, channels) float32, or None when the sound has ended.
 
         Called by the thread that steps the chain.
@@ -63,3 +63,48 @@ class Client(Protocol):
     def close(self) -> None:
         """Let go of the source. May be called more than once."""
         ...
+
+
+class SteadyTap:
+    """A tap of one format without discontinuities.
+
+    The first buffer is taken at once, because a header may promise frames that are missing.
+
+    samplerate: Hz. buffers: (frames, channels) each, in order. frames_expected: total frames, None
+    if unknown. warnings: for the user, one line each; complete at the end of the sound.
+    """
+
+    format_changed = False
+    discontinuity = False
+
+    def __init__(
+        self,
+        samplerate: int,
+        channels: int,
+        buffers: Iterator[Float32Array],
+        frames_expected: int | None,
+    ) -> None:
+        self.samplerate, self.channels = samplerate, channels
+        self.frames_expected = frames_expected
+        self.warnings: list[str] = []
+        self._buffers = buffers
+        self._next = next(buffers, None)
+
+    def read(self) -> Float32Array | None:
+        """Return the next buffer, or None at the end."""
+        buffer, self._next = self._next, next(self._buffers, None)
+        return buffer
+
+    def close(self) -> None:
+        """Let go of the source. May be called more than once."""
+
+
+def named(error: CushionError, source: object) -> CushionError:
+    """Return the error with the name of its source, if it lacks it."""
+    return error if str(source) in str(error) else type(error)(f"{source}: {error}")
+
+
+def reason_of(error: Exception) -> str:
+    """Return the reason that a library gives for an error, without its code."""
+    text = getattr(error, "error_string", None) or getattr(error, "strerror", None) or str(error)
+    return str(text).strip().rstrip(".") or type(error).__name__

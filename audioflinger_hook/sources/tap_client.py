@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from audioflinger_hook.mixer import Mixer, PcmFormat, Track
 from audioflinger_hook.mixer.resampler import frames_out, tail_frames_out
 from audioflinger_hook.sources.tap import Tap
+from device.units import Float32Array
 
 
 class PushTap:
@@ -15,19 +15,9 @@ class PushTap:
 
     Use from the capturing thread; any thread may call `interrupt`.
 
-    Parameters
-    ----------
-    samplerate : int
-        Rate of the next buffers, Hz; `change` sets another rate.
-    channels : int
-        Channels of the next buffers.
-
-    Attributes
-    ----------
-    format_changed : bool
-        Whether the buffer read last has another format than the one before it.
-    discontinuity : bool
-        Whether frames are missing before the buffer read last.
+    samplerate, channels: of the next buffers, Hz; `change` sets others. format_changed: whether the
+    buffer read last has another format than the one before it. discontinuity: whether frames are
+    missing before the buffer read last.
     """
 
     frames_expected = None
@@ -37,7 +27,7 @@ class PushTap:
         self.channels = channels
         self.format_changed = False
         self.discontinuity = False
-        self._buffer: NDArray[np.float32] | None = None
+        self._buffer: Float32Array | None = None
         self._format = (samplerate, channels)
         self._begun = self._broken = self._ended = False
         # replaced by the interrupting thread, compared by the capturing thread
@@ -63,7 +53,7 @@ class PushTap:
         """Mark the next buffer as a discontinuity, unless it is the first buffer."""
         self._interruption = object()
 
-    def push(self, frames: NDArray[np.float32]) -> bool:
+    def push(self, frames: Float32Array) -> bool:
         """Take a buffer, (frames, channels) float32, and return whether it is a discontinuity.
 
         An unread buffer is replaced.
@@ -76,7 +66,7 @@ class PushTap:
         self._buffer = frames
         return self._broken
 
-    def read(self) -> NDArray[np.float32] | None:
+    def read(self) -> Float32Array | None:
         """Return the buffer, or None."""
         buffer, self._buffer = self._buffer, None
         if buffer is not None:
@@ -102,15 +92,7 @@ class TapClient:
     nothing is delayed, and the sound passes bit for bit. When the tap's format changes, a track
     of the new format takes over, and the mix stays unchanged.
 
-    Parameters
-    ----------
-    tap : Tap
-        The source.
-
-    Attributes
-    ----------
-    buffers, format_changes, discontinuities : int
-        Counts so far.
+    tap: the source. buffers, format_changes, discontinuities: counts so far.
     """
 
     def __init__(self, tap: Tap) -> None:
@@ -121,7 +103,7 @@ class TapClient:
         self.discontinuities = 0
         self._tap = tap
         self._track: Track | None = None
-        self._pending: NDArray[np.float32] = np.zeros((0, tap.channels), np.float32)
+        self._pending: Float32Array = np.zeros((0, tap.channels), np.float32)
         self._tail = 0
         self._ended = False
 

@@ -20,7 +20,7 @@ from audioflinger_hook.transform.arrays import FloatArray, Frames, IntArray
 from audioflinger_hook.transform.haptic import Form, HapticTransform
 from audioflinger_hook.transform.parameters import TransformParameters
 
-TRANSFORM_VERSION = 2
+TRANSFORM_VERSION = 3
 """Raised whenever the bytes of a vibration change: results of older versions are made again."""
 
 __all__ = [

@@ -97,18 +97,6 @@ class MonoMix:
         self._factors = np.zeros(2)  # at the start and the end of the group under way
         self._begun = np.zeros((2, 0))  # squares of that group
 
-    @property
-    def past(self) -> bytes:
-        """What is carried from block to block; settable at the same samplerate."""
-        parts = (self._powers, self._factors, self._begun)
-        return b"".join(part.tobytes() for part in parts)
-
-    @past.setter
-    def past(self, past: bytes) -> None:
-        numbers = np.frombuffer(past).copy()
-        self._powers, self._factors = numbers[:3].reshape(3, 1), numbers[3:5]
-        self._begun = numbers[5:].reshape(2, -1)
-
     def process(self, rows: FloatArray) -> FloatArray:
         """Return (frames,) for the channels as rows, (channels, frames) float64, usable samples.
 

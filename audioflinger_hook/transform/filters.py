@@ -33,24 +33,16 @@ _POLES = np.array(
 # Prototypes: analogue low-passes whose pass band ends at 1 rad/s.
 BUTTERWORTH = Roots(np.empty(0, complex), -np.exp(0.25j * np.pi * np.array([-1.0, 1.0])), 1.0)
 """Of second order."""
+BUTTERWORTH_1 = Roots(np.empty(0, complex), np.array([-1.0 + 0.0j]), 1.0)
+BUTTERWORTH_5 = Roots(
+    np.empty(0, complex), -np.exp(0.2j * np.pi * np.array([-2.0, -1.0, 0.0, 1.0, 2.0])), 1.0
+)
 ELLIPTIC_6 = Roots(
     np.concatenate((_ZEROS, _ZEROS.conj())),
     np.concatenate((_POLES, _POLES.conj())),
     0.009999999999999957,
 )
 """`scipy.signal.ellipap(6, 0.5, 40.0)`: order, ripple and attenuation in dB."""
-ELLIPTIC_3 = Roots(
-    np.array([1.9068870819108696j, -1.9068870819108696j]),
-    np.array(
-        [
-            -0.72652966850057,
-            -0.24842903972823374 - 1.0429618934121478j,
-            -0.24842903972823374 + 1.0429618934121478j,
-        ]
-    ),
-    0.2296715890441024,
-)
-"""`scipy.signal.ellipap(3, 0.5, 26.0)`."""
 
 
 def low_pass(prototype: Roots, edge_hz: float, samplerate: float) -> Roots:
@@ -85,6 +77,15 @@ def response(
     """Return the frequency response of a digital filter at some frequencies, (frequencies,)."""
     delay = np.exp(-1j * (2.0 * np.pi * frequencies_hz / samplerate))
     found: ComplexArray = polyval(delay, b, tensor=False) / polyval(delay, a, tensor=False)
+    return found
+
+
+def response_of_sections(
+    sections: FloatArray, frequencies_hz: FloatArray, samplerate: float
+) -> ComplexArray:
+    """Return the response of second-order sections (sections, 6) at frequencies, (frequencies,)."""
+    passed = [response(row[:3], row[3:], frequencies_hz, samplerate) for row in sections]
+    found: ComplexArray = np.prod(passed, axis=0)
     return found
 
 

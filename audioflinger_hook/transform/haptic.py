@@ -11,7 +11,7 @@ from audioflinger_hook.core.design import core_design
 from audioflinger_hook.transform.arrays import FloatArray, Frames
 from audioflinger_hook.transform.channel_bank import ChannelBank
 from audioflinger_hook.transform.design import LiveDesign
-from audioflinger_hook.transform.downmix import MonoMix, source_mixes
+from audioflinger_hook.transform.downmix import source_mixes
 from audioflinger_hook.transform.input_stage import Mixdown, fit_block
 from audioflinger_hook.transform.parameters import TransformParameters, check_format
 from audioflinger_hook.transform.reference.transform import ReferenceTransform
@@ -238,25 +238,6 @@ class HapticTransform:
             returns it, without the low-pass's delay.
         """
         return self._stream.take_glides()
-
-    @property
-    def past(self) -> tuple[bytes, ...]:
-        """The state of the reference form's input stage, carried from one unit to the next.
-
-        May be set to that of another stream of the same format, to continue in the same way.
-        """
-        return tuple(part.past for part in self._input_parts())
-
-    @past.setter
-    def past(self, past: tuple[bytes, ...]) -> None:
-        for part, its in zip(self._input_parts(), past, strict=True):
-            part.past = its
-
-    def _input_parts(self) -> list[ReferenceTransform | MonoMix]:
-        """Return what keeps a state before the first unit of the reference form."""
-        if not isinstance(self._stream, ChannelBank) or not self._references:
-            return []
-        return [*self._references, self._stream.mix]
 
     def process(self, frames: Frames) -> FloatArray:
         """Return the vibration now due, (frames, channels_out) float64, full scale +-1.

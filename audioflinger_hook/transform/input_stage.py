@@ -149,15 +149,6 @@ class BandPass:
         """Return to the zero state of a new stream."""
         self._state = np.zeros(self._a.size - 1)
 
-    @property
-    def past(self) -> bytes:
-        """The filter state carried from one unit to the next; settable at the same samplerate."""
-        return self._state.tobytes()
-
-    @past.setter
-    def past(self, past: bytes) -> None:
-        self._state = np.frombuffer(past).copy()
-
     def process(self, mono: FloatArray) -> FloatArray:
         """Return the filtered block, (frames,) float64. Called on the audio thread."""
         if not mono.size:

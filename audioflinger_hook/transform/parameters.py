@@ -28,8 +28,8 @@ class TransformParameters(Described):
     """All parameters that shape the vibration; the defaults are the paper's.
 
     The fields `loudness_*` and `speech_suppression_db` act only in the live form. If `loudness_db`
-    is 0, the other four loudness fields have no effect. For all levels, 0 dB is a full-scale tone;
-    for loudness, a full-scale tone of 1 kHz.
+    is 0, the other four loudness fields, `dynamics`, `rise_db` and `jitter_db` have no effect. For
+    all levels, 0 dB is a full-scale tone; for loudness, a full-scale tone of 1 kHz.
 
     Raises
     ------
@@ -77,6 +77,13 @@ class TransformParameters(Described):
     loudness_gate_db: Annotated[
         float, Number("range above the floor in which vibration fades in", 1.0, 30.0, "dB")
     ] = 10.0
+    rise_db: Annotated[
+        float,
+        Number("most that vibration gains where one band of sound rises; 0: off", 0.0, 12.0, "dB"),
+    ] = 5.0
+    jitter_db: Annotated[
+        float, Number("changes of loudness up to this are averaged", 0.0, 6.0, "dB")
+    ] = 2.5
     speech_suppression_db: Annotated[
         float, Number("reduction of speech (live form only); 0: off", 0.0, 24.0, "dB")
     ] = 0.0

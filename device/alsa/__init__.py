@@ -1,4 +1,4 @@
-"""Sound cards without a server: what they offer, who uses them, and their own volumes.
+"""Sound cards without a server: their formats, their users, and their own volumes.
 
 | module | contents |
 | --- | --- |

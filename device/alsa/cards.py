@@ -7,10 +7,9 @@ that are read: it then counts as missing.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TypeVar
+from typing import ClassVar, TypeVar
 
 from device.errors import NotFoundError, UsageError
 from device.values import no_such
@@ -60,33 +59,26 @@ class PlaybackDevice:
     device: int
     name: str
 
+    kind: ClassVar[str] = "playback"
+
     def __str__(self) -> str:
         return f"{self.card},{self.device}"
 
     @property
     def folder(self) -> Path:
         """Directory of the kernel's files about this device."""
-        return self.card.folder / f"pcm{self.device}p"
+        return self.card.folder / f"pcm{self.device}{self.kind[0]}"
 
 
 @dataclass(frozen=True)
 class CaptureDevice(PlaybackDevice):
     """One of a card's capture devices."""
 
-    @property
-    def folder(self) -> Path:
-        """Directory of the kernel's files about this device."""
-        return self.card.folder / f"pcm{self.device}c"
+    kind: ClassVar[str] = "capture"
 
 
 def list_cards(root: Path = PROC) -> tuple[Card, ...]:
-    """Return all cards, sorted by number.
-
-    Parameters
-    ----------
-    root : Path
-        Of the kernel's files; no cards if it is missing.
-    """
+    """Return all cards, sorted by number. root: of the kernel's files; none if it is missing."""
     found = []
     for line in read_text(root / "cards").splitlines():
         if match := _CARD.match(line):
@@ -97,21 +89,16 @@ def list_cards(root: Path = PROC) -> tuple[Card, ...]:
 
 def list_playbacks(card: Card) -> tuple[PlaybackDevice, ...]:
     """Return a card's playback devices, sorted by number."""
-    return tuple(PlaybackDevice(card, *one) for one in _list_devices(card, "p"))
+    return _list_devices(card, PlaybackDevice)
 
 
-def list_captures(card: Card) -> tuple[CaptureDevice, ...]:
-    """Return a card's capture devices, sorted by number."""
-    return tuple(CaptureDevice(card, *one) for one in _list_devices(card, "c"))
-
-
-def _list_devices(card: Card, side: str) -> list[tuple[int, str]]:
-    """Return sorted (number, name) of a card's devices; side: "p" for playback, "c" for capture."""
-    return sorted(
-        (int(folder.name[3:-1]), read_fields(folder / "info").get("name", ""))
-        for folder in card.folder.glob(f"pcm*{side}")
+def _list_devices(card: Card, kind: type[Device]) -> tuple[Device, ...]:
+    found = (
+        kind(card, int(folder.name[3:-1]), read_fields(folder / "info").get("name", ""))
+        for folder in card.folder.glob(f"pcm*{kind.kind[0]}")
         if folder.name[3:-1].isdecimal()
     )
+    return tuple(sorted(found, key=lambda device: device.device))
 
 
 def find_card(name: str, root: Path = PROC) -> Card:
@@ -134,57 +121,33 @@ def find_card(name: str, root: Path = PROC) -> Card:
 def find_playback(name: str, root: Path = PROC) -> PlaybackDevice:
     """Return the playback device of an address: CARD or CARD,DEVICE.
 
-    Parameters
-    ----------
-    name : str
-        CARD is a number or an id; without DEVICE it means the card's first playback device.
-    root : Path
-        Of the kernel's files.
-
-    Raises
-    ------
-    UsageError
-        The address is malformed.
-    NotFoundError
-        There is no such card, or it has no such playback device.
+    name: CARD is a number or an id; without DEVICE it means the card's first playback device.
+    root: of the kernel's files. UsageError: the address is malformed. NotFoundError: there is no
+    such card, or it has no such device.
     """
-    return _find_device(name, root, list_playbacks, "playback")
+    return _find_device(name, root, PlaybackDevice)
 
 
 def find_capture(name: str, root: Path = PROC) -> CaptureDevice:
-    """Return the capture device of an address: CARD or CARD,DEVICE.
+    """Return the capture device of an address; name, root and errors as for `find_playback`.
 
-    Parameters
-    ----------
-    name : str
-        CARD is a number or an id; without DEVICE it means the card's first capture device.
-    root : Path
-        Of the kernel's files.
-
-    Raises
-    ------
-    UsageError
-        The address is malformed.
-    NotFoundError
-        There is no such card, or it has no such capture device.
+    name: an address. root: of the kernel's files.
     """
-    return _find_device(name, root, list_captures, "capture")
+    return _find_device(name, root, CaptureDevice)
 
 
-def _find_device(
-    name: str, root: Path, list_devices: Callable[[Card], tuple[Device, ...]], kind: str
-) -> Device:
+def _find_device(name: str, root: Path, kind: type[Device]) -> Device:
     match = parse_card_address(name)
     card = find_card(match["card"], root)
-    found = list_devices(card)
+    found = _list_devices(card, kind)
     wanted = None if match["device"] is None else int(match["device"])
     for one in found:
         if wanted in (None, one.device):
             return one
     if not found:
-        raise NotFoundError(f"the sound card {card} has no {kind} device; name another card")
+        raise NotFoundError(f"the sound card {card} has no {kind.kind} device; name another card")
     names = ", ".join(f"{one} ({one.name})" for one in found)
-    raise NotFoundError(f"the sound card {card} has no {kind} device {wanted}; it has {names}")
+    raise NotFoundError(f"the sound card {card} has no {kind.kind} device {wanted}; it has {names}")
 
 
 def parse_card_address(name: str) -> re.Match[str]:

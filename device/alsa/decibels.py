@@ -13,15 +13,14 @@ from dataclasses import dataclass
 
 _CONTAINER, _SCALE, _LINEAR, _RANGE, _BOUNDS, _BOUNDS_MUTE = range(6)
 _SILENT_WHEN_LOWEST = 0x10000
-_SILENT = -9_999_999
-"""Lower end of a linear table that means silence."""
+_SILENT = -9_999_999  # lower end of a linear table that means silence
 
-_ABSURD = 100_000
-"""Limit against overflow; no card amplifies by 1000 dB."""
+_ABSURD = 100_000  # limit against overflow; no card amplifies by 1000 dB
 
 _PER_DB = 100.0
-_DEEPEST = 4
-"""Greatest depth of nested tables; real ones have a depth of 1."""
+_DEEPEST = 4  # greatest depth of nested tables; real ones have a depth of 1
+
+Level = Callable[[int], float]  # the level of a step in dB
 
 
 @dataclass(frozen=True)
@@ -33,7 +32,7 @@ class Decibels:
 
     lowest: int
     highest: int
-    level: Callable[[int], float]
+    level: Level
 
     @property
     def lowest_db(self) -> float:
@@ -63,9 +62,7 @@ def parse_decibels(words: Sequence[int], lowest: int, highest: int) -> Decibels 
     return Decibels(lowest, highest, level)
 
 
-def _level(
-    words: list[int], lowest: int, highest: int, depth: int
-) -> Callable[[int], float] | None:
+def _level(words: list[int], lowest: int, highest: int, depth: int) -> Level | None:
     if len(words) < 2 or depth > _DEEPEST:
         return None
     kind, body = words[0], words[2 : 2 + words[1] // 4]
@@ -79,17 +76,17 @@ def _level(
         return None
     first, second = _signed(body[0]), _signed(body[1])
     if kind == _SCALE:
-        return _scale(first, body[1], lowest)
+        silent = bool(body[1] & _SILENT_WHEN_LOWEST)
+        return _even(first, body[1] & 0xFFFF, 1, lowest, silent=silent)
     if kind == _LINEAR:
         return _linear(first, second, lowest, highest)
     if kind in (_BOUNDS, _BOUNDS_MUTE):
-        return _bounds(first, second, lowest, highest, silent=kind == _BOUNDS_MUTE)
+        silent = kind == _BOUNDS_MUTE
+        return _even(first, second - first, highest - lowest, lowest, silent=silent)
     return None
 
 
-def _first_of(
-    body: list[int], lowest: int, highest: int, depth: int
-) -> Callable[[int], float] | None:
+def _first_of(body: list[int], lowest: int, highest: int, depth: int) -> Level | None:
     while len(body) >= 2:
         level = _level(body, lowest, highest, depth + 1)
         if level is not None:
@@ -98,9 +95,9 @@ def _first_of(
     return None
 
 
-def _pieces(body: list[int], depth: int) -> Callable[[int], float] | None:
+def _pieces(body: list[int], depth: int) -> Level | None:
     """Return the level by several tables, each with its first and last step."""
-    found: list[tuple[int, int, Callable[[int], float]]] = []
+    found: list[tuple[int, int, Level]] = []
     while len(body) >= 4:
         first, last = _signed(body[0]), _signed(body[1])
         level = _level(body[2:], first, last, depth + 1) if first < last else None
@@ -122,29 +119,18 @@ def _pieces(body: list[int], depth: int) -> Callable[[int], float] | None:
     return level_of
 
 
-def _scale(first: int, step_and_silence: int, lowest: int) -> Callable[[int], float]:
-    size, silent = step_and_silence & 0xFFFF, bool(step_and_silence & _SILENT_WHEN_LOWEST)
+def _even(first: int, rise: int, steps: int, lowest: int, *, silent: bool) -> Level:
+    """Return the level of steps that rise evenly in dB. rise: over that many steps."""
 
     def level(step: int) -> float:
         if silent and step <= lowest:
             return -math.inf
-        return (first + size * (step - lowest)) / _PER_DB
+        return (first + rise * (step - lowest) / steps) / _PER_DB
 
     return level
 
 
-def _bounds(
-    first: int, last: int, lowest: int, highest: int, *, silent: bool
-) -> Callable[[int], float]:
-    def level(step: int) -> float:
-        if silent and step <= lowest:
-            return -math.inf
-        return (first + (last - first) * (step - lowest) / (highest - lowest)) / _PER_DB
-
-    return level
-
-
-def _linear(first: int, last: int, lowest: int, highest: int) -> Callable[[int], float]:
+def _linear(first: int, last: int, lowest: int, highest: int) -> Level:
     """Return the level of steps that are linear in amplitude."""
     quiet = 0.0 if first <= _SILENT else 10.0 ** (min(first, _ABSURD) / _PER_DB / 20.0)
     loud = 10.0 ** (min(last, _ABSURD) / _PER_DB / 20.0)

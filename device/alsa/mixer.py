@@ -12,7 +12,6 @@ import math
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
 
 from device.alsa.decibels import Decibels, parse_decibels
 from device.alsa.use import DEVICES
@@ -57,14 +56,6 @@ class _List(ctypes.Structure):
     )
 
 
-class _Bounds(ctypes.Structure):
-    _fields_ = (("lowest", ctypes.c_long), ("highest", ctypes.c_long), ("step", ctypes.c_long))
-
-
-class _InfoOf(ctypes.Union):
-    _fields_ = (("steps", _Bounds), ("reserved", ctypes.c_ubyte * 128))
-
-
 class _Info(ctypes.Structure):
     _fields_ = (
         ("id", _Id),
@@ -72,20 +63,17 @@ class _Info(ctypes.Structure):
         ("access", ctypes.c_uint),
         ("count", ctypes.c_uint),
         ("owner", ctypes.c_int),
-        ("of", _InfoOf),
-        ("reserved", ctypes.c_ubyte * 64),
+        ("lowest", ctypes.c_long),
+        ("highest", ctypes.c_long),
+        ("reserved", ctypes.c_ubyte * (128 + 64 - 2 * ctypes.sizeof(ctypes.c_long))),
     )
-
-
-class _ValueOf(ctypes.Union):
-    _fields_ = (("steps", ctypes.c_long * 128), ("wide", ctypes.c_longlong * 64))
 
 
 class _Value(ctypes.Structure):
     _fields_ = (
         ("id", _Id),
         ("indirect", ctypes.c_uint),
-        ("of", _ValueOf),
+        ("steps", ctypes.c_long * 128),
         ("reserved", ctypes.c_ubyte * 128),
     )
 
@@ -214,12 +202,7 @@ class CardMixer:
     def __enter__(self) -> CardMixer:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _numbers(self) -> list[int]:
@@ -229,14 +212,14 @@ class CardMixer:
         listing = _List(space=len(ids), ids=ctypes.addressof(ids))
         self._ask(_GET_LIST, listing)
         return [
-            each.number
-            for each in ids[: listing.used]
-            if each.interface == _MIXER and each.name.endswith((_VOLUME.encode(), _SWITCH.encode()))
+            control.number
+            for control in ids[: listing.used]
+            if control.interface == _MIXER
+            and control.name.endswith((_VOLUME.encode(), _SWITCH.encode()))
         ]
 
     def _take(self, number: int, volumes: list[MixerVolume], switches: list[MixerSwitch]) -> None:
-        info = _Info()
-        info.id.number = number
+        info = _Info(_Id(number))
         self._ask(_GET_INFO, info)
         allowed = _READABLE | _WRITABLE
         if info.access & allowed != allowed or not 0 < info.count <= 128:
@@ -245,9 +228,8 @@ class CardMixer:
         if info.type == _BOOLEAN and name.endswith(_SWITCH):
             switches.append(MixerSwitch(name, info.count, number))
         if info.type == _INTEGER and name.endswith(_VOLUME):
-            steps = info.of.steps
             words = self._table(number) if info.access & _HAS_TABLE else []
-            decibels = parse_decibels(words, steps.lowest, steps.highest)
+            decibels = parse_decibels(words, info.lowest, info.highest)
             volumes.append(MixerVolume(name, info.count, decibels, number))
 
     def _table(self, number: int) -> list[int]:
@@ -260,16 +242,13 @@ class CardMixer:
         return words[: 2 + words[1] // 4]
 
     def _steps(self, control: MixerVolume | MixerSwitch) -> list[int]:
-        held = _Value()
-        held.id.number = control.number
+        held = _Value(_Id(control.number))
         self._ask(_READ, held)
-        return list(held.of.steps[: control.channels])
+        return list(held.steps[: control.channels])
 
     def _set(self, control: MixerVolume | MixerSwitch, step: int) -> None:
-        held = _Value()
-        held.id.number = control.number
-        for channel in range(control.channels):
-            held.of.steps[channel] = step
+        held = _Value(_Id(control.number))
+        held.steps[: control.channels] = [step] * control.channels
         self._ask(_WRITE, held)
 
     def _ask(self, request: int, what: ctypes.Structure) -> None:
@@ -293,7 +272,7 @@ class CardMixer:
 
 
 def set_card_volume(
-    card: int, wanted_db: float, limit_db: float = MAX_VOLUME_DB, devices: Path = DEVICES
+    card: int, wanted_db: float, limit_db: float = MAX_VOLUME_DB
 ) -> tuple[float, ...]:
     """Set all playback volumes of a card, unmute it, and return the level of each volume in dB.
 
@@ -301,25 +280,13 @@ def set_card_volume(
     set and read back, and all of them before the mutes, so that nothing is ever too loud. Where one
     of them cannot be set, the mutes stay.
 
-    Parameters
-    ----------
-    card : int
-        ALSA's number.
-    wanted_db : float
-        The level for each volume.
-    limit_db : float
-        Upper limit of the level.
-    devices : Path
-        The directory of device files.
+    card: ALSA's number. wanted_db: for each volume. limit_db: upper limit.
 
-    Raises
-    ------
-    NotFoundError
-        The card is missing, has no volume, or does not take the level or let its mute be lifted.
-    UsageError
-        wanted_db is NaN, or a volume's steps are unknown or cannot be set so low.
+    NotFoundError: the card is missing, has no volume, or does not take the level or let its mute
+    be lifted. UsageError: wanted_db is NaN, or a volume's steps are unknown or cannot be set so
+    low.
     """
-    with CardMixer(card, devices) as mixer:
+    with CardMixer(card) as mixer:
         if not mixer.volumes:
             has = "a mute and no volume" if mixer.switches else "neither volume nor mute"
             raise NotFoundError(f"sound card {card} has {has} that can be set")

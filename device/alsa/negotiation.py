@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Container, Sequence
 from dataclasses import dataclass
 
-from device.alsa.usb_stream import Rates, UsbStream
+from device.alsa.usb_stream import Rates, UsbFormat, UsbStream
 from device.errors import NotFoundError
 from device.stream.sample_format import SampleFormat
 
@@ -14,34 +14,15 @@ MIN_HZ, MAX_HZ = 8_000, 192_000
 
 USUAL_MIN_HZ = 44_100
 
-CHANNELS_MAX = 32
-"""The limit of every stream."""
+CHANNELS_MAX = 32  # the limit of every stream
 
 PREFERRED = (SampleFormat.S32, SampleFormat.S24_3, SampleFormat.S16)
-"""In order of preference at equal resolution: whole words cost least."""
+"""Supported formats, by preference at equal resolution: whole words cost least.
 
-_NAMES = frozenset(one.value for one in PREFERRED)
+8 bits are too coarse for weak vibration.
+"""
 
 _USUAL_HZ = (44_100, 48_000, 88_200, 96_000, 176_400, 192_000)
-
-
-@dataclass(frozen=True)
-class Offer:
-    """What a card supports in one setting.
-
-    formats: the supported ones of `PREFERRED`. bits: resolution, 0 if unknown. others: ALSA's names
-    of formats that are not supported: 8 bits are too coarse for weak vibration.
-    """
-
-    formats: tuple[SampleFormat, ...]
-    channels: int
-    rates: Rates
-    bits: int = 0
-    others: tuple[str, ...] = ()
-
-    def __str__(self) -> str:
-        names = "/".join((*(one.value for one in self.formats), *self.others))
-        return f"{names} with {self.channels} channels at {self.rates}"
 
 
 @dataclass(frozen=True)
@@ -53,28 +34,17 @@ class CardSetup:
     channels: int
 
 
-UNKNOWN = (Offer((SampleFormat.S32, SampleFormat.S16), 2, Rates((44_100, 48_000))),)
+UNKNOWN = (UsbFormat(0, 0, ("S32_LE", "S16_LE"), 2, Rates((44_100, 48_000))),)
 """What nearly all cards support; assumed for cards that are not USB, which report nothing."""
 
 
-def list_offers(stream: UsbStream | None) -> tuple[Offer, ...]:
-    """Return what a card offers by its stream file; `UNKNOWN` for None."""
-    if stream is None:
-        return UNKNOWN
-    return tuple(
-        Offer(
-            tuple(one for one in PREFERRED if one.value in found.formats),
-            found.channels,
-            found.rates,
-            found.bits,
-            tuple(name for name in found.formats if name not in _NAMES),
-        )
-        for found in stream.formats
-    )
+def list_offers(stream: UsbStream | None) -> tuple[UsbFormat, ...]:
+    """Return the formats that a card offers by its stream file; `UNKNOWN` for None."""
+    return UNKNOWN if stream is None else stream.formats
 
 
 def choose_setup(
-    offers: Sequence[Offer],
+    offers: Sequence[UsbFormat],
     samplerate: int,
     actuators: int,
     least_channels: int | None = None,
@@ -85,29 +55,18 @@ def choose_setup(
     The mix's own rate is best, then its smallest multiple, the next higher rate, the highest rate.
     More channels than needed are taken where fewer are not offered.
 
-    Parameters
-    ----------
-    offers : Sequence[Offer]
-        What the card supports.
-    samplerate : int
-        Of the mix, in Hz.
-    actuators : int
-        Channels that are needed.
-    least_channels : int or None
-        Settings with fewer channels are taken only if no other exists. None stands for 2, since
-        nearly every DAC has two outputs, and a single signal drives both.
-    without : Container[SampleFormat]
-        Formats that turned out to be unsupported.
+    offers: from `list_offers`. samplerate: of the mix, in Hz. actuators: channels that are needed.
+    least_channels: settings with fewer are taken only if no other exists. None stands for 2, since
+    nearly every DAC has two outputs, and a single signal drives both. without: formats that turned
+    out to be unsupported.
 
-    Raises
-    ------
-    NotFoundError
-        Nothing suits; the message lists what is offered.
+    NotFoundError: nothing suits; the message lists the offers.
     """
     wished = max(actuators, 2 if least_channels is None else least_channels)
     found: list[tuple[tuple[int, ...], CardSetup]] = []
     for offer in offers:
-        formats = [one for one in offer.formats if one not in without]
+        names = offer.formats
+        formats = [one for one in PREFERRED if one.value in names and one not in without]
         if not actuators <= offer.channels <= CHANNELS_MAX or not formats:
             continue
         for rate in _rates_to_try(offer.rates, samplerate):

@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from device.alsa.cards import CaptureDevice, PlaybackDevice, read_text
+from device.alsa.cards import PlaybackDevice, read_text
 from device.alsa.use import read_hw_params
 
 _NUMBER = re.compile(r"\d+")
@@ -50,8 +50,11 @@ class UsbFormat:
     formats: tuple[str, ...]
     channels: int
     rates: Rates
-    bits: int
-    sync: str
+    bits: int = 0
+    sync: str = "NONE"
+
+    def __str__(self) -> str:
+        return f"{'/'.join(self.formats)} with {self.channels} channels at {self.rates}"
 
 
 @dataclass(frozen=True)
@@ -90,8 +93,7 @@ def measure_rate(device: PlaybackDevice) -> MeasuredRate | None:
 def read_usb_stream(device: PlaybackDevice) -> UsbStream | None:
     """Return what a USB playback or capture device offers; None for other cards."""
     text = read_text(device.card.folder / f"stream{device.device}")
-    side = "Capture:" if isinstance(device, CaptureDevice) else "Playback:"
-    return parse_usb_stream(text, side) if text else None
+    return parse_usb_stream(text, f"{device.kind.capitalize()}:") if text else None
 
 
 def parse_usb_stream(text: str, side: str = "Playback:") -> UsbStream:

@@ -22,8 +22,7 @@ LOCK_S = 0.00025
 UNLOCK_S = 0.001
 LOCK_AFTER_S = 1.0
 STARVED_AGAIN_S = 1.0
-HOLD_OFF_S = 0.25
-"""Silence after the second starvation within a second: regular bursts would buzz."""
+HOLD_OFF_S = 0.25  # silence after the second starvation within a second: regular bursts would buzz
 
 
 class DelayState(enum.Enum):
@@ -48,7 +47,7 @@ class DelayStatus(NamedTuple):
     """A consistent report of a delay line, from the last read.
 
     target_s: the delay that is aimed at. delay_s: time from the capture of a frame to its place in
-    the output, without the latencies of the sound cards; 0 unless SETTLING or LOCKED. ratio_ppm:
+    the output, without the cards' latencies; 0 unless SETTLING or LOCKED. ratio_ppm:
     how much faster than nominal frames are read, within ±2000, and 1000 more while the target
     moves. resyncs: jumps because the delay was too far off, without those to a new offset.
     underflows: how often frames ran out. overflows: how often frames were lost before their read.
@@ -75,33 +74,15 @@ class DelayLine:
     none waits. Frames cross as in `NewestFrames`, all else as an immutable object in one attribute.
     Times are seconds of one monotonic clock, taken when the callback began.
 
-    Parameters
-    ----------
-    channels : int
-        Of every block.
-    samplerate_in, samplerate_out : float
-        Nominal rates in Hz; they may differ.
-    capacity_s : float
-        Seconds of memory, allocated at once. The target stays within three quarters of it.
-    capture_block, output_block : int
-        Frames of a usual `write` and `read`. Other lengths work and count as lateness.
-    offset_s : float
-        Delay added to the necessary delay, in seconds, 0 or more.
-    lateness_least_s : float
-        Least lateness to plan for, so that the first late callbacks do not move the delay.
+    channels: of every block. samplerate_in, samplerate_out: nominal, Hz; they may differ.
+    capacity_s: of the memory, allocated at once; the target stays within three quarters of it.
+    capture_block, output_block: frames of a usual `write` and `read`; others count as lateness.
+    offset_s: delay added to the necessary one, 0 or more. lateness_least_s: the least lateness to
+    plan for, so that the first late callbacks do not move the delay.
+    status: after the last read.
 
-    Attributes
-    ----------
-    status : DelayStatus
-        Status after the last read. Any thread may read it.
-
-    Raises
-    ------
-    UsageError
-        offset_s or capacity_s is out of range.
-    InternalError
-        A block has a wrong shape. Nothing else that is passed to `write` or `read` raises, and
-        `read` then still gives finite frames.
+    UsageError: offset_s or capacity_s is out of range. InternalError: a block has a wrong shape.
+    Nothing else passed to `write` or `read` raises, and `read` still gives finite frames.
     """
 
     def __init__(
@@ -131,7 +112,6 @@ class DelayLine:
         self._resync_frames = max(RESYNC_FRAMES, capture_block // 2)
 
         self._ring = NewestFrames(math.ceil(capacity_s * samplerate_in), channels)
-        # the writer's state
         self._writes = WriteTiming(samplerate_in, capture_block, LATENESS_LIMIT_S)
         # the reader's state
         self._reads = StreamTiming(samplerate_out, output_block, LATENESS_LIMIT_S)
@@ -152,10 +132,10 @@ class DelayLine:
         self._starved_at_s = -math.inf
         self._not_before_s = -math.inf
         self._from_frame = 0
-        self._fresh = False
+        self._flushing = False
         self._flushed: int | None = None
         self._resyncs = self._underflows = self._overflows = 0
-        # any thread's state
+        # set by any thread
         self._flush_wanted: int | None = None
         self._offset_s = 0.0
         self.offset_s = self._offset_in_force_s = offset_s
@@ -226,7 +206,7 @@ class DelayLine:
             self._flushed = self._flush_wanted
             self._from_frame = self._flushed or 0
             self._stop(DelayState.EMPTY)
-            self._fresh = True
+            self._flushing = True
         played, filled = 0, frames - ahead
         if written is not None and clock is not None:
             self._steer(written, clock, now_s, frames, ahead)
@@ -270,8 +250,8 @@ class DelayLine:
             # A start too close to the newest frame would starve at the first late callback.
             provided = written.lateness_known and self._reads.lateness.known
             # Start at once after a flush: the clocks may correct the delay later by a jump.
-            fresh = self._state is DelayState.FILLING and self._fresh
-            if provided and (known or fresh) and not held_off:
+            flushed = self._state is DelayState.FILLING and self._flushing
+            if provided and (known or flushed) and not held_off:
                 self._start(written, captured, frames)
 
     def _measure(
@@ -310,7 +290,7 @@ class DelayLine:
             self._delay_s = (captured - position) / self.samplerate_in
             self._on_target_s = 0.0
             self._joint.begin()
-            self._fresh = False
+            self._flushing = False
             self._state = DelayState.SETTLING
 
     def _play(self, out: Float32Array, wanted: int, now_s: float) -> int:

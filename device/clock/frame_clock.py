@@ -7,8 +7,7 @@ import math
 from collections import deque
 from typing import NamedTuple
 
-WINDOW_S = 60.0
-"""How long callbacks are considered: several times the slowest beat between blocks."""
+WINDOW_S = 60.0  # how long callbacks are considered: several times the slowest beat between blocks
 BUCKET_S = 0.5  # only the earliest callback of each such interval is kept
 SETTLED_S = 0.1
 PREFILL_S = 0.06  # a new stream fills its buffers at once: these early callbacks are no clock
@@ -63,8 +62,8 @@ class FrameClock:
     samplerate: nominal, Hz. block_frames: of a usual callback. Only the stream's own thread calls
     `update`; any thread may use the reading that it returns.
 
-    A callback can only be late: because the machine is busy, or because the server's blocks are no
-    multiple of the stream's, which beats over minutes. So the line lies under all callbacks of the
+    A callback can only be late: the machine is busy, or the server's blocks are no multiple of the
+    stream's, which beats over minutes. So the line lies under all callbacks of the
     last minute: it is the middle edge of the lower convex hull of (counter, lateness). S. Moon,
     P. Skelly, D. Towsley, "Estimation and removal of clock skew from network delay measurements"
     (INFOCOM 1999). As far as the callbacks leave it open, the previous rate holds.

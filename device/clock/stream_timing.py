@@ -10,8 +10,7 @@ from typing import NamedTuple
 
 from device.clock.frame_clock import STALLED_S, ClockReading, FrameClock
 
-SHARE = 0.001
-"""The share of callbacks that may come later than the estimate."""
+SHARE = 0.001  # the share of callbacks that may come later than the estimate
 LEAST_S = 0.0005
 
 _BIN_S = 0.0001
@@ -26,7 +25,7 @@ class StreamTiming:
     """A stream's clock, and the lateness measured against it.
 
     samplerate: nominal, Hz. block_frames: of a usual callback. lateness_limit_s: see `Lateness`.
-    Called by the stream's own thread; other threads may use what it returns.
+    Called by the stream's own thread; other threads may use its results.
     """
 
     def __init__(self, samplerate: float, block_frames: int, lateness_limit_s: float) -> None:
@@ -123,7 +122,7 @@ class Lateness:
     the thread whose callbacks are measured.
 
     With fewer than 1000 callbacks it is the greatest lateness. All callbacks that one pause delays
-    count as one, the latest, or not at all if the pause turns out to be a jump of the counter.
+    count as one, the latest. A pause that turns out to be a jump of the counter does not count.
 
     estimate_s: 0.5 ms to `limit_s`. It follows every rise, but a fall only if greater than 1 ms,
     so that it rests. known: whether it has been evaluated. Any thread may read both.

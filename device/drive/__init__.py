@@ -1,4 +1,4 @@
-"""What is done for the actuators of a device, as designs, and the device's channels.
+"""Designs of the processing for a device's actuators, and the device's channels.
 
 | module                | holds                                                                |
 | --------------------- | -------------------------------------------------------------------- |

@@ -22,12 +22,8 @@ Wiring = tuple[tuple[int | str, ...], ...]
 class ChannelMap:
     """Which actuator each channel of a device plays. Any thread may use it.
 
-    Attributes
-    ----------
-    actuators : int
-        Number of actuators.
-    sources : tuple[int | None, ...]
-        The actuator of every channel of the device, counted from 0; None for silence.
+    actuators: their number.
+    sources: the actuator of every channel of the device, counted from 0; None for silence.
     """
 
     actuators: int
@@ -71,9 +67,8 @@ class ChannelMap:
         """Return the map for the actuators' channels; channels without an actuator are silent.
 
         wiring: the channels of each actuator.
-        channels: channels of the device.
-        positions: names of the device's channels in order; empty if they have no names.
-        device: the device's name, for messages.
+        channels, positions, device: the device's number of channels, their names in order, empty
+            if they have none, and the device's name for messages.
         UsageError: an actuator has no channel, a channel has two actuators, or the device has no
             such channel.
         """
@@ -121,19 +116,13 @@ class ChannelMap:
 def channels_needed(wiring: Sequence[Sequence[int | str]]) -> int:
     """Return the least number of channels that a device needs; 1 if all have positions.
 
-    Parameters
-    ----------
-    wiring : sequence of sequence of int or str
-        Channel numbers from 0 or position names of each actuator.
+    wiring: channel numbers from 0 or position names of each actuator.
     """
     return 1 + max((c for channels in wiring for c in channels if isinstance(c, int)), default=0)
 
 
 def check_wiring(wiring: Sequence[Sequence[int | str]]) -> dict[int, tuple[str, str]]:
-    """Return what is wrong with the channels: actuator from 1 -> (what, what is allowed).
-
-    Whether a device has such channels is not checked.
-    """
+    """Return the mistakes in a wiring, whatever the device: actuator from 1 -> (wrong, allowed)."""
     found: dict[int, tuple[str, str]] = {}
     taken: dict[int | str, int] = {}
     for actuator, channels in enumerate(wiring, 1):

@@ -1,4 +1,4 @@
-"""What is done for one rig, as a design for the core: damping, protection, exposure meter."""
+"""The processing of one rig as a design for the core: damping, protection, exposure meter."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class DriveDesign:
     The damping makes up for the strength that it takes. Protection is always on, since a damped
     signal exceeds full scale and must not be clipped.
 
-    rig: what is driven. samplerate: Hz, 6000 or more. damping: None for none. exposure_cap: one of
+    samplerate: Hz, 6000 or more. damping: None for none. exposure_cap: one of
     `CAPS`; above half of the cap's dose the gain falls slowly. limits: None for those of the rig.
     records: numbers and tables, by name; see `DriveDesign` of the core. worst_second: bound on the
     dose that a second can add.
@@ -70,7 +70,7 @@ class DriveDesign:
 
     @property
     def makeup_db(self) -> float:
-        """Gain of the damping that makes up for what it takes at the resonance; 0 without it."""
+        """Gain that makes up for the loss by damping at the resonance; 0 without damping."""
         return amplitude_to_db(self.damping.gain) if self.damping else 0.0
 
     def resistance_ohm(self, coil_c: float) -> float:

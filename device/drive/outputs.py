@@ -33,30 +33,20 @@ class Driver(Protocol):
         ...
 
 
-class AlignedOutput:
-    """Drops the first `latency_frames` of an output, so that vibration starts with its sound.
+class WrappedOutput:
+    """An output in front of another one, of the same rate and channels. One thread calls it."""
 
-    For files; a playing device uses the delay line instead. The delivering thread calls it.
-
-    output: gets all later frames.
-    latency_frames: number of frames to drop.
-    """
-
-    def __init__(self, output: VibrationOutput, latency_frames: int) -> None:
+    def __init__(self, output: VibrationOutput) -> None:
         self._output = output
-        self._to_skip = latency_frames
         self.samplerate = output.samplerate
         self.channels = output.channels
 
     def write(self, vibration: FloatArray | Float32Array) -> None:
-        """Take a block, (frames, channels)."""
-        skipped = min(self._to_skip, len(vibration))
-        self._to_skip -= skipped
-        if skipped < len(vibration):
-            self._output.write(vibration[skipped:])
+        """Take a block, (frames, channels); the block does not change."""
+        self._output.write(vibration)
 
     def close(self) -> None:
-        """Finish the output."""
+        """Write the frames still held back, and finish the output. May be repeated."""
         self._output.close()
 
     def abort(self) -> None:
@@ -64,15 +54,30 @@ class AlignedOutput:
         self._output.abort()
 
 
-class DrivenOutput:
+class AlignedOutput(WrappedOutput):
+    """Drops the first `latency_frames`, so that vibration starts with its sound.
+
+    For files; a playing device uses the delay line instead.
+    """
+
+    def __init__(self, output: VibrationOutput, latency_frames: int) -> None:
+        super().__init__(output)
+        self._to_skip = latency_frames
+
+    def write(self, vibration: FloatArray | Float32Array) -> None:
+        """Take a block, (frames, channels)."""
+        skipped = min(self._to_skip, len(vibration))
+        self._to_skip -= skipped
+        if skipped < len(vibration):
+            super().write(vibration[skipped:])
+
+
+class DrivenOutput(WrappedOutput):
     """Applies a drive before an output that is not live.
 
     The drive's latency stays in the vibration. `close` first writes the frames that the rigs'
-    processing still holds, but no frames that a `delay_ms` moves past the end. The thread that
-    delivers the vibration calls it.
+    processing still holds, but no frames that a `delay_ms` moves past the end.
 
-    output: gets the signals of the device's channels.
-    drive: processes the vibration.
     channel_map: which of the drive's columns each channel of the output plays.
     """
 
@@ -81,11 +86,10 @@ class DrivenOutput:
             raise InternalError(
                 f"the output has {output.channels} channels, the channel map {channel_map.channels}"
             )
-        self._output = output
+        super().__init__(output)
         self._drive = drive
         self._map = channel_map
         self._closed = False
-        self.samplerate = output.samplerate
         self.channels = drive.inputs
 
     def write(self, vibration: FloatArray | Float32Array) -> None:
@@ -94,39 +98,35 @@ class DrivenOutput:
             raise InternalError("the output is closed: nothing can be written to it")
         # In double precision, to avoid rounding between the stages.
         driven = self._drive.process(vibration.astype(np.float64))
-        self._output.write(self._map.mapped(driven))
+        super().write(self._map.mapped(driven))
 
     def close(self) -> None:
-        """Write the frames still held back, and finish the output."""
+        """Write the frames still held back, and finish the output. May be repeated."""
         if not self._closed:
             self.write(np.zeros((self._drive.latency_frames, self.channels)))
             self._closed = True
-        self._output.close()
+        super().close()
 
     def abort(self) -> None:
         """Discard the output."""
         self._closed = True
-        self._output.abort()
+        super().abort()
 
 
-class FadedOutput:
+class FadedOutput(WrappedOutput):
     """Fades the last frames before it closes an output, by a raised cosine, at the same length.
 
-    For files whose end cuts the sound off. The last `FADE_S` seconds are held back until the end;
-    a shorter file is faded from its first frame on. The thread that delivers the vibration calls
-    it.
+    For files whose end cuts the sound off. A file that is shorter than the fade is faded from its
+    first frame on.
 
-    output: gets all frames.
     frames: length of the fade, 0 for none.
     peak: largest magnitude that was written so far; 1.0 is full scale.
     """
 
     def __init__(self, output: VibrationOutput, frames: int) -> None:
-        self._output = output
+        super().__init__(output)
         self._frames = frames
         self._held = np.zeros((0, output.channels))
-        self.samplerate = output.samplerate
-        self.channels = output.channels
         self.peak = 0.0
 
     def write(self, vibration: FloatArray | Float32Array) -> None:
@@ -142,14 +142,14 @@ class FadedOutput:
         shares = (np.arange(len(held)) + 0.5) / max(1, len(held))
         gains = 0.5 + 0.5 * np.cos(np.pi * shares)
         self._pass_on(held * gains[:, None])
-        self._output.close()
+        super().close()
 
     def abort(self) -> None:
         """Discard the output."""
         self._held = self._held[:0]
-        self._output.abort()
+        super().abort()
 
     def _pass_on(self, vibration: FloatArray) -> None:
         if len(vibration):
             self.peak = max(self.peak, float(np.abs(vibration).max()))
-            self._output.write(vibration)
+            super().write(vibration)

@@ -6,20 +6,19 @@ import math
 from dataclasses import dataclass, replace
 
 from device.drive.exposure.dose import DoseSums
-from device.drive.protection.limits import limits_of
-from device.drive.protection.thermal import CoilTemperature
+from device.drive.protection.limits import APPROACH_S, limits_of
 from device.rig import Rig
+from device.rig.thermal import Temperatures
 
 _STEP_S = 0.01
 """Step in which the protection's law of power is followed; it changes over 2 s."""
-
 
 NO_DOSE = DoseSums()
 
 
 @dataclass(frozen=True)
 class SafetyState:
-    """What one actuator must not forget. Temperatures in °C; None if the rig has no [thermal]."""
+    """State that one actuator keeps. Temperatures in °C; None if the rig has no [thermal]."""
 
     coil_c: float | None = None
     magnet_c: float | None = None
@@ -27,7 +26,7 @@ class SafetyState:
 
 
 class SafetyBounds:
-    """The worst that a protected actuator can have done in a time that nobody recorded. Pure.
+    """Bounds on the heat and dose of a protected actuator in an unrecorded time. Pure.
 
     rig: of the actuator. worst_s: the dose of a second of the strongest drive.
     """
@@ -54,11 +53,8 @@ class SafetyBounds:
     def after_unrecorded(self, state: SafetyState, seconds: float) -> SafetyState:
         """Return the worst state after so many unrecorded seconds under protection."""
         seconds = max(0.0, seconds)
-        worst = self._worst_s
-        added = DoseSums(
-            seconds, worst.squares * seconds, worst.fourths * seconds, worst.high * seconds
-        )
-        return replace(self._heated(state, seconds, self._most_w), dose=state.dose.plus(added))
+        dose = state.dose.plus(self._worst_s, seconds)
+        return replace(self._heated(state, seconds, self._most_w), dose=dose)
 
     def after_rest(self, state: SafetyState, seconds: float) -> SafetyState:
         """Return the state after so many seconds without any drive."""
@@ -71,11 +67,25 @@ class SafetyBounds:
         known = self.warmest if state.coil_c is None or state.magnet_c is None else state
         assert known.coil_c is not None
         assert known.magnet_c is not None
+        warm, ambient_c = Temperatures(thermal), thermal.ambient_c
+        # Neither is colder than the room.
+        warm.coil_k = max(0.0, known.coil_c - ambient_c)
+        warm.magnet_k = max(0.0, known.magnet_c - ambient_c)
         count = max(1, math.ceil(min(seconds, 60.0) / _STEP_S)) if most_w else 1
-        coil = CoilTemperature(thermal, self._rig.actuator.resistance_ohm, seconds / count)
-        coil.set_temperatures(known.coil_c, known.magnet_c)
         for _ in range(count if seconds else 0):
-            coil.step(min(most_w, coil.power_allowed(limit_c)) if most_w else 0.0)
-        # A step may end microkelvins above what protection holds.
-        coil_c = min(coil.coil_c, max(limit_c, known.coil_c))
-        return replace(state, coil_c=coil_c, magnet_c=coil.magnet_c)
+            allowed_w = power_to_limit_w(warm, limit_c - ambient_c) if most_w else 0.0
+            warm.heat(min(most_w, allowed_w), seconds / count)
+        # A step may end microkelvins above the limit that protection keeps.
+        coil_c = min(ambient_c + warm.coil_k, max(limit_c, known.coil_c))
+        return replace(state, coil_c=coil_c, magnet_c=ambient_c + warm.magnet_k)
+
+
+def power_to_limit_w(warm: Temperatures, limit_k: float) -> float:
+    """Return the mean power, W, that brings a coil near a limit, K above the room, and not past it.
+
+    It is the flow of heat to the magnet, plus the coil's remaining heat capacity over `APPROACH_S`.
+    """
+    thermal = warm.parameters
+    onward_w = (warm.coil_k - warm.magnet_k) / thermal.coil_k_per_w
+    left_j = thermal.coil_j_per_k * (limit_k - warm.coil_k)
+    return max(0.0, onward_w + left_j / APPROACH_S)

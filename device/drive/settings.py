@@ -69,15 +69,12 @@ class _DeviceChannels(Description):
 
 @dataclass(frozen=True)
 class ActuatorSettings(Described):
-    """What one actuator plays, and on which channels.
+    """Settings of one actuator: its source and channels.
 
     For `rig`, `damping`, `protection` and `exposure_cap`, None means the setting that applies to
     all actuators. The rig's existence is not checked here. A delay is rounded to the nearest frame.
 
-    Raises
-    ------
-    UsageError
-        Some choices are refused; the message names all of them.
+    UsageError: some choices are refused; the message names all of them.
     """
 
     channels: Annotated[
@@ -120,10 +117,7 @@ class ActuatorSettings(Described):
 def wiring_refusals(wired: Sequence[Sequence[int | str]]) -> dict[int, Refusal]:
     """Return why actuators' channels are refused, by the actuator's number, from 1.
 
-    Parameters
-    ----------
-    wired : sequence of sequence of int or str
-        Channel numbers from 0 or position names of each actuator.
+    wired: channel numbers from 0 or position names of each actuator.
     """
     if len(wired) > ACTUATORS_MAX:
         allowed = f"up to {ACTUATORS_MAX} actuators"
@@ -134,10 +128,7 @@ def wiring_refusals(wired: Sequence[Sequence[int | str]]) -> dict[int, Refusal]:
 def sources_of(actuators: Sequence[ActuatorSettings]) -> tuple[str, ...]:
     """Return the sources that the actuators play, without repeats, in the order of `SOURCES`.
 
-    Parameters
-    ----------
-    actuators : sequence of ActuatorSettings
-        All actuators of a run.
+    actuators: all of a run.
     """
     played = {actuator.source for actuator in actuators}
     return tuple(source for source in SOURCES if source in played)
@@ -146,9 +137,6 @@ def sources_of(actuators: Sequence[ActuatorSettings]) -> tuple[str, ...]:
 def wiring_of(actuators: Sequence[ActuatorSettings]) -> Wiring:
     """Return the channels of every actuator.
 
-    Parameters
-    ----------
-    actuators : sequence of ActuatorSettings
-        All actuators of a run.
+    actuators: all of a run.
     """
     return tuple(actuator.channels for actuator in actuators)

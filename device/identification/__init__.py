@@ -2,15 +2,15 @@
 
 | module | holds |
 | --- | --- |
-| sweep, recording, transfer | what is played, what was recorded, and whether it can be used |
+| sweep, recording, transfer | the played signal, its recording, and whether it can be used |
 | responses, output_error | models of a response, and their fit |
 | acceleration, impedance, mechanics | f0, Q and sensitivity; R and L; Bl, mass, Qms |
-| calibration | all of it in turn, from low levels up; the rig with its new values |
+| drive | volts of full scale, the amplifier's high-pass and source impedance |
+| calibration | all of these in turn, from low levels up; the rig with its new values |
 | simulated_laboratory | plays sweeps to the simulated rig |
 | live/ | plays sweeps to real devices |
 
-What cannot be identified raises `IdentificationError`, whose message gives the reason, the values
-and what to do.
+`IdentificationError` says why a value cannot be identified, with numbers and what to do.
 """
 
 from device.identification.recording import IdentificationError

@@ -36,15 +36,18 @@ WIDEST_F0, WIDEST_Q, WIDEST_SENSITIVITY = 0.02, 0.2, 0.2
 """Half the widest accepted 95 % interval, as a share."""
 
 F0_BY_LEVEL, Q_BY_LEVEL = 0.19, 0.4
-"""Shares by which f0 and Q rise, per square of the level in Xmax. If stiffness is 50 % higher at
-Xmax, f0 rises by 3/8 of that (describing function). Q rises with it, and because Bl falls by a
-quarter. Intervals are extended down by this much, because they are for the rig at rest."""
+"""Shares by which f0 and Q rise, per square of the level in Xmax.
+
+If stiffness is 50 % higher at Xmax, f0 rises by 3/8 of that (describing function). Q rises with it,
+and because Bl falls by a quarter. Intervals, which are for the rig at rest, are extended down by
+this much.
+"""
 HARDENING = 0.5
-"""A spring that hardens changes the response by up to this share, r.m.s., per square of the level
-in Xmax. A seat that changes it less is not taken for one, however little noise there is."""
+"""Largest r.m.s. share by which a hardening spring changes the response, per square of the level in
+Xmax. A seat must change it more, even without noise."""
 _DELAYS_S = np.arange(-8e-3, 4e-3, 0.25e-3)
-"""Starts for an unknown delay. It was measured at the peak of the impulse response, up to a quarter
-of a period after its beginning."""
+"""Starts for an unknown delay. The measured delay is that of the impulse response's peak, up to a
+quarter of a period after its beginning."""
 _ADVICE = "raise the level a little, make the sweep longer or bring it closer to the resonance"
 
 
@@ -66,19 +69,16 @@ class Mode:
     high_pass_hz: Estimate | None = None  # the amplifier's corner, if it is not that of the rig
 
 
-def identify_mode(
-    recording: Recording, x_max_m: float, *, widest: float = 1.0, on_seat: bool | None = None
-) -> Mode:
+def identify_mode(recording: Recording, x_max_m: float, *, on_seat: bool | None = None) -> Mode:
     """Return the mode that a recording of acceleration, for a current or a voltage, shows.
 
-    x_max_m gives the level; `widest` is a factor on the widest accepted intervals. on_seat: whether
-    there is a seat, if another recording shows it.
+    x_max_m gives the level. on_seat: whether there is a seat, if another recording shows it.
     """
     check_recording(recording)
-    mode, shown = _identify(recording, x_max_m, widest, on_seat)
+    mode, shown = _identify(recording, x_max_m, on_seat)
     if mode.on_seat and on_seat is None:
         try:
-            simple, without = _identify(recording, x_max_m, widest, False)
+            simple, without = _identify(recording, x_max_m, False)
         except IdentificationError:
             return mode
         change = float(np.sqrt(np.mean(np.abs(without / shown - 1.0) ** 2)))
@@ -88,7 +88,7 @@ def identify_mode(
 
 
 def _identify(
-    recording: Recording, x_max_m: float, widest: float, on_seat: bool | None
+    recording: Recording, x_max_m: float, on_seat: bool | None
 ) -> tuple[Mode, ComplexArray]:
     """Return the mode, and the fitted response in the band."""
     electrical = recording.names[0] != "current"
@@ -102,13 +102,13 @@ def _identify(
     check_misfit(
         recording,
         found,
-        "more than one resonance and a seat are in the band, or this is another channel; check "
-        "which input it is, fasten what rattles, or sweep a narrower band around the resonance",
+        "the band has more than one resonance and a seat, or this is another channel; check the "
+        "inputs, fasten loose parts, or narrow the sweep around the resonance",
     )
     values = [found.estimate({index: 1.0}) for index in range(3)]
     limits = ("sensitivity", WIDEST_SENSITIVITY), ("f0_hz", WIDEST_F0), ("q", WIDEST_Q)
     for (name, limit), value in zip(limits, values, strict=True):
-        require(name, value, limit * widest, _ADVICE)
+        require(name, value, limit, _ADVICE)
     f = recording.frequencies_hz[recording.band]
     model = product(*factors, *(extra.factor for extra in extras))
     shown = model(f, found.logs)[0]
@@ -132,7 +132,7 @@ def _identify(
 def _fit_mode(
     recording: Recording, factors: list[Factor], on_seat: bool | None, level_known: bool
 ) -> tuple[Recording, Fit, tuple[Extra, ...], bool]:
-    """Return recording, fit, what the evidence adds, and whether the polarity is inverted."""
+    """Return recording, fit, extras that the evidence supports, and whether it is inverted."""
     candidates = [recording]
     if not recording.polarity_known:
         candidates.append(replace(recording, response=-recording.response))
@@ -154,7 +154,7 @@ def _fit_mode(
 
 
 def _eddy() -> Extra:
-    """Return what a coil with eddy currents adds to its lag under voltage drive."""
+    """Return the effect of eddy currents on the coil's lag under voltage drive."""
     corners = np.log([60.0, 200.0, 600.0])
     starts = tuple(-math.log(math.tau) - np.array([hz, hz - 0.2]) for hz in corners)
     ends = -math.log(math.tau) - np.log([10e3, 5.0])
@@ -171,7 +171,7 @@ def high_pass_extra(recording: Recording) -> Extra:
 
 _SAME_CORNER = 0.01
 LOWEST_CORNER = 0.02
-"""As a share of the sweep's lowest frequency: a lower corner is as good as none."""
+"""As a share of the sweep's lowest frequency; a lower corner is negligible."""
 
 
 def corner_of(found: Fit, extras: Sequence[Extra], first: int, known_hz: float) -> Estimate | None:
@@ -203,8 +203,8 @@ def excursion_square(level_of_x_max: float, on_seat: bool) -> float:
 def seat_extra(log_hz: float, *, level_known: bool) -> Extra | None:
     """Return the seat of an actuator by its log f0; None if none fits below such a mode.
 
-    A seat's own mode must be damped and lie below that of the actuator. A hardening spring looks
-    like one, so it must explain far more than noise would, unless a known level tells them apart.
+    A seat's mode must be damped and below that of the actuator. A hardening spring has a similar
+    effect. If the level is unknown, a seat must therefore explain far more than noise would.
     """
     own = log_hz - math.log(4.0)
     highest = np.array([log_hz - math.log(1.5), math.log(5.0)] * 2)
@@ -254,5 +254,5 @@ def refuse_outside(recording: Recording, log_hz: float) -> None:
         raise IdentificationError(
             f"the resonance is outside the band, {low:.4g} to {high:.4g} Hz of a sweep from "
             f"{sweep.low_hz:.4g} to {sweep.high_hz:.4g} Hz: it is beyond the {end} end; {to}, or "
-            "check which input it is"
+            "check the inputs"
         )

@@ -1,7 +1,7 @@
-"""Calibration: sweeps at a quarter, half and all of a level, and everything that follows from them.
+"""Calibration: sweeps at a quarter, half and all of a level, and the values that they identify.
 
-A problem at a low level ends the calibration before anything gets loud. Whoever measures is a
-`Laboratory`; only what its channels can identify is given.
+A problem at a low level ends the calibration before anything gets loud. A `Laboratory` measures;
+its channels decide which values can be identified.
 """
 
 from collections.abc import Callable, Sequence
@@ -53,15 +53,15 @@ def play_steps(
     rig: Rig,
     sweep: Sweep,
     pairs: Sequence[tuple[str, str]],
-    tell: Callable[[float], None],
+    on_level: Callable[[float], None],
     *,
     scaled: bool,
 ) -> list[Recording]:
-    """Return the recordings of the last of STEPS, each of which predicts the next excursion."""
+    """Return the recordings of the last of STEPS; each step predicts the next excursion."""
     recordings: list[Recording] = []
     for step, after in zip(STEPS, (*STEPS[1:], STEPS[-1]), strict=True):
         louder = replace(sweep, level=step * sweep.level)
-        tell(louder.level)
+        on_level(louder.level)
         before, recordings = recordings, laboratory.measure(louder, pairs)
         for recording in recordings:
             check_recording(recording)
@@ -85,9 +85,9 @@ def _compare(quiet: Recording, loud: Recording) -> None:
     grown = float(np.std(loud.response) / np.std(quiet.response))
     if not ratio / _UNEXPECTED <= grown <= ratio * _UNEXPECTED:
         raise IdentificationError(
-            f"{loud.names[1]} grew by {grown:.3g} where the level grew by {ratio:.3g}: something "
-            "rattles, limits, or is not the rig that is described; stay below level "
-            f"{quiet.sweep.level:.3g}, and find out what it is"
+            f"{loud.names[1]} grew by {grown:.3g}, but the level by {ratio:.3g}: something rattles "
+            "or limits, or the rig's file describes another rig; find the reason, or stay below "
+            f"level {quiet.sweep.level:.3g}"
         )
 
 
@@ -99,7 +99,7 @@ ALL_PAIRS = (
 )
 
 COIL = ("force_factor_n_per_a", "resistance_ohm", "inductance_h", "moving_mass_kg")
-"""Parameters from which the mechanics follow from the damped mode."""
+"""Parameters that are needed to compute the mechanics from the damped mode."""
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ class Calibration:
 
     @property
     def on_seat(self) -> bool:
-        """Whether a response needs a moving frame, first of all one without the coil's part."""
+        """Whether the frame moves, by the response that the coil affects least."""
         return next(
             (found.on_seat for found in (self.mode, self.impedance, self.driven) if found), False
         )
@@ -130,7 +130,7 @@ def calibrate(
     laboratory: Laboratory,
     rig: Rig,
     sweep: Sweep,
-    tell: Callable[[float], None] = lambda level: None,
+    on_level: Callable[[float], None] = lambda level: None,
     *,
     pairs: Sequence[tuple[str, str]] = ALL_PAIRS,
     scaled: bool = True,
@@ -138,11 +138,13 @@ def calibrate(
 ) -> Calibration:
     """Play the sweep at a quarter, half and all of its level, and identify the rig.
 
-    `tell` is called with each level before it is played. The laboratory can measure the pairs, of
-    ALL_PAIRS and ("drive", "acceleration"); with `scaled`, accelerations are in m/s^2. `weighed` is
-    the moving mass, kg, if it was weighed. What is unexpected ends it: nothing louder is played.
+    on_level: called with each level before it is played. pairs: of ALL_PAIRS and ("drive",
+    "acceleration"), those that the laboratory can measure. scaled: whether accelerations are in
+    m/s^2. weighed: the moving mass, kg, if it was weighed.
+
+    IdentificationError: a measurement is unexpected; nothing louder is played.
     """
-    recordings = play_steps(laboratory, rig, sweep, pairs, tell, scaled=scaled)
+    recordings = play_steps(laboratory, rig, sweep, pairs, on_level, scaled=scaled)
     there = {recording.names: recording for recording in recordings}
     mode = driven = impedance = level = None
     x_max_m = rig.actuator.x_max_m if scaled else float("inf")
@@ -218,14 +220,14 @@ def _add_by_coil(
 
 
 def _without_eddy(rig: Rig) -> Rig:
-    """Return the rig without what its file said of eddy currents."""
+    """Return the rig without its file's eddy currents."""
     plain = replace(rig.actuator, inductance_eddy_h=0.0, resistance_eddy_ohm=0.0)
     sources = tuple(s for s in rig.sources if not s.parameter.endswith(("eddy_h", "eddy_ohm")))
     return replace(rig, actuator=plain, sources=sources)
 
 
 def _add_drive(found: Calibration) -> Calibration:
-    """Add what the amplifier does, also if only the acceleration shows its high-pass."""
+    """Add the amplifier's values, also if only the acceleration shows its high-pass."""
     drive, rig, values = found.drive, found.rig, {}
     corner = next((c.high_pass_hz for c in (drive, found.driven) if c and c.high_pass_hz), None)
     if corner:
@@ -247,7 +249,7 @@ def _add_drive(found: Calibration) -> Calibration:
             for source in rig.sources
         )
         if amplifier.output_limit_v < volts:
-            # No sweep is so loud that it clips; a limit that is too low hides excursion.
+            # The sweep did not clip; a limit that is too low would hide excursion.
             amplifier = replace(amplifier, output_limit_v=volts)
             words = "full scale without clipping: the sweep was too quiet to show a limit"
             sources = (

@@ -1,6 +1,6 @@
-"""Laws of a coil's impedance: what is added to its resistance, with derivatives by the parameters.
+"""Laws of a coil's impedance beside its resistance, with derivatives by the parameters.
 
-Eddy currents in the iron around a coil make its inductance fall, and its resistance rise, with
+Eddy currents in the iron around a coil lower its inductance and raise its resistance with
 frequency. The simplest law that explains a measurement is used.
 
 | law | adds to R | parameters, as logs |
@@ -35,17 +35,16 @@ class CoilLaw:
 
     name: str
     impedance: Callable[[FloatArray, FloatArray], Impedance]
-    lowest: tuple[float, ...]  # logarithms of the parameters
-    highest: tuple[float, ...]
+    limits: tuple[tuple[float, float], ...]  # lowest and highest logarithm of each parameter
     shapes: tuple[tuple[float, ...], ...] = ((),)  # starts for the logarithms of the last ones
 
     @property
     def parameters(self) -> int:
         """Their number."""
-        return len(self.lowest)
+        return len(self.limits)
 
     def columns(self, f: FloatArray, shape: tuple[float, ...]) -> list[ComplexArray]:
-        """Return what each amplitude of 1 adds, for one of `shapes`."""
+        """Return the impedance of each amplitude of 1, for one of `shapes`."""
         linear = self.parameters - len(shape)
         return self.impedance(f, np.array([0.0] * linear + list(shape)))[1][:linear]
 
@@ -83,28 +82,16 @@ def _mixed(f: FloatArray, p: FloatArray) -> Impedance:
 
 _L, _X, _N = (math.log(1e-7), 2.0), (math.log(1e-4), math.log(1e4)), (math.log(0.45), 0.0)
 _CORNER = math.log(20.0), math.log(5e3)
-
-
 _CORNERS = tuple((log,) for log in np.log([40.0, 90.0, 200.0, 450.0, 1000.0]))
 _BOTH = tuple(tuple(np.log(pair)) for pair in ((40.0, 200.0), (60.0, 600.0), (150.0, 1000.0)))
 _EXPONENTS = tuple((log,) for log in np.log([0.5, 0.6, 0.7, 0.8, 0.9]))
 
 
-def _law(
-    name: str,
-    impedance: Callable[[FloatArray, FloatArray], Impedance],
-    limits: tuple[tuple[float, float], ...],
-    shapes: tuple[tuple[float, ...], ...] = ((),),
-) -> CoilLaw:
-    lowest, highest = zip(*limits, strict=True)
-    return CoilLaw(name, impedance, lowest, highest, shapes)
-
-
-PLAIN = _law("plain", _plain, (_L,))
-PARALLEL = _law("parallel", _parallel, (_L, _L, _CORNER), _CORNERS)
-POWER = _law("power", _power, (_X, _N), _EXPONENTS)
-DOUBLE = _law("double", _double, (_L, _L, _L, _CORNER, _CORNER), _BOTH)
-MIXED = _law("mixed", _mixed, (_L, _X, _N), _EXPONENTS)
+PLAIN = CoilLaw("plain", _plain, (_L,))
+PARALLEL = CoilLaw("parallel", _parallel, (_L, _L, _CORNER), _CORNERS)
+POWER = CoilLaw("power", _power, (_X, _N), _EXPONENTS)
+DOUBLE = CoilLaw("double", _double, (_L, _L, _L, _CORNER, _CORNER), _BOTH)
+MIXED = CoilLaw("mixed", _mixed, (_L, _X, _N), _EXPONENTS)
 LAWS = PLAIN, POWER, PARALLEL, MIXED, DOUBLE
 
 
@@ -113,7 +100,7 @@ def closest_parallel(
 ) -> tuple[FloatArray, FloatArray]:
     """Return parameters of PARALLEL, and their covariance, closest to a law between frequencies."""
     f = np.geomspace(low_hz, high_hz, 60)
-    limits = np.array(PARALLEL.lowest), np.array(PARALLEL.highest)
+    limits = tuple(np.transpose(PARALLEL.limits))
 
     def solved(p: FloatArray, start: FloatArray) -> FloatArray:
         aim = law.impedance(f, p)[0]

@@ -11,7 +11,6 @@ from device.identification.impedance import Impedance
 from device.identification.output_error import (
     Estimate,
     Extra,
-    Fit,
     check_converged,
     check_misfit,
     fit_with_extras,
@@ -26,24 +25,23 @@ WIDEST_VOLTS = 0.05
 """Half the widest accepted 95 % interval, as a share."""
 
 LEAST_SOURCE = 1e-3
-"""A source impedance below this share of the coil's resistance is as good as that of the rig."""
+"""A source impedance below this share of the coil's resistance is negligible."""
 
 
 @dataclass(frozen=True)
 class Drive:
-    """What the coil's voltage for the played signal shows."""
+    """The amplifier, as the coil's voltage for the played signal shows it."""
 
     volts: Estimate  # without a load, for a sample of 1.0
     high_pass_hz: Estimate | None  # None: that of the rig
     source_ohm: Estimate | None  # None: that of the rig
-    fit: Fit
 
 
 def identify_drive(recording: Recording, rig: Rig, impedance: Impedance | None) -> Drive:
     """Return the drive from a recording of the coil's voltage for the played signal.
 
     The response must be divided by the band of the rig's amplifier. impedance: that of the coil,
-    which shows what the source impedance loses; None if the current was not measured.
+    which reveals the source impedance; None if the current was not measured.
     """
     f = recording.frequencies_hz[recording.band][recording.usable]
     factors = [GAIN, *([DELAY] if recording.delayed else [])]
@@ -59,8 +57,7 @@ def identify_drive(recording: Recording, rig: Rig, impedance: Impedance | None) 
     check_misfit(
         recording,
         found,
-        "this is not an amplifier with one high-pass; check that nothing equalises the output, and "
-        "which input it is",
+        "this is not an amplifier with one high-pass; switch off equalisers, and check the inputs",
     )
     volts, source = found.estimate({0: 1.0}), None
     first = len(factors)
@@ -74,9 +71,8 @@ def identify_drive(recording: Recording, rig: Rig, impedance: Impedance | None) 
         loss = 1.0 + rig.amplifier.source_impedance_ohm / rig.actuator.resistance_ohm
         volts = volts.scaled(loss)
     require("volts per full scale", volts, WIDEST_VOLTS, "raise the level a little")
-    return Drive(
-        volts, corner_of(found, chosen, len(factors), recording.high_pass_hz or 0.0), source, found
-    )
+    corner = corner_of(found, chosen, len(factors), recording.high_pass_hz or 0.0)
+    return Drive(volts, corner, source)
 
 
 def _start(recording: Recording) -> FloatArray:

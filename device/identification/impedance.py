@@ -74,10 +74,9 @@ class Impedance:
         return responses.admittance(frequencies_hz, self.fit.logs, self.law)[0]
 
     def inductances(self, low_hz: float, high_hz: float) -> dict[str, Estimate]:
-        """Return L, and L2 and R2 where there are eddy currents, by the rig's parameters.
+        """Return L, and with eddy currents L2 and R2, by the rig's parameters.
 
-        Other laws than L1 + (L2 || R2) are given as the closest of that kind between both
-        frequencies.
+        Laws other than L1 + (L2 || R2) become the closest of that kind between both frequencies.
         """
         first, last = 4, 4 + self.law.parameters
         if self.law is PLAIN:
@@ -103,7 +102,7 @@ def identify_impedance(
     """Return the electrical side from a recording of current for the coil's voltage.
 
     The intervals of f0 and Q are extended down by the shift at level_of_x_max. mode: that of the
-    acceleration for the current, which the coil's law does not touch; None if it was not measured.
+    acceleration for the current, which is independent of the coil; None if it was not measured.
     """
     check_recording(recording)
     found, law, on_seat = _choose(recording, mode, level_of_x_max)
@@ -112,7 +111,7 @@ def identify_impedance(
     check_misfit(
         recording,
         found,
-        "this is not a coil with one resonance; check what is connected, and that voltage and "
+        "this is not a coil with one resonance; check the connections, and that voltage and "
         "current are not swapped",
     )
     ohm = math.exp(found.logs[0])
@@ -141,13 +140,11 @@ def identify_impedance(
 
 
 _SAME_F0, _SAME_Q = 1e-3, 5e-3
-"""Shares by which f0 and Qms may differ from those of the acceleration, besides noise: the level
-weighs differently on both. These are standard deviations."""
-
-
+"""Standard deviations, as shares, of f0 and Qms from those of the acceleration, besides noise: the
+level affects both differently."""
 _LEAST_EDDY = 3e-4
-"""A law that changes the admittance by less than this share, and what a hardening spring adds, is
-not taken for that of the coil."""
+"""Smallest change of the admittance, as a share, for which a law with eddy currents is chosen. The
+effect of a hardening spring is added to it."""
 
 
 def _choose(
@@ -166,7 +163,7 @@ def _choose(
         model = partial(responses.admittance, law=law)
         low, high = unlimited(4 + law.parameters)
         low[1], high[1] = np.log([0.8 * recording.sweep.low_hz, 1.2 * recording.sweep.high_hz])
-        low[4:], high[4:] = law.lowest, law.highest
+        low[4:], high[4:] = np.transpose(law.limits)
         found = fit(recording, model, _starts(recording, law, near), (low, high), known)
         near = found.logs[1:3] if near is None and found.converged else near
         price = penalty(law.parameters, found.bins)
@@ -181,7 +178,7 @@ def _choose(
     plain = min((one for one in tried if one[3] is PLAIN), key=lambda one: one[:2])
     f = recording.frequencies_hz[recording.band]
     least = _LEAST_EDDY + HARDENING * level_of_x_max**2
-    if not plain[0]:  # without noise, also what no coil has would be evidence
+    if not plain[0]:  # without noise, every small difference would be evidence
         shown, simple = (responses.admittance(f, one[2].logs, one[3])[0] for one in (best, plain))
         best = plain if np.abs(simple / shown - 1.0).max() < least else best
     _, _, found, law, seated = best

@@ -1,8 +1,7 @@
-"""Moving mass, Bl, f0 and Qms, from several measurements or with what the rig's file states.
+"""Moving mass, Bl, f0 and Qms, from several measurements or with values of the rig's file.
 
-Under voltage drive the mode's poles solve (s^2 + s w0 / Qms + w0^2) Z + s Bl^2 / m = 0, where Z
-is the coil's impedance at rest.
-The impedance alone gives Bl^2 / m only (Thiele, Small).
+Under voltage drive the mode's poles solve (s^2 + s w0 / Qms + w0^2) Z + s Bl^2 / m = 0. Z is the
+coil's impedance at rest. The impedance alone gives only Bl^2 / m (Thiele, Small).
 """
 
 from __future__ import annotations
@@ -159,14 +158,14 @@ def by_known_mass(impedance: Impedance, mass: Estimate) -> Values:
 def by_acceleration(impedance: Impedance, mode: Mode) -> Values:
     """Return Bl and m from the impedance (Bl^2 / m) and acceleration for current (Bl / m).
 
-    Both must be on solid ground: on a seat the coil feels the frame move, and the accelerometer
-    does not.
+    Both must be measured on solid ground, because a moving frame affects the coil but not the
+    accelerometer.
     """
     force_factor, mass = (
         multiply_powers([(impedance.fit, MOTIONAL), (mode.fit, {0: power})], math.tau)
         for power in (-1.0, -2.0)
     )
-    return _checked(force_factor, mass, "fasten the accelerometer to what moves and sweep again")
+    return _checked(force_factor, mass, "fasten the accelerometer to the moving part")
 
 
 def _checked(force_factor: Estimate, mass: Estimate, advice: str) -> Values:

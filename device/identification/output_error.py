@@ -1,7 +1,7 @@
-"""Output-error fits: the model's answer to the measured drive against the measured response.
+"""Output-error fits: the model's response to the measured drive against the measured response.
 
-Ljung, "System Identification", 2nd ed. 1999, chapter 7: for noise on the response alone, weighted
-by its spectrum, this is the maximum-likelihood estimate. The bins of a whole recording, silence to
+For noise on the response alone, weighted by its spectrum, this is the maximum-likelihood estimate
+(Ljung, "System Identification", 2nd ed. 1999, chapter 7). The bins of a whole recording, silence to
 silence, are independent.
 """
 
@@ -26,11 +26,10 @@ Model = Callable[[FloatArray, FloatArray], Response]
 MOST_MISFIT = 0.1
 _NORMAL_95 = 1.959964
 _WEIGHTINGS = 4
-"""The fit needs the noise's spectrum, which follows from a fit: both alternate this often."""
+"""How often a fit and the noise's spectrum, which each needs, are computed in turn."""
 _SMOOTH_BINS = 101
 _LEFT_OUT = 1e-4
-"""Standard deviation of each parameter without any noise: what resampling, converters and a level
-above 0 leave."""
+"""Standard deviation of each parameter without noise, due to resampling, converters and level."""
 _FAR = 25.0
 """The bound of all logarithms; it keeps exponentials finite."""
 
@@ -54,7 +53,7 @@ class Estimate:
         return self.low, self.high
 
     def scaled(self, factor: float) -> "Estimate":
-        """Return it in another unit."""
+        """Return the estimate in another unit."""
         return Estimate(factor * self.value, factor * self.low, factor * self.high)
 
     def extend_down(self, share: float) -> "Estimate":
@@ -104,14 +103,14 @@ def multiply_powers(parts: Sequence[tuple[Fit, dict[int, float]]], factor: float
 
 @dataclass(frozen=True)
 class Known:
-    """What another measurement says of the first parameters of a model from `first` on."""
+    """Parameters of a model, from `first` on, that another measurement has identified."""
 
     first: int
     logs: FloatArray
     deviation: FloatArray  # standard deviation of each
 
     def misses(self, p: FloatArray) -> FloatArray:
-        """Return by how many standard deviations the parameters differ."""
+        """Return the differences in standard deviations."""
         return (p[self.first : self.first + len(self.logs)] - self.logs) / self.deviation
 
     def slopes(self, parameters: int) -> FloatArray:
@@ -130,8 +129,8 @@ def fit(
 ) -> Fit:
     """Return the parameters of a model that explain a checked recording best.
 
-    Of the starts, the best two are followed. The limits are the lowest and highest logarithms; a
-    parameter at a limit is fixed and has no variance. Only a converged fit has meaning.
+    The fit begins at the best two starts. The limits are the lowest and highest logarithms; a
+    parameter at a limit is fixed and has no variance. Only a converged fit is valid.
     """
     low, high = limits or unlimited(len(starts[0]))
     band, usable = recording.band, recording.usable
@@ -206,8 +205,8 @@ def check_converged(recording: Recording, found: Fit) -> None:
     if not found.converged:
         raise IdentificationError(
             f"the fit of {recording.names[1]} for {recording.names[0]} does not converge: its "
-            "response is not that of one resonance; check that these channels are not swapped or "
-            "others, fasten what rattles, and sweep around the resonance"
+            "response is not that of one resonance; check the inputs, fasten loose parts, and "
+            "sweep around the resonance"
         )
 
 
@@ -222,18 +221,18 @@ def check_misfit(recording: Recording, found: Fit, advice: str) -> None:
 
 @dataclass(frozen=True)
 class Extra:
-    """Something a response may contain beyond the simple model."""
+    """An optional part of a response beyond the simple model."""
 
     name: str
     factor: Factor
     starts: tuple[FloatArray, ...]  # of its parameters
     lowest: FloatArray
     highest: FloatArray
-    doubt: float = 1.0  # how much more it must explain than Schwarz's criterion asks
+    doubt: float = 1.0  # factor on the evidence that Schwarz's criterion requires
 
 
 def penalty(parameters: int, bins: int) -> float:
-    """Return by how much more parameters must lower the cost (Schwarz 1978)."""
+    """Return the decrease of the cost that justifies more parameters (Schwarz 1978)."""
     return 0.5 * parameters * math.log(2 * bins)
 
 
@@ -244,10 +243,10 @@ def fit_with_extras(
     extras: Sequence[Extra],
     limits: tuple[FloatArray, FloatArray] | None = None,
 ) -> tuple[Fit, tuple[Extra, ...], float]:
-    """Return the fit, those of the extras that the evidence asks for, and its cost with penalties.
+    """Return the fit, the extras that the evidence supports, and the cost with penalties.
 
-    The extra that explains most comes first. Their parameters follow those of the factors in the
-    order of the second result.
+    The extra that explains most comes first. Parameters of extras follow those of the factors, in
+    the order of the second result.
     """
     found = fit(recording, product(*factors), starts, limits)
     chosen: tuple[Extra, ...] = ()

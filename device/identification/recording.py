@@ -1,4 +1,4 @@
-"""What was recorded while a sweep played: one reference, one response, and their spectra."""
+"""A recording of a sweep: one reference, one response, and their spectra."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,10 +13,10 @@ from device.identification.sweep import Sweep
 from device.units import FloatArray
 
 PLAYED = "played signal"
-"""The name of the samples themselves, as a reference."""
+"""The reference's name if it is the samples themselves."""
 
 _HUM_REACH_HZ = 2.0
-"""A line of a recording of some seconds, and what mains frequencies differ from 50 or 60 Hz."""
+"""Half-width of a line of hum: its leakage, and the deviation of mains from 50 or 60 Hz."""
 
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
@@ -87,7 +87,7 @@ class Recording:
 
     @cached_property
     def usable(self) -> NDArray[np.bool_]:
-        """Which bins of the band are free of hum."""
+        """Whether each bin of the band is free of hum."""
         f = self.frequencies_hz[self.band]
         if not self.hum_hz:
             return np.ones(len(f), np.bool_)

@@ -96,7 +96,7 @@ LAG = Factor(1, _lag)
 DELAY = Factor(1, _delay)
 """A delay in ms, which is not a logarithm."""
 EDDY = Factor(2, _eddy)
-"""What eddy currents add to the lag: (1 + s T1) / (1 + s T2), logs of both."""
+"""The effect of eddy currents on the lag: (1 + s T1) / (1 + s T2), logs of both."""
 SEAT = Factor(4, _seat)
 """A moving frame: two zeros over two poles, 1 well above them.
 
@@ -105,7 +105,7 @@ Logs of the zeros' frequency and Q, then of the poles'. The zeros are the frame'
 
 
 def high_pass(known_hz: float) -> Factor:
-    """Return a high-pass over that with a known corner: log of its own corner, in Hz.
+    """Return a high-pass divided by one with a known corner; its parameter is the log of Hz.
 
     Both are Butterworth of second order, as `device.rig.electronics.Band`; 0 is none.
     """
@@ -124,7 +124,7 @@ def _butterworth(f: FloatArray, log_hz: float) -> Response:
 
 
 def load(admittance_s: ComplexArray) -> Factor:
-    """Return what a source impedance loses to a load, (bins,): log of the impedance, in ohm."""
+    """Return the loss of a source impedance at a load, (bins,); its parameter is the log of ohm."""
 
     def of(_: FloatArray, p: FloatArray) -> Response:
         part = math.exp(p[0]) * admittance_s

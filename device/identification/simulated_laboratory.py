@@ -13,8 +13,7 @@ from device.rig.actuator import Motion
 from device.rig.adaptive_actuator import AdaptiveActuator
 from device.rig.electronics import Amplifier, Band, Dac
 from device.rig.instruments import Daq, InstrumentChain
-from device.rig.model_levels import ModelLevel
-from device.rig.parameters import AmplifierParameters, DaqParameters
+from device.rig.parameters import AmplifierParameters, DaqParameters, Model
 from device.rig.rig import Rig
 from device.units import FloatArray
 
@@ -26,9 +25,8 @@ USUAL_SHARE = 0.05
 class SimulatedLaboratory:
     """One rig with its instruments; every run begins at rest. One thread uses it.
 
-    snr_db sets noise that is added to each response, in the whole recorded band, relative to it
-    during the sweep. move(volts, samplerate) takes the place of the rig's own models, for coils
-    that these do not describe.
+    snr_db: of white noise that is added to each response, relative to it during the sweep.
+    move(volts, samplerate): replaces the rig's models, for coils that these do not describe.
     """
 
     def __init__(
@@ -36,13 +34,13 @@ class SimulatedLaboratory:
         rig: Rig,
         *,
         seat: bool = False,
-        level: ModelLevel = ModelLevel.NONLINEAR,
+        model: Model = "nonlinear",
         snr_db: float = math.inf,
         seed: int = 0,
         move: Callable[[FloatArray, float], Motion] | None = None,
     ) -> None:
         self.rig, self._move = rig, move
-        self._seat, self._level, self._snr_db, self._seed = seat, level, snr_db, seed
+        self._seat, self._model, self._snr_db, self._seed = seat, model, snr_db, seed
         InstrumentChain(rig, 48_000)  # refuses a rig without instruments
 
     def sweep_at_excursion(self, sweep: Sweep, share: float = USUAL_SHARE) -> Sweep:
@@ -60,7 +58,7 @@ class SimulatedLaboratory:
         if self._move:
             motion = self._move(drive, rate)
         else:
-            adaptive = AdaptiveActuator(self.rig, rate, level=self._level, seat=self._seat)
+            adaptive = AdaptiveActuator(self.rig, rate, model=self._model, seat=self._seat)
             motion = adaptive.move(drive, ["acceleration_m_s2", "current_a"])
         voltage = drive - amplifier.source_impedance_ohm * motion.current_a
 
@@ -81,7 +79,7 @@ class SimulatedLaboratory:
         read = {
             "acceleration": chain.acceleration_m_s2(acceleration),
             "current": _read_scaled(daq, current_range, rate, self._seed + 2, current),
-            # The reference is a divider's volts: loud, without the noise of the others.
+            # A divider's volts: loud, so without the others' noise.
             "voltage": _read_scaled(daq, amplifier.output_limit_v, rate, self._seed + 3, voltage),
             PLAYED: sweep.samples(),
         }
@@ -131,7 +129,7 @@ def sweep_at_excursion(rig: Rig, sweep: Sweep, share: float, *, seat: bool = Fal
             f"share={share!r} of Xmax must be above 0, up to {LARGEST_SHARE}: louder, f0 "
             "shifts; choose a lower one"
         )
-    adaptive = AdaptiveActuator(rig, sweep.samplerate, level=ModelLevel.LINEAR, seat=seat)
+    adaptive = AdaptiveActuator(rig, sweep.samplerate, model="linear", seat=seat)
     loud = replace(sweep, level=1.0)
     amplifier = Amplifier(replace(rig.amplifier, output_limit_v=1e9), sweep.samplerate)
     volts = amplifier.drive(Dac(rig.dac).volts(loud.samples()))

@@ -1,8 +1,7 @@
 """The exponential sine sweep and the times at which its harmonics appear.
 
-Farina, "Simultaneous measurement of impulse response and distortion with a swept-sine technique",
-AES 108th Convention, 2000: the frequency rises exponentially, so after deconvolution each order of
-distortion precedes the linear response by a time of its own.
+The frequency rises exponentially. After deconvolution each order of distortion therefore precedes
+the linear response by another time (Farina, AES 108th Convention, 2000).
 """
 
 import math

@@ -15,11 +15,13 @@ from device.identification.recording import (
 from device.units import FloatArray
 
 _CLIPPED_RUN, _CLIPPED_RUNS = 3, 4
-"""This many samples in a row at the peak, this often: a single crest may stay within one step of a
-converter, but the crests of a sweep differ."""
+"""Samples in a row at the peak, and number of such runs, that mean clipping. One crest may stay
+within a converter's step, but the crests of a sweep differ."""
 _AT_THE_LIMIT = 0.999
 _MIN_SIGNAL = 1.5
 """A signal's r.m.s. must exceed that of the silence before it by this factor."""
+ORDERS = 5
+"""The highest order of distortion that is measured."""
 _BEFORE_S = 0.05
 _FADE_SHARE = 0.2
 _SMOOTH_BINS = 15
@@ -57,7 +59,7 @@ def estimate_transfer(recording: Recording) -> Transfer:
 
 @dataclass(frozen=True)
 class Distortion:
-    """What one order adds; shares below the floor are noise."""
+    """The distortion of one order; shares below the floor are noise."""
 
     order: int  # 2 or more
     frequencies_hz: FloatArray  # of the drive, (bins,)
@@ -65,19 +67,19 @@ class Distortion:
     floor: FloatArray  # the share that silence would show, (bins,)
 
 
-def measure_distortion(recording: Recording, orders: int = 5) -> list[Distortion]:
-    """Return the distortion of orders 2 to `orders` at drives whose harmonic is in the band.
+def measure_distortion(recording: Recording) -> list[Distortion]:
+    """Return the distortion of orders 2 to ORDERS at drives whose harmonic is in the band.
 
-    A sweep's harmonic of order n precedes it by rise ln n, so its impulse response stands alone
-    there (Farina 2000). The floor is the larger value half way to either neighbouring order,
-    because a response that rings at the ends of the band spreads far ahead of itself.
+    A sweep's harmonic of order n precedes it by rise ln n, so its impulse response is separate
+    (Farina 2000). The floor is the larger value half way to either neighbouring order, because a
+    response that rings at the ends of the band spreads far ahead.
     """
     sweep, rate = recording.sweep, recording.sweep.samplerate
     impulse = _impulse_response(recording)
     linear = np.abs(estimate_transfer(recording).response)
     f = recording.frequencies_hz[recording.band]
     found = []
-    for order in range(2, orders + 1):
+    for order in range(2, ORDERS + 1):
         before, lead, after = (sweep.harmonic_lead_s(n) for n in (order - 1, order, order + 1))
         half = round(0.25 * (after - lead) * rate)
         drives = f[f * order <= f[-1]]
@@ -122,14 +124,14 @@ def _cut(impulse: FloatArray, centre: int, half: int) -> FloatArray:
 
 
 LOW_COHERENCE = 0.9
-"""Below this, a tenth of the response's power is not a linear response."""
+"""Below this, over a tenth of the response's power is not linear."""
 
 ABOVE_FLOOR = 3.0
 """Distortion must exceed its floor by this factor."""
 
 _JOINED_HZ = 2.0
 _SMOOTH_HZ = 5.0
-"""Shares are r.m.s. values over this width; the largest of many noisy bins would mislead."""
+"""Shares are r.m.s. values over this width, because the largest of many bins would be noise."""
 
 
 @dataclass(frozen=True)
@@ -151,7 +153,7 @@ class Quality:
     harmonics: tuple[Harmonic, ...]  # the orders that band and sweep have room for
 
 
-def assess_quality(recording: Recording, orders: int = 5) -> Quality:
+def assess_quality(recording: Recording) -> Quality:
     """Return coherence and distortion of a recording."""
     found = estimate_transfer(recording)
     f = found.frequencies_hz
@@ -163,7 +165,7 @@ def assess_quality(recording: Recording, orders: int = 5) -> Quality:
             ranges.append((float(hz), float(hz)))
     harmonics = []
     sweep = recording.sweep
-    for one in measure_distortion(recording, orders):
+    for one in measure_distortion(recording):
         apart_s = sweep.harmonic_lead_s(one.order + 1) - sweep.harmonic_lead_s(one.order)
         if 0.5 * apart_s < 1.0 / sweep.low_hz:
             break  # the sweep is too short to separate these orders
@@ -196,14 +198,14 @@ def check_recording(recording: Recording) -> None:
     if coherent < 0.3:
         raise IdentificationError(
             f"{recording.names[1]} does not follow the sweep: its coherence is {coherent:.2f}, it "
-            "must be 0.3 or more; this is another channel, or noise: check which input it is"
+            "must be 0.3 or more; this is another channel, or noise: check the inputs"
         )
     gain = np.abs(found.response)
     spread = float(np.std(found.response) / np.mean(gain))
     if spread < 0.02 and recording.names[0] != PLAYED:
         raise IdentificationError(
             f"{recording.names[1]} is the {recording.names[0]} itself, times {np.mean(gain):.3g}, "
-            f"to {100 * spread:.1f} %; this is the wrong channel: check which input it is"
+            f"to {100 * spread:.1f} %; this is the wrong channel: check the inputs"
         )
     for name, samples, limit in zip(recording.names, signals, recording.limits, strict=True):
         if clipped := _count_clipped(samples, limit, plateaus=samples is recording.response):

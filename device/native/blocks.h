@@ -76,13 +76,9 @@ API const char *blocks_cubic(const View *ring, const View *out, size_t row, doub
 API const char *blocks_linear_motion(const View views[5], size_t start, size_t stop, double limit,
                                      size_t *replaced);
 
-/* Add the non-linear model's answer: volts, moved, model, table, maps, bases, path, report. numbers: start,
- * stop, length of the first block and of the others. */
-API const char *blocks_nonlinear_motion(const View views[8], const size_t numbers[4], size_t mask,
-                                        size_t *done);
-
-/* Count the blocks that may be linear; the last view is the pair. */
-API const char *blocks_linear_suffices(const View views[9], const size_t numbers[4], double margin,
-                                       size_t *count);
+/* Move a rig by its models: volts, moved, model, table, steps, map of a sample, coarse map, state, report.
+ * numbers: start, stop, length of the first block and of the others, model (0: the cheapest that suffices,
+ * 1: linear, 2: non-linear). */
+API const char *blocks_move_rig(const View views[9], const size_t numbers[5]);
 
 #endif

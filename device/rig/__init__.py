@@ -6,8 +6,8 @@
 | electronics, actuator, instruments | DAC and amplifier; linear actuator; accelerometer to DAQ |
 | simulated_rig | all stages behind `VibrationOutput` |
 | shapes, co_energy, equations, thermal, seat | the physics beyond the linear actuator |
-| step_maps, nonlinear_model, passive_step | solvers of the non-linear equations |
-| model_levels, adaptive_actuator, crossfade | the cheapest model that suffices |
+| energy_table, model_design | numbers and tables of the two models, for compiled code |
+| adaptive_actuator | the cheapest model that suffices, block by block |
 | model_record | which model ran, its cost and its true error |
 
 Only the descriptions are imported here, because SciPy takes half a second to load.

@@ -1,19 +1,15 @@
-"""The equations of motion, as a linear part and a remainder that vanishes at rest.
+"""The equations of motion and their linear part.
 
     y' = u - z'                        y: excursion, the moving mass against the frame
     m u' = F(y, i) - c y'              u: speed of the moving mass; F: dW'/dx - dV/dx
     q' = v - R i - Phi'(y) y'          q = L(y) i: flux that the current makes; Phi: the magnet's
     M z'' = -F + c y' - cs z' - ks z   z: the frame, where the rig has a seat; else z' = 0
 
-With s = (y, u, q[, z, z']) this is s' = A s + B v + E g(s): a linear part and a remainder g. The
-remainder has two components, a force and a voltage. The linear actuator on the ground (actuator.py)
-knows its answer S to the same voltage exactly. The difference d = s - S follows
-d' = A d + E g(S + d), without the voltage. With a seat, the force of S pushes the frame, a third
-component. So only d is ever approximated.
+With s = (y, u, q[, z, z']), the linear part near rest is s' = A s + B v. What it leaves out is a
+force on the moving mass, which the frame gets in the other direction, and a voltage in the coil.
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -22,16 +18,7 @@ from device.rig.parameters import ActuatorParameters, SeatParameters
 from device.units import FloatArray
 
 EXCURSION, SPEED, FLUX, FRAME, FRAME_SPEED = range(5)
-FORCE, VOLTS, PUSH = range(3)
-
-
-class Remainder(NamedTuple):
-    """g at some points of time, and what else follows there, (points,) each."""
-
-    force_n: FloatArray
-    volts: FloatArray
-    current_a: FloatArray
-    resisting_n: FloatArray  # by spring and stops, without the linear spring
+FORCE, VOLTS = range(2)
 
 
 @dataclass
@@ -39,7 +26,8 @@ class Equations:
     """Linear part and remainder of one actuator with the amplifier's impedance in its circuit.
 
     `resistance_ohm` is that of source and coil at its present temperature; the linear part keeps
-    the value at rest. rate is A, (states, states); entry is E, (states, components).
+    the value at rest. rate is A, (states, states); entry, (states, 2), is where a force and a
+    voltage that are left out act. The last column of entry is B.
     """
 
     actuator: ActuatorParameters
@@ -57,7 +45,7 @@ class Equations:
         m, c, k = self.mass, self.damping, self.stiffness
         pull = self.force_factor / self.inductance
         self.rate = np.zeros((5, 5) if seat else (3, 3))
-        self.entry = np.zeros((5, 3) if seat else (3, 2))
+        self.entry = np.zeros((5, 2) if seat else (3, 2))
         self.rate[EXCURSION, SPEED] = 1.0
         self.rate[SPEED, :3] = [-k / m, -c / m, pull / m]
         self.rate[FLUX, SPEED] = -self.force_factor
@@ -73,7 +61,6 @@ class Equations:
             self.rate[FRAME_SPEED, FRAME] = -seat.stiffness_n_per_m / big
             self.rate[FRAME_SPEED, FRAME_SPEED] -= seat.damping_n_s_per_m / big
             self.entry[FRAME_SPEED, FORCE] = -1.0 / big
-            self.entry[FRAME_SPEED, PUSH] = -1.0 / big
 
     @property
     def states(self) -> int:
@@ -87,17 +74,3 @@ class Equations:
         if self.seat:
             squares += [self.seat.stiffness_n_per_m, self.seat.mass_kg]
         return np.sqrt(squares)
-
-    def remainder(self, y: FloatArray, w: FloatArray, q: FloatArray) -> Remainder:
-        """Return g for excursion, its rate and the current's flux, (points,) each."""
-        e = self.energies
-        flux = e.co_energy.magnet.jet(y)[0] + q
-        at = e.co_energy.at(y, flux)
-        current = q / at.inductance_h
-        force_factor = e.co_energy.magnet.jet(y)[1]
-        pressed = np.abs(e.stops.jet(y)[1]) * e.stop_loss_s_per_m
-        resisting = e.potential.jet(y)[1] + pressed * w - self.stiffness * y
-        force = at.force_n - (self.force_factor / self.inductance) * q - resisting
-        volts = (self.linear_resistance_ohm / self.inductance) * q - self.resistance_ohm * current
-        volts -= (force_factor - self.force_factor) * w
-        return Remainder(force, volts, current, resisting)

@@ -1,7 +1,7 @@
 """What a simulated rig's models did, second by second: which ran, their cost and their true error.
 
-The true error is the difference from the non-linear model with steps that may be off by a
-hundredth of the usual; each block of the signal is solved by both.
+The true error is the difference from the non-linear model with steps of half the length; each
+block of the signal is solved by both.
 """
 
 from collections import deque
@@ -14,15 +14,13 @@ import numpy as np
 from device.errors import UsageError
 from device.rig.actuator import Motion, Quantity
 from device.rig.adaptive_actuator import AdaptiveActuator
-from device.rig.model_levels import ModelLevel
-from device.rig.nonlinear_model import FLOOR, STEP_TOLERANCE
+from device.rig.model_design import FLOOR
 from device.rig.parameters import Model, check_tolerance
 from device.rig.rig import Rig
 from device.units import FloatArray
 
 SHOWN: tuple[Quantity, ...] = ("acceleration_m_s2", "displacement_m", "current_a")
 
-_TRUE_SHARE = 1e-2
 _SECONDS = 86_400
 """So many seconds are kept at most, a day."""
 
@@ -40,10 +38,7 @@ def actuator_of(rig: Rig, samplerate: float, model: Model, tolerance: float) -> 
             "there, with usual values as defaults: stiffness_rise, force_factor_loss, "
             "inductance_change, stop_n_per_m2, stop_loss_s_per_m"
         )
-    levels: dict[Model, ModelLevel | None] = {
-        "auto": None, "linear": ModelLevel.LINEAR, "nonlinear": ModelLevel.NONLINEAR
-    }  # fmt: skip
-    return AdaptiveActuator(rig, samplerate, tolerance, level=levels[model])
+    return AdaptiveActuator(rig, samplerate, tolerance, model=model)
 
 
 @dataclass(frozen=True)
@@ -62,10 +57,7 @@ class _Compared:
     def __init__(self, actuator: AdaptiveActuator) -> None:
         self.actuator = actuator
         self._true = AdaptiveActuator(
-            actuator.rig,
-            actuator.samplerate,
-            level=ModelLevel.NONLINEAR if actuator.rig.large_signal else ModelLevel.LINEAR,
-            step_tolerance=_TRUE_SHARE * STEP_TOLERANCE,
+            actuator.rig, actuator.samplerate, model="nonlinear", refine=1
         )
         p = actuator.rig.actuator
         self._least = np.array([p.resonance_rad_s**2, 1.0]) * (FLOOR * p.x_max_m)
@@ -74,7 +66,7 @@ class _Compared:
     def begin(self) -> None:
         """Begin another second."""
         self._wrong, self._peaks = np.zeros(2), self._least.copy()
-        self._nonlinear = self.actuator.frames_by_level[ModelLevel.NONLINEAR]
+        self._nonlinear = self.actuator.frames_by_model["nonlinear"]
 
     def compare(self, volts: FloatArray, motion: Motion) -> None:
         """Take the motion under some volts."""
@@ -94,7 +86,7 @@ class _Compared:
     @property
     def nonlinear_frames(self) -> int:
         """Frames of this second that the non-linear model computed."""
-        return self.actuator.frames_by_level[ModelLevel.NONLINEAR] - self._nonlinear
+        return self.actuator.frames_by_model["nonlinear"] - self._nonlinear
 
 
 class ModelRecord:
@@ -118,11 +110,11 @@ class ModelRecord:
         motion = one.actuator.move(volts, SHOWN)
         self._cost_s += self._clock() - start_s
         one.compare(volts, motion)
-        if one.actuator.stepped_frames:
+        if one.actuator.unresolved_frames:
             raise UsageError(
-                f"rig {one.actuator.rig.name!r}: the non-linear model does not converge "
-                f"{self._frames / self._samplerate:.2f} s after the start; check its "
-                "[large_signal], or choose --model linear"
+                f"rig {one.actuator.rig.name!r}: its stops are too hard for the non-linear model "
+                f"{self._frames / self._samplerate:.2f} s after the start; lower "
+                "large_signal.stop_n_per_m2, or choose --model linear"
             )
         return motion
 

@@ -11,8 +11,7 @@ import re
 from typing import Any
 
 READ_BYTES = 1 << 16
-LONGEST_LINE_BYTES = 1 << 14
-"""Of a longer line the rest is dropped; names may have any length."""
+LONGEST_LINE_BYTES = 1 << 14  # of a longer line the rest is dropped; names may have any length
 
 _ADDED = re.compile(r"remote \d+ added global: \tid (\d+), type ([\w:]+)/\d+")
 _REMOVED = re.compile(r"remote \d+ removed global: \tid (\d+)")

@@ -29,17 +29,8 @@ class AppCaptures(ConnectionThread):
 
     `close` ends all captures. Any thread but its own, which calls on_frames, may call the methods.
 
-    Attributes
-    ----------
-    lost : LostError or None
-        Why the connection and all captures were lost. Make another object to connect again.
-
-    Raises
-    ------
-    LostError
-        No server answers.
-    NotFoundError
-        The library libpulse is not installed.
+    lost: why the connection and all captures were lost, or None. Make another object to connect
+    again. LostError: no server answers. NotFoundError: the library libpulse is not installed.
     """
 
     def __init__(self) -> None:
@@ -219,7 +210,7 @@ class AppCaptures(ConnectionThread):
             raise self._no_answer()
 
     def _check_silence(self, now_s: float) -> None:
-        """Query a silent server, to tell whether it hangs."""
+        """Query a silent server, as it may hang."""
         if self._query in self._answers:
             del self._answers[self._query]
             self._query = 0

@@ -69,22 +69,14 @@ class Rule:
 class AppRules:
     """Selects the applications to capture. Immutable: any thread may use it.
 
-    Parameters
-    ----------
-    include : tuple[str, ...]
-        A stream must match one of these rules; () selects all applications.
-    exclude : tuple[str, ...]
-        A stream must match none of these, whatever `include` says.
-
-    Raises
-    ------
-    UsageError
-        A rule is empty or of an unknown kind.
+    include: a stream must match one of these rules; () selects all applications. exclude: a stream
+    must match none of these, whatever `include` says. UsageError: a rule is empty or of an unknown
+    kind.
     """
 
     def __init__(self, include: tuple[str, ...] = (), exclude: tuple[str, ...] = ()) -> None:
-        self.include = tuple(Rule.parse(text) for text in include)
-        self.exclude = tuple(Rule.parse(text) for text in exclude)
+        self.include = tuple(map(Rule.parse, include))
+        self.exclude = tuple(map(Rule.parse, exclude))
 
     def take(self, stream: Stream) -> bool:
         """Whether the rules select a stream, whatever it is and wherever it plays."""

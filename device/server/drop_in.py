@@ -44,34 +44,18 @@ class DropIn(Listener):
     missing, another sink replaces it. Volume keys change the virtual sink and with it the
     vibration. Any thread but the connection's may use it.
 
-    Parameters
-    ----------
-    connection : PulseConnection
-        To the server.
-    target : str or None
-        The real sink's name. None stands for the default sink, or for the target of a killed
-        process, whose virtual sink is taken over without a gap.
-    delay_s : float or None
-        From the virtual sink's monitor until the real sink plays it: 0 to 0.5 s, at least 0.02 s
-        in effect. None keeps the delay of a killed process.
-    haptic_sink : str or None
-        Name of the sink for vibration, which is never a target.
+    connection: to the server. target: the real sink's name. None stands for the default sink, or
+    for the target of a killed process, whose virtual sink is taken over without a gap. delay_s:
+    from the virtual sink's monitor until the real sink plays it, 0 to 0.5 s, at least 0.02 s in
+    effect. None keeps the delay of a killed process. haptic_sink: the sink for vibration, which is
+    never a target.
 
-    Attributes
-    ----------
-    target_name : str
-        The present target, "" while there is none.
-    reason : str
-        A problem to tell the user, in one line; "" if there is none.
+    target_name: the present target, "" for none. reason: a problem for the user, in one line; ""
+    for none.
 
-    Raises
-    ------
-    LostError
-        The connection is lost; later this ends the thread without an error.
-    NotFoundError
-        The target is missing, the default sink cannot be one, or a module cannot be loaded.
-    UsageError
-        delay_s is out of range, or no module accepts the target's name.
+    LostError: the connection is lost; later this ends the thread without an error. NotFoundError:
+    the target is missing, the default sink cannot be one, or a module cannot be loaded. UsageError:
+    delay_s is out of range, or no module accepts the target's name.
     """
 
     def __init__(
@@ -112,7 +96,7 @@ class DropIn(Listener):
     def delay_s(self) -> float:
         """The requested delay, at least 0.02 s. Setting it takes effect soon.
 
-        Sound is repeated or lost by the difference, and silent or doubled for up to 20 ms; on
+        Sound is repeated or lost by the difference, and silent or doubled for up to 20 ms. On
         PipeWire a delay of 0.15 s or more may be doubled for that long. UsageError: out of range.
         """
         return self._delay_ms / 1e3
@@ -176,7 +160,7 @@ class DropIn(Listener):
                 self._stop.wait(_AGAIN_S)
 
     def _follow(self, snapshot: ServerSnapshot) -> bool:
-        """Do what is due; return whether nothing is left to do until the next event."""
+        """Take the next steps; return whether none is left until the next event."""
         now_s = time.monotonic()
         self._streams.free_vibration(snapshot, self._haptic_sink)
         choice = self._default.detect_choice(snapshot, now_s, self._possible_targets(snapshot))
@@ -330,4 +314,4 @@ class DropIn(Listener):
     def _why_unfit(self, name: str) -> str:
         if not name:
             return "there is no sink"
-        return "the vibration goes there" if name == self._haptic_sink else "it is one of ours"
+        return "the vibration goes there" if name == self._haptic_sink else "this program made it"

@@ -9,18 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any
 
 SESSION_MANAGERS = ("WirePlumber", "pipewire-media-session")
 """Names of the programs that link streams to sinks, as their clients give them."""
 
 SINK_CLASSES = ("Audio/Sink", "Audio/Duplex")
-"""Media classes of nodes that play what is linked to them."""
+"""Media classes of nodes that play sound from other nodes."""
 
-Key = TypeVar("Key", int, str)
+LinkPair = tuple[int, int]  # ids of an output port and of the input port that it is linked to
 
-LinkPair = tuple[int, int]
-"""Ids of an output port and of the input port that it is linked to."""
+Index = dict[Any, set[int]]  # ids of objects by a name or by the id of their node
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +31,11 @@ class Node:
     media_class: str
     state: str
     properties: Mapping[str, Any]
+
+    @property
+    def is_sink(self) -> bool:
+        """Whether it plays sound from other nodes."""
+        return self.media_class in SINK_CLASSES
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,10 +81,9 @@ class Graph:
         self.version = ""
         self.clock_hz = 0
         self._clients: dict[int, Mapping[str, Any]] = {}
-        self._sinks: dict[int, Node] = {}
-        self._named: dict[str, set[int]] = {}
-        self._ports_of: dict[int, set[int]] = {}
-        self._links_of: dict[int, set[int]] = {}
+        self._named: Index = {}
+        self._ports_of: Index = {}
+        self._links_of: Index = {}
         self._serials: dict[int, int] = {}
         self._announced: set[int] = set()
         self._changes = 0
@@ -123,15 +126,15 @@ class Graph:
 
     def sink(self, name: str) -> Node | None:
         """Return the sink of this name, None if there is none."""
-        return next((node for node in self.nodes_named(name) if node.id in self._sinks), None)
+        return next((node for node in self.nodes_named(name) if node.is_sink), None)
 
     def sinks(self) -> Iterator[Node]:
-        """Return all nodes that play what is linked to them."""
-        return iter(self._sinks.values())
+        """Return all nodes that play sound from others."""
+        return (node for node in self.nodes.values() if node.is_sink)
 
     def is_sink(self, node_id: int) -> bool:
-        """Whether a node plays what is linked to it."""
-        return node_id in self._sinks
+        """Whether a node plays sound from others."""
+        return node_id in self.nodes and self.nodes[node_id].is_sink
 
     def nodes_named(self, name: str) -> Iterator[Node]:
         """Return all nodes of this name."""
@@ -177,16 +180,14 @@ class Graph:
             return
         properties = info.get("props") or {}
         if kind.endswith(":Node"):
-            self._forget_other(number, self.nodes)
-            self._add_node(number, info, properties)
+            self._put(self.nodes, _node(number, info, properties))
         elif kind.endswith(":Port"):
-            self._forget_other(number, self.ports)
-            self._add_port(number, info, properties)
+            self._put(self.ports, _port(number, info, properties))
         elif kind.endswith(":Link"):
-            self._forget_other(number, self.links)
-            self._add_link(number, info)
+            self._put(self.links, _link(number, info))
         elif kind.endswith(":Client"):
-            self._forget_other(number, self._clients)
+            if number not in self._clients:
+                self._forget(number)
             self._clients[number] = properties
         elif kind.endswith(":Core"):
             self.version = str(info.get("version", self.version))
@@ -198,80 +199,81 @@ class Graph:
             forced_hz = _number(found.get("clock.force-rate"))
             self.clock_hz = max(0, forced_hz if forced_hz > 0 else _number(found.get("clock.rate")))
 
-    def _add_node(self, number: int, info: Mapping[str, Any], properties: Any) -> None:
-        before = self.nodes.get(number)
-        node = Node(
-            number,
-            str(properties.get("node.name", "")),
-            str(properties.get("media.class", "")),
-            str(info.get("state", "")),
-            properties,
-        )
-        self._changes += before is None or before.properties != node.properties
-        self._drop_node(number)
-        self.nodes[number] = node
-        self._named.setdefault(node.name, set()).add(number)
-        if node.media_class in SINK_CLASSES:
-            self._sinks[number] = node
-
-    def _add_port(self, number: int, info: Mapping[str, Any], properties: Any) -> None:
-        port = Port(
-            number,
-            _number(properties.get("node.id")),
-            str(properties.get("port.name", "")),
-            str(properties.get("audio.channel", "")),
-            is_input=info.get("direction") == "input",
-            is_monitor=str(properties.get("port.monitor")).lower() == "true",
-        )
-        if self.ports.get(number) != port:
-            self._drop_port(number)
-            self._changes += 1
-            self.ports[number] = port
-            self._ports_of.setdefault(port.node_id, set()).add(number)
-
-    def _add_link(self, number: int, info: Mapping[str, Any]) -> None:
-        link = Link(
-            number,
-            _number(info.get("output-port-id")),
-            _number(info.get("input-port-id")),
-            _number(info.get("output-node-id")),
-            _number(info.get("input-node-id")),
-            str(info.get("state", "")),
-        )
-        before = self.links.get(number)
-        self._changes += before is None or before.pair != link.pair
-        self._drop_link(number)
-        self.links[number] = link
-        for node_id in (link.output_node_id, link.input_node_id):
-            self._links_of.setdefault(node_id, set()).add(number)
-
-    def _forget_other(self, number: int, kind: Mapping[int, Any]) -> None:
-        """Forget what had this id before, if that was an object of another kind."""
-        if number not in kind:
-            self._forget(number)
+    def _put(self, table: dict[int, Any], new: Node | Port | Link) -> None:
+        """Store an object in place of the one that had its id, which may be of another kind."""
+        before = table.get(new.id)
+        if before is None:
+            self._forget(new.id)
+        self._changes += before is None or _wiring(before) != _wiring(new)
+        self._drop(new.id)
+        table[new.id] = new
+        for index, key in self._entries(new):
+            index.setdefault(key, set()).add(new.id)
 
     def _forget(self, number: int) -> None:
-        self._changes += any(number in kind for kind in (self.nodes, self.ports, self.links))
+        self._changes += self._drop(number)
         self._serials.pop(number, None)
         self._announced.discard(number)
-        self._drop_port(number)
-        self._drop_link(number)
-        self._drop_node(number)
         self._clients.pop(number, None)
 
-    def _drop_node(self, number: int) -> None:
-        if node := self.nodes.pop(number, None):
-            _discard(self._named, node.name, number)
-            self._sinks.pop(number, None)
+    def _drop(self, number: int) -> bool:
+        """Remove a node, port or link from its table and indexes; whether there was one."""
+        table: dict[int, Any]
+        for table in (self.nodes, self.ports, self.links):
+            if one := table.pop(number, None):
+                for index, key in self._entries(one):
+                    index[key].discard(number)
+                    if not index[key]:
+                        del index[key]
+                return True
+        return False
 
-    def _drop_port(self, number: int) -> None:
-        if port := self.ports.pop(number, None):
-            _discard(self._ports_of, port.node_id, number)
+    def _entries(self, one: Node | Port | Link) -> list[tuple[Index, Any]]:
+        """Return the indexes that hold an object, each with its key there."""
+        if isinstance(one, Node):
+            return [(self._named, one.name)]
+        if isinstance(one, Port):
+            return [(self._ports_of, one.node_id)]
+        return [(self._links_of, node) for node in {one.output_node_id, one.input_node_id}]
 
-    def _drop_link(self, number: int) -> None:
-        if link := self.links.pop(number, None):
-            for node_id in {link.output_node_id, link.input_node_id}:
-                _discard(self._links_of, node_id, number)
+
+def _wiring(one: Node | Port | Link) -> object:
+    """Return the part of an object whose change counts; a new state alone does not."""
+    if isinstance(one, Node):
+        return one.properties
+    return one.pair if isinstance(one, Link) else one
+
+
+def _node(number: int, info: Mapping[str, Any], properties: Mapping[str, Any]) -> Node:
+    return Node(
+        number,
+        str(properties.get("node.name", "")),
+        str(properties.get("media.class", "")),
+        str(info.get("state", "")),
+        properties,
+    )
+
+
+def _port(number: int, info: Mapping[str, Any], properties: Mapping[str, Any]) -> Port:
+    return Port(
+        number,
+        _number(properties.get("node.id")),
+        str(properties.get("port.name", "")),
+        str(properties.get("audio.channel", "")),
+        is_input=info.get("direction") == "input",
+        is_monitor=str(properties.get("port.monitor")).lower() == "true",
+    )
+
+
+def _link(number: int, info: Mapping[str, Any]) -> Link:
+    return Link(
+        number,
+        _number(info.get("output-port-id")),
+        _number(info.get("input-port-id")),
+        _number(info.get("output-node-id")),
+        _number(info.get("input-node-id")),
+        str(info.get("state", "")),
+    )
 
 
 def _serial(item: Mapping[str, Any]) -> int:
@@ -284,11 +286,3 @@ def _number(value: Any) -> int:
         return int(value)
     except (TypeError, ValueError):
         return -1
-
-
-def _discard(index: dict[Key, set[int]], key: Key, number: int) -> None:
-    numbers = index.get(key)
-    if numbers is not None:
-        numbers.discard(number)
-        if not numbers:
-            del index[key]

@@ -1,7 +1,7 @@
 """Follows PipeWire's graph and keeps our links in it.
 
 `pw-dump --monitor` reports every change, so nothing is polled. One `pw-cli` that stays open makes
-and removes links within a millisecond, and announces what is new; links belong to it, so they
+and removes links within a millisecond, and announces new objects. Links belong to it, so they
 vanish with the program, however that ends.
 """
 
@@ -21,30 +21,26 @@ from contextlib import suppress
 from typing import Any
 
 from device.errors import NotFoundError
-from device.process import started
+from device.process import end, started
 from device.server.announcements import Announcements
 from device.server.graph import Graph
 from device.server.link_keeper import LinkKeeper
 
-READER, EDITOR = "pw-dump", "pw-cli"
-"""Programs of PipeWire that report and change the graph."""
+READER, EDITOR = "pw-dump", "pw-cli"  # programs of PipeWire that report and change the graph
 
 PIPE_BYTES, READ_BYTES = 1 << 20, 1 << 16
-GATHER_S = 0.2
-"""Changes are reported at once, and again after so long."""
+GATHER_S = 0.2  # changes are reported at once, and again after so long
 
-DESCRIBED_S = 0.001
-"""Time for more to arrive: `pw-dump` writes hundreds of lines for one change."""
+DESCRIBED_S = 0.001  # time for more to arrive: `pw-dump` writes hundreds of lines for one change
 
 BUSY_READS, BUSY_S, BUSY_WAIT_S = 150, 5.0, 0.02
 """After so many reads in so long, each one waits longer."""
 
-END_S = 0.5
-"""Longest wait for the thread's end."""
+END_S = 0.5  # longest wait for the thread's end
 
 
 class GraphWatch:
-    """The graph as it is now, and the links that are wanted in it.
+    """The present graph, and the wanted links in it.
 
     One thread makes it and calls the methods. Hold `lock` while `graph` or `keeper` is used.
 
@@ -76,10 +72,8 @@ class GraphWatch:
     def close(self) -> None:
         """End the connection; our links vanish. May be repeated; raises nothing."""
         self._process.kill()
-        self._process.wait()
-        self._thread.join(END_S)
-        if self._process.stdout:
-            self._process.stdout.close()
+        self._thread.join(END_S)  # it reads until the program has ended
+        end(self._process)
         self._editor.close()
 
     def _follow(self) -> None:
@@ -108,7 +102,7 @@ class GraphWatch:
 
 
 class Arrivals:
-    """When to read the two files: what is described waits for more, and both in a busy graph."""
+    """When to read the two files: descriptions wait for more, and both in a busy graph."""
 
     def __init__(self, described: int, announced: int) -> None:
         self._either, self._announced = select.poll(), select.poll()
@@ -169,11 +163,7 @@ class Editor:
     def _end(self) -> None:
         process, self._process = self._process, None
         if process is not None:
-            process.kill()
-            process.wait()
-            if process.stdin is not None:
-                with suppress(OSError):
-                    process.stdin.close()
+            end(process)
 
     def _start(self) -> None:
         self._process = _started([EDITOR, "--monitor"], stdin=subprocess.PIPE, stdout=self._output)
@@ -212,7 +202,7 @@ class Documents:
     def read(self) -> list[Any]:
         """Return all arrays that have arrived; waits until something is there.
 
-        Each begins and ends with a line of its own, and only its brackets are in the first column.
+        Each begins and ends with a separate line; only its brackets are in the first column.
         """
         block = os.read(self.file, READ_BYTES)
         self.ended = not block

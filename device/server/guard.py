@@ -32,7 +32,7 @@ class Hold(Enum):
     NO_STREAM = "the server does not have the stream, or it has no device yet"
     NO_DEVICE = "its sink or monitor is gone"
     ELSEWHERE = "the stream is on another device"
-    LOST = "there is no connection to the server"
+    LOST = "the server is not connected"
 
     @property
     def audible(self) -> bool:
@@ -78,7 +78,7 @@ class StreamPlacement:
         return Hold.UNSETTLED if self.unsettled else Hold.FREE
 
     def after_event(self, event: Event) -> StreamPlacement:
-        """Return what is known after an event, before any query."""
+        """Return the knowledge after an event, before any query."""
         stream, device = ("sink_input", "sink") if self.plays else ("source_output", "source")
         gone = event.kind == "remove"
         if event.facility == stream and event.index == self.stream:
@@ -95,7 +95,7 @@ class StreamPlacement:
         return self.stream is None and event.facility == stream and event.kind == "new"
 
     def after_snapshot(self, snapshot: ServerSnapshot) -> StreamPlacement:
-        """Return what is known after a snapshot; one older than the event changes nothing."""
+        """Return the knowledge after a snapshot; one older than the event changes nothing."""
         if snapshot.events < self.unsettled:
             return self
         streams = snapshot.sink_inputs if self.plays else snapshot.source_outputs
@@ -112,7 +112,7 @@ class StreamPlacement:
         )
 
     def after_loss(self) -> StreamPlacement:
-        """Return what is known after the loss of the server."""
+        """Return the knowledge after the loss of the server."""
         return replace(self, connected=False, stream=None, device=None, on=None)
 
 
@@ -122,21 +122,9 @@ class StreamGuard(Listener):
     It alone sets `stream.audible`, from the moment it is made. Any thread but the connection's
     may use it; any thread may read `hold` and call `misplaced_s`.
 
-    Parameters
-    ----------
-    connection : PulseConnection
-        Reports where the stream is.
-    stream : PlaybackStream or CaptureStream
-        The stream to silence.
-    device_name : str
-        Of the haptic sink for a `PlaybackStream`, of a monitor for a `CaptureStream`.
-    any_source : bool
-        Whether device_name may be any source, for measurements.
-
-    Attributes
-    ----------
-    hold : Hold
-        The present decision.
+    connection: reports where the stream is. stream: to silence. device_name: of the haptic sink
+    for a `PlaybackStream`, of a monitor for a `CaptureStream`. any_source: whether device_name may
+    be any source, for measurements. hold: the present decision.
     """
 
     def __init__(
@@ -206,22 +194,8 @@ class FallbackSink:
     Make it before the playback stream. One that an earlier process left is taken over. PipeWire
     does not need it. Any thread but the connection's uses it.
 
-    Parameters
-    ----------
-    connection : PulseConnection
-        To the server.
-
-    Attributes
-    ----------
-    active : bool
-        Whether the sink is ready.
-    reason : str
-        Why not, in one line.
-
-    Raises
-    ------
-    LostError
-        The connection is lost.
+    connection: to the server. active: whether the sink is ready. reason: why not, in one line.
+    LostError: the connection is lost.
     """
 
     def __init__(self, connection: PulseConnection) -> None:
@@ -249,7 +223,7 @@ class FallbackSink:
             self.close()
 
     def close(self) -> None:
-        """Unload what was loaded. May be repeated; raises nothing."""
+        """Unload our modules. May be repeated; raises nothing."""
         self.active = False
         while self._modules:
             with suppress(LostError, NotFoundError):  # it is gone already

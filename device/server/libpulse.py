@@ -98,7 +98,7 @@ class LibPulse:
             self.proplist_free(properties)
 
     def __getattr__(self, name: str) -> Any:
-        # tells type checkers that any attribute may exist
+        # type checkers then accept any attribute
         raise AttributeError(name)
 
 

@@ -7,8 +7,7 @@ from typing import Protocol
 
 from device.server.graph import Graph, LinkPair
 
-RETRY_S = 0.1
-"""Time between two equal requests."""
+RETRY_S = 0.1  # time between two equal requests
 
 HOLDS_S = 0.2
 """A link that lasts so long has been accepted; one that vanishes earlier counts as missing."""
@@ -22,7 +21,7 @@ channels are silent until the links are made again.
 
 
 class Wiring(Protocol):
-    """What is to be linked. The methods are called with the graph's lock held."""
+    """The wanted links. The methods are called with the graph's lock held."""
 
     def nodes(self, graph: Graph) -> Set[int]:
         """Return the ids of our nodes, which have no other links than the wanted ones."""
@@ -33,25 +32,14 @@ class Wiring(Protocol):
         ...
 
 
-class NoWiring:
-    """Nothing is to be linked, and no node is ours."""
-
-    def nodes(self, graph: Graph) -> Set[int]:
-        """Return no node."""
-        return frozenset()
-
-    def links(self, graph: Graph) -> Set[LinkPair]:
-        """Return no link."""
-        return frozenset()
-
-
 class LinkKeeper:
     """Asks for links that are missing and for the end of others. Waits for nothing.
 
-    Both the graph's thread, after each change, and the supervising thread, for what was not done,
-    call the methods, with the graph's lock held.
+    The graph's thread calls the methods after each change, and the supervising thread for requests
+    without effect, both with the graph's lock held.
 
-    send: takes one command of `pw-cli`. wiring: what is to be linked; set it and call `update`.
+    send: takes one command of `pw-cli`. wiring: the wanted links, None for any; set it and call
+    `update`.
     """
 
     def __init__(self, graph: Graph, send: Callable[[str], None]) -> None:
@@ -61,11 +49,13 @@ class LinkKeeper:
         self._missing_s: dict[LinkPair, float] = {}
         self._present_s: dict[LinkPair, float] = {}
         self._paused_s: dict[int, float] = {}
-        self.wiring: Wiring = NoWiring()
+        self.wiring: Wiring | None = None
 
     def update(self, now_s: float) -> None:
-        """Send what is due now."""
+        """Send the requests that are due."""
         graph = self._graph
+        if self.wiring is None:
+            return
         wanted, nodes = self.wiring.links(graph), self.wiring.nodes(graph)
         links = {link.id: link for node_id in nodes for link in graph.links_of(node_id)}
         present = {link.pair for link in links.values()}

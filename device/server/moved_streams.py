@@ -93,8 +93,9 @@ class MovedStreams:
             place = stream.device_name
             if place == SINK and carries_sound_of(snapshot, stream, loop):
                 before = self._before.get(stream.index, "")
-                wishes = free if before in ("", *loop) else [before, *free]
-                broken = any(self._move(snapshot, stream, wish) for wish in wishes) and broken
+                places_to_try = free if before in ("", *loop) else [before, *free]
+                if not any(self._move(snapshot, stream, name) for name in places_to_try):
+                    broken = False
             places[stream.index] = self._before.get(stream.index, "") if place == SINK else place
         self._before = places
         return broken
@@ -133,7 +134,7 @@ class DefaultSinkClaim:
     def detect_choice(
         self, snapshot: ServerSnapshot, now_s: float, fit: Collection[str]
     ) -> str | None:
-        """Return the sink that became the default instead of ours, once; else None.
+        """Return a sink that replaced our sink as the default, once; else None.
 
         fit: possible targets, which must persist as default; others are returned at once.
         """
@@ -157,7 +158,7 @@ class DefaultSinkClaim:
         if self._taken_s is None or now_s - self._taken_s >= TAKES_S:
             with suppress(NotFoundError):
                 if self._taken_s is not None and snapshot.default_sink:
-                    # WirePlumber does nothing for the wish that it has already
+                    # WirePlumber ignores a request that equals the one before
                     self._connection.set_default_sink(snapshot.default_sink)
                 self._connection.set_default_sink(SINK)
             self._taken_s = now_s

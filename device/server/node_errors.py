@@ -11,17 +11,15 @@ import subprocess
 from collections.abc import Collection
 from contextlib import suppress
 
-from device.process import started
+from device.process import end, started
 
 PROGRAM = "pw-top"
 COMMAND = [PROGRAM, "--batch-mode", "--iterations=2"]
 """The first listing has no counts yet. Two take a second."""
 
-INTERVAL_S = 10.0
-"""Time from one look to the next."""
+INTERVAL_S = 10.0  # time from one look to the next
 
-ERRORS_COLUMN = 8
-"""Of a listing: S ID QUANT RATE WAIT BUSY W/Q B/Q ERR FORMAT NAME."""
+ERRORS_COLUMN = 8  # of a listing: S ID QUANT RATE WAIT BUSY W/Q B/Q ERR FORMAT NAME
 
 
 class NodeErrors:
@@ -61,10 +59,7 @@ class NodeErrors:
         process, self._process = self._process, None
         self._printed = b""
         if process is not None:
-            process.kill()
-            process.wait()
-            if process.stdout:
-                process.stdout.close()
+            end(process)
 
     def _ask(self) -> None:
         try:

@@ -32,7 +32,7 @@ from device.server.snapshot import (
 from device.volume_limit import limit_volume_db
 
 FACILITIES = ("sink", "source", "sink_input", "source_output", "module", "card", "server")
-"""What is reported; clients come and go without a change for us."""
+"""Facilities that are reported; clients come and go without a change for us."""
 
 _GATHER_S = 0.02  # events come in dozens: a snapshot is taken this long after the first of them
 _BUSY_POLLS, _BUSY_S = 50, 1.0  # after so many in so long, each event waits for more of them
@@ -41,8 +41,7 @@ _REST_MAX_S = 2.0  # and only streams wait for it
 
 
 _VOLUME_LOOKS, _VOLUME_LOOK_S = 25, 0.02
-_VOLUME_ROUNDING = 1e-4
-"""Seven of the 65 536 steps of a server's volume."""
+_VOLUME_ROUNDING = 1e-4  # seven of the 65 536 steps of a server's volume
 
 
 class PulseConnection(ConnectionThread):
@@ -50,24 +49,12 @@ class PulseConnection(ConnectionThread):
 
     Any thread but its own may call the methods. NotFoundError: the named object is gone.
 
-    Parameters
-    ----------
-    listeners : Listener
-        Receive events, snapshots and the loss of the server.
+    listeners: receive events, snapshots and the loss of the server. latest: the latest snapshot;
+    any thread may read it. lost: why the connection was lost, or None. Make another object to
+    connect again.
 
-    Attributes
-    ----------
-    latest : ServerSnapshot
-        The latest snapshot. Any thread may read it.
-    lost : LostError or None
-        Why the connection was lost. Make another object to connect again.
-
-    Raises
-    ------
-    LostError
-        No server answers. Every method raises it after the loss of the server.
-    NotFoundError
-        The library libpulse is not installed.
+    LostError: no server answers; every method raises it after the loss of the server.
+    NotFoundError: the library libpulse is not installed.
     """
 
     latest: ServerSnapshot
@@ -102,8 +89,8 @@ class PulseConnection(ConnectionThread):
     def set_sink_volume_db(self, name: str, wanted_db: float) -> None:
         """Set all channels of a sink, 0 dB at most, and unmute it once they are so quiet.
 
-        The server's scale is 60 log10 of its own number, with 1.0 at 0 dB. NotFoundError: the sink
-        is gone or stays louder.
+        The server's number for a volume is 1.0 at 0 dB; 60 log10 of it is the level.
+        NotFoundError: the sink is gone or stays louder.
         """
         volume = 10.0 ** (limit_volume_db(wanted_db, -math.inf, name) / 60.0)
 

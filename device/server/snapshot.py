@@ -16,11 +16,9 @@ NOWHERE = 0xFFFF_FFFF
 """The index that servers give for "none"."""
 
 STREAMS = frozenset({"sink_input", "source_output"})
-"""Facilities of events that leave sinks and sources as they are."""
+"""Facilities of events that change no sink and no source."""
 
-HARDWARE_VOLUME = 0x01
-FLAT_VOLUMES = 0x40
-"""Flags of sinks, as in pulse/def.h."""
+HARDWARE_VOLUME, FLAT_VOLUMES = 0x01, 0x40  # flags of sinks, as in pulse/def.h
 
 
 @dataclass(frozen=True)
@@ -103,22 +101,10 @@ class Stream:
 class ServerSnapshot:
     """Everything that a server holds at one moment.
 
-    Attributes
-    ----------
-    kind : str
-        "PulseAudio" or "PipeWire".
-    version : str
-        Of that server.
-    default_sink, default_source : str
-        Their names, "" for none.
-    sinks : tuple[Sink, ...]
-        Devices to play to.
-    sources : tuple[Source, ...]
-        Devices to record from, monitors included.
-    sink_inputs, source_outputs : tuple[Stream, ...]
-        Streams that play, and streams that record.
-    events : int
-        Events of the connection before the snapshot began: later ones may not be included.
+    kind, version: "PulseAudio" or "PipeWire", and its version. default_sink, default_source: their
+    names, "" for none. sinks, sources: devices to play to, and to record from, monitors included.
+    sink_inputs, source_outputs: streams that play, and that record. events: of the connection
+    before the snapshot began; later ones may not be included.
     """
 
     kind: str
@@ -146,7 +132,7 @@ def take_snapshot(pulse: Any, events: int, known: ServerSnapshot | None = None) 
     """Query a connected pulsectl.Pulse for everything, on its thread.
 
     Streams come first: one that moves in the meantime then appears on a device that exists.
-    known: what was there before, if only streams have changed since.
+    known: the latest snapshot, if only streams have changed since.
     """
     sink_inputs, source_outputs = pulse.sink_input_list(), pulse.source_output_list()
     info = pulse.server_info()

@@ -28,7 +28,7 @@ class TapVolume:
     ) -> float:
         """Return the volume in dB; a stream's counts until another one plays.
 
-        players: indices of the streams that play into the tap. monitor: what is captured; None for
+        players: indices of the streams that play into the tap. monitor: the captured one; None for
         the streams themselves.
         """
         streams = {

@@ -29,19 +29,9 @@ THREADS_MAX = 64  # that asked are remembered; older ones belong to closed strea
 class AudioPriority:
     """Grants priority to the threads that call `claim`. One object serves a whole process.
 
-    Parameters
-    ----------
-    wanted : bool
-        Whether threads ask for priority at all.
-
-    Attributes
-    ----------
-    wanted : bool
-        As above; set by `set_wanted`, cleared by `revoke`, set again by `restore`.
-    round : int
-        Counts the times that `restore` did something: threads that claimed before claim again.
-    warning : str
-        What is missing and how to get it; "" unless a thread was refused.
+    wanted: whether threads ask for priority; set by `set_wanted`, cleared by `revoke`, set again
+    by `restore`. round: counts effective calls of `restore`; threads that claimed before claim
+    again. warning: the missing right and how to get it; "" unless a thread was refused.
     """
 
     def __init__(self, wanted: bool = True) -> None:
@@ -55,8 +45,7 @@ class AudioPriority:
     def set_wanted(self, wanted: bool) -> None:
         """Let threads ask from now on, or take priority away from all. For the main thread."""
         if wanted and not self.wanted:
-            _use_limits()
-            _limit_spinning()
+            _set_limits()
         self.wanted, self._revoked = wanted, False
         if not wanted:
             self._drop_priorities()
@@ -99,7 +88,7 @@ class AudioPriority:
 
 
 def priority_advice() -> str:
-    """Return what to tell a user whose audio threads have no real-time priority."""
+    """Return advice for a user whose audio threads have no real-time priority."""
     return (
         "the audio threads have no real-time priority, so vibration may break up on a busy "
         f"machine; put `{_user()} - rtprio {2 * PRIORITY}` into "
@@ -132,16 +121,12 @@ def _nicer() -> bool:
     return False
 
 
-def _use_limits() -> None:
-    """Raise the soft limits to the hard ones."""
+def _set_limits() -> None:
+    """Raise the soft limits to the hard ones, and limit uninterrupted time; a lower one stays."""
     for limit in (resource.RLIMIT_RTPRIO, resource.RLIMIT_NICE):
         hard = resource.getrlimit(limit)[1]
         with suppress(OSError, ValueError):
             resource.setrlimit(limit, (hard, hard))
-
-
-def _limit_spinning() -> None:
-    """Limit a real-time thread's uninterrupted processor time; a lower limit stays."""
     _, hard = resource.getrlimit(resource.RLIMIT_RTTIME)
     kill_us = int(KILL_S * 1e6)
     most_us = kill_us if hard == resource.RLIM_INFINITY else min(hard, kill_us)

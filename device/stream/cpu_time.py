@@ -1,4 +1,4 @@
-"""The CPU time of the calling thread, for what has to say what it costs."""
+"""The CPU time of the calling thread, for cost figures."""
 
 import time
 

@@ -1,8 +1,9 @@
 """Named PCMs (ALSA devices), and the sinks, monitors and cards that they open.
 
 PortAudio lists ALSA's devices once, when it starts, by name. So a private ALSA configuration
-defines the names. ALSA reads it again when its path changes, so a PCM can open another device each
-time, also a card that returns under another number.
+defines the names, in a file in memory, which ends with this process. ALSA reads it again when its
+path changes, so a PCM can open another device each time, also a card that returns under another
+number.
 
 At first every PCM opens ALSA's `null`, and `default`, which PortAudio 19.6 needs, always does. So
 PortAudio starts without a sound server, and no unnamed device can play or record.
@@ -10,107 +11,14 @@ PortAudio starts without a sound server, and no unnamed device can play or recor
 
 from __future__ import annotations
 
-import fcntl
 import os
-import shutil
-import stat
-import tempfile
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 
-from device.errors import UsageError
+from device.errors import LostError
+from device.process import memory_file
 from device.stream.pulse_plugin import missing_plugin
-
-PREFIX = "cushion-alsa-"
-_ATTEMPTS = 10
-_OPEN = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
-
-
-class PrivateDir:
-    """A new directory that only this user may enter, held until `close`. For one thread.
-
-    inside: its parent, made if missing. None stands for $XDG_RUNTIME_DIR/cushion, or the directory
-    for temporary files where that is not possible. path: of the directory. UsageError: no directory
-    can be made there.
-    """
-
-    def __init__(self, inside: Path | None = None) -> None:
-        parent = inside or runtime_dir() or Path(tempfile.gettempdir())
-        try:
-            parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-            remove_stale(parent)
-            self.path, self._lock_file = _make(parent)
-        except OSError as error:
-            raise UsageError(
-                f"the ALSA configuration cannot be written to {parent} ({error.strerror}); set "
-                "XDG_RUNTIME_DIR or TMPDIR to a folder that can be written"
-            ) from None
-
-    def close(self) -> None:
-        """Remove the directory with its content. May be repeated; raises nothing."""
-        if self._lock_file >= 0:
-            shutil.rmtree(self.path, ignore_errors=True)
-            os.close(self._lock_file)
-            self._lock_file = -1
-
-
-def runtime_dir() -> Path | None:
-    """Return $XDG_RUNTIME_DIR/cushion, made if missing; None if other users may enter it."""
-    base = os.environ.get("XDG_RUNTIME_DIR", "")
-    if not base.startswith("/") or set(base) & set(" :"):  # where ALSA splits a path
-        return None
-    folder = Path(base) / "cushion"
-    try:
-        folder.mkdir(mode=0o700, exist_ok=True)
-        found = folder.lstat()
-    except (OSError, ValueError):
-        return None
-    private = stat.S_ISDIR(found.st_mode) and not stat.S_IMODE(found.st_mode) & 0o077
-    return folder if private and found.st_uid == os.geteuid() else None
-
-
-def remove_stale(parent: Path) -> int:
-    """Remove this user's directories that no process holds, and count them; raises nothing."""
-    with suppress(OSError):
-        return sum(map(_remove_if_stale, list(parent.glob(f"{PREFIX}*"))))
-    return 0
-
-
-def _remove_if_stale(folder: Path) -> bool:
-    try:
-        held = os.open(folder, _OPEN)
-    except OSError:
-        return False
-    try:
-        if os.fstat(held).st_uid != os.geteuid():
-            return False
-        fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        shutil.rmtree(folder, ignore_errors=True)
-        return True
-    except OSError:  # a process holds it
-        return False
-    finally:
-        os.close(held)
-
-
-def _make(parent: Path) -> tuple[Path, int]:
-    """Return a new directory and the descriptor that locks it."""
-    for _ in range(_ATTEMPTS):
-        path = Path(tempfile.mkdtemp(prefix=PREFIX, dir=parent))
-        try:
-            held = os.open(path, _OPEN)
-        except FileNotFoundError:
-            continue
-        fcntl.flock(held, fcntl.LOCK_EX)
-        # Another process may have removed it before it was locked.
-        with suppress(FileNotFoundError):
-            if os.path.samestat(path.lstat(), os.fstat(held)):
-                return path, held
-        os.close(held)
-    raise UsageError(f"another program keeps removing directories in {parent}; stop that program")
-
 
 # media.role (no other program's), application.id and application.name of all our streams
 ROLE, APPLICATION_ID, APPLICATION_NAME = "haptic", "haptic-cushion", "Haptic Cushion"
@@ -136,34 +44,18 @@ class Pcm:
 
 
 class PcmConfig:
-    """A private ALSA configuration that defines PCMs of the given names.
+    """A private ALSA configuration that defines PCMs of the given names, one word each.
 
     Make it before PortAudio and other threads start: it sets the environment of the process and
     its children. PULSE_LATENCY_MSEC is removed, as it would block the output, and no JACK server
     is started. The user's PULSE_PROP stays, and ours follows it. One thread at a time uses it.
 
-    Parameters
-    ----------
-    names : str
-        Of the PCMs, one word each.
-    folder : Path or None
-        Parent of the private directory; see `PrivateDir`.
-
-    Attributes
-    ----------
-    pcms : Mapping[str, Pcm]
-        The PCMs by name.
-
-    Raises
-    ------
-    UsageError
-        The directory cannot be written.
+    names: of the PCMs. pcms: the PCMs by name. LostError: the system has no memory for the file.
     """
 
-    def __init__(self, *names: str, folder: Path | None = None) -> None:
+    def __init__(self, *names: str) -> None:
         self.pcms: Mapping[str, Pcm] = {name: Pcm(self, name) for name in names}
-        self._folder = PrivateDir(folder)
-        self._version = 0
+        self._file = -1
         self._before = {
             name: os.environ.get(name)
             for name in (*_REWRITTEN, "PULSE_LATENCY_MSEC", "JACK_NO_START_SERVER")
@@ -194,8 +86,8 @@ class PcmConfig:
             os.environ["PULSE_PROP_OVERRIDE"] = self._before["PULSE_PROP_OVERRIDE"] or ""
 
     def close(self) -> None:
-        """Remove the directory and restore the environment, after PortAudio has ended."""
-        self._folder.close()
+        """Remove the configuration and restore the environment, after PortAudio has ended."""
+        self._use(-1)
         for name, value in self._before.items():
             if value is None:
                 os.environ.pop(name, None)
@@ -203,20 +95,24 @@ class PcmConfig:
                 os.environ[name] = value
 
     def _write(self) -> None:
-        """Write the configuration to a new path, as ALSA may not notice a changed file."""
-        old = self._folder.path / f"{self._version}.conf"
-        self._version += 1
-        new = self._folder.path / f"{self._version}.conf"
+        """Write the configuration to a new file, as ALSA may not notice a changed one."""
         text = [f"pcm.{pcm.name} {{ {pcm.target.definition} }}" for pcm in self.pcms.values()]
         try:
-            new.write_text("\n".join([*text, "pcm.default { type null }", ""]))
+            file = memory_file("alsa")
+            os.write(file, "\n".join([*text, "pcm.default { type null }", ""]).encode())
         except OSError as error:
-            raise UsageError(
-                f"{new} cannot be written ({error.strerror}); make room there, or set "
-                "XDG_RUNTIME_DIR or TMPDIR to another folder"
+            raise LostError(
+                f"no ALSA configuration can be made in memory ({error.strerror}); end some other "
+                "programs, and start again"
             ) from None
-        os.environ["ALSA_CONFIG_PATH"] = str(new)
-        old.unlink(missing_ok=True)
+        os.environ["ALSA_CONFIG_PATH"] = f"/proc/{os.getpid()}/fd/{file}"  # for children, too
+        self._use(file)
+
+    def _use(self, file: int) -> None:
+        """Close the file before this one."""
+        before, self._file = self._file, file
+        if before >= 0:
+            os.close(before)
 
 
 def _properties(tag: str, output: bool) -> str:
@@ -257,7 +153,7 @@ class ServerDevice(Target):
 
     trouble = (
         "the sound server does not answer or has no such device; "
-        "`cushion devices` lists what it has"
+        "`cushion devices` lists its devices"
     )
 
     def __str__(self) -> str:

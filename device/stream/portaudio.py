@@ -1,7 +1,7 @@
 """The process's one PyAudio instance: opens and closes streams within time limits.
 
-Each call that may wait for a sound server runs on a separate thread, so a server that hangs
-blocks that thread and not the caller.
+Each call that may wait for a sound server runs on a separate thread. A server that hangs blocks
+that thread and not the caller.
 """
 
 from __future__ import annotations
@@ -44,11 +44,10 @@ Callback = Callable[[bytes | None, int, Any, int], tuple[bytes | None, int]]
 Result = TypeVar("Result")
 
 _lock = threading.Lock()
-"""Held while PortAudio starts, ends or opens a stream: it does one of these at a time."""
+"""Held while PortAudio starts, ends or opens a stream, and while stderr is replaced."""
 
 _pyaudio: Any = None
-_open: set[str] = set()
-"""Tags of the streams that are open, being closed, or never started."""
+_open: set[str] = set()  # tags of the streams that are open, being closed, or never started
 _numbers = itertools.count(1)
 
 
@@ -227,7 +226,6 @@ def _call_within(
     )
 
 
-_lock = threading.Lock()
 _filtered = False
 
 
@@ -239,20 +237,12 @@ def filter_stderr() -> bool:
     """
     global _filtered
     with _lock:
-        stream = None if _filtered else _stream()
-        if stream is not None:
-            libc = ctypes.CDLL(None)
-            libc.fopen.restype = ctypes.c_void_p
+        if _filtered or platform.libc_ver()[0] != "glibc":
+            return _filtered
+        libc = ctypes.CDLL(None)
+        libc.fopen.restype = ctypes.c_void_p
+        with suppress(OSError, ValueError):  # another library may keep it as a constant
+            stream = ctypes.c_void_p.in_dll(libc, "stderr")
             if replacement := libc.fopen(os.devnull.encode(), b"we"):
                 stream.value, _filtered = replacement, True
         return _filtered
-
-
-def _stream() -> ctypes.c_void_p | None:
-    """Return C's variable `stderr`; None if it is a constant, as outside the GNU C library."""
-    if platform.libc_ver()[0] != "glibc":
-        return None
-    try:
-        return ctypes.c_void_p.in_dll(ctypes.CDLL(None), "stderr")
-    except (OSError, ValueError):
-        return None

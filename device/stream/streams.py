@@ -157,47 +157,19 @@ class _Stream(CallbackCounts):
 class CaptureStream(_Stream):
     """Delivers the frames of a PCM's source; runs from the moment it is made.
 
-    Parameters
-    ----------
-    pcm : Pcm
-        Its target is what the stream captures.
-    samplerate, channels : int
-        In Hz, and per frame.
-    on_frames : Callable
-        Gets every block, read only, which it may keep, and the time. PortAudio's thread calls it:
-        it must neither block nor close the stream.
-    audible : bool
-        Initial value of the attribute.
-    block_frames : int
-        Frames per callback.
-    priority : AudioPriority or None
-        Priority that the callback's thread requests; None for none.
-    order : tuple of int or None
-        The source's channels in the order in which they are delivered; None for their own.
+    pcm: its target is captured. samplerate: Hz. on_frames: gets every block, read only, which it
+    may keep, and the time. PortAudio's thread calls it: it must neither block nor close the stream.
+    audible: any thread may set it; while False, the frames are 0 from the next block on.
+    block_frames: per callback. priority: what the callback's thread requests. order: the source's
+    channels in the order of delivery; None for their own.
 
-    Attributes
-    ----------
-    audible : bool
-        Any thread may set it. While it is False, the frames are 0 from the next block on.
-    silenced : int
-        Blocks that were silenced.
-    tag : str
-        Value of the property `pcms.TAG` by which the server shows this stream.
-    opened_s, last_callback_s : float
-        Time of opening and of the last callback; the same before the first callback.
-    callbacks, frames : int
-        Counts so far.
-    xruns : int
-        Overflows and underflows that PortAudio reported, which are few of them.
-    errors : dict[str, int]
-        Exceptions in callbacks, counted by name.
+    silenced: blocks that were. tag: value of the property `pcms.TAG`, by which the server shows
+    the stream. opened_s, last_callback_s: the same before the first callback. callbacks, frames:
+    counts. xruns: overflows and underflows that PortAudio reported, which are few of them. errors:
+    exceptions in callbacks, counted by name. channels: per frame.
 
-    Raises
-    ------
-    LostError, NotFoundError
-        See `open_stream`. PipeWire may open a missing device and end the stream later.
-    UsageError
-        samplerate or channels is out of range.
+    LostError, NotFoundError: see `open_stream`; PipeWire may open a missing device and end the
+    stream later. UsageError: samplerate or channels is out of range.
     """
 
     _output = False
@@ -233,30 +205,15 @@ class PlaybackStream(_Stream):
     """Plays frames to a PCM's sink as it asks for them; silent until `audible` is set.
 
     PortAudio's thread calls both functions: they must neither block nor close the stream. The other
-    attributes and the exceptions are those of `CaptureStream`.
+    parameters, attributes and errors are those of `CaptureStream`.
 
-    Parameters
-    ----------
-    pcm : Pcm
-        Its target is where the stream plays.
-    samplerate, channels : int
-        In Hz, and per frame.
-    fill : Callable
-        Writes into every block, which is all 0, and must not keep it. If it raises, or leaves a
-        sample that is not finite, the block becomes silence and counts in `errors`.
-    on_sent : Callable or None
-        Gets every block that was sent, silence included, read only, which it may keep.
-    block_frames : int
-        Frames per callback.
-    priority : AudioPriority or None
-        Priority that the callback's thread requests; None for none.
-    sample_format : SampleFormat
-        Of the bytes for PortAudio; `Encoder` clamps and rounds to integers.
+    pcm: its target is where the stream plays. samplerate, channels, block_frames, priority: as
+    there. fill: writes into every block, which is all 0, and must not keep it. If it raises, or
+    leaves a sample that is not finite, the block becomes silence and counts in `errors`. on_sent:
+    gets every block that was sent, silence included, read only, which it may keep. sample_format:
+    of the bytes for PortAudio; `Encoder` clamps and rounds to integers.
 
-    Attributes
-    ----------
-    audible : bool
-        Any thread may set it. While it is False, silence is played from the next block on.
+    audible: any thread may set it; while False, silence is played from the next block on.
     """
 
     _output = True

@@ -1,12 +1,12 @@
-"""Which channels of a device drive coils, where its others drive something else.
+"""Channels with coils, of devices whose other channels drive something else.
 
-A device that is not listed has coils on every channel, or on those that the user names.
+Devices outside this list have coils on every channel, or on those that the user names.
 """
 
 from __future__ import annotations
 
 _DUALSENSE = (2, 3)
-"""Behind the two of its speaker and headphones."""
+"""Channels 0 and 1 are its speaker and headphones."""
 
 _COILS = {
     ("054c", "0ce6"): _DUALSENSE,

@@ -1,7 +1,7 @@
-"""A device's own volume, mute and samplerate, by requests to the device itself.
+"""A device's own volume, mute and samplerate, read and set by requests to the device.
 
-Only where no driver of the kernel holds it: usually one does, and then the mixer of ALSA or the
-sound server is the way. `take_over` takes a device from its driver for that; see there.
+This needs a device that no kernel driver holds. Usually a driver does; then ALSA's mixer or the
+sound server sets the volume, and `take_over` detaches the driver for a moment.
 """
 
 from __future__ import annotations
@@ -24,9 +24,10 @@ from device.volume_limit import MAX_VOLUME_DB
 
 @dataclass(frozen=True)
 class ControlState:
-    """What a device was set to, to set it so again. By channel, 0 is the master.
+    """Settings of a device, to restore them.
 
-    volumes: in 1/256 dB; mutes; samplerate: Hz, None where it did not report it.
+    volumes, mutes: (channel, value) pairs; channel 0 is the master; volumes are in 1/256 dB.
+    samplerate: Hz, None if the device does not report it.
     """
 
     volumes: tuple[tuple[int, int], ...] = ()
@@ -35,9 +36,9 @@ class ControlState:
 
 
 def playback_of(device: UsbAudioDevice) -> PlaybackFormat:
-    """Return the first way to play on a device whose volume, or else mute, can be set; or any.
+    """Return the first playback format whose volume, or else mute, can be set, or else the first.
 
-    UsbAccessError: nothing can be played on it, or its descriptors cannot be read.
+    UsbAccessError: the device has no playback format, or its descriptors cannot be read.
     """
     configuration = parse_whole(read_descriptors(device)).active(device.configuration)
     formats = playback_formats(configuration) if configuration else ()
@@ -47,14 +48,13 @@ def playback_of(device: UsbAudioDevice) -> PlaybackFormat:
 
 
 class UsbControl:
-    """The controls of one device that is opened. One thread uses it, none that plays sound.
+    """The controls of one open device, for one thread, which must not be an audio thread.
 
-    handle: PyUSB's device, that `close` lets go of. Volumes are in dB; channel 0 is the master.
-    Every question takes some ms, and half a second of a device that does not answer.
+    handle: PyUSB's device, which `close` releases. Volumes are in dB; channel 0 is the master.
+    A request takes some ms, or 0.5 s if the device does not answer.
 
-    UsbAccessError: by everything below: the device refuses, does not answer, or has no such
-    control.
-    NoUsbDeviceError: it was pulled out.
+    All methods raise UsbAccessError if the device refuses, does not answer or has no such control,
+    and NoUsbDeviceError if it was pulled out.
     """
 
     def __init__(self, device: UsbAudioDevice, playback: PlaybackFormat, handle: Any) -> None:
@@ -64,12 +64,12 @@ class UsbControl:
 
     @property
     def volume_channels(self) -> tuple[int, ...]:
-        """Where a volume can be set."""
+        """Channels whose volume can be set."""
         return self._playback.volume_channels
 
     @property
     def mute_channels(self) -> tuple[int, ...]:
-        """Where a mute can be set."""
+        """Channels whose mute can be set."""
         return self._playback.mute_channels
 
     def volume_db(self, channel: int) -> float:
@@ -91,9 +91,10 @@ class UsbControl:
     def set_volume_db(
         self, channel: int, wanted_db: float, limit_db: float = MAX_VOLUME_DB
     ) -> float:
-        """Set a volume, never above 0 dB nor limit_db; return what it is then, as it was read back.
+        """Set a volume, never above 0 dB nor limit_db; return the volume that is read back.
 
-        What is below the range becomes its lowest value. UsbAccessError, too: it is not taken.
+        A volume below the range becomes its lowest value. UsbAccessError: also if the device keeps
+        another volume.
         """
         wanted_units, step_db = requests.SILENCE_UNITS, 0.0
         if wanted_db != -math.inf:
@@ -102,11 +103,11 @@ class UsbControl:
             step_db = offered.step_db
         self._set_units(channel, wanted_units)
         found_db, set_db = self.volume_db(channel), requests.from_volume_units(wanted_units)
-        # Devices round to steps of their own, but none may end up louder.
+        # Devices round to other steps than they report, but none may end up louder.
         if not set_db - max(step_db, 1.0) <= found_db <= set_db:
             raise UsbAccessError(
-                f"{self._device.label!r} takes {set_db:g} dB for channel {channel} and then says "
-                f"that it is {found_db:g} dB; set the level in the config, or at the amplifier"
+                f"{self._device.label!r} takes {set_db:g} dB for channel {channel} but then "
+                f"reports {found_db:g} dB; set the level in the config, or at the amplifier"
             )
         return found_db
 
@@ -115,7 +116,7 @@ class UsbControl:
         return bool(requests.number(self._ask_feature(FeatureControl.MUTE, channel), 1))
 
     def set_muted(self, channel: int, muted: bool) -> None:
-        """Mute or unmute a channel. UsbAccessError, too: it is not taken."""
+        """Mute or unmute a channel. UsbAccessError: also if the mute does not change."""
         self._ask(requests.set_feature(self._playback, FeatureControl.MUTE, channel, int(muted)))
         if self.muted(channel) is not muted:
             raise UsbAccessError(f"{self._device.label!r} takes a mute and does not change it")
@@ -126,26 +127,26 @@ class UsbControl:
         return requests.number(self._ask(asked), asked.length)
 
     def samplerates(self) -> tuple[RateRange, ...]:
-        """Return the rates of its clock, Hz, for version 2.0, whose descriptors lack them."""
+        """Return the rates in Hz that the clock of a device of 2.0 or 3.0 offers."""
         return requests.samplerate_ranges(self._ask(requests.samplerate(self._playback, "range")))
 
     def set_samplerate(self, hertz: int) -> None:
-        """Set the samplerate in Hz. UsbAccessError, too: it is not taken."""
+        """Set the samplerate in Hz. UsbAccessError: also if the device keeps another one."""
         self._ask(requests.set_samplerate(self._playback, hertz))
         if (found := self.samplerate()) != hertz:
             raise UsbAccessError(
-                f"{self._device.label!r} takes {hertz} Hz and then says that it has {found} Hz"
+                f"{self._device.label!r} takes {hertz} Hz but then reports {found} Hz"
             )
 
     def state(self) -> ControlState:
         """Return all settings that the device reports."""
         volumes, mutes = [], []
         for channel in self.volume_channels:
-            answer = self._told(requests.feature(self._playback, FeatureControl.VOLUME, channel))
+            answer = self._answer(requests.feature(self._playback, FeatureControl.VOLUME, channel))
             if len(answer) >= 2:
                 volumes.append((channel, int.from_bytes(answer[:2], "little", signed=True)))
         for channel in self.mute_channels:
-            answer = self._told(requests.feature(self._playback, FeatureControl.MUTE, channel))
+            answer = self._answer(requests.feature(self._playback, FeatureControl.MUTE, channel))
             if answer:
                 mutes.append((channel, bool(answer[0])))
         try:
@@ -155,7 +156,7 @@ class UsbControl:
         return ControlState(tuple(volumes), tuple(mutes), rate)
 
     def restore(self, state: ControlState) -> None:
-        """Set all that differs from a state to it. What was too loud is not made so again."""
+        """Set all that differs from a state; a volume above 0 dB becomes 0 dB."""
         now = self.state()
         for channel, units in set(state.volumes) - set(now.volumes):
             loudest = requests.volume_units(MAX_VOLUME_DB)
@@ -166,7 +167,7 @@ class UsbControl:
             self.set_samplerate(state.samplerate)
 
     def close(self) -> None:
-        """Let go of the device."""
+        """Release the device."""
         import usb.util
 
         usb.util.dispose_resources(self._handle)
@@ -177,7 +178,7 @@ class UsbControl:
     def _set_units(self, channel: int, units: int) -> None:
         self._ask(requests.set_feature(self._playback, FeatureControl.VOLUME, channel, units))
 
-    def _told(self, request: Request) -> bytes:
+    def _answer(self, request: Request) -> bytes:
         try:
             return self._ask(request)
         except UsbAccessError:

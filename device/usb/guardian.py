@@ -1,8 +1,8 @@
-"""The process that gives a device back to its driver when its parent lets go, or was killed.
+"""The process that gives a device back to its driver when its parent closes a pipe or was killed.
 
-Reads lines of JSON from standard input, of which the last one counts, until it is closed. Then it
-restores the state and attaches the driver; what is wrong is one line on standard output. A device
-that was unplugged in the meantime needs nothing.
+It reads lines of JSON from standard input until that is closed; the last line counts. Then it
+restores the state and attaches the driver. An error becomes one line on standard output. It
+ignores a device that was unplugged in the meantime.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ def main() -> int:
     """Wait, then give the device back; return exit code 1 if that failed."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
-    told: dict[str, Any] | None = None
+    wanted: dict[str, Any] | None = None
     for line in sys.stdin:
         with suppress(ValueError):  # the last line was cut when the parent died
-            told = json.loads(line)
-    if told is None:
+            wanted = json.loads(line)
+    if wanted is None:
         return 0
     try:
-        _give_back(told)
+        _give_back(wanted)
     except NoUsbDeviceError:
         return 0
     except CushionError as error:
@@ -40,13 +40,13 @@ def main() -> int:
     return 0
 
 
-def _give_back(told: dict[str, Any]) -> None:
-    devices = find_devices(Path(told["root"])).devices
-    place = (told["port"], told["address"])
+def _give_back(wanted: dict[str, Any]) -> None:
+    devices = find_devices(Path(wanted["root"])).devices
+    place = (wanted["port"], wanted["address"])
     device = next((one for one in devices if (one.port, one.address) == place), None)
-    if device is None:  # another plugging in is another device, with a driver of its own
+    if device is None:  # unplugged; plugged in again, it has its driver
         return
-    state = told["state"]
+    state = wanted["state"]
     handle = open_device(device)
     control = UsbControl(device, playback_of(device), handle)
     trouble: CushionError | None = None
@@ -62,7 +62,7 @@ def _give_back(told: dict[str, Any]) -> None:
         trouble = error
     finally:
         control.close()
-    _attach(handle, told["interfaces"])
+    _attach(handle, wanted["interfaces"])
     if trouble is not None:
         raise trouble
 
@@ -73,7 +73,7 @@ def _attach(handle: Any, interfaces: list[int]) -> None:
 
     try:
         for number in interfaces:
-            # The driver of the first takes the others along, and they are then busy.
+            # Attaching the driver to the first interface also attaches it to the others.
             with suppress(usb.core.USBError, NotImplementedError):
                 if not handle.is_kernel_driver_active(number):
                     handle.attach_kernel_driver(number)

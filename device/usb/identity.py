@@ -1,11 +1,11 @@
-"""Names of USB devices that survive unplugging, and the devices that a name means.
+"""Names of USB devices that stay the same after replugging, and the devices that they name.
 
-A name is vendor, product and serial. Where a maker gives every unit the same serial, or none, the
-port is added. The number of a sound card and the address on the bus are not part of the name,
-since both change at every plugging. Pure functions.
+A name is vendor, product and serial. If several units have the same serial, or none, the port is
+added. Card numbers and bus addresses are not part of the name, since they change when a device is
+plugged in again. Pure functions.
 
-A port is named as the kernel does: the number of the bus, then a port of each hub. It stays over a
-reboot as long as the machine keeps its USB controllers.
+A port is the kernel's name of it: the number of the bus, then a port of each hub. It stays the same
+after a reboot as long as the machine keeps its USB controllers.
 """
 
 from __future__ import annotations
@@ -27,16 +27,14 @@ _NAME = re.compile(
 
 @dataclass(frozen=True)
 class UsbIdentity:
-    """A USB device by name.
+    """The name of a USB device.
 
     Parameters
     ----------
     vendor_id, product_id : str
         Four hexadecimal digits each, kept in lower case.
-    serial : str
-        Serial number, "" for any.
-    port : str
-        Port as the kernel names it, "" for any.
+    serial, port : str
+        "" for any.
 
     Raises
     ------
@@ -63,12 +61,9 @@ class UsbIdentity:
 
     @classmethod
     def parse(cls, text: str) -> UsbIdentity:
-        """Return the identity in a text from `str` or from a user; "usb:" is optional.
+        """Return the identity in a text of the form `GRAMMAR`; "usb:" is optional.
 
-        Raises
-        ------
-        UsageError
-            It is not written as `GRAMMAR` says.
+        UsageError: the text has another form.
         """
         parts = _NAME.fullmatch(text.removeprefix("usb:"))
         if parts is None:
@@ -79,7 +74,7 @@ class UsbIdentity:
         return cls(parts["vendor"], parts["product"], parts["serial"] or "", parts["port"] or "")
 
     def is_device(self, device: UsbAudioDevice) -> bool:
-        """Whether it names this device, perhaps among others."""
+        """Return whether it names this device, perhaps among others."""
         if (self.vendor_id, self.product_id) != (device.vendor_id, device.product_id):
             return False
         if self.port not in ("", device.port):
@@ -90,9 +85,9 @@ class UsbIdentity:
 
 
 def identify(device: UsbAudioDevice, present: Iterable[UsbAudioDevice]) -> UsbIdentity:
-    """Return a name that means this device alone, also after it was plugged in again.
+    """Return a name that no other device has, and that stays after replugging.
 
-    With a unique serial the name holds for every port, else it includes the port.
+    With a unique serial the name is valid at every port, else it includes the port.
 
     Parameters
     ----------
@@ -106,13 +101,13 @@ def identify(device: UsbAudioDevice, present: Iterable[UsbAudioDevice]) -> UsbId
     if device.serial and not twins:
         try:
             return replace(bare, serial=device.serial)
-        except UsageError:  # it ends as if a port followed
+        except UsageError:  # the serial ends like a port
             pass
     return replace(bare, serial=device.serial, port=device.port)
 
 
 def find_one(identity: UsbIdentity, found: Found) -> UsbAudioDevice:
-    """Return the device that a name means.
+    """Return the present device of a name.
 
     Parameters
     ----------
@@ -126,7 +121,7 @@ def find_one(identity: UsbIdentity, found: Found) -> UsbAudioDevice:
     NoUsbBusError, NoUsbDeviceError
         No device has the name; the message lists the present ones.
     NotFoundError
-        Several devices have it; the message says how to name one.
+        Several devices have it; the message gives a name for each.
     """
     matches = [device for device in found.devices if identity.is_device(device)]
     if len(matches) == 1:
@@ -156,26 +151,26 @@ def describe(devices: Iterable[UsbAudioDevice], present: Iterable[UsbAudioDevice
 
 
 def is_server_serial(known: str, serial: str) -> bool:
-    """Whether a sound server's serial is a device's serial, or was copied from it."""
+    """Return whether a sound server's serial is a device's serial or was made from it."""
     return any(
         known == form or known.endswith(f"_{form}") for form in (serial, udev_form(serial)) if form
     )
 
 
 def udev_form(text: str) -> str:
-    """Return a string of a device as udev has it, and sound servers from there.
+    """Return a device's string in udev's form, which sound servers use.
 
-    Blanks are joined into one "_"; so is whatever is none of its signs (systemd, udev_replace_chars
-    in udev-util.c, and usb_id).
+    Each run of blanks becomes one "_", and so does each character that udev does not allow
+    (systemd, udev_replace_chars in udev-util.c, and usb_id).
     """
     joined = re.sub(r"\s+", "_", text.strip())
     return re.sub(r"[^#+\-.:=@\w]", "_", joined)
 
 
 def udev_serial(device: UsbAudioDevice) -> str:
-    """Return the serial of a device as udev has it; "" where it has none or udev drops it.
+    """Return a device's serial in udev's form; "" if it has none or udev drops it.
 
-    What sound servers call the serial is this one behind the names of maker and product.
+    The serial of sound servers is this one behind the names of maker and product.
     """
     if any(not " " <= sign <= "~" or sign == "," for sign in device.serial):
         return ""
@@ -183,7 +178,7 @@ def udev_serial(device: UsbAudioDevice) -> str:
 
 
 def _server_serials(device: UsbAudioDevice) -> tuple[str, ...]:
-    """Return what else a serial may have been copied from: udev's own form, a sound server's."""
+    """Return the other forms of a device's serial: udev's and a sound server's."""
     serial = udev_serial(device)
     vendor = udev_form(device.manufacturer) or device.vendor_id
     model = udev_form(device.product) or device.product_id

@@ -1,8 +1,8 @@
-"""USB devices, their sound cards, ALSA's names of them and a sound server's sinks, both ways.
+"""From a USB device to its ALSA names and a sound server's sinks, and back.
 
-Pure functions of `find_devices` and a snapshot of the server. A sink's properties are used in the
-order of their reliability: its path in /sys, then the number of its sound card if the ids agree,
-then ids and serial if they are unique. A sink whose device has gone never leads to another device.
+Pure functions of `find_devices` and a snapshot of the server. The most reliable property of a sink
+counts: its path in /sys, then the number of its sound card if the ids agree, then ids and serial
+if they are unique. A sink of an unplugged device never leads to another device.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ _PCM_NAME = re.compile(r"[a-z]\w*:(?:CARD=)?(?P<card>[^,:\s]+)(?:,.*)?")
 
 
 def hw_names(device: UsbAudioDevice) -> tuple[str, ...]:
-    """Return ALSA's names of all that plays on a device, such as "hw:1,0"."""
+    """Return the ALSA names of a device's playback devices, such as "hw:1,0"."""
     return tuple(f"hw:{card.number},{pcm}" for card in device.cards for pcm in card.playback)
 
 
 def card_of_name(name: str) -> str:
-    """Return the card, by number or id, of an ALSA or PortAudio name; "" if it names none.
+    """Return the number or id of the card in an ALSA or PortAudio name; "" if it has none.
 
-    Such as 1 of "hw:1,0", "DAC" of "plughw:CARD=DAC,DEV=0" and 1 of "DAC: USB Audio (hw:1,0)".
+    It is 1 in "hw:1,0" and "DAC: USB Audio (hw:1,0)", and "DAC" in "plughw:CARD=DAC,DEV=0".
     """
     match = _IN_BRACKETS.search(name) or _PCM_NAME.fullmatch(name)
     return match["card"] if match else ""
@@ -77,7 +77,7 @@ def sinks_of(
 
 
 def is_sink_of(identity: UsbIdentity, sink: Sink) -> bool:
-    """Whether a sink plays on a device of this name, judged by the sink's data alone.
+    """Return whether a sink plays on a device of this name, by the sink's properties alone.
 
     A name with a port needs a sink that reports its port.
     """
@@ -108,7 +108,7 @@ def _card_of(properties: Mapping[str, str]) -> str:
 
 
 def _agrees(sink: Sink, device: UsbAudioDevice) -> bool:
-    """Whether nothing that a sink says speaks against a device."""
+    """Return whether no property of a sink contradicts a device."""
     known = identity_of(sink)
     if known.bus not in ("", "usb"):
         return False

@@ -1,7 +1,7 @@
-"""Descriptors that a device is asked for through PyUSB.
+"""Devices opened with PyUSB, and descriptors that /sys does not have.
 
-/sys is read first. Opening a device for these requests does not affect
-its driver or sound card. Requests take milliseconds, or seconds if the device does not answer.
+Opening a device does not affect its driver or sound card. Requests take milliseconds, or seconds if
+the device does not answer.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ from device.extras import not_installed
 from device.usb.sysfs import UsbAudioDevice
 
 TIMEOUT_MS = 500
-"""Time limit of one request: devices answer within some ms, or never."""
+"""Time limit of one request; devices answer within some ms or never."""
 
 _DEVICE, _CONFIGURATION = 1, 2
 _DEVICE_LENGTH, _CONFIGURATION_LENGTH = 18, 9
 _TOTAL_LENGTH = slice(2, 4)
-"""Where descriptors have their type and length: USB 2.0, tables 9-5, 9-8 and 9-10."""
+"""Types, lengths, and the place of wTotalLength: USB 2.0, tables 9-5, 9-8 and 9-10."""
 
 
 @cache
 def libusb() -> Any:
-    """Return PyUSB's backend, chosen once: PyUSB keeps one a process, and a second disturbs it.
+    """Return PyUSB's backend. A process may have only one, so it is chosen once.
 
     NoLibusbError: there is none; the next call searches again.
     """
@@ -43,10 +43,9 @@ def libusb() -> Any:
 
 
 def open_device(device: UsbAudioDevice) -> Any:
-    """Return PyUSB's usb.core.Device of a device that `find_devices` found.
+    """Return PyUSB's usb.core.Device of a device from `find_devices`.
 
-    Nothing is opened before the first question; whoever holds it ends with
-    usb.util.dispose_resources.
+    The first request opens it; usb.util.dispose_resources closes it.
 
     NoLibusbError: libusb is missing.
     NoUsbDeviceError: libusb does not see the device.
@@ -69,10 +68,9 @@ def open_device(device: UsbAudioDevice) -> Any:
 
 
 def read_descriptors(device: UsbAudioDevice) -> bytes:
-    """Return the device descriptor and all configurations, as they lie in /sys.
+    """Return the device descriptor and all configurations, from /sys or else from the device.
 
-    NoLibusbError, NoUsbDeviceError, UsbAccessError: /sys does not have them, and the device cannot
-    be asked.
+    NoLibusbError, NoUsbDeviceError, UsbAccessError: both fail.
     """
     if device.descriptors:
         return device.descriptors
@@ -95,18 +93,18 @@ def read_descriptors(device: UsbAudioDevice) -> bytes:
 
 
 def refusal(device: UsbAudioDevice, error: Any) -> UsbAccessError | NoUsbDeviceError:
-    """Return the error of this project for an error of PyUSB."""
+    """Return the error to raise for an error of PyUSB."""
     what = f"{device.label!r} at {device.node}"
     if error.errno in (errno.ENODEV, errno.ENOENT):
         return NoUsbDeviceError(f"{what} was pulled out; plug it in again")
     if error.errno in (errno.EACCES, errno.EPERM):
         return UsbAccessError(
             f"no permission to open {what} (errno {error.errno}); `cushion install-service --udev` "
-            'prints a udev rule that gives USB audio devices TAG+="uaccess", so that whoever sits '
-            "at the machine may; install it and plug the device in again"
+            'prints a udev rule (TAG+="uaccess") that gives the permission to the person at the '
+            "machine; install it and plug the device in again"
         )
     if error.errno == errno.EBUSY:
         return UsbAccessError(f"{what} is held by a driver or another program (errno EBUSY)")
     if error.errno == errno.ETIMEDOUT:
         return UsbAccessError(f"{what} does not answer within {TIMEOUT_MS} ms; plug it in again")
-    return UsbAccessError(f"{what} does not answer as it should ({error}); plug it in again")
+    return UsbAccessError(f"{what} does not answer correctly ({error}); plug it in again")

@@ -1,6 +1,6 @@
-"""What is asked of an audio device's controls, as the bytes of control transfers, and the answers.
+"""Control transfers for volume, mute and samplerate, and their answers, as bytes.
 
-Pure functions. Volumes are in dB here, and in 1/256 dB on the wire, signed 16 bit, where -32768 is
+Pure functions. Volumes are in dB here; on the wire in 1/256 dB, signed 16 bit, with -32768 for
 silence. Sources: USB Audio 1.0, 5.2; 2.0, 5.2.
 """
 
@@ -31,7 +31,7 @@ _GET: dict[int, dict[What, int]] = {
 _SET = 0x01
 _SAMPLERATE = 0x01
 _MOST_RANGES = 32
-"""More than the ranges of any device, so that a lying count asks for little."""
+"""More ranges than any device has, so that a wrong count cannot request much."""
 
 
 @dataclass(frozen=True)
@@ -48,16 +48,16 @@ class Request:
 
 @dataclass(frozen=True)
 class VolumeRange:
-    """What a volume can be, in dB; step_db: between two values that differ."""
+    """The range of a volume in dB, and the distance of its values."""
 
     lowest_db: float
     highest_db: float
     step_db: float
 
     def allowed(self, wanted_db: float, limit_db: float = MAX_VOLUME_DB) -> float:
-        """Return the value to set, in dB: the next that is neither above `wanted_db` nor a limit.
+        """Return the value to set, in dB: the highest that exceeds neither wanted_db nor a limit.
 
-        What is below the range becomes its lowest value.
+        A volume below the range becomes its lowest value.
 
         UsageError: wanted_db is no number, or even the lowest value is above the limit.
         """
@@ -70,9 +70,9 @@ class VolumeRange:
 def feature(
     playback: PlaybackFormat, control: FeatureControl, channel: int, what: What = "now"
 ) -> Request:
-    """Return how to ask for a control of the feature unit that a playback format goes through.
+    """Return the query of a control of a playback format's feature unit.
 
-    UsbAccessError: there is no such unit.
+    UsbAccessError: it has no feature unit.
     """
     length = 1 if control is FeatureControl.MUTE else 2
     if what == "range":
@@ -85,16 +85,16 @@ def feature(
 def set_feature(
     playback: PlaybackFormat, control: FeatureControl, channel: int, value: int
 ) -> Request:
-    """Return how to set it; value: in the units of the control."""
+    """Return the request that sets a control to a value in the control's units."""
     asked = feature(playback, control, channel)
     data = value.to_bytes(asked.length, "little", signed=control is not FeatureControl.MUTE)
     return Request(_INTO_INTERFACE, _SET, asked.value, asked.index, len(data), data)
 
 
 def samplerate(playback: PlaybackFormat, what: What = "now") -> Request:
-    """Return how to ask for the samplerate: of the endpoint in 1.0, of its clock source in 2.0.
+    """Return the query of the samplerate: of the endpoint in 1.0, of the clock source in 2.0.
 
-    UsbAccessError: 2.0, and it is unknown which of several clocks it is, or there is none.
+    UsbAccessError: in 2.0, the format has no clock source, or several.
     """
     if playback.uac == 1 and what != "now":
         raise UsbAccessError("a device of USB Audio 1.0 lists its samplerates in its descriptors")
@@ -113,7 +113,7 @@ def samplerate(playback: PlaybackFormat, what: What = "now") -> Request:
 
 
 def set_samplerate(playback: PlaybackFormat, hertz: int) -> Request:
-    """Return how to set the samplerate, Hz. UsageError: no device can have it."""
+    """Return the request that sets the samplerate in Hz. UsageError: no device can have it."""
     asked = samplerate(playback)
     if not 0 < hertz < 1 << 8 * min(3, asked.length):
         raise UsageError(f"samplerate {hertz} Hz is not possible; choose one that is offered")
@@ -123,7 +123,7 @@ def set_samplerate(playback: PlaybackFormat, hertz: int) -> Request:
 
 
 def volume_db(answer: bytes) -> float:
-    """Return a volume in dB; -inf is silence. UsbAccessError: no volume."""
+    """Return a volume in dB; -inf is silence. UsbAccessError: the answer is too short."""
     return from_volume_units(_units("volume", answer, "<h")[0])
 
 
@@ -140,18 +140,18 @@ def volume_units(decibels: float) -> int:
 
 
 def volume_range(lowest: bytes, highest: bytes, step: bytes) -> VolumeRange:
-    """Return the range of three answers of 1.0. UsbAccessError: it is none."""
+    """Return the range in three answers of 1.0. UsbAccessError: it is not valid."""
     triple = [_units("volume range", answer, "<h")[0] for answer in (lowest, highest, step)]
     return _volume_range([(triple[0], triple[1], triple[2])])
 
 
 def volume_ranges(answer: bytes) -> VolumeRange:
-    """Return the range of one answer of 2.0, from its first to its last. UsbAccessError: none."""
+    """Return the range in one answer of 2.0, over all its parts. UsbAccessError: not valid."""
     return _volume_range(_ranges("volume range", answer, "<hhh"))
 
 
 def samplerate_ranges(answer: bytes) -> tuple[RateRange, ...]:
-    """Return the rates in Hz of a clock source of 2.0; a single rate is a range, too."""
+    """Return the rates in Hz of a clock source of 2.0; a single rate is a range, as well."""
     return tuple(
         RateRange(lowest, highest)
         for lowest, highest, _ in _ranges("samplerates", answer, "<III")
@@ -174,7 +174,7 @@ def _volume_range(triples: list[tuple[int, ...]]) -> VolumeRange:
             f"the device offers volumes from {lowest / VOLUME_UNITS_PER_DB:g} to "
             f"{highest / VOLUME_UNITS_PER_DB:g} dB, not a valid range; its volume is not changed"
         )
-    # Silence is no volume that steps can be counted from.
+    # Steps cannot be counted from silence.
     lowest = max(lowest, SILENCE_UNITS + 1)
     step = max(1, *(step for _, _, step in triples))
     units = VOLUME_UNITS_PER_DB
@@ -182,7 +182,7 @@ def _volume_range(triples: list[tuple[int, ...]]) -> VolumeRange:
 
 
 def _ranges(name: str, answer: bytes, layout: str) -> list[tuple[int, ...]]:
-    """Return the (lowest, highest, step) of a RANGE answer that are really there."""
+    """Return each complete (lowest, highest, step) of a RANGE answer."""
     (count,) = _units(name, answer, "<H")
     size = struct.calcsize(layout)
     whole = min(count, (len(answer) - 2) // size)
@@ -199,7 +199,7 @@ def _units(name: str, answer: bytes, layout: str) -> tuple[int, ...]:
 
 def _short(name: str, answer: bytes, length: int) -> UsbAccessError:
     return UsbAccessError(
-        f"the device answers {answer.hex(' ') or 'nothing'} where its {name} has {length} bytes"
+        f"the device answers {answer.hex(' ') or 'nothing'} where its {name} needs {length} bytes"
     )
 
 

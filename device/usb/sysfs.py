@@ -1,8 +1,8 @@
-"""USB audio devices as the kernel lists them, without permission, library or opening.
+"""USB audio devices as the kernel lists them; this needs no permission and opens no device.
 
-All of it is read from /sys and /proc, below a `root` that only tests change. A device that is
-pulled out while it is read is left out. Reading one takes about a millisecond, or longer while it
-is being plugged in, so audio threads do not call this.
+All is read from /sys and /proc, below a `root` that only tests change. A device that is pulled out
+while it is read is left out. Reading one takes about a millisecond, or longer while it is being
+plugged in, so audio threads must not call this.
 """
 
 from __future__ import annotations
@@ -24,9 +24,8 @@ STREAMING = 0x02
 """The subclass of interfaces that carry samples; 0x01 is control, 0x03 is MIDI."""
 
 _NO_BUS = (
-    "no USB bus is visible: there is neither a bus in /sys/bus/usb nor /dev/bus/usb; in a "
-    "container, pass both on (such as --device /dev/bus/usb), in a virtual machine add a USB "
-    "controller"
+    "no USB bus is visible in /sys/bus/usb or /dev/bus/usb; pass both on to a container "
+    "(--device /dev/bus/usb), or add a USB controller to a virtual machine"
 )
 
 _PORT = re.compile(r"(\d+)-\d+(\.\d+)*")
@@ -39,8 +38,8 @@ _PCM = re.compile(r"pcmC(?P<card>\d+)D(?P<device>\d+)p")
 class AudioInterface:
     """One audio interface of a device. subclass: 1 control, 2 streaming, 3 MIDI.
 
-    protocol: 0x00 for version 1 of the audio class, 0x20 for 2, 0x30 for 3. driver: that holds it,
-    such as "snd-usb-audio", "" for none.
+    protocol: 0x00 for version 1 of the audio class, 0x20 for 2, 0x30 for 3. driver: the one that
+    holds it, such as "snd-usb-audio", "" for none.
     """
 
     number: int
@@ -51,7 +50,7 @@ class AudioInterface:
 
 @dataclass(frozen=True)
 class AlsaCard:
-    """A sound card of ALSA. id: its short name, "" if unknown; playback: devices that play."""
+    """A sound card. id: its short name, "" if unknown; playback: numbers of playback devices."""
 
     number: int
     id: str
@@ -73,7 +72,7 @@ class UsbAudioDevice:
     manufacturer, product, serial : str
         The device's strings, "" for none; unprintable characters are "�".
     bus, address : int
-        Numbers on the bus; the address changes at every plugging.
+        Numbers on the bus; the address changes when it is plugged in.
     speed : float
         Mbit/s, 0 if unknown.
     max_power_ma : int or None
@@ -84,10 +83,8 @@ class UsbAudioDevice:
         Device descriptor first, then the configurations; b"" if they are unreadable.
     node : Path
         The file through which it is opened.
-    interfaces : tuple of AudioInterface
-        Its audio interfaces.
-    cards : tuple of AlsaCard
-        Its sound cards.
+    interfaces, cards : tuple of AudioInterface, tuple of AlsaCard
+        Its audio interfaces and sound cards.
     """
 
     port: str
@@ -111,8 +108,7 @@ class UsbAudioDevice:
     def plays(self) -> bool:
         """Whether the device can play sound, and is not only for MIDI or recording.
 
-        A card that plays says so, else the descriptors. Without either, an interface that streams
-        counts.
+        Its cards decide, or else its descriptors, or else whether it has a streaming interface.
         """
         if any(card.playback for card in self.cards):
             return True
@@ -141,7 +137,7 @@ class Found:
     devices : tuple of UsbAudioDevice
         Sorted by port.
     reason : NotFoundError or None
-        Why none of them plays; None if one does.
+        Why none plays; None if one does.
     """
 
     devices: tuple[UsbAudioDevice, ...]
@@ -154,7 +150,7 @@ def find_devices(root: Path = ROOT) -> Found:
     Parameters
     ----------
     root : Path
-        Folder above /sys and /proc; only tests change it.
+        The folder above /sys and /proc.
     """
     bus = root / "sys/bus/usb/devices"
     names = names_in(bus)
@@ -189,8 +185,8 @@ def _why_none_plays(devices: Iterable[UsbAudioDevice]) -> NoUsbDeviceError | Non
         others.append(f"{device.label!r} in port {device.port}")
     if others:
         return NoUsbDeviceError(
-            f"no USB device plays sound: {', '.join(others)} is there, but only for MIDI or "
-            "recording; plug in the DAC"
+            f"no USB device plays sound: {', '.join(others)} is only for MIDI or recording; plug "
+            "in the DAC"
         )
     return NoUsbDeviceError(
         "no USB audio device is plugged in; plug in the DAC, with its own power if it has any, and "
@@ -252,7 +248,7 @@ def _interface(folder: Path) -> AudioInterface | None:
 
 
 def _cards(root: Path) -> dict[str, list[AlsaCard]]:
-    """Return ALSA's cards by the real path of the USB device that they are made of."""
+    """Return the sound cards by the real path of their USB device."""
     sound = root / "sys/class/sound"
     names = names_in(sound)
     playback = defaultdict(list)
@@ -273,7 +269,7 @@ def _cards(root: Path) -> dict[str, list[AlsaCard]]:
 
 
 def _in_order(port: str) -> list[int]:
-    """Sort 1-10 behind 1-2."""
+    """Return a key that sorts 1-10 behind 1-2."""
     return [int(number) for number in re.split("[-.]", port)]
 
 
@@ -285,7 +281,7 @@ def _bytes(path: Path) -> bytes:
 
 
 def _text(path: Path) -> str:
-    """What a file says on one line: devices are free to send line breaks or half characters."""
+    """Return a file's text as one line; devices may send line breaks or broken characters."""
     text = _bytes(path).decode("utf-8", "replace").strip()
     return "".join(sign if sign.isprintable() else "\N{REPLACEMENT CHARACTER}" for sign in text)
 

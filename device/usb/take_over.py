@@ -1,8 +1,8 @@
-"""Taking a device away from its driver for a moment, and giving it back whatever happens.
+"""Taking a device from its driver for a moment, and giving it back whatever happens.
 
-While the driver is gone so is the sound card, for everybody. A second process, the guardian, gives
-the device back: it waits until this process closes a pipe, or ends in any way, restores what was
-set, and attaches the driver again. Signals to this process's group do not reach it.
+Without the driver, the sound card is gone for all programs. A second process, the guardian, gives
+the device back. It waits until this process closes a pipe, or ends in any way. Then it restores the
+settings and attaches the driver. Signals to this process's group do not reach it.
 """
 
 from __future__ import annotations
@@ -25,20 +25,19 @@ from device.usb.pyusb_access import open_device
 from device.usb.sysfs import ROOT, UsbAudioDevice, find_devices
 
 RETURNS_S = 5.0
-"""Within this the card is back after it was given back; the kernel takes tenths of a second."""
+"""Longest wait for the card; the kernel takes tenths of a second."""
 _POLL_S = 0.02
 
 
 @contextmanager
 def take_over(device: UsbAudioDevice, *, root: Path = ROOT) -> Iterator[UsbControl]:
-    """Hold a device's controls within this context; its driver has it before and afterwards.
+    """Return a device's controls for this context; afterwards its driver has it again.
 
-    Without a driver it is just opened. What was set within is set back in the end. For the main
-    thread of a command: it takes some tenths of a second.
+    A device without a driver is only opened. At the end all settings are restored. This takes some
+    tenths of a second, so it is for the main thread of a command.
 
-    UsbAccessError: something plays on it, it may not be opened, or in the end its card did not
-    come back.
-    NoLibusbError, NoUsbDeviceError: libusb is missing, or does not see it.
+    UsbAccessError: the device plays, may not be opened, or its card did not come back.
+    NoLibusbError, NoUsbDeviceError: libusb is missing, or does not see the device.
     """
     _refuse_busy(device, root)
     playback, handle = playback_of(device), open_device(device)
@@ -46,7 +45,7 @@ def take_over(device: UsbAudioDevice, *, root: Path = ROOT) -> Iterator[UsbContr
     numbers = [each.number for each in device.interfaces if each.driver in held_by(device)]
     guardian = _Guardian(device, root)
     try:
-        # Of all interfaces, as the question alone shows whether the device may be opened.
+        # All interfaces: even the query fails if the device may not be opened.
         for interface in device.interfaces:
             _detach(device, handle, interface.number)
         guardian.guard(control.state(), numbers)
@@ -61,7 +60,7 @@ def take_over(device: UsbAudioDevice, *, root: Path = ROOT) -> Iterator[UsbContr
 
 
 class _Guardian:
-    """The second process. `guard` tells it what to restore."""
+    """The second process, which restores the newest state that `guard` sent."""
 
     def __init__(self, device: UsbAudioDevice, root: Path) -> None:
         numbers = [each.number for each in device.interfaces if each.driver in held_by(device)]
@@ -75,7 +74,7 @@ class _Guardian:
             cwd=Path(__file__).resolve().parents[2],
         )
         self._place = {"root": str(root), "port": device.port, "address": device.address}
-        # Sent before a driver is detached: from now on the process would attach it again.
+        # Before a driver is detached, so that the process attaches it again in every case.
         self.guard(ControlState(), numbers)
 
     def guard(self, state: ControlState, interfaces: list[int]) -> None:
@@ -90,7 +89,7 @@ class _Guardian:
         try:
             output, _ = self._process.communicate(timeout=RETURNS_S + 5.0)
         except subprocess.TimeoutExpired:
-            return "the device does not let itself be given back; plug it in again"
+            return "the device could not be given back to its driver; plug it in again"
         return output.strip()
 
 
@@ -100,7 +99,7 @@ def _refuse_busy(device: UsbAudioDevice, root: Path) -> None:
             try:
                 user = find_owner(find_playback(f"{card.number},{number}", root / "proc/asound"))
             except NotFoundError:
-                continue  # it went meanwhile
+                continue  # it was unplugged
             if user is not None:
                 raise UsbAccessError(
                     f"{device.label!r} is in use by {user}; end that program, then take it over"

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from tools.bench.measures.felt import felt_db, running_db, seat_weight, weighted
 from tools.bench.measures.impacts import attack, is_impact
-from tools.bench.measures.steadiness import rises_of_its_own, rises_s, warble
+from tools.bench.measures.steadiness import rises_of_its_own, rises_s, syllables_alike, warble
 from tools.bench.sounds.signals import SAMPLERATE, tone
 
 TIME_S = np.arange(2 * SAMPLERATE) / SAMPLERATE
@@ -135,3 +135,11 @@ def test_only_rises_without_one_in_the_sound_are_a_vibrations_own():
     assert rises_of_its_own(sound, late, SAMPLERATE) == 0.0
     assert rises_of_its_own(steady, sound, SAMPLERATE) == pytest.approx(4.0, abs=0.5)
     assert rises_of_its_own(sound, steady, SAMPLERATE) == 0.0
+
+
+@pytest.mark.parametrize("late_s", [0.0, 0.04])
+def test_syllables_are_alike_where_the_envelope_is_at_any_delay_up_to_80_ms(late_s):
+    words = sum(struck(at, decay_s=0.08, frequency_hz=900.0) for at in (0.2, 0.45, 0.9, 1.3))
+    felt = sum(struck(at + late_s, decay_s=0.08, frequency_hz=80.0) for at in (0.2, 0.45, 0.9, 1.3))
+    assert syllables_alike(words, felt, SAMPLERATE) > 0.97
+    assert syllables_alike(words, tone(80.0, 0.3, 2.0), SAMPLERATE) < 0.5

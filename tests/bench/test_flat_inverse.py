@@ -14,7 +14,6 @@ from device.errors import UsageError
 from device.rig import CONSUMER, PAPER, Rig
 from device.rig.actuator import LinearActuator
 from device.rig.adaptive_actuator import AdaptiveActuator
-from device.rig.model_levels import ModelLevel
 from tools.bench.measures.flat_inverse import FlatInverse
 from tools.bench.measures.large_bursts import large_burst_response, undamped_large
 
@@ -51,9 +50,7 @@ def error(got, wanted):
 def test_the_rig_moves_as_the_linear_one_with_any_tones_to_beyond_xmax(ratios, level, rig):
     # Far above its resonance it would take hundreds of volts, and the motion would not be stable.
     volts, wanted = scaled(rig, bumps([r * rig.actuator.resonance_hz for r in ratios]), level)
-    got = AdaptiveActuator(rig, RATE, level=ModelLevel.NONLINEAR).move(
-        FlatInverse(rig, RATE).process(volts)
-    )
+    got = AdaptiveActuator(rig, RATE, model="nonlinear").move(FlatInverse(rig, RATE).process(volts))
     # Between samples the voltage is a straight line, and the level's nodes are at 6 kHz: 1e-4.
     assert error(got.acceleration_m_s2, wanted.acceleration_m_s2) < 1e-3
     assert error(got.displacement_m, wanted.displacement_m) < 1e-3
@@ -61,7 +58,7 @@ def test_the_rig_moves_as_the_linear_one_with_any_tones_to_beyond_xmax(ratios, l
 
 def test_without_it_the_same_rig_is_far_from_that_motion():
     volts, wanted = scaled(PAPER, bumps([90.0]), 1.0)
-    got = AdaptiveActuator(PAPER, RATE, level=ModelLevel.NONLINEAR).move(volts)
+    got = AdaptiveActuator(PAPER, RATE, model="nonlinear").move(volts)
     assert error(got.acceleration_m_s2, wanted.acceleration_m_s2) > 0.3
 
 
@@ -69,7 +66,7 @@ def test_the_third_harmonic_of_a_low_tone_is_gone():
     volts, _ = scaled(PAPER, bumps([30.0], 0.5), 0.9)
     shown = []
     for drive in (volts, FlatInverse(PAPER, RATE).process(volts)):
-        a = AdaptiveActuator(PAPER, RATE, level=ModelLevel.NONLINEAR).move(drive).acceleration_m_s2
+        a = AdaptiveActuator(PAPER, RATE, model="nonlinear").move(drive).acceleration_m_s2
         spectrum = np.abs(np.fft.rfft(a * np.hanning(len(a))))
         shown.append(spectrum[45] / spectrum[15])  # bins of 2 Hz: 90 and 30 Hz
     assert shown[0] > 0.05

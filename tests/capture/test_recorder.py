@@ -136,56 +136,44 @@ def test_each_stream_may_have_a_thread_of_its_own(tmp_path):
         assert all(np.all(buffer.frames == buffer.time_s) for buffer in buffers)
 
 
-def test_a_full_disk_ends_the_capture_and_is_raised_at_the_end_not_on_the_audio_thread(
-    tmp_path, monkeypatch
+DROPPED = "dropped while recording: 2 buffers (8 frames) of stream tap"
+
+
+@pytest.mark.parametrize(
+    ("failure", "kind", "words", "warning"),
+    [
+        (OSError(errno.ENOSPC, "No space"), WriteError, "the disk is full", "1 whole buffer "),
+        (MemoryError("none left"), InternalError, "MemoryError: none left", DROPPED),
+        (None, InternalError, "float64", DROPPED),  # a buffer of another type
+    ],
+)
+def test_a_failure_ends_the_capture_and_is_raised_at_the_end_not_on_the_audio_thread(
+    tmp_path, monkeypatch, failure, kind, words, warning
 ):
-    writer = HeldWriter(tmp_path)
+    writer = CaptureWriter(tmp_path)
     recorder = CaptureRecorder(writer)
     assert recorder.offer("tap", frames_of(0), 48_000, 0.0)
-    writer.go.set()
     while not writer.buffers("tap"):
         threading.Event().wait(0.001)
 
     def fail(*_args):
-        raise OSError(errno.ENOSPC, "No space left on device")
+        raise failure
 
-    monkeypatch.setattr(os, "pwrite", fail)
-    assert recorder.offer("tap", frames_of(1), 48_000, 1.0)
+    if failure:
+        monkeypatch.setattr(os, "pwrite", fail)
+    second = frames_of(1) if failure else frames_of(1).astype(float)
+    assert recorder.offer("tap", second, 48_000, 1.0) == bool(failure)
     while recorder.error is None:
         threading.Event().wait(0.001)
     assert not recorder.offer("tap", frames_of(2), 48_000, 2.0)
-    with pytest.raises(WriteError, match="the disk is full"):
+    monkeypatch.undo()
+    with pytest.raises(kind, match=words):
         recorder.close()
     recorder.close()
     assert recorder.dropped("tap") == (2, 8)
-    monkeypatch.undo()
     buffers, warnings = read(tmp_path)
     assert buffers == [(0.0, False)]
-    assert "1 whole buffer " in warnings[0]
-
-
-def test_a_buffer_of_another_type_ends_the_capture_without_raising_at_once(tmp_path):
-    recorder = CaptureRecorder(CaptureWriter(tmp_path))
-    assert recorder.offer("tap", frames_of(0), 48_000, 0.0)
-    assert not recorder.offer("tap", frames_of(1).astype(np.float64), 48_000, 1.0)
-    with pytest.raises(InternalError, match="float64"):
-        recorder.close()
-    buffers, warnings = read(tmp_path)
-    assert buffers == [(0.0, False)]
-    assert "dropped while recording: 1 buffer (4 frames) of stream tap" in warnings[0]
-
-
-def test_whatever_fails_in_the_thread_is_raised_by_close(tmp_path):
-    class Broken(CaptureWriter):
-        def write_buffer(self, *args, **options):
-            raise MemoryError("none left")
-
-    recorder = CaptureRecorder(Broken(tmp_path))
-    recorder.offer("tap", frames_of(0), 48_000, 0.0)
-    with pytest.raises(InternalError, match="MemoryError: none left"):
-        recorder.close()
-    assert recorder.dropped("tap") == (1, 4)
-    assert "dropped while recording: 1 buffer (4 frames) of stream tap" in read(tmp_path)[1][0]
+    assert warning in warnings[0]
 
 
 def test_the_audio_thread_does_not_wait_for_a_disk_that_hangs(tmp_path):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import struct
 import tracemalloc
 import zlib
 from dataclasses import dataclass
@@ -17,7 +16,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from audioflinger_hook.capture import STREAMS, Capture, CaptureWriter
-from audioflinger_hook.capture.format import INDEX_NAME, LINE_BYTES_MAX, SAMPLES_OFFSET
+from audioflinger_hook.capture.format import (
+    INDEX_NAME,
+    LINE_BYTES_MAX,
+    SAMPLES_OFFSET,
+    Header,
+)
 from audioflinger_hook.capture.segment import SegmentReader, SegmentWriter
 from device.errors import InternalError, UsageError, WriteError
 from device.wav_output import wav_header
@@ -285,41 +289,24 @@ def test_memory_stays_flat_whatever_the_length(tmp_path):
 # ---------------------------------------------------------------------------------- what is refused
 
 
-def test_a_folder_in_use_is_the_users_mistake_and_stays_as_it_is(tmp_path):
+def test_a_folder_that_cannot_be_used_is_the_users_mistake_and_stays_as_it_is(tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
-    with pytest.raises(UsageError, match="not empty; name a new one"):
-        CaptureWriter(tmp_path)
-    with pytest.raises(UsageError, match="not a folder"):
-        CaptureWriter(tmp_path / "notes.txt")
-    with pytest.raises(UsageError, match=f"folder {tmp_path / 'no'} does not exist; create it"):
-        CaptureWriter(tmp_path / "no" / "capture")
-    with pytest.raises(UsageError, match="null"):
-        CaptureWriter(tmp_path / "a\0b")
-    with pytest.raises(UsageError, match="too long"):
-        CaptureWriter(tmp_path / ("x" * 300))
-    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
-
-
-def test_a_capture_is_not_written_over_another(tmp_path):
-    with CaptureWriter(tmp_path / "c") as writer:
-        deliver(writer, Delivery())
-    with pytest.raises(UsageError, match="not empty"):
-        CaptureWriter(tmp_path / "c")
-    assert contents(tmp_path / "c") == ([Delivery().key], [])
-
-
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
-def test_a_folder_that_may_not_be_written_is_the_users_mistake(tmp_path):
-    (tmp_path / "locked").mkdir(mode=0o500)
-    for folder in (tmp_path / "locked", tmp_path / "locked" / "new"):
-        with pytest.raises(UsageError, match="no permission to write there; name another"):
+    for folder, words in (
+        (tmp_path, "not empty; name a new one"),
+        (tmp_path / "notes.txt", "not a folder"),
+        (tmp_path / "no/capture", f"folder {tmp_path / 'no'} does not exist; create it"),
+        (tmp_path / "a\0b", "null"),
+        (tmp_path / ("x" * 300), "too long"),
+    ):
+        with pytest.raises(UsageError, match=words):
             CaptureWriter(folder)
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
 
 
 @pytest.mark.parametrize(
     ("error", "kind", "text"),
     [
-        (PermissionError(13, "Permission denied"), UsageError, "no permission"),
+        (PermissionError(13, "Permission denied"), UsageError, "no permission to write there"),
         (OSError(30, "Read-only file system"), UsageError, "read-only"),
         (FileExistsError(17, "File exists"), UsageError, "another capture began there"),
         (OSError(28, "No space left on device"), WriteError, "disk is full"),
@@ -335,10 +322,18 @@ def test_a_capture_that_cannot_begin_leaves_no_folder(tmp_path, monkeypatch, err
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("streams", [(), ("tap", "tap"), ("sound",), ("../tap",)])
-def test_streams_that_do_not_exist_are_refused(tmp_path, streams):
-    with pytest.raises(InternalError, match="streams="):
-        CaptureWriter(tmp_path / "c", streams=streams)
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        *(({"streams": one}, "streams=") for one in [(), ("tap", "tap"), ("sound",), ("../tap",)]),
+        *(({"facts": {"x": one}}, "capture line") for one in ["y" * LINE_BYTES_MAX, np.nan, open]),
+    ],
+)
+def test_streams_that_do_not_exist_and_facts_that_no_line_holds_are_refused(
+    tmp_path, options, text
+):
+    with pytest.raises(InternalError, match=text):
+        CaptureWriter(tmp_path / "c", **options)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -365,13 +360,6 @@ def test_a_buffer_that_is_none_is_refused_and_leaves_no_trace(
     assert sorted(path.name for path in tmp_path.iterdir()) == [INDEX_NAME, "tap-0001.wav"]
 
 
-@pytest.mark.parametrize("fact", ["y" * LINE_BYTES_MAX, float("nan"), object()])
-def test_facts_that_no_line_can_hold_are_refused(tmp_path, fact):
-    with pytest.raises(InternalError, match="capture line"):
-        CaptureWriter(tmp_path / "c", facts={"x": fact})
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_nothing_is_written_after_the_end(tmp_path):
     writer = CaptureWriter(tmp_path)
     writer.close()
@@ -394,11 +382,8 @@ def test_an_unknown_version_is_refused(tmp_path, fields, text):
     with CaptureWriter(tmp_path) as writer:
         deliver(writer, Delivery())
     index = tmp_path / INDEX_NAME
-    header, *rest = index.read_bytes().splitlines(keepends=True)
-    changed = json.loads(header) | fields
-    del changed["crc"]
-    body = json.dumps(changed)[:-1].encode()
-    index.write_bytes(body + b',"crc":"%08x"}\n' % zlib.crc32(body) + b"".join(rest))
+    rest = index.read_bytes().partition(b"\n")[2]
+    index.write_bytes(Header(streams=["tap"], **fields).line() + rest)
     with pytest.raises(UsageError, match=text):
         Capture(tmp_path)
 
@@ -407,14 +392,13 @@ def test_a_folder_that_is_no_capture_is_refused_with_what_was_expected(tmp_path)
     (tmp_path / "empty").mkdir()
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / INDEX_NAME).write_text('{"kind": "something else"}\n')
-    (tmp_path / "file").write_bytes(struct.pack("<I", 1))
-    for name in ("empty", "other"):
-        with pytest.raises(UsageError, match=r"index.jsonl and tap-0001.wav.* was expected"):
-            Capture(tmp_path / name)
-    with pytest.raises(UsageError, match="is not a folder; give the folder of a capture"):
-        Capture(tmp_path / "file")
-    for name in ("none", "a\0b"):
-        with pytest.raises(UsageError, match="does not exist; give the folder of a capture"):
+    (tmp_path / "file").write_bytes(b"RIFF")
+    expected = r"index.jsonl and tap-0001.wav.* was expected"
+    missing = "does not exist; give the folder of a capture"
+    wrong = {"empty": expected, "other": expected, "none": missing, "a\0b": missing}
+    wrong["file"] = "is not a folder; give the folder of a capture"
+    for name, words in wrong.items():
+        with pytest.raises(UsageError, match=words):
             Capture(tmp_path / name)
 
 

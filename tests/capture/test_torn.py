@@ -12,7 +12,9 @@ import signal
 import subprocess
 import sys
 import tracemalloc
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,7 +23,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from audioflinger_hook.capture import Capture, CaptureWriter
-from audioflinger_hook.capture.format import INDEX_NAME, SAMPLES_OFFSET, EndRecord, records
+from audioflinger_hook.capture.format import (
+    INDEX_NAME,
+    SAMPLES_OFFSET,
+    BufferRecord,
+    DroppedRecord,
+    EndRecord,
+    Header,
+    parse_line,
+    records,
+)
 from device.errors import UsageError, WriteError
 from device.values import counted
 from tests.support.recordings import ROOT
@@ -94,49 +105,44 @@ def damaged(small, tmp_path):
 # ------------------------------------------------------------------------ cut at every byte offset
 
 
-@pytest.mark.exhaustive
-def test_an_index_cut_anywhere_gives_the_buffers_whose_lines_are_whole(damaged):
-    index = damaged / INDEX_NAME
-    content = index.read_bytes()
-    header, *lines = content.splitlines()
-    ends = np.cumsum([len(header) + 1] + [len(line) + 1 for line in lines])[1:] - 1
-    for size in range(len(content), len(header) - 1, -1):
-        os.truncate(index, size)
-        whole = range(int(np.count_nonzero(ends <= size)))
-        stream = STREAMS[size % 2]
+def end_of_each_buffer(folder, name):
+    """Return the length that a file must have for each buffer of SMALL to be whole."""
+    if name == INDEX_NAME:
+        header, *lines = (folder / name).read_bytes().splitlines()
+        after = np.cumsum([len(line) + 1 for line in (header, *lines)])[1:]
+        return dict(enumerate(after - 1))  # a line is whole without its line break
+    ends, end = {}, SAMPLES_OFFSET
+    rate = 44_100 if name[-5] == "2" else 48_000
+    for number, (stream, frames, samplerate, channels) in enumerate(SMALL):
+        if (stream, samplerate) == (name[:-9], rate):
+            end += 4 * frames * channels
+            ends[number] = end
+    return ends
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(INDEX_NAME, marks=pytest.mark.exhaustive),
+        *("tap-0001.wav", "tap-0002.wav", "effect-0001.wav"),
+    ],
+)
+def test_a_file_cut_anywhere_gives_the_buffers_that_are_whole(damaged, name):
+    ends = end_of_each_buffer(damaged, name)
+    shortest = len((damaged / name).read_bytes().splitlines()[0]) if name == INDEX_NAME else 0
+    for size in range((damaged / name).stat().st_size, shortest - 1, -1):
+        os.truncate(damaged / name, size)
+        stream = STREAMS[size % 2] if name == INDEX_NAME else name[:-9]
+        whole = [n for n in range(len(SMALL)) if ends.get(n, 0) <= size]
         buffers, warnings = read(damaged, stream)
         assert found(buffers) == expected(whole, stream)
         frames = sum(len(buffer.frames) for buffer in buffers)
-        (warning,) = warnings
-        assert (
-            f"{counted(len(buffers), 'whole buffers')} ({frames} frames) of stream {stream}"
-            in warning
-        )
-
-
-@pytest.mark.parametrize("name", ["tap-0001.wav", "tap-0002.wav", "effect-0001.wav"])
-def test_a_segment_cut_anywhere_gives_the_buffers_whose_samples_are_whole(damaged, name):
-    stream, segment = name[:-9], int(name[-5])
-    rate = 44_100 if segment == 2 else 48_000
-    ends, end = {}, SAMPLES_OFFSET
-    for number, (of, frames, samplerate, channels) in enumerate(SMALL):
-        if of == stream and samplerate == rate:
-            end += 4 * frames * channels
-            ends[number] = end
-    for size in range((damaged / name).stat().st_size, -1, -1):
-        os.truncate(damaged / name, size)
-        whole = [n for n in range(len(SMALL)) if n not in ends or ends[n] <= size]
-        buffers, warnings = read(damaged, stream)
-        assert found(buffers) == expected(whole, stream)
-        assert warnings
-        # only the first buffer behind a gap is a discontinuity
-        complete = [n for n, entry in enumerate(SMALL) if entry[0] == stream]
-        given_numbers = [int(buffer.time_s) for buffer in buffers]
-        after_gap = [
-            number
-            for number in given_numbers
-            if complete.index(number) and complete[complete.index(number) - 1] not in given_numbers
-        ]
+        recovered = f"{counted(len(buffers), 'whole buffers')} ({frames} frames) of stream {stream}"
+        assert recovered in warnings[-1]
+        # Only the first buffer after a gap is a discontinuity.
+        mine = [n for n, entry in enumerate(SMALL) if entry[0] == stream]
+        before = dict(zip(mine[1:], mine, strict=False))
+        after_gap = [n for n in mine if n in whole and before.get(n, n) not in [*whole, n]]
         assert [int(buffer.time_s) for buffer in buffers if buffer.discontinuity] == after_gap
 
 
@@ -157,65 +163,104 @@ def test_index_and_segments_cut_together_give_a_sound_beginning(small, tmp_path_
         assert any("was cut off" in text for text in warnings)
 
 
-# ------------------------------------------------------------------- killed within a system call
+# --------------------------------------------------------------------- writes that fail half-way
+
+
+def record(folder, acknowledged, ignored=()):
+    with CaptureWriter(folder, streams=STREAMS) as writer:
+        for number in range(len(SMALL)):
+            with contextlib.suppress(*ignored):
+                deliver(writer, number)
+                acknowledged.append(number)
 
 
 class Killed(BaseException):
     """Stands for kill -9: nothing that comes later reaches the disk."""
 
 
-def kill_at(monkeypatch, call, share):
-    """From the given pwrite on, of which only a share is written, nothing is written any more."""
-    left, dead = [call], [False]
+def after_every_write(tmp_path, monkeypatch, error, share, ignored=()):
+    """Record SMALL with an error in the first, second, ... write, of which a share is written.
+
+    After `Killed`, nothing more is written. A full disk fails in every later write as well. Yield
+    folder, acknowledged buffers, and what was raised, until no write is left to fail.
+    """
     pwrite = os.pwrite
+    for call in range(1_000):
+        left, acknowledged, raised = [call], list[int](), None
 
-    def write(fd, content, position):
-        if dead[0]:
-            return len(content)
-        if left[0] > 0:
+        def write(fd, content, position, left=left):
             left[0] -= 1
-            return pwrite(fd, content, position)
-        dead[0] = True
-        pwrite(fd, bytes(content)[: round(len(content) * share)], position)
-        raise Killed
+            if left[0] >= 0 or (left[0] < -1 and isinstance(error, KeyboardInterrupt)):
+                return pwrite(fd, content, position)
+            if left[0] == -1:
+                pwrite(fd, bytes(content)[: round(len(content) * share)], position)
+            elif isinstance(error, Killed):
+                return len(content)
+            raise error
 
-    monkeypatch.setattr(os, "pwrite", write)
-    monkeypatch.setattr(os, "ftruncate", lambda fd, size: None)
-    monkeypatch.setattr(Path, "unlink", lambda path: None)
-    return dead
+        with monkeypatch.context() as patched:
+            patched.setattr(os, "pwrite", write)
+            if isinstance(error, Killed):
+                patched.setattr(os, "ftruncate", lambda fd, size: None)
+                patched.setattr(Path, "unlink", lambda path: None)
+            try:
+                record(tmp_path / str(call), acknowledged, ignored)
+            except (Killed, KeyboardInterrupt, WriteError) as one:
+                raised = one
+        if left[0] >= 0:
+            break
+        yield tmp_path / str(call), acknowledged, raised
+    assert call > 3 * len(SMALL)
 
 
-def record(folder, acknowledged):
-    with CaptureWriter(folder, streams=STREAMS) as writer:
-        for number in range(len(SMALL)):
-            deliver(writer, number)
-            acknowledged.append(number)
+SHARES = pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
 
 
-@pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
+@SHARES
 def test_killed_at_any_moment_at_most_the_buffer_being_written_is_lost(
     tmp_path, monkeypatch, share
 ):
-    for call in range(1_000):
-        folder = tmp_path / str(call)
-        acknowledged: list[int] = []
-        with monkeypatch.context() as patched:
-            dead = kill_at(patched, call, share)
-            with contextlib.suppress(Killed):
-                record(folder, acknowledged)
-        if not dead[0]:
-            break
-        if not folder.is_dir() or call == 0:
+    for folder, acknowledged, _ in after_every_write(tmp_path, monkeypatch, Killed(), share):
+        if not folder.is_dir() or folder.name == "0":
             continue  # killed while beginning
         for stream in STREAMS:
             buffers, warnings = read(folder, stream)
             with_last = range(min(len(acknowledged) + 1, len(SMALL)))
             assert found(buffers) in (expected(acknowledged, stream), expected(with_last, stream))
             assert not any(buffer.discontinuity for buffer in buffers)
-            closed = not warnings
-            assert closed or ["was cut off" in text for text in warnings] == [True]
-            assert not closed or len(acknowledged) == len(SMALL)
-    assert call > 3 * len(SMALL)
+            assert not warnings or ["was cut off" in text for text in warnings] == [True]
+            assert warnings or len(acknowledged) == len(SMALL)
+
+
+@SHARES
+def test_a_write_that_fails_anywhere_leaves_exactly_what_was_acknowledged(
+    tmp_path, monkeypatch, share
+):
+    full = OSError(errno.ENOSPC, "No space left on device")
+    for folder, acknowledged, raised in after_every_write(tmp_path, monkeypatch, full, share):
+        assert "the disk is full" in str(raised)
+        if folder.name == "0":
+            assert not folder.exists()
+            continue
+        for stream in STREAMS:
+            buffers, warnings = read(folder, stream)
+            assert found(buffers) == expected(acknowledged, stream)
+            assert ["was cut off" in text for text in warnings] == [True]
+        for path in folder.glob("*.wav"):
+            assert (path.stat().st_size - SAMPLES_OFFSET) % 4 == 0
+
+
+@SHARES
+def test_an_interruption_anywhere_takes_that_buffer_and_no_other(tmp_path, monkeypatch, share):
+    stop = KeyboardInterrupt()
+    runs = after_every_write(tmp_path, monkeypatch, stop, share, ignored=[KeyboardInterrupt])
+    for folder, kept, raised in runs:
+        if raised:  # in the first line or in the last
+            continue
+        assert len(kept) == len(SMALL) - 1
+        for stream in STREAMS:
+            buffers, warnings = read(folder, stream)
+            assert (found(buffers), warnings) == (expected(kept, stream), [])
 
 
 SCRIPT = """
@@ -262,44 +307,6 @@ def test_kill_9_loses_nothing_that_was_acknowledged(tmp_path, seed):
                 soundfile.read(path)  # a player takes it
 
 
-# ------------------------------------------------------------------------------ writing that fails
-
-
-def test_a_write_that_fails_anywhere_leaves_exactly_what_was_acknowledged(tmp_path, monkeypatch):
-    pwrite = os.pwrite
-    for call in range(1_000):
-        folder = tmp_path / str(call)
-        acknowledged: list[int] = []
-        left = [call]
-
-        def write(fd, content, position, left=left):
-            left[0] -= 1
-            if left[0] >= 0:
-                return pwrite(fd, content, position)
-            if left[0] == -1 and len(content) > 1:
-                return pwrite(fd, bytes(content)[: len(content) // 2], position)
-            raise OSError(errno.ENOSPC, "No space left on device")
-
-        with monkeypatch.context() as patched:
-            patched.setattr(os, "pwrite", write)
-            try:
-                record(folder, acknowledged)
-                break
-            except WriteError as error:
-                failure = str(error)
-        assert "the disk is full" in failure
-        if call == 0:
-            assert not folder.exists()
-            continue
-        for stream in STREAMS:
-            buffers, warnings = read(folder, stream)
-            assert found(buffers) == expected(acknowledged, stream)
-            assert [("was cut off" in text) for text in warnings] == [True]
-            for path in folder.glob("*.wav"):
-                assert (path.stat().st_size - SAMPLES_OFFSET) % 4 == 0
-    assert call > 3 * len(SMALL)
-
-
 def test_after_a_failure_the_writer_is_done(tmp_path, monkeypatch):
     writer = CaptureWriter(tmp_path, streams=STREAMS)
     deliver(writer, 0)
@@ -332,42 +339,6 @@ def test_a_disk_that_fails_at_the_end_is_told(tmp_path, monkeypatch):
     buffers, warnings = read(tmp_path, "tap")
     assert found(buffers) == expected([0], "tap")
     assert "was cut off" in warnings[0]
-
-
-@pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
-def test_an_interruption_anywhere_takes_that_buffer_and_no_other(tmp_path, monkeypatch, share):
-    pwrite = os.pwrite
-    for call in range(1, 1_000):
-        folder = tmp_path / str(call)
-        left = [call]
-
-        def write(fd, content, position, left=left):
-            left[0] -= 1
-            if left[0] != -1:
-                return pwrite(fd, content, position)
-            pwrite(fd, bytes(content)[: round(len(content) * share)], position)
-            raise KeyboardInterrupt
-
-        with monkeypatch.context() as patched:
-            patched.setattr(os, "pwrite", write)
-            writer = CaptureWriter(folder, streams=STREAMS)
-            kept = []
-            for number in range(len(SMALL)):
-                try:
-                    deliver(writer, number)
-                    kept.append(number)
-                except KeyboardInterrupt:
-                    pass
-            if left[0] == 0:  # the line that says the end
-                break
-            writer.close()
-        assert len(kept) == len(SMALL) - 1
-        for stream in STREAMS:
-            buffers, warnings = read(folder, stream)
-            assert found(buffers) == expected(kept, stream)
-            assert warnings == []
-    assert call > 3 * len(SMALL)
-    writer.close()
 
 
 def test_short_writes_are_continued(tmp_path, monkeypatch):
@@ -419,32 +390,6 @@ def test_a_limit_too_small_to_begin_leaves_no_folder(tmp_path):
     done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
     assert done.returncode == WriteError.exit_code
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_disk_that_fills_up_is_a_write_error_and_the_capture_can_be_read(tmp_path):
-    disk = tmp_path / "disk"
-    disk.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", str(disk)]
-    if os.geteuid() != 0 or subprocess.run(mount, capture_output=True).returncode != 0:
-        pytest.skip("a small disk can be mounted by root only: sudo make test")
-    try:
-        writer = CaptureWriter(disk / "c")
-
-        def fill():
-            for number in range(10_000):
-                writer.write_buffer("tap", samples_of(number, 480, 2), 48_000, float(number))
-
-        with pytest.raises(WriteError, match="the disk is full; free some space"):
-            fill()
-        writer.close()
-        kept = writer.buffers("tap")
-        buffers, _ = read(disk / "c", "tap")
-        assert kept > 200
-        assert [buffer.frames.tobytes() for buffer in buffers] == [
-            samples_of(number, 480, 2).tobytes() for number in range(kept)
-        ]
-    finally:
-        subprocess.run(["umount", str(disk)], check=True)
 
 
 # --------------------------------------------------------------------------- damage in the middle
@@ -501,6 +446,27 @@ def test_lines_that_vanish_or_are_overwritten_are_a_gap_with_a_warning(damaged):
 def test_a_line_that_is_too_long_is_one_damaged_line(tmp_path):
     (tmp_path / INDEX_NAME).write_bytes(b"x" * 500_000 + b"\n" + EndRecord({}).line())
     assert list(records(tmp_path / INDEX_NAME)) == [None, EndRecord({})]
+
+
+WHOLE = BufferRecord("tap", 0, 1, 0, 3, 48_000, 2, 0.0, False, "00000000")
+END, DROPPED, HEADER = EndRecord({"tap": 1}), DroppedRecord("tap", 1, 0), Header(streams=["tap"])
+
+
+@pytest.mark.parametrize(
+    ("record", "name", "value"),
+    [
+        *((WHOLE, name, -1) for name in ("buffer", "first", "frames")),
+        *((WHOLE, name, 0) for name in ("segment", "samplerate", "channels", "time_s")),
+        *((WHOLE, "stream", 1), (WHOLE, "discontinuity", 1), (WHOLE, "frames", True)),
+        *((DROPPED, "frames", -1), (END, "buffers", {"tap": -1}), (END, "buffers", {"tap": True})),
+        *((HEADER, "streams", [1]), (HEADER, "facts", {"x": [1]})),
+    ],
+)
+def test_a_line_with_a_value_that_no_recorder_writes_is_damaged(
+    record: Any, name: str, value: object
+) -> None:
+    assert parse_line(record.line()) == record
+    assert parse_line(replace(record, **{name: value}).line()) is None
 
 
 def test_a_damaged_first_line_costs_no_buffer(damaged):
@@ -613,27 +579,20 @@ def test_without_an_index_a_missing_segment_is_refused_as_ambiguous(damaged):
     assert len(read(damaged, "effect")[0]) == 1  # that one is whole
 
 
-@pytest.mark.parametrize("subtype", ["PCM_16", "FLOAT"])
-def test_without_an_index_a_segment_of_another_program_is_refused(damaged, subtype):
+def test_without_an_index_a_segment_of_no_capture_is_refused_and_not_guessed(damaged):
+    def refused(name):
+        with pytest.raises(UsageError, match=rf"{name} is not as a capture writes it"):
+            read(damaged, "tap")
+
     (damaged / INDEX_NAME).unlink()
-    soundfile.write(damaged / "tap-0002.wav", np.zeros((100, 1)), 44_100, subtype)
-    with pytest.raises(UsageError, match=r"tap-0002.wav is not as a capture writes it"):
-        read(damaged, "tap")
-
-
-@pytest.mark.parametrize("offset", range(SAMPLES_OFFSET))
-def test_without_an_index_a_damaged_header_is_refused_not_guessed(damaged, offset):
-    (damaged / INDEX_NAME).unlink()
-    wrong = pytest.raises(UsageError, match=r"tap-0002.wav is not as a capture writes it")
-    with flipped(damaged / "tap-0002.wav", offset), wrong:
-        read(damaged, "tap")
-
-
-def test_without_an_index_only_the_last_segment_may_be_torn(damaged):
-    (damaged / INDEX_NAME).unlink()
-    os.truncate(damaged / "tap-0001.wav", SAMPLES_OFFSET - 1)
-    with pytest.raises(UsageError, match=r"tap-0001.wav is not as a capture writes it"):
-        read(damaged, "tap")
+    for offset in range(SAMPLES_OFFSET):
+        with flipped(damaged / "tap-0002.wav", offset):
+            refused("tap-0002.wav")
+    for subtype in ("PCM_16", "FLOAT"):
+        soundfile.write(damaged / "tap-0002.wav", np.zeros((100, 1)), 44_100, subtype)
+        refused("tap-0002.wav")
+    os.truncate(damaged / "tap-0001.wav", SAMPLES_OFFSET - 1)  # only the last may be torn
+    refused("tap-0001.wav")
 
 
 def test_without_index_and_segments_there_is_no_capture(damaged):

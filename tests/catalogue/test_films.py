@@ -5,12 +5,12 @@ from fractions import Fraction
 import av
 import numpy as np
 import pytest
-import soundfile
 
 from audioflinger_hook.sources.film import FilmTap
 from device.errors import UsageError
 from tests.support.catalogues import manifest, record
-from tests.support.commands import call
+from tests.support.commands import call, sound
+from tests.support.taps import frames_of
 
 RATE = 48_000
 PIECE = 1_024
@@ -40,11 +40,11 @@ def film(
             container.mux(video.encode())
         for stream, (_, length_s, tone_hz) in zip(streams, tracks, strict=True):
             frames = round(length_s * RATE)
-            sound = tone(frames, tone_hz)
+            wave = tone(frames, tone_hz)
             for first in range(0, frames, PIECE):
                 if hole and hole[0] * RATE <= first < hole[1] * RATE:
                     continue
-                piece = np.clip(sound[first : first + PIECE], -1.0, 1.0)
+                piece = np.clip(wave[first : first + PIECE], -1.0, 1.0)
                 packed = np.ascontiguousarray((piece * 32_767).astype(np.int16).reshape(1, -1))
                 heard = av.AudioFrame.from_ndarray(packed, format="s16", layout="stereo")
                 heard.sample_rate = RATE
@@ -62,15 +62,6 @@ def tone(frames, tone_hz):
     return np.column_stack([wave, 0.5 * wave])
 
 
-def read(tap):
-    """Return all frames of a tap."""
-    parts = []
-    while (part := tap.read()) is not None:
-        parts.append(part)
-    tap.close()
-    return np.concatenate(parts)
-
-
 def main_hz(frames):
     """Return the strongest frequency of the first channel."""
     spectrum = np.abs(np.fft.rfft(frames[:, 0] * np.hanning(len(frames))))
@@ -81,12 +72,12 @@ def main_hz(frames):
 def test_a_lossless_track_is_read_to_the_last_sample(tmp_path, ending):
     path = film(tmp_path / f"a.{ending}")
     expected = (tone(RATE, 300.0) * 32_767).astype(np.int16) / 32_768
-    assert np.array_equal(read(FilmTap(path)), expected.astype(np.float32))
+    assert np.array_equal(frames_of(FilmTap(path)), expected.astype(np.float32))
 
 
 def test_a_film_gives_the_bytes_of_its_sound_as_a_file(tmp_path):
     film(tmp_path / "a.mkv")
-    soundfile.write(tmp_path / "a.wav", read(FilmTap(tmp_path / "a.mkv")), RATE, subtype="FLOAT")
+    sound(tmp_path / "a.wav", frames_of(FilmTap(tmp_path / "a.mkv")), RATE)
     assert call("render", tmp_path / "a.wav", tmp_path / "alone.wav").code == 0
     listed = manifest(tmp_path / "l.jsonl", {"audio": "a.mkv"})
     assert call("catalogue", listed, "--out", tmp_path / "out").code == 0
@@ -103,7 +94,9 @@ def test_track_and_language_can_be_chosen(tmp_path):
         ({"language": "eng"}, 200.0),
         ({"track": 3, "language": "eng"}, 800.0),
     ):
-        assert main_hz(read(FilmTap(path, **chosen))) == pytest.approx(tone_hz, abs=5.0), chosen
+        assert main_hz(frames_of(FilmTap(path, **chosen))) == pytest.approx(tone_hz, abs=5.0), (
+            chosen
+        )
     lines = [{"audio": "a.mkv", "id": "one"}, {"audio": "a.mkv", "id": "two", "track": 3}]
     listed = manifest(tmp_path / "l.jsonl", *lines)
     out = tmp_path / "out"
@@ -128,17 +121,17 @@ def test_a_track_that_is_not_there_is_refused_with_those_that_are(tmp_path, chos
 
 
 def test_sound_that_begins_late_or_pauses_keeps_its_place(tmp_path):
-    late = read(FilmTap(film(tmp_path / "late.mkv", start_s=0.5)))
+    late = frames_of(FilmTap(film(tmp_path / "late.mkv", start_s=0.5)))
     first = int(np.flatnonzero(np.abs(late[:, 0]) > 1e-3)[0])
     assert first == pytest.approx(0.5 * RATE, abs=0.002 * RATE)  # Matroska counts milliseconds
-    paused = read(FilmTap(film(tmp_path / "hole.mkv", codec="pcm_s16le", hole=(0.3, 0.6))))
+    paused = frames_of(FilmTap(film(tmp_path / "hole.mkv", codec="pcm_s16le", hole=(0.3, 0.6))))
     assert len(paused) == pytest.approx(RATE, abs=0.002 * RATE)
     assert not paused[round(0.34 * RATE) : round(0.58 * RATE)].any()
     assert paused[round(0.7 * RATE) :].any()
 
 
 def test_aac_is_aligned_within_a_packet(tmp_path):
-    got = read(FilmTap(film(tmp_path / "a.mp4", codec="aac")))
+    got = frames_of(FilmTap(film(tmp_path / "a.mp4", codec="aac")))
     expected = tone(RATE, 300.0)
     # correlation tells the delay: the tone's swell makes it unique
     size = 1 << 18

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from audioflinger_hook.catalogue.measures import POINTS, VibrationMeter
-from audioflinger_hook.drive.rig_driver import RigDriver
 from device.rig import rig_by_name
+from tools.rig_driver import RigDriver
 
 RATE = 48_000
 

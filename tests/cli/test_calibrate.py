@@ -212,7 +212,7 @@ def test_a_response_that_does_not_grow_with_the_level_ends_it():
     lowest = STEPS[0] * SimulatedLaboratory(PAPER).sweep_at_excursion(SHORT).level
     laboratory = Tampered("acceleration", lambda a, level: a * lowest / level)
     message = refused(laboratory)
-    assert "acceleration grew by 1 where the level grew by 2" in message
+    assert "acceleration grew by 1, but the level by 2" in message
     assert len(laboratory.levels) == 2
 
 

@@ -101,7 +101,7 @@ def mistakes(path):
 def test_five_mistakes_are_reported_at_once_with_key_line_value_and_what_is_allowed(config):
     path = config(FIVE_MISTAKES)
     expected = [
-        (2, 'profile = "loud" is not known; allowed: paper, cinema, game, music'),
+        (2, 'profile = "loud" is not known; allowed: paper, cinema, game, music, speech'),
         (4, f"volume = 11 is an unknown key; allowed: {TOP_LEVEL}"),
         (5, 'damping = "on" is not known; allowed: off, auto'),
         (7, "transform.window_s = 9 is out of range; allowed: 0.01 to 0.2 s"),
@@ -200,7 +200,10 @@ def test_rendering_with_mistakes_names_the_first_and_how_many_more(config, tmp_p
     source = sound(tmp_path / "in.wav", noise(3_000))
     path = config(FIVE_MISTAKES)
     error = refused(call("render", source, tmp_path / "out.wav", "--config", path))
-    assert 'line 2: profile = "loud" is not known; allowed: paper, cinema, game, music' in error
+    assert (
+        'line 2: profile = "loud" is not known; allowed: paper, cinema, game, music, speech'
+        in error
+    )
     assert "and 4 more" in error
     assert listing(tmp_path).keys() == {"in.wav", "config.toml"}
 
@@ -270,7 +273,7 @@ def test_names_that_are_no_names_are_mistakes(config):
     refused_form = "is not known; allowed: live, reference; did you mean live?"
     found = mistakes(config('profile = 3\n[transform]\ntransform = "Live"\nchannels = true\n'))
     assert found == [
-        (1, "profile = 3 is not known; allowed: paper, cinema, game, music"),
+        (1, "profile = 3 is not known; allowed: paper, cinema, game, music, speech"),
         (3, f'transform.transform = "Live" {refused_form}'),
         (4, "transform.channels = true is not known; allowed: mono, each"),
     ]
@@ -337,7 +340,7 @@ def test_the_line_is_right_however_the_key_is_written(config, text, line):
 def test_a_value_of_several_lines_is_still_one_line_of_message(config, text):
     ((line, what),) = mistakes(config(text))
     assert line == 1
-    assert what.endswith("is not known; allowed: paper, cinema, game, music")
+    assert what.endswith("is not known; allowed: paper, cinema, game, music, speech")
     assert what.isprintable()
 
 

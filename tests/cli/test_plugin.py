@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from audioflinger_hook.config.profiles import LIVE_DEFAULT
+from audioflinger_hook.config.profiles import LIVE_DEFAULT, PROFILES
 from audioflinger_hook.core.compiled_core import Core
 from audioflinger_hook.plugin import install as installing
 from audioflinger_hook.plugin.install import RATES_HZ
@@ -38,7 +38,7 @@ def test_install_writes_everything_twice_the_same_and_remove_takes_it_back(home:
     )
     assert {path: (home / path).read_bytes() for path in files(home)} == first
     designs = [path for path in first if path.suffix == ".design"]
-    assert len(designs) == 4 * (len(RATES_HZ) + 1)
+    assert len(designs) == len(PROFILES) * (len(RATES_HZ) + 1)
     for path in designs:
         rate_hz = int(path.stem.rpartition("-")[2])
         assert Core(first[path]).info.samplerate == rate_hz

@@ -407,7 +407,7 @@ PEAK_RSS = """
 import sys
 from audioflinger_hook.cli import main
 for form in ("live", "reference"):
-    assert main(["render", *sys.argv[1:], "--transform", form, "--workers", "2"]) == 0
+    assert main(["render", *sys.argv[1:], "--transform", form]) == 0
 status = open("/proc/self/status").read()
 print(status.partition("VmHWM:")[2].split()[0], file=sys.stderr)
 """
@@ -429,14 +429,13 @@ def peak_rss_mb(source, out):
 def test_a_long_sound_takes_no_more_memory_than_a_short_one(tmp_path, out):
     second = noise(RATE, 2)
     peaks = []
-    for seconds in (130, 730):  # either is long enough for several workers to share it
+    for seconds in (130, 730):
         source = tmp_path / f"{seconds}.wav"
         with soundfile.SoundFile(source, "w", RATE, 2, "FLOAT") as file:
             for _ in range(seconds):
                 file.write(second)
         peaks.append(peak_rss_mb(source, out))
-    # 600 s more are 230 MB of sound and 115 MB of vibration. How many finished sections wait to be
-    # written depends on the processes' turns: AHEAD of 6 MB for each of two workers at most.
+    # 600 s more are 230 MB of sound and 115 MB of vibration.
     assert peaks[1] - peaks[0] < 30.0
     assert peaks[1] < 400.0
 

@@ -54,7 +54,34 @@ def test_unknown_bytes_are_kept(tmp_path: Path) -> None:
     assert done.code == 0
     kept = "".join(each["bytes"] for each in document["configurations"]) + document["rest"]
     assert kept == (configuration + b"\x09\xab").hex()
-    assert odd.hex() in done.stdout
+    assert document["bytes"] == raw.hex()
+
+
+def test_a_damaged_dump_says_in_words_what_is_lost_and_shows_the_rest(tmp_path: Path) -> None:
+    raw = DEVICE + headset_adapter()
+    done = call("usb", "describe", "--hex", dump(tmp_path / "dac.hex", raw[:-40]))
+    assert (done.code, done.stderr) == (0, "")
+    lines = done.stdout.splitlines()
+    size = len(headset_adapter())
+    assert (
+        f"problem: at 0x0012, configuration: it has {size - 40} bytes, but wTotalLength is {size}: "
+        "40 missing"
+    ) in lines
+    assert any(line.startswith("plays: interface 1.1, PCM of 16 bits") for line in lines)
+    assert "volume can be set on channels 1, 2" in lines
+    # What is printed can be read again.
+    again = tmp_path / "again"
+    again.write_text(done.stdout)
+    assert call("usb", "describe", "--hex", again).stdout == done.stdout
+
+
+def test_a_dump_that_plays_nothing_says_so(tmp_path: Path) -> None:
+    silent = usb_builder.configuration(usb_builder.control(0, 0, usb_builder.header_1([])))
+    done = call("usb", "describe", "--hex", dump(tmp_path / "dac.hex", DEVICE + silent))
+    assert "plays: nothing" in done.stdout
+    done = call("usb", "describe", "--hex", dump(tmp_path / "dac.hex", DEVICE + b"\x09\x04"))
+    lost = "0 of 1 configuration can be read; from 0x0012 on, 2 bytes cannot be read"
+    assert f"problem: {lost}" in done.stdout
 
 
 def test_a_dump_comes_from_standard_input_too(tmp_path: Path) -> None:
@@ -74,7 +101,7 @@ def test_a_dump_comes_from_standard_input_too(tmp_path: Path) -> None:
     [
         ("", "it has no bytes"),
         ("what is this\n", "line 1"),
-        ("00000000: 1201 0002\n00000020: 0000 0040\n", "address 0x20 instead of 0x4"),
+        ("00000000: 1201 0002\n00000020: 0000 0040\n", "address is 0x20 instead of 0x4"),
     ],
 )
 def test_what_is_no_dump_is_refused_in_one_line(tmp_path: Path, text: str, words: str) -> None:

@@ -143,11 +143,6 @@ def test_a_file_with_a_mistake_is_refused_and_stays(path: Path) -> None:
     assert path.read_text() == "gain_db = \n"
 
 
-def test_an_old_name_makes_room_for_the_new_one() -> None:
-    changed = edited_text("[transform]\nfollower_db = 50.0\n", {"transform.loudness_db": 54.0})
-    assert tomllib.loads(changed) == {"transform": {"loudness_db": 54.0}}
-
-
 def test_an_undone_change_leaves_nothing_unsaved_after_an_earlier_save(tmp_path: Path) -> None:
     path = tmp_path / "config.toml"
     path.write_text(TEXT)

@@ -1,4 +1,4 @@
-"""The one schema: mistakes of every kind at once, old names, JSON Schema, help, live changes."""
+"""The one schema: mistakes of every kind at once, JSON Schema, help, live changes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import pytest
 
 from audioflinger_hook.config import file as config
 from audioflinger_hook.config.profiles import LIVE_DEFAULT, OFFLINE_DEFAULT
-from audioflinger_hook.config.schema import CHANGES, KEYS, RENAMED, json_schema, keys_of
+from audioflinger_hook.config.schema import CHANGES, KEYS, REPLACED, json_schema, keys_of
 from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.daemon.recording import settings_from
 from audioflinger_hook.daemon.run_config import ConfigDiff, RunConfig
@@ -25,7 +25,7 @@ from device.address import parse_device
 from device.drive import ActuatorSettings
 from device.errors import UsageError
 from device.values import Choice, Number, Switch
-from tests.support.commands import call, listing, noise, sound
+from tests.support.commands import call, refused
 
 ROOT = Path(__file__).resolve().parents[2]
 CONFIG_PAGE = ROOT / "docs/config.md"
@@ -50,8 +50,7 @@ threshold = 0.3
 partials_max = 2.5
 band_low_hz = 400
 band_high_hz = 500
-follower_db = 70
-loudness_gate_db = 5
+loudness_db = 70
 follower_gate_db = 5
 [[actuator]]
 channels = [0, 0]
@@ -73,29 +72,17 @@ EXPECTED = [
     (11, "transform.threshold", "0.3", "is an unknown key", "transform, ", "threshold_hz"),
     (12, "transform.partials_max", "2.5", "is not a whole number", "1 to 64", ""),
     (14, "transform.band_high_hz", "500", "is under twice band_low_hz=400", "at least 800 Hz", ""),
-    (15, "transform.follower_db", "70", "is out of range", "0 to 60 dB", ""),
+    (15, "transform.loudness_db", "70", "is out of range", "0 to 60 dB", ""),
     (
-        17,
-        "transform.follower_gate_db",
-        "5",
-        "is the old name of transform.loudness_gate_db, which is given, too",
-        "loudness_gate_db alone",
-        "",
+        *(16, "transform.follower_gate_db", "5", "is no key any more"),
+        *("loudness_gate_db", ""),
     ),
-    (19, "actuator[1].channels", "[0, 0]", "names a channel twice", "each channel once", ""),
-    (20, "actuator[1].delay_ms", "true", "is not a number", "0 to 500 ms", ""),
-    (21, 'polarity == "normal"', "", "is not TOML", "key = value", ""),
-    (22, "actuator[2].channels", "", "is missing", "a list of channels", ""),
-    (23, "actuator[2].sorce", '"left"', "is an unknown key", "channels, source", "source"),
+    (18, "actuator[1].channels", "[0, 0]", "names a channel twice", "each channel once", ""),
+    (19, "actuator[1].delay_ms", "true", "is not a number", "0 to 500 ms", ""),
+    (20, 'polarity == "normal"', "", "is not TOML", "key = value", ""),
+    (21, "actuator[2].channels", "", "is missing", "a list of channels", ""),
+    (22, "actuator[2].sorce", '"left"', "is an unknown key", "channels, source", "source"),
 ]
-
-OLD_NAMES = """\
-profile = "game"
-[transform]
-form = "live"
-follower_db = 20
-follower_slope_db = 6.5
-"""
 
 
 def written(folder: Path, text: str) -> Path:
@@ -179,60 +166,22 @@ def test_settings_name_the_mistakes_of_several_actuators_together() -> None:
         assert part in str(error.value)
 
 
-# --- old names
+# --- keys that were replaced
 
 
-def test_a_mistake_keeps_its_line_beside_the_old_name_of_its_key(tmp_path: Path) -> None:
-    text = "[transform]\nloudness_db = 99\nfollower_db = 5\n"
-    _, mistakes = config.check(written(tmp_path, text))
-    assert [(mistake.line, mistake.key) for mistake in mistakes] == [
-        (2, "transform.loudness_db"),
-        (3, "transform.follower_db"),
-    ]
+def test_a_key_that_was_replaced_is_refused_with_the_one_that_replaces_it(tmp_path: Path) -> None:
+    for section, replaced in REPLACED.items():
+        for old, new in replaced.items():
+            path = written(tmp_path, f"[{section}]\n{old} = 20\n")
+            said = refused(call("check", "--config", path))
+            assert f"line 2: {section}.{old} = 20" in said
+            assert f"is no key any more; allowed: {new}" in said
 
 
-def test_old_names_work_with_one_warning_that_names_both(tmp_path: Path) -> None:
-    path = written(tmp_path, OLD_NAMES)
-    expected = (
-        "line 3: transform.form is now transform.transform, "
-        "line 4: transform.follower_db is now transform.loudness_db, "
-        "line 5: transform.follower_slope_db is now transform.dynamics; "
-        "the next release knows the new names only"
-    )
-    found = config.load(path)
-    new = OLD_NAMES.replace("follower_slope_db = 6.5", "dynamics = 0.325")
-    new = new.replace("follower", "loudness").replace("form =", "transform =")
-    assert found.warning == expected
-    assert replace(found, warning="") == config.load(written(tmp_path, new))
-    assert found.settings.parameters.loudness_db == 20.0
-    assert found.settings.said == ("loudness_db", "dynamics")
-
-    path.write_text(OLD_NAMES)
-    checked = call("check", "--config", path)
-    warned = f"cushion: warning: {path}: {expected}\n"
-    assert (checked.code, checked.stdout, checked.stderr) == (0, f"{path}: no mistakes\n", warned)
-    source = sound(tmp_path / "in.wav", noise(3_000))
-    for _ in range(2):
-        done = call("render", source, tmp_path / "out.wav", "--config", path, "--json")
-        assert (done.code, json.loads(done.stdout)["profile"]) == (0, "game")
-        assert done.stderr in (warned, "")
-    assert "out.wav" in listing(tmp_path)
-
-
-def test_a_capture_with_old_names_is_still_read() -> None:
-    facts: dict[str, str | int | float | bool] = {
-        "form": "live",
-        "profile": "music",
-        "follower_db": 12.0,
-        "follower_gate_db": 7.0,
-        "said": "follower_db,partials_max",
-        "partials_max": 3,
-    }
-    settings = settings_from(facts)
-    assert settings is not None
-    assert settings.parameters.loudness_db == 12.0
-    assert settings.parameters.loudness_gate_db == 7.0
-    assert settings.said == ("loudness_db", "partials_max")
+def test_a_capture_with_a_parameter_that_was_replaced_says_what_to_do() -> None:
+    facts: dict[str, str | int | float | bool] = {"form": "live", "follower_db": 12.0}
+    with pytest.raises(UsageError, match=r"follower_db is now loudness_db.*give others with"):
+        settings_from(facts)
 
 
 # --- JSON Schema
@@ -260,7 +209,6 @@ def test_the_schema_uses_words_of_json_schema_with_values_of_their_types() -> No
         "title": str,
         "type": str,
         "description": str,
-        "deprecated": bool,
         "default": object,
         "properties": dict,
         "additionalProperties": bool,
@@ -321,7 +269,7 @@ def test_the_schema_refuses_what_the_check_refuses_of_single_keys(
     holder = document if not table else document[table] if index is None else document[table][index]
     if name not in holder and name != "channels":
         return  # the line that is no TOML
-    if name in ("band_high_hz", "follower_gate_db"):
+    if name == "band_high_hz":
         return  # contradictions are for the check alone
     one = {name: holder[name]} if name in holder else {}
     if index is not None and name != "channels":
@@ -362,8 +310,8 @@ def test_every_setting_is_a_key_and_every_key_is_a_setting() -> None:
         assert key.change in CHANGES
         assert key.description.meaning
         assert key.name == key.flag.removeprefix("--").replace("-", "_") or not key.flag
-    for section, renamed in RENAMED.items():
-        assert set(renamed.values()) <= keys_of(section).keys()
+    for section, renamed in REPLACED.items():
+        assert {new.partition(",")[0] for new in renamed.values()} <= keys_of(section).keys()
         assert not renamed.keys() & keys_of(section).keys()
 
 

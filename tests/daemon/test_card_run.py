@@ -137,7 +137,7 @@ def test_a_card_is_awaited_played_to_pulled_out_and_played_to_again(rig: Rig) ->
     rig.cards.plug(30, "DAC", stream=ONLY_96K)
     rig.until(DaemonState.RUNNING)
     rig.run(1.5)
-    engine = rig.supervisor.engine
+    engine = rig.supervisor.engines.python
     assert engine is not None
     assert engine.samplerate == RATE
     assert engine.delay_line.samplerate_out == 96_000

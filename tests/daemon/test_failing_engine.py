@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -10,16 +11,20 @@ from typing import Any, cast
 import pytest
 
 from audioflinger_hook.config.settings import LiveSettings, Settings
-from audioflinger_hook.daemon.engine_switch import FAILURES_MAX, START_S, EngineSwitch
+from audioflinger_hook.daemon import engines as engines_module
+from audioflinger_hook.daemon.engine import Clocks
+from audioflinger_hook.daemon.engines import Engines
 from audioflinger_hook.daemon.native import chains as chains_module
 from audioflinger_hook.daemon.native.chains import STUCK_S, Chains
 from audioflinger_hook.daemon.native.designs import DriveDesigns
 from audioflinger_hook.daemon.native.engine import NativeEngine
 from audioflinger_hook.daemon.native.plan import ChainPlan
+from audioflinger_hook.daemon.native.run import FAILURES_MAX, START_S, NativeRun
 from audioflinger_hook.daemon.native.running import RunningChain
 from audioflinger_hook.daemon.native.taps import Tap
 from audioflinger_hook.daemon.outputs.base import DeviceVolume
-from audioflinger_hook.daemon.run_config import RunConfig
+from audioflinger_hook.daemon.run_config import ConfigDiff, RunConfig
+from audioflinger_hook.daemon.safety_keeper import SafetyKeeper
 from audioflinger_hook.service.state import StateKeeper
 from audioflinger_hook.sources import parse_tap
 from device.address import parse_device
@@ -65,26 +70,22 @@ class Engine:
     def close(self) -> None: ...
 
 
-def switched(
-    engine: Engine, folder: Path, times_s: list[float]
-) -> Iterator[tuple[EngineSwitch, bool]]:
-    """The switch after each of the times, and whether the native engine is still to compute."""
-    switch = EngineSwitch(CONFIG, folder, StateKeeper(0.0), lambda: None, lambda *_: None)
-    switch._refused["config"] = ""  # as on a machine that has all programs
+def kept(engine: Engine, folder: Path, times_s: list[float]) -> Iterator[NativeRun]:
+    """The run after each of the times."""
+    run = NativeRun(CONFIG, folder, StateKeeper(0.0), lambda: None, lambda *_: None)
     server = cast(PulseConnection, SimpleNamespace(set_sink_volume_db=lambda *_: None))
-    snapshot: Any = SimpleNamespace(kind="PipeWire", version="1.4.2")
     for now_s in times_s:
-        switch.native = switch.native or cast(NativeEngine, engine)
-        switch.maintain(SOURCE, SINK, frozenset(), server, DeviceVolume(None), now_s)
-        yield switch, switch.takes_native(SOURCE, snapshot)
+        run.engine = run.engine or cast(NativeEngine, engine)
+        run.maintain(SOURCE, SINK, frozenset(), server, DeviceVolume(None), (1.0, 1.0), now_s)
+        yield run
 
 
 def test_after_some_failures_python_computes_and_the_reason_is_said(tmp_path: Path) -> None:
     engine = Engine(LostError("it crashed"))
     times_s = [0.1 * count for count in range(FAILURES_MAX)]
-    found = list(switched(engine, tmp_path, times_s))
-    assert [native for _, native in found] == [True] * (FAILURES_MAX - 1) + [False]
-    assert found[-1][0].reason == "the native engine failed: it crashed"
+    problems = [run.problem for run in kept(engine, tmp_path, times_s)]
+    expected = "the native engine failed: it crashed"
+    assert problems == [""] * (FAILURES_MAX - 1) + [expected]
     assert engine.monitor_reason == "the native engine failed: it crashed"
 
 
@@ -92,11 +93,46 @@ def test_a_start_that_takes_too_long_leads_to_the_monitor_then_to_python(tmp_pat
     engine = Engine(None)
     times_s = [0.0, START_S - 0.1, START_S + 0.1, 2.0 * START_S, 2.0 * START_S + 0.3]
     ways, reason = [], ""
-    for switch, native in switched(engine, tmp_path, times_s):
-        ways.append((native, bool(engine.monitor_reason)))
-        reason = switch.reason
+    for run in kept(engine, tmp_path, times_s):
+        ways.append((not run.problem, bool(engine.monitor_reason)))
+        reason = run.problem
     assert ways == [(True, False), (True, False), (True, True), (True, True), (False, True)]
     assert "did not start within 5 s" in reason
+
+
+# ------------------------------------------------------------------------------------- the choice
+
+
+def test_the_engine_is_chosen_when_a_server_or_a_config_begins_and_not_in_between(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    endpoints: Any = SimpleNamespace(needs_server=True)
+    clocks = Clocks(float, float)
+    engines = Engines(
+        CONFIG, clocks, endpoints, StateKeeper(0.0), tmp_path, lambda: None, SafetyKeeper()
+    )
+    monkeypatch.setattr(engines_module, "why_python", lambda *_: "")
+    first, second = (cast(PulseConnection, SimpleNamespace(latest=None, name=n)) for n in "ab")
+
+    def chosen(connection: PulseConnection) -> str:
+        engines._choose(connection, SOURCE)
+        return engines.reason
+
+    def follow(config: RunConfig) -> None:
+        engines.follow(config, ConfigDiff.between(CONFIG, config))
+
+    assert chosen(first) == ""
+    engines.reason = "the native engine failed"
+    follow(CONFIG)
+    follow(replace(CONFIG, muted=True, settings=Settings(gain_db=-6.0)))
+    assert chosen(first) == "the native engine failed"
+    assert chosen(second) == ""
+    engines.reason = "the native engine failed"
+    follow(replace(CONFIG, settings=Settings(damping="auto")))
+    assert chosen(second) == ""
+    engines._choose(second, replace(SOURCE, channels=10))
+    assert engines.reason == "the tap has 10 channels, more than 8"
+    assert chosen(second) == ""
 
 
 # ------------------------------------------------------------------------------------- its chains

@@ -19,7 +19,7 @@ def advice(share: float, seconds: int, settings: Settings | None = None) -> str:
 def test_where_loudness_is_followed_its_target_is_named_with_its_value() -> None:
     assert advice(0.05, 90) == (
         "5 % of the latest minute's vibration was limited at full scale; "
-        "lower loudness_target_db, which is -19.8 dB"
+        "lower loudness_target_db, which is -24 dB"
     )
 
 

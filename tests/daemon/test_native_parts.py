@@ -17,29 +17,29 @@ from hypothesis import strategies as st
 
 from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.core.structures import PARTIALS
-from audioflinger_hook.daemon import engine_switch
-from audioflinger_hook.daemon.engine_switch import EngineSwitch
 from audioflinger_hook.daemon.native import abilities
 from audioflinger_hook.daemon.native import layout as layout_module
 from audioflinger_hook.daemon.native.abilities import (
+    check_engine,
     missing_parts,
-    why_not_config,
     why_not_server,
     why_not_tap,
+    why_python,
 )
 from audioflinger_hook.daemon.native.page import Page
 from audioflinger_hook.daemon.native.plan import ChainPlan, device_map
 from audioflinger_hook.daemon.native.ports import in_mixing_order, port_names
+from audioflinger_hook.daemon.native.run import NativeRun
 from audioflinger_hook.daemon.native.taps import tap_of
 from audioflinger_hook.daemon.outputs.base import DeviceVolume
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.daemon.soft_fade import FADE_S, SoftFade
-from audioflinger_hook.mixer.layouts import layout
 from audioflinger_hook.service.state import StateKeeper
 from audioflinger_hook.sources import parse_tap
 from device.address import parse_device
 from device.drive import ActuatorSettings
 from device.errors import NotFoundError, UsageError
+from device.layouts import layout
 from device.server import PulseConnection
 from device.server.snapshot import ServerSnapshot, Sink, Source
 
@@ -73,13 +73,17 @@ def config(settings: Settings | None = None, **live: Any) -> RunConfig:
         ({"protection": "on", "exposure_cap": "action", "damping": "auto"}, ""),
         ({"form": "reference"}, "transform = 'reference'"),
         ({"actuators": (ActuatorSettings((0,), protection="on"),)}, ""),
-        ({"actuators": (ActuatorSettings((0,)), ActuatorSettings((1,), "left"))}, ""),
+        (
+            {"actuators": (ActuatorSettings((0,)), ActuatorSettings((1,), "left"))},
+            "there is no sound server",
+        ),
     ],
 )
 def test_the_first_thing_that_the_native_engine_cannot_do_is_named(
     changes: dict[str, Any], reason: str
 ) -> None:
-    assert why_not_config(config(Settings(**changes))) == reason
+    expected = reason or "there is no sound server"
+    assert why_python(config(Settings(**changes)), None) == expected
 
 
 @pytest.mark.parametrize(
@@ -187,7 +191,7 @@ def test_a_page_is_private_and_its_file_goes_with_it(tmp_path: Path) -> None:
         Page(path, 2, 1, [0])
     page.set_actuator(0, -0.5, 9.0)
     page.set_audible(True)
-    assert page.readings().frames == 0
+    assert page.frames == 0
     page.close()
     page.close()
     assert not path.exists()
@@ -245,14 +249,14 @@ def test_the_volume_is_set_again_on_another_server_that_gives_the_same_index(
     config = RunConfig(
         parse_tap("default"), parse_device("sink:dac"), Settings(), LiveSettings(device="dac")
     )
-    switch = EngineSwitch(config, tmp_path, StateKeeper(0.0), lambda: None, lambda *_: None)
+    native = NativeRun(config, tmp_path, StateKeeper(0.0), lambda: None, lambda *_: None)
     volume, levels_db = DeviceVolume(-6.0), list[tuple[str, float]]()
     for name in "ab":
         server = SimpleNamespace(
             set_sink_volume_db=lambda _sink, level_db, name=name: levels_db.append((name, level_db))
         )
         for _ in range(2):
-            switch._set_volume(sink(), cast(PulseConnection, server), volume)
+            native._set_volume(sink(), cast(PulseConnection, server), volume)
     assert levels_db == [("a", -6.0), ("b", -6.0)]
 
 
@@ -266,12 +270,11 @@ def test_the_volume_is_set_again_on_another_server_that_gives_the_same_index(
     ],
 )
 def test_a_python_engine_that_lacks_alsas_plugin_is_refused_at_the_start(
-    tap: str, device: str, is_refused: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tap: str, device: str, is_refused: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(engine_switch, "missing_plugin", lambda: "the plugin is missing")
+    monkeypatch.setattr(abilities, "missing_plugin", lambda: "the plugin is missing")
     live = LiveSettings(tap=(tap,), engine="python")
     config = RunConfig(parse_tap(tap), parse_device(device), Settings(), live)
-    switch = EngineSwitch(config, tmp_path, StateKeeper(0.0), lambda: None, lambda *_: None)
     refused = pytest.raises(NotFoundError, match=r"engine = 'python'.*the plugin is missing")
     with refused if is_refused else nullcontext():
-        switch.check(None)
+        check_engine(config, None)

@@ -14,13 +14,13 @@ from hypothesis import strategies as st
 
 from audioflinger_hook.daemon.safety_keeper import FILE, MARK, SAVE_S, Moment, SafetyKeeper
 from audioflinger_hook.drive.drive import Drive
-from audioflinger_hook.drive.rig_driver import RigDriver
 from device.drive.exposure.design import worst_second
 from device.drive.protection.limits import limits_of
-from device.drive.protection.thermal import CoilTemperature
-from device.drive.safety import SafetyBounds, SafetyState
+from device.drive.safety import SafetyBounds, SafetyState, power_to_limit_w
 from device.rig import CONSUMER, PAPER, Rig
 from device.rig.parameters import ThermalParameters
+from device.rig.thermal import Temperatures
+from tools.rig_driver import RigDriver
 
 RATE = 8_000
 NOON = datetime(2026, 5, 1, 12, tzinfo=timezone(timedelta(hours=2)))
@@ -72,7 +72,8 @@ def played(drive: Drive, seconds: float) -> None:
 def killed(folder: Path, time: Time, coil_c: float = 119.0, magnet_c: float = 60.0) -> Drive:
     """A drive whose process was killed just before its next write."""
     keeper, drive = SafetyKeeper(folder, time), driven()
-    keeper.restore(drive.processors, "dac")
+    keeper.note_device("dac")
+    keeper.restore(drive.processors)
     played(drive, 1.0)
     set_state(drive, coil_c, magnet_c)
     keeper.update(drive.processors, 0.0)
@@ -82,7 +83,8 @@ def killed(folder: Path, time: Time, coil_c: float = 119.0, magnet_c: float = 60
 
 def restored(folder: Path, time: Time, device: str = "dac") -> tuple[SafetyState, SafetyKeeper]:
     keeper, drive = SafetyKeeper(folder, time), driven()
-    keeper.restore(drive.processors, device)
+    keeper.note_device(device)
+    keeper.restore(drive.processors)
     return state_of(drive), keeper
 
 
@@ -102,14 +104,14 @@ def test_after_a_kill_it_is_at_least_as_warm_as_it_is_and_at_most_ten_kelvin_mor
     time.go(passed_s, boot)
     state, keeper = restored(tmp_path, time)
     assert PAPER.thermal
-    true = CoilTemperature(PAPER.thermal, PAPER.actuator.resistance_ohm, SAVE_S + passed_s)
-    true.set_temperatures(119.0, 60.0)
-    true.step(0.0)
+    ambient_c, true = PAPER.thermal.ambient_c, Temperatures(PAPER.thermal)
+    true.coil_k, true.magnet_k = 119.0 - ambient_c, 60.0 - ambient_c
+    true.heat(0.0, SAVE_S + passed_s)
     assert state.coil_c is not None
     assert state.magnet_c is not None
-    assert true.coil_c <= state.coil_c + 1e-9
-    assert state.coil_c <= true.coil_c + 10.0
-    assert true.magnet_c <= state.magnet_c + 1e-9
+    assert ambient_c + true.coil_k <= state.coil_c + 1e-9
+    assert state.coil_c <= ambient_c + true.coil_k + 10.0
+    assert ambient_c + true.magnet_k <= state.magnet_c + 1e-9
     assert state.dose.squares >= before.dose.squares
     assert state.dose.fourths >= before.dose.fourths
     assert keeper.warning == ""
@@ -129,12 +131,13 @@ def test_nothing_that_protection_allows_is_warmer_than_the_bound(
     assert strong.thermal
     bounds = SafetyBounds(strong, worst_second(strong, RATE))
     state = bounds.after_unrecorded(SafetyState(coil_c, 20.0), seconds)
-    coil = CoilTemperature(strong.thermal, strong.actuator.resistance_ohm, 0.002)
-    coil.set_temperatures(coil_c, 20.0)
+    ambient_c, warm = strong.thermal.ambient_c, Temperatures(strong.thermal)
+    warm.coil_k, warm.magnet_k = coil_c - ambient_c, 20.0 - ambient_c
     for _ in range(int(seconds / 0.002)):
-        coil.step(0.999 * min(coil.power_allowed(LIMIT_C), 20.0**2 / 3.3))  # 20 V, 3.3 ohm
+        allowed_w = power_to_limit_w(warm, LIMIT_C - ambient_c)
+        warm.heat(0.999 * min(allowed_w, 20.0**2 / 3.3), 0.002)  # 20 V, 3.3 ohm
     assert state.coil_c is not None
-    assert coil.coil_c <= state.coil_c + 0.02
+    assert ambient_c + warm.coil_k <= state.coil_c + 0.02
     assert state.coil_c <= LIMIT_C
 
 
@@ -156,7 +159,8 @@ def test_no_drive_adds_more_to_the_dose_than_the_bound(rig: Rig) -> None:
 def test_a_clean_end_is_continued_exactly(tmp_path: Path) -> None:
     time = Time()
     keeper, drive = SafetyKeeper(tmp_path, time), driven()
-    keeper.restore(drive.processors, "dac")
+    keeper.note_device("dac")
+    keeper.restore(drive.processors)
     played(drive, 2.0)
     set_state(drive, 80.0, 40.0)
     keeper.close(drive.processors)
@@ -215,7 +219,8 @@ def test_a_clock_that_is_set_back_within_a_boot_does_not_count(tmp_path: Path) -
 def test_the_dose_is_of_the_day_and_ends_at_midnight_while_it_runs(tmp_path: Path) -> None:
     time = Time()
     keeper, drive = SafetyKeeper(tmp_path, time), driven()
-    keeper.restore(drive.processors, "dac")
+    keeper.note_device("dac")
+    keeper.restore(drive.processors)
     played(drive, 2.0)
     assert state_of(drive).dose.squares > 0.0
     time.go(12.5 * 3_600.0)
@@ -232,11 +237,13 @@ def test_the_dose_is_of_the_day_and_ends_at_midnight_while_it_runs(tmp_path: Pat
 def test_the_dose_ends_at_midnight_also_while_nothing_plays(tmp_path: Path) -> None:
     time = Time()
     keeper, drive = SafetyKeeper(tmp_path, time), driven()
-    keeper.restore(drive.processors, "dac")
+    keeper.note_device("dac")
+    keeper.restore(drive.processors)
     played(drive, 2.0)
     keeper.close(drive.processors)
     waiting = driven()
-    keeper.restore(waiting.processors, "dac")
+    keeper.note_device("dac")
+    keeper.restore(waiting.processors)
     assert state_of(waiting).dose.squares > 0.0
     time.go(12.5 * 3_600.0)
     keeper.update((*drive.processors, *waiting.processors), 100.0)
@@ -249,7 +256,8 @@ def test_the_dose_ends_at_midnight_also_while_nothing_plays(tmp_path: Path) -> N
 def test_what_moves_to_another_device_is_recorded_there(tmp_path: Path) -> None:
     time = Time()
     keeper, drive = SafetyKeeper(tmp_path, time), driven()
-    keeper.restore(drive.processors, "dac")
+    keeper.note_device("dac")
+    keeper.restore(drive.processors)
     played(drive, 1.0)
     keeper.note_device("another")
     set_state(drive, 100.0, 60.0)
@@ -273,6 +281,7 @@ def test_another_device_is_cold_but_has_the_dose_of_who_sits_there(tmp_path: Pat
 def test_a_folder_that_cannot_be_written_is_one_warning(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     keeper, drive = SafetyKeeper(tmp_path / "file" / "folder", Time()), driven()
-    keeper.restore(drive.processors, "dac")
+    keeper.note_device("dac")
+    keeper.restore(drive.processors)
     keeper.update(drive.processors, 0.0)
     assert "not kept" in keeper.warning

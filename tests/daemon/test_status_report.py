@@ -1,6 +1,6 @@
 """The status of several actuators together."""
 
-from audioflinger_hook.daemon.rig_figures import worst_exposure
+from audioflinger_hook.daemon.status_report import worst_exposure
 from audioflinger_hook.service.status import ExposureFigures
 
 

@@ -13,6 +13,7 @@ import pytest
 
 from device.atomic_file import AtomicFile, write_bytes_atomically
 from device.errors import UsageError, WriteError
+from tests.support.commands import listing, open_files
 from tests.support.recordings import ROOT
 
 
@@ -24,14 +25,6 @@ def way(request, monkeypatch):
     elif not hasattr(os, "O_TMPFILE"):
         pytest.skip("files without a name exist on Linux only")
     return request.param
-
-
-def open_files():
-    return len(list(Path("/proc/self/fd").iterdir()))
-
-
-def listing(folder):
-    return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
 @pytest.mark.parametrize("before", [None, b"old"])

@@ -1,4 +1,4 @@
-"""What is asked of every block, compiled and in NumPy: the same answers."""
+"""Operations on blocks of frames give NumPy's answers, and refuse what does not fit."""
 
 from __future__ import annotations
 
@@ -13,13 +13,10 @@ from hypothesis.extra import numpy as arrays
 
 from device import blocks
 from device.clock.ring import CubicReader
+from device.errors import NotFoundError
 from device.rig import PAPER
 from device.rig.actuator import LinearActuator
 from device.units import Float32Array, FloatArray
-
-needs_compiled = pytest.mark.skipif(
-    blocks.compiled is None, reason="device/blocks_library.so is not built here: see tools/setup.sh"
-)
 
 
 def in_numpy(samples: Float32Array | FloatArray) -> float:
@@ -55,33 +52,45 @@ def test_the_peak_of_any_layout_and_type_is_found() -> None:
     assert blocks.peak(np.float32(3.0) * np.ones(())) == 3.0
 
 
-@needs_compiled
 @given(
     st.integers(1, 3),
     st.integers(0, 1_300),
     st.floats(0.1, 3.0) | st.floats(0.999, 1.001),
     st.floats(0.0, 1.0, exclude_max=True),
     st.integers(0, 2**45),
+    st.booleans(),
 )
-def test_frames_between_frames_are_the_same_compiled_and_in_numpy(
-    channels: int, count: int, step: float, fraction: float, start: int
+def test_frames_between_frames_are_on_the_cubic_through_four_whatever_the_layout(
+    channels: int, count: int, step: float, fraction: float, start: int, strided: bool
 ) -> None:
     ring = np.random.default_rng(1).uniform(-1, 1, (4_096, channels)).astype(np.float32)
-    compiled, twin = (CubicReader(ring) for _ in range(2))
-    for reader in (compiled, twin):
-        reader.jump_to(start)
-        reader.fraction = fraction
-    made = np.empty((count, channels), np.float32)
-    # Of an array that is not contiguous nothing compiled can be made.
-    apart = np.empty((count, 2 * channels), np.float32)[:, ::2]
-    compiled.read(made, step)
-    twin.read(apart, step)
+    reader = CubicReader(ring)
+    reader.position, reader.fraction = start, fraction
+    out = np.empty((count, channels * (1 + strided)), np.float32)[:, :: 1 + strided]
+    reader.read(out, step)
+    place = np.arange(count) * step + fraction
+    whole = np.floor(place)
+    s = (place - whole)[:, np.newaxis]
+    frames = ring[(start + whole.astype(int) + np.arange(-1, 3)[:, np.newaxis]) % len(ring)]
+    expected = (
+        frames[0] * -s * (s - 1) * (s - 2) / 6
+        + frames[1] * (s + 1) * (s - 1) * (s - 2) / 2
+        - frames[2] * (s + 1) * s * (s - 2) / 2
+        + frames[3] * (s + 1) * s * (s - 1) / 6
+    )
     # Sums up to 1.6 are rounded to float32, each to 6e-8 of 1; all before that is float64.
-    np.testing.assert_allclose(made, apart, rtol=0, atol=3e-7)
-    assert compiled.position + compiled.fraction == pytest.approx(twin.position + twin.fraction)
+    np.testing.assert_allclose(out, expected, rtol=0, atol=3e-7)
 
 
-@needs_compiled
+def test_without_the_compiled_library_a_reader_says_how_to_get_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(blocks, "compiled", None)
+    with pytest.raises(NotFoundError, match="make run"):
+        CubicReader(np.zeros((8, 1), np.float32))
+    assert blocks.peak(np.array([[-2.0, 1.0]])) == 2.0
+
+
 @pytest.mark.parametrize(
     "change",
     [
@@ -106,7 +115,6 @@ def test_frames_between_frames_are_the_same_compiled_and_in_numpy(
     ],
 )
 def test_what_does_not_fit_is_refused_and_nothing_is_read(change: dict[str, object]) -> None:
-    assert blocks.compiled is not None
     fitting = {
         "ring": np.zeros((8, 1), np.float32),
         "out": np.zeros((4, 1), np.float32),
@@ -114,57 +122,38 @@ def test_what_does_not_fit_is_refused_and_nothing_is_read(change: dict[str, obje
         "fraction": 0.0,
         "step": 1.0,
     }
-    cubic: Callable[..., None] = blocks.compiled.cubic
+    cubic: Callable[..., None] = blocks.require_compiled().cubic
     cubic(**fitting)
     with pytest.raises((TypeError, ValueError, BufferError, OverflowError)):
         cubic(**(fitting | change))
 
 
-def test_without_what_is_compiled_the_same_is_done_in_numpy(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    ring = np.random.default_rng(2).uniform(-1, 1, (512, 1)).astype(np.float32)
-    with_it, without = (CubicReader(ring) for _ in range(2))
-    expected, got = (np.empty((300, 1), np.float32) for _ in range(2))
-    with_it.read(expected, 1.0001)
-    monkeypatch.setattr(blocks, "compiled", None)
-    without.read(got, 1.0001)
-    np.testing.assert_allclose(got, expected, rtol=0, atol=3e-7)
-    assert blocks.peak(ring) == in_numpy(ring)
-
-
-@given(arrays.arrays(np.float32, st.tuples(st.integers(0, 300), st.integers(1, 3))), st.booleans())
-def test_a_block_that_is_taken_is_bytes_then_and_all_zero(
-    frames: Float32Array, in_numpy_alone: bool
+@given(arrays.arrays(np.float32, st.tuples(st.integers(0, 300), st.integers(1, 3))))
+def test_an_emptied_block_gives_its_bytes_and_is_all_zero_unless_it_is_not_finite(
+    frames: Float32Array,
 ) -> None:
     before = frames.copy()
-    with pytest.MonkeyPatch.context() as patch:
-        if in_numpy_alone:
-            patch.setattr(blocks, "compiled", None)
-        taken = blocks.emptied(frames)
+    stored = blocks.emptied(frames)
     if np.isfinite(before).all():
-        assert taken == before.tobytes()
-        assert frames.tobytes() == bytes(frames.nbytes)
+        assert stored == before.tobytes()
+        assert not frames.any()
     else:
-        assert taken is None
+        assert stored is None
         np.testing.assert_array_equal(frames, before)
 
 
-@needs_compiled
 @pytest.mark.parametrize(
     "array", [np.zeros((4, 2), np.float32)[:, :1], b"1234", None, np.zeros(4, np.int16)]
 )
 def test_what_cannot_be_taken_is_refused(array: object) -> None:
-    assert blocks.compiled is not None
     with pytest.raises((TypeError, BufferError)):
-        blocks.compiled.peak(array)  # type: ignore[arg-type]
+        blocks.require_compiled().peak(array)  # type: ignore[arg-type]
 
 
 VOLTS = st.floats(-30.0, 30.0) | st.sampled_from([0.0, -0.0, 5e-324, 1e101, math.nan, -math.inf])
 
 
 @pytest.mark.exhaustive
-@needs_compiled
 @given(arrays.arrays(np.float64, st.integers(0, 1_300), elements=VOLTS), st.integers(1, 1_300))
 def test_the_linear_model_moves_the_same_compiled_and_in_numpy(
     volts: FloatArray, blocksize: int
@@ -186,7 +175,6 @@ def test_the_linear_model_moves_the_same_compiled_and_in_numpy(
     assert after == pytest.approx(expected_after, rel=1e-12, abs=1e-18)
 
 
-@needs_compiled
 @pytest.mark.parametrize(
     "change",
     [
@@ -208,7 +196,6 @@ def test_the_linear_model_moves_the_same_compiled_and_in_numpy(
     ],
 )
 def test_what_is_no_motion_is_refused_and_nothing_is_moved(change: dict[str, object]) -> None:
-    assert blocks.compiled is not None
     state, moved = np.zeros(8), np.zeros((1, 8))
     fitting: dict[str, object] = {
         "volts": np.ones(8),
@@ -220,7 +207,7 @@ def test_what_is_no_motion_is_refused_and_nothing_is_moved(change: dict[str, obj
         "stop": 8,
         "limit": 1e100,
     }
-    move: Callable[..., int] = blocks.compiled.linear_motion
+    move: Callable[..., int] = blocks.require_compiled().linear_motion
     with pytest.raises((TypeError, ValueError, BufferError, OverflowError)):
         move(**(fitting | change))
     assert not state.any()

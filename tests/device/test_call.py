@@ -5,12 +5,12 @@ from __future__ import annotations
 import os
 import sys
 import time
-from pathlib import Path
 
 import pytest
 
 from device.call import LIMIT_S, Call
 from device.errors import LostError, UsageError
+from tests.support.commands import open_files
 
 
 def large(share: bytes) -> bytes:
@@ -23,10 +23,6 @@ def refuse() -> None:
 
 def fail() -> None:
     raise ZeroDivisionError
-
-
-def open_files() -> list[str]:
-    return sorted(path.name for path in Path("/proc/self/fd").iterdir())
 
 
 def over(call: Call[object]) -> Call[object]:

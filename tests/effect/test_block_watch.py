@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from audioflinger_hook.effect.block_watch import BlockWatch
 from audioflinger_hook.effect.interface import OK
-from tests.effect.test_engines import CYCLE_S, Probe, noise, running
+from tests.support.effects import CYCLE_S, Probe, noise, running
 
 TICK_S = 0.1
 

@@ -7,7 +7,7 @@ import pytest
 
 from audioflinger_hook.effect.interface import EINVAL, ENODATA, OK, Command, Parameter
 from audioflinger_hook.effect.module import EffectModule
-from tests.effect.test_engines import CYCLE_S, FRAMES, FakeClock, Probe, config, noise, running
+from tests.support.effects import CYCLE_S, FRAMES, FakeClock, Probe, config, noise, running
 
 
 def module_of(probe, clock=None, budget_s=0.01):
@@ -23,34 +23,70 @@ def cycle(module, buffer=None):
 # Lifecycle: the orders that AOSP checks.
 
 
-def test_enable_is_sent_at_the_end_of_the_next_cycle_and_process_comes_a_buffer_later():
+ACTIVE = ["enable STARTING:", "cycle ACTIVE:ENABLE", "cycle ACTIVE:process"]
+TAIL = ["disable STOPPING:", "cycle STOPPED:process,DISABLE"]
+LIFECYCLES = {
+    "enable is sent at the end of a cycle and process comes a buffer later": ACTIVE,
+    "a tail follows the end of the cycle after disable": [*ACTIVE, *TAIL, "cycle STOPPED:process"],
+    "a second enable and a disable in idle change nothing": [
+        *("disable IDLE:", "cycle IDLE:", "enable STARTING:", "enable STARTING:"),
+        *("cycle ACTIVE:ENABLE", "enable ACTIVE:", "cycle ACTIVE:process"),
+    ],
+    "disable before enable was sent sends neither": [
+        *("enable STARTING:", "disable IDLE:", "cycle IDLE:"),
+    ],
+    "enable before disable was sent continues without either": [
+        *(*ACTIVE, "disable STOPPING:", "enable ACTIVE:", "cycle ACTIVE:process"),
+    ],
+    "enable within the tail restarts from rest": [
+        *(*ACTIVE, *TAIL, "enable RESTART:", "cycle ACTIVE:process,RESET,ENABLE"),
+    ],
+    "disable before the restart was sent continues the tail": [
+        *(*ACTIVE, *TAIL, "enable RESTART:", "disable STOPPED:", "cycle STOPPED:process"),
+    ],
+    "release while active stops the engine for good": [
+        *(*ACTIVE, "release DESTROYED:DISABLE", "enable DESTROYED:", "cycle DESTROYED:"),
+    ],
+    "release of an effect that never ran sends no disable": ["release DESTROYED:"],
+}
+
+
+@pytest.mark.parametrize("steps", LIFECYCLES.values(), ids=LIFECYCLES)
+def test_commands_come_in_the_order_of_the_lifecycle(steps):
     probe = Probe()
     module = module_of(probe)
     module.set_config(config())
     assert probe.take() == ["INIT", "SET_CONFIG"]
-    module.enable()
-    assert (module.state.name, probe.take()) == ("STARTING", [])
-    cycle(module)
-    assert (module.state.name, probe.take()) == ("ACTIVE", ["ENABLE"])
-    cycle(module)
-    assert probe.take() == ["process"]
+    for step in steps:
+        call, _, expected = step.partition(" ")
+        cycle(module) if call == "cycle" else getattr(module, call)()
+        assert f"{module.state.name}:{','.join(probe.take())}" == expected, step
 
 
-def test_disable_is_sent_at_the_end_of_the_next_cycle_and_the_tail_follows():
+def test_the_end_of_the_tail_resets_the_engine():
     probe = Probe()
     _, module = running(probe)
-    probe.take()
     module.disable()
-    assert module.state.name == "STOPPING"
     cycle(module)
-    assert (module.state.name, probe.take()) == ("STOPPED", ["process", "DISABLE"])
-    cycle(module)
-    assert probe.take() == ["process"]
     probe.act = lambda source, target: ENODATA
+    probe.take()
     cycle(module)
     assert (module.state.name, probe.take()) == ("IDLE", ["process", "RESET"])
     cycle(module)
     assert probe.take() == []
+
+
+def test_a_tail_that_does_not_end_is_cut_off_after_ten_seconds_of_sound():
+    probe = Probe()
+    _, module = running(probe)
+    module.disable()
+    module.update_state()
+    cycles = 0
+    while module.state.name == "STOPPED":
+        cycle(module)
+        cycles += 1
+    assert cycles * CYCLE_S == pytest.approx(10.0)
+    assert probe.take()[-1] == "RESET"
 
 
 def test_nothing_is_processed_before_a_configuration_and_starting_waits_for_one():
@@ -67,60 +103,6 @@ def test_nothing_is_processed_before_a_configuration_and_starting_waits_for_one(
     assert probe.take() == ["SET_CONFIG", "ENABLE", "process"]
 
 
-def test_a_second_enable_and_a_disable_in_idle_change_nothing():
-    probe = Probe()
-    module = module_of(probe)
-    module.set_config(config())
-    assert module.disable() == OK
-    cycle(module)
-    assert module.state.name == "IDLE"
-    module.enable()
-    module.enable()
-    cycle(module)
-    module.enable()
-    cycle(module)
-    assert probe.take() == ["INIT", "SET_CONFIG", "ENABLE", "process"]
-
-
-def test_disable_before_enable_was_sent_sends_neither():
-    probe = Probe()
-    module = module_of(probe)
-    module.set_config(config())
-    module.enable()
-    module.disable()
-    cycle(module)
-    assert (module.state.name, probe.take()) == ("IDLE", ["INIT", "SET_CONFIG"])
-
-
-def test_enable_before_disable_was_sent_goes_on_without_either():
-    probe = Probe()
-    _, module = running(probe)
-    probe.take()
-    module.disable()
-    module.enable()
-    assert module.state.name == "ACTIVE"
-    cycle(module)
-    assert probe.take() == ["process"]
-
-
-def test_enable_within_the_tail_restarts_from_rest():
-    probe = Probe()
-    _, module = running(probe)
-    module.disable()
-    cycle(module)
-    probe.take()
-    module.enable()
-    assert module.state.name == "RESTART"
-    cycle(module)
-    assert module.state.name == "ACTIVE"
-    assert probe.take() == ["process", "RESET", "ENABLE"]
-    module.disable()
-    cycle(module)
-    module.enable()
-    module.disable()
-    assert module.state.name == "STOPPED"
-
-
 def test_reset_while_active_reaches_the_engine_and_it_goes_on():
     probe = Probe()
     _, module = running(probe)
@@ -130,25 +112,15 @@ def test_reset_while_active_reaches_the_engine_and_it_goes_on():
     assert (module.state.name, probe.take()) == ("ACTIVE", ["RESET", "process"])
 
 
-def test_release_while_active_stops_the_engine_and_nothing_reaches_it_afterwards():
+def test_a_removed_effect_refuses_everything():
     probe = Probe()
     chains, module = running(probe)
-    probe.take()
     chains.remove(module)
-    assert (module.state.name, probe.take()) == ("DESTROYED", ["DISABLE"])
     assert chains.sessions() == ()
     assert module.enable() == module.disable() == module.set_config(config(44_100)) == EINVAL
     assert module.command(Command.RESET) == module.command(Command.ENABLE) == (EINVAL, None)
-    cycle(module)
     chains.remove(module)
-    assert probe.take() == []
-
-
-def test_release_of_one_that_never_ran_sends_no_disable():
-    probe = Probe()
-    module = module_of(probe)
-    module.release()
-    assert probe.take() == ["INIT"]
+    assert probe.take()[-1] == "DISABLE"
 
 
 def test_enable_and_disable_as_commands_do_what_the_methods_do():
@@ -241,6 +213,7 @@ def unspeakable(source, target):
     raise Unspeakable
 
 
+EXCHANGED = "exchanged or reshaped its arrays; write into them, as in target.audio[:] = ..."
 MISBEHAVIOURS = [
     (scribble_and_raise, "raised ZeroDivisionError: by zero in the middle in process"),
     (leave, "raised SystemExit: 3 in process"),
@@ -252,11 +225,11 @@ MISBEHAVIOURS = [
     (lambda source, target: True, "answered process with bool; allowed: OK (0), ENODATA"),
     (lambda source, target: np.zeros(3), "answered process with ndarray; allowed: OK (0), ENODATA"),
     (lambda source, target: EINVAL, "answered process with -22; allowed: OK (0), ENODATA"),
-    (exchange, "exchanged or reshaped its arrays; write into them, as in target.audio[:] = ..."),
-    (drop, "exchanged or reshaped its arrays; write into them, as in target.audio[:] = ..."),
+    (exchange, EXCHANGED),
+    (drop, EXCHANGED),
     pytest.param(
         reshape,
-        "exchanged or reshaped its arrays; write into them, as in target.audio[:] = ...",
+        EXCHANGED,
         marks=pytest.mark.filterwarnings("ignore::DeprecationWarning"),
     ),
 ]
@@ -297,21 +270,23 @@ def test_a_misbehaving_engine_does_not_change_what_it_would_have_been_added_to()
     np.testing.assert_array_equal(own.samples, noise(seed=1).samples)
 
 
-def test_what_an_engine_scribbles_later_into_arrays_it_kept_is_not_heard():
+def test_what_an_engine_does_later_to_a_buffer_it_kept_is_not_heard():
     probe = Probe()
-    chains, _ = running(probe)
+    chains, module = running(probe)
     kept = []
 
     def keep(source, target):
-        kept.append(target.audio)
+        kept.append(target)
         return OK
 
     probe.act = keep
     buffer = noise()
     chains.process(0, buffer, 0.0)
-    kept[0][:] = 9.0
+    kept[0].audio[:] = 9.0
     chains.process(0, buffer, 0.0)
-    assert buffer.samples.tobytes() == noise().samples.tobytes()
+    exchange(kept[1], kept[1])
+    chains.process(0, buffer, 0.0)
+    assert (module.bypassed, buffer.samples.tobytes()) == ("", noise().samples.tobytes())
 
 
 def exchange_and_raise(source, target):
@@ -351,27 +326,6 @@ def test_an_engine_that_is_given_another_chance_is_lent_a_sound_buffer(misbehave
     chains.process(0, buffer, 0.0)
     assert not module.bypassed
     np.testing.assert_array_equal(buffer.samples, noise().samples * np.float32(0.5))
-
-
-def test_an_engine_that_spoils_what_it_kept_is_blamed_and_the_sound_goes_on():
-    probe = Probe()
-    chains, module = running(probe)
-    kept = []
-
-    def keep(source, target):
-        kept.append(target)
-        return OK
-
-    probe.act = keep
-    chains.process(0, noise(), 0.0)
-    exchange(kept[0], kept[0])
-    buffer = noise()
-    chains.process(0, buffer, 0.0)
-    assert (
-        module.bypassed
-        == "exchanged or reshaped its arrays; write into them, as in target.audio[:] = ..."
-    )
-    assert buffer.samples.tobytes() == noise().samples.tobytes()
 
 
 def test_not_finite_samples_that_came_with_the_sound_are_not_blamed_on_an_effect():
@@ -462,24 +416,29 @@ def test_three_overruns_in_a_row_bypass_and_two_do_not():
     assert module.bypassed == "took more than the 10 ms allowed for 960 frames, 3 buffers in a row"
 
 
-def test_the_time_allowed_follows_the_buffers_length_and_may_be_without_end():
+@pytest.mark.parametrize(
+    ("frames", "took_s", "budget_share", "overruns"),
+    [
+        (FRAMES // 4, 3e-3, 0.5, 3),  # of 2.5 ms for a quarter of 20 ms
+        (FRAMES, 3e-3, 0.5, 0),
+        (FRAMES, 3600.0, float("inf"), 0),
+    ],
+)
+def test_the_time_allowed_follows_the_buffers_length_and_may_be_without_end(
+    frames, took_s, budget_share, overruns
+):
     clock, probe = FakeClock(), Probe()
-    chains, module = running(probe, clock=clock, budget_share=0.25)
-    assert module.budget_s == pytest.approx(0.005)
-    chains.set_format(96_000, 2, 1, 960)
-    assert module.budget_s == pytest.approx(0.0025)
+    chains, module = running(probe, clock=clock, budget_share=budget_share)
 
-    slow = Probe()
-    chains, module = running(slow, clock=clock, budget_share=float("inf"))
-
-    def act(source, target):
-        clock.now_s += 3600.0
+    def slow(source, target):
+        clock.now_s += took_s
         return OK
 
-    slow.act = act
-    for _ in range(5):
-        chains.process(0, noise(), 0.0)
-    assert (module.overruns, module.bypassed) == (0, "")
+    probe.act = slow
+    for _ in range(3):
+        chains.process(0, noise(frames), 0.0)
+    assert module.overruns == overruns
+    assert bool(module.bypassed) == bool(overruns)
 
 
 def test_a_bypassed_effect_is_initialised_anew_when_it_is_enabled_again():
@@ -498,17 +457,12 @@ def test_a_bypassed_effect_is_initialised_anew_when_it_is_enabled_again():
     chains.process(0, noise(), 0.0)
     assert probe.take() == ["INIT", "SET_CONFIG", "ENABLE", "process"]
     assert (module.bypassed, module.faults) == ("", 1)
-
-
-def test_a_bypassed_effect_that_is_disabled_goes_idle_without_hearing_of_it():
-    probe = Probe()
-    chains, module = running(probe)
     probe.act = scribble_and_raise
     chains.process(0, noise(), 0.0)
     probe.take()
     module.disable()
     chains.end_of_cycle(0.0)
-    assert (module.state.name, probe.take()) == ("IDLE", [])
+    assert (module.state.name, probe.take()) == ("IDLE", []), "it does not hear of it"
 
 
 @pytest.mark.parametrize("shape", [(961, 2, 1), (960, 1, 1), (960, 2, 2), (960, 2, 0), (0, 2, 1)])
@@ -531,19 +485,3 @@ def test_several_parameters_are_set_together_or_not_at_all():
     assert probe.take() == []
     assert module.set_parameters({"a": 0.5, "b": True}) == OK
     assert probe.take() == ["SET_PARAM_DEFERRED", "SET_PARAM_DEFERRED", "SET_PARAM_COMMIT"]
-
-
-def test_a_shorter_buffer_has_its_part_of_the_time():
-    clock, probe = FakeClock(), Probe()
-    chains, module = running(probe, clock=clock, budget_share=0.5)
-    quarter = FRAMES // 4
-
-    def slow(source, target):
-        clock.now_s += 3e-3  # of 2.5 ms for a quarter of 20 ms
-        return OK
-
-    probe.act = slow
-    for _ in range(3):
-        chains.process(0, noise(quarter), 0.0)
-    assert module.overruns == 3
-    assert "took more" in module.bypassed

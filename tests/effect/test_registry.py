@@ -14,7 +14,7 @@ from audioflinger_hook.effect.haptic_parameters import HAPTIC_CUSHION
 from audioflinger_hook.effect.interface import OK, EffectFlag, Parameter, VendorCommand
 from audioflinger_hook.effect.registry import EffectLibrary, EffectRegistry, descriptor_problem
 from device.errors import InternalError, NotFoundError, UsageError
-from tests.effect.test_engines import DELAY, LIBRARY, Delay, Probe, descriptor, noise, running
+from tests.support.effects import ECHO, ECHO_UUID, LIBRARY, Probe, descriptor, noise, running
 
 HALVER_UUID = UUID("5d0a6a3e-95f9-4b6c-8f6e-0d6a5a4f0001")
 
@@ -151,10 +151,10 @@ def test_uuids_are_unique_within_and_between_libraries():
     registry = EffectRegistry([CUSHION, LIBRARY])
     uuids = [one.uuid for one in registry.descriptors]
     assert len(set(uuids)) == len(uuids) == 2
-    assert registry.uuids("echoes") == {DELAY.uuid}
+    assert registry.uuids("echoes") == {ECHO_UUID}
     assert registry.uuids("nothing") == frozenset()
-    with pytest.raises(UsageError, match=f"UUID {DELAY.uuid} of effect 'Delay' is that of"):
-        registry.add(EffectLibrary("again", ((DELAY, Delay),)))
+    with pytest.raises(UsageError, match=f"UUID {ECHO_UUID} of effect 'Echo' is that of"):
+        registry.add(EffectLibrary("again", ((ECHO, Probe),)))
     twice = EffectLibrary("twice", ((descriptor("a"), Probe), (descriptor("b"), Probe)))
     with pytest.raises(UsageError, match="effect 'b' is that of effect 'a'"):
         registry.add(twice)

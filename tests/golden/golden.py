@@ -34,7 +34,7 @@ EXCERPT_S = 2.5
 DIGESTS = Path(__file__).with_name("digests.json")
 RECORDINGS = Path(__file__).resolve().parents[2] / ".cache/recordings"
 FORMS = ("live", "reference")
-PROFILES = ("paper", "cinema", "game", "music")
+PROFILES = ("paper", "cinema", "game", "music", "speech")
 TWO_ACTUATORS = """
 profile = "cinema"
 gain_db = -3
@@ -54,7 +54,7 @@ exposure_cap = "limit"
 CONFIGS = {
     "level": "gain_db = -7.5\n",
     "parameters": 'profile = "music"\n[transform]\nthreshold_hz = 0.1\npartials_max = 9\n',
-    "follower": "[transform]\nfollower_db = 20\nfollower_slope_db = 8\n",
+    "follower": "[transform]\nloudness_db = 20\ndynamics = 0.4\n",
     "jnd": '[transform]\nmapping = "jnd"\nlevel_law = "energy"\nspeech_suppression_db = 12\n',
     "damped": 'damping = "auto"\nrig = "consumer"\n',
     "protected": 'protection = "on"\nexposure_cap = "action"\n',

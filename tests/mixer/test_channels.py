@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from audioflinger_hook.mixer.layouts import CHANNELS_MAX, ChannelMap, layout, mapping
+from audioflinger_hook.mixer.layouts import ChannelMap, mapping
+from device.layouts import CHANNELS_MAX, layout
 
 COUNTS = (1, 2, 3, 4, 5, 6, 7, 8, 9, 12, 16, 24, 32)
 

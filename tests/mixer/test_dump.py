@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from audioflinger_hook.mixer import Mixer, NoEffects, PcmFormat, dump
+from audioflinger_hook.mixer import EffectsPort, Mixer, PcmFormat, dump
 
 
-class TwoChains(NoEffects):
+class TwoChains(EffectsPort):
     def sessions(self):
         return (0, 7)
 

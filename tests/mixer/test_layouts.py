@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from audioflinger_hook.mixer.layouts import CHANNELS_MAX, depths, layout, source_weights
+from audioflinger_hook.mixer.layouts import depths, source_weights
 from audioflinger_hook.transform import HapticTransform
 from device.drive import SOURCES
 from device.errors import UsageError
-from device.layouts import downmix
+from device.layouts import CHANNELS_MAX, downmix, layout
 
 RATE = 8_000
 SHARED = 0.5**0.5

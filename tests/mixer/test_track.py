@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
@@ -69,52 +69,17 @@ def test_nothing_is_heard_before_the_start_and_before_the_threshold_is_filled() 
     assert player.track.underruns == 0
 
 
-def test_without_a_threshold_the_whole_ring_has_to_be_filled() -> None:
+def test_the_ring_takes_what_fits_and_by_default_has_to_be_full_before_it_sounds() -> None:
     player = Player()
-    assert player.track.start_threshold == player.track.ring.capacity_frames == 2 * FRAMES
-    player.track.start()
-    player.track.write(noise(2 * FRAMES - 1))
-    assert not player.cycle().any()
-    player.track.write(noise(1))
-    assert player.cycle().any()
-
-
-def test_the_ring_takes_what_fits_and_never_more() -> None:
-    track = Player(ring_frames=1_000).track
-    sound = noise(1_500)
-    assert track.write(sound) == 1_000
-    assert track.write(sound[1_000:]) == 0
-    assert track.room == 0
-    assert track.frames_ready == 1_000
-
-
-def test_a_flooding_client_loses_nothing_it_was_told_was_taken() -> None:
-    player = Player(ring_frames=1_700, start_threshold=1)
-    sound = noise(12 * FRAMES)
-    player.track.start()
-    offered = 0
-    heard: list[np.ndarray] = []
-    while len(heard) < 10:
-        for _ in range(5):
-            offered += player.track.write(sound[offered:])
-        heard.append(player.cycle())
-    np.testing.assert_array_equal(np.concatenate(heard), sound[: 10 * FRAMES])
-
-
-@pytest.mark.parametrize("pcm_format", list(PcmFormat))
-def test_every_format_plays(pcm_format: PcmFormat) -> None:
-    mixer = Mixer(RATE, 1)
-    track = mixer.create_track("any", pcm_format, RATE, 1)
-    half = {
-        PcmFormat.U8: b"\xc0",
-        PcmFormat.I16: b"\x00\x40",
-        PcmFormat.I24: b"\x00\x00\x40",
-        PcmFormat.I32: b"\x00\x00\x00\x40",
-        PcmFormat.FLOAT: b"\x00\x00\x00\x3f",
-    }
-    track.write(half[pcm_format] * track.room)
+    track, sound = player.track, noise(3 * FRAMES)
+    assert track.start_threshold == track.ring.capacity_frames == 2 * FRAMES
     track.start()
-    assert (mixer.cycle(0.0).buffer.audio == 0.5).all()
+    assert track.write(sound[:100]) == 100
+    assert not player.cycle().any()
+    assert track.write(sound[100:]) == 2 * FRAMES - 100
+    assert track.write(sound) == track.room == 0
+    assert track.frames_ready == 2 * FRAMES
+    assert player.cycle().any()
 
 
 def test_a_starving_track_is_skipped_counted_and_continues_where_it_was() -> None:
@@ -395,16 +360,6 @@ def test_a_track_removed_after_its_stop_still_plays_to_its_end() -> None:
     assert player.mixer.tracks == ()
 
 
-@pytest.mark.parametrize("gain", [np.nan, -1.0, 1e-40, -np.inf])
-def test_a_volume_that_makes_no_sense_is_silence(gain: float) -> None:
-    player = Player()
-    player.track.set_volume(gain)
-    player.track.write(noise(2 * FRAMES))
-    player.track.start()
-    assert not player.cycle().any()
-    assert player.report.tracks_mixed == 1
-
-
 def test_a_new_volume_is_reached_over_exactly_one_buffer() -> None:
     player = Player(ring_frames=6 * FRAMES)
     steady(player)
@@ -425,35 +380,31 @@ def test_wrong_volumes_are_refused() -> None:
     assert track.volume == (1.0,)
 
 
-def test_a_wrong_track_is_refused_with_everything_that_is_wrong() -> None:
-    mixer = Mixer(RATE, 2)
-    with pytest.raises(UsageError) as refused:
-        mixer.create_track(
-            "bad", cast(PcmFormat, "mp3"), 1, 0, session=-4, ring_frames=0, start_threshold=0
-        )
-    said = str(refused.value)
-    for part in ("'bad'", "'mp3'", "samplerate=1 Hz", "1000 to 768000 Hz", "channels=0",
-                 "1 to 64", "session=-4", "ring_frames=0", "start_threshold=0"):  # fmt: skip
-        assert part in said
-    assert mixer.tracks == ()
-
-
 @pytest.mark.parametrize(
     ("wrong", "said"),
     [
-        ({"samplerate": 999}, "samplerate=999 Hz"),
-        ({"samplerate": 768_001}, "samplerate=768001 Hz"),
-        ({"samplerate": 48_000.0}, r"samplerate=48000\.0 is not a whole number"),
-        ({"samplerate": True}, "samplerate=True"),
-        ({"channels": 65}, "channels=65"),
-        ({"ring_frames": 959}, "ring_frames=959: want at least 960"),
-        ({"start_threshold": 1_921}, "start_threshold=1921: want 1 to 1920"),
+        ({"samplerate": 999}, ["samplerate=999 Hz: want 1000 to 768000 Hz"]),
+        ({"samplerate": 768_001}, ["samplerate=768001 Hz"]),
+        ({"samplerate": 48_000.0}, ["samplerate=48000.0 is not a whole number"]),
+        ({"samplerate": True}, ["samplerate=True"]),
+        (
+            {"channels": 65, "ring_frames": 959, "session": -4, "pcm_format": "mp3"},
+            ["'t'", "'mp3'", "channels=65: want 1 to 64", "ring_frames=959: want at least 960",
+             "session=-4"],
+        ),
+        ({"start_threshold": 1_921}, ["start_threshold=1921: want 1 to 1920"]),
     ],
-)
-def test_each_number_out_of_range_is_named_with_its_range(wrong: dict[str, Any], said: str) -> None:
-    good = {"samplerate": RATE, "channels": 2}
-    with pytest.raises(UsageError, match=said):
-        Mixer(RATE, 2).create_track("t", PcmFormat.FLOAT, **(good | wrong))
+)  # fmt: skip
+def test_a_wrong_track_is_refused_with_everything_that_is_wrong(
+    wrong: dict[str, Any], said: list[str]
+) -> None:
+    mixer = Mixer(RATE, 2)
+    good: dict[str, Any] = {"pcm_format": PcmFormat.FLOAT, "samplerate": RATE, "channels": 2}
+    with pytest.raises(UsageError) as refused:
+        mixer.create_track("t", **(good | wrong))
+    for part in said:
+        assert part in str(refused.value)
+    assert mixer.tracks == ()
 
 
 def test_a_track_that_changes_its_format_is_refused_and_plays_on() -> None:

@@ -15,7 +15,7 @@ from websockets.sync.client import ClientConnection, connect
 from audioflinger_hook.service.meters import BufferTimes, Level
 from audioflinger_hook.service.runtime_folder import RuntimeFolder
 from audioflinger_hook.service.state import DaemonState
-from audioflinger_hook.service.status import Endpoint, Levels, Status
+from audioflinger_hook.service.status import Endpoint, LatencyBudget, Levels, Status
 from audioflinger_hook.service.status_server import StatusServer
 from tests.support.commands import environment
 from tools.live_page import Monitor
@@ -32,6 +32,7 @@ STATUS = Status(
     Endpoint("sink:haptic", "haptic"),
     levels=Levels(Level(-6.0, -9.0), Level(-12.0, -15.0)),
     buffer_times=BufferTimes(0.2, 0.4, 1.0, 10.7, 2.0, (1, 2, 3, 4, 5, 6, 6, 6, 6, 6), 0.004, 1),
+    latency=LatencyBudget.of(delay_line_ms=3.0),
     engine="python",
     profile="cinema",
 )

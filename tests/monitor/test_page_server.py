@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
+from unittest.mock import ANY
 
 import pytest
 
@@ -28,6 +29,10 @@ def test_a_browser_is_told_everything_and_its_requests_are_carried_out_in_order(
 ) -> None:
     with daemon_socket(tmp_path) as daemon, page(tmp_path) as served, served.live() as live:
         assert message(live, "status")["status"]["engine"] == "python"
+        shown = message(live, "figures")["figures"]
+        assert ["samples", "0 limited, 0 replaced", "", ANY] in shown["panels"]["health"]
+        assert shown["panels"]["rig"] == []
+        assert [name for name, _, _ in shown["parts"]][:3] == ["tap", "transform", "driving"]
         frame = message(live, "frame")
         assert frame["frame"]["partials"] == [[440, 100, 0.5]]
         assert daemon.page == served.address
@@ -223,25 +228,44 @@ def test_wrong_options_say_what_is_allowed(
     assert words in done.stderr
 
 
+def metrics_of(served: Page) -> str:
+    status, answer = served.request("/metrics", f"Authorization: Bearer {served.token}")
+    assert status == 200
+    return answer.partition("\r\n\r\n")[2]
+
+
+def test_the_metrics_are_those_of_the_status_in_base_units(tmp_path: Path) -> None:
+    with daemon_socket(tmp_path), page(tmp_path) as served, served.live() as live:
+        message(live, "status")
+        lines = metrics_of(served).splitlines()
+    for line in (
+        "cushion_up 1.0",
+        'cushion_state{state="running"} 1.0',
+        'cushion_state{state="idle"} 0.0',
+        'cushion_engine{engine="python"} 1.0',
+        'cushion_hop_seconds_bucket{le="0.0001"} 1.0',
+        "cushion_hop_seconds_count 6.0",
+        "cushion_late_callbacks_total 1.0",
+        'cushion_recoveries_total{cause="device-lost"} 0.0',
+        "cushion_clock_ratio 1.0",
+        'cushion_delay_part_seconds{part="delay_line"} 0.003',
+        "cushion_delay_seconds 0.003",
+        'cushion_xruns_total{stream="output"} 0.0',
+        f'cushion_level_peak_ratio{{signal="vibration"}} {10.0 ** (-12.0 / 20.0)}',
+        "cushion_muted 0.0",
+    ):
+        assert line in lines, line
+
+
 @pytest.mark.servers
 def test_promtool_finds_no_fault_with_the_metrics(tmp_path: Path) -> None:
     need([] if shutil.which("promtool") else ["promtool"])
     with daemon_socket(tmp_path), page(tmp_path) as served, served.live() as live:
         message(live, "status")
-        status, answer = served.request("/metrics", f"Authorization: Bearer {served.token}")
-        assert status == 200
-        text = answer.partition("\r\n\r\n")[2]
         checked = subprocess.run(
-            ["promtool", "check", "metrics"], input=text, text=True, capture_output=True
+            ["promtool", "check", "metrics"],
+            input=metrics_of(served),
+            text=True,
+            capture_output=True,
         )
-        assert (checked.returncode, checked.stderr, checked.stdout) == (0, "", "")
-        for line in (
-            "cushion_up 1.0",
-            'cushion_state{state="running"} 1.0',
-            'cushion_engine{engine="python"} 1.0',
-            'cushion_hop_seconds_bucket{le="0.0001"} 1.0',
-            "cushion_hop_seconds_count 6.0",
-            "cushion_late_callbacks_total 1.0",
-            'cushion_recoveries_total{cause="device-lost"} 0.0',
-        ):
-            assert line in text
+    assert (checked.returncode, checked.stderr, checked.stdout) == (0, "", "")

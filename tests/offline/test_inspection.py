@@ -17,6 +17,7 @@ from tests.support.commands import RATE, noise, open_files, sound
 from tests.support.recordings import require_recordings
 from tests.support.reference_oracle import oracle_units
 from tests.support.signals import columns, five_tones, joined, silence, tone
+from tests.support.taps import frames_of
 
 WINDOW = 2_229  # frames of a unit at 48 kHz
 FRAMES = RATE // 2  # of the sound that most tests look at
@@ -40,14 +41,6 @@ def assert_same(units, oracle):
         assert np.allclose(found, wanted, rtol=1e-6, atol=1e-9)
         felt = [p.vibration_hz for p in unit.principal]
         assert np.allclose(felt, [p.vibration_hz for p in expected], rtol=1e-9)
-
-
-def frames_left(tap):
-    """How many frames a tap still has."""
-    frames = 0
-    while (buffer := tap.read()) is not None:
-        frames += len(buffer)
-    return frames
 
 
 def test_units_are_what_an_independent_implementation_finds(source):
@@ -104,7 +97,7 @@ def test_only_what_is_needed_for_the_asked_unit_is_read(source):
     with closing(FileTap(source, blocksize=100)) as tap:
         (unit,) = inspect_tap(tap, TransformParameters(), at_s=0.1)
         assert unit.unit == 2
-        assert frames_left(tap) == pytest.approx(FRAMES - 3 * WINDOW, abs=100)
+        assert len(frames_of(tap)) == pytest.approx(FRAMES - 3 * WINDOW, abs=100)
 
 
 def test_every_moment_belongs_to_the_unit_that_holds_it(source):
@@ -132,7 +125,7 @@ def test_units_come_while_the_rest_is_still_unread(source):
     with closing(FileTap(source, blocksize=WINDOW)) as tap:
         first = next(inspect_tap(tap, TransformParameters()))
         assert first.unit == 0
-        assert frames_left(tap) == FRAMES - WINDOW
+        assert len(frames_of(tap)) == FRAMES - WINDOW
 
 
 def test_whoever_stops_early_leaves_no_file_open(source):

@@ -2,6 +2,8 @@
 
 from typing import Any
 
+import numpy as np
+
 from tests.oracle.onsets import Onsets
 from tests.oracle.partials import Begun, Partial, Partials
 
@@ -19,7 +21,9 @@ class Fresh:
         return [(slot, one, one.begun) for slot, one in sorted(self.sounding.items())]
 
     def _room(self):
-        """Return what all amplitudes leave under the ceiling."""
+        """Return what all amplitudes leave under the ceiling, which strength by loudness keeps."""
+        if self.s.loudness_scale.size:
+            return np.inf
         end_sum = sum(one.amplitude for one in self.partials.sounding.values())
         taken = sum(begun.goal for _, _, begun in self._begun())
         return max(0.0, self.s.ceiling - (max(self.partials.start_sum, end_sum) + taken))
@@ -58,12 +62,8 @@ class Fresh:
         """Write the glides of one tick; while the onset is still measured, improve them."""
         s, slots = self.s, self._begun()
         ends_hz = [self._improve(one, tick, onsets) for _, one, _ in slots]
-        room = self._room()
         for (slot, one, begun), hz in zip(slots, ends_hz, strict=True):
             goal = begun.goal * float(s.rise_shares[min(begun.age, s.rise_shares.size - 1)])
-            emphasis = s.emphasis[min(begun.age, s.emphasis.size - 1)]
-            if emphasis > 1.0 and goal > 0.0:
-                goal *= min(emphasis, s.ceiling / (s.ceiling - room))
             one.glide(self.glides, tick, 2 * self.partials.most + slot, hz, goal, s.tick_s)
             begun.age += 1
             if goal == 0.0 and begun.age > s.heard_ticks:

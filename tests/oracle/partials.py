@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from audioflinger_hook.transform.design.synthesis import TrackingDesign
-from tests.oracle.loudness import at_hz
 
 
 @dataclass
@@ -50,14 +49,13 @@ class Partial:
 
 class Partials:
     """The partials of one voice that sound, by slot, ascending; their `glides` by hop.
-    start_sum: of the amplitudes at the start of the latest glides. struck, struck_hops: strength at
-    the latest hand-over, and hops for which it limits the strength."""
+    start_sum: of the amplitudes at the start of the latest glides."""
 
     def __init__(self, s: Any) -> None:
         self.s, self.most = s, s.partials_max + s.fresh_max
         self.sounding: dict[int, Partial] = {}
         self.glides: list[tuple[float, ...]] = []
-        self.start_sum, self.struck, self.struck_hops = 0.0, 0.0, 0
+        self.start_sum = 0.0
 
     def near(self, hz: float) -> list[Partial]:
         """Return the partials that a new one at this frequency may be."""
@@ -77,7 +75,6 @@ class Partials:
         if len(self.sounding) < self.most:
             slot = min(set(range(self.most)) - set(self.sounding))
             self.sounding = dict(sorted({**self.sounding, slot: one}.items()))
-            self.struck, self.struck_hops = self._felt(), self.s.hold_hops
 
     def follow(self, tick: int, hz, amplitude, room: float, left: float, recent_power) -> None:
         """Go on to the partials that the long window shows at the end of a hop, ascending. room:
@@ -102,18 +99,11 @@ class Partials:
             one.hz += change_hz * self._followed(change_hz / s.steady_hz) * float(share)
             one.amplitude += change * self._followed(change / (s.steady_ratio * new))
         self._hold(end, room, left, recent_power)
-        if s.loudness_weights.size and self.struck_hops:
-            # Vibration is strongest at the onset, while what began there is held.
-            self.struck_hops -= 1
-            over = self._felt() / self.struck if self.struck else np.inf
-            kept = min(over, max(s.struck_share, s.struck_grown * over))
-            for one in self.sounding.values() if kept < over else []:
-                one.amplitude *= kept / over
         self._glide(tick, start)
 
     def fade(self, tick: int) -> None:
         """Let every partial end in one hop."""
-        start, self.sounding, self.struck_hops = self.sounding, {}, 0
+        start, self.sounding = self.sounding, {}
         self._glide(tick, start)
 
     def _nearest(self, hz):
@@ -160,12 +150,6 @@ class Partials:
         total = sum(lacking.values())
         for slot, lack in lacking.items():
             end[slot].amplitude += lack if total <= room else lack * room / total
-
-    def _felt(self):
-        """Return the strength of all that sounds."""
-        amplitude = np.array([one.amplitude for one in self.sounding.values()])
-        weight = at_hz(self.s.felt_weights, [one.hz for one in self.sounding.values()])
-        return float(np.linalg.norm(amplitude * weight))
 
     def _glide(self, tick, start):
         """Write the glides of the next hop, from its start to what sounds at its end."""

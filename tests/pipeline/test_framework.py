@@ -15,58 +15,13 @@ from audioflinger_hook.pipeline.framework import OFFLINE_HAL_FRAMES, Framework
 from audioflinger_hook.pipeline.step import Pipeline
 from audioflinger_hook.scenes import demo_scene
 from audioflinger_hook.sources import FramesTap, SceneClient, TapClient
-from audioflinger_hook.transform import Form, HapticTransform, TransformParameters
+from audioflinger_hook.transform import HapticTransform, TransformParameters
 from device.errors import InternalError, UsageError
 from tests.support.commands import call, listing, refused, sound
+from tests.support.pipelines import RATE, UnevenTap, music, steps_of, transformed
+from tests.support.signals import FORMS
 
-RATE = 48_000
-FORMS: tuple[Form, ...] = ("live", "reference")
 MODES = ("mono", "each")
-
-
-class UnevenTap:
-    """Frames in buffers of the given lengths, then the rest."""
-
-    format_changed = discontinuity = False
-
-    def __init__(self, frames, lengths, samplerate=RATE):
-        ends = np.minimum(np.cumsum([0, *lengths]), len(frames))
-        self._buffers = [frames[a:b] for a, b in zip(ends, [*ends[1:], len(frames)], strict=True)]
-        self.samplerate, self.channels = samplerate, frames.shape[1]
-        self.frames_expected = len(frames)
-
-    def read(self):
-        return self._buffers.pop(0) if self._buffers else None
-
-    def close(self):
-        self._buffers = []
-
-
-def music(frames, channels=2, seed=0, level=0.3):
-    """Noise and tones that come and go, and samples that no transform can use."""
-    random = np.random.default_rng(seed)
-    seconds = np.arange(frames)[:, None] / RATE
-    tones = np.sin(2 * np.pi * 330.0 * seconds) * (np.sin(2 * np.pi * 5.0 * seconds) > 0.0)
-    mixed = level * (random.standard_normal((frames, channels)) + 2.0 * tones)
-    mixed[frames // 2, 0] = np.nan
-    return mixed.astype(np.float32)
-
-
-def transformed(frames, samplerate=RATE, **options):
-    """The vibration by the transform alone, in one block, with what it owes at the end."""
-    transform = HapticTransform(samplerate, frames.shape[1], **options)
-    whole = np.concatenate((transform.process(frames), transform.finish()))
-    assert len(whole) == len(frames) + transform.latency_frames
-    return whole.astype(np.float32)
-
-
-def steps_of(client, framework):
-    """Everything that moves through a chain: (sound, vibration)."""
-    chain = Pipeline(client, framework, ())
-    steps = list(itertools.takewhile(lambda step: step is not None, iter(chain.step, 0)))
-    return tuple(
-        np.concatenate([getattr(step, name) for step in steps]) for name in ("audio", "vibration")
-    )
 
 
 # --- what is felt
@@ -127,23 +82,6 @@ def test_only_what_a_device_gets_is_cut_to_full_scale():
     assert peaks["live"] < 1.0 < peaks["reference"]
 
 
-def test_two_frameworks_in_turns_do_not_disturb_one_another():
-    sounds = [music(9_000, 2, seed=1), music(9_000, 3, seed=2, level=0.1)]
-    choices = [Settings(), Settings(form="reference", channels="each")]
-    chains = []
-    for frames, chosen in zip(sounds, choices, strict=True):
-        framework = Framework(RATE, frames.shape[1], chosen)
-        chains.append(Pipeline(TapClient(FramesTap(frames, RATE, 333)), framework, ()))
-    felt: list[list[np.ndarray]] = [[], []]
-    for _ in range(29):
-        for chain, blocks in zip(chains, felt, strict=True):
-            if step := chain.step():
-                blocks.append(step.vibration)
-    assert np.concatenate(felt[0]).tobytes() == transformed(sounds[0]).tobytes()
-    each = transformed(sounds[1], form="reference", per_channel=True)
-    assert np.concatenate(felt[1]).tobytes() == each.tobytes()
-
-
 def test_a_band_that_the_rate_cannot_hold_is_refused_in_the_transforms_own_words():
     chosen = TransformParameters(band_low_hz=600.0, band_high_hz=2_000.0)
     for form in FORMS:
@@ -153,17 +91,6 @@ def test_a_band_that_the_rate_cannot_hold_is_refused_in_the_transforms_own_words
             Framework(1_000, 2, Settings(form=form, parameters=chosen))
         assert str(found.value) == str(own.value)
         assert "band_low_hz=600" in str(found.value)
-
-
-def test_a_format_beyond_the_limits_is_refused():
-    for samplerate, channels, words in [
-        (999, 2, "samplerate=999 Hz"),
-        (768_001, 2, "samplerate=768001 Hz"),
-        (RATE, 0, "channels=0"),
-        (RATE, 65, "channels=65"),
-    ]:
-        with pytest.raises(UsageError, match=words):
-            Framework(samplerate, channels)
 
 
 # --- when our own effect fails
@@ -223,31 +150,13 @@ def test_the_dump_holds_thread_tracks_chain_and_effect():
         chain.step(cycle * 256 / RATE)
     lines = [line.strip() for line in framework.dump([0.001, 0.002]).splitlines()]
     for expected in (
-        "Output thread (MIXER):",
-        "Standby: no",
-        "State: ready",
-        "Sample rate: 48000 Hz",
         "Haptic channel count: 2",
         f"Frames written: {200 * 256}",
         "5 Tracks of which 1 are active",
-        "1 Effect Chains",
-        "1 effects for session 0",
         "Effect 0: Haptic Cushion",
-        "0       ACTIVE   y       n",
-        "Configuration: 48000 Hz, 2 + 2 channels, 960 frames, write",
         f"- latency_frames: {framework.latency_frames} frames",
         "- per_channel: True",
         "- clip: True",
     ):
         assert expected in lines, expected
-    (engine,) = [line.split() for line in lines if " engine " in line]
-    assert engine[1:8] == ["yes", "engine", "0", "active", "i16", "2", "44100"]
     assert any(line.startswith("Cycle time of 2 cycles") for line in lines)
-
-
-def test_a_dump_before_the_first_cycle_and_after_the_last_is_one_too():
-    framework = Framework(RATE, 1)
-    assert "State: idle" in framework.dump()
-    assert "Effect 0: Haptic Cushion" in framework.dump()
-    steps_of(TapClient(FramesTap(music(5_000, 1), RATE, 700)), framework)
-    assert f"Frames written: {5_000}" in framework.dump()

@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import pytest
@@ -17,6 +17,8 @@ import pytest
 from device.errors import LostError
 from device.server.pulse import PulseConnection
 from device.server.snapshot import Event, Listener, ServerSnapshot
+from device.stream.pcms import PcmConfig, ServerDevice
+from device.stream.streams import CaptureStream, OnBlock, PlaybackStream
 from device.units import Float32Array
 from tools.sound_server import SoundServer
 
@@ -105,6 +107,20 @@ class Collector:
     def frames(self) -> Float32Array:
         buffers = list(self._buffers)
         return np.concatenate(buffers) if buffers else np.zeros((0, 2), np.float32)
+
+
+def open_tap(
+    pcms: PcmConfig, on_frames: OnBlock, source: str = "desktop.monitor", **options: Any
+) -> CaptureStream:
+    """A stream that captures a source."""
+    pcms.pcms["cushion_tap"].target = ServerDevice(source)
+    return CaptureStream(pcms.pcms["cushion_tap"], RATE_HZ, 2, on_frames, **options)
+
+
+def open_output(pcms: PcmConfig, sink: str = "haptic") -> PlaybackStream:
+    """A stream that plays `steady` to a sink once it is audible."""
+    pcms.pcms["cushion_output"].target = ServerDevice(sink)
+    return PlaybackStream(pcms.pcms["cushion_output"], RATE_HZ, 2, steady)
 
 
 def steady(out: Float32Array, now_s: float) -> None:

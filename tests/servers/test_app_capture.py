@@ -35,6 +35,7 @@ from tests.servers.listening import (
     sounding,
     wait_for,
 )
+from tests.support.commands import open_files
 from tools.sound_server import ServerError, SoundServer
 
 ROOT = Path(__file__).parents[2]
@@ -295,14 +296,18 @@ def test_a_server_that_hangs_counts_as_lost(server: SoundServer, apps: AppCaptur
         server.resume()
 
 
-def test_a_paused_application_is_not_lost_and_goes_on(
-    server: SoundServer, apps: AppCaptures
+@pytest.mark.parametrize("hangs", [False, True], ids=["pauses", "hangs"])
+def test_an_application_that_pauses_or_hangs_is_not_lost_and_goes_on(
+    server: SoundServer, apps: AppCaptures, hangs: bool
 ) -> None:
     with tone(server, 440) as player:
         collector = Collector()
         capture = apps.open(player.index, RATE_HZ, 2, collector)
         assert steady(collector, 440) == pytest.approx(LEVEL, rel=0.01)
-        player.tell("pause")
+        if hangs:
+            player.process.send_signal(signal.SIGSTOP)
+        else:
+            player.tell("pause")
 
         def is_silent() -> bool:
             """For longer than it takes to ask whether the server is still there."""
@@ -314,7 +319,10 @@ def test_a_paused_application_is_not_lost_and_goes_on(
 
         wait_for(is_silent, "silence")
         assert capture.ended is None
-        player.tell("go on")
+        if hangs:
+            player.process.send_signal(signal.SIGCONT)
+        else:
+            player.tell("go on")
         assert steady(collector, 440) == pytest.approx(LEVEL, rel=0.01)
 
 
@@ -334,20 +342,6 @@ def test_an_application_that_pauses_already_is_captured_once_it_goes_on(
         assert steady(collector, 440) == pytest.approx(LEVEL, rel=0.01)
         assert not unwanted.frames().any()
         wait_for(lambda: len(connection.snapshot().source_outputs) == 1, "the end of the other")
-
-
-def test_an_application_that_hangs_is_not_lost_and_goes_on(
-    server: SoundServer, apps: AppCaptures
-) -> None:
-    with tone(server, 440) as player:
-        collector = Collector()
-        capture = apps.open(player.index, RATE_HZ, 2, collector)
-        last(collector)
-        player.process.send_signal(signal.SIGSTOP)
-        wait_for(lambda: not last(collector, 0.1).any(), "silence")
-        assert capture.ended is None
-        player.process.send_signal(signal.SIGCONT)
-        assert steady(collector, 440) == pytest.approx(LEVEL, rel=0.01)
 
 
 def test_a_microphone_is_never_captured(
@@ -437,7 +431,7 @@ def test_opening_and_closing_leaves_nothing_behind(
     def held() -> tuple[int, int, int]:
         gc.collect()
         outputs = len(connection.snapshot().source_outputs)
-        return outputs, threading.active_count(), len(list(Path("/proc/self/fd").iterdir()))
+        return outputs, threading.active_count(), open_files()
 
     def cycle() -> None:
         apps = AppCaptures()

@@ -21,17 +21,16 @@ from device.server.guard import Hold, StreamGuard
 from device.server.identity import find_sink, find_tagged
 from device.server.pulse import PulseConnection
 from device.server.snapshot import Stream
-from device.stream.pcms import PcmConfig, ServerDevice
-from device.stream.streams import PlaybackStream
+from device.stream.pcms import PcmConfig
 from device.units import Float32Array
 from tests.servers.daemons import ROOT, modules_of, tone
 from tests.servers.listening import (
     RATE_HZ,
     arriving,
     insist_on_default,
+    open_output,
     playing,
     recording,
-    steady,
     wait_for,
 )
 from tools.sound_server import SoundServer
@@ -55,9 +54,7 @@ def dropped_in(
     """Drop-in mode, once the virtual sink is the default one."""
     drop_in = DropIn(connection, target, delay_s, haptic_sink="haptic")
     try:
-        wait_for(
-            lambda: connection.snapshot().default_sink == SINK, "virtual sink as default", 20.0
-        )
+        wait_for_default(connection, SINK, 20.0)
         yield drop_in
     finally:
         drop_in.close()
@@ -102,6 +99,19 @@ def places(connection: PulseConnection) -> dict[str, str]:
     """Where each playing program is, by its process id."""
     streams = connection.snapshot().sink_inputs
     return {str(stream.process_id): stream.device_name for stream in streams}
+
+
+def wait_for_place(connection: PulseConnection, player: int, sink: str) -> None:
+    wait_for(lambda: places(connection).get(str(player)) == sink, f"the player on {sink}")
+
+
+def wait_for_default(connection: PulseConnection, sink: str, limit_s: float = 10.0) -> None:
+    wait_for(lambda: connection.snapshot().default_sink == sink, f"default sink {sink}", limit_s)
+
+
+def wait_seconds(seconds: float) -> None:
+    until_s = time.monotonic() + seconds
+    wait_for(lambda: time.monotonic() > until_s, "time", seconds + 10.0)
 
 
 def everything(server: SoundServer, connection: PulseConnection) -> object:
@@ -353,8 +363,8 @@ def test_the_default_sink_that_a_user_chooses_becomes_the_target(
         ):
             server.pactl("set-default-sink", "speakers")
             wait_for(lambda: drop_in.target_name == "speakers", "the choice")
-            wait_for(lambda: connection.snapshot().default_sink == SINK, "the default sink")
-            wait_for(lambda: places(connection).get(str(player)) == SINK, "the player")
+            wait_for_default(connection, SINK)
+            wait_for_place(connection, player, SINK)
             wait_for(lambda: sounds(other), "sound from the chosen sink")
             assert forwarded(connection, drop_in)
         assert connection.snapshot().default_sink == "speakers"
@@ -364,16 +374,15 @@ def test_the_default_sink_that_a_user_chooses_becomes_the_target(
 def test_the_haptic_sink_is_no_target_and_our_own_stream_stays_on_it(
     server: SoundServer, connection: PulseConnection, pcms: PcmConfig
 ) -> None:
-    pcms.pcms["cushion_output"].target = ServerDevice("haptic")
-    stream = PlaybackStream(pcms.pcms["cushion_output"], RATE_HZ, 2, steady)
+    stream = open_output(pcms)
     guard = StreamGuard(connection, stream, "haptic")
     wait_for(lambda: guard.hold is Hold.FREE, "our stream")
     with dropped_in(connection) as drop_in, playing(server, DEFAULT, tone(440.0, 60.0)) as player:
-        wait_for(lambda: places(connection).get(str(player)) == SINK, "the player")
+        wait_for_place(connection, player, SINK)
         server.pactl("set-default-sink", "haptic")
         wait_for(lambda: "the vibration goes there" in drop_in.reason, "the refusal")
-        wait_for(lambda: connection.snapshot().default_sink == SINK, "the default sink")
-        wait_for(lambda: places(connection).get(str(player)) == SINK, "the player")
+        wait_for_default(connection, SINK)
+        wait_for_place(connection, player, SINK)
         assert drop_in.target_name == "desktop"
         wait_for(lambda: guard.hold is Hold.FREE, "our stream")  # PulseAudio had moved it
 
@@ -434,17 +443,16 @@ def test_a_stream_that_somebody_moves_away_is_left_there(
 ) -> None:
     server.add_sink("speakers")
     with dropped_in(connection), playing(server, DEFAULT, tone(440.0, 60.0)) as player:
-        wait_for(lambda: places(connection).get(str(player)) == SINK, "the player")
+        wait_for_place(connection, player, SINK)
         snapshot = connection.latest
         index = next(item.index for item in snapshot.sink_inputs if item.process_id == player)
         sinks = {sink.name: sink.index for sink in snapshot.sinks}
         connection.move_sink_input(index, sinks["desktop"])
-        wait_for(lambda: places(connection).get(str(player)) == "desktop", "the player")
-        until_s = time.monotonic() + 1.0
-        wait_for(lambda: time.monotonic() > until_s, "a second")
+        wait_for_place(connection, player, "desktop")
+        wait_seconds(1.0)
         assert places(connection)[str(player)] == "desktop"
         with playing(server, "desktop", tone(440.0, 60.0)) as new:
-            wait_for(lambda: places(connection).get(str(new)) == SINK, "the new player")
+            wait_for_place(connection, new, SINK)
 
 
 def test_a_program_that_wants_the_default_sink_for_itself_gets_it(
@@ -460,7 +468,7 @@ def test_a_program_that_wants_the_default_sink_for_itself_gets_it(
 
         # a connection to PipeWire that is not told of a default is found and renewed in 6 s
         wait_for(insists, "the reason", 20.0)
-        wait_for(lambda: connection.snapshot().default_sink == "speakers", "the other default")
+        wait_for_default(connection, "speakers")
         assert connection.snapshot().default_sink == "speakers"
         assert forwarded(connection, drop_in)
         server.pactl("set-default-sink", SINK)
@@ -506,7 +514,7 @@ def test_a_server_started_anew_has_a_usable_default_sink(
     server.start()
     connection = PulseConnection()
     drop_in = DropIn(connection, haptic_sink="haptic")
-    wait_for(lambda: connection.snapshot().default_sink == SINK, "the default sink")
+    wait_for_default(connection, SINK)
     wait_for(lambda: remembers(server), "the server's memory")
     server.kill()
     wait_for(lambda: connection.lost, "the loss")

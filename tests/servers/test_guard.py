@@ -14,7 +14,16 @@ from device.server.identity import find_tagged, monitor_of
 from device.server.pulse import PulseConnection
 from device.stream.pcms import FALLBACK_SINK, PcmConfig, ServerDevice
 from device.stream.streams import CaptureStream, PlaybackStream
-from tests.servers.listening import RATE_HZ, Collector, noise, playing, recording, steady, wait_for
+from tests.servers.listening import (
+    RATE_HZ,
+    Collector,
+    noise,
+    open_output,
+    open_tap,
+    playing,
+    recording,
+    wait_for,
+)
 from tools.sound_server import SoundServer
 
 TRIALS = 5
@@ -39,8 +48,7 @@ class RecordedGuard(StreamGuard):
 def guarded(
     pcms: PcmConfig, connection: PulseConnection, holds: list[Hold]
 ) -> tuple[PlaybackStream, StreamGuard]:
-    pcms.pcms["cushion_output"].target = ServerDevice("haptic")
-    stream = PlaybackStream(pcms.pcms["cushion_output"], RATE_HZ, 2, steady)
+    stream = open_output(pcms)
     return stream, RecordedGuard(connection, stream, "haptic", holds)
 
 
@@ -181,8 +189,7 @@ def test_a_tap_is_led_to_another_monitor(
 ) -> None:
     server.add_sink("speakers")
     collector = Collector()
-    pcms.pcms["cushion_tap"].target = ServerDevice("desktop.monitor")
-    stream = CaptureStream(pcms.pcms["cushion_tap"], RATE_HZ, 2, collector, audible=False)
+    stream = open_tap(pcms, collector, "desktop.monitor", audible=False)
     guard = StreamGuard(connection, stream, "desktop.monitor")
     wait_for(lambda: guard.hold is Hold.FREE, "freedom")
     snapshot = connection.snapshot()
@@ -206,8 +213,7 @@ def test_a_microphone_frees_no_guard(
 ) -> None:
     server.add_microphone("microphone")
     collector = Collector()
-    pcms.pcms["cushion_tap"].target = ServerDevice("microphone")
-    stream = CaptureStream(pcms.pcms["cushion_tap"], RATE_HZ, 2, collector, audible=False)
+    stream = open_tap(pcms, collector, "microphone", audible=False)
     guard = StreamGuard(connection, stream, "microphone")
     with playing(server, "microphone-room", noise(5.0)):
         wait_for(lambda: len(connection.snapshot().source_outputs) >= 1, "the tap")

@@ -176,7 +176,8 @@ def test_the_rate_of_the_graph_may_change_while_it_plays(
     pipewire: SoundServer, tmp_path: Path
 ) -> None:
     with (
-        playing(pipewire, "desktop", tone(HEARD_HZ, 120.0)),
+        # as loud as a stream's programme is at first, which a louder one is only after minutes
+        playing(pipewire, "desktop", tone(HEARD_HZ, 120.0, 0.06)),
         native(pipewire, tmp_path) as (daemon, felt),
     ):
         wait_for(lambda: felt_now(felt), "vibration", 20.0)

@@ -101,12 +101,12 @@ def test_ffmpeg_gives_the_bytes_of_ctypes_at_every_rate_whatever_its_blocks(
     rng, plugin_file = np.random.default_rng(rate_hz), cushion("plugin", "path")
     raw = "f32le", "-ar", str(rate_hz), "-ac"
     profile = PROFILES[rng.integers(len(PROFILES))]
-    faces = {f"haptic_cushion_{profile}": write_design(home / ".local/share", profile, rate_hz)}
+    variants = {f"haptic_cushion_{profile}": write_design(home / ".local/share", profile, rate_hz)}
     for kind in DESIGNS:
         (home / kind).write_bytes(any_design(kind, rate_hz, 8))
-        faces[f"haptic_cushion_daemon:{kind}"] = home / kind
-    for face, design in faces.items():
-        core, label = Core(design.read_bytes()), face.partition(":")[0]
+        variants[f"haptic_cushion_daemon:{kind}"] = home / kind
+    for variant, design in variants.items():
+        core, label = Core(design.read_bytes()), variant.partition(":")[0]
         sound = any_sound(rng, rate_hz, 2 * rate_hz, core.info.inputs)
         sound.tofile(home / "sound")
         wanted = core.process(sound)
@@ -118,7 +118,7 @@ def test_ffmpeg_gives_the_bytes_of_ctypes_at_every_rate_whatever_its_blocks(
                 *("-f", "f32le", "-c:a", "pcm_f32le", home / "out"),
             )
             got = np.fromfile(home / "out", np.float32).reshape(len(sound), -1)
-            assert got[:, : core.outputs].tobytes() == wanted.tobytes(), (face, blocks)
+            assert got[:, : core.outputs].tobytes() == wanted.tobytes(), (variant, blocks)
 
 
 def test_with_a_damaged_design_ffmpeg_goes_on_and_says_what_is_wrong(
@@ -200,7 +200,7 @@ pcm.written {{ type file slave.pcm "null" file "{home / "vibration.raw"}" format
 # ----------------------------------------------------------------------------------- LADSPA and LV2
 
 
-def test_a_ladspa_host_lists_the_faces_and_gives_the_vibration(home: Path, sound: Path) -> None:
+def test_a_ladspa_host_lists_the_variants_and_gives_the_vibration(home: Path, sound: Path) -> None:
     needs("analyseplugin", "applyplugin")
     path = cushion("plugin", "path")
     shown = ran("analyseplugin", path, "haptic_cushion_cinema")
@@ -266,81 +266,16 @@ def test_the_drop_in_plays_to_its_device_and_remove_takes_everything_back(
 # ---------------------------------------------------------------------------------------- real time
 
 
-TRAP = r"""
-#define _GNU_SOURCE
-#include <dlfcn.h>
-#include <stdlib.h>
-#include <unistd.h>
-int trap_armed;
-static void caught(void) { if (trap_armed) { write(2, "TRAPPED\n", 8); _exit(7); } }
-extern void *__libc_malloc(size_t); extern void *__libc_calloc(size_t, size_t);
-extern void *__libc_realloc(void *, size_t); extern void __libc_free(void *);
-void *malloc(size_t n) { caught(); return __libc_malloc(n); }
-void *calloc(size_t n, size_t m) { caught(); return __libc_calloc(n, m); }
-void *realloc(void *p, size_t n) { caught(); return __libc_realloc(p, n); }
-void free(void *p) { caught(); __libc_free(p); }
-"""
-
-HOST = r"""
-#include <dlfcn.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-#include <sys/syscall.h>
-#include <unistd.h>
-#include "ladspa_abi.h"
-int main(int argc, char **argv)
-{
-    (void)argc;
-    void *library = dlopen(argv[1], RTLD_NOW);
-    const LadspaDescriptor *(*describe)(unsigned long) =
-        (const LadspaDescriptor *(*)(unsigned long))dlsym(library, "ladspa_descriptor");
-    int *armed = dlsym(RTLD_DEFAULT, "trap_armed");
-    const LadspaDescriptor *face = describe(1);
-    void *instance = face->instantiate(face, 48000);
-    static float in[2][4096], out[2][4096], controls[6];
-    if (!instance)
-        return 3;
-    for (int c = 0; c < 2; c++) {
-        face->connect_port(instance, c, in[c]);
-        face->connect_port(instance, 2 + c, out[c]);
-    }
-    for (int c = 0; c < 6; c++)
-        face->connect_port(instance, 4 + c, &controls[c]);
-    face->activate(instance);
-    if (armed)
-        *armed = 1;
-    syscall(SYS_getppid);
-    for (int block = 0; block < 200; block++) {
-        for (int i = 0; i < 4096; i++)
-            in[0][i] = in[1][i] = (block / 10) % 2 ? (i * 7919 + block) % 200 / 300.0f - 0.3f : 0;
-        controls[0] = (float)(block % 7) - 3;
-        controls[1] = (float)(block % 5) * 40;
-        controls[2] = block % 50 == 0;
-        face->run(instance, block % 3 ? 4096 : 1023);
-    }
-    syscall(SYS_getppid);
-    if (armed)
-        *armed = 0;
-    face->cleanup(instance);
-    return 0;
-}
-"""
-
-
 @pytest.fixture(scope="module")
 def host(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A program that runs the plugin between two marks, and a trap for allocations."""
     folder = tmp_path_factory.mktemp("host")
     write_design(folder, "cinema", RATE_HZ)
-    (folder / "host.c").write_text(HOST)
-    (folder / "trap.c").write_text(TRAP)
-    include = f"-I{plugin().parents[1] / 'plugin/native'}"
-    for command in (
-        ["gcc", include, str(folder / "host.c"), "-o", str(folder / "host"), "-ldl", "-rdynamic"],
-        ["gcc", "-shared", "-fPIC", str(folder / "trap.c"), "-o", str(folder / "trap.so")],
-    ):
-        subprocess.run(command, check=True, capture_output=True)
+    source, include = ROOT / "tests/support", plugin().parents[1] / "plugin/native"
+    host = "-I", include, source / "ladspa_host.c", "-o", folder / "host", "-ldl", "-rdynamic"
+    trap = "-shared", "-fPIC", source / "allocation_trap.c", "-o", folder / "trap.so"
+    for arguments in (host, trap):
+        subprocess.run(["gcc", *arguments], check=True, capture_output=True)
     return folder
 
 

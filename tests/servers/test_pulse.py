@@ -5,7 +5,6 @@ from __future__ import annotations
 import gc
 import threading
 import time
-from pathlib import Path
 
 import pytest
 
@@ -21,19 +20,32 @@ from device.server.identity import (
 )
 from device.server.pulse import PulseConnection
 from device.server.snapshot import Event, Listener, ServerSnapshot
-from device.stream.pcms import APPLICATION_NAME, ROLE, PcmConfig, ServerDevice
-from device.stream.streams import CaptureStream, PlaybackStream
+from device.stream.pcms import APPLICATION_NAME, ROLE, PcmConfig
 from tests.servers.listening import (
-    RATE_HZ,
     Collector,
     Notes,
     insist_on_default,
     noise,
+    open_output,
+    open_tap,
     playing,
-    steady,
     wait_for,
 )
+from tests.support.commands import open_files
 from tools.sound_server import SoundServer
+
+
+def connections_made(monkeypatch: pytest.MonkeyPatch) -> list[PulseConnection]:
+    """A list that gets every connection that is made from now on, also again."""
+    made: list[PulseConnection] = []
+    connect = PulseConnection._connect
+
+    def counted(self: PulseConnection) -> None:
+        made.append(self)
+        connect(self)
+
+    monkeypatch.setattr(PulseConnection, "_connect", counted)
+    return made
 
 
 def test_a_snapshot_says_what_the_server_holds(
@@ -72,10 +84,8 @@ def test_applications_are_listed_with_process_binary_and_role(
 def test_our_own_streams_are_known_by_process_and_tag(
     server: SoundServer, pcms: PcmConfig, connection: PulseConnection
 ) -> None:
-    pcms.pcms["cushion_tap"].target = ServerDevice("desktop.monitor")
-    pcms.pcms["cushion_output"].target = ServerDevice("haptic")
-    capture = CaptureStream(pcms.pcms["cushion_tap"], RATE_HZ, 2, Collector())
-    playback = PlaybackStream(pcms.pcms["cushion_output"], RATE_HZ, 2, steady)
+    capture = open_tap(pcms, Collector())
+    playback = open_output(pcms)
     snapshot = connection.snapshot()
     plays = find_tagged(snapshot.sink_inputs, playback.tag)
     records = find_tagged(snapshot.source_outputs, capture.tag)
@@ -97,14 +107,7 @@ def test_another_default_sink_is_told_within_half_a_second(
     notes: Notes,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    anew: list[PulseConnection] = []
-    connect = PulseConnection._connect
-
-    def counted(self: PulseConnection) -> None:
-        anew.append(self)
-        connect(self)
-
-    monkeypatch.setattr(PulseConnection, "_connect", counted)
+    anew = connections_made(monkeypatch)
     server.add_sink("speakers")
     for _ in range(3):
         server.choose_default("speakers")
@@ -141,8 +144,7 @@ def test_a_microphone_is_never_tapped(
     wait_for(lambda: connection.snapshot().default_source == "microphone", "the microphone")
     snapshot = connection.latest
     source = default_monitor(snapshot)
-    pcms.pcms["cushion_tap"].target = ServerDevice(source.name)
-    stream = CaptureStream(pcms.pcms["cushion_tap"], RATE_HZ, 2, Collector())
+    stream = open_tap(pcms, Collector(), source.name)
     wait_for(lambda: stream.callbacks > 5, "callbacks")
 
     places = {
@@ -161,14 +163,7 @@ def test_a_connection_that_is_told_another_default_than_others_is_made_anew(
         pytest.skip("only PipeWire tells one connection this and another one that")
     told = defaults_check.Defaults("speakers", "desktop.monitor")
     monkeypatch.setattr(defaults_check, "fetch_defaults", lambda: told)
-    connected: list[PulseConnection] = []
-    connect = PulseConnection._connect
-
-    def counted(self: PulseConnection) -> None:
-        connected.append(self)
-        connect(self)
-
-    monkeypatch.setattr(PulseConnection, "_connect", counted)
+    connected = connections_made(monkeypatch)
     connection = PulseConnection(notes)
     try:
         wait_for(lambda: len(connected) == 2, "another connection")
@@ -193,31 +188,10 @@ def test_what_another_connection_says_of_the_default_devices_is_so(
     assert defaults_check.fetch_defaults() is None
 
 
-def test_a_tap_is_moved_to_another_monitor(
-    server: SoundServer, pcms: PcmConfig, connection: PulseConnection
-) -> None:
-    server.add_sink("speakers")
-    pcms.pcms["cushion_tap"].target = ServerDevice("desktop.monitor")
-    collector = Collector()
-    stream = CaptureStream(pcms.pcms["cushion_tap"], RATE_HZ, 2, collector)
-    snapshot = connection.snapshot()
-    ours = find_tagged(snapshot.source_outputs, stream.tag)
-    assert ours is not None
-    with playing(server, "speakers", noise(10.0)):
-        wait_for(lambda: connection.snapshot().sink_inputs, "the player")
-        assert not collector.frames().any()
-        moved_s = time.monotonic()
-        connection.move_source_output(ours.index, monitor_of(snapshot, "speakers").index)
-        wait_for(lambda: collector.frames()[-256:].any(), "the other sink's sound", 3.0)
-        print(f"{server.kind}: tap moved in {time.monotonic() - moved_s:.3f} s")
-    assert stream.close()
-
-
 def test_modules_are_loaded_and_what_is_gone_is_an_error(
     server: SoundServer, pcms: PcmConfig, connection: PulseConnection
 ) -> None:
-    pcms.pcms["cushion_output"].target = ServerDevice("haptic")
-    stream = PlaybackStream(pcms.pcms["cushion_output"], RATE_HZ, 2, steady)
+    stream = open_output(pcms)
     ours = find_tagged(connection.snapshot().sink_inputs, stream.tag)
     assert ours is not None
     sink = find_sink(connection.latest, "haptic")
@@ -307,7 +281,7 @@ def test_events_come_as_they_happen_and_snapshots_after_them(
 def test_connections_leave_nothing_behind(server: SoundServer) -> None:
     def held() -> tuple[int, int]:
         gc.collect()
-        return threading.active_count(), len(list(Path("/proc/self/fd").iterdir()))
+        return threading.active_count(), open_files()
 
     PulseConnection().close()
     before = held()

@@ -18,7 +18,6 @@ import pytest
 from audioflinger_hook.service.state import Cause, DaemonState
 from device.units import Float32Array
 from tests.servers.daemons import (
-    SOUNDING,
     Daemon,
     best_lag,
     cushion,
@@ -462,26 +461,6 @@ def test_systemd_is_told_of_the_start_and_of_every_reload(
                 messages("READY=1")
             daemon.process.terminate()
             messages("STOPPING=1")
-
-
-def test_what_a_killed_daemon_left_is_swept_by_the_next(server: SoundServer) -> None:
-    folder = server.folder / "cushion"
-
-    def left() -> list[Path]:
-        return sorted(folder.glob("cushion-alsa-*"))
-
-    with running(server, ready=False) as daemon:
-        daemon.wait(lambda status: status.state in SOUNDING, "its start")
-        (first,) = left()
-        assert first.stat().st_mode & 0o777 == 0o700
-        daemon.end(signal.SIGKILL)
-    assert left() == [first]
-    with running(server, ready=False) as daemon:
-        daemon.wait(lambda status: status.state in SOUNDING, "its start")
-        (second,) = left()
-        assert second != first
-        assert daemon.end() == 130
-    assert left() == []
 
 
 def schedulers(daemon: Daemon) -> list[int]:

@@ -166,8 +166,6 @@ def test_a_closed_terminal_ends_the_setup_and_leaves_nothing_on_the_server(
     assert np.abs(np.diff(vibration, axis=0)).max(initial=0.0) < 0.001
     assert server.names("sinks") == sinks
     assert server.pactl("list", "short", "modules") == modules
-    runtime = Path(server.environment["XDG_RUNTIME_DIR"]) / "cushion"
-    assert not list(runtime.glob("cushion-alsa-*"))
     assert written(server) == []
 
 

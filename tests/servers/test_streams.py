@@ -6,7 +6,6 @@ import ctypes
 import gc
 import resource
 import subprocess
-import sys
 import threading
 import time
 from pathlib import Path
@@ -26,12 +25,16 @@ from tests.servers.listening import (
     Collector,
     count_stuck,
     noise,
+    open_output,
+    open_tap,
     playing,
     recording,
     sounding,
     steady,
     wait_for,
 )
+from tests.support.commands import open_files
+from tests.support.programs import printed
 from tools.sound_server import SoundServer
 from tools.sound_server_files import wireplumber_generation
 
@@ -51,14 +54,8 @@ ATTEMPTS = 3
 """A shared machine drops whole buffers now and then."""
 
 
-def tap(pcms: PcmConfig, collector: Collector, source: str = "desktop.monitor") -> CaptureStream:
-    pcms.pcms["cushion_tap"].target = ServerDevice(source)
-    return CaptureStream(pcms.pcms["cushion_tap"], RATE_HZ, 2, collector)
-
-
 def output(pcms: PcmConfig, sink: str = "haptic") -> PlaybackStream:
-    pcms.pcms["cushion_output"].target = ServerDevice(sink)
-    stream = PlaybackStream(pcms.pcms["cushion_output"], RATE_HZ, 2, steady)
+    stream = open_output(pcms, sink)
     stream.audible = True
     return stream
 
@@ -97,7 +94,7 @@ def test_a_tap_hears_every_sample_as_it_was_played(server: SoundServer, pcms: Pc
 
     def heard() -> Float32Array:
         collector = Collector()
-        stream = tap(pcms, collector)
+        stream = open_tap(pcms, collector)
         wait_for(lambda: stream.callbacks > 10, "callbacks")
         with playing(server, "desktop", played):
             wait_for(lambda: collector.frames().any(), "sound")
@@ -179,7 +176,7 @@ def test_a_killed_server_is_noticed_and_streams_open_again_once_it_is_back(
     server: SoundServer, pcms: PcmConfig, tmp_path: Path
 ) -> None:
     collector = Collector()
-    capture, playback = tap(pcms, collector), output(pcms)
+    capture, playback = open_tap(pcms, collector), output(pcms)
     wait_for(lambda: capture.callbacks > 20 and playback.callbacks > 20, "callbacks")
     killed_s = time.monotonic()
     server.kill()
@@ -194,7 +191,7 @@ def test_a_killed_server_is_noticed_and_streams_open_again_once_it_is_back(
     server.start()
     with recording(server, "haptic.monitor", tmp_path / "haptic") as felt:
         opening_s = time.monotonic()
-        capture, playback = tap(pcms, collector), output(pcms)
+        capture, playback = open_tap(pcms, collector), output(pcms)
         opened_s = time.monotonic() - opening_s
         wait_for(lambda: felt().any() and capture.callbacks > 5, "sound after the restart")
     felt_s = time.monotonic() - opening_s
@@ -249,7 +246,7 @@ def test_a_sink_that_has_played_2_s_ahead_is_waited_for(
     lost, waited_s = [], []
     for open_stream in (
         lambda: output(pcms, "ahead"),
-        lambda: tap(pcms, Collector(), "ahead.monitor"),
+        lambda: open_tap(pcms, Collector(), "ahead.monitor"),
     ):
         stream: PlaybackStream | CaptureStream = open_stream()
         longest_s = 0.0
@@ -289,8 +286,7 @@ def test_a_sink_is_played_to_and_tapped_whatever_it_is_called(
     server.pactl("load-module", "module-null-sink", name, "norewinds=1", "format=float32le")
     (sink,) = wait_for(lambda: set(server.names("sinks")) - known, "the sink")
     collector = Collector()
-    pcms.pcms["cushion_tap"].target = ServerDevice(f"{sink}.monitor")
-    heard = CaptureStream(pcms.pcms["cushion_tap"], RATE_HZ, 2, collector)
+    heard = open_tap(pcms, collector, f"{sink}.monitor")
     played = output(pcms, sink)
     wait_for(lambda: collector.frames().any(), "sound")
     assert played.close()
@@ -311,7 +307,7 @@ def memory_kb() -> int:
 
 def test_opening_and_closing_leaves_nothing_behind(server: SoundServer, pcms: PcmConfig) -> None:
     def cycle() -> None:
-        capture, playback = tap(pcms, Collector()), output(pcms)
+        capture, playback = open_tap(pcms, Collector()), output(pcms)
         wait_for(lambda: capture.callbacks > 2 and playback.callbacks > 2, "callbacks")
         assert capture.close()
         assert playback.close()
@@ -319,7 +315,7 @@ def test_opening_and_closing_leaves_nothing_behind(server: SoundServer, pcms: Pc
     def held() -> tuple[int, int, int]:
         gc.collect()
         tasks = len(list(Path("/proc/self/task").iterdir()))
-        return threading.active_count(), tasks, len(list(Path("/proc/self/fd").iterdir()))
+        return threading.active_count(), tasks, open_files()
 
     def grown() -> int | None:
         """Memory after 20 cycles; None if one of them had to leave a stream behind."""
@@ -394,15 +390,7 @@ except LostError as error:
 os.write(2, b"ours\\n")
 pcms.close()
 """
-    done = subprocess.run(
-        [sys.executable, "-c", program],
-        env=server.environment | {"PYTHONPATH": str(Path(__file__).parents[2])},
-        capture_output=True,
-        text=True,
-        timeout=30,
-    )
-    lines = done.stderr.splitlines()
-    assert len(lines) == 2, done.stderr
+    _, lines = printed(program, environment=server.environment)
+    assert len(lines) == 2, lines
     assert "nowhere" in lines[0]
     assert lines[1] == "ours"
-    assert done.returncode == 0

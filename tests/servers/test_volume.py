@@ -14,13 +14,20 @@ from tests.servers.listening import RATE_HZ, playing, recording, wait_for
 from tools.sound_server import SoundServer
 
 CHANGE_DB = 1.0
-"""The programme is followed meanwhile, 0.2 dB in 5 s; 20 dB that are not undone give 5.5 dB."""
+"""20 dB that are not undone give 12.6 dB."""
 
 STEP_CHANGE_DB = 2.0
-"""Sound and the news of its volume come some ms apart: for that time a step is felt as one."""
+"""Of the level after a step, against that before."""
+
+TAP_DB = 8.0
+"""Sound and the news of its volume come some ms apart, and a step of a tone is a click. So a step
+is felt as a tap of up to 0.1 s: by the 6.5 dB of a rise at most, and its own 1.3 dB."""
 
 SETTLES_S = 4.5
 """Until a louder moment of 20 dB is forgotten."""
+
+AS_THE_PROGRAMME = 0.06
+"""A tone of 110 Hz as loud as the programme is at first: felt as strongly from then on."""
 
 WINDOW_S = 0.6
 PART_FRAMES = 2_400
@@ -56,7 +63,7 @@ def test_a_volume_of_stream_or_sink_is_not_felt(
         pytest.skip("the native engine needs PipeWire")
     with (
         running(server, "--profile", "cinema", engine=engine) as daemon,
-        playing(server, "desktop", tone(110.0, 90.0, 0.2)),
+        playing(server, "desktop", tone(110.0, 90.0, AS_THE_PROGRAMME)),
         recording(server, "haptic.monitor", tmp_path / "felt", stays=True) as felt,
     ):
         before_db = level_db(felt, 3.0)
@@ -85,8 +92,10 @@ def test_a_volume_of_stream_or_sink_is_not_felt(
     assert both is not None
     assert both.volume_db == pytest.approx(-32.0, abs=0.2)
     assert found == pytest.approx([before_db] * 4, abs=CHANGE_DB)
-    off = [step for step in steps if abs(step - before_db) > STEP_CHANGE_DB]
-    assert len(off) <= 3, off  # a busy machine resyncs once; each of eight steps would be seen
+    assert max(steps) - before_db < TAP_DB
+    settled = [float(np.median(part)) for part in np.array_split(steps, 8)]
+    off = [level for level in settled if abs(level - before_db) > STEP_CHANGE_DB]
+    assert not off, off
 
 
 def test_the_paper_s_profile_feels_the_volume_as_it_is_heard(

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from audioflinger_hook.mixer import Mixer
 from audioflinger_hook.sources import VoicesClient
 from audioflinger_hook.sources.applications import PACE_LOST_S, WAITING_S, Voice
+from tests.support.taps import mixed as cycles
+from tests.support.taps import mixer_for, noise
 
 RATE_HZ = 48_000
 BLOCK = 256
@@ -18,19 +20,15 @@ BLOCK_S = BLOCK / RATE_HZ
 
 
 def a_mix(*names: str) -> tuple[Mixer, VoicesClient, list[Voice]]:
-    mixer = Mixer(RATE_HZ, 1, standby_delay_s=float("inf"))
     client = VoicesClient(RATE_HZ, 1)
-    client.connect(mixer)
+    mixer = mixer_for(client)
     return mixer, client, [client.add(name) for name in names]
 
 
 def mixed(mixer: Mixer, client: VoicesClient) -> NDArray[np.float32]:
     """Do the cycles that are due."""
-    parts = [np.zeros(0, np.float32)]
-    while client.pending_frames:
-        frames = client.play()
-        parts.append(mixer.cycle(0.0, frames).buffer.audio[:, 0].copy())
-    return np.concatenate(parts)
+    parts = [np.zeros((0, 1), np.float32), *cycles(client, mixer)]
+    return np.concatenate(parts)[:, 0]
 
 
 def level(value: float, count: int = BLOCK) -> NDArray[np.float32]:
@@ -39,14 +37,13 @@ def level(value: float, count: int = BLOCK) -> NDArray[np.float32]:
 
 def test_one_voice_passes_bit_for_bit_whatever_its_buffers_are() -> None:
     mixer, client, (voice,) = a_mix("player")
-    noise = np.random.default_rng(0).uniform(-0.5, 0.5, (20_000, 1)).astype(np.float32)
+    counts = np.cumsum([256, 7, 1, 960, 5_000, 333])
+    sound = noise(7_000, 1)
     parts = []
-    first = 0
-    for count in [256, 7, 1, 960, 5_000, 333, 256]:
-        client.push(voice, noise[first : first + count], first / RATE_HZ)
+    for part in np.split(sound, counts):
+        client.push(voice, part, 0.0)
         parts.append(mixed(mixer, client))
-        first += count
-    np.testing.assert_array_equal(np.concatenate(parts), noise[:first, 0])
+    np.testing.assert_array_equal(np.concatenate(parts), sound[:, 0])
 
 
 def test_two_voices_are_added_and_the_second_is_a_block_late_at_most() -> None:
@@ -92,10 +89,11 @@ def test_what_waits_longer_than_it_should_is_dropped_and_counted() -> None:
     assert mixed(mixer, client)[-1] == 0.75
 
 
+pushes = st.tuples(st.integers(0, 2), st.integers(1, 3_000), st.floats(0.0, 0.1))
+
+
 @settings(max_examples=50)
-@given(
-    st.lists(st.tuples(st.integers(0, 2), st.integers(1, 3_000), st.floats(0.0, 0.1)), max_size=40)
-)
+@given(st.lists(pushes, max_size=40))
 def test_no_order_of_buffers_loses_a_cycle(calls: list[tuple[int, int, float]]) -> None:
     mixer, client, voices = a_mix("a", "b", "c")
     now_s, paced = 0.0, 0

@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-import math
+import dataclasses
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from audioflinger_hook.mixer import Mixer, PcmFormat, TrackState
+from audioflinger_hook.mixer import PcmFormat, TrackState
 from audioflinger_hook.mixer.pcm import decode, encode
 from audioflinger_hook.scenes import Scene, SceneTrack, demo_scene
 from audioflinger_hook.sources import SceneClient, mixdown
+from tests.support.taps import mixed, mixer_for, noise
 
 RATE = 48_000
-
-
-def noise(frames, channels=2, seed=0):
-    random = np.random.default_rng(seed)
-    return random.uniform(-0.9, 0.9, (frames, channels)).astype(np.float32)
 
 
 def scene_of(*tracks, frames=10_000):
@@ -32,13 +28,9 @@ def track(frames, start=0, **options):
 
 def played(scene, cycle_frames):
     """What is heard of a scene in cycles of so many frames."""
-    mixer = Mixer(scene.samplerate, scene.channels, standby_delay_s=math.inf)
     client = SceneClient(scene, cycle_frames)
-    client.connect(mixer)
-    blocks = []
-    while (frames := client.play()) is not None:
-        assert frames <= cycle_frames
-        blocks.append(mixer.cycle(0.0, frames).buffer.audio.copy())
+    blocks = mixed(client, mixer_for(client))
+    assert max(map(len, blocks)) <= cycle_frames
     return np.concatenate(blocks)
 
 
@@ -128,9 +120,8 @@ def test_a_pause_in_the_last_cycle_of_a_sound_keeps_what_is_left_until_it_goes_o
 
 def test_a_track_says_that_it_is_paused_and_that_it_plays():
     scene = scene_of(track(noise(4_000), 500, pause_s=(2_000 / RATE, 4_000 / RATE)))
-    mixer = Mixer(RATE, 2, standby_delay_s=math.inf)
     client = SceneClient(scene, 500)
-    client.connect(mixer)
+    mixer = mixer_for(client)
     states = []
     while (frames := client.play()) is not None:
         mixer.cycle(0.0, frames)
@@ -161,9 +152,7 @@ def test_the_demo_is_silent_while_its_engine_pauses_and_loses_none_of_it():
     made = mixdown(Scene("engine", RATE, (engine,), scene.duration_s))
     pause, resume = (round(at_s * RATE) for at_s in engine.pause_s)
     assert not made[pause + 256 : resume - 256].any()
-    alone = SceneTrack(engine.name, RATE, engine.frames, engine.start_s, engine.pcm_format)
-    plain = SceneTrack("plain", engine.samplerate, engine.frames, engine.start_s, engine.pcm_format)
-    assert alone.duration_s != plain.duration_s
+    plain = dataclasses.replace(engine, pause_s=None)
     through = mixdown(Scene("engine", RATE, (plain,), scene.duration_s))
     still = (resume // 256 - pause // 256 - 1) * 256
     begin = resume + 512

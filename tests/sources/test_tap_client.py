@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal.windows import blackmanharris
 
-from audioflinger_hook.mixer import Mixer
 from audioflinger_hook.mixer.resampler import tail_frames_out
 from audioflinger_hook.sources import FramesTap, TapClient
+from tests.support.taps import mixed, mixer_for, noise
 
 RATE = 48_000
 
@@ -50,35 +50,21 @@ def cut(frames, lengths, samplerate=RATE):
     return [(frames[first:last], samplerate, False) for first, last in parts]
 
 
-def noise(frames, channels=2, seed=0):
-    random = np.random.default_rng(seed)
-    return random.standard_normal((frames, channels)).astype(np.float32)
-
-
 def tone(hz, frames, samplerate, first=0.0):
     """A steady tone of half full scale, one channel, from frame number `first` on."""
     phase = 2 * np.pi * hz / samplerate * (np.arange(frames) + first)
     return (0.5 * np.sin(phase)).astype(np.float32)[:, None]
 
 
-def connected(tap, samplerate=None, channels=None):
+def connected(tap, samplerate=0, channels=0):
     """A client on a mix of its own, by default the one that suits it."""
     client = TapClient(tap)
-    mixer = Mixer(
-        samplerate or client.samplerate, channels or client.channels, standby_delay_s=math.inf
-    )
-    client.connect(mixer)
-    return client, mixer
+    return client, mixer_for(client, samplerate, channels)
 
 
 def heard(client, mixer):
     """Everything that is mixed until the client ends, a block a cycle."""
-    blocks = []
-    while (frames := client.play()) is not None:
-        report = mixer.cycle(0.0, frames)
-        assert report.frames_written == frames
-        assert report.underruns == 0
-        blocks.append(report.buffer.audio.copy())
+    blocks = mixed(client, mixer)
     assert client.play() is None
     return blocks
 

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 import soundfile
 from numpy.typing import NDArray
 
@@ -127,6 +128,12 @@ def until(condition: Callable[[], bool], process: subprocess.Popen[str]) -> None
         with contextlib.suppress(subprocess.TimeoutExpired):
             process.wait(0.005)
             raise AssertionError(f"ended too soon: {process.communicate()}")
+
+
+def workers_of(process: subprocess.Popen[str]) -> list[psutil.Process]:
+    """Return the worker processes of a run, not the server that forks them."""
+    servers = psutil.Process(process.pid).children()
+    return [worker for server in servers for worker in server.children()]
 
 
 def held_back(process: subprocess.Popen[str], folder: Path) -> list[int]:

@@ -15,7 +15,6 @@ from device.rig import ActuatorParameters, Rig
 from device.rig.actuator import first_order_hold
 from device.rig.adaptive_actuator import AdaptiveActuator
 from device.rig.electronics import Amplifier
-from device.rig.model_levels import ModelLevel
 from device.rig.parameters import SeatParameters, vary
 from device.units import FloatArray
 
@@ -97,7 +96,7 @@ def non_linear_excursion(rig: Rig, possible: Possible, drive: FloatArray, sample
     true = replace(rig, actuator=possible.of(rig.actuator), seat=possible.seat)
     volts = np.ascontiguousarray(volts_of(rig, drive, samplerate))
     actuator = AdaptiveActuator(
-        true, samplerate, level=ModelLevel.NONLINEAR, seat=possible.seat is not GROUND
+        true, samplerate, model="nonlinear", seat=possible.seat is not GROUND
     )
     x = actuator.move(volts, ("displacement_m",)).displacement_m
     return float(np.abs(x).max()) / rig.actuator.x_max_m

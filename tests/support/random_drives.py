@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.signal import butter, sosfilt
 
-from audioflinger_hook.drive.rig_driver import RigDriver
 from device.drive.exposure.dose import ACTION_A8_M_S2, ACTION_VDV, DAY_S, DoseSums, Exposure
 from device.drive.safety import SafetyState
 from device.rig import CONSUMER, PAPER, Rig
@@ -21,6 +20,7 @@ from device.rig.electronics import Amplifier, Dac
 from device.rig.parameters import ThermalParameters, vary
 from device.rig.thermal import Temperatures
 from device.units import Float32Array, FloatArray
+from tools.rig_driver import RigDriver
 
 RATE, SECONDS, CHANNELS = 6_000, 1.5, 40
 KINDS = ("tone", "bursts", "sweep", "noise", "music", "steps")

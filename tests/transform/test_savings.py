@@ -320,11 +320,11 @@ def test_the_low_passs_ripple_is_undone_for_steady_vibration(samplerate):
     s = settings_of(LiveDesign.of(PARAMETERS, samplerate))
     hops = round(0.6 * samplerate / s.hop_frames)
     for hz in (21.54, 60.0, 150.0, 200.0, 219.9):
-        level = 0.5 * at_hz(s.gain_table, hz)
+        level = 0.5 * at_hz(s, s.gain_table, hz)
         glides = [
             (hop * s.ticks, 0, hz, hz, level, level, hop * s.hop_s * hz) for hop in range(hops)
         ]
-        vibration, _ = vibrate(s, glides, [], hops * s.ticks)
+        vibration, _, _ = vibrate(s, glides, [], [1.0] * hops * s.ticks)
         _, felt, residual_db = best_sinusoid(
             *thinned(vibration[vibration.size // 2 :], samplerate), hz
         )

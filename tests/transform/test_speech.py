@@ -1,6 +1,7 @@
 """Speech suppression of the live form: what is lowered, and that nothing else changes."""
 
 import functools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -33,7 +34,7 @@ KNOWN_S = 1.0
 
 @functools.cache
 def demo():
-    return demo_scene(RATE)
+    return replace(demo_scene(), samplerate=RATE)
 
 
 @functools.cache

@@ -5,13 +5,14 @@
 
 | folder | content |
 | --- | --- |
-| sounds | signals by formula, recordings, and real sounds in classes |
+| sounds | signals by formula, recordings, real sounds in classes, and films made of them |
 | baselines | other methods from sound to vibration |
 | measures | error, similarity, lag and felt strength of a vibration; loudness; large bursts |
 | sections | one function a section of the report |
 | figures | the pictures of a report |
 
-`python -m tools.bench.real_sounds` measures only what is felt of real sounds, for chosen profiles.
+`python -m tools.bench.films` measures only what is felt of films and real sounds: of chosen
+profiles, or of any function from sound to vibration.
 
 `python -m tools.bench` measures everything; `run.run_bench` does the same from Python.
 """

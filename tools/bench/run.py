@@ -60,7 +60,7 @@ BENCHES: tuple[tuple[str, Bench, float], ...] = (
     ("simulated rig", rig.linear_model, 2.0),
     ("work and precision", rig.work_and_precision, 5.0),
     ("model selection", model_selection.model_selection, 3.0),
-    ("scenes and rough drives", model_selection.drives_and_scenes, 3.0),
+    ("hard cases", model_selection.hard_cases, 4.0),
     ("scaling of the rig's cost", scaling.rig_scaling, 3.0),
     ("residual vibration", damping.residual_vibration, 2.0),
     ("protection", protection.protection, 1.0),

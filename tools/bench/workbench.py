@@ -100,8 +100,8 @@ class Effort:
 
     slow_repeats: of everything but the live form; saving_s: of each sound that savings
     are tried on; rig_timed_s: of the drives on which the rig is timed; real_sounds, exported: most
-    of each class; catalogue_shared: length in seconds and count of the files that two workers
-    share.
+    of each class; films: of each kind; catalogue_shared: length in seconds and count of the files
+    that two workers share.
     """
 
     tones: int = 4
@@ -132,6 +132,7 @@ class Effort:
     model_repeats: int = 3
     integrator_repeats: int = 1
     real_sounds: int = 3
+    films: int = 1
     exported: int = 1
 
     def repeats_of(self, subject: Subject) -> int:
@@ -147,7 +148,8 @@ FULL = Effort(
     cost_s=6.0, cold_s=4.0, saving_repeats=31, saving_s=3.0, mix_rounds=400,
     scaling_s=64.0, channels_s=4.0, hops_timed=30_000,
     render_s=(60.0, 600.0), rig_s=60.0, rig_timed_s=10.0, model_repeats=7, integrator_repeats=5,
-    real_sounds=99, exported=99, catalogue_s=(1.0, 60.0, 3_600.0), catalogue_shared=(60.0, 32),
+    real_sounds=99, films=20, exported=99, catalogue_s=(1.0, 60.0, 3_600.0),
+    catalogue_shared=(60.0, 32),
 )  # fmt: skip
 
 

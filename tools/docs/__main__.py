@@ -13,6 +13,7 @@ from tools.docs.errors import errors_list
 from tools.docs.figures import SENTENCES, Benchmarks, corrected, figures
 from tools.docs.keys import keys_tables
 from tools.docs.results import exports_table, results_tables
+from tools.docs.status import status_table
 from tools.guards import guards_table
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -25,6 +26,7 @@ GENERATED = {
     "docs/contributing.md": guards_table,
     "docs/errors.md": errors_list,
     "docs/exports.md": exports_table,
+    "docs/figures.md": status_table,
     "docs/results.md": results_tables,
 }
 """Page: the function that returns its generated part."""

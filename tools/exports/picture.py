@@ -52,7 +52,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     default = PROJECT_ROOT / "docs/images/exports.png"
     parser.add_argument("out", nargs="?", type=Path, default=default)
-    figure = draw(mixdown(demo_scene(SOUND_HZ)))
+    figure = draw(mixdown(demo_scene()))
     canvas = FigureCanvasAgg(figure)
     canvas.draw()  # type: ignore[no-untyped-call]
     pixels = np.asarray(canvas.buffer_rgba())  # type: ignore[no-untyped-call]

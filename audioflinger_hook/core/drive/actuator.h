@@ -6,7 +6,7 @@
 
 #include "../core.h"
 #include "exposure.h"
-#include "filter_cascade.h"
+#include "../../transform/native/filter_cascade.h"
 #include "protection.h"
 
 /* What is done for one rig. */

@@ -8,7 +8,7 @@
 #include <stdint.h>
 
 #include "../../transform/native/arena.h"
-#include "filter_cascade.h"
+#include "../../transform/native/filter_cascade.h"
 
 enum { DECIMATION_TAPS_MAX = 1024, MOTION_TAPS_MAX = 8 };
 

@@ -11,8 +11,10 @@ from audioflinger_hook.core.structures import CHANNELS
 from audioflinger_hook.daemon.native.layout import ACTUATORS
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.plugin import plugin_path
+from device.errors import NotFoundError
 from device.server import ServerSnapshot
 from device.server.graph_watch import EDITOR, READER
+from device.stream.pulse_plugin import missing_plugin
 
 SERVER = "PipeWire"
 VERSION_MIN = (0, 3, 50)
@@ -20,6 +22,30 @@ VERSION_MIN = (0, 3, 50)
 
 FILTER_CHAIN = "libpipewire-module-filter-chain.so"
 MODULE_FOLDERS = ("/usr/lib/*/pipewire-*", "/usr/lib/pipewire-*", "/usr/lib64/pipewire-*")
+
+
+def check_engine(config: RunConfig, snapshot: ServerSnapshot | None) -> None:
+    """Raise NotFoundError if the engine of a config is impossible on this machine."""
+    reason = why_python(config, snapshot)
+    if reason and config.live.engine == "native":
+        raise NotFoundError(
+            f"engine = 'native' is impossible: {reason}; allowed then: auto, python"
+        )
+    if reason and config.needs_plugin and (missing := missing_plugin()):
+        raise NotFoundError(f"the Python engine ({reason}) cannot play: {missing}")
+
+
+def why_python(config: RunConfig, snapshot: ServerSnapshot | None) -> str:
+    """Return why the Python engine must compute, "" if the native one can.
+
+    snapshot: of the sound server, None without one.
+    """
+    if config.live.engine == "python":
+        return "engine = 'python'"
+    reason = next(_refusals(config), "")
+    if snapshot is None:
+        return reason or "there is no sound server"
+    return reason or missing_parts() or why_not_server(snapshot)
 
 
 def missing_parts() -> str:
@@ -33,11 +59,6 @@ def missing_parts() -> str:
     if folders and not any((folder / FILTER_CHAIN).exists() for folder in folders):
         return f"PipeWire's module {FILTER_CHAIN} is missing; install pipewire-bin"
     return ""
-
-
-def why_not_config(config: RunConfig) -> str:
-    """Return why the native engine cannot do what a config asks for, "" if it can."""
-    return next(_refusals(config), "")
 
 
 def why_not_server(snapshot: ServerSnapshot) -> str:

@@ -11,17 +11,15 @@ from collections.abc import Callable
 from pathlib import Path
 
 from audioflinger_hook.daemon.inputs.applications import Applications
+from audioflinger_hook.daemon.native.chain import Chain
 from audioflinger_hook.daemon.native.chains import FADE_S, Chains, Restore
 from audioflinger_hook.daemon.native.designs import DriveDesigns
-from audioflinger_hook.daemon.native.page import Page, TransformReadings
 from audioflinger_hook.daemon.native.plan import ChainPlan, device_map
 from audioflinger_hook.daemon.native.ports import port_names
 from audioflinger_hook.daemon.native.running import RunningChain
 from audioflinger_hook.daemon.native.taps import Tap, tap_of
 from audioflinger_hook.daemon.native.wiring import ChainEnds, ChainWiring, why_unlinkable
 from audioflinger_hook.daemon.run_config import RunConfig
-from audioflinger_hook.drive.driven_rig import DrivenRig
-from audioflinger_hook.service.meters import Level
 from audioflinger_hook.service.state import Cause, StateKeeper
 from device.errors import LostError, NotFoundError, UsageError
 from device.server.graph_watch import GraphWatch
@@ -78,16 +76,10 @@ class NativeEngine:
         self.audible = self.is_fed = False
 
     @property
-    def plan(self) -> ChainPlan | None:
-        """What the chain does, None before the first one."""
+    def chain(self) -> Chain | None:
+        """The chain that plays, or would; None before the first one."""
         current = self._chains.current  # another thread may ask
-        return current.chain.plan if current else None
-
-    @property
-    def process_id(self) -> int:
-        """Number of the chain's process, 0 for none."""
-        current = self._chains.current
-        return current.chain.process_id if current else 0
+        return current.chain if current else None
 
     @property
     def is_steady(self) -> bool:
@@ -115,11 +107,6 @@ class NativeEngine:
         with self._watch.lock:
             return why_unlinkable(self._watch.graph, tap, device.name)
 
-    def readings(self) -> TransformReadings | None:
-        """Return what the transform reports, None before the first chain."""
-        current = self._chains.current
-        return current.chain.page.readings() if current else None
-
     @property
     def lacks_realtime(self) -> bool:
         """Whether it was to have real-time priority and has none."""
@@ -130,23 +117,6 @@ class NativeEngine:
     def server(self) -> str:
         """The server's name and version, such as "PipeWire 1.4.2"."""
         return f"PipeWire {self._watch.graph.version}".rstrip()
-
-    @property
-    def rigs(self) -> tuple[DrivenRig | None, ...]:
-        """What is known of each rig that the chain drives; () before the first one."""
-        current = self._chains.current
-        return current.chain.rigs if current else ()
-
-    @property
-    def page(self) -> Page | None:
-        """The page of the chain that plays, None before the first one."""
-        current = self._chains.current
-        return current.chain.page if current else None
-
-    def level(self, slot: int) -> Level:
-        """Return the level of an actuator."""
-        current = self._chains.current
-        return current.chain.page.level(slot) if current else Level()
 
     def follow(self, config: RunConfig) -> None:
         """Use another config; what the plugin cannot change itself needs a new chain."""

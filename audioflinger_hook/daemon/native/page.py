@@ -5,7 +5,6 @@ from __future__ import annotations
 import mmap
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from audioflinger_hook.core import structures
@@ -18,26 +17,10 @@ from device.drive.design import DriveDesign
 DELAY_MAX_S = 2.0
 
 
-@dataclass(frozen=True)
-class TransformReadings:
-    """What the transform reports: frames so far, counts of samples, the graph's cycle, levels.
-
-    samplerate: of the host in Hz; 0 before there is a transform. cycle_frames: of the latest cycle.
-    """
-
-    frames: int
-    replaced_samples: int
-    limited_samples: int
-    samplerate: int
-    cycle_frames: int
-    sound: Level
-    vibration: Level
-
-
 class Page:
     """The shared page in a separate file, which `close` removes.
 
-    The supervising thread calls the methods; any thread may call `readings` and `level`.
+    The supervising thread calls the methods; any thread may read levels and counts.
 
     path: of the file; it must not exist. channels: of the tap. vibrations: of the transform.
     sources: for each actuator, the number of its vibration. reader: of what a live page shows.
@@ -119,18 +102,27 @@ class Page:
         """Whether the first actuators are all silent."""
         return all(one.audible == 0.0 for one in self._page.readings.actuators[:actuators])
 
-    def readings(self) -> TransformReadings:
-        """Return what the transform reports."""
+    @property
+    def cycle_frames(self) -> int:
+        """Frames of the graph's latest cycle, 0 before the first."""
+        return int(self._page.cycle_frames)
+
+    @property
+    def replaced_samples(self) -> int:
+        """Unusable samples of the tap, which count as 0."""
+        return int(self._page.readings.replaced)
+
+    @property
+    def limited_samples(self) -> int:
+        """Samples of vibration that were limited at full scale."""
+        return int(self._page.readings.limited)
+
+    @property
+    def levels(self) -> tuple[Level, Level]:
+        """Levels of the sound and of the vibration."""
         found = self._page.readings
-        return TransformReadings(
-            int(found.frames),
-            int(found.replaced),
-            int(found.limited),
-            int(self._page.samplerate),
-            int(self._page.cycle_frames),
-            _loudest(found.sound[: self._channels]),
-            _loudest(found.vibration[: self._vibrations]),
-        )
+        sound, vibration = found.sound[: self._channels], found.vibration[: self._vibrations]
+        return _loudest(sound), _loudest(vibration)
 
     def level(self, slot: int) -> Level:
         """Return the level of an actuator."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from audioflinger_hook.mixer.layouts import layout
+from device.layouts import layout
 
 _PORT_NAMES = {
     "mono": "MONO",

@@ -1,6 +1,6 @@
 /* The plugin for LADSPA hosts.
  *
- * For any host: haptic_cushion_paper, _cinema, _game and _music (stereo to stereo), and _mono.
+ * For any host: haptic_cushion_paper, _cinema, _game, _music and _speech (stereo to stereo), and _mono.
  * For the daemon: haptic_cushion_daemon, which follows the page that the daemon shares. */
 
 #include <stdio.h>
@@ -30,6 +30,7 @@ static const PluginVariant VARIANTS[] = {
     {"haptic_cushion_cinema", "Haptic Cushion (cinema)", "cinema", EFFECT, 2, 2},
     {"haptic_cushion_game", "Haptic Cushion (game)", "game", EFFECT, 2, 2},
     {"haptic_cushion_music", "Haptic Cushion (music)", "music", EFFECT, 2, 2},
+    {"haptic_cushion_speech", "Haptic Cushion (speech)", "speech", EFFECT, 2, 2},
     {"haptic_cushion_mono", "Haptic Cushion (mono)", DEFAULT_PROFILE, EFFECT, 1, 1},
     {"haptic_cushion_daemon", "Haptic Cushion of the daemon", "", DAEMON, DAEMON_INPUTS,
      DAEMON_OUTPUTS},

@@ -15,7 +15,7 @@ const LadspaDescriptor *ladspa_descriptor(unsigned long index);
 
 /* In the order of the LADSPA plugins. */
 static const char *const URIS[] = {PREFIX "paper", PREFIX "cinema", PREFIX "game", PREFIX "music",
-                                   PREFIX "mono"};
+                                   PREFIX "speech", PREFIX "mono"};
 
 #define URIS_COUNT (sizeof URIS / sizeof *URIS)
 

@@ -3,7 +3,8 @@
 | module | what it designs |
 | --- | --- |
 | `analysis` | input stage, analysis of windows, search for onsets |
-| `loudness` | loudness, felt strength, programme level |
+| `loudness` | how loud each tick is |
+| `strength` | strength by loudness, felt strength, programme level |
 | `speech` | speech suppression |
 | `synthesis` | time grid, tracking of partials, oscillators, low-pass, limiter |
 """
@@ -21,6 +22,7 @@ from audioflinger_hook.core.rounding import round_section
 from audioflinger_hook.transform.design.analysis import AnalysisDesign, InputDesign, OnsetDesign
 from audioflinger_hook.transform.design.loudness import LoudnessDesign
 from audioflinger_hook.transform.design.speech import SpeechDesign
+from audioflinger_hook.transform.design.strength import StrengthDesign
 from audioflinger_hook.transform.design.synthesis import (
     ATTACK_HOPS,
     LiveGrid,
@@ -77,7 +79,9 @@ class LiveDesign:
     synthesis : SynthesisDesign
         How partials become samples.
     loudness : LoudnessDesign
-        How vibration follows loudness.
+        How loud each tick is.
+    strength : StrengthDesign
+        How strong vibration is by that.
     speech : SpeechDesign
         How speech is lowered.
     """
@@ -93,6 +97,7 @@ class LiveDesign:
     tracking: TrackingDesign
     synthesis: SynthesisDesign
     loudness: LoudnessDesign
+    strength: StrengthDesign
     speech: SpeechDesign
 
     def __post_init__(self) -> None:
@@ -159,7 +164,7 @@ class LiveDesign:
         return LiveDesign.from_bytes, (self.to_bytes(),)
 
 
-EXACT = ("band_b", "band_a", "low_b", "low_a", "mix_weights")
+EXACT = ("band_b", "band_a", "low_b", "low_a", "low_sections", "low_smooth", "mix_weights")
 """Tables that need no rounding: filters of rounded poles and zeros, and square roots."""
 
 TOP = ("samplerate", "latency_frames", "tonal_latency_frames")
@@ -172,6 +177,7 @@ SECTIONS: dict[str, Any] = {
     "tracking": TrackingDesign,
     "synthesis": SynthesisDesign,
     "loudness": LoudnessDesign,
+    "strength": StrengthDesign,
     "speech": SpeechDesign,
 }
 
@@ -205,11 +211,15 @@ def _designed(parameters: TransformParameters, samplerate: int, find_onsets: boo
     # end of a glide that takes half its own length on average.
     glide_hops = 0.5 + (ATTACK_HOPS + 1.0) / 4.0
     tonal_frames = grid.window_frames / 2 + glide_hops * grid.hop_frames + smoothing_frames
-    onset_frames = (1.0 + onsets.delay_ticks) * grid.tick_frames + smoothing_frames
+    followed = parameters.loudness_db > 0.0
+    loudness = LoudnessDesign.of(followed, grid, onsets, samplerate)
+    delay_ticks = loudness.delay_ticks if followed else onsets.delay_ticks
+    onset_frames = (1.0 + delay_ticks) * grid.tick_frames + smoothing_frames
+    latency_frames = round(onset_frames if find_onsets else tonal_frames)
     suppression_db = parameters.speech_suppression_db
     design = LiveDesign(
         samplerate=samplerate,
-        latency_frames=round(onset_frames if find_onsets else tonal_frames),
+        latency_frames=latency_frames,
         tonal_latency_frames=round(tonal_frames),
         grid=grid,
         input=InputDesign.of(parameters, samplerate),
@@ -217,15 +227,9 @@ def _designed(parameters: TransformParameters, samplerate: int, find_onsets: boo
         mapping=mapping,
         onsets=onsets,
         tracking=TrackingDesign.of(parameters, grid.hop_s),
-        synthesis=synthesis,
-        loudness=LoudnessDesign.of(
-            parameters,
-            grid.hop_s,
-            spectrum,
-            bins,
-            samplerate / onsets.short_length,
-            onsets.short_hz,
-        ),
+        synthesis=replace(synthesis, begin_frames=latency_frames),
+        loudness=loudness,
+        strength=StrengthDesign.of(parameters, grid),
         # Without suppression these numbers are not used.
         speech=SpeechDesign.of(
             suppression_db, spectrum.bin_hz, bins, grid.hop_s if suppression_db else 1.0

@@ -65,9 +65,6 @@ GROUPS_MAX = 4
 WORTH, MERGED_WORTH = 0.25, 0.1
 """Share of its amplitude that a partial must add to start. Where partials are merged it is in phase
 with what sounds, so less is worth it."""
-EMPHASIS = (1.75, 1.3, 1.3, 1.3, 1.2, 1.1, 1.0)
-"""Where loudness is followed, an impact's first 8 ms are 2 dB stronger: partials that beat would
-otherwise have their peak later."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,8 +222,6 @@ class OnsetDesign:
     it is a tenth of it: there is so much in a group of bands."""
     rise_shares: FloatArray = field(default_factory=lambda: np.array((0.4, 1.0)))
     """Share of its amplitude that an onset partial reaches in its first tick, and in its second."""
-    emphasis: FloatArray = field(default_factory=lambda: np.ones(1))
-    """Factor on an onset partial's amplitude after each tick."""
 
     @classmethod
     def of(
@@ -270,7 +265,6 @@ class OnsetDesign:
                 np.clip(hz, parameters.band_low_hz, parameters.band_high_hz)
             ),
             worth=MERGED_WORTH if parameters.merge_ratio else WORTH,
-            emphasis=np.array(EMPHASIS if parameters.loudness_db > 0.0 else (1.0,)),
             band_edges=np.array(sorted(edges), dtype=np.float64),
         )
 

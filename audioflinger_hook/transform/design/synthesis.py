@@ -6,14 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from audioflinger_hook.core.rounding import round_filter
+from audioflinger_hook.core.rounding import round_filter, round_sections
 from audioflinger_hook.transform.arrays import FloatArray
 from audioflinger_hook.transform.filters import (
-    ELLIPTIC_3,
+    BUTTERWORTH_1,
     ELLIPTIC_6,
     high_pass,
     low_pass,
     response,
+    response_of_sections,
 )
 from audioflinger_hook.transform.mapping import VibrationMapping
 from audioflinger_hook.transform.parameters import TransformParameters
@@ -43,16 +44,27 @@ STEADY_RATIO, MERGED_STEADY_RATIO = 0.03, 0.12
 """Changes of a partial's amplitude up to this share are averaged. Merged partials waver more: they
 hold several tones, or noise."""
 
-LOW_PASS, HIGH_PASS = ELLIPTIC_6, ELLIPTIC_3
-"""Of the samples at the low rate; the second one is for strength "felt"."""
+LOW_PASS, HIGH_PASS = ELLIPTIC_6, BUTTERWORTH_1
+"""Of the samples at the low rate; the second one not in the paper's form. A steeper one turns
+phases so far that impacts are blunt."""
 
-BOTTOM_MARGIN = 0.98
-"""For strength "felt", a high-pass removes swings of the envelope below the lowest vibration
-frequency, where an actuator moves far for a weak sensation. Its pass band begins at this share of
-that frequency."""
+HIGH_PASS_HZ = (42.0, 18.0)
+"""Two high-passes lower swings of the envelope below the lowest vibration, where
+an actuator moves far for a weak sensation. Amplitudes undo their gain. The second one lowers the
+energy under 15 Hz of the worst sound by 4 dB and takes 0.7 ms."""
 
-GAIN_FLOOR = 0.5
+GAIN_FLOOR = 0.45
 """Amplitudes undo at most a fall to this: under the lowest vibration frequency none is played."""
+
+FOLLOWED_CEILING = 0.93
+"""Where loudness is followed, amplitudes rise within 2 ms, and the low-pass overshoots by 7 %.
+With 0.98 the knee leaves -44 dB over 250 Hz of the hardest stroke instead of -64 dB."""
+
+BEGIN_S = 0.005
+"""A stream fades in over this time."""
+
+LEAST_EDGE_HZ = 220.0
+"""But in the paper's form, the pass band ends here or higher: a lower one would be later."""
 
 EDGE_MARGIN = 1.01
 """The pass band ends at the top vibration frequency times this."""
@@ -149,11 +161,6 @@ class TrackingDesign:
     """Ratio from which on one amplitude is larger than another."""
     joined_from: float = 1e-4
     """Amplitude up to which a partial is as good as none to join: rounding may leave some."""
-    struck_share: float = 0.85
-    """While it is held, vibration has at most this share of its strength at the onset, ..."""
-    struck_grown: float = 0.8
-    """... or this share of its unlimited strength, whichever is more. A rise by a few % in the long
-    window was struck at once; a larger one goes on."""
 
     @classmethod
     def of(cls, parameters: TransformParameters, hop_s: float) -> TrackingDesign:
@@ -197,13 +204,20 @@ class SynthesisDesign:
     tick_glide_s: FloatArray
     """`glide_s` over one tick."""
     low_b: FloatArray
-    """Low-pass at the low rate: the numerator."""
+    """Low-pass at the low rate: the numerator; empty where there are `low_sections`."""
     low_a: FloatArray
     """Low-pass at the low rate: the denominator."""
+    low_sections: FloatArray
+    """Low-pass and high-pass as second-order sections (sections, 6), which round less; empty in the
+    paper's form, whose bits stay as they are."""
+    begin_fade: FloatArray
+    """Factors on the first frames of a stream after `begin_frames`; empty in the paper's form."""
     phases: FloatArray
     """Interpolation to the samplerate, (taps, decimation): each column yields one new frame."""
     gain_table: FloatArray
     """Amplitude factors that undo the low-pass's ripple, by vibration frequency."""
+    begin_frames: int = 0
+    """Frames at the start of a stream that are silent: files do not have them."""
     gain_step_hz: float = 0.25
     """Hz between entries of `gain_table`."""
     still: float = 1e-9
@@ -220,15 +234,27 @@ class SynthesisDesign:
         """Return the design for one grid and samplerate."""
         top_hz = EDGE_MARGIN * parameters.vibration_top_hz
         low_rate_hz = samplerate / grid.decimation
-        zeros, poles, gain = low_pass(LOW_PASS, top_hz, low_rate_hz)
-        if parameters.strength != "flat":
-            edge_hz = BOTTOM_MARGIN * parameters.vibration_bottom_hz
-            high = high_pass(HIGH_PASS, edge_hz, low_rate_hz)
-            zeros = np.concatenate((zeros, high.zeros))
-            poles = np.concatenate((poles, high.poles))
-            gain *= high.gain
-        low_b, low_a = round_filter(zeros, poles, gain)
-        passed = response(low_b, low_a, np.arange(0.0, top_hz, cls.gain_step_hz), low_rate_hz)
+        followed = parameters.loudness_db > 0.0
+        plain = not followed and parameters.strength == "flat"
+        edge_hz = top_hz if plain else max(top_hz, EDGE_MARGIN * LEAST_EDGE_HZ)
+        zeros, poles, gain = low_pass(LOW_PASS, edge_hz, low_rate_hz)
+        low_b, low_a, sections = np.zeros(0), np.zeros(0), np.zeros(0)
+        if plain:
+            low_b, low_a = round_filter(zeros, poles, gain)
+        else:
+            for hz in HIGH_PASS_HZ:
+                high = high_pass(HIGH_PASS, hz, low_rate_hz)
+                zeros = np.concatenate((zeros, high.zeros))
+                poles = np.concatenate((poles, high.poles))
+                gain *= high.gain
+            sections = round_sections(zeros, poles, gain)
+        played_hz = np.arange(0.0, top_hz, cls.gain_step_hz)
+        passed = (
+            response_of_sections(sections, played_hz, low_rate_hz)
+            if sections.size
+            else response(low_b, low_a, played_hz, low_rate_hz)
+        )
+        fade_frames = round(BEGIN_S * samplerate) if followed else 0
         time = np.arange(1, grid.steps + 1) / grid.steps
         turn, turn_glide = glide_turns(grid.steps, grid.hop_s)
         _, tick_turn_glide = glide_turns(grid.tick_steps, grid.tick_s)
@@ -243,6 +269,9 @@ class SynthesisDesign:
             tick_glide_s=tick_turn_glide / (2.0 * np.pi),
             low_b=low_b,
             low_a=low_a,
+            low_sections=sections,
+            begin_fade=glide_shape(fade_frames),
+            ceiling=FOLLOWED_CEILING if followed else cls.ceiling,
             phases=interpolation_phases(grid.decimation, top_hz, low_rate_hz),
             gain_table=1.0 / np.maximum(np.abs(passed), GAIN_FLOOR),
         )
@@ -252,7 +281,11 @@ class SynthesisDesign:
         step_hz = 0.01
         low_rate_hz = samplerate / self.phases.shape[1]
         either_side = np.array([hz - step_hz, hz + step_hz])
-        passed = response(self.low_b, self.low_a, either_side, low_rate_hz)
+        passed = (
+            response_of_sections(self.low_sections, either_side, low_rate_hz)
+            if self.low_sections.size
+            else response(self.low_b, self.low_a, either_side, low_rate_hz)
+        )
         turn = np.angle(passed[0] / passed[1])
         low_pass_s = turn / (2.0 * np.pi * 2.0 * step_hz)
         interpolation_s = (self.phases.size - 1) / 2 / samplerate

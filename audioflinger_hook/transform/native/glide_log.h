@@ -29,7 +29,10 @@ typedef struct {
     size_t voice, first_slot, slots, frames;
 } GlidePlace;
 
+/* Add one row. */
+void glide_log_add(GlideLog *log, GlideRow row);
+
 /* Add the glides that sound. */
-void glide_log_add(GlideLog *log, GlidePlace place, const Glides *glides);
+void glide_log_add_all(GlideLog *log, GlidePlace place, const Glides *glides);
 
 #endif

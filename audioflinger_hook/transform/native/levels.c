@@ -17,9 +17,8 @@ static void strengthen(Live *live, size_t count)
         const double r = live->found.r[one];
         live->amplitude[one] = s->by_energy ? sqrt(live->found.amplitude[one] * r / s->full_scale_r)
                                             : r * r / (sum_r * s->full_scale_r);
-        /* What is felt well takes less of the room under full scale. */
         if (loudness_is_on(s))
-            live->amplitude[one] *= sqrt(table_at(s->felt_weights, s->gain_step_hz, live->hz[one]));
+            live->amplitude[one] *= tilt(s, live->hz[one]);
     }
 }
 
@@ -33,29 +32,50 @@ static void lower_speech(Live *live, const Voice *voice, size_t count)
     }
 }
 
-int levels_set(Live *live, Voice *voice, double strength, size_t count)
+static double felt_power(const Live *live, size_t count)
 {
     const Settings *s = &live->settings;
+    double power = 0.0;
+    for (size_t one = 0; one < count; one++) {
+        const double felt = live->amplitude[one] * table_at(s->felt_weights, s->gain_step_hz, live->hz[one]);
+        power += felt * felt;
+    }
+    return power;
+}
+
+int levels_set(Live *live, Voice *voice, size_t count)
+{
+    const Settings *s = &live->settings;
+    const int followed = loudness_is_on(s), lowered = s->speech_db > 0.0;
     double total = 0.0;
     strengthen(live, count);
-    double gain = 1.0;
-    if (loudness_is_on(s) && count)
-        gain = loudness_gain(s, &voice->follower, strength, live->hz, live->amplitude, count);
-    /* Before the law of level, so that what speech loses is not missing from the rest; after the
-     * follower, which would turn the rest up. */
-    if (s->speech_db > 0.0) {
+    /* Before the law of level, so that what speech loses is not missing from the rest. */
+    if (lowered) {
+        const double before = felt_power(live, count);
         lower_speech(live, voice, count);
         strengthen(live, count);
+        if (followed && before > 0.0)
+            voice->strength->speech_left = smaller(1.0, sqrt(felt_power(live, count) / before));
     }
     for (size_t one = 0; one < count; one++)
-        total += live->amplitude[one] *= gain;
-    if (loudness_is_on(s))
-        total = loudness_concentrate(s, live->hz, live->amplitude, count, total);
-    const int limited = !(total <= s->ceiling);
+        total += live->amplitude[one];
+    const int limited = !followed && !(total <= s->ceiling);
     if (limited)
         for (size_t one = 0; one < count; one++)
             live->amplitude[one] *= s->ceiling / total;
     return limited;
+}
+
+double levels_gain(const Live *live, double wanted, size_t count)
+{
+    const Settings *s = &live->settings;
+    double total = 0.0;
+    for (size_t one = 0; one < count; one++)
+        total += live->amplitude[one];
+    const double power = felt_power(live, count);
+    if (!(power > 0.0))
+        return 0.0;
+    return smaller(smaller(s->gain_max, wanted / sqrt(power)), s->ceiling / total);
 }
 
 double levels_left_by_law(const Live *live, size_t count)

@@ -29,9 +29,9 @@ SIMD_CLONES static void apply_window(const Live *live, const Voice *voice, doubl
         samples[frame] = past[frame] * window[frame];
 }
 
-/* Find the principal tones of the window; return how many, 0 where none vibrates. strength: of the
- * vibration, where loudness is followed. */
-static size_t analyse_window(Live *live, Voice *voice, double *strength)
+/* Find the principal tones of the window; return how many, 0 where none vibrates. wanted: strength of
+ * the vibration. */
+static size_t analyse_window(Live *live, const Voice *voice, double wanted)
 {
     const Settings *s = &live->settings;
     const Rule rule = {
@@ -58,21 +58,18 @@ static size_t analyse_window(Live *live, Voice *voice, double *strength)
     const Spectrum spectrum = {live->real, live->imaginary, 1};
     apply_window(live, voice, live->windowed);
     fft_spectrum(&live->fft, live->windowed, s->bins, live->real, live->imaginary, live->fft_space);
-    if (loudness_is_on(s)) {
-        const double loudness_db = loudness_loudness_db(s, live->real, live->imaginary);
-        *strength = loudness_strength(s, &voice->follower, loudness_db);
-        if (!(*strength > 0.0))
-            return 0;
-    }
+    if (!(wanted > 0.0))
+        return 0;
     return (size_t)principal(&rule, &window, spectrum, live->found, live->analysis_space);
 }
 
 /* -------------------------------------------------------------------------------------- one hop */
 
-/* Publish the partials of a hop; of too many, the weakest are left out. */
-static void tell(Live *live, size_t count)
+/* Publish the partials of a hop; of too many, the weakest are left out. wanted: strength. */
+static void tell(Live *live, double wanted, size_t count)
 {
     Told *told = &live->told;
+    const double gain = loudness_is_on(&live->settings) ? levels_gain(live, wanted, count) : 1.0;
     for (size_t one = 0; one < count; one++) {
         size_t at = told->count;
         if (at < TOLD_MAX) {
@@ -82,32 +79,33 @@ static void tell(Live *live, size_t count)
             for (size_t other = 1; other < TOLD_MAX; other++)
                 if (told->amplitude[other] < told->amplitude[at])
                     at = other;
-            if (live->amplitude[one] <= told->amplitude[at])
+            if (gain * live->amplitude[one] <= told->amplitude[at])
                 continue;
         }
         told->audio_hz[at] = live->found.audio_hz[one];
         told->hz[at] = live->hz[one];
-        told->amplitude[at] = live->amplitude[one];
+        told->amplitude[at] = gain * live->amplitude[one];
     }
 }
 
-static void follow(Live *live, Voice *voice, double strength, size_t count)
+static void follow(Live *live, Voice *voice, Glides *glides, double wanted, size_t count)
 {
     const Settings *s = &live->settings;
     const double left = tracking_holds(s, &voice->slots) ? levels_left_by_law(live, count) : 1.0;
     for (size_t one = 0; one < count; one++)
         live->hz[one] = felt_hz(s, live->found.audio_hz[one]);
-    if (levels_set(live, voice, strength, count))
+    if (levels_set(live, voice, count))
         live->limited += s->hop_frames;
-    tell(live, count);
+    tell(live, wanted, count);
     double total = 0.0;
     for (size_t one = 0; one < count; one++) {
         total += live->amplitude[one];
         live->amplitude[one] *= smoothing_gain(s, live->hz[one]);
     }
     const Partials partials = {live->found.audio_hz, live->hz, live->amplitude, count};
-    tracking_follow(s, &voice->slots, &live->glides, partials, larger(0.0, s->ceiling - total),
-                    left, &voice->onsets, live->tracking_space);
+    const double room = loudness_is_on(s) ? INFINITY : larger(0.0, s->ceiling - total);
+    tracking_follow(s, &voice->slots, glides, partials, room, left, &voice->onsets,
+                    live->tracking_space);
 }
 
 static size_t number_of(const Live *live, const Voice *voice)
@@ -115,10 +113,12 @@ static size_t number_of(const Live *live, const Voice *voice)
     return (size_t)(voice - live->voices);
 }
 
-/* Compute the next hop of the partials. */
-static void end_hop(Live *live, Voice *voice)
+/* Find the next hop of the partials. wanted: strength at its start. */
+static void end_hop(Live *live, Voice *voice, double wanted)
 {
     const Settings *s = &live->settings;
+    const int followed = loudness_is_on(s);
+    Glides *glides = followed ? &voice->oscillators.hop : &live->glides;
     double loudest = 0.0;
     for (size_t hop = 0; hop < s->hops_in_window; hop++)
         loudest = larger(voice->peaks[hop], loudest);
@@ -127,35 +127,35 @@ static void end_hop(Live *live, Voice *voice)
 
     onset_partials_hand_over(s, voice->fresh, &voice->onsets, &voice->slots);
     size_t count = 0;
-    double strength = 1.0;
     const int audible = loudest >= s->silence;
     if (audible)
-        count = analyse_window(live, voice, &strength);
-    else
-        loudness_rest(s, &voice->follower);
+        count = analyse_window(live, voice, wanted);
     if (s->speech_db > 0.0 && audible)
         speech_hear(s, voice->speech, live->real, live->imaginary, live->speech_space);
     else if (s->speech_db > 0.0)
         speech_pause(s, voice->speech);
     if (count || tracking_holds(s, &voice->slots)) {
-        follow(live, voice, strength, count);
+        follow(live, voice, glides, wanted, count);
         *voice->ringing = (double)s->ring_hops;
     } else if (tracking_sounds(s, &voice->slots)) {
-        tracking_fade(s, &voice->slots, &live->glides);
+        tracking_fade(s, &voice->slots, glides);
     } else {
         if (*voice->ringing > 0.0)
             *voice->ringing -= 1.0;
-        memset(voice->hop, 0, s->steps * sizeof(double));
+        tracking_rest(s, glides);
+    }
+    if (followed) {
+        oscillators_begin_hop(s, &voice->oscillators);
         return;
     }
     const GlidePlace place = {number_of(live, voice), 0, tracking_slots(s), s->hop_frames};
-    glide_log_add(&live->log, place, &live->glides);
-    synthesis_hop(s, &live->glides, voice->hop);
+    glide_log_add_all(&live->log, place, glides);
+    synthesis_hop(s, glides, voice->hop);
 }
 
 /* -------------------------------------------------------------------------------------- one tick */
 
-/* Look for an onset in the tick that is full. */
+/* Look for an onset in the tick that is full; `newest` and the powers of its bins are known then. */
 static int find_onset(Live *live, const Voice *voice)
 {
     const Settings *s = &live->settings;
@@ -171,15 +171,52 @@ static int find_onset(Live *live, const Voice *voice)
     return onsets_hear(s, &live->short_fft, &voice->onsets, live->newest, live->onset_space);
 }
 
+/* How strong the next tick vibrates at its end, by the loudness of the one that is full. */
+static double find_strength(const Live *live, const Voice *voice)
+{
+    const Settings *s = &live->settings;
+    double excitation[BANDS_MAX];
+    band_powers_hear(s, &voice->powers, live->newest + (s->short_frames - s->tick_frames),
+                     live->onset_space, excitation);
+    const Heard heard = loudness_of(s, excitation);
+    return strength_follow(s, voice->strength, &heard);
+}
+
+/* Write the next tick at the low rate: all partials by their own amplitudes. */
+static void play_levels(Live *live, const Voice *voice, int fresh, int full)
+{
+    const Settings *s = &live->settings;
+    const double *hop = voice->hop + (full ? 0 : (live->tick + 1) * s->tick_steps);
+    memset(live->low_rate, 0, s->tick_steps * sizeof(double));
+    if (fresh) {
+        const GlidePlace place = {number_of(live, voice), tracking_slots(s), s->fresh_max, s->tick_frames};
+        glide_log_add_all(&live->log, place, &live->fresh_glides);
+        synthesis_add_fresh(s, &live->fresh_glides, live->low_rate);
+    }
+    for (size_t step = 0; step < s->tick_steps; step++)
+        live->low_rate[step] += hop[step];
+}
+
+/* The same as strong as is wanted. */
+static void play_strength(Live *live, const Voice *voice, int fresh, int full, double wanted)
+{
+    const Settings *s = &live->settings;
+    const OscillatorTick now = {full ? 0 : live->tick + 1, fresh ? &live->fresh_glides : NULL, wanted,
+                                &live->log, number_of(live, voice)};
+    live->limited += s->decimation * oscillators_play(s, &voice->oscillators, now, live->low_rate,
+                                                      live->oscillator_space);
+}
+
 /* Compute the vibration that follows the tick that is full now. */
 static void advance(Live *live, Voice *voice)
 {
     const Settings *s = &live->settings;
-    const int onset = s->find_onsets && find_onset(live, voice);
-    const OnsetSources told = {&voice->onsets, &voice->follower, voice->speech};
-    const int full = live->tick + 1 == s->ticks;
+    const int followed = loudness_is_on(s), full = live->tick + 1 == s->ticks;
+    const int onset = (s->find_onsets || followed) && find_onset(live, voice) && s->find_onsets;
+    const OnsetSources told = {&voice->onsets, voice->speech};
+    const double wanted = followed ? find_strength(live, voice) : 1.0;
     if (full)
-        end_hop(live, voice);
+        end_hop(live, voice, wanted);
     if (onset)
         onset_partials_bear(s, voice->fresh, told, &voice->slots,
                             full ? s->ticks : s->ticks - 1 - live->tick);
@@ -187,14 +224,13 @@ static void advance(Live *live, Voice *voice)
     if (fresh) {
         *voice->ringing = (double)s->ring_hops;
         onset_partials_play(s, voice->fresh, told, &voice->slots, &live->fresh_glides);
-        const GlidePlace place = {number_of(live, voice), tracking_slots(s), s->fresh_max,
-                                  s->tick_frames};
-        glide_log_add(&live->log, place, &live->fresh_glides);
     }
+    if (followed)
+        play_strength(live, voice, fresh, full, wanted);
+    else if (*voice->ringing > 0.0)
+        play_levels(live, voice, fresh, full);
     if (*voice->ringing > 0.0) {
-        const double *hop = voice->hop + (full ? 0 : (live->tick + 1) * s->tick_steps);
-        synthesis_play(s, hop, fresh ? &live->fresh_glides : NULL, &voice->smoothing, voice->played,
-                       live->synthesis_space);
+        synthesis_play(s, live->low_rate, &voice->smoothing, voice->played, live->synthesis_space);
         live->limited += synthesis_keep_below_full_scale(s, voice->played);
     } else {
         /* What sleeps is exactly 0 and forgets its ringing. */
@@ -233,6 +269,16 @@ static void collect(Live *live, Voice *voice, Sound sound, size_t frames, int si
         from += part;
         frames -= part;
         at = at + part == s->window_frames ? 0 : at + part;
+    }
+}
+
+/* Let a stream fade in: what came before its first frame is cut off in files. */
+static void begin(const Settings *s, double *begun, double *vibration, size_t frames, size_t apart)
+{
+    const size_t fade = s->begin_fade.length, first = s->begin_frames;
+    for (size_t frame = 0; frame < frames && *begun < (double)(first + fade); frame++, *begun += 1.0) {
+        const size_t at = (size_t)*begun;
+        vibration[frame * apart] *= at < first ? 0.0 : s->begin_fade.at[at - first];
     }
 }
 
@@ -282,20 +328,26 @@ static size_t up_to_onset(Live *live, Sound sound, size_t frames)
     if (asleep(live)) {
         live->filled = live->tick = 0;
         memset(live->mix_powers, 0, sizeof *live->mix_powers);
-        for (size_t which = 0; which < live->voices_count; which++)
+        for (size_t which = 0; which < live->voices_count; which++) {
             onsets_reset(&live->settings, &live->voices[which].onsets);
+            live_rest(live, &live->voices[which]);
+        }
     }
     return frames;
 }
 
-/* Let the loudest programme be that of all voices: what is softer on one side stays so. */
+/* Let the programme be that of the loudest voice: what is softer on one side stays so. */
 static void share_programme(Live *live)
 {
-    double loudest = *live->voices[0].follower.programme;
+    const Strength *loudest = live->voices[0].strength;
     for (size_t which = 1; which < live->voices_count; which++)
-        loudest = larger(*live->voices[which].follower.programme, loudest);
-    for (size_t which = 0; which < live->voices_count; which++)
-        *live->voices[which].follower.programme = loudest;
+        if (live->voices[which].strength->loud > loudest->loud)
+            loudest = live->voices[which].strength;
+    const double programme = loudest->programme, heard = loudest->heard;
+    for (size_t which = 0; which < live->voices_count; which++) {
+        live->voices[which].strength->programme = programme;
+        live->voices[which].strength->heard = heard;
+    }
 }
 
 void live_process(Live *live, Sound sound, size_t frames, double *vibration)
@@ -315,6 +367,8 @@ void live_process(Live *live, Sound sound, size_t frames, double *vibration)
             Voice *voice = &live->voices[which];
             collect(live, voice, input, part, silent);
             deliver(voice, live->filled, part, vibration + which, live->voices_count);
+            if (s->begin_fade.length)
+                begin(s, voice->begun, vibration + which, part, live->voices_count);
         }
         sound.at += (ptrdiff_t)part * sound.frame_bytes;
         vibration += part * live->voices_count;
@@ -331,7 +385,8 @@ void live_process(Live *live, Sound sound, size_t frames, double *vibration)
             for (size_t which = 0; which < live->voices_count; which++)
                 advance(live, &live->voices[which]);
             live->tick = (live->tick + 1) % s->ticks;
-            share_programme(live);
+            if (loudness_is_on(s))
+                share_programme(live);
         }
     }
 }

@@ -8,15 +8,17 @@
 
 #include "analysis.h"
 #include "arena.h"
+#include "band_powers.h"
 #include "downmix.h"
 #include "fft.h"
 #include "glide_log.h"
-#include "loudness.h"
 #include "onset_partials.h"
 #include "input_stage.h"
 #include "onsets.h"
+#include "oscillators.h"
 #include "settings.h"
 #include "speech.h"
+#include "strength.h"
 #include "synthesis.h"
 #include "tracking.h"
 
@@ -26,11 +28,15 @@ typedef struct {
     double *past;   /* the last window_frames, a ring that begins at Live's `oldest` */
     double *peaks;  /* of the last hops_in_window, the one under way the last */
     double *played; /* the tick that is being delivered */
-    double *hop;    /* of the partials, at the low rate, of which that is a part */
+    double *hop;    /* of the partials, at the low rate, of which that is a part; where loudness */
+                    /* is followed, `oscillators` has them instead */
     Onsets onsets;
     OnsetPartial *fresh;
     Slots slots;
-    Loudness follower;
+    BandPowers powers;
+    Strength *strength;
+    Oscillators oscillators;
+    double *begun; /* frames of the stream that were delivered, up to its first full one */
     Smoothing smoothing;
     double *ringing; /* hops that the low-pass still rings */
     Speech *speech;
@@ -68,6 +74,8 @@ typedef struct {
     double *mono, *side, *windowed, *real, *imaginary, *fft_space, *synthesis_space, *onset_space;
     double *speech_space;
     double *newest; /* the last short_frames, in order */
+    double *low_rate; /* the tick under way */
+    double *oscillator_space;
     void *analysis_space, *tracking_space;
     Principals found;
     double *hz, *amplitude;
@@ -80,6 +88,9 @@ int live_open(Live *live, const Settings *settings, size_t channels, int each, A
 
 /* Return to the state of a new stream; the counters go on. */
 void live_reset(Live *live);
+
+/* Let a voice forget all but the programme, after a long silence. */
+void live_rest(Live *live, Voice *voice);
 
 /* Take so many frames of sound and write as many of vibration, (frames, voices). */
 void live_process(Live *live, Sound sound, size_t frames, double *vibration);

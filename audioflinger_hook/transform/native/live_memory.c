@@ -28,11 +28,33 @@ static size_t onset_numbers(const Settings *s)
     return s->short_ticks + (s->back_ticks + 2) * bands + s->short_bins + 3;
 }
 
+static size_t older_powers(const Settings *s) { return (s->average_ticks - 1) * band_powers_high(s); }
+
+/* What is remembered only where loudness is followed. */
+static size_t followed_numbers(const Settings *s)
+{
+    return LOW_STATES + older_powers(s) + STRENGTH_STATES + DRIVE_STATES + GLIDE_NUMBERS * tracking_slots(s);
+}
+
 static size_t voice_numbers(const Settings *s)
 {
-    return s->band_b.length - 1 + s->window_frames + s->hops_in_window + s->tick_frames + s->steps +
+    return s->band_b.length - 1 + s->window_frames + s->hops_in_window + s->tick_frames +
            onset_numbers(s) + FRESH_NUMBERS * s->fresh_max + SLOT_NUMBERS * tracking_slots(s) +
-           FOLLOWER_NUMBERS + SPEECH_STATES + smoothing_states(s) + smoothing_tail(s) + 4;
+           SPEECH_STATES + smoothing_states(s) + smoothing_tail(s) + 3 +
+           (loudness_is_on(s) ? followed_numbers(s) : s->steps);
+}
+
+static void layout_followed(const Settings *s, Voice *voice, double **next)
+{
+    Glides *hop = &voice->oscillators.hop;
+    double **of_hop[GLIDE_NUMBERS] = {&hop->start_hz, &hop->end_hz, &hop->start_amplitude,
+                                      &hop->end_amplitude, &hop->start_phase};
+    voice->powers.low = (LowBands *)next_state(next, LOW_STATES);
+    voice->powers.recent = next_state(next, older_powers(s));
+    voice->strength = (Strength *)next_state(next, STRENGTH_STATES);
+    voice->oscillators.drive = (Drive *)next_state(next, DRIVE_STATES);
+    for (size_t which = 0; which < GLIDE_NUMBERS; which++)
+        *of_hop[which] = next_state(next, tracking_slots(s));
 }
 
 static void layout_voice(const Settings *s, Voice *voice, double **next)
@@ -42,7 +64,6 @@ static void layout_voice(const Settings *s, Voice *voice, double **next)
     voice->past = next_state(next, s->window_frames);
     voice->peaks = next_state(next, s->hops_in_window);
     voice->played = next_state(next, s->tick_frames);
-    voice->hop = next_state(next, s->steps);
     voice->onsets.peaks = next_state(next, s->short_ticks);
     voice->onsets.past = next_state(next, s->back_ticks * bands);
     voice->onsets.highest = next_state(next, bands);
@@ -61,18 +82,15 @@ static void layout_voice(const Settings *s, Voice *voice, double **next)
     for (size_t which = 0; which < SLOT_NUMBERS; which++)
         *of_slots[which] = next_state(next, slots);
     voice->slots.start_sum = next_state(next, 1);
-    voice->slots.struck = next_state(next, 1);
-    voice->slots.struck_hops = next_state(next, 1);
-    voice->follower.programme = next_state(next, 1);
-    voice->follower.floor = next_state(next, 1);
-    voice->follower.loud = next_state(next, 1);
-    voice->follower.steady = next_state(next, 1);
-    voice->follower.gain = next_state(next, 1);
-    voice->follower.far_hops = next_state(next, 1);
+    voice->begun = next_state(next, 1);
     voice->smoothing.state = next_state(next, smoothing_states(s));
     voice->smoothing.tail = next_state(next, smoothing_tail(s));
     voice->ringing = next_state(next, 1);
     voice->speech = (Speech *)next_state(next, SPEECH_STATES);
+    if (loudness_is_on(s))
+        layout_followed(s, voice, next);
+    else
+        voice->hop = next_state(next, s->steps);
 }
 
 /* Lay out the work space. */
@@ -90,6 +108,8 @@ static void layout_work(Live *live, Arena *arena)
     live->fft_space = numbers(arena, fft_work(&live->fft));
     live->tracking_space = arena_alloc(arena, tracking_work(s), 1);
     live->synthesis_space = numbers(arena, synthesis_work(s));
+    live->low_rate = numbers(arena, s->tick_steps);
+    live->oscillator_space = numbers(arena, oscillators_work(s));
     live->speech_space = numbers(arena, speech_work(s));
     live->analysis_space = arena_alloc(arena, analysis_work(s->bins), 1);
     double **found[FOUND_NUMBERS] = {&live->found.audio_hz, &live->found.amplitude,
@@ -145,8 +165,20 @@ void live_reset(Live *live)
     live->silent = live->settings.window_frames; /* before the beginning there was nothing */
     for (size_t voice = 0; voice < live->voices_count; voice++) {
         onsets_reset(&live->settings, &live->voices[voice].onsets);
-        loudness_reset(&live->settings, &live->voices[voice].follower);
+        if (loudness_is_on(&live->settings))
+            strength_reset(&live->settings, live->voices[voice].strength);
+        live_rest(live, &live->voices[voice]);
     }
+}
+
+void live_rest(Live *live, Voice *voice)
+{
+    const Settings *s = &live->settings;
+    if (!loudness_is_on(s))
+        return;
+    band_powers_reset(s, &voice->powers);
+    strength_rest(s, voice->strength);
+    *voice->oscillators.drive = (Drive){.beat = 1.0};
 }
 
 /* Whether a number is within a range and whole. */
@@ -178,7 +210,9 @@ static int voice_is_possible(const Settings *s, const Voice *voice)
     return alive <= s->partials_max + s->fresh_max &&
            is_count(*voice->onsets.since, 0.0, (double)(s->rest_ticks + s->heard_ticks)) &&
            *voice->ringing >= 0.0 && *voice->ringing <= (double)s->ring_hops &&
-           loudness_is_possible(s, &voice->follower);
+           is_count(*voice->begun, 0.0, (double)(s->begin_frames + s->begin_fade.length)) &&
+           (!loudness_is_on(s) || (strength_is_possible(s, voice->strength) &&
+                                   oscillators_are_possible(s, voice->oscillators.drive)));
 }
 
 int live_state_is_valid(const Live *live)

@@ -1,50 +1,26 @@
-/* The loudness follower of one voice: a loudness each hop in, the strength of its vibration out. */
+/* Loudness after ISO 532-1, from the excitation of its bands. */
 
 #ifndef CUSHION_LOUDNESS_H
 #define CUSHION_LOUDNESS_H
 
 #include "settings.h"
 
-/* All of it is state, in dB of loudness but for two: the factor on the last amplitudes, and the
- * hops for which loudness has been far above the programme, or below with a minus. */
-typedef struct {
-    double *programme, *floor, *loud, *steady, *gain, *far_hops;
-} Loudness;
+/* Groups of bands whose rises count by themselves, at most. */
+#define GROUPS_OF_BANDS_MAX 8
 
-/* Numbers in it. */
-#define FOLLOWER_NUMBERS 6
+/* How loud a tick is. */
+typedef struct {
+    double db;   /* 0 for a full-scale tone of 1 kHz */
+    double sone; /* of all bands */
+    double groups[GROUPS_OF_BANDS_MAX]; /* sone of each, without what other bands mask */
+} Heard;
 
 /* Whether loudness is followed at all. */
 int loudness_is_on(const Settings *settings);
 
-/* Return to what is taken for granted before a stream. */
-void loudness_reset(const Settings *settings, Loudness *follower);
+size_t loudness_groups(const Settings *settings);
 
-/* Take note of a hop without any sound. */
-void loudness_rest(const Settings *settings, Loudness *follower);
-
-/* The loudness in dB of a spectrum of `bins`. */
-double loudness_loudness_db(const Settings *settings, const double *real, const double *imaginary);
-
-/* Return how strong the next hop vibrates, the root of its partials' sum of squares; 0 where the
- * gate is closed. */
-double loudness_strength(const Settings *settings, Loudness *follower, double measured_db);
-
-/* How strong an onset of this level vibrates. power: of the short window's bins. */
-double loudness_onset_strength(const Settings *settings, const Loudness *follower,
-                               const double *power, double level);
-
-/* Return, and keep, the factor that gives the amplitudes of a hop, 1 or more, their strength. hz: of
- * vibration. */
-double loudness_gain(const Settings *settings, Loudness *follower, double strength,
-                     const double *hz, const double *amplitude, size_t count);
-
-/* Move amplitudes to where a body feels them best, at the same strength, where their sum `total` is
- * over the ceiling; the more, the more it is over. Return their sum. */
-double loudness_concentrate(const Settings *settings, const double *hz, double *amplitude,
-                            size_t count, double total);
-
-/* Whether the numbers are such as a follower can have. */
-int loudness_is_possible(const Settings *settings, const Loudness *follower);
+/* excitation: of each band, over its threshold in quiet. */
+Heard loudness_of(const Settings *settings, const double *excitation);
 
 #endif

@@ -3,6 +3,7 @@
 #include "onset_partials.h"
 
 #include "common.h"
+#include "loudness.h"
 #include "scaling.h"
 #include "synthesis.h"
 
@@ -31,16 +32,18 @@ static Estimate estimate(const Settings *s, OnsetSources sources, Group group)
     const double level = onsets_level(sources.onsets);
     double amplitude = told.weight * level;
     if (loudness_is_on(s))
-        amplitude = told.weight *
-                    loudness_onset_strength(s, sources.follower, sources.onsets->power, level);
+        amplitude *= tilt(s, told.hz);
     if (s->speech_db > 0.0)
         amplitude *= speech_coarse_gain(s, sources.speech, heard_hz(s, told.hz));
     return (Estimate){told.hz, told.weight, amplitude * smoothing_gain(s, told.hz)};
 }
 
-/* What all sums of amplitudes leave under the ceiling. */
+/* What all sums of amplitudes leave under the ceiling; where loudness is followed, that is for the
+ * oscillators to keep. */
 static double room(const Settings *settings, const OnsetPartial *fresh, const Slots *slots)
 {
+    if (loudness_is_on(settings))
+        return INFINITY;
     double taken = 0.0;
     for (size_t slot = 0; slot < settings->fresh_max; slot++)
         taken += fresh[slot].sounds != 0.0 ? fresh[slot].goal : 0.0;
@@ -138,7 +141,6 @@ void onset_partials_play(const Settings *s, OnsetPartial *fresh, OnsetSources so
     for (size_t slot = 0; slot < s->fresh_max; slot++)
         if (fresh[slot].sounds != 0.0)
             glides->end_hz[slot] = follow(s, fresh, &fresh[slot], sources, slots);
-    const double left = room(s, fresh, slots);
     for (size_t slot = 0; slot < s->fresh_max; slot++) {
         OnsetPartial *one = &fresh[slot];
         if (one->sounds == 0.0) {
@@ -147,11 +149,7 @@ void onset_partials_play(const Settings *s, OnsetPartial *fresh, OnsetSources so
         }
         const double hz = glides->end_hz[slot];
         const size_t share = (size_t)smaller(one->age, (double)(s->rise_shares.length - 1));
-        double goal = one->goal * s->rise_shares.at[share];
-        const double emphasis = s->emphasis.at[(size_t)smaller(one->age, (double)(s->emphasis.length - 1))];
-        if (emphasis > 1.0 && goal > 0.0)
-            /* All of an onset by the same factor. */
-            goal *= smaller(emphasis, s->ceiling / (s->ceiling - left));
+        const double goal = one->goal * s->rise_shares.at[share];
         glides->start_hz[slot] = one->hz;
         glides->start_amplitude[slot] = one->amplitude;
         glides->end_amplitude[slot] = goal;

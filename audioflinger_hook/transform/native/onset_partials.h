@@ -3,7 +3,6 @@
 #ifndef CUSHION_ONSET_PARTIALS_H
 #define CUSHION_ONSET_PARTIALS_H
 
-#include "loudness.h"
 #include "onsets.h"
 #include "settings.h"
 #include "speech.h"
@@ -24,7 +23,6 @@ typedef struct {
 /* What their frequencies and amplitudes are estimated from. */
 typedef struct {
     const Onsets *onsets;
-    const Loudness *follower;
     const Speech *speech;
 } OnsetSources;
 

@@ -3,6 +3,7 @@
 #include "onsets.h"
 
 #include "common.h"
+#include "loudness.h"
 
 size_t onsets_bands(const Settings *settings) { return settings->band_edges.length - 1; }
 
@@ -233,7 +234,7 @@ OnsetTone onsets_estimate(const Settings *s, const Onsets *onsets, Group group)
     const size_t told = (size_t)smaller(*onsets->since, (double)(s->heard_ticks - 1));
     double purity = smaller(1.0, squares / larger(power * power * s->one_tone.at[told], TINY));
     /* Where loudness is followed, noise is as strong as it is loud. */
-    if (s->loudness_weights.length)
+    if (loudness_is_on(s))
         purity = 1.0;
     const double level = onsets_level(onsets), by_energy = sqrt(share * purity);
     const double weight = s->by_energy ? by_energy : share * sqrt(share) * purity;

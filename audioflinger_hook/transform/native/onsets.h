@@ -39,7 +39,8 @@ size_t onsets_work(const Settings *settings, const Fft *fft);
 void onsets_reset(const Settings *settings, const Onsets *onsets);
 
 /* Take one tick and return whether there is an onset in it. samples: the last short_frames of
- * band-passed sound, of which the last tick_frames are new; the peak of those is noted already. */
+ * band-passed sound, of which the last tick_frames are new; the peak of those is noted already. The
+ * first short_bins numbers of `work` are then the powers of the bins. */
 int onsets_hear(const Settings *settings, const Fft *fft, const Onsets *onsets,
                 const double *samples, double *work);
 

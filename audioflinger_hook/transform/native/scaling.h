@@ -37,4 +37,10 @@ INLINED double table_at(Table table, double step, double at)
     return slope * (at - (double)below * step) + table.at[below];
 }
 
+/* Where loudness is followed, what is felt well takes less of the room under full scale. */
+INLINED double tilt(const Settings *s, double hz)
+{
+    return sqrt(table_at(s->felt_weights, s->gain_step_hz, hz));
+}
+
 #endif

@@ -5,11 +5,17 @@
 #include <math.h>
 
 #include "analysis.h"
+#include "band_powers.h"
 #include "downmix.h"
+#include "filter_cascade.h"
+#include "loudness.h"
 #include "speech.h"
 
 /* Three times the longest spectrum that there is: no sum or product of such sizes overflows. */
 #define COUNT_MAX ((size_t)1 << 20)
+
+/* The largest average_ticks. */
+#define AVERAGE_MAX 64
 
 static int finite_table(Table table)
 {
@@ -37,16 +43,42 @@ static int are_edges(Table edges, size_t bins)
     return edges.length >= 2;
 }
 
-/* Whether tables are those of a loudness meter for so many bins. */
-static int is_meter(Table weights, Table edges, Table scale, Table widths, size_t bins)
+/* Whole numbers from 0 on, each more than the last, up to `most`. */
+static int ascend(Table edges, double most)
 {
-    if (weights.length != bins || edges.length < 2 || edges.at[0] != 0.0)
-        return 0;
-    for (size_t one = 1; one < edges.length; one++)
-        if (!(edges.at[one] > edges.at[one - 1] && edges.at[one] == floor(edges.at[one])))
+    for (size_t one = 0; one < edges.length; one++)
+        if (!(edges.at[one] >= (one ? edges.at[one - 1] + 1.0 : 0.0) && edges.at[one] <= most &&
+              edges.at[one] == floor(edges.at[one])))
             return 0;
-    return edges.at[edges.length - 1] <= (double)bins && scale.length == edges.length - 1 &&
-           widths.length == edges.length - 1;
+    return 1;
+}
+
+/* What of the tables by which loudness is followed does not fit; NULL where all does. */
+static const char *loudness_misfit(const Settings *s)
+{
+    const size_t bands = s->loudness_scale.length, high = s->high_weights.length;
+    const size_t low = s->low_weights.length, groups = s->loudness_groups.length;
+    if (bands > BANDS_MAX || s->loudness_widths.length != bands || high > bands)
+        return "loudness_scale, loudness_widths: not one a band, or too many";
+    if (s->low_poles.length != LOW_NUMBERS * low || s->low_band_of.length != low || low > LOW_MAX)
+        return "low_poles, low_weights, low_band_of: not of the same bands, or too many";
+    for (size_t one = 0; one < low; one++)
+        if (!(s->low_band_of.at[one] >= 0.0 && s->low_band_of.at[one] < (double)bands))
+            return "low_band_of: a band that is not there";
+    if (s->high_edges.length != (high ? high + 1 : 0) || !ascend(s->high_edges, (double)s->short_bins))
+        return "high_edges: not one more than bands, or not ascending within the bins";
+    if (s->low_smooth.length % SECTION_NUMBERS || s->low_smooth.length / SECTION_NUMBERS > SECTIONS_MAX ||
+        s->quadrature.length != 2 * CHAIN)
+        return "low_smooth, quadrature: not sections, or not of two chains";
+    if (groups < 2 || groups > GROUPS_OF_BANDS_MAX + 1 || s->loudness_groups.at[0] != 0.0 ||
+        !ascend(s->loudness_groups, (double)bands) || s->loudness_groups.at[groups - 1] != (double)bands)
+        return "loudness_groups: not ascending from the first band to the last";
+    if (s->average_ticks < 1 || s->average_ticks > AVERAGE_MAX)
+        return "average_ticks: none, or too many";
+    if (!(s->boost_max >= 0.0 && s->concentrated >= 0.0 && s->beat_least > 0.0 && s->beat_width_hz > 0.0 &&
+          s->weakest_step > 0.0 && s->gain_max >= 0.0 && s->start_weight > 0.0))
+        return "boost_max, concentrated, beat_least, weakest_step, gain_max: negative, or 0";
+    return NULL;
 }
 
 const char *settings_misfit(const Settings *s)
@@ -92,8 +124,11 @@ const char *settings_misfit(const Settings *s)
         return "first_bin, last_bin: without a bin to either side";
     if (s->partials_max < 1)
         return "partials_max: under 1";
-    if (!is_recursion(s->band_b, s->band_a) || !is_recursion(s->low_b, s->low_a))
+    if (!is_recursion(s->band_b, s->band_a) ||
+        (!s->low_sections.length && !is_recursion(s->low_b, s->low_a)))
         return "band_b, band_a, low_b, low_a: not as long as one another, or not to 1";
+    if (s->low_sections.length % SECTION_NUMBERS || s->low_sections.length / SECTION_NUMBERS > SECTIONS_MAX)
+        return "low_sections: not sections, or too many";
     if (s->tick_glide.length != s->tick_steps || s->tick_glide_s.length != s->tick_steps)
         return "tick_glide, tick_glide_s: not one entry a step";
     if (s->short_frames < s->tick_frames || s->short_frames > s->window_frames ||
@@ -121,8 +156,6 @@ const char *settings_misfit(const Settings *s)
         return "groups_max, fresh_max: none, too many, or more groups than partials";
     if (s->rise_shares.length < 1)
         return "rise_shares: empty";
-    if (s->emphasis.length < 1)
-        return "emphasis: empty";
     if (s->find_onsets > 1 || s->by_energy > 1)
         return "find_onsets, by_energy: neither 0 nor 1";
     if (s->image_table.length < 1)
@@ -136,14 +169,8 @@ const char *settings_misfit(const Settings *s)
         return "phases: not rows of decimation";
     if (s->gain_table.length < 2 || !(s->gain_step_hz > 0.0))
         return "gain_table: under two entries, or gain_step_hz not above 0";
-    if (s->loudness_weights.length &&
-        (!is_meter(s->loudness_weights, s->loudness_edges, s->loudness_scale, s->loudness_widths,
-                   s->bins) ||
-         !is_meter(s->onset_loudness_weights, s->onset_loudness_edges, s->onset_loudness_scale,
-                   s->onset_loudness_widths, s->short_bins)))
-        return "loudness_weights: neither none nor one a bin, or their bands do not fit";
-    if (s->felt_weights.length < 2 || s->onset_felt_squares.length != s->short_bins)
-        return "felt_weights: under two entries, or onset_felt_squares not one a short bin";
+    if (s->felt_weights.length < 2)
+        return "felt_weights: under two entries";
 #define ENTRY(name)                                                                                \
     if (!isfinite(s->name))                                                                        \
         return #name ": not finite";
@@ -153,5 +180,10 @@ const char *settings_misfit(const Settings *s)
         return "nothing: not above 0";
     if (!(s->programme_min <= s->programme_start && s->programme_start <= s->programme_top))
         return "programme_start: not from programme_min to programme_top";
+    if (s->loudness_scale.length) {
+        const char *misfit = loudness_misfit(s);
+        if (misfit)
+            return misfit;
+    }
     return speech_misfit(s);
 }

@@ -34,6 +34,8 @@
     ENTRY(groups_max)   /* of bands in which an onset gives birth */                               \
     ENTRY(fresh_max)    /* partials at a time that the analysis does not know yet */               \
     ENTRY(hold_hops)    /* for which those are held then */                                        \
+    ENTRY(average_ticks) /* over which the power of high bands is averaged */                       \
+    ENTRY(begin_frames) /* at the start of a stream, which are silent */                           \
     ENTRY(by_energy)    /* the level law: 1 by energy, 0 the paper's */
 
 #define NUMBERS(ENTRY)                                                                             \
@@ -90,41 +92,59 @@
     ENTRY(worth_holding) /* share of its amplitude up to which it is not held */                   \
     ENTRY(stronger)      /* ratio from which on one amplitude is larger than another */            \
     ENTRY(joined_from)   /* amplitude up to which a partial is as good as none to join */          \
-    ENTRY(struck_share)  /* of the strength at an onset that is left while it is held, */          \
-    ENTRY(struck_grown)  /* or this share of the strength that would be */                         \
     FOLLOWER(ENTRY)                                                                                \
     SPEECH_NUMBERS(ENTRY)
 
-/* Numbers of the loudness follower, dB and dB a hop but for factors; see design/loudness.py. */
+/* Numbers of the strength by loudness, dB and dB a tick but for factors; see design/strength.py. */
 #define FOLLOWER(ENTRY)                                                                            \
-    ENTRY(nothing)         /* energy that counts as none */                                        \
+    ENTRY(nothing) /* loudness that counts as none */                                              \
+    ENTRY(silence_db) /* level of a group in silence */                                            \
     ENTRY(programme_start) /* level of the programme before anything is heard, */                  \
     ENTRY(programme_min)                                                                           \
     ENTRY(programme_top)                                                                           \
     ENTRY(programme_step) /* how it moves, */                                                      \
-    ENTRY(programme_rise) /* and the share of its distance */                              \
+    ENTRY(programme_rise) /* and the share of its distance */                                      \
     ENTRY(programme_fall)                                                                          \
-    ENTRY(jump)           /* distance that is far: after these hops another volume is taken on */   \
-    ENTRY(near)           /* distance that is near again */                                        \
-    ENTRY(jump_up_hops)                                                                            \
-    ENTRY(jump_down_hops)                                                                          \
-    ENTRY(jump_up_step)                                                                            \
-    ENTRY(jump_down_step)                                                                          \
-    ENTRY(far)         /* longest distance that counts */                                         \
-    ENTRY(release)     /* of the loud level */                                                      \
-    ENTRY(floor_min)   /* loudness up to which nothing is felt */                                  \
-    ENTRY(floor_rise)  /* of the noise floor */                                                    \
+    ENTRY(far) /* longest distance that counts */                                                  \
+    ENTRY(start_ticks) /* of sound in which it is found fast, */                                   \
+    ENTRY(start_weight) /* as if so many had been heard before */                                  \
+    ENTRY(start_near) /* until it is so near */                                                    \
+    ENTRY(release) /* of the loud level, */                                                        \
+    ENTRY(slow_followed) /* which is averaged */                                                   \
+    ENTRY(floor_min) /* loudness up to which nothing is felt */                                    \
+    ENTRY(floor_rise) /* of the noise floor */                                                     \
     ENTRY(floor_under) /* it stays under the programme's level */                                  \
-    ENTRY(gate)        /* from the floor to where all is felt, */                                  \
+    ENTRY(gate) /* from the floor to where all is felt, */                                         \
     ENTRY(gate_margin) /* of which this share is still silent */                                   \
-    ENTRY(jitter)          /* smaller changes of loudness are jitter, */                           \
+    ENTRY(jitter) /* smaller changes of loudness are jitter, */                                    \
     ENTRY(jitter_followed) /* of which this share is followed */                                   \
-    ENTRY(onset_under)  /* loudness of onsets counts so much less: short sounds are heard softer */ \
+    ENTRY(group_smooth) /* share of a tick in the average of a group of bands */                   \
+    ENTRY(group_sone) /* added to that before the logarithm */                                     \
+    ENTRY(group_up) /* share by which what is usual follows a rise */                              \
+    ENTRY(group_down) /* or a fall */                                                              \
+    ENTRY(group_deviates) /* and the mean deviation follows */                                     \
+    ENTRY(deviation_max)                                                                           \
+    ENTRY(deviation_start)                                                                         \
+    ENTRY(boost_deviations) /* a rise is more than so many of them; */                             \
+    ENTRY(boost_slope) /* dB that are wanted for each more, */                                     \
+    ENTRY(boost_max) /* up to so many, */                                                          \
+    ENTRY(boost_share_from) /* from this share of all loudness on */                               \
+    ENTRY(boost_share_width) /* fully from so much more; */                                        \
+    ENTRY(boost_natural) /* dB that need not be added */                                           \
+    ENTRY(boost_hold_ticks) /* for which it stays */                                               \
+    ENTRY(boost_fall)                                                                              \
+    ENTRY(beat_hz) /* partials so far apart do not beat, */                                        \
+    ENTRY(beat_width_hz) /* and those this much closer do fully */                                 \
+    ENTRY(beat_least) /* least ratio by which beats are undone */                                  \
+    ENTRY(weakest_step) /* least strength of a step, as a share of its tick's */                   \
     ENTRY(concentrated) /* power of the sensitivity that moves what would be limited, at most */   \
     ENTRY(slope_a_bark) /* share by which specific loudness falls, times its fourth root */        \
-    ENTRY(target)      /* vibration at the programme's level */                                    \
-    ENTRY(slope)       /* of vibration for each dB of loudness */                                  \
-    ENTRY(gain_max)    /* of amplitudes, a factor */
+    ENTRY(target) /* vibration at the programme's level */                                         \
+    ENTRY(slope) /* of vibration for each dB of loudness */                                        \
+    ENTRY(gain_max) /* of amplitudes, a factor */
+
+/* Numbers of each row of low_poles. */
+#define LOW_NUMBERS 3
 
 /* Tables, each with its length. */
 #define TABLES(ENTRY)                                                                              \
@@ -149,16 +169,18 @@
     ENTRY(band_edges)  /* bins: the first of each band, and past the last */                       \
     ENTRY(one_tone)    /* purity of a tone, by ticks since its onset */                            \
     ENTRY(rise_shares) /* of its amplitude that a fresh partial has after each tick */             \
-    ENTRY(emphasis)    /* factor on it after each tick */                                          \
-    ENTRY(loudness_weights) /* of bins; empty where loudness is not followed */                    \
-    ENTRY(loudness_edges)   /* bins: the first of each band, and past the last */                  \
-    ENTRY(loudness_scale)   /* of bands: sone per Bark at the threshold */                         \
-    ENTRY(loudness_widths)  /* of bands: Bark */                                                   \
-    ENTRY(onset_loudness_weights) /* the same for the short window */                              \
-    ENTRY(onset_loudness_edges)                                                                    \
-    ENTRY(onset_loudness_scale)                                                                    \
-    ENTRY(onset_loudness_widths)                                                                   \
-    ENTRY(onset_felt_squares) /* squared sensitivity at the vibration of each short bin */         \
+    ENTRY(low_sections) /* low-pass and high-pass as second-order sections; then low_b and low_a are empty */\
+    ENTRY(begin_fade) /* of the first frames of a stream, after begin_frames of silence */         \
+    ENTRY(low_smooth) /* sections before the low rate, for the low bands */                        \
+    ENTRY(quadrature) /* squares of the all-passes: of one chain, then of the other */             \
+    ENTRY(low_poles)   /* LOW_NUMBERS of each low band: its pole, and the gain before it */         \
+    ENTRY(low_weights) /* of each: factor on its squares, */                                       \
+    ENTRY(low_band_of) /* and its band of loudness */                                              \
+    ENTRY(high_edges) /* short bins: the first of each high band, and past the last */             \
+    ENTRY(high_weights) /* of each high band: factor on its power */                               \
+    ENTRY(loudness_scale) /* of bands: sone per Bark at the threshold; empty if not followed */    \
+    ENTRY(loudness_widths) /* of bands: Bark */                                                    \
+    ENTRY(loudness_groups) /* bands: the first of each group, and past the last */                 \
     ENTRY(felt_weights)       /* sensitivity by vibration frequency */                             \
     SPEECH_TABLES(ENTRY)
 

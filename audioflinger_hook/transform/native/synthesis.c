@@ -6,9 +6,13 @@
 #include "exact.h"
 #include "scaling.h"
 #include "filter.h"
+#include "filter_cascade.h"
 #include "functions.h"
 
-size_t smoothing_states(const Settings *settings) { return settings->low_b.length - 1; }
+size_t smoothing_states(const Settings *settings)
+{
+    return settings->low_sections.length ? sizeof(Cascade) / sizeof(double) : settings->low_b.length - 1;
+}
 
 size_t smoothing_tail(const Settings *settings)
 {
@@ -82,11 +86,11 @@ void synthesis_hop(const Settings *settings, const Glides *glides, double *low_r
     add_partials(glides, count, shapes, low_rate);
 }
 
-static void add_fresh(const Settings *settings, const Glides *glides, double *low_rate)
+void synthesis_add_fresh(const Settings *settings, const Glides *fresh, double *low_rate)
 {
     const Shapes shapes = {settings->tick_glide.at, settings->seconds.at,
                            settings->tick_glide_s.at, settings->tick_steps};
-    add_partials(glides, settings->fresh_max, shapes, low_rate);
+    add_partials(fresh, settings->fresh_max, shapes, low_rate);
 }
 
 /* ------------------------------------------------------------------------------------ smoothing */
@@ -125,22 +129,27 @@ SIMD_CLONES static void interpolate(const double *low_rate, size_t steps, Table 
         multiply(low_rate, steps, phases.at, taps, decimation, vibration);
 }
 
-void synthesis_play(const Settings *settings, const double *hop, const Glides *fresh,
-                    Smoothing *smoothing, double *vibration, double *work)
+static void filter_sections(const Settings *settings, double *state, double *samples, size_t count)
+{
+    const CascadeDesign design = {settings->low_sections.at,
+                                  settings->low_sections.length / SECTION_NUMBERS};
+    for (size_t one = 0; one < count; one++)
+        samples[one] = cascade_step((Cascade *)(void *)state, design, samples[one]);
+}
+
+void synthesis_play(const Settings *settings, double *low_rate, Smoothing *smoothing, double *vibration,
+                    double *work)
 {
     const size_t tail = smoothing_tail(settings), order = smoothing_states(settings);
     const size_t steps = settings->tick_steps;
-    double *low_rate = work + tail;
-    memset(low_rate, 0, steps * sizeof(double));
-    if (fresh)
-        add_fresh(settings, fresh, low_rate);
-    for (size_t step = 0; step < steps; step++)
-        low_rate[step] += hop[step];
-    if (order == 6)
+    if (settings->low_sections.length)
+        filter_sections(settings, smoothing->state, low_rate, steps);
+    else if (order == 6)
         filter_low(settings->low_b, settings->low_a, smoothing->state, 6, low_rate, steps);
     else
         filter_low(settings->low_b, settings->low_a, smoothing->state, order, low_rate, steps);
     memcpy(work, smoothing->tail, tail * sizeof(double));
+    memcpy(work + tail, low_rate, steps * sizeof(double));
     interpolate(work, steps, settings->phases, settings->decimation, vibration);
     memcpy(smoothing->tail, work + steps, tail * sizeof(double));
 }

@@ -8,7 +8,7 @@
 
 /* What the low-pass and the interpolation remember of one voice. */
 typedef struct {
-    double *state; /* of the low-pass: as many as its order */
+    double *state; /* of the low-pass */
     double *tail;  /* the last samples at the low rate: one less than taps */
 } Smoothing;
 
@@ -27,10 +27,12 @@ size_t synthesis_work(const Settings *settings);
 /* Write one hop at the low rate, (steps,). */
 void synthesis_hop(const Settings *settings, const Glides *glides, double *low_rate);
 
-/* Write one tick of vibration, (tick_frames,). hop: its part of the hop at the low rate. fresh: what
- * fresh partials do in it; NULL where none sounds. */
-void synthesis_play(const Settings *settings, const double *hop, const Glides *fresh,
-                    Smoothing *smoothing, double *vibration, double *work);
+/* Add one tick of fresh partials at the low rate, (tick_steps,). */
+void synthesis_add_fresh(const Settings *settings, const Glides *fresh, double *low_rate);
+
+/* Write one tick of vibration, (tick_frames,). low_rate: (tick_steps,), which is overwritten. */
+void synthesis_play(const Settings *settings, double *low_rate, Smoothing *smoothing, double *vibration,
+                    double *work);
 
 /* Round off what is beyond the knee; return how many samples that were. */
 size_t synthesis_keep_below_full_scale(const Settings *settings, double *vibration);

@@ -6,7 +6,6 @@
 #include "tracking.h"
 
 #include "common.h"
-#include "loudness.h"
 #include "merging.h"
 #include "scaling.h"
 #include "arena.h"
@@ -133,32 +132,6 @@ double tracking_join(const Settings *settings, const Slots *slots, double before
     return 1.0;
 }
 
-/* The strength of all that sounds at the end of the hop. */
-static double felt(const Settings *settings, const Slots *slots)
-{
-    double power = 0.0;
-    for (size_t slot = 0; slot < tracking_slots(settings); slot++)
-        if (slots->alive[slot] != 0.0) {
-            const double weight =
-                table_at(settings->felt_weights, settings->gain_step_hz, slots->hz[slot]);
-            power += slots->amplitude[slot] * weight * (slots->amplitude[slot] * weight);
-        }
-    return sqrt(power);
-}
-
-/* Let vibration be strongest at the onset: the long window goes on hearing it for long. */
-static void stay_under_onset(const Settings *s, Slots *slots)
-{
-    if (!loudness_is_on(s) || *slots->struck_hops == 0.0)
-        return;
-    *slots->struck_hops -= 1.0;
-    const double over = felt(s, slots) / larger(TINY, *slots->struck);
-    const double kept = larger(s->struck_share, s->struck_grown * over);
-    if (kept < over)
-        for (size_t slot = 0; slot < tracking_slots(s); slot++)
-            slots->amplitude[slot] *= kept / over;
-}
-
 void tracking_adopt(const Settings *settings, Slots *slots, double hz, double phase,
                     double amplitude, Held held)
 {
@@ -177,10 +150,6 @@ void tracking_adopt(const Settings *settings, Slots *slots, double hz, double ph
     slots->held_first[slot] = (double)held.group.first;
     slots->held_last[slot] = (double)held.group.last;
     slots->held_hops[slot] = (double)settings->hold_hops + 1.0;
-    if (loudness_is_on(settings)) {
-        *slots->struck = felt(settings, slots);
-        *slots->struck_hops = (double)settings->hold_hops;
-    }
 }
 
 /* The share of a change that is followed: all of a clear one, little of a jitter. */
@@ -383,7 +352,6 @@ void tracking_follow(const Settings *settings, Slots *slots, Glides *glides, Par
         slots->alive[slot] = 1.0;
     }
     hold(settings, slots, room, left, onsets);
-    stay_under_onset(settings, slots);
     finish_hop(settings, slots, glides);
 }
 
@@ -391,7 +359,6 @@ void tracking_fade(const Settings *settings, Slots *slots, Glides *glides)
 {
     start_hop(settings, slots, glides);
     memset(slots->held_hops, 0, tracking_slots(settings) * sizeof(double));
-    *slots->struck_hops = 0.0;
     finish_hop(settings, slots, glides);
 }
 

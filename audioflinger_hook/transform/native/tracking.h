@@ -19,7 +19,6 @@ typedef struct {
     double *held_hops;                /* that are left, and one; 0 of all others */
     double *lacking;                  /* to that amplitude, within one call */
     double *start_sum;                /* of the amplitudes at the hop's start */
-    double *struck, *struck_hops;     /* strength at the last onset; hops left under it */
 } Slots;
 
 /* What keeps a partial that was born of an onset. */

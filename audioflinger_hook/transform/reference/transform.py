@@ -13,7 +13,6 @@ from audioflinger_hook.transform.mapping import VibrationMapping
 from audioflinger_hook.transform.parameters import TransformParameters
 from audioflinger_hook.transform.principal import PrincipalFinder, Principals
 from audioflinger_hook.transform.spectrum import Spectrum, magnitude
-from device.errors import InternalError
 
 EPSILON = 2.0**-52
 
@@ -140,20 +139,6 @@ class ReferenceTransform:
         self._bandpass.reset()
         self._pending = np.zeros(0)
         self._ready = np.zeros(self.latency_frames)
-
-    @property
-    def past(self) -> bytes:
-        """What was heard, as far as it does anything to the units that begin now; may be set.
-
-        Between two units, that is after a multiple of N frames, that is the band-pass's state.
-        """
-        if self._pending.size:
-            raise InternalError("a unit of the reference form has begun: its past is not whole")
-        return self._bandpass.past
-
-    @past.setter
-    def past(self, past: bytes) -> None:
-        self._bandpass.past = past
 
     def begin_hop(self) -> None:
         """It never does."""

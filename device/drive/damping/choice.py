@@ -57,16 +57,10 @@ def choose_damping(
     Best is the least residual in the worst case. Takes about a second. If no candidate is within
     the headroom, the first needs the fewest volts of all, and its `affordable` is False.
 
-    Parameters
-    ----------
-    p : ActuatorParameters
-        The actuator as identified.
-    uncertainty : float
-        Share by which f0 may differ in either direction, 0 to 0.5.
-    headroom_db : float
-        Available peak volts above those of undamped current drive for equal vibration.
-    source_impedance_ohm : float
-        Source impedance of the amplifier.
+    p: the actuator as identified.
+    uncertainty: share by which f0 may differ in either direction, 0 to 0.5.
+    headroom_db: available peak volts above those of undamped current drive for equal vibration.
+    source_impedance_ohm: of the amplifier.
     """
     detunings = sorted({0.0, -uncertainty, uncertainty})
     references = [undamped(p, detuning=d) for d in detunings]

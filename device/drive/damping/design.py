@@ -79,17 +79,11 @@ def inverse_sections(ringing: Resonance, wanted: Resonance, samplerate: float) -
 class Damping:
     """One damping filter, and the amplifier that it is meant for.
 
-    Attributes
-    ----------
-    name : str
-        Kind of filter.
-    source_impedance_ohm : float
-        Source impedance of the amplifier: 0 (voltage drive) damps (Qts), large: current drive
+    name: kind of filter.
+    source_impedance_ohm: of the amplifier; 0 (voltage drive) damps (Qts), large: current drive
         (Qms).
-    ringing, wanted : Resonance | None
-        The resonance that the filter removes, and the resonance that replaces it.
-    gain : float
-        Additional factor.
+    ringing, wanted: the resonance that the filter removes, and the one that replaces it.
+    gain: additional factor.
     """
 
     name: str

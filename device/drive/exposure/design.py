@@ -23,7 +23,7 @@ _READING_S = 0.01
 _ON_ITS_WAY = 1e-5
 """Share of a cap that is kept for the drive that has left when the gain is found."""
 _RINGS_S = 5.0
-"""Length of an impulse response: what is left then is nothing."""
+"""Length of an impulse response; the rest is negligible."""
 
 _LENGTHS = 6
 _KAISER_BETA = 8.0
@@ -102,7 +102,7 @@ def decimation_taps(factor: int) -> FloatArray:
 
 
 def _motion(rig: Rig, rate: float) -> tuple[FloatArray, FloatArray]:
-    """Return sections and taps of the acceleration that is felt, m/s² per volt."""
+    """Return sections and taps of the acceleration at the seat, m/s² per volt."""
     source = rig.amplifier.source_impedance_ohm
     if rig.seat:
         return seat_sections(rig.actuator, rig.seat, rate, source), np.empty(0)

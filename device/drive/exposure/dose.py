@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 import numpy as np
 import scipy
@@ -78,21 +78,12 @@ act at half of the dose, 71 % of the A(8) limit."""
 class Exposure:
     """Readings of the weighted acceleration so far, each of the channel where it is largest.
 
-    Attributes
-    ----------
-    time_s : float
-        Duration.
-    running_m_s2 : float
-        R.m.s. of about the last second.
-    rms_m_s2 : float
-        R.m.s. of all the time.
-    a8_m_s2 : float
-        A(8): the same energy spread over eight hours.
-    vdv : float
-        Vibration dose value in m/s^1.75.
-    extrapolated : float
-        Share of the weighted energy above 80 Hz, where ISO 2631-1 gives no weighting; of the
-        channel with the largest A(8).
+    time_s: duration.
+    running_m_s2, rms_m_s2: r.m.s. of about the last second, and of all the time.
+    a8_m_s2: A(8), the same energy spread over eight hours.
+    vdv: vibration dose value in m/s^1.75.
+    extrapolated: share of the weighted energy above 80 Hz, where ISO 2631-1 gives no weighting; of
+        the channel with the largest A(8).
     """
 
     time_s: float
@@ -142,16 +133,7 @@ class Exposure:
 class DoseSums:
     """Weighted acceleration of a day so far, integrated over time.
 
-    Parameters
-    ----------
-    time_s : float
-        Duration of the vibration.
-    squares : float
-        In m²/s³.
-    fourths : float
-        In m⁴/s⁷.
-    high : float
-        Of the squares, what is above 80 Hz.
+    time_s: duration. squares, fourths: in m²/s³ and m⁴/s⁷. high: the squares' part above 80 Hz.
     """
 
     time_s: float = 0.0
@@ -159,20 +141,11 @@ class DoseSums:
     fourths: float = 0.0
     high: float = 0.0
 
-    def plus(self, other: DoseSums) -> DoseSums:
-        """Return both together."""
-        return DoseSums(
-            self.time_s + other.time_s,
-            self.squares + other.squares,
-            self.fourths + other.fourths,
-            self.high + other.high,
-        )
+    def plus(self, other: DoseSums, times: float = 1.0) -> DoseSums:
+        """Return the sum of this dose and a multiple of another."""
+        pairs = zip(astuple(self), astuple(other), strict=True)
+        return DoseSums(*(mine + times * theirs for mine, theirs in pairs))
 
     def at_least(self, other: DoseSums) -> DoseSums:
         """Return the larger of each."""
-        return DoseSums(
-            max(self.time_s, other.time_s),
-            max(self.squares, other.squares),
-            max(self.fourths, other.fourths),
-            max(self.high, other.high),
-        )
+        return DoseSums(*map(max, astuple(self), astuple(other)))

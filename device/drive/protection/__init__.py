@@ -6,7 +6,6 @@
 | bounding_models.py | the few models that bound every actuator that a rig may have        |
 | drive_model.py | amplifier and actuator as one step from sample to sample                      |
 | prediction.py | what a block of drive does to several linear models of the actuator            |
-| thermal.py    | how warm coil and magnet are, and how much power they may have                 |
 | design.py     | all of it as numbers and tables for the core                                   |
 
 The core decides on gains (audioflinger_hook/core/drive/protection.c).

@@ -8,9 +8,8 @@ import numpy as np
 
 from device.drive.protection.bounding_models import RESERVE, bounding_models
 from device.drive.protection.drive_model import amplifier_sections
-from device.drive.protection.limits import Limits, limits_of
+from device.drive.protection.limits import APPROACH_S, Limits, limits_of
 from device.drive.protection.prediction import Prediction, most_current_a
-from device.drive.protection.thermal import APPROACH_S
 from device.errors import UsageError
 from device.records import Records
 from device.rig import Rig
@@ -38,13 +37,13 @@ MATRICES = ("excursion_by_state", "state_by_state", "current_by_state", "tail_by
 RESPONSES = ("excursion_by_drive", "state_by_drive", "current_by_drive")
 
 LANES = 8
-"""Of the core: it reads whole groups of so many frames."""
+"""The core reads groups of this many frames."""
 
 _FINE_HZ = 32_000
 """From here on a block has whole groups."""
 
 _UNREACHABLE = 1e30
-"""In place of infinity, for a reach that nobody computed."""
+"""In place of infinity, for a reach that is not computed."""
 
 
 def latency_frames(samplerate: int) -> int:
@@ -58,7 +57,7 @@ def protection_records(rig: Rig, samplerate: int, limits: Limits | None = None) 
     The result keeps the rig inside its limits by gain alone, ahead of time. While no limit is near,
     every sample leaves unchanged, `latency_frames` later.
 
-    rig: what is driven. samplerate: Hz, 1000 or more. limits: None for the limits of the rig.
+    samplerate: Hz, 1000 or more. limits: None for the limits of the rig.
     UsageError: the coil's temperature is limited and the rig does not describe how it warms up.
     """
     limits = limits or limits_of(rig)

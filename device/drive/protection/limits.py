@@ -6,6 +6,9 @@ from dataclasses import dataclass
 from device.rig import Rig
 from device.rig.parameters import LargeSignalParameters
 
+APPROACH_S = 2.0
+"""Time constant with which a coil comes up to its limit of temperature."""
+
 LIGHTEST_FRAME_KG = 0.57
 """A board that lies freely: it raises the resonance of 0.25 kg by a fifth."""
 
@@ -53,28 +56,16 @@ def limits_of(rig: Rig) -> Limits:
 class ProtectionStatus:
     """Counts, since the start or `reset`, and readings of the protection.
 
-    Attributes
-    ----------
-    blocks : int
-        Blocks so far.
-    limited_blocks : int
-        Blocks in which the gain was below 1.
-    infeasible_blocks : int
-        Blocks in which no gain could keep every limit, so that the gain became 0.
-    replaced_samples : int
-        Samples that were not finite.
-    gain, least_gain : float
-        Smallest gain of all channels, now and since the start; 0 to 1.
-    limited_by : str
-        Cause of the gain: "excursion, current or level", "temperature", "outside" (such as an
-        exposure cap), or "".
-    excursion_m : float
-        Amplitude that the stored energy of the identified model could reach.
-    coil_c, resistance_ohm : float | None
-        Of the warmest coil, in °C and ohm, at most; None if the rig does not describe how it
-        warms up.
-    latency_s : float
-        Delay of the vibration.
+    blocks: all so far.
+    limited_blocks: those in which the gain was below 1.
+    infeasible_blocks: blocks in which no gain could keep every limit; the gain became 0.
+    replaced_samples: samples that were not finite.
+    gain, least_gain: smallest of all channels, now and since the start; 0 to 1.
+    limited_by: cause of the gain: "excursion, current or level", "temperature", "outside" (such as
+        an exposure cap), or "".
+    excursion_m: amplitude that the stored energy of the identified model could reach.
+    coil_c, resistance_ohm: of the warmest coil, °C and ohm; None without a thermal model.
+    latency_s: delay of the vibration.
     """
 
     blocks: int

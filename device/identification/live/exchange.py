@@ -1,8 +1,8 @@
 """One measurement in the streams' callbacks: listen, play once, record, and stop on any problem.
 
 Two streams' threads call `fill` and `on_frames`. Neither blocks, raises or allocates more than a
-block; the arrays for the whole recording exist before. The first problem becomes the measurement's
-error; from then on `fill` writes nothing, so the very next block is silent.
+block; the arrays of the whole recording are allocated before. The first problem becomes the
+measurement's error. From then on `fill` writes nothing, so the very next block is silent.
 """
 
 import math
@@ -51,7 +51,7 @@ class Exchange:
         self._heard_s = self._filled_s = -math.inf
 
     def begin(self) -> None:
-        """Start counting frames; both streams are connected to the right devices."""
+        """Start counting frames, once both streams are connected to the right devices."""
         self._begun = True
 
     def abort(self, error: CushionError) -> None:
@@ -67,12 +67,12 @@ class Exchange:
 
     @property
     def played(self) -> bool:
-        """Whether anything was played. Any thread may ask."""
+        """Whether anything was played. For any thread."""
         return self._played > 0
 
     @property
     def share_recorded(self) -> float:
-        """Which share of the measurement is over, 0 to 1. Any thread may ask."""
+        """The finished share of the measurement, 0 to 1. For any thread."""
         return self._got / len(self._recorded)
 
     def fill(self, out: Float32Array, now_s: float) -> None:
@@ -144,7 +144,7 @@ class Exchange:
                     IdentificationError(
                         f"{self._names[channel]}: {rms:.3g} r.m.s. of full scale before anything "
                         f"was played, at most {LOUDEST_BACKGROUND} is allowed: something else "
-                        "plays or moves the cushion, or the input is noisy; end that, or lower the "
+                        "plays or moves the cushion, or the input is noisy; stop it, or lower the "
                         "gain of that input"
                     )
                 )

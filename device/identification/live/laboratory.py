@@ -29,7 +29,7 @@ from device.units import FloatArray
 QUANTITIES = ("acceleration", "current", "voltage", "loopback")
 UNUSED = "-"
 SHUNT_OHM = 1e-3, 10.0
-"""A larger resistor would leave the coil too little voltage, a smaller one no signal."""
+"""A larger resistor takes too much of the coil's voltage; a smaller one gives no signal."""
 DRIVE = "drive"
 """The name of the played signal, and of its loop-back."""
 
@@ -196,8 +196,8 @@ class LiveLaboratory:
     def measure(self, sweep: Sweep, pairs: Sequence[tuple[str, str]]) -> list[Recording]:
         """Return a recording per pair (reference, response) of one sweep, in physical units.
 
-        "drive" is the loop-back or the played signal. In the latter case the unknown delay is
-        fitted as well (`Recording.delayed`).
+        "drive" is the loop-back, or else the played signal, whose unknown delay is then fitted as
+        well (`Recording.delayed`).
         """
         for _ in range(MOST_TRIES - 1):
             try:
@@ -214,7 +214,7 @@ class LiveLaboratory:
         self._transport.run(exchange)
         recorded = exchange.recorded.astype(np.float64)
         if exchange.error is not None:
-            if not exchange.played:  # it was too loud before; hum has a remedy of its own
+            if not exchange.played:  # the background was too loud; hum has its own remedy
                 for channel in self._inputs.used:
                     silence = recorded[:, channel]
                     name = self._inputs.names[channel]
@@ -302,7 +302,7 @@ class LiveLaboratory:
         if after > max(3.0 * noise, _MAX_AFTER * whole):
             raise IdentificationError(
                 f"{name}: {after:.3g} r.m.s. of full scale after the sweep, {noise:.3g} before it: "
-                "something else began to play or to move the cushion; end that, and sweep again"
+                "something else began to play or to move the cushion; stop it, and sweep again"
             )
 
     def _compare(self, drift: Drift, name: str) -> None:

@@ -10,12 +10,12 @@ from device.units import FloatArray
 MAINS_HZ = 50.0, 60.0
 HARMONICS = 8
 MOST_HUM = 0.05
-"""Largest r.m.s. of the hum as a share of that during the sweep. Fits leave
-its lines out; what is louder hides the marks that compare the clocks."""
+"""Largest r.m.s. of the hum as a share of that during the sweep. Fits leave out its lines; louder
+hum hides the marks that compare the clocks."""
 _CLEAR = 0.02
-"""Share of the silence's power that hum must be; of white noise 0.1 % looks like hum."""
+"""Smallest share of the silence's power that counts as hum; in white noise it is 0.1 %."""
 _MOST = 0.3
-"""From this share on, the silence is hum; otherwise it is noise with some hum in it."""
+"""From this share on, the silence is hum; below, it is noise with some hum."""
 
 
 def find_hum(silence: FloatArray, samplerate: float) -> tuple[float, float, float]:
@@ -40,7 +40,7 @@ def find_hum(silence: FloatArray, samplerate: float) -> tuple[float, float, floa
 def check_hum(silence: FloatArray, loud: float, samplerate: float, name: str) -> float:
     """Return the frequency of the hum that fits must leave out, Hz; 0 if there is none.
 
-    A channel whose hum is too large a share of `loud`, its r.m.s. during the sweep, is refused.
+    IdentificationError: the hum is too large a share of `loud`, the r.m.s. during the sweep.
     """
     hz, rms, share = find_hum(silence, samplerate)
     if share > _MOST and rms > MOST_HUM * loud:

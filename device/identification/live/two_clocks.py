@@ -1,7 +1,7 @@
 """The delay of a recording, and the drift between the clocks of output and input.
 
 The delay is that of the deconvolved impulse response's peak (Farina 2000), within some ms of the
-true one. The drift comes from the distance of two equal marks, on which the rig's effect cancels.
+true delay. The drift follows from the distance of two equal marks, where the rig's effect cancels.
 """
 
 import math
@@ -53,13 +53,13 @@ def find_delay(excitation: Excitation, channel: FloatArray, name: str) -> int:
         raise IdentificationError(
             f"{name} does not follow the sweep: its impulse response is {clearness:.1f} times "
             f"above the rest, it must be {CLEAREST:g} times; this is another channel, or noise: "
-            "check which input it is, and that nothing else plays"
+            "check the inputs, and that nothing else plays"
         )
     return peak
 
 
 def check_latency(excitation: Excitation, channel: FloatArray, name: str) -> None:
-    """Refuse a recorded channel, (frames,), in which the playback begins too late to be whole."""
+    """Refuse a recorded channel, (frames,), in which the playback begins too late to fit."""
     rate = excitation.sweep.samplerate
     room = len(channel) - excitation.frames
     peak, clearness = _peak(
@@ -78,7 +78,7 @@ def _peak(
 ) -> tuple[int, float]:
     """Return the delay of the impulse response's peak in frames, and its clearness.
 
-    latest: the largest delay; None for the one at which all of `played` is recorded.
+    latest: the largest delay; None for the largest at which all of `played` is recorded.
     """
     length = int(next_fast_len(len(channel) + len(played), real=True))
     reference, response = rfft(played, length), rfft(channel - channel.mean(), length)
@@ -114,7 +114,7 @@ def find_drift(excitation: Excitation, channel: FloatArray, delay: int, name: st
     total = float(np.sum(weight * turn**2))
     fine = -float(np.sum(weight * turn * phase)) / max(total, 1e-300)
     left = phase + turn * fine
-    # neighbouring bins of a padded mark correlate: as many are independent as it has frames
+    # neighbouring bins of a padded mark correlate; the number of independent ones is its frames
     together = size / length
     variance = together * float(np.sum((weight * turn * left) ** 2)) / max(total, 1e-300) ** 2
     ppm, frames = 1e6 / excitation.second_mark, coarse + fine
@@ -140,8 +140,8 @@ def resample_to_played(
 ) -> FloatArray:
     """Resample a recorded channel to the instants of the played frames, (frames,).
 
-    The first one is at frame `first` of the recording. Between frames, a Lagrange cubic through
-    four of them has an error of -137 dB at 500 Hz and 48 kHz.
+    The first one is at frame `first` of the recording. A Lagrange cubic through four frames has an
+    error of -137 dB at 500 Hz and 48 kHz.
     """
     step = 1.0 + 1e-6 * drift_ppm
     position = first + step * np.arange(frames)

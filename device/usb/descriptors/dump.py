@@ -1,4 +1,4 @@
-"""Bytes from what people send: a raw file, the text of lsusb -v, our own description, a hex dump.
+"""Bytes from files that people send: raw, the text of lsusb -v, our own description, a hex dump.
 
 lsusb shows every field by its name, whose prefix says its size, or in hexadecimal with all digits.
 """
@@ -7,21 +7,17 @@ from __future__ import annotations
 
 import re
 
-from device.usb.descriptors.hexdump import parse_hex
-from device.usb.descriptors.problems import DescriptorError
-from device.usb.descriptors.standard import (
+from device.usb.descriptors.blocks import (
     ASSOCIATION,
-    ASSOCIATION_BYTES,
     CONFIGURATION,
-    CONFIGURATION_BYTES,
     DEVICE,
-    DEVICE_BYTES,
     ENDPOINT,
-    ENDPOINT_BYTES,
     INTERFACE,
-    INTERFACE_BYTES,
+    DescriptorError,
 )
+from device.usb.descriptors.hexdump import parse_hex
 
+_DUMP_BYTES = 32
 _RAW_TYPES = (b"\x01", b"\x02")
 """Second byte of a device's or configuration's descriptor, which no text has there."""
 
@@ -42,18 +38,24 @@ _JUNK = re.compile(
 )
 
 _BYTES_OF_PREFIX = {"w": 2, "wa": 2, "t": 3, "d": 4, "dw": 4, "id": 2, "bcd": 2}
-_LEAST_BYTES = {
-    DEVICE: DEVICE_BYTES,
-    CONFIGURATION: CONFIGURATION_BYTES,
-    INTERFACE: INTERFACE_BYTES,
-    ENDPOINT: ENDPOINT_BYTES,
-    ASSOCIATION: ASSOCIATION_BYTES,
-}
+_LEAST_BYTES = {DEVICE: 18, CONFIGURATION: 9, INTERFACE: 9, ENDPOINT: 7, ASSOCIATION: 8}
 _SUPER_SPEED = 0x0300
 
 
+def hex_lines(raw: bytes) -> list[str]:
+    """Return bytes as the lines of a dump that `parse_dump` can read.
+
+    Parameters
+    ----------
+    raw : bytes
+        Any bytes.
+    """
+    starts = range(0, len(raw), _DUMP_BYTES)
+    return [f"{at:04x}: {raw[at : at + _DUMP_BYTES].hex(' ')}" for at in starts]
+
+
 def parse_dump(content: bytes) -> tuple[bytes, ...]:
-    """Return the bytes of each device in a dump; of a hex dump or a raw file there is one.
+    """Return the bytes of each device in a dump; a hex dump or a raw file has one.
 
     Parameters
     ----------
@@ -63,7 +65,7 @@ def parse_dump(content: bytes) -> tuple[bytes, ...]:
     Raises
     ------
     DescriptorError
-        It is none of these, or a line of the text is wrong.
+        The content has another form, or a line of the text is wrong.
     """
     if content[1:2] in _RAW_TYPES:
         return (content,)
@@ -91,12 +93,12 @@ def _devices_of_lsusb(text: str) -> tuple[bytes, ...]:
             found[-1].take(line, number)
     devices = tuple(raw for one in found if (raw := one.end()))
     if not devices:
-        raise DescriptorError("lsusb text: it has no descriptors; allowed: the text of lsusb -v")
+        raise DescriptorError("lsusb text: it has no descriptors; send the text of lsusb -v")
     return devices
 
 
 class _Lsusb:
-    """Gathers the descriptors of one device, line by line."""
+    """Collects the descriptors of one device, line by line."""
 
     def __init__(self) -> None:
         self._raw = bytearray()
@@ -106,7 +108,7 @@ class _Lsusb:
         self._ma_per_unit = 2
 
     def take(self, line: str, number: int) -> None:
-        """Take one line; lines that only explain are passed over."""
+        """Read one line; lines that only explain are ignored."""
         if match := _UNKNOWN.match(line):
             self._close()
             self._raw += bytes.fromhex(match["pairs"])
@@ -146,14 +148,14 @@ class _Lsusb:
         return (number & (1 << 8 * size) - 1).to_bytes(size, "little")
 
     def _close(self) -> None:
-        """End a descriptor; what lsusb does not show at the end of it is filled with 0."""
+        """End a descriptor; bytes at its end that lsusb does not show become 0."""
         if self._open:
             shown, length = len(self._open), self._open[0]
             least = _LEAST_BYTES.get(self._open[1] if shown > 1 else 0, 2)
             if shown < least:
                 raise DescriptorError(
-                    f"lsusb text, line {self._line}: it shows {shown} bytes of a descriptor; "
-                    f"allowed: {least} or more; send /sys/bus/usb/devices/PORT/descriptors instead"
+                    f"lsusb text, line {self._line}: {shown} of {least} bytes are shown of the "
+                    "descriptor that begins here; send /sys/bus/usb/devices/PORT/descriptors"
                 )
             length = max(2, length)
             self._raw += (self._open + bytes(length))[:length]

@@ -1,18 +1,17 @@
-"""What an audio function is made of: terminals, units and clocks, of USB Audio 1.0 and 2.0 alike.
+"""Terminals, units and clocks of audio functions, of USB Audio 1.0 (4.3.2) and 2.0 (4.7.2).
 
 Sound flows from an entity to those that name it in `source_ids`; clocks flow the same way between
-clock entities. An id, 1 to 255, is unique within one audio function. String indices: 0 is none.
-channel_config: wChannelConfig or bmChannelConfig, a bit a loudspeaker position; the channels with
-positions come first. Source: USB Audio 1.0, 4.3.2; 2.0, 4.7.2.
+clock entities. An id is unique within one audio function.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import ClassVar
+from typing import NamedTuple
 
-from device.usb.descriptors.blocks import Descriptor
+from device.usb.descriptors.blocks import Block
+from device.values import counted
 
 USB_STREAMING = 0x0101
 """The terminal type of streams from or to the host."""
@@ -20,215 +19,157 @@ USB_STREAMING = 0x0101
 VOLUME_UNITS_PER_DB = 256
 """Volume controls count in 1/256 dB, signed 16 bit; -32768 is silence (1.0: 5.2.2.4.3.2)."""
 
+INPUT, OUTPUT, FEATURE = "input terminal", "output terminal", "feature unit"
+CLOCK_SOURCE = "clock source"
+CLOCKS = (CLOCK_SOURCE, "clock selector", "clock multiplier")
+
 
 class FeatureControl(IntEnum):
     """A control of a feature unit; its place in the bit maps (1.0: 4.3.2.5; 2.0: 4.7.2.8)."""
 
     MUTE = 0
     VOLUME = 1
-    BASS = 2
-    MID = 3
-    TREBLE = 4
-    GRAPHIC_EQUALIZER = 5
-    AUTOMATIC_GAIN = 6
-    DELAY = 7
-    BASS_BOOST = 8
-    LOUDNESS = 9
-    INPUT_GAIN = 10
-    INPUT_GAIN_PAD = 11
-    PHASE_INVERTER = 12
-    UNDERFLOW = 13
-    OVERFLOW = 14
-
-
-class Access(IntEnum):
-    """What the host may do with a control. USB Audio 1.0 knows only ABSENT and READ_WRITE."""
-
-    ABSENT = 0
-    READ_ONLY = 1
-    INVALID = 2
-    READ_WRITE = 3
-
-
-class ClockKind(IntEnum):
-    """Where a clock source takes its frequency from."""
-
-    EXTERNAL = 0
-    FIXED = 1
-    VARIABLE = 2
-    PROGRAMMABLE = 3
 
 
 @dataclass(frozen=True, slots=True)
-class ControlHeader(Descriptor):
-    """The head of an audio function.
+class Entity:
+    """A terminal, unit or clock.
 
-    release: bcdADC; total_bytes: wTotalLength, of all that belongs to it. interfaces: the
-    streaming interfaces (1.0; () in 2.0, where an association has them); category: of 2.0.
+    Attributes
+    ----------
+    offset : int
+        Bytes from the first of the configuration.
+    uac : int
+        Version of USB Audio, 1 or 2.
+    kind : str
+        "input terminal", "feature unit" and so on.
+    id : int
+        1 to 255.
+    source_ids : tuple of int
+        Entities that it takes its input from.
+    clock_ids : tuple of int
+        Clocks of a terminal or converter of 2.0.
+    terminal_type : int
+        wTerminalType, 0 for others.
+    channels, channel_config : int
+        Of an input terminal: channels, and one bit a loudspeaker position; 0 for others.
+    controls : tuple of int
+        Bit maps of a feature unit, one a channel; the master's (channel 0) is first.
     """
 
-    release: int
-    total_bytes: int
-    interfaces: tuple[int, ...]
-    category: int | None
-
-    kind: ClassVar[str] = "audio control header"
-
-
-@dataclass(frozen=True, slots=True)
-class Entity(Descriptor):
-    """A terminal, unit or clock. source_ids: the entities that it takes its input from."""
-
+    offset: int
+    uac: int
+    kind: str
     id: int
     source_ids: tuple[int, ...]
-
-    @property
-    def title(self) -> str:
-        """What a person calls it."""
-        return f"{self.kind} {self.id}"
-
-
-@dataclass(frozen=True, slots=True)
-class InputTerminal(Entity):
-    """Where sound enters the function. clock_id: None in 1.0. controls: bmControls of 2.0, else 0.
-
-    associated: the id of the output terminal that belongs to it (a headset's), 0 for none.
-    """
-
+    clock_ids: tuple[int, ...]
     terminal_type: int
-    associated: int
-    clock_id: int | None
     channels: int
     channel_config: int
-    channel_names_string: int
-    controls: int
-    string_index: int
-
-
-@dataclass(frozen=True, slots=True)
-class OutputTerminal(Entity):
-    """The place where sound leaves the function; fields as in `InputTerminal`."""
-
-    terminal_type: int
-    associated: int
-    clock_id: int | None
-    controls: int
-    string_index: int
-
-
-@dataclass(frozen=True, slots=True)
-class FeatureUnit(Entity):
-    """Volume, mute and the like.
-
-    uac: 1 or 2, how to read `controls`: one bit map a channel, the first is the master's (channel
-    0), whose map may be empty. In 1.0 a bit is a control, in 2.0 two bits are (`Access`).
-    """
-
-    uac: int
     controls: tuple[int, ...]
-    string_index: int
-
-    def access(self, channel: int, control: FeatureControl) -> Access:
-        """What the host may do with a channel's control; ABSENT for a missing channel."""
-        if not 0 <= channel < len(self.controls):
-            return Access.ABSENT
-        if self.uac == 1:
-            return Access.READ_WRITE if self.controls[channel] >> control & 1 else Access.ABSENT
-        return Access(self.controls[channel] >> 2 * control & 3)
 
     def settable(self, control: FeatureControl) -> tuple[int, ...]:
-        """The channels whose control the host may set; 0 is the master."""
-        channels = range(len(self.controls))
-        return tuple(c for c in channels if self.access(c, control) is Access.READ_WRITE)
+        """Return the channels whose control the host may set; 0 is the master."""
+        # 1.0 has one bit a control, 2.0 has two: readable and writable.
+        bits = 1 << control if self.uac == 1 else 3 << 2 * control
+        return tuple(c for c, bit_map in enumerate(self.controls) if bit_map & bits == bits)
 
 
-@dataclass(frozen=True, slots=True)
-class MixerUnit(Entity):
-    """Every output channel is a sum of input channels.
+class _Layout(NamedTuple):
+    """Where a descriptor has its fields, in bytes from its beginning; 0 if it has none.
 
-    controls: a bit a crosspoint that can be set, row by row (bmControls of 1.0, bmMixerControls
-    of 2.0), as it stands.
+    least: its bytes without ids of sources. sources: of bNrInPins, with the ids behind it.
+    channels: wChannelConfig (1.0) or bmChannelConfig (2.0) follows them.
     """
 
-    channels: int
-    channel_config: int
-    channel_names_string: int
-    controls: bytes
-    string_index: int
+    kind: str
+    least: int
+    source: int = 0
+    sources: int = 0
+    clocks: tuple[int, ...] = ()
+    terminal_type: int = 0
+    channels: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class SelectorUnit(Entity):
-    """One of several inputs. controls: bmControls of 2.0, else 0."""
-
-    controls: int
-    string_index: int
-
-
-@dataclass(frozen=True, slots=True)
-class ProcessingUnit(Entity):
-    """Up-mix, reverberation and the like: process_type. controls: as they stand."""
-
-    process_type: int
-    channels: int
-    channel_config: int
-    channel_names_string: int
-    controls: bytes
-    string_index: int
-
-
-@dataclass(frozen=True, slots=True)
-class ExtensionUnit(ProcessingUnit):
-    """The maker's own processing; process_type is its wExtensionCode."""
-
-
-@dataclass(frozen=True, slots=True)
-class EffectUnit(Entity):
-    """An effect of 2.0. controls: one bit map per channel, the master's first, undecoded."""
-
-    effect_type: int
-    controls: tuple[int, ...]
-    string_index: int
+_LAYOUTS: dict[int, dict[int, _Layout]] = {
+    1: {
+        0x02: _Layout(INPUT, 12, terminal_type=4, channels=7),
+        0x03: _Layout(OUTPUT, 9, terminal_type=4, source=7),
+        0x04: _Layout("mixer unit", 10, sources=4),
+        0x05: _Layout("selector unit", 6, sources=4),
+        0x06: _Layout(FEATURE, 7, source=4),
+        0x07: _Layout("processing unit", 13, sources=6),
+        0x08: _Layout("extension unit", 13, sources=6),
+    },
+    2: {
+        0x02: _Layout(INPUT, 17, terminal_type=4, clocks=(7,), channels=8),
+        0x03: _Layout(OUTPUT, 12, terminal_type=4, source=7, clocks=(8,)),
+        0x04: _Layout("mixer unit", 13, sources=4),
+        0x05: _Layout("selector unit", 7, sources=4),
+        0x06: _Layout(FEATURE, 6, source=4),
+        0x07: _Layout("effect unit", 16, source=6),
+        0x08: _Layout("processing unit", 16, sources=6),
+        0x09: _Layout("extension unit", 15, sources=6),
+        0x0A: _Layout(CLOCK_SOURCE, 8),
+        0x0B: _Layout("clock selector", 7, sources=4),
+        0x0C: _Layout("clock multiplier", 7, source=4),
+        0x0D: _Layout("sample rate converter", 8, source=4, clocks=(5, 6)),
+    },
+}
+"""By version and bDescriptorSubtype (1.0: table A-5; 2.0: table A-9)."""
 
 
-@dataclass(frozen=True, slots=True)
-class SampleRateConverter(Entity):
-    """Converts sound between two clock domains of 2.0: the input's clock and the output's."""
-
-    clock_in_id: int
-    clock_out_id: int
-    string_index: int
-
-
-@dataclass(frozen=True, slots=True)
-class ClockEntity(Entity):
-    """A clock of 2.0. controls: bmControls."""
-
-    controls: int
-    string_index: int
-
-    kind: ClassVar[str] = "clock"
-
-
-@dataclass(frozen=True, slots=True)
-class ClockSource(ClockEntity):
-    """What samplerates are asked of. terminal_id: whose clock it recovers, 0 for none."""
-
-    clock_kind: ClockKind
-    follows_usb_frames: bool
-    terminal_id: int
-
-    @property
-    def frequency(self) -> Access:
-        """What the host may do with the samplerate."""
-        return Access(self.controls & 3)
+def read_entity(block: Block, uac: int) -> Entity | None:
+    """Return the entity; None if the block is another descriptor, or damaged."""
+    layout = _LAYOUTS.get(uac, {}).get(block.subtype)
+    if layout is None:
+        return None
+    block.name = layout.kind
+    if not block.holds(layout.least):
+        return None
+    raw = block.raw
+    source_ids: tuple[int, ...] = (raw[layout.source],) if layout.source else ()
+    if layout.sources:
+        count, room = raw[layout.sources], len(raw) - layout.least
+        if count > room:
+            block.note(f"bNrInPins is {count}, but its length has room for {room}; it is ignored")
+            return None
+        source_ids = tuple(raw[layout.sources + 1 : layout.sources + 1 + count])
+    at = layout.channels
+    return Entity(
+        offset=block.offset,
+        uac=uac,
+        kind=layout.kind,
+        id=raw[3],
+        source_ids=source_ids,
+        clock_ids=tuple(raw[place] for place in layout.clocks),
+        terminal_type=block.number(layout.terminal_type, 2) if layout.terminal_type else 0,
+        channels=raw[at] if at else 0,
+        channel_config=block.number(at + 1, 2 * uac) if at else 0,
+        controls=_bit_maps(block, uac) if layout.kind == FEATURE else (),
+    )
 
 
-@dataclass(frozen=True, slots=True)
-class ClockSelector(ClockEntity):
-    """One of several clocks; the device knows which."""
+def _bit_maps(block: Block, uac: int) -> tuple[int, ...]:
+    """Return the bit maps of a feature unit, which end before its last byte."""
+    at, size = (6, block.raw[5]) if uac == 1 else (5, 4)
+    if not size:
+        block.note("bControlSize is 0; its volume and mute are unknown")
+        return ()
+    left = len(block.raw) - at - 1
+    if left % size:
+        block.note(f"its bit maps of {counted(size, 'bytes')} have {counted(left, 'bytes')} in all")
+        # Some devices leave out the string index; the last byte then belongs to a bit map.
+        left += (left + 1) % size == 0
+    return tuple(block.number(here, size) for here in range(at, at + left // size * size, size))
 
 
-@dataclass(frozen=True, slots=True)
-class ClockMultiplier(ClockEntity):
-    """A clock times a ratio; the device knows which."""
+def read_header(block: Block, uac: int) -> tuple[int, ...]:
+    """Return the streaming interfaces that the header of a function of 1.0 lists."""
+    block.name = "audio control header"
+    if uac != 1 or not block.holds(8):
+        return ()
+    count, room = block.raw[7], len(block.raw) - 8
+    if count > room:
+        block.note(f"bInCollection is {count}, but its length has room for {room}")
+    return tuple(block.raw[8 : 8 + count])

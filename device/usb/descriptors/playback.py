@@ -1,13 +1,13 @@
-"""Formats that can be played: one `PlaybackFormat` for each alternate setting that takes PCM."""
+"""Formats that can be played, one for each alternate setting that takes samples."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 from device.usb.descriptors.configuration import Configuration, Interface
-from device.usb.descriptors.entities import FeatureControl, InputTerminal
+from device.usb.descriptors.entities import INPUT, FeatureControl
 from device.usb.descriptors.standard import Endpoint, Synchronisation, Transfer, Usage
-from device.usb.descriptors.streaming import RateRange, StreamFormat, StreamGeneral
+from device.usb.descriptors.streaming import RateRange
 from device.usb.descriptors.topology import Topology, topologies
 
 _BASIC_FRAMES = 48
@@ -21,8 +21,6 @@ _BASIC_FRAME_BYTES = {2: (1, 2), 3: (1, 3), 4: (2, 2), 6: (2, 3)}
 class PlaybackFormat:
     """One way to play: choose `alternate` of `interface`, send frames to `endpoint_address`.
 
-    Volumes are in 1/256 dB (`VOLUME_UNITS_PER_DB`).
-
     Attributes
     ----------
     interface, alternate, endpoint_address : int
@@ -33,15 +31,11 @@ class PlaybackFormat:
         Encodings of a sample, usually "PCM".
     channels, channel_config : int
         Channels, 0 where only the device knows (3.0); one bit a loudspeaker position, 0 where
-        unknown (`position_names`).
+        unknown.
     subslot_bytes, bits : int
         Bytes of a sample, and its significant upper bits.
     samplerates : tuple of int, RateRange or None
         Hz; None where the clock has to be asked (2.0, 3.0).
-    clock_id : int or None
-        Clock of the terminal, None in 1.0 and 3.0.
-    clock_sources : tuple of int
-        Clock sources that may drive it.
     packet_bytes_max, interval : int
         Bytes of one (micro)frame, and bInterval.
     synchronisation : Synchronisation
@@ -50,6 +44,10 @@ class PlaybackFormat:
         Address of the endpoint that reports the device's rate.
     implicit_feedback : bool
         Whether that is a recording endpoint, whose packets give the rate.
+    clock_id : int or None
+        Clock of the terminal, None in 1.0 and 3.0.
+    clock_sources : tuple of int
+        Clock sources that may drive it.
     control_interface : int or None
         Interface for requests to the function's units.
     path : tuple of int
@@ -62,6 +60,7 @@ class PlaybackFormat:
 
     interface: int
     alternate: int
+    endpoint_address: int
     uac: int
     encodings: tuple[str, ...]
     channels: int
@@ -69,19 +68,18 @@ class PlaybackFormat:
     subslot_bytes: int
     bits: int
     samplerates: tuple[int, ...] | RateRange | None
-    clock_id: int | None
-    clock_sources: tuple[int, ...]
-    endpoint_address: int
     packet_bytes_max: int
     interval: int
     synchronisation: Synchronisation
     feedback_endpoint: int | None
-    implicit_feedback: bool
-    control_interface: int | None
-    path: tuple[int, ...]
-    feature_unit: int | None
-    volume_channels: tuple[int, ...]
-    mute_channels: tuple[int, ...]
+    implicit_feedback: bool = False
+    clock_id: int | None = None
+    clock_sources: tuple[int, ...] = ()
+    control_interface: int | None = None
+    path: tuple[int, ...] = ()
+    feature_unit: int | None = None
+    volume_channels: tuple[int, ...] = ()
+    mute_channels: tuple[int, ...] = ()
 
 
 def playback_formats(configuration: Configuration) -> tuple[PlaybackFormat, ...]:
@@ -99,63 +97,60 @@ def playback_formats(configuration: Configuration) -> tuple[PlaybackFormat, ...]
     implicit = _implicit_endpoints(configuration, functions)
     found = []
     for interface in configuration.interfaces:
-        general, stream_format = interface.general, interface.format
         endpoint = _data_endpoint(interface)
-        if interface.is_streaming and interface.uac == 3 and endpoint:
-            found += _playback_3(interface, endpoint)
+        if not interface.is_streaming or endpoint is None:
             continue
-        if not (interface.is_streaming and general and stream_format and endpoint):
-            continue
-        if not stream_format.subslot_bytes or not (general.channels or stream_format.channels):
-            continue
-        function = functions.get(interface.number)
-        feedback, is_implicit = _feedback(interface, endpoint), False
-        if feedback is None and endpoint.synchronisation is Synchronisation.ASYNCHRONOUS:
-            feedback = implicit.get(function.control.number) if function else None
-            is_implicit = feedback is not None
-        found.append(
-            _playback(interface, general, stream_format, endpoint, feedback, is_implicit, function)
-        )
+        if interface.uac == 3:
+            playback = _playback_3(interface, endpoint)
+        else:
+            playback = _playback(interface, endpoint, functions.get(interface.number), implicit)
+        if playback:
+            found.append(playback)
     return tuple(found)
 
 
 def _playback(
     interface: Interface,
-    general: StreamGeneral,
-    stream_format: StreamFormat,
     endpoint: Endpoint,
-    feedback: int | None,
-    implicit: bool,
     function: Topology | None,
-) -> PlaybackFormat:
-    linked = function.entities.get(general.terminal_link) if function else None
-    terminal = linked if isinstance(linked, InputTerminal) else None
+    implicit: dict[int, int],
+) -> PlaybackFormat | None:
+    general, stream_format = interface.general, interface.format
+    if not general or not stream_format or not stream_format.subslot_bytes:
+        return None
     channels = general.channels or stream_format.channels or 0
+    if not channels:
+        return None
+    terminal = function.terminals.get(general.terminal_link) if function else None
+    terminal = terminal if terminal and terminal.kind == INPUT else None
     channel_config = general.channel_config
     if channel_config is None:
         same = terminal is not None and terminal.channels == channels
         channel_config = terminal.channel_config if terminal and same else 0
-    clock_id = terminal.clock_id if terminal else None
-    path = function.path(terminal.id) if function and terminal else ()
-    unit = function.feature_unit(terminal.id) if function and terminal else None
+    clock_id = next(iter(terminal.clock_ids), None) if terminal else None
+    path, unit = function.output(terminal.id) if function and terminal else ((), None)
+    feedback, is_implicit = _feedback(interface, endpoint), False
+    if feedback is None and endpoint.synchronisation is Synchronisation.ASYNCHRONOUS:
+        feedback = implicit.get(function.control.number) if function else None
+        is_implicit = feedback is not None
     return PlaybackFormat(
         interface=interface.number,
         alternate=interface.alternate,
+        endpoint_address=endpoint.address,
         uac=general.uac,
         encodings=general.encodings,
         channels=channels,
         channel_config=channel_config,
         subslot_bytes=stream_format.subslot_bytes,
         bits=stream_format.bits,
-        samplerates=_playable(stream_format.samplerates),
-        clock_id=clock_id,
-        clock_sources=function.clock_sources(clock_id) if function and clock_id else (),
-        endpoint_address=endpoint.address,
+        samplerates=stream_format.samplerates,
         packet_bytes_max=endpoint.packet_bytes,
         interval=endpoint.interval,
         synchronisation=endpoint.synchronisation,
         feedback_endpoint=feedback,
-        implicit_feedback=implicit,
+        implicit_feedback=is_implicit,
+        clock_id=clock_id,
+        clock_sources=function.clock_sources(clock_id) if function and clock_id else (),
         control_interface=function.control.number if function else None,
         path=path,
         feature_unit=unit.id if unit else None,
@@ -164,13 +159,13 @@ def _playback(
     )
 
 
-def _playback_3(interface: Interface, endpoint: Endpoint) -> list[PlaybackFormat]:
-    """The format of an alternate setting of 3.0, [] for none.
+def _playback_3(interface: Interface, endpoint: Endpoint) -> PlaybackFormat | None:
+    """Return the format of an alternate setting of 3.0.
 
-    Without a streaming general it has a basic profile: PCM at 48 kHz, whose channels and bits
-    follow from the bytes of 1 ms (Basic Audio Device 3.0, table 4-2).
+    Without a general descriptor it has a basic profile: PCM at 48 kHz. Its channels and bits follow
+    from the bytes of 1 ms (Basic Audio Device 3.0, table 4-2).
     """
-    general, rates = interface.general_3, None
+    general, rates = interface.general, None
     encodings: tuple[str, ...]
     if general is not None:
         encodings, channels = general.encodings, 0
@@ -180,47 +175,27 @@ def _playback_3(interface: Interface, endpoint: Endpoint) -> list[PlaybackFormat
         channels, subslot_bytes = _BASIC_FRAME_BYTES.get(frame_bytes, (0, 0))
         encodings, bits, rates = ("PCM",), 8 * subslot_bytes, (1_000 * _BASIC_FRAMES,)
     if not subslot_bytes:
-        return []
-    return [
-        PlaybackFormat(
-            interface=interface.number,
-            alternate=interface.alternate,
-            uac=3,
-            encodings=encodings,
-            channels=channels,
-            channel_config=0,
-            subslot_bytes=subslot_bytes,
-            bits=bits,
-            samplerates=rates,
-            clock_id=None,
-            clock_sources=(),
-            endpoint_address=endpoint.address,
-            packet_bytes_max=endpoint.packet_bytes,
-            interval=endpoint.interval,
-            synchronisation=endpoint.synchronisation,
-            feedback_endpoint=_feedback(interface, endpoint),
-            implicit_feedback=False,
-            control_interface=None,
-            path=(),
-            feature_unit=None,
-            volume_channels=(),
-            mute_channels=(),
-        )
-    ]
-
-
-def _playable(
-    samplerates: tuple[int, ...] | RateRange | None,
-) -> tuple[int, ...] | RateRange | None:
-    """The samplerates without impossible values: 0 Hz, or a range from high to low."""
-    if isinstance(samplerates, RateRange):
-        lowest, highest = sorted((samplerates.lowest, samplerates.highest))
-        return RateRange(max(lowest, 1), highest) if highest else ()
-    return None if samplerates is None else tuple(rate for rate in samplerates if rate)
+        return None
+    return PlaybackFormat(
+        interface=interface.number,
+        alternate=interface.alternate,
+        endpoint_address=endpoint.address,
+        uac=3,
+        encodings=encodings,
+        channels=channels,
+        channel_config=0,
+        subslot_bytes=subslot_bytes,
+        bits=bits,
+        samplerates=rates,
+        packet_bytes_max=endpoint.packet_bytes,
+        interval=endpoint.interval,
+        synchronisation=endpoint.synchronisation,
+        feedback_endpoint=_feedback(interface, endpoint),
+    )
 
 
 def _data_endpoint(interface: Interface) -> Endpoint | None:
-    """The first isochronous endpoint to the device that carries samples."""
+    """Return the first isochronous endpoint to the device that carries samples."""
     for endpoint in interface.endpoints:
         isochronous = endpoint.transfer is Transfer.ISOCHRONOUS
         if isochronous and not endpoint.to_host and endpoint.usage is not Usage.FEEDBACK:
@@ -229,10 +204,10 @@ def _data_endpoint(interface: Interface) -> Endpoint | None:
 
 
 def _feedback(interface: Interface, endpoint: Endpoint) -> int | None:
-    """The address of the explicit feedback endpoint beside a data endpoint.
+    """Return the address of the explicit feedback endpoint beside a data endpoint.
 
-    Devices of 1.0 do not mark it, but name it in bSynchAddress; of those that do not even that,
-    it is the one that goes the other way.
+    Devices of 1.0 name it in bSynchAddress instead of marking it. Some do neither: then it is the
+    endpoint of the other direction.
     """
     beside = [
         other
@@ -244,7 +219,7 @@ def _feedback(interface: Interface, endpoint: Endpoint) -> int | None:
             return other.address
     synch = endpoint.synch_address
     for other in beside:
-        # Devices exist that name its number without the direction; Linux takes it as well.
+        # Some devices give its number without the direction, which Linux accepts as well.
         if synch and other.address == synch | 0x80:
             return other.address
     if endpoint.synchronisation is Synchronisation.ASYNCHRONOUS:
@@ -257,7 +232,7 @@ def _feedback(interface: Interface, endpoint: Endpoint) -> int | None:
 def _implicit_endpoints(
     configuration: Configuration, functions: dict[int, Topology]
 ) -> dict[int, int]:
-    """The first endpoint marked as implicit feedback, by control interface of its function."""
+    """Return the first endpoint marked as implicit feedback, by control interface."""
     found: dict[int, int] = {}
     for interface in configuration.interfaces:
         function = functions.get(interface.number) if interface.is_streaming else None

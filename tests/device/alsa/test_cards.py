@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from device.alsa.cards import find_card, find_playback, list_cards, list_playbacks
+from device.alsa.cards import find_capture, find_card, find_playback, list_cards, list_playbacks
 from device.alsa.usb_stream import (
     Rates,
     UsbFormat,
@@ -26,7 +26,7 @@ from tests.support.sound_cards import ADAPTIVE, ASYNC, HW_PARAMS, RUNNING, Cards
 def cards(tmp_path: Path) -> Cards:
     cards = Cards(tmp_path / "asound")
     cards.plug(0, "PCH", devices=(0, 3))
-    cards.plug(31, "DAC", stream=ASYNC, usb_id="1234:00aB")
+    cards.plug(31, "DAC", stream=ASYNC, usb_id="1234:00aB", captures=(0,))
     return cards
 
 
@@ -83,6 +83,36 @@ def test_a_card_that_only_records_and_a_name_that_is_none_are_refused(cards: Car
     for name in ("", "a,b", "0,1,2", "DEV=3"):
         with pytest.raises(UsageError, match="is not hw:CARD or hw:CARD,DEVICE"):
             find_playback(name, cards.root)
+
+
+def test_an_input_is_found_by_its_cards_name_and_offers_its_own_formats(
+    cards: Cards, tmp_path: Path
+) -> None:
+    capture = find_capture("DAC", cards.root)
+    assert (str(capture), capture.folder.name) == ("hw:DAC,0", "pcm0c")
+    assert why_blocked(capture, tmp_path) is None
+    stream = read_usb_stream(capture)
+    assert stream is not None
+    assert stream.formats == (UsbFormat(2, 1, ("S16_LE",), 1, Rates((8_000,)), 0, "SYNC"),)
+    cards.use(31, 77, "pcm0c")
+    assert "hw:DAC,0 is in use" in (why_blocked(capture, tmp_path, tmp_path) or "")
+    assert why_blocked(find_playback("DAC", cards.root), tmp_path) is None
+
+
+@pytest.mark.parametrize(
+    ("name", "error", "words"),
+    [
+        ("PCH", NotFoundError, "has no capture device; name another card"),
+        ("DAC,7", NotFoundError, "has no capture device 7; it has hw:DAC,0"),
+        ("none", NotFoundError, "no sound card 'none'"),
+        ("a b", UsageError, "hw:CARD"),
+    ],
+)
+def test_nothing_is_taken_instead_of_an_input(
+    cards: Cards, name: str, error: type[Exception], words: str
+) -> None:
+    with pytest.raises(error, match=words):
+        find_capture(name, cards.root)
 
 
 def test_a_usb_card_tells_its_formats_and_only_those_of_playback() -> None:

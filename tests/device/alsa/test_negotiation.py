@@ -12,14 +12,21 @@ from device.alsa.negotiation import (
     PREFERRED,
     USUAL_MIN_HZ,
     CardSetup,
-    Offer,
     choose_setup,
     list_offers,
 )
-from device.alsa.usb_stream import Rates, parse_usb_stream
+from device.alsa.usb_stream import Rates, UsbFormat, parse_usb_stream
 from device.errors import NotFoundError
 from device.stream.sample_format import SampleFormat
 from tests.support.sound_cards import ADAPTIVE, ASYNC
+
+
+def offer(
+    formats: tuple[SampleFormat | str, ...], channels: int, rates: Rates, bits: int = 0
+) -> UsbFormat:
+    names = (one if isinstance(one, str) else one.value for one in formats)
+    return UsbFormat(1, 1, tuple(names), channels, rates, bits)
+
 
 S16, S24, S32 = SampleFormat.S16, SampleFormat.S24_3, SampleFormat.S32
 USUAL = Rates((44_100, 48_000, 96_000))
@@ -33,7 +40,7 @@ rates = st.one_of(
     ),
 )
 offers = st.builds(
-    Offer,
+    offer,
     st.lists(st.sampled_from(PREFERRED), unique=True).map(tuple),
     st.integers(1, 8),
     rates,
@@ -59,18 +66,18 @@ offers = st.builds(
     ],
 )
 def test_the_rate_is_that_of_the_mix_or_the_next_best(there: Rates, mix: int, chosen: int) -> None:
-    assert choose_setup([Offer((S32,), 2, there)], mix, 1) == CardSetup(S32, chosen, 2)
+    assert choose_setup([offer((S32,), 2, there)], mix, 1) == CardSetup(S32, chosen, 2)
 
 
 @pytest.mark.parametrize(
     ("there", "chosen"),
     [
-        ([Offer((S16,), 2, USUAL, 16), Offer((S32,), 2, USUAL, 24)], S32),
-        ([Offer((S32,), 2, USUAL, 16), Offer((S24,), 2, USUAL, 24)], S24),
-        ([Offer((S24,), 2, USUAL, 24), Offer((S32,), 2, USUAL, 24)], S32),
-        ([Offer((S32, S24, S16), 2, USUAL)], S32),
-        ([Offer((S32, S16), 2, USUAL, 16)], S32),
-        ([Offer((S16,), 2, USUAL), Offer((), 2, USUAL, 32)], S16),
+        ([offer((S16,), 2, USUAL, 16), offer((S32,), 2, USUAL, 24)], S32),
+        ([offer((S32,), 2, USUAL, 16), offer((S24,), 2, USUAL, 24)], S24),
+        ([offer((S24,), 2, USUAL, 24), offer((S32,), 2, USUAL, 24)], S32),
+        ([offer((S32, S24, S16), 2, USUAL)], S32),
+        ([offer((S32, S16), 2, USUAL, 16)], S32),
+        ([offer((S16,), 2, USUAL), offer((), 2, USUAL, 32)], S16),
     ],
 )
 def test_the_format_is_the_one_of_the_highest_real_resolution(there, chosen) -> None:
@@ -90,12 +97,12 @@ def test_the_format_is_the_one_of_the_highest_real_resolution(there, chosen) -> 
 def test_there_are_as_many_channels_as_actuators_and_few_more(
     there, actuators, least, chosen
 ) -> None:
-    some = [Offer((S32,), channels, USUAL) for channels in there]
+    some = [offer((S32,), channels, USUAL) for channels in there]
     assert choose_setup(some, 48_000, actuators, least).channels == chosen
 
 
 def test_the_rate_comes_before_the_resolution() -> None:
-    some = [Offer((S16,), 2, Rates((48_000,)), 16), Offer((S32,), 2, Rates((96_000,)), 32)]
+    some = [offer((S16,), 2, Rates((48_000,)), 16), offer((S32,), 2, Rates((96_000,)), 32)]
     assert choose_setup(some, 48_000, 1) == CardSetup(S16, 48_000, 2)
 
 
@@ -121,8 +128,8 @@ def test_what_usb_cards_tell_is_what_they_offer() -> None:
             list_offers(parse_usb_stream(ADAPTIVE)),
             "S24_3LE/S16_LE with 8 channels at 8000 to 96000",
         ),
-        ([Offer((), 9, USUAL, 8, ("U8",))], "U8 with 9 channels at 44100, 48000, 96000"),
-        ([Offer((S16,), 9, Rates((384_000,)))], "S16_LE with 9 channels at 384000 Hz"),
+        ([offer(("U8",), 9, USUAL, 8)], "U8 with 9 channels at 44100, 48000, 96000"),
+        ([offer((S16,), 9, Rates((384_000,)))], "S16_LE with 9 channels at 384000 Hz"),
         ([], "it offers nothing"),
     ],
 )
@@ -140,22 +147,22 @@ def test_a_choice_is_always_something_that_the_card_has(some, mix, actuators) ->
         chosen = choose_setup(some, mix, actuators)
     except NotFoundError:
         assert not any(
-            offer.formats
-            and offer.channels >= actuators
-            and offer.rates.single
-            and any(MIN_HZ <= rate <= MAX_HZ for rate in offer.rates.single)
-            for offer in some
+            one.formats
+            and one.channels >= actuators
+            and one.rates.single
+            and any(MIN_HZ <= rate <= MAX_HZ for rate in one.rates.single)
+            for one in some
         )
         return
     assert MIN_HZ <= chosen.samplerate <= MAX_HZ
     assert chosen.channels >= actuators
     assert any(
-        chosen.sample_format in offer.formats
-        and chosen.channels == offer.channels
-        and chosen.samplerate in offer.rates
-        for offer in some
+        chosen.sample_format.value in one.formats
+        and chosen.channels == one.channels
+        and chosen.samplerate in one.rates
+        for one in some
     )
     has_the_mix = any(
-        mix in offer.rates and offer.formats and offer.channels >= actuators for offer in some
+        mix in one.rates and one.formats and one.channels >= actuators for one in some
     )
     assert not has_the_mix or not USUAL_MIN_HZ <= mix <= MAX_HZ or chosen.samplerate == mix

@@ -2,27 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from device import blocks
 from device.clock.ring import CubicReader, Joint, NewestFrames
 from tests.support.signals import tone
-
-
-@pytest.fixture(params=["compiled", "numpy"], scope="module", autouse=True)
-def way(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Every test of frames between frames runs both ways."""
-    with pytest.MonkeyPatch.context() as patch:
-        if request.param == "numpy":
-            patch.setattr(blocks, "compiled", None)
-        elif blocks.compiled is None:
-            pytest.skip("device/blocks_library.so is not built here: see tools/setup.sh")
-        yield
 
 
 def error_db(hz: float, step: float, samplerate: int = 48_000) -> float:

@@ -6,13 +6,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from audioflinger_hook.drive.drive import Drive
-from audioflinger_hook.drive.rig_driver import RigDriver
 from device.drive import ActuatorSettings, ChannelMap, channels_needed, sources_of
 from device.drive.channel_router import ChannelRouter, RoutedFill
 from device.drive.outputs import AlignedOutput, DrivenOutput
 from device.errors import InternalError, UsageError
 from device.rig import CONSUMER, PAPER
 from device.rig.simulated_rig import SimulatedRig
+from tests.support.outputs import KeptOutput
+from tools.rig_driver import RigDriver
 
 RATE = 8_000
 FADE_S = 0.01
@@ -38,27 +39,6 @@ def cut(signal, lengths):
         start, turn = stop, turn + 1
 
 
-class Kept:
-    """An output that keeps everything."""
-
-    def __init__(self, channels, samplerate=RATE):
-        self.channels, self.samplerate, self.blocks = channels, samplerate, []
-        self.closed = self.aborted = False
-
-    def write(self, vibration):
-        self.blocks.append(np.array(vibration))
-
-    def close(self):
-        self.closed = True
-
-    def abort(self):
-        self.aborted = True
-
-    @property
-    def whole(self):
-        return np.concatenate(self.blocks)
-
-
 def test_an_actuator_without_wishes_gets_its_source_bit_for_bit_and_at_once():
     vibration = noise(9_000, 2)
     drive = Drive([RIGHT, LEFT], RATE)
@@ -82,44 +62,26 @@ def test_level_polarity_and_delay_are_those_asked_for():
     lengths=st.lists(st.integers(1, 700), min_size=1, max_size=6),
     delays=st.tuples(st.floats(0.0, 500.0), st.floats(0.0, 500.0)),
     gain_db=st.floats(-60.0, 0.0),
-    protection=st.sampled_from(["off", "on"]),
-)
-def test_no_byte_depends_on_how_the_stream_is_cut(lengths, delays, gain_db, protection):
-    wanted = [
-        ActuatorSettings((0,), "left", delay_ms=delays[0], gain_db=gain_db, protection=protection),
-        ActuatorSettings((1,), "right", delay_ms=delays[1], polarity="inverted"),
-        ActuatorSettings((2,), "mix"),
-    ]
-    vibration = noise(5_000, 3)
-    whole = Drive(wanted, RATE).process(vibration)
-    drive = Drive(wanted, RATE)
-    parts = [drive.process(part) for part in cut(vibration, lengths)]
-    assert np.concatenate(parts).tobytes() == whole.tobytes()
-
-
-@settings(max_examples=40, deadline=None)
-@given(
-    lengths=st.lists(st.integers(1, 300), min_size=1, max_size=6),
-    delay_ms=st.floats(0.0, 100.0),
-    gain_db=st.floats(-60.0, 0.0),
     source=st.sampled_from(["left", "right"]),
+    protection=st.sampled_from(["off", "on"]),
     again_after=st.integers(1, 150),
 )
-def test_a_change_comes_out_the_same_however_the_stream_is_cut(
-    lengths, delay_ms, gain_db, source, again_after
+def test_no_byte_depends_on_how_the_stream_is_cut_with_changes_in_it(
+    lengths, delays, gain_db, source, protection, again_after
 ):
-    vibration = noise(2_000, 2)
-    first = [ActuatorSettings((0,), source, gain_db=gain_db, delay_ms=delay_ms), RIGHT]
-    second = [ActuatorSettings((0,), "left", polarity="inverted"), RIGHT]
+    care = {"protection": protection}
+    settings = [
+        [ActuatorSettings((0,), "left", delay_ms=delays[0], **care), RIGHT],
+        [ActuatorSettings((0,), source, gain_db=gain_db, delay_ms=delays[1], **care), RIGHT],
+        [ActuatorSettings((0,), "left", polarity="inverted", **care), RIGHT],
+    ]
+    parts = np.split(noise(5_000, 2), [1_500, 1_500 + again_after])
 
     def through(lengths):
-        drive = Drive([LEFT, RIGHT], RATE)
-        out = [drive.process(part) for part in cut(vibration[:500], lengths)]
-        drive.change(first)
-        middle = 500 + again_after
-        out += [drive.process(part) for part in cut(vibration[500:middle], lengths)]
-        drive.change(second)
-        out += [drive.process(part) for part in cut(vibration[middle:], lengths)]
+        drive, out = Drive(settings[0], RATE), []
+        for chosen, part in zip(settings, parts, strict=True):
+            drive.change(chosen)
+            out += [drive.process(block) for block in cut(part, lengths)]
         return np.concatenate(out)
 
     assert through(lengths).tobytes() == through([10_000]).tobytes()
@@ -175,23 +137,11 @@ def test_who_needs_no_protection_waits_for_those_who_do():
     assert late == 2 * round(0.002 * RATE)
     assert drive.delays_frames == (0, 0, 80)
     vibration = 0.1 * noise(2_000, 1)
-    out = drive.process(vibration)
-    assert np.array_equal(out[late:, 0], vibration[:-late, 0])
+    out = np.concatenate([drive.process(vibration), drive.drain()])
+    assert len(out) == 2_000 + late + 80, "the longest delay is drained, too"
+    assert np.array_equal(out[late : late + 2_000, 0], vibration[:, 0])
     assert np.array_equal(out[:, 0], out[:, 1])
     assert np.array_equal(out[80:, 2], out[:-80, 0])
-
-
-def test_what_is_owed_is_everything_with_the_longest_delay():
-    wanted = [
-        ActuatorSettings((0,), "left", protection="on"),
-        ActuatorSettings((1,), "right", delay_ms=25.0),
-    ]
-    vibration = 0.1 * noise(1_000, 2)
-    drive = Drive(wanted, RATE)
-    whole = np.concatenate([drive.process(vibration), drive.drain()])
-    late = drive.latency_frames
-    assert np.array_equal(whole[late : late + 1_000, 0], vibration[:, 0])
-    assert np.array_equal(whole[late + 200 :, 1], vibration[:, 1])
 
 
 def test_each_has_the_rig_and_the_care_of_its_own():
@@ -341,14 +291,14 @@ def test_files_have_what_each_channel_would_get_under_its_sound_and_as_long_as_i
         ActuatorSettings((0,), "right", polarity="inverted"),
     ]
     channel_map = ChannelMap.of([actuator.channels for actuator in wanted], 3)
-    kept = Kept(3)
+    kept = KeptOutput(RATE, 3)
     drive = Drive(wanted, RATE)
     output = DrivenOutput(AlignedOutput(kept, drive.latency_frames), drive, channel_map)
     vibration = 0.1 * noise(1_000, 2)
     for part in cut(vibration, [300, 77]):
         output.write(part)
     output.close()
-    assert kept.closed
+    assert kept.ended == ["closed"]
     assert kept.whole.shape == (1_000, 3)
     assert np.array_equal(kept.whole[:, 0], -vibration[:, 1])
     assert not kept.whole[:, 1].any()
@@ -358,31 +308,22 @@ def test_files_have_what_each_channel_would_get_under_its_sound_and_as_long_as_i
 
 
 def test_each_channel_moves_its_own_simulated_rig_or_none():
-    kept, alone = Kept(3), Kept(1)
-    rigs = SimulatedRig([PAPER, None, CONSUMER], RATE, recorder=kept)
-    one = SimulatedRig(PAPER, RATE, 1, recorder=alone)
-    vibration = noise(2_000, 3)
+    wired, vibration = [PAPER, None, CONSUMER, PAPER], 1.5 * noise(2_000, 4)
+    kept = KeptOutput(RATE, 4)
+    rigs = SimulatedRig(wired, RATE, recorder=kept)
     for part in cut(vibration, [256]):
         rigs.write(part)
-        one.write(part[:, :1])
     rigs.close()
-    assert kept.closed
-    assert np.array_equal(kept.whole[:, 0], alone.whole[:, 0])
+    assert kept.ended == ["closed"]
+    for channel, rig in enumerate(wired):
+        record = KeptOutput(RATE)
+        one = SimulatedRig([rig], RATE, recorder=record)
+        one.write(vibration[:, [channel]])
+        assert np.array_equal(kept.whole[:, channel], record.whole[:, 0])
+        assert rigs.peak_acceleration_m_s2 >= one.peak_acceleration_m_s2
+        assert rigs.peak_displacement_m >= one.peak_displacement_m
     assert not kept.whole[:, 1].any()
-    assert not np.array_equal(kept.whole[:, 2], kept.whole[:, 0])
-    assert rigs.peak_acceleration_m_s2 >= one.peak_acceleration_m_s2
-    assert rigs.peak_displacement_m >= one.peak_displacement_m
     assert SimulatedRig([None], RATE).peak_current_a == 0.0
-
-
-def test_channels_with_the_same_rig_move_as_each_would_alone():
-    vibration = 1.5 * noise(2_000, 3)
-    together = SimulatedRig([PAPER, CONSUMER, PAPER], RATE)
-    together.write(vibration)
-    for channel, rig in enumerate([PAPER, CONSUMER, PAPER]):
-        alone = SimulatedRig(rig, RATE, 1)
-        alone.write(vibration[:, [channel]])
-        assert np.array_equal(together.acceleration_m_s2[:, channel], alone.acceleration_m_s2[:, 0])
 
 
 @given(
@@ -403,20 +344,6 @@ def test_with_nothing_asked_for_the_drive_is_the_identity_without_a_copy(
         assert out.tobytes() == before
     assert drive.latency_frames == 0
     assert drive.drain().shape == (0, channels)
-
-
-@pytest.mark.exhaustive
-@given(
-    channels=st.integers(1, 4),
-    lengths=st.lists(st.integers(1, 9_000), min_size=1, max_size=4),
-    seed=st.integers(0, 2**32 - 1),
-)
-def test_actuators_that_ask_for_nothing_are_the_identity_too(channels, lengths, seed):
-    sources = ("mix", "left", "right", "front")[:channels]
-    drive = Drive([ActuatorSettings((k,), name) for k, name in enumerate(sources)], RATE)
-    vibration = noise(10_000, channels, seed)
-    out = [drive.process(part) for part in cut(vibration, lengths)]
-    assert np.concatenate(out).tobytes() == vibration.tobytes()
 
 
 @pytest.mark.parametrize("asked", [{"protection": "on"}, {"damping": "auto"}])

@@ -2,15 +2,20 @@
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from audioflinger_hook.drive.rig_driver import RigDriver
 from device.drive.design import damping_for, drive_design
+from device.drive.exposure.dose import ACTION_A8_M_S2, DAY_S, DoseSums
+from device.drive.safety import SafetyState
 from device.errors import InternalError, UsageError
-from device.rig import CONSUMER, PAPER
+from device.rig import CONSUMER, PAPER, Rig
 from device.rig.actuator import LinearActuator
+from tools.rig_driver import RigDriver
 
 RATE = 48_000
 SOURCE_OHM = PAPER.amplifier.source_impedance_ohm
@@ -111,11 +116,44 @@ def test_each_rig_has_its_own_damping_chosen_once():
 def test_after_reset_it_is_as_new():
     processor = RigDriver(PAPER, RATE, damping=DAMPING)
     vibration = tone(70.0, 0.3)
-    first = processor.process(vibration)
-    counts = processor.protection(), processor.exposure()
+    first, readings = processor.process(vibration), processor.readings
     processor.reset()
     assert processor.process(vibration).tobytes() == first.tobytes()
-    assert (processor.protection(), processor.exposure()) == counts
+    assert processor.readings == readings
+
+
+LOUD = replace(PAPER, amplifier=replace(PAPER.amplifier, gain=40.0, current_limit_a=math.inf))
+DRIVEN: dict[str, tuple[Rig, dict[str, Any]]] = {
+    "limited": (LOUD, {}),
+    "damped": (PAPER, {"damping": DAMPING}),
+    "capped": (PAPER, {"exposure_cap": "action"}),
+}
+
+
+@pytest.mark.parametrize("case", DRIVEN)
+@settings(max_examples=10)
+@given(
+    cuts=st.lists(st.integers(0, 3_000), max_size=12),
+    seed=st.integers(0, 2**32 - 1),
+    dtype=st.sampled_from([np.float32, np.float64]),
+)
+def test_no_byte_and_no_reading_depends_on_how_the_stream_is_cut(case, cuts, seed, dtype):
+    stream = np.random.default_rng(seed).uniform(-1.0, 1.0, (3_000, 2))
+    stream[1_200:2_000] = 0.0
+    stream[[50, 60]] = [[np.nan, 0.0], [np.inf, -np.inf]]
+    stream = stream.astype(dtype)
+    rig, options = DRIVEN[case]
+    whole, split = (RigDriver(rig, 6_000, 2, **options) for _ in range(2))
+    dose = DoseSums(1.0, 0.9 * ACTION_A8_M_S2**2 * DAY_S)
+    for driver in (whole, split):
+        driver.restore([SafetyState(20.0, 20.0, dose)] * 2)
+    expected = whole.process(stream)
+    blocks = [split.process(block) for block in np.split(stream, sorted(cuts))]
+    assert np.concatenate(blocks).tobytes() == expected.tobytes()
+    assert split.readings == whole.readings
+    assert whole.protection().replaced_samples == 3
+    assert whole.protection().limited_blocks > 0
+    assert (whole.exposure_gain < 1.0) == (case == "capped")
 
 
 def test_what_cannot_be_is_refused_by_name():

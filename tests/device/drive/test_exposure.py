@@ -5,11 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.signal import butter, sosfilt, sosfreqz
 
-from audioflinger_hook.drive.rig_driver import RigDriver
 from device.drive.exposure.design import decimation_taps
 from device.drive.exposure.dose import (
     ACTION_A8_M_S2,
@@ -27,8 +24,8 @@ from device.errors import UsageError
 from device.rig import CONSUMER, PAPER
 from device.rig.actuator import SEAT_ACCELERATION, LinearActuator
 from device.rig.adaptive_actuator import AdaptiveActuator
-from device.rig.model_levels import ModelLevel
 from device.rig.seat import SeatMotion
+from tools.rig_driver import RigDriver
 
 RATES = [8_000, 11_025, 16_000, 22_050, 32_000, 44_100, 48_000, 96_000, 192_000]
 BAND_HZ = np.geomspace(0.5, 80.0, 200)
@@ -76,24 +73,6 @@ def test_the_sections_are_within_one_percent_of_the_formula_from_half_a_hertz_to
     assert error < 1.05 * (math.tau * 80.0 / samplerate) ** 2 / 12
 
 
-@pytest.mark.parametrize("samplerate", RATES)
-@pytest.mark.parametrize("frequency_hz", [0.5, 20.0, 80.0])
-def test_a_filtered_tone_has_the_level_that_the_formula_gives(samplerate, frequency_hz):
-    seconds = 4.0 + 4.0 / frequency_hz
-    weighted = sosfilt(wk_sections(samplerate), tone(frequency_hz, 1.0, seconds, samplerate)[:, 0])
-    late = weighted[-round(2.0 / frequency_hz * samplerate) :]
-    expected = abs(wk_response(np.array(frequency_hz))) / math.sqrt(2.0)
-    # 1 %: what is left of the beginning, at 0.4 Hz and Q 0.7, is e^-20.
-    assert np.sqrt(np.mean(late**2)) == pytest.approx(expected, rel=0.01)
-
-
-def test_float64_sections_hold_where_one_polynomial_does_not():
-    sections = wk_sections(192_000)
-    _, response = sosfreqz(sections, np.array([0.5]), fs=192_000)
-    assert abs(response[0]) == pytest.approx(0.41825, rel=1e-4)
-    assert sections.dtype == np.float64
-
-
 # -------------------------------------------------------------------------------------- dose
 
 
@@ -107,18 +86,11 @@ def dose_of(weighted, samplerate=1_000):
     return Exposure.of(sums)
 
 
-def test_half_an_hour_of_one_m_s2_is_a_quarter_over_eight_hours():
-    # 1 m/s^2 for 0.5 h: A(8) = sqrt(0.5 / 8) = 0.25; VDV = 1800^(1/4) = 6.51.
-    exposure = dose_of(np.ones((1_800 * 200, 1)), 200)
-    assert exposure.time_s == pytest.approx(1800.0)
-    assert exposure.rms_m_s2 == pytest.approx(1.0)
-    assert exposure.a8_m_s2 == pytest.approx(0.25, rel=1e-9)
-    assert exposure.vdv == pytest.approx(1800**0.25, rel=1e-9)
-
-
 def test_a_sine_of_two_for_a_minute_by_hand():
     # mean square 2, mean fourth power 3/8 * 16 = 6
     exposure = dose_of(tone(10.0, 2.0, 60.0, 1_000))
+    assert exposure.time_s == pytest.approx(60.0)
+    assert exposure.rms_m_s2 == pytest.approx(math.sqrt(2.0))
     assert exposure.a8_m_s2 == pytest.approx(math.sqrt(2.0 * 60.0 / DAY_S), rel=1e-9)
     assert exposure.vdv == pytest.approx((6.0 * 60.0) ** 0.25, rel=1e-9)
 
@@ -187,7 +159,7 @@ def test_the_cap_leaves_alone_what_is_under_half_of_the_limits():
 
 
 def hard_shaker():
-    """A small shaker that hits hard: VDV passes its action value within seconds, not hours."""
+    """Return a small shaker that hits hard: VDV passes its action value within seconds."""
     return replace(
         CONSUMER,
         dac=replace(CONSUMER.dac, full_scale_v=1.8),
@@ -211,17 +183,6 @@ def test_no_level_takes_a_day_over_its_limit_with_the_cap_and_the_gain_only_fall
         if level >= 0.5:
             assert driven.exposure().vdv > 0.85 * ACTION_VDV  # it did come near
             assert gains[-1] < 0.7
-
-
-@settings(max_examples=20)
-@given(st.lists(st.integers(0, 30_000), max_size=10))
-def test_the_cap_acts_at_the_same_frame_however_the_stream_is_cut(cuts):
-    stream = tone(20.0, 1.0, 5.0, 6_000)
-    whole, split = (RigDriver(hard_shaker(), 6_000, exposure_cap="action") for _ in range(2))
-    expected = whole.process(stream)
-    blocks = [split.process(block) for block in np.split(stream, sorted(cuts))]
-    assert np.concatenate(blocks).tobytes() == expected.tobytes()
-    assert whole.exposure_gain < 0.9
 
 
 # ------------------------------------------------------------------------------------- meter
@@ -279,9 +240,9 @@ def test_the_seat_moves_as_that_of_the_adaptive_actuator_linear_model(rig, sampl
     motion = SeatMotion(rig.actuator, rig.seat, samplerate, source, 2)
     both = volts[:, None].repeat(2, axis=1)
     got = np.concatenate([motion.move(part)[:, 1] for part in np.split(both, [100, 1_000])])
-    adaptive = AdaptiveActuator(rig, samplerate, level=ModelLevel.LINEAR, seat=True)
+    adaptive = AdaptiveActuator(rig, samplerate, model="linear", seat=True)
     expected = adaptive.move(volts, (SEAT_ACCELERATION,)).seat_acceleration_m_s2
-    # The adaptive has what the seat adds from nodes at 6 kHz.
+    # The sections have zeros at 0 Hz, which their conversion finds roughly at high rates.
     assert np.abs(got - expected).max() < 1e-4 * np.abs(expected).max()
 
 
@@ -296,34 +257,6 @@ def test_the_rigs_own_seat_is_taken_where_it_is_described_and_else_the_mass():
     assert 0.05 < seat / mass < 0.2
 
 
-@pytest.mark.exhaustive
-@settings(max_examples=20)
-@given(
-    st.lists(st.integers(0, 12_000), max_size=10),
-    st.sampled_from([np.float32, np.float64]),
-)
-def test_no_reading_depends_on_how_the_stream_is_cut(cuts, dtype):
-    stream = np.random.default_rng(1).uniform(-1, 1, (12_000, 2)).astype(dtype)
-    stream[77] = np.nan
-    whole, split = RigDriver(PAPER, 16_000, 2), RigDriver(PAPER, 16_000, 2)
-    whole.process(stream)
-    for block in np.split(stream, sorted(cuts)):
-        split.process(block)
-    assert split.exposure() == whole.exposure()
-
-
-@settings(max_examples=30)
-@given(st.lists(st.floats(), min_size=1, max_size=50))
-def test_readings_are_finite_whatever_comes(samples):
-    meter = RigDriver(PAPER, 8_000)
-    meter.process(np.resize(np.array(samples), (1_700, 1)))
-    exposure = meter.exposure()
-    assert all(
-        math.isfinite(number)
-        for number in (exposure.running_m_s2, exposure.a8_m_s2, exposure.vdv, exposure.extrapolated)
-    )
-
-
 def test_in_silence_nothing_is_added_and_no_number_turns_denormal():
     meter = RigDriver(PAPER, 8_000)
     meter.process(tone(40.0, 0.5, 0.5, 8_000))
@@ -332,15 +265,6 @@ def test_in_silence_nothing_is_added_and_no_number_turns_denormal():
     meter.process(np.zeros((8_000 * 100, 1)))  # e^-160 of the mean square
     assert meter.exposure().vdv == after.vdv
     assert meter.exposure().running_m_s2 == 0.0
-
-
-def test_after_reset_a_new_day_begins():
-    meter = RigDriver(PAPER, 8_000)
-    meter.process(tone(40.0, 0.5, 0.5, 8_000))
-    meter.reset()
-    meter.process(np.zeros((1, 1)))
-    assert replace(meter.exposure(), time_s=0.0) == NOTHING
-    assert meter.exposure().time_s == pytest.approx(1 / 8_000)
 
 
 def test_what_is_out_of_range_is_refused():

@@ -2,37 +2,17 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from audioflinger_hook.drive.rig_driver import RigDriver
 from device.drive.channel_map import ChannelMap
 from device.drive.damping.design import inverse_damping, no_damping
-from device.drive.outputs import AlignedOutput, DrivenOutput
+from device.drive.outputs import DrivenOutput
 from device.errors import InternalError
 from device.rig import PAPER
 from device.rig.simulated_rig import SimulatedRig
+from tests.support.outputs import KeptOutput
+from tools.rig_driver import RigDriver
 
 RATE = 8_000
-
-
-class Kept:
-    """An output that keeps what it is given."""
-
-    samplerate, channels = RATE, 2
-
-    def __init__(self):
-        self.blocks = []
-        self.ended = ""
-
-    def write(self, vibration):
-        self.blocks.append(vibration.copy())
-
-    def close(self):
-        self.ended = "closed"
-
-    def abort(self):
-        self.ended = "aborted"
 
 
 class InSeries(RigDriver):
@@ -51,31 +31,6 @@ def driven(output, damping):
 vibration = np.random.default_rng(4).uniform(-0.5, 0.5, (2_000, 2)).astype(np.float32)
 
 
-@pytest.mark.exhaustive
-@given(st.lists(st.integers(0, 2_000), max_size=8))
-def test_without_damping_the_same_comes_out_whole_whatever_the_blocks(cuts):
-    kept = Kept()
-    output = AlignedOutput(driven(kept, no_damping()), 0)
-    for block in np.split(vibration, sorted(cuts)):
-        output.write(block)
-    output.close()
-    received = np.concatenate(kept.blocks)
-    late = 2 * 16  # two blocks of 2 ms
-    assert not received[:late].any()
-    assert np.array_equal(received[late:], vibration)
-    assert kept.ended == "closed"
-
-
-def test_aligned_behind_it_takes_the_delay_out():
-    kept = Kept()
-    series = InSeries(no_damping())
-    aligned = AlignedOutput(kept, series.latency_frames)
-    output = DrivenOutput(aligned, series, ChannelMap.repeated(2, 2))
-    output.write(vibration)
-    output.close()
-    assert np.array_equal(np.concatenate(kept.blocks), vibration)
-
-
 def test_what_is_written_is_not_changed_and_a_simulated_rig_may_lie_behind():
     rig = SimulatedRig(PAPER, RATE, 2)
     output = driven(rig, inverse_damping(PAPER.actuator, 0.5))
@@ -88,10 +43,10 @@ def test_what_is_written_is_not_changed_and_a_simulated_rig_may_lie_behind():
 
 
 def test_after_its_end_nothing_can_be_written_and_ending_again_does_no_harm():
-    kept = Kept()
+    kept = KeptOutput(RATE, 2)
     output = driven(kept, no_damping())
     output.abort()
-    assert kept.ended == "aborted"
+    assert kept.ended == ["aborted"]
     with pytest.raises(InternalError, match="closed"):
         output.write(vibration)
     output.close()
@@ -100,4 +55,4 @@ def test_after_its_end_nothing_can_be_written_and_ending_again_does_no_harm():
 
 def test_a_channel_map_for_other_channels_is_refused():
     with pytest.raises(InternalError, match="2 channels, the channel map 3"):
-        DrivenOutput(Kept(), InSeries(no_damping()), ChannelMap.repeated(2, 3))
+        DrivenOutput(KeptOutput(RATE, 2), InSeries(no_damping()), ChannelMap.repeated(2, 3))

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from audioflinger_hook.drive.rig_driver import RigDriver
 from device.errors import LostError, UsageError
 from device.identification import IdentificationError
 from device.identification.calibration import STEPS, calibrate
@@ -22,6 +21,7 @@ from device.rig.electronics import Amplifier, Dac
 from tests.support.eddy_coils import EddyActuator
 from tests.support.random_rigs import truth
 from tests.support.simulated_devices import BLOCK, RATE, SimulatedDevices
+from tools.rig_driver import RigDriver
 
 EXHAUSTIVE = pytest.mark.exhaustive
 
@@ -356,7 +356,7 @@ def test_a_sweep_that_lost_frames_once_is_repeated_at_the_same_level():
 def test_a_response_that_does_not_grow_with_the_level_ends_it():
     devices = SimulatedDevices(PAPER, ALONE)
     devices.change = lambda name, samples, first: samples / devices.runs
-    assert "acceleration grew by 1 where the level grew by 2" in refused(devices)
+    assert "acceleration grew by 1, but the level by 2" in refused(devices)
     assert devices.runs == 2
 
 
@@ -403,7 +403,7 @@ def test_the_drive_itself_is_no_acceleration():
 def test_channels_that_are_swapped_give_no_number_and_are_a_thing_to_check(wired, named):
     devices = SimulatedDevices(PAPER, Inputs.parse(wired, **SCALES))
     laboratory = LiveLaboratory(devices, inputs := Inputs.parse(named, **SCALES))
-    with pytest.raises(IdentificationError, match=r"swapped|which input it is"):
+    with pytest.raises(IdentificationError, match=r"swapped|check the inputs"):
         calibrate(laboratory, PAPER, SWEEP, pairs=inputs.pairs)
 
 

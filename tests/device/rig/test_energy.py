@@ -1,25 +1,14 @@
-"""Shapes, co-energy and the passive step: exact derivatives, and not a joule from nowhere."""
-
-import math
-from dataclasses import replace
+"""Shapes and co-energy: exact derivatives."""
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from device.rig import CONSUMER, PAPER
-from device.rig.co_energy import energies, linear_energies
-from device.rig.equations import Equations
-from device.rig.passive_step import PassiveStepper
+from device.rig.co_energy import energies
 from device.rig.shapes import Arctangent, Hardening, Line, Stops, Sum, Tanh
-from tests.support.co_energy import (
-    co_energy_j,
-    flux_linkage_wb,
-    step_errors,
-    stored_energy_j,
-    whole_energy_j,
-)
+from tests.support.co_energy import co_energy_j, flux_linkage_wb, stored_energy_j
 
 PAPERS = energies(PAPER.actuator, PAPER.large_signal)
 X_MAX = PAPER.actuator.x_max_m
@@ -130,77 +119,3 @@ def test_at_x_max_the_shapes_have_changed_as_the_table_of_the_rig_says(rig):
 @given(EXCURSIONS, st.floats(-7, 7))
 def test_the_stored_energy_is_never_negative(x, i):
     assert stored_energy_j(PAPERS, np.array([x]), np.array([i]))[0] >= 0.0
-
-
-# --------------------------------------------------------------------------------- passive step
-
-CASES = {
-    "paper": {},
-    "Q 1000": {"q_mechanical": 1_000.0, "force_factor_n_per_a": 0.5},
-    "1 uH": {"inductance_h": 1e-6},
-    "overdamped": {"force_factor_n_per_a": 60.0, "inductance_h": 1e-4},
-}
-RATES = [1_000, 6_000, 48_000, 192_000]
-
-
-def equations_of(changes, seat=None, large=PAPER.large_signal):
-    p = replace(PAPER.actuator, **changes)
-    return Equations(p, energies(p, large), 0.0, seat)
-
-
-@pytest.mark.parametrize("samplerate", RATES)
-@pytest.mark.parametrize("case", CASES)
-@pytest.mark.parametrize("seat", [None, PAPER.seat], ids=["ground", "seat"])
-def test_every_passive_step_balances_its_energy_whatever_the_drive(case, samplerate, seat):
-    equations = equations_of(CASES[case], seat)
-    stepper = PassiveStepper(equations, 1.0 / samplerate)
-    rng = np.random.default_rng(5)
-    volts = 100.0 * rng.standard_normal(120)  # into the stops, where the rate is low
-    volts[40:60], volts[60:80], volts[80:100] = 0.0, 100.0, -100.0
-    states = np.concatenate([np.zeros((7, 1)), stepper.move(volts, 0.0)], axis=1)
-    assert np.isfinite(states).all()
-    volts = np.concatenate([[0.0], volts])
-    assert step_errors(equations, 1.0 / samplerate, states, volts).max() <= 1e-10
-
-
-@settings(deadline=None, max_examples=40)
-@given(
-    st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=30),
-    st.sampled_from(sorted(CASES)),
-    st.floats(1_000, 192_000),
-)
-def test_the_passive_step_never_fails(volts, case, samplerate):
-    stepper = PassiveStepper(equations_of(CASES[case]), 1.0 / samplerate)
-    assert np.isfinite(stepper.move(np.array(volts), 0.0)).all()
-
-
-def test_without_a_voltage_the_energy_of_passive_steps_never_grows():
-    stepper = PassiveStepper(equations_of(CASES["Q 1000"]), 1 / 6_000)
-    stepper.move(np.full(100, 300.0), 0.0)
-    stepper.move(np.zeros(1), 300.0)
-    before = np.array(stepper.state)[:, None]
-    states = np.concatenate([before, stepper.move(np.zeros(500), 0.0)[:5]], axis=1)
-    energy = whole_energy_j(stepper.equations, states)
-    # Rounding of the sum.
-    assert np.diff(energy).max() <= 1e-14 * energy[0]
-
-
-def test_passive_steps_are_of_second_order():
-    volts = {}
-    for samplerate in (48_000, 96_000, 192_000):
-        times = np.arange(1, samplerate // 100 + 1) / samplerate
-        stepper = PassiveStepper(equations_of({}), 1.0 / samplerate)
-        drive = 20.0 * np.sin(math.tau * 90.0 * times)
-        volts[samplerate] = stepper.move(drive, 0.0)[0, -1]
-    ratio = (volts[48_000] - volts[192_000]) / (volts[96_000] - volts[192_000])
-    assert ratio == pytest.approx((1 - 1 / 16) / (1 / 4 - 1 / 16), rel=0.02)
-
-
-def test_linear_energies_give_the_linear_actuator():
-    e = linear_energies(PAPER.actuator)
-    g = Equations(PAPER.actuator, e).remainder(
-        np.array([1e-3, -2e-3]), np.array([0.1, -0.5]), np.array([0.02, 0.01])
-    )
-    # Rounding of k x, 80 N, and of R i, 10 V.
-    assert np.abs(g.force_n).max() < 1e-12
-    assert np.abs(g.volts).max() < 1e-13

@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 
 from device.errors import UsageError
 from device.server.app_rules import AppRules, app_name
-from device.server.snapshot import ServerSnapshot, Sink, Stream
+from device.server.snapshot import ServerSnapshot, Stream
 from device.stream.pcms import APPLICATION_ID, ROLE, TAG
+from tests.support.snapshots import sink, snapshot, stream
 
 NAMES = st.text(
     st.characters(codec="utf-8", exclude_characters="*?[]:", exclude_categories=("Cc", "Cs")),
@@ -35,9 +36,16 @@ def playing(
     **properties: str,
 ) -> Stream:
     where = None if place is None else {"desktop": 1, "haptic": 2}[place]
-    known = {name.replace("_", "."): value for name, value in properties.items()}
-    return Stream(
-        index, where, place or "", application, binary, role, "a song", 999_999, False, False, known
+    return stream(
+        index,
+        where,
+        place or "",
+        application=application,
+        binary=binary,
+        role=role,
+        media="a song",
+        process_id=999_999,
+        properties={name.replace("_", "."): value for name, value in properties.items()},
     )
 
 
@@ -48,16 +56,12 @@ CHIME = playing(4, "Mail", "thunderbird", "event")
 APPLICATIONS = (FIREFOX, MPV, GAME, CHIME)
 
 
-def snapshot(*streams: Stream) -> ServerSnapshot:
-    sinks = tuple(
-        Sink(index, name, name, f"{name}.monitor", 48_000, 2, None, {})
-        for index, name in ((1, "desktop"), (2, "haptic"))
-    )
-    return ServerSnapshot("PulseAudio", "16.1", "desktop", "", sinks, (), streams, (), 0)
+def playing_now(*streams: Stream) -> ServerSnapshot:
+    return snapshot(sinks=(sink(1, "desktop"), sink(2, "haptic")), sink_inputs=streams)
 
 
 def selected(include: tuple[str, ...], exclude: tuple[str, ...] = ()) -> tuple[int, ...]:
-    found = AppRules(include, exclude).select(snapshot(*APPLICATIONS), "haptic")
+    found = AppRules(include, exclude).select(playing_now(*APPLICATIONS), "haptic")
     return tuple(stream.index for stream in found)
 
 
@@ -108,13 +112,13 @@ def test_a_rule_that_is_empty_or_of_an_unknown_kind_is_refused(rule: str) -> Non
 
 
 def test_a_name_with_a_colon_can_be_said() -> None:
-    stream = playing(1, "Radio: live")
-    found = AppRules(("application:Radio: live",)).select(snapshot(stream))
-    assert found == (stream,)
+    one = playing(1, "Radio: live")
+    found = AppRules(("application:Radio: live",)).select(playing_now(one))
+    assert found == (one,)
 
 
 @pytest.mark.parametrize(
-    "stream",
+    "one",
     [
         playing(9, "mpv", "mpv", ROLE),
         playing(9, "mpv", "mpv", application_id=APPLICATION_ID),
@@ -128,25 +132,25 @@ def test_a_name_with_a_colon_can_be_said() -> None:
         playing(9, "mpv", "mpv", place=None),
     ],
 )
-def test_ours_the_servers_own_and_the_haptic_sinks_are_never_captured(stream: Stream) -> None:
-    streams = snapshot(MPV, stream)
+def test_ours_the_servers_own_and_the_haptic_sinks_are_never_captured(one: Stream) -> None:
+    streams = playing_now(MPV, one)
     for rules in (AppRules(), AppRules(("mpv",)), AppRules(("*", "role:*", "binary:*"))):
         assert rules.select(streams, "haptic") == (MPV,)
 
 
 def test_what_plays_on_the_haptic_sink_counts_where_no_sink_is_haptic() -> None:
-    stream = playing(9, "mpv", place="haptic")
-    assert AppRules().select(snapshot(stream)) == (stream,)
+    one = playing(9, "mpv", place="haptic")
+    assert AppRules().select(playing_now(one)) == (one,)
 
 
 def test_a_paused_or_muted_application_stays_selected() -> None:
     quiet = replace(MPV, corked=True, mute=True)
-    assert AppRules(("mpv",)).select(snapshot(quiet), "haptic") == (quiet,)
+    assert AppRules(("mpv",)).select(playing_now(quiet), "haptic") == (quiet,)
 
 
 @given(NAMES, NAMES)
 def test_a_name_without_wildcards_matches_that_name_alone(rule: str, name: str) -> None:
-    found = AppRules((f"application:{rule}",)).select(snapshot(playing(1, name)))
+    found = AppRules((f"application:{rule}",)).select(playing_now(playing(1, name)))
     assert bool(found) == (rule.casefold() == name.casefold())
 
 
@@ -159,7 +163,7 @@ def test_a_selection_keeps_the_order_and_more_rules_only_narrow_or_widen_it(
     streams: list[Stream], include: list[str], exclude: list[str]
 ) -> None:
     def chosen(include: list[str], exclude: list[str]) -> list[int]:
-        found = AppRules(tuple(include), tuple(exclude)).select(snapshot(*streams))
+        found = AppRules(tuple(include), tuple(exclude)).select(playing_now(*streams))
         return [stream.index for stream in found]
 
     found = chosen(include, exclude)

@@ -6,11 +6,10 @@ import os
 import resource
 import shutil
 import subprocess
-import sys
 
 import pytest
 
-from tests.support.recordings import ROOT
+from tests.support.programs import printed
 
 NICE = os.getpriority(os.PRIO_PROCESS, 0)
 UNPRIVILEGED = ("setpriv", "--bounding-set=-sys_nice", "--inh-caps=-sys_nice")
@@ -29,17 +28,9 @@ def with_limits(*limits: str) -> pytest.MarkDecorator:
 
 
 def told(program: str, *within: str) -> str:
-    """What a program in a process of its own prints."""
-    done = subprocess.run(
-        [*within, sys.executable, "-c", program],
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        timeout=30,
-    )
-    assert done.stderr == ""
-    assert done.returncode == 0
-    return done.stdout.strip()
+    out, errors = printed(program, *within)
+    assert errors == []
+    return out
 
 
 CLAIM = """

@@ -140,8 +140,8 @@ def test_names_of_fields_in_comments_make_no_text_of_lsusb() -> None:
     ("text", "words"),
     [
         ("Device Status: 0x0000\n  bLength 9\n", "it has no descriptors"),
-        ("bLength 9\nbDescriptorType 2\n", "line 1: it shows 2 bytes of a descriptor; allowed: 9"),
-        (OLD.replace("      bInterfaceProtocol      0\n", ""), "line 30: it shows 8 bytes"),
+        ("bLength 9\nbDescriptorType 2\n", "line 1: 2 of 9 bytes are shown"),
+        (OLD.replace("      bInterfaceProtocol      0\n", ""), "line 30: 8 of 9 bytes are shown"),
     ],
 )
 def test_a_text_that_lacks_what_counts_is_refused(text: str, words: str) -> None:

@@ -4,7 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from device.usb.descriptors import DescriptorError, parse_hex
+from device.usb.descriptors import DescriptorError
+from device.usb.descriptors.hexdump import parse_hex
 
 BYTES = bytes.fromhex("09026d000301 00a0320904 000000 0101 00 7c23 2f2a 3b")
 
@@ -60,15 +61,19 @@ def test_a_dump_gives_the_bytes_that_it_shows(dump):
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("", "hex dump: it has no bytes; allowed: pairs of hexadecimal digits"),
+        ("", "hex dump: it has no bytes; needed: two hexadecimal digits a byte"),
         ("# nothing\n", "it has no bytes"),
-        ("09 02\n09 0", "hex dump, line 2: '0' is not hexadecimal"),
-        ("09 0g", "line 1: '0g' is not hexadecimal"),
-        ("/* 1\n2 */\nzz", "line 3: 'zz' is not hexadecimal"),
-        ("00000000: 0902\n00000010: 0904", "line 2: address 0x10 instead of 0x2"),
+        ("09 02\n09 0", "hex dump, line 2: '0' is no byte; needed: two hexadecimal digits a byte"),
+        ("09 0g", "line 1: '0g' is no byte"),
+        ("/* 1\n2 */\nzz", "line 3: 'zz' is no byte"),
+        (
+            "00000000: 0902\n00000010: 0904",
+            "line 2: the address is 0x10 instead of 0x2; bytes before it are missing",
+        ),
+        ("00000000: 0902\n00000001: 0904", "bytes before it are too many"),
         ("00000000  09 02\n*\n00000010", "line 2: '*' marks omitted lines"),
-        ("00000000  09 02\n00000010", "line 2: address 0x10 instead of 0x2"),
-        ("0000000 0209 006d", "shows words whose bytes are swapped"),
+        ("00000000  09 02\n00000010", "line 2: the address is 0x10 instead of 0x2"),
+        ("0000000 0209 006d", "shows swapped bytes; use od -t x1"),
         ("0000009 02 03", "line 1: '0000009' is not an octal address"),
     ],
 )

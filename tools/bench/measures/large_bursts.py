@@ -21,7 +21,6 @@ from device.drive.damping.residual import (
 from device.rig import Rig
 from device.rig.actuator import LinearActuator
 from device.rig.adaptive_actuator import AdaptiveActuator
-from device.rig.model_levels import ModelLevel
 from device.rig.parameters import DriveMode, detune
 from tools.bench.measures.flat_inverse import FlatInverse
 
@@ -59,7 +58,7 @@ def large_burst_response(
     drive *= excursion_m / float(np.abs(linear.displacement_m).max())
     if flat:
         drive = FlatInverse(believed, SAMPLERATE).process(drive)
-    motion = AdaptiveActuator(true, SAMPLERATE, level=ModelLevel.NONLINEAR).move(
+    motion = AdaptiveActuator(true, SAMPLERATE, model="nonlinear").move(
         drive, ("displacement_m", "acceleration_m_s2", "current_a")
     )
     volts = drive - source * motion.current_a

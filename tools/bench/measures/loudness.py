@@ -120,6 +120,20 @@ def slow_phon(sound: FloatArray, every_s: float) -> FloatArray:
     return np.array(_cached(f"every {every_s:g} s", sound, compute))
 
 
+def momentary_sone(sound: FloatArray, every_s: float) -> FloatArray:
+    """Return the mean loudness in sone of each whole piece of a sound; cached."""
+
+    def compute() -> list[float]:
+        steps = round(every_s / STEP_S)
+        sone = loudness_sone(sound)
+        means: list[float] = (
+            sone[: sone.size // steps * steps].reshape(-1, steps).mean(axis=1).tolist()
+        )
+        return means
+
+    return np.array(_cached(f"sone, {every_s:g} s", sound, compute))
+
+
 _memory: dict[str, list[float]] = {}
 
 

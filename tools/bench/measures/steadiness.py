@@ -10,6 +10,7 @@ from tools.bench.measures.impacts import envelope
 
 WARBLE_HZ = (4.0, 16.0)
 """Where changes of level are felt best."""
+SYLLABLES_HZ, LATEST_S = (2.0, 16.0), 0.08
 ENVELOPE_RATE_HZ = 1_000
 RISE_DB, RISE_CORNER_HZ = 6.0, 30.0
 FAINTEST_DB = -40.0
@@ -30,6 +31,19 @@ def warble(vibration: FloatArray, samplerate: int) -> float:
     band = butter(2, WARBLE_HZ, "bandpass", fs=ENVELOPE_RATE_HZ, output="sos")
     swings = sosfiltfilt(band, level - mean)
     return float(np.sqrt(2.0) * swings.std() / mean)
+
+
+def syllables_alike(sound: FloatArray, vibration: FloatArray, samplerate: int) -> float:
+    """Return Pearson's r of both envelopes at 2 to 16 Hz, at the best delay of 0 to 80 ms."""
+    band = butter(2, SYLLABLES_HZ, "bandpass", fs=ENVELOPE_RATE_HZ, output="sos")
+    heard, felt = (
+        sosfiltfilt(band, _slow(signal, samplerate, RISE_CORNER_HZ))
+        for signal in (sound, vibration)
+    )
+    if not heard.std() > 0.0 or not felt.std() > 0.0:
+        return 0.0
+    delays = range(0, round(LATEST_S * ENVELOPE_RATE_HZ) + 1, 5)
+    return max(float(np.corrcoef(heard[: heard.size - late], felt[late:])[0, 1]) for late in delays)
 
 
 def rises_s(signal: FloatArray, samplerate: int) -> FloatArray:

@@ -74,6 +74,22 @@ def sine_fit(vibration: FloatArray, samplerate: int) -> SineFit:
     )
 
 
+def steady_fit(vibration: FloatArray, samplerate: int) -> float:
+    """Return THD+N in dB against a sinusoid whose level and phase drift slowly.
+
+    Over the whole length both follow parabolas, so that a slow change of level is no distortion.
+    """
+    fit = sine_fit(vibration, samplerate)
+    if not fit.amplitude > 0.0:
+        return -float("inf")
+    place = np.linspace(-1.0, 1.0, vibration.size)
+    turn = 2.0 * np.pi * fit.frequency_hz / samplerate * np.arange(vibration.size)
+    waves = np.stack([place**power * wave(turn) for power in range(3) for wave in (np.cos, np.sin)])
+    tone = np.linalg.solve(waves @ waves.T, waves @ vibration) @ waves
+    residual = vibration - tone
+    return _ratio_db(float(residual @ residual), float(tone @ tone))
+
+
 def _at_frequency(
     vibration: FloatArray, turns: float, time: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -112,6 +128,14 @@ def energy_above_db(vibration: FloatArray, samplerate: int, corner_hz: float = 2
     power = spectrum.real**2 + spectrum.imag**2
     above = np.fft.rfftfreq(vibration.size, 1.0 / samplerate) > corner_hz
     return _ratio_db(float(power[above].sum()), float(power.sum()))
+
+
+def energy_under_db(vibration: FloatArray, samplerate: int, corner_hz: float) -> float:
+    """Return the share of energy under a corner, in dB of all of it; -inf for silence."""
+    spectrum = np.fft.rfft(vibration, 2 * vibration.size)
+    power = spectrum.real**2 + spectrum.imag**2
+    under = np.fft.rfftfreq(2 * vibration.size, 1.0 / samplerate) < corner_hz
+    return _ratio_db(float(power[under].sum()), float(power.sum()))
 
 
 class Frequencies(Protocol):

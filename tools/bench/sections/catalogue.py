@@ -8,7 +8,6 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from audioflinger_hook.catalogue.executors import LocalWorkers, Place
 from audioflinger_hook.catalogue.manifest import Manifest
 from audioflinger_hook.catalogue.recipe import Recipe
 from audioflinger_hook.catalogue.run import Run
@@ -16,7 +15,7 @@ from audioflinger_hook.catalogue.timing import Timing
 from audioflinger_hook.catalogue.work import do_batch, open_sound
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.exports.options import FORMATS, ExportOptions
-from audioflinger_hook.offline.workers import usable_cores
+from audioflinger_hook.offline.pool import LocalWorkers, Place, usable_cores
 from tools.bench.report import Missing, Must, Row, Section
 from tools.bench.sections.rendering import write_sound
 from tools.bench.workbench import Workbench
@@ -126,7 +125,7 @@ def _core_seconds(library: Path, out: Path, options: ExportOptions) -> tuple[flo
 def _two_workers(library: Path) -> Row:
     """Return the ratio of throughputs, the middle one of some alternating runs."""
     ratios = []
-    with LocalWorkers(1) as one, LocalWorkers(2) as two:
+    with LocalWorkers(1, do_batch.__module__) as one, LocalWorkers(2, do_batch.__module__) as two:
         for place in (one, two):  # workers import once
             _wall_s(library, place)
         for _ in range(3):

@@ -9,20 +9,19 @@ from itertools import product
 
 import numpy as np
 
-from audioflinger_hook.drive.rig_driver import RigDriver
 from audioflinger_hook.transform import FloatArray
 from device.drive.damping import choose_damping
 from device.drive.protection.design import BLOCK_S
 from device.rig import PAPER
 from device.rig.adaptive_actuator import AdaptiveActuator
 from device.rig.electronics import Amplifier
-from device.rig.model_levels import ModelLevel
-from device.rig.parameters import SeatParameters, vary
+from device.rig.parameters import Model, SeatParameters, vary
 from device.units import amplitude_to_db
 from tools.bench.cost import in_ffts, interleaved
 from tools.bench.report import Must, Row, Section
 from tools.bench.sounds.signals import SAMPLERATE
 from tools.bench.workbench import Workbench
+from tools.rig_driver import RigDriver
 
 LOUD = replace(PAPER, amplifier=replace(PAPER.amplifier, gain=20.0, current_limit_a=math.inf))
 """The `paper` rig behind an amplifier that can drive it to 1.5 Xmax."""
@@ -131,12 +130,12 @@ def _excursion(drive: FloatArray, *, linear: bool = True) -> float:
     """Return the largest |x| over all that the rig may be, as a share of Xmax."""
     unlimited = replace(LOUD.amplifier, output_limit_v=1e9)
     volts = Amplifier(unlimited, SAMPLERATE).drive(LOUD.dac.full_scale_v * drive)
-    level = ModelLevel.LINEAR if linear else ModelLevel.NONLINEAR
+    which: Model = "linear" if linear else "nonlinear"
     largest = 0.0
     for factors in product(MASS, F0_SQUARED if linear else ENDS, FORCE_FACTOR):
         for seat in SEATS:
             true = replace(LOUD, actuator=vary(LOUD.actuator, *factors), seat=seat)
-            model = AdaptiveActuator(true, SAMPLERATE, level=level, seat=seat is not None)
+            model = AdaptiveActuator(true, SAMPLERATE, model=which, seat=seat is not None)
             motion = model.move(volts, ("displacement_m",))
             largest = max(largest, float(np.abs(motion.displacement_m).max()))
     return largest / LOUD.actuator.x_max_m

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import soundfile
 
-from audioflinger_hook.offline.workers import usable_cores
+from audioflinger_hook.offline.pool import usable_cores
 from tools.bench.cost import in_ffts
 from tools.bench.report import Must, Row, Section
 from tools.bench.sounds.signals import SAMPLERATE, demo_sound

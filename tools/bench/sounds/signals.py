@@ -82,6 +82,17 @@ def white_noise(duration_s: float) -> Stereo:
     return stereo(noise)
 
 
+def pink_noise(frames: int, rng: np.random.Generator) -> FloatArray:
+    """Return pink noise from 20 Hz up, r.m.s. 1, (frames,)."""
+    spectrum = np.fft.rfft(rng.standard_normal(frames))
+    hz = np.fft.rfftfreq(frames, 1.0 / SAMPLERATE)
+    spectrum[hz < 20.0] = 0.0
+    spectrum[1:] /= np.sqrt(hz[1:])
+    noise = np.fft.irfft(spectrum, frames)
+    pink: FloatArray = noise / noise.std()
+    return pink
+
+
 def chord(duration_s: float) -> Stereo:
     """Return ten partials, each with its own slow vibrato of level."""
     time_s = np.arange(round(duration_s * SAMPLERATE)) / SAMPLERATE

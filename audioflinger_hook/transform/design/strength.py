@@ -1,0 +1,204 @@
+"""Design of the strength by loudness: the programme's level, the gate, rises, the wanted
+strength."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from audioflinger_hook.transform.arrays import FloatArray
+from audioflinger_hook.transform.design.synthesis import LiveGrid, SynthesisDesign
+from audioflinger_hook.transform.parameters import TransformParameters
+
+FELT_AT_HZ = 40.0
+"""Vibration of this frequency has weight 1. Above 12.5 Hz, the sensitivity of a seated body to
+vertical acceleration falls with the inverse of frequency: W_k of ISO 2631-1 without its limit at
+100 Hz, and contours of equal comfort (Griffin, Whitham and Parsons, Ergonomics 25, 1982)."""
+
+FELT_FROM_HZ = 30.0
+"""Vibration under this counts as if it had this frequency: few actuators reach lower."""
+
+RIG_RATIO_MAX = 2.0
+"""A resonance is levelled by 6 dB at most: more under it would be excursion, not vibration."""
+
+PROGRAMME_TOP_DB = -10.0
+"""Loudness of the loudest programmes; programmes down to `loudness_db` below it are lifted."""
+
+PROGRAMME_START_DB = -20.0
+"""Level of the programme before any sound."""
+
+START_S, START_WEIGHT_S = 2.0, 0.5
+"""In so much sound, the programme's level is found at the beginning of a stream: it moves towards
+the mean, in which the level before counts as so much sound."""
+
+RELEASE_DB_A_S = 10.0
+"""Rate at which what counts for the programme falls; it rises at once."""
+
+PROGRAMME_DB_A_S = 0.1
+"""The programme's level goes to the loudness by this, so that half of the time is over it ..."""
+
+RISE_S, FALL_S = 240.0, 120.0
+"""... and by what is missing, in so many seconds: a crescendo is felt as one."""
+
+FLOOR_RISE_DB_A_S = 2.0
+"""The noise floor is the least recent loudness: it falls at once and rises at this rate."""
+
+JITTER_S, SLOW_S = 0.1, 0.03
+"""Times in which jitter of loudness, and what counts for the programme, are averaged."""
+
+GROUP_S, GROUP_UP_S, GROUP_DOWN_S, GROUP_DEVIATES_S = 0.006, 0.2, 0.4, 1.0
+"""Times in which the level of a group of bands is averaged, what is usual follows a rise, or a
+fall, and its mean deviation is found."""
+
+GROUP_SONE = 0.02
+"""Added to the sone of a group: below, a rise is none."""
+
+BOOST_HOLD_S, BOOST_FALL_DB_A_S = 0.03, 80.0
+"""How long what a rise adds stays, and how fast it goes."""
+
+
+@dataclass(frozen=True, eq=False)
+class StrengthDesign:
+    """How strong vibration is by loudness; levels in dB, rates in dB per tick, times in ticks."""
+
+    programme_start: float
+    """Level of the programme before any sound."""
+    programme_min: float
+    programme_step: float
+    """The programme's level moves by this, ..."""
+    programme_rise: float
+    """... and by this share of what is missing upwards, ..."""
+    programme_fall: float
+    """... or downwards."""
+    start_ticks: float
+    """Ticks of sound at the beginning of a stream in which it is found fast, ..."""
+    start_weight: float
+    """... as if so many had been heard before."""
+    release: float
+    """Rate at which what counts for the programme falls."""
+    slow_followed: float
+    """Share of it that a tick adds."""
+    floor_min: float
+    """Loudness up to which there is no vibration."""
+    floor_rise: float
+    """Rate at which the noise floor rises."""
+    gate: float
+    """Width of the soft gate over the noise floor."""
+    jitter: float
+    """Smaller changes of loudness are jitter, of which steady sounds consist, ..."""
+    jitter_followed: float
+    """... and of which this share is followed."""
+    group_smooth: float
+    """Share of a tick in the sone of a group of bands."""
+    group_up: float
+    """Share of a rise by which what is usual follows, ..."""
+    group_down: float
+    """... and of a fall."""
+    group_deviates: float
+    """Share of a tick in the mean deviation."""
+    boost_hold_ticks: float
+    """Ticks for which what a rise adds stays."""
+    boost_fall: float
+    boost_max: float
+    """Most that a rise adds."""
+    target: float
+    """Vibration at the programme's level."""
+    slope: float
+    """Vibration for each dB of loudness."""
+    gain_max: float
+    """Largest factor on amplitudes."""
+    felt_weights: FloatArray
+    """Sensitivity by vibration frequency, in steps of `gain_step_hz`."""
+    programme_top: float = PROGRAMME_TOP_DB
+    start_near: float = 10.0
+    """It goes down to so much over what is heard: a soft beginning is still felt as one."""
+    far: float = 20.0
+    """More than this is not missing."""
+    floor_under: float = 35.0
+    """The noise floor stays this far below the programme's level: a steady sound is no noise."""
+    gate_margin: float = 0.01
+    """Share of the gate's width that is still silent. At the floor itself, where the quietest
+    recent tick stands exactly, rounding would decide."""
+    group_sone: float = GROUP_SONE
+    silence_db: float = 10.0 * math.log2(GROUP_SONE)
+    """Level of a group of bands in silence."""
+    deviation_start: float = 3.0
+    deviation_max: float = 10.0
+    """Mean deviation at the beginning, and what one tick counts for it at most."""
+    boost_deviations: float = 2.5
+    """A rise is what is so many mean deviations over what is usual: noise, vibrato and beats raise
+    their own."""
+    boost_slope: float = 4.0
+    """dB that are wanted for each dB more, ..."""
+    boost_share_from: float = 0.02
+    """... of a group that has this share of all loudness, ..."""
+    boost_share_width: float = 0.05
+    """... and fully with so much more."""
+    boost_natural: float = 0.5
+    """What the loudness of all bands adds by itself, and so much, need not be added."""
+    beat_hz: float = 50.0
+    """Partials so far apart do not beat; ..."""
+    beat_width_hz: float = 25.0
+    """... those closer by this do fully."""
+    beat_least: float = 0.35
+    """Least ratio by which beats are undone."""
+    weakest_step: float = 0.2
+    """Least strength of a step that is made up for, as a share of the tick's."""
+    concentrated: float = 4.0
+    """What would be limited takes on the sensitivity of a seated body to this power at most."""
+    nothing: float = 1e-9
+    """Sone that count as none."""
+
+    @classmethod
+    def of(cls, parameters: TransformParameters, grid: LiveGrid) -> StrengthDesign:
+        """Return the design for ticks of a grid."""
+        steps = np.arange(1.01 * parameters.vibration_top_hz / SynthesisDesign.gain_step_hz)
+        programme_min = PROGRAMME_TOP_DB - parameters.loudness_db
+        tick_s = grid.tick_s
+        return cls(
+            programme_start=max(programme_min, PROGRAMME_START_DB),
+            programme_min=programme_min,
+            programme_step=PROGRAMME_DB_A_S * tick_s,
+            programme_rise=tick_s / RISE_S,
+            programme_fall=tick_s / FALL_S,
+            start_ticks=float(round(START_S / tick_s)),
+            start_weight=START_WEIGHT_S / tick_s,
+            release=RELEASE_DB_A_S * tick_s,
+            slow_followed=min(1.0, tick_s / SLOW_S),
+            floor_min=parameters.loudness_floor_db,
+            floor_rise=FLOOR_RISE_DB_A_S * tick_s,
+            gate=parameters.loudness_gate_db,
+            jitter=parameters.jitter_db,
+            jitter_followed=min(1.0, tick_s / JITTER_S),
+            group_smooth=min(1.0, tick_s / GROUP_S),
+            group_up=tick_s / GROUP_UP_S,
+            group_down=tick_s / GROUP_DOWN_S,
+            group_deviates=tick_s / GROUP_DEVIATES_S,
+            boost_hold_ticks=float(round(BOOST_HOLD_S / tick_s)),
+            boost_fall=BOOST_FALL_DB_A_S * tick_s,
+            boost_max=parameters.rise_db,
+            target=parameters.loudness_target_db,
+            slope=parameters.dynamics,
+            gain_max=math.pow(10.0, parameters.loudness_db / 20.0),
+            felt_weights=felt_weight(parameters, SynthesisDesign.gain_step_hz * steps),
+        )
+
+
+def felt_weight(parameters: TransformParameters, vibration_hz: FloatArray) -> FloatArray:
+    """Return how strongly a seated body feels a drive at frequencies in Hz.
+
+    It is always 1 for strength "flat", and for "felt" the sensitivity to acceleration, 1 at 40 Hz.
+    For "rig" it contains the acceleration for each volt of a resonant actuator, 1 far above its
+    resonance, as far as `RIG_RATIO_MAX`.
+    """
+    if parameters.strength == "flat":
+        return np.ones_like(vibration_hz)
+    hz = np.maximum(vibration_hz, FELT_FROM_HZ)
+    felt: FloatArray = FELT_AT_HZ / hz
+    if parameters.strength == "rig" and parameters.resonance_hz > 0.0:
+        ratio = parameters.resonance_hz / hz
+        response = 1.0 / np.hypot(1.0 - ratio**2, ratio / parameters.resonance_q)
+        felt *= np.clip(response, 1.0 / RIG_RATIO_MAX, RIG_RATIO_MAX)
+    return felt

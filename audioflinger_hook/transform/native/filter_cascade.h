@@ -1,0 +1,43 @@
+/* Second-order sections one after another, b0 b1 b2 1 a1 a2 each, as scipy.signal.sosfilt computes them. */
+
+#ifndef CUSHION_FILTER_CASCADE_H
+#define CUSHION_FILTER_CASCADE_H
+
+#include "common.h"
+
+#define SECTION_NUMBERS 6
+#define SECTIONS_MAX 8
+#define DECAYED 1e-30 /* a smaller state is set to 0, before numbers become denormal and slow */
+
+typedef struct {
+    const double *sections;
+    size_t count;
+} CascadeDesign;
+
+typedef struct {
+    double state[SECTIONS_MAX][2];
+} Cascade;
+
+INLINED double cascade_step(Cascade *cascade, CascadeDesign design, double sample)
+{
+    for (size_t one = 0; one < design.count; one++) {
+        const double *section = design.sections + SECTION_NUMBERS * one;
+        double *state = cascade->state[one];
+        const double filtered = section[0] * sample + state[0];
+        state[0] = section[1] * sample - section[4] * filtered + state[1];
+        state[1] = section[2] * sample - section[5] * filtered;
+        sample = filtered;
+    }
+    return sample;
+}
+
+INLINED void cascade_drop_decayed(Cascade *cascade, CascadeDesign design)
+{
+    double most = 0.0;
+    for (size_t one = 0; one < design.count; one++)
+        most = larger(larger(fabs(cascade->state[one][0]), fabs(cascade->state[one][1])), most);
+    if (most < DECAYED)
+        memset(cascade, 0, sizeof *cascade);
+}
+
+#endif

@@ -1,0 +1,266 @@
+/* The oscillators of one tick, played so that they are felt as strongly as is wanted.
+ *
+ * Glides say which frequencies vibrate, and in which proportion. One gain for all of them makes the
+ * strength: what is wanted over what the amplitudes of this step would be felt as.
+ */
+
+#include "oscillators.h"
+
+#include "common.h"
+#include "exact.h"
+#include "functions.h"
+#include "scaling.h"
+
+/* Amplitudes whose sum is smaller are silent. */
+#define SILENT 1e-9
+
+/* Smallest square of a strength that can be divided by. */
+#define NO_POWER 1e-20
+
+/* The partials that sound in one tick. Rows of tick_steps, one a partial. */
+typedef struct {
+    size_t count, steps;
+    double *turns, *level, *wave;
+    double *hz;    /* at the end of the tick, one a partial, */
+    double *felt;  /* the sensitivity there, */
+    double *share; /* and what of an amplitude is felt once the low-pass has passed it */
+} Sounding;
+
+static size_t most_sounding(const Settings *s) { return tracking_slots(s) + s->fresh_max; }
+
+size_t oscillators_work(const Settings *s) { return most_sounding(s) * (3 * s->tick_steps + 3); }
+
+static Sounding laid_out(const Settings *s, double *work)
+{
+    const size_t most = most_sounding(s), each = most * s->tick_steps;
+    double *numbers = work + 3 * each;
+    return (Sounding){0, s->tick_steps, work, work + each, work + 2 * each,
+                      numbers, numbers + most, numbers + 2 * most};
+}
+
+void oscillators_begin_hop(const Settings *s, const Oscillators *oscillators)
+{
+    double rise = 0.0;
+    for (size_t slot = 0; slot < tracking_slots(s); slot++)
+        rise += oscillators->hop.end_amplitude[slot] - oscillators->hop.start_amplitude[slot];
+    oscillators->drive->rises = rise > s->still;
+}
+
+/* -------------------------------------------------------------------------------------- what sounds */
+
+/* Shapes of glides, from the first step of the tick on. `whole` is that of frequency. */
+typedef struct {
+    const double *shape, *whole, *seconds, *glide_s;
+    size_t at; /* steps since the glides began */
+} TickShapes;
+
+static void add(const Settings *s, Sounding *sounding, const Glides *glides, size_t slots, TickShapes shapes)
+{
+    const size_t steps = sounding->steps;
+    for (size_t slot = 0; slot < slots; slot++) {
+        const double start = glides->start_amplitude[slot];
+        const double rise = glides->end_amplitude[slot] - start;
+        if (start == 0.0 && rise == 0.0)
+            continue;
+        const double hz = glides->start_hz[slot], rise_hz = glides->end_hz[slot] - hz;
+        const double phase = glides->start_phase[slot];
+        double *turns = sounding->turns + sounding->count * steps;
+        double *level = sounding->level + sounding->count * steps;
+        for (size_t step = 0; step < steps; step++) {
+            turns[step] = hz * shapes.seconds[shapes.at + step] + rise_hz * shapes.glide_s[shapes.at + step] + phase;
+            level[step] = rise * shapes.shape[shapes.at + step] + start;
+        }
+        const double end_hz = hz + rise_hz * shapes.whole[shapes.at + steps - 1];
+        const double felt = table_at(s->felt_weights, s->gain_step_hz, end_hz);
+        sounding->hz[sounding->count] = end_hz;
+        sounding->felt[sounding->count] = felt;
+        sounding->share[sounding->count] = felt / table_at(s->gain_table, s->gain_step_hz, end_hz);
+        sounding->count++;
+    }
+}
+
+static TickShapes of_hop(const Settings *s, const Drive *drive, size_t tick)
+{
+    return (TickShapes){drive->rises != 0.0 ? s->attack.at : s->glide.at, s->glide.at, s->seconds.at,
+                        s->glide_s.at, tick * s->tick_steps};
+}
+
+static TickShapes of_tick(const Settings *s)
+{
+    return (TickShapes){s->tick_glide.at, s->tick_glide.at, s->seconds.at, s->tick_glide_s.at, 0};
+}
+
+SIMD_CLONES_NARROW static void oscillate(const double *restrict turns, size_t count, double *restrict wave)
+{
+    for (size_t one = 0; one < count; one++)
+        wave[one] = cosine_of_turns(turns[one]);
+}
+
+/* ------------------------------------------------------------------------------------ how strong */
+
+/* Sum of the squares of what is felt in a step. */
+static double power_of(const Sounding *sounding, size_t step)
+{
+    double power = 0.0;
+    for (size_t one = 0; one < sounding->count; one++) {
+        const double felt = sounding->level[one * sounding->steps + step] * sounding->share[one];
+        power += felt * felt;
+    }
+    return power;
+}
+
+static double sum_of(const Sounding *sounding, size_t step)
+{
+    double sum = 0.0;
+    for (size_t one = 0; one < sounding->count; one++)
+        sum += sounding->level[one * sounding->steps + step];
+    return sum;
+}
+
+/* Where the sum would be over the ceiling, let frequencies that are felt better take more of it. Return
+ * the power of the sensitivity at the end of the tick. */
+static double concentrate(const Settings *s, const Sounding *sounding, double wanted, double before)
+{
+    const size_t last = sounding->steps - 1;
+    const double power = power_of(sounding, last);
+    double after = 0.0;
+    if (power > 0.0) {
+        const double over = wanted / sqrt(power) * sum_of(sounding, last) / s->ceiling - 1.0;
+        after = over > 0.0 ? smaller(s->concentrated, s->concentrated * over) : 0.0;
+    }
+    if (!(before > 0.0) && !(after > 0.0))
+        return after;
+    for (size_t one = 0; one < sounding->count; one++) {
+        double *level = sounding->level + one * sounding->steps;
+        double factor = exact_pow(sounding->felt[one], before);
+        const double ratio = exact_pow(sounding->felt[one], (after - before) / (double)sounding->steps);
+        for (size_t step = 0; step < sounding->steps; step++)
+            level[step] *= factor *= ratio;
+    }
+    return after;
+}
+
+/* Return the squared ratio of the sum of what beats so slowly that it is felt as a change of strength,
+ * to the root of the sum of its squares, at the end of the tick. */
+static double beat_of(const Settings *s, const Sounding *sounding)
+{
+    const size_t last = sounding->steps - 1;
+    const double power = power_of(sounding, last);
+    double crossed = 0.0;
+    if (!(power > NO_POWER))
+        return 1.0;
+    for (size_t one = 0; one < sounding->count; one++)
+        for (size_t other = 0; other < one; other++) {
+            const double apart_hz = fabs(sounding->hz[one] - sounding->hz[other]);
+            const double counts = smaller(1.0, (s->beat_hz - apart_hz) / s->beat_width_hz);
+            if (!(counts > 0.0))
+                continue;
+            const size_t here = one * sounding->steps + last, there = other * sounding->steps + last;
+            crossed += counts * (sounding->level[here] * sounding->share[one]) *
+                       (sounding->level[there] * sounding->share[other]) *
+                       cosine_of_turns(sounding->turns[here] - sounding->turns[there]);
+        }
+    return larger(s->beat_least * s->beat_least, 1.0 + 2.0 * crossed / power);
+}
+
+/* --------------------------------------------------------------------------------------- one tick */
+
+/* The factor on an amplitude. */
+static double driven(const Settings *s, const Drive *drive, double hz)
+{
+    return drive->gain * exact_pow(table_at(s->felt_weights, s->gain_step_hz, hz), drive->moved);
+}
+
+/* Write down what the glides of a kind do in this tick, with their gain. */
+static void log_tick(const Settings *s, OscillatorTick now, const Glides *glides, size_t slots,
+                     size_t first_slot, TickShapes shapes, const Drive *before, const Drive *after)
+{
+    const size_t last = shapes.at + s->tick_steps - 1;
+    for (size_t slot = 0; now.log->on && slot < slots; slot++) {
+        const double start = glides->start_amplitude[slot], hz = glides->start_hz[slot];
+        const double rise = glides->end_amplitude[slot] - start, rise_hz = glides->end_hz[slot] - hz;
+        double begun = 0.0, whole = 0.0, turns = 0.0;
+        if (start == 0.0 && rise == 0.0)
+            continue;
+        if (shapes.at) {
+            begun = shapes.shape[shapes.at - 1];
+            whole = shapes.whole[shapes.at - 1];
+            turns = hz * shapes.seconds[shapes.at - 1] + rise_hz * shapes.glide_s[shapes.at - 1];
+        }
+        const double phase = glides->start_phase[slot] + turns;
+        const double from_hz = hz + rise_hz * whole, to_hz = hz + rise_hz * shapes.whole[last];
+        glide_log_add(now.log, (GlideRow){
+            (double)now.log->frame, (double)s->tick_frames, (double)now.voice,
+            (double)(first_slot + slot), from_hz, to_hz,
+            driven(s, before, from_hz) * (start + rise * begun),
+            driven(s, after, to_hz) * (start + rise * shapes.shape[last]),
+            phase - floor(phase),
+        });
+    }
+}
+
+/* Let nothing sound; what follows begins with the strength that is wanted now. */
+static void rest(Drive *drive, double wanted)
+{
+    drive->wanted = wanted;
+    drive->beat = 1.0;
+    drive->moved = drive->gain = 0.0;
+}
+
+size_t oscillators_play(const Settings *s, const Oscillators *oscillators, OscillatorTick now,
+                        double *low_rate, double *work)
+{
+    Drive *drive = oscillators->drive;
+    Sounding sounding = laid_out(s, work);
+    const size_t steps = s->tick_steps;
+    const TickShapes hop = of_hop(s, drive, now.tick), tick = of_tick(s);
+    memset(low_rate, 0, steps * sizeof(double));
+    if (drive->wanted > 0.0 || now.wanted > 0.0) {
+        add(s, &sounding, &oscillators->hop, tracking_slots(s), hop);
+        if (now.fresh)
+            add(s, &sounding, now.fresh, s->fresh_max, tick);
+    }
+    if (!sounding.count) {
+        rest(drive, now.wanted);
+        return 0;
+    }
+    oscillate(sounding.turns, sounding.count * steps, sounding.wave);
+    const double moved = concentrate(s, &sounding, now.wanted, drive->moved);
+    const double beat = beat_of(s, &sounding);
+    const Drive before = *drive;
+    double most = 0.0;
+    size_t limited = 0;
+    for (size_t step = 0; step < steps; step++)
+        most = larger(power_of(&sounding, step), most);
+    most = sqrt(most);
+    for (size_t step = 0; most > SILENT && step < steps; step++) {
+        const double part = (double)(step + 1) / (double)steps, sum = sum_of(&sounding, step);
+        const double wanted = before.wanted + (now.wanted - before.wanted) * part;
+        const double strength = larger(sqrt(power_of(&sounding, step)), s->weakest_step * most);
+        double gain = wanted / (strength * sqrt(before.beat + (beat - before.beat) * part));
+        gain = smaller(gain, s->gain_max);
+        if (gain * sum > s->ceiling) {
+            gain = s->ceiling / sum;
+            limited++;
+        }
+        double total = 0.0;
+        for (size_t one = 0; one < sounding.count; one++)
+            total += sounding.level[one * steps + step] * sounding.wave[one * steps + step];
+        low_rate[step] = gain * total;
+        drive->gain = gain;
+    }
+    drive->wanted = now.wanted;
+    drive->beat = beat;
+    drive->moved = moved;
+    log_tick(s, now, &oscillators->hop, tracking_slots(s), 0, hop, &before, drive);
+    if (now.fresh)
+        log_tick(s, now, now.fresh, s->fresh_max, tracking_slots(s), tick, &before, drive);
+    return limited;
+}
+
+int oscillators_are_possible(const Settings *s, const Drive *drive)
+{
+    return drive->wanted >= 0.0 && drive->wanted < INFINITY && drive->beat > 0.0 &&
+           drive->beat < INFINITY && drive->moved >= 0.0 && drive->moved <= s->concentrated &&
+           drive->gain >= 0.0 && drive->gain < INFINITY;
+}

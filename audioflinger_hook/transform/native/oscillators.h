@@ -1,0 +1,50 @@
+/* The oscillators of one tick, played so that they are felt as strongly as is wanted. */
+
+#ifndef CUSHION_OSCILLATORS_H
+#define CUSHION_OSCILLATORS_H
+
+#include "glide_log.h"
+#include "settings.h"
+#include "tracking.h"
+
+/* What goes on from tick to tick; all of it is state. At the end of the last tick: */
+typedef struct {
+    double wanted; /* strength */
+    double beat;   /* squared ratio of the sum of what beats to its root of squares */
+    double moved;  /* power of the sensitivity by which amplitudes were moved */
+    double gain;   /* on the partials' amplitudes */
+    double rises;  /* 1 where the hop's sum of amplitudes rises, or 0 */
+} Drive;
+
+#define DRIVE_STATES (sizeof(Drive) / sizeof(double))
+
+/* One voice's. hop: what its slots do in the hop under way, state as well. */
+typedef struct {
+    Drive *drive;
+    Glides hop;
+} Oscillators;
+
+/* Doubles of work space that `oscillators_play` needs. */
+size_t oscillators_work(const Settings *settings);
+
+/* Take note of new glides in `hop`. */
+void oscillators_begin_hop(const Settings *settings, const Oscillators *oscillators);
+
+/* A tick of one voice. tick: its number in the hop. fresh: NULL where none sounds. wanted: strength at
+ * its end. */
+typedef struct {
+    size_t tick;
+    const Glides *fresh;
+    double wanted;
+    GlideLog *log;
+    size_t voice;
+} OscillatorTick;
+
+/* Write a tick at the low rate, (tick_steps,); return in how many of its steps amplitudes were limited. */
+size_t oscillators_play(const Settings *settings, const Oscillators *oscillators, OscillatorTick now,
+                        double *low_rate, double *work);
+
+/* Whether the numbers are such as can be. */
+int oscillators_are_possible(const Settings *settings, const Drive *drive);
+
+#endif

@@ -1,0 +1,75 @@
+"""The rig's motion by SciPy's `solve_ivp`, from the closed forms of its energies: the reference."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from audioflinger_hook.transform import FloatArray
+from device.rig import Rig
+from device.rig.co_energy import energies
+
+STIFF_PER_S = 1e5
+"""From here on the coil's current settles within less than a sample."""
+
+Rates = Callable[[float, list[float]], tuple[list[float], list[float]]]
+
+
+def rates_of(rig: Rig, *, seat: bool = False) -> Rates:
+    """Return a function of the volts and of y, u, i, z, z' (device/rig/equations.py).
+
+    It returns their rates, and what the samples show: y, y', i, u' and z''.
+    """
+    p, e = rig.actuator, energies(rig.actuator, rig.large_signal)
+    ohm = p.resistance_ohm + rig.amplifier.source_impedance_ohm
+    magnet, inductance, potential = e.co_energy.magnet, e.co_energy.inductance, e.potential
+    frame = rig.seat if seat else None
+
+    def rates(volt: float, state: list[float]) -> tuple[list[float], list[float]]:
+        y, u, i, z, frame_speed = state
+        w = u - frame_speed
+        # A divided difference where both ends meet is the derivative.
+        factor, slope = magnet.divided(y, y), inductance.divided(y, y)
+        force = (factor + 0.5 * slope * i) * i - potential.divided(y, y) - p.damping_n_s_per_m * w
+        depth = abs(y) - e.stops.start
+        if depth > 0.0:
+            force -= e.stop_loss_s_per_m * e.stops.hardness * depth * depth * w
+        pushed = 0.0
+        if frame:
+            resisting = frame.stiffness_n_per_m * z + frame.damping_n_s_per_m * frame_speed
+            pushed = -(force + resisting) / frame.mass_kg
+        change = (volt - ohm * i - (factor + slope * i) * w) / inductance.value(y)
+        a = force / p.moving_mass_kg
+        return [w, a, change, frame_speed, pushed], [y, w, i, a, pushed]
+
+    return rates
+
+
+def solved_motion(
+    rig: Rig, samplerate: int, volts: FloatArray, *, seat: bool = False
+) -> FloatArray:
+    """Return y, y', i, u' and the frame's acceleration after each of (frames,) volts, (5, frames).
+
+    The voltage is a straight line between samples, and was 0 before the first. DOP853 at a relative
+    tolerance of 1e-12, or Radau at 1e-10 for stiff circuits; it takes 10 s for a second of signal.
+    """
+    rates = rates_of(rig, seat=seat)
+    ohm = rig.actuator.resistance_ohm + rig.amplifier.source_impedance_ohm
+    is_stiff = ohm / rig.actuator.inductance_h > STIFF_PER_S
+    options: dict[str, Any] = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-16}
+    if is_stiff:
+        options = {"method": "Radau", "rtol": 1e-10, "atol": 1e-13}
+
+    def along(t: float, state: Any, before_v: float, volt: float) -> list[float]:
+        return rates(before_v + (volt - before_v) * t * samplerate, state.tolist())[0]
+
+    state, before_v = np.zeros(5), 0.0
+    shown = np.empty((5, len(volts)))
+    for frame, volt in enumerate(volts.tolist()):
+        each = solve_ivp(along, (0.0, 1.0 / samplerate), state, args=(before_v, volt), **options)
+        state, before_v = each.y[:, -1], volt
+        shown[:, frame] = rates(volt, state.tolist())[1]
+    return shown
