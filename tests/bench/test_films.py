@@ -21,6 +21,7 @@ from tools.bench.measures.contrasts import (
 from tools.bench.measures.loudness import STEP_S, loudness_sone
 from tools.bench.measures.match import PIECE_S, match, pieces_rms
 from tools.bench.measures.vibration import energy_under_db, steady_fit
+from tools.bench.methods import Method
 from tools.bench.sections import felt_films, felt_singles
 from tools.bench.sections.felt_films import Contrasts, contrasts, heard_contrasts, missed
 from tools.bench.sections.felt_rigs import over_dialogue
@@ -335,3 +336,16 @@ def test_a_rigs_seat_moves_more_for_a_stroke_that_is_stronger(rig):
     assert even == pytest.approx(0.0, abs=1.5)
     # An onset may add to the stroke's 12 dB.
     assert strong == pytest.approx(12.0, abs=3.0)
+
+
+def test_floors_are_asked_only_over_both_halves_of_the_sounds(monkeypatch):
+    loudness = np.abs(np.sin(np.arange(50) / 5.0))
+    monkeypatch.setattr(felt_singles, "momentary_sone", lambda *_: loudness)
+    cinema = Method("cinema", lambda sound, _rate: sound, limited=True)
+    some = [one for one in made_sounds(2) if one.kind in ("speech", "explosions")]
+    for half, asked in ((some[:2], True), (some, False)):
+        rows = {row.name: row for row in felt_singles.single_rows([cinema], some, half)}
+        assert bool(rows["match, mean"].must) == asked
+        assert bool(rows["6 classes told apart"].must) == asked
+        assert rows["match under 70"].must
+        assert ("match under 70, reported half" in rows) == asked

@@ -25,6 +25,8 @@ from tools.bench.workbench import Subject
 
 UNLIMITED = "paper"
 """The profile that keeps to the paper and is asked no limit here."""
+PARTIAL = "speech"
+"""The profile that leaves out on purpose what is not speech; films are not asked of it."""
 
 Render = Callable[[FloatArray, int], FloatArray]
 """Sound, (frames,) or (frames, channels), and its rate in Hz, to vibration (frames,) in time."""
@@ -35,13 +37,14 @@ class Method:
     """A way from sound to vibration. name: its column; limited: whether the limits are asked.
 
     render: gives as many frames as the sound has, without latency, at full scale +-1.
-    latency_s: what a listener's vibration is late by. parameters: of a profile.
+    whole: whether all of a sound is to be felt, so that films, pairs and deep tones have limits.
+    parameters: of a profile.
     """
 
     name: str
     render: Render
     limited: bool = False
-    latency_s: float = 0.0
+    whole: bool = True
     parameters: TransformParameters | None = None
 
     def vibration(
@@ -54,6 +57,10 @@ class Method:
         """Return the limit where limits are asked."""
         return Must(relation, bound) if self.limited else None  # type: ignore[arg-type]
 
+    def must_of_whole(self, relation: str, bound: float) -> Must | None:
+        """Return the limit where limits are asked and all of a sound is to be felt."""
+        return self.must(relation, bound) if self.whole else None
+
 
 def profile_methods(
     names: Iterable[str] = PROFILES, said: dict[str, Any] | None = None
@@ -64,12 +71,11 @@ def profile_methods(
 
 def _profile(name: str, parameters: TransformParameters) -> Method:
     settings = Settings(parameters=parameters)
-    latency_s = 0.0
 
     def render(sound: FloatArray, samplerate: int) -> FloatArray:
         return rendered(sound, samplerate, settings)
 
-    return Method(name, render, name != UNLIMITED, latency_s, parameters)
+    return Method(name, render, name != UNLIMITED, name != PARTIAL, parameters)
 
 
 def rendered(sound: FloatArray, samplerate: int, settings: Settings) -> FloatArray:

@@ -19,6 +19,7 @@ from tools.bench.sections.felt_times import CHORD, CHORD_STEP_S, DRUM, DRUM_BEFO
 OTHERS = "#b9c0c7"
 COLOURS = {
     "paper": palette.GREY, "cinema": palette.FELT, "game": palette.FELT_LIGHT, "music": palette.INK,
+    "speech": palette.HEARD_LIGHT,
 }  # fmt: skip
 HEIGHT_IN = 9.4
 NAMED = ("dialogue", "quiet", "action", "hiss", "dialogue")

@@ -138,21 +138,21 @@ def _kind_rows(
     ):
         yield _spread_row(f"{title}: {what}", "dB", felt, field, name)
         share = round(_mean(felt, field) / _mean(own, field), 3)
-        must = method.must(">=", limit)
+        must = method.must_of_whole(">=", limit)
         yield Row(f"{title}: {what}, share of the sound's", share, "", name, must)
-    must = method.must(">=", out_limit)
+    must = method.must_of_whole(">=", out_limit)
     yield _spread_row(f"{title}: {strokes} that stand out", "%", felt, "out", name, must)
-    must = method.must("<=", HISS_DB)
+    must = method.must_of_whole("<=", HISS_DB)
     yield _spread_row(f"{title}: hiss against speech", "dB", felt, "hiss", name, must)
-    must = method.must("<=", WORD_DB)
+    must = method.must_of_whole("<=", WORD_DB)
     yield _spread_row(f"{title}: next word too strong by", "dB", felt, "word", name, must)
     failed = [missed(one, of) for one, of in zip(felt, own, strict=True)]
     count = sum(bool(each) for each in failed)
-    must = method.must("<=", 0.0)
+    must = method.must_of_whole("<=", 0.0)
     note = ", ".join(dict.fromkeys(each for one in failed for each in one))
     yield Row(
         f"{title}: films under two thirds of a limit", float(count), f"of {len(felt)}", name, must,
-        note=f"{name}: {note}" if note and method.limited else "",
+        note=f"{name}: {note}" if note and method.limited and method.whole else "",
     )  # fmt: skip
 
 
@@ -227,7 +227,7 @@ def over_music_rows(methods: Sequence[Method], mixes: Sequence[OverMusic]) -> It
                 alone[id(each.music)] = _felt(method, each.music)
             felt = _felt(method, each.sound)
             added.append(added_db(felt, alone[id(each.music)], SAMPLERATE, each.at))
-        yield Row(title, _share(added), "%", method.name, method.must(">=", IMPACTS_FELT))
+        yield Row(title, _share(added), "%", method.name, method.must_of_whole(">=", IMPACTS_FELT))
 
 
 def _felt(method: Method, sound: FloatArray) -> FloatArray:

@@ -167,7 +167,7 @@ def level_rows(
             felt = at_places_db(weighted(vibration, SAMPLERATE), places)
             if not volume_db:
                 series[f"{FELT}{method.name}"] = tuple(np.round(felt, 2).tolist())
-            share, must = pairs_within(heard, felt), method.must(">=", PAIRS)
+            share, must = pairs_within(heard, felt), method.must_of_whole(">=", PAIRS)
             name = at_volume("in a programme: pairs within 3 dB", volume_db)
             yield Row(name, share, "%", method.name, must)
             lost = float(np.count_nonzero(felt <= NOTHING_DB))

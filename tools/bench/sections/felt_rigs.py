@@ -42,7 +42,7 @@ def rig_rows(profiles: Sequence[Method], films: Sequence[Film]) -> Iterator[Row]
                 assert profile.parameters
                 over = [over_dialogue(each, rig, damping, profile.parameters) for each in films]
                 title = f"on the seat of rig {rig}, damping {damping}: explosions over dialogue"
-                must = profile.must(">=", OVER_DB)
+                must = profile.must_of_whole(">=", OVER_DB)
                 yield Row(
                     title, float(np.mean(over)), "dB", profile.name, must, min(over), max(over)
                 )

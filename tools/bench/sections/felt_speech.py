@@ -10,14 +10,12 @@ from audioflinger_hook.transform import FloatArray
 from tools.bench.measures.contrasts import STEPS_A_SECOND, felt_levels_db, loud_db
 from tools.bench.measures.felt import NOTHING_DB, weighted
 from tools.bench.measures.steadiness import syllables_alike
-from tools.bench.methods import Method
+from tools.bench.methods import PARTIAL, Method
 from tools.bench.report import Must, Row
 from tools.bench.sounds.films import DIALOGUE_DB, db, going_on, spoken
 from tools.bench.sounds.real_sounds import RealSound, of_kinds
 from tools.bench.sounds.signals import SAMPLERATE
 
-LIMITED = "speech"
-"""The profile that is asked these limits."""
 ALIKE, UNDER_DB = 0.9, 6.0
 SOFTER_DB, SOFTER_EVERY = -20.0, 3
 MUSIC_UNDER_DB, MUSIC_S = -10.0, 6.0
@@ -46,7 +44,7 @@ def speech_rows(profiles: Sequence[Method], sounds: Sequence[RealSound]) -> Iter
 
 
 def _must(profile: Method, relation: str, bound: float) -> Must | None:
-    return profile.must(relation, bound) if profile.name == LIMITED else None
+    return profile.must(relation, bound) if profile.name == PARTIAL else None
 
 
 def softened(words: Sequence[FloatArray]) -> tuple[FloatArray, list[slice]]:
