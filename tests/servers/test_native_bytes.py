@@ -38,6 +38,7 @@ polarity = "inverted"
 """Two actuators: one that protection limits in every burst, one that only waits for it."""
 
 COMPARED_S = 2.5
+BEGUN_FRAMES = 48_000
 
 
 @pytest.fixture
@@ -70,8 +71,9 @@ def sounding(frames: Float32Array) -> Float32Array:
 def is_played(design: bytes, page: bytes, sound: Float32Array, got: Float32Array) -> bool:
     """Whether a recording is what ctypes gives, from the first frame that sounds.
 
-    How long the node ran before is not known. It counts for protection, whose blocks and holding
-    times go on in silence: all leads within a holding time are tried, by short beginnings at first.
+    How long the node ran before is not known, but that it was longer than the fade of a beginning.
+    It counts for protection, whose blocks and holding times go on in silence: all leads within a
+    holding time are tried, by short beginnings at first.
     """
     controls = page[Layout.controls.offset :][: ctypes.sizeof(Controls)]
     records = blob.unpack(design)
@@ -85,7 +87,8 @@ def is_played(design: bytes, page: bytes, sound: Float32Array, got: Float32Array
         ]
         return len(wanted) == frames and np.array_equal(wanted + np.zeros((1, 2)), got[:frames])
 
-    leads = [lead for lead in range(block) if fits(lead, 16 * block)]
+    begun = BEGUN_FRAMES - BEGUN_FRAMES % (block * holds)
+    leads = [begun + lead for lead in range(block) if fits(begun + lead, 16 * block)]
     held = [lead + hold * block for lead in leads for hold in range(holds)]
     return any(fits(lead, len(got)) for lead in held)
 

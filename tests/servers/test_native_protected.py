@@ -52,7 +52,8 @@ def test_with_all_care_for_the_rig_bursts_are_felt_four_milliseconds_later(
     assert (status.engine, status.engine_reason) == ("native", "")
     assert found.half_median_ms <= 14.0
     assert found.half_p95_ms <= 18.0
-    assert found.half_median_ms == pytest.approx(found.budget_ms, abs=3.0)
+    # a burst over silence passes half of its peak early: its gate opens with its first samples
+    assert -4.0 < found.half_median_ms - found.budget_ms < 3.0
     assert seen.latency.driving_ms == pytest.approx(4.0)
     assert seen.protection
     assert seen.protection.coil_c is not None
