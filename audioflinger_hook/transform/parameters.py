@@ -107,6 +107,9 @@ class TransformParameters(Described):
         float, Number("resonance that strength = rig levels; 0: that of the rig", 0.0, 400.0, "Hz")
     ] = 0.0
     resonance_q: Annotated[float, Number("Q of resonance_hz", 0.1, 20.0)] = 1.0
+    resonance_gain_db: Annotated[
+        float, Number("gain of the drive before resonance_hz, by damping", 0.0, 40.0, "dB")
+    ] = 0.0
     merge_ratio: Annotated[
         float,
         Number("partials closer than this share of their frequency are one; 0: off", 0.0, 1.0),

@@ -292,6 +292,10 @@ def test_strength_rig_takes_the_rig_s_resonance_unless_one_is_set() -> None:
     assert free.resonance_hz == pytest.approx(91.8, abs=0.1)  # with the coil's inductance
     assert free.resonance_q > 2.0
     assert damped.resonance_q == 0.35
+    # damping makes up for what it takes at the resonance
+    gain = damped.resonance_q * 10.0 ** (damped.resonance_gain_db / 20.0)
+    assert gain == pytest.approx(free.resonance_q)
+    assert free.resonance_gain_db == 0.0
     other = replace(settings, rig="consumer").transform_parameters
     assert other.resonance_hz < 60.0
     own = TransformParameters(strength="rig", resonance_hz=50.0, resonance_q=2.0)

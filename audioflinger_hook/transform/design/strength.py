@@ -20,8 +20,8 @@ vertical acceleration falls with the inverse of frequency: W_k of ISO 2631-1 wit
 FELT_FROM_HZ = 30.0
 """Vibration under this counts as if it had this frequency: few actuators reach lower."""
 
-RIG_RATIO_MAX = 2.0
-"""A resonance is levelled by 6 dB at most: more under it would be excursion, not vibration."""
+RIG_LEAST = 1.0 / 16.0
+"""An actuator that moves less for a volt counts as if it moved so much: more would be excursion."""
 
 PROGRAMME_TOP_DB = -10.0
 """Loudness of the loudest programmes; programmes down to `loudness_db` below it are lifted."""
@@ -191,7 +191,7 @@ def felt_weight(parameters: TransformParameters, vibration_hz: FloatArray) -> Fl
 
     It is always 1 for strength "flat", and for "felt" the sensitivity to acceleration, 1 at 40 Hz.
     For "rig" it contains the acceleration for each volt of a resonant actuator, 1 far above its
-    resonance, as far as `RIG_RATIO_MAX`.
+    resonance, and the gain that damping adds.
     """
     if parameters.strength == "flat":
         return np.ones_like(vibration_hz)
@@ -200,5 +200,6 @@ def felt_weight(parameters: TransformParameters, vibration_hz: FloatArray) -> Fl
     if parameters.strength == "rig" and parameters.resonance_hz > 0.0:
         ratio = parameters.resonance_hz / hz
         response = 1.0 / np.hypot(1.0 - ratio**2, ratio / parameters.resonance_q)
-        felt *= np.clip(response, 1.0 / RIG_RATIO_MAX, RIG_RATIO_MAX)
+        gain = math.pow(10.0, parameters.resonance_gain_db / 20.0)
+        felt *= np.maximum(gain * response, RIG_LEAST)
     return felt

@@ -49,14 +49,17 @@ def resonance_of(p: ActuatorParameters, source_impedance_ohm: float = 0.0) -> Re
     return Resonance(magnitude / math.tau, magnitude / -float((pair[0] + pair[1]).real))
 
 
-def resonance_as_damped(p: ActuatorParameters, is_damped: bool) -> tuple[float, float]:
-    """Return frequency in Hz and Q of the resonance that a drive meets, 1 to 400 Hz, 0.1 to 20.
+def resonance_as_damped(p: ActuatorParameters, is_damped: bool) -> tuple[float, float, float]:
+    """Return the resonance that a drive meets: 1 to 400 Hz, Q 0.1 to 20, gain before it in dB.
 
-    is_damped: by a filter whose poles have `DAMPED_Q`.
+    is_damped: by a filter whose poles have `DAMPED_Q`, and whose gain makes up for what they take
+    at the resonance.
     """
     ringing = resonance_of(p)
-    q = min(ringing.q, DAMPED_Q) if is_damped else ringing.q
-    return min(max(ringing.frequency_hz, 1.0), 400.0), min(max(q, 0.1), 20.0)
+    hz, q = min(max(ringing.frequency_hz, 1.0), 400.0), min(max(ringing.q, 0.1), 20.0)
+    if not is_damped or q <= DAMPED_Q:
+        return hz, q, 0.0
+    return hz, DAMPED_Q, 20.0 * math.log10(q / DAMPED_Q)
 
 
 def inverse_sections(ringing: Resonance, wanted: Resonance, samplerate: float) -> FloatArray:
