@@ -60,20 +60,17 @@ PROFILES: dict[str, dict[str, ProfileValue]] = {
     },
     "music": {
         **FOLLOWING,
-        "dynamics": ProfileValue(
-            0.6, "amplitude in proportion to sone, as in cinema, a little less"
-        ),
         "merge_ratio": ProfileValue(0.6, "tones that a body cannot distinguish would warble"),
         "loudness_target_db": ProfileValue(-24.0, "room for what is louder than the rest"),
     },
     "speech": {
         **{name: choice for name, choice in FOLLOWING.items() if name != "strength"},
         "band_low_hz": ProfileValue(150.0, "the bass of music and engines does not hide a voice"),
-        "band_high_hz": ProfileValue(5_000.0, "nor does what is brighter than it"),
+        "band_high_hz": ProfileValue(3_500.0, "nor does what is brighter than it"),
         "vibration_top_hz": ProfileValue(
-            80.0, "all of a voice is felt alike, so that its syllables are what changes"
+            60.0, "all of a voice is felt alike, so that its syllables are what changes"
         ),
-        "dynamics": ProfileValue(0.9, "syllables are felt apart; music under speech is soft"),
+        "dynamics": ProfileValue(0.8, "syllables are felt apart; music under speech is soft"),
         "rise_db": ProfileValue(0.0, "consonants are no blows: vibration follows the syllables"),
         "jitter_db": ProfileValue(1.0, "even small changes of a voice are followed"),
         "merge_ratio": ProfileValue(0.8, "tones that a body cannot distinguish would warble"),

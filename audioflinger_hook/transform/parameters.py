@@ -80,7 +80,7 @@ class TransformParameters(Described):
     rise_db: Annotated[
         float,
         Number("most that vibration gains where one band of sound rises; 0: off", 0.0, 12.0, "dB"),
-    ] = 5.0
+    ] = 6.0
     jitter_db: Annotated[
         float, Number("changes of loudness up to this are averaged", 0.0, 6.0, "dB")
     ] = 2.5
