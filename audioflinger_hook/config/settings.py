@@ -155,9 +155,7 @@ class Settings(Described):
             chosen = replace(chosen, strength="rig")
         if chosen.strength != "rig" or chosen.resonance_hz:
             return chosen
-        hz, q, gain_db = resonance_as_damped(
-            rig_by_name(self.rig).actuator, self.damping == "auto"
-        )
+        hz, q, gain_db = resonance_as_damped(rig_by_name(self.rig).actuator, self.damping == "auto")
         return replace(chosen, resonance_hz=hz, resonance_q=q, resonance_gain_db=gain_db)
 
     @property
