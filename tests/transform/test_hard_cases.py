@@ -6,7 +6,9 @@ import tracemalloc
 
 import numpy as np
 import pytest
+from scipy.signal import butter, sosfilt
 
+from audioflinger_hook.config.profiles import parameters_of
 from audioflinger_hook.transform import TransformParameters
 from audioflinger_hook.transform.arrays import strided_windows
 from audioflinger_hook.transform.design.synthesis import LiveGrid
@@ -576,3 +578,36 @@ def test_the_live_analysis_sees_a_chirps_frequency_in_every_hop():
     for row in range(2, len(windows)):
         strongest = found.audio_hz[found.row == row][found.r[found.row == row].argmax()]
         assert abs(strongest - swept_hz[row]) < max(5.0, 0.03 * swept_hz[row])
+
+
+# ----------------------------------------------------------------------- vibration follows loudness
+
+
+def jumping(wave):
+    """Return a wave of a minute whose level jumps by 40 dB each second."""
+    seconds = np.arange(wave.size) // RATE
+    return wave * np.where(seconds % 2, 0.01, 1.0)
+
+
+RATE = 48_000
+MINUTE_S = np.arange(60 * RATE) / RATE
+WORST = {
+    "silence": np.zeros(RATE),
+    "one sample": np.ones(1),
+    "0.05 s": 0.5 * np.sin(600.0 * np.pi * np.arange(RATE // 20) / RATE),
+    "a constant": np.full(RATE, 0.9),
+    "full-scale noise": np.random.default_rng(0).choice([-1.0, 1.0], 5 * RATE),
+    "a tone that jumps": jumping(0.9 * np.sin(440.0 * np.pi * MINUTE_S)),
+    "noise that jumps": jumping(np.random.default_rng(0).uniform(-1.0, 1.0, MINUTE_S.size)),
+}
+
+
+@pytest.mark.parametrize("profile", ["cinema", "game", "music", "speech"])
+@pytest.mark.parametrize("name", WORST)
+def test_whatever_plays_vibration_is_bounded_and_has_no_steps(profile, name):
+    vibration = played(columns(WORST[name]), RATE, parameters=parameters_of(profile))[:, 0]
+    assert np.isfinite(vibration).all()
+    assert np.abs(vibration).max() <= 1.0
+    # a step of 2 % of full scale has 2 % at once over 1 kHz, a vibration of 220 Hz nearly nothing
+    above = sosfilt(butter(4, 1_000.0, "highpass", fs=RATE, output="sos"), vibration)
+    assert np.abs(above).max() < 0.02
