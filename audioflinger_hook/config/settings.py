@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -141,27 +142,37 @@ class Settings(Described):
             given["parameters"] = parameters_of(given["profile"], kept)
         return replace(self, **given)
 
-    @property
+    @cached_property
     def transform_parameters(self) -> TransformParameters:
         """The parameters; strength "rig" without a resonance gets that of the damped rig.
 
         A profile's strength "felt" becomes "rig" where a rig is set: another one than the default,
-        or one that is damped, protected or whose exposure is limited.
+        or one that is damped, protected or whose exposure is limited. Where actuators have several
+        rigs, one vibration cannot suit all, and it stays "felt". The rig is read once.
 
         UsageError: the rig's file cannot be read any more.
         """
-        chosen = self.parameters
-        if chosen.strength == "felt" and "strength" not in self.said and self._rig_is_set:
-            chosen = replace(chosen, strength="rig")
+        chosen, driven = self.parameters, self._driven
+        of_profile = PROFILES[self.profile].get("strength")
+        if of_profile and chosen.strength == of_profile.value and "strength" not in self.said:
+            unset = {(SHIPPED[0], DAMPING[0], PROTECTION[0], EXPOSURE_CAP[0])}
+            if len(driven) == 1 and driven != unset:
+                chosen = replace(chosen, strength="rig")
         if chosen.strength != "rig" or chosen.resonance_hz:
             return chosen
-        hz, q, gain_db = resonance_as_damped(rig_by_name(self.rig).actuator, self.damping == "auto")
+        rig, damping = min(driven)[:2] if len(driven) == 1 else (self.rig, self.damping)
+        hz, q, gain_db = resonance_as_damped(rig_by_name(rig).actuator, damping == "auto")
         return replace(chosen, resonance_hz=hz, resonance_q=q, resonance_gain_db=gain_db)
 
     @property
-    def _rig_is_set(self) -> bool:
-        acts = (self.damping, self.protection, self.exposure_cap)
-        return self.rig != SHIPPED[0] or acts != (DAMPING[0], PROTECTION[0], EXPOSURE_CAP[0])
+    def _driven(self) -> set[tuple[str, ...]]:
+        """The actuators' rigs, each with damping, protection and exposure cap."""
+        own = (self.rig, self.damping, self.protection, self.exposure_cap)
+        names = ("rig", "damping", "protection", "exposure_cap")
+        return {
+            tuple(getattr(one, name, None) or mine for name, mine in zip(names, own, strict=True))
+            for one in self.actuators
+        } or {own}
 
     @property
     def sources(self) -> tuple[str, ...]:

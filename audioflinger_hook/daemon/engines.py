@@ -158,7 +158,7 @@ class Engines:
         self._config = config
         if changes.concerns_engine:
             self._chosen_for = ()
-        if self.python is not None:
+        if self.python is not None and self._ends_s is None:
             self.python.mute.audible = not config.muted
         self.native.follow(config)
 

@@ -49,7 +49,7 @@ def status_of(supervisor: Supervisor, now_s: float) -> Status:
     values: dict[str, Any] = {
         "xruns": Xruns(supervisor.input.xruns, supervisor.output.xruns),
         "engine": "",
-        "engine_reason": engines.reason,
+        "engine_reason": "",
     }
     played: Sequence[tuple[float, float, float]] = ()
     if chain is not None:
@@ -100,6 +100,7 @@ def _of_python(engine: Engine, supervisor: Supervisor) -> dict[str, Any]:
         "buffer_times": engine.buffer_times.times(),
         "effects_bypassed": tuple(framework.bypassed()),
         "engine": "python",
+        "engine_reason": supervisor.engines.reason,
         **_of_rigs(drive.processors, levels, framework.settings, supervisor),
     }
 
@@ -114,7 +115,7 @@ def _of_native(native: NativeEngine, chain: Chain, supervisor: Supervisor) -> di
     plan, page = chain.plan, chain.page
     latency_frames = max((rig.latency_frames for rig in chain.rigs if rig), default=0)
     # While the graph rests, the plugin does not run, and its last levels stay.
-    actuators = range(len(settings.actuators))
+    actuators = range(min(len(settings.actuators), len(chain.rigs)))
     levels = [Level() if resting else page.level(slot) for slot in actuators]
     channels = tuple(level_of(*reading) for reading in page.channel_readings())
     return {

@@ -237,6 +237,7 @@ class Supervisor:
         """
         changes, engine = ConfigDiff.between(self.config, config), self.engines.python
         self._endpoints.check_change(self.config, config)
+        config.settings.transform_parameters  # noqa: B018 - reads the rig's file, once
         if engine and changes.engine:  # raises if the new engine could not be made
             framework = Framework(engine.samplerate, engine.channels, config.settings)
             drive_of(config.settings, engine.samplerate, framework.haptic_channels)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 from audioflinger_hook.config.settings import Settings
@@ -76,6 +77,8 @@ def export(
     with closing(client):
         if name in WRITERS:
             refuse_settings(name, settings)
+            # the file is for any actuator, so the resonance of a rig is not levelled
+            settings = replace(settings, said=(*settings.said, "strength"))
         if FORMATS[name].whole and client.frames_expected:
             check_duration(client.frames_expected / client.samplerate, name)
         report = render(

@@ -24,9 +24,9 @@ from audioflinger_hook.exports.simplify import simplify
 from audioflinger_hook.transform.design import LiveDesign
 from device.units import FloatArray
 
-ROWS_MAX = 1_000
-"""A longer track is cut, so that memory does not depend on its length. The parts overlap: their sum
-is the whole."""
+LONGEST_TRACK_S = 10.0
+"""A longer track is cut, so that memory does not depend on its length. While the filters of its
+parts settle, their sum is off."""
 
 RING_S = 0.06
 """Time that the low-pass rings after a track; it is kept while it is above `FAINT`."""
@@ -102,7 +102,8 @@ class TrackReader:
             if mine:
                 last = mine[-1][0]
                 joined = last[FRAME] + last[FRAMES] == row[FRAME] and row[START_LEVEL] > 0.0
-                if not joined or len(mine) >= ROWS_MAX:
+                lasts_s = (row[FRAME] - mine[0][0][FRAME]) / self._design.samplerate
+                if not joined or lasts_s >= LONGEST_TRACK_S:
                     yield from self._end(slot)
             self._open.setdefault(slot, []).append((row, rise))
         for slot, mine in list(self._open.items()):

@@ -18,7 +18,7 @@ from audioflinger_hook.core.structures import CHANNELS
 from audioflinger_hook.daemon.native.layout import ACTUATORS, ShownReader
 from audioflinger_hook.monitor.shown import figures_of
 from audioflinger_hook.service.runtime_folder import RuntimeFolder
-from device.errors import CushionError, UsageError
+from device.errors import CushionError
 
 REST_S = 0.15
 """Sound that stands still for so long has ended: the Python engine's buffers take up to 43 ms, and
@@ -58,9 +58,8 @@ class Frames:
             self._follow(None)
         if kind != "frame":
             self._tell(kind, content)
-            if kind == "status":
-                with suppress(UsageError):  # it could not be told
-                    self._tell("figures", figures_of(content))
+            if kind == "status" and "version" in content:  # else it says why there is none
+                self._tell("figures", figures_of(content))
             return
         where = content.pop("memory", None)
         self._frame = {"sound": [], "vibration": [], "partials": []} | content

@@ -52,17 +52,19 @@ class _Collector:
 
     def collect(self) -> Iterator[Metric]:
         source, status = self._source, None
-        with suppress(UsageError):  # none, or one that could not be told
-            status = from_document(Status, source.latest.get("status"))
-        up = float(status is not None)
-        yield GaugeMetricFamily("cushion_up", "Whether a daemon answers.", up)
+        document = source.latest.get("status", {})
+        is_up = "version" in document  # else it says why there is no status
+        with suppress(UsageError):  # of a daemon of another version
+            status = from_document(Status, document)
+        yield GaugeMetricFamily("cushion_up", "Whether a daemon answers.", float(is_up))
         yield GaugeMetricFamily("cushion_page_clients", "Browsers that are connected.", len(source))
         yield CounterMetricFamily(
             "cushion_page_overwritten_frames", "Frames replaced by newer ones.", source.overwritten
         )
-        if status is not None:
-            build = {"version": status.version, "page_version": __version__}
+        if is_up:
+            build = {"version": str(document["version"]), "page_version": __version__}
             yield InfoMetricFamily("cushion_build", "Versions of daemon and page.", build)
+        if status is not None:
             yield from _families(status)
             if status.buffer_times.counts:
                 yield _histogram(status.buffer_times)

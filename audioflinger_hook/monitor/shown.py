@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
+from audioflinger_hook import __version__
 from audioflinger_hook.service.figure import Row, label_of, table
 from audioflinger_hook.service.json_codec import from_document
 from audioflinger_hook.service.status import LatencyBudget, Status, status_rows
+from device.errors import UsageError
+
+OTHER = "The page shows figures of a daemon of its own version only."
 
 TONES = ("bad", "wait", "good")
 """The first that a piece of a row has is the row's."""
@@ -15,9 +19,14 @@ TONES = ("bad", "wait", "good")
 def figures_of(document: dict[str, Any]) -> dict[str, Any]:
     """Return `{"panels": {panel: [[label, text, tone, meaning]]}, "parts": [[name, ms, meaning]]}`.
 
-    UsageError: the document is no status of this version.
+    Of a daemon of another version, only that.
     """
-    status = from_document(Status, document)
+    try:
+        status = from_document(Status, document)
+    except UsageError:
+        versions = f"daemon {document['version']}, page {__version__}"
+        text = f"{versions}: restart the older one"
+        return {"panels": {"health": [["version", text, "bad", OTHER]], "rig": []}, "parts": []}
     panels: dict[str, list[Any]] = {"health": [], "rig": []}
     for row in status_rows(status):
         if row.panel:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Future, wait
 from dataclasses import dataclass
 from functools import partial
+from itertools import islice
 from pathlib import Path
 
 from audioflinger_hook.config.settings import Settings
@@ -21,6 +22,9 @@ ReportShare = Callable[[float], None]
 
 SHARE_S = 0.1
 """Time between reports of the share."""
+
+AHEAD = 4
+"""Files under way for each process: those that wait are small, and none waits for `SHARE_S`."""
 
 
 @dataclass(frozen=True)
@@ -90,26 +94,41 @@ def render_files(
         def submit(item: int) -> Future[Rendered]:
             return pool.submit(_try_item, item, sources[item], targets[item], settings)
 
-        def result(future: Future[Rendered]) -> Rendered:
+        futures: dict[int, Future[Rendered]] = {}
+        left = iter(range(count))
+
+        def submit_more() -> None:
+            """Keep all processes busy; not while files wait for their second try, alone."""
+            if not any(each.done() and _is_broken(each) for each in futures.values()):
+                under_way = sum(not each.done() for each in futures.values())
+                for item in islice(left, AHEAD * workers - under_way):
+                    futures[item] = submit(item)
+
+        def result(future: Future[Rendered], *, alone: bool) -> Rendered:
             while not wait([future], SHARE_S).done:
+                if not alone:
+                    submit_more()
                 if report_share:
                     report_share(sum(pool.shares) / count)
             return future.result()
 
-        futures = [submit(item) for item in range(count)]
-        for item, future in enumerate(futures):
+        for item in range(count):
+            submit_more()
             try:
                 try:
-                    came = result(future)
+                    came = result(futures.pop(item), alone=False)
                 except BrokenExecutor:
-                    # Whose process died is not known. So each unfinished file is rendered again,
-                    # alone: the others wait for their turn here.
-                    came = result(submit(item))
+                    # Whose process died is not known, so each file under way is tried alone.
+                    came = result(submit(item), alone=True)
             except BrokenExecutor:
                 error = f"{sources[item]}: its process died twice, {DIED}"
                 code = InternalError.exit_code
                 came = Rendered(sources[item], targets[item], error=error, exit_code=code)
             yield came
+
+
+def _is_broken(future: Future[Rendered]) -> bool:
+    return isinstance(future.exception(), BrokenExecutor)
 
 
 def _try_item(item: int, source: Path, target: Path, settings: Settings) -> Rendered:

@@ -69,11 +69,17 @@ class _Info(ctypes.Structure):
     )
 
 
+class _ValueOf(ctypes.Union):
+    _fields_ = (("steps", ctypes.c_long * 128), ("wide", ctypes.c_longlong * 64))
+    # the second decides where the union begins on processors of 32 bits
+
+
 class _Value(ctypes.Structure):
+    _anonymous_ = ("of",)
     _fields_ = (
         ("id", _Id),
         ("indirect", ctypes.c_uint),
-        ("steps", ctypes.c_long * 128),
+        ("of", _ValueOf),
         ("reserved", ctypes.c_ubyte * 128),
     )
 

@@ -2,6 +2,8 @@
 
 import json
 from dataclasses import replace
+from importlib.resources import files
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,6 +22,7 @@ from audioflinger_hook.daemon.recording import facts_of, settings_from
 from audioflinger_hook.offline.render import render_file
 from audioflinger_hook.transform import HapticTransform, TransformParameters
 from audioflinger_hook.transform.mapping import vibration_hz
+from device.drive import ActuatorSettings
 from device.errors import UsageError
 from tests.support.commands import call, noise, refused, sound
 from tests.support.signals import (
@@ -284,6 +287,30 @@ def test_a_profile_levels_the_resonance_of_a_rig_that_is_set(name: str) -> None:
         said = replace(settings, said=("strength",))
         assert said.transform_parameters.strength == "felt"
     assert Settings(profile="paper", rig="consumer").transform_parameters.strength == "flat"
+    felt = TransformParameters(strength="felt")
+    own = Settings(profile="paper", damping="auto", parameters=felt)
+    assert own.transform_parameters == felt
+
+
+def test_the_rig_that_is_levelled_is_that_of_the_actuators_if_they_have_one() -> None:
+    first, second = (ActuatorSettings((channel,), rig="consumer") for channel in (0, 1))
+    alike = Settings(profile="cinema", damping="auto", actuators=(first, second))
+    consumer = Settings(profile="cinema", damping="auto", rig="consumer")
+    assert alike.transform_parameters == consumer.transform_parameters
+    for other in (replace(second, rig="paper"), replace(second, damping="off")):
+        several = replace(alike, actuators=(first, other))
+        assert several.transform_parameters.strength == "felt"
+    damped = replace(alike, damping="off", actuators=(replace(first, damping="auto"),))
+    assert damped.transform_parameters == consumer.transform_parameters
+
+
+def test_a_rig_s_file_is_read_once(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_bytes((files("device.rig") / "consumer.toml").read_bytes())
+    settings = Settings(profile="cinema", rig=str(path))
+    known = settings.transform_parameters
+    path.unlink()
+    assert settings.transform_parameters == known
 
 
 def test_strength_rig_takes_the_rig_s_resonance_unless_one_is_set() -> None:

@@ -12,13 +12,25 @@ from pathlib import Path
 import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
+from audioflinger_hook import __version__
 from audioflinger_hook.monitor.access import TOKEN_NAME, Access, Listen, load_token
 from audioflinger_hook.monitor.clients import CLIENTS_MAX, Clients
 from audioflinger_hook.monitor.metrics import metrics_text
 from audioflinger_hook.monitor.server import CONNECTIONS_MAX, FILES, MESSAGE_BYTES_MAX
+from audioflinger_hook.monitor.shown import figures_of
+from audioflinger_hook.service.json_codec import to_json
 from audioflinger_hook.service.runtime_folder import RuntimeFolder
 from device.errors import UsageError
-from tests.monitor.stand_in import Page, Settings, ask, daemon_socket, everything, message, page
+from tests.monitor.stand_in import (
+    STATUS,
+    Page,
+    Settings,
+    ask,
+    daemon_socket,
+    everything,
+    message,
+    page,
+)
 from tests.servers.listening import wait_for
 
 FORBIDDEN = 403
@@ -344,6 +356,17 @@ def test_metrics_of_a_daemon_whose_status_cannot_be_told_say_that_it_is_not_up()
     clients = Clients()
     clients.tell("status", {"error": "the status is not available: OSError"})
     assert b"cushion_up 0.0" in metrics_text(clients)
+
+
+def test_a_daemon_of_another_version_is_up_and_the_page_says_what_to_do() -> None:
+    document = json.loads(to_json(STATUS)) | {"version": "0.9", "a new figure": 1}
+    clients = Clients()
+    clients.tell("status", document)
+    text = metrics_text(clients)
+    assert b"cushion_up 1.0" in text
+    assert b'version="0.9"' in text
+    ((_, told, tone, _),) = figures_of(document)["panels"]["health"]
+    assert (told, tone) == (f"daemon 0.9, page {__version__}: restart the older one", "bad")
 
 
 @pytest.mark.parametrize(

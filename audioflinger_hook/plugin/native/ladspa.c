@@ -11,7 +11,6 @@
 #include "effect.h"
 #include "ladspa_abi.h"
 
-#define FIRST_ID 5180 /* of the range for development; LADSPA gives out no other any more */
 #define PORTS_MAX (DAEMON_INPUTS + DAEMON_OUTPUTS)
 #define DEFAULT_PROFILE "cinema" /* LIVE_DEFAULT of config/profiles.py */
 
@@ -20,19 +19,20 @@
 typedef enum { EFFECT, DAEMON } Kind;
 
 typedef struct {
+    unsigned long id; /* of the range for development; LADSPA gives out no other any more */
     const char *label, *name, *profile;
     Kind kind;
     unsigned inputs, outputs;
 } PluginVariant;
 
 static const PluginVariant VARIANTS[] = {
-    {"haptic_cushion_paper", "Haptic Cushion (paper)", "paper", EFFECT, 2, 2},
-    {"haptic_cushion_cinema", "Haptic Cushion (cinema)", "cinema", EFFECT, 2, 2},
-    {"haptic_cushion_game", "Haptic Cushion (game)", "game", EFFECT, 2, 2},
-    {"haptic_cushion_music", "Haptic Cushion (music)", "music", EFFECT, 2, 2},
-    {"haptic_cushion_speech", "Haptic Cushion (speech)", "speech", EFFECT, 2, 2},
-    {"haptic_cushion_mono", "Haptic Cushion (mono)", DEFAULT_PROFILE, EFFECT, 1, 1},
-    {"haptic_cushion_daemon", "Haptic Cushion of the daemon", "", DAEMON, DAEMON_INPUTS,
+    {5180, "haptic_cushion_paper", "Haptic Cushion (paper)", "paper", EFFECT, 2, 2},
+    {5181, "haptic_cushion_cinema", "Haptic Cushion (cinema)", "cinema", EFFECT, 2, 2},
+    {5182, "haptic_cushion_game", "Haptic Cushion (game)", "game", EFFECT, 2, 2},
+    {5183, "haptic_cushion_music", "Haptic Cushion (music)", "music", EFFECT, 2, 2},
+    {5186, "haptic_cushion_speech", "Haptic Cushion (speech)", "speech", EFFECT, 2, 2},
+    {5184, "haptic_cushion_mono", "Haptic Cushion (mono)", DEFAULT_PROFILE, EFFECT, 1, 1},
+    {5185, "haptic_cushion_daemon", "Haptic Cushion of the daemon", "", DAEMON, DAEMON_INPUTS,
      DAEMON_OUTPUTS},
 };
 
@@ -180,7 +180,7 @@ static void describe(size_t which)
         port_ranges[which][port] = CONTROLS[control].range;
     }
     descriptors[which] = (LadspaDescriptor){
-        .unique_id = FIRST_ID + which,
+        .unique_id = variant->id,
         .label = variant->label,
         .properties = LADSPA_HARD_RT_CAPABLE,
         .name = variant->name,
