@@ -344,7 +344,8 @@ def connections(server: SoundServer, what: str) -> list[list[str]]:
 
     Its own number is not: ALSA has the server make another one when frames ran out.
     """
-    return [line.split()[1:3] for line in server.pactl("list", "short", what).splitlines()]
+    # PulseAudio lists its streams in any order
+    return sorted(line.split()[1:3] for line in server.pactl("list", "short", what).splitlines())
 
 
 @pytest.mark.parametrize("frames", [128, 256, 1024])
