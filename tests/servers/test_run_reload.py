@@ -10,6 +10,7 @@ import socket
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -339,13 +340,24 @@ def test_another_offset_makes_no_gap(
         assert whole == WANTED
 
 
+UNPLACED = str(2**32 - 1)
+"""PA_INVALID_INDEX: a stream is on no device."""
+
+
 def connections(server: SoundServer, what: str) -> list[list[str]]:
     """What every stream is connected as, and to where: the same until it is opened anew.
 
     Its own number is not: ALSA has the server make another one when frames ran out.
     """
-    # PulseAudio lists its streams in any order
-    return sorted(line.split()[1:3] for line in server.pactl("list", "short", what).splitlines())
+
+    def listed() -> list[list[str]]:
+        # PulseAudio lists its streams in any order
+        lines = server.pactl("list", "short", what).splitlines()
+        return sorted(line.split()[1:3] for line in lines)
+
+    # on PipeWire a stream that has just played may not have got its place yet
+    wait_for(lambda: UNPLACED not in chain.from_iterable(listed()), "a place for each stream")
+    return listed()
 
 
 @pytest.mark.parametrize("frames", [128, 256, 1024])
