@@ -21,6 +21,7 @@ class Strength:
         """Return to what is so after a long silence; the programme stays."""
         s = self.s
         self.floor_db = self.loud_db = self.steady_db = self.slow_db = s.floor_min
+        self.attack = 0.0
         self.usual_db, self.boost_db, self.held, self.speech_left = s.silence_db, 0.0, 0.0, 1.0
         groups = s.loudness_groups.size - 1
         self.smooth, self.usual = np.zeros(groups), np.full(groups, s.silence_db)
@@ -29,7 +30,9 @@ class Strength:
     def follow(self, measured_db: float, sone: float, groups: FloatArray) -> float:
         """Take a tick's loudness; return the root of the sum of squares of what is to be felt."""
         s, change = self.s, measured_db - self.steady_db
-        small = np.clip(change, -s.jitter, s.jitter)
+        self.attack = s.attack_ticks if change > s.jump else max(0.0, self.attack - 1.0)
+        jitter = 0.0 if self.attack else s.jitter
+        small = np.clip(change, -jitter, jitter)
         self.steady_db += (change - small) + s.jitter_followed * small
         self.slow_db += s.slow_followed * (self.steady_db - self.slow_db)
         self.floor_db = max(s.floor_min, min(self.floor_db + s.floor_rise, self.steady_db))

@@ -82,7 +82,8 @@ def test_a_blow_adds_to_the_tone_that_sounds_whatever_its_phase():
         before = level[at - 4_000 : at - 1_500].mean()
         # From the first tick that can be felt to the end of the hop that is under way.
         deepest.append(level[at : at + 1_200].min() / before)
-    assert min(deepest) > 0.85, deepest
+    # A sixth is as little as is noticed of the level of such a vibration.
+    assert min(deepest) > 0.82, deepest
 
 
 def test_a_partial_of_an_onset_has_frequency_and_phase_of_what_it_joins():

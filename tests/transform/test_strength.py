@@ -156,8 +156,14 @@ def test_20_phon_more_are_20_times_the_dynamics_more_of_vibration_at_once(quiet_
     s = settings_of(LiveDesign.of(replace(WIDE, dynamics=dynamics, rise_db=0.0), RATE))
     strength, steady = followed([quiet_db] * ticks(5.0), s)
     _, louder = followed([quiet_db + 20.0], s, strength)
-    # What is under the dead band is missing.
-    assert decibels(louder[0] / steady[-1]) == pytest.approx(dynamics * 17.5, abs=0.1)
+    assert decibels(louder[0] / steady[-1]) == pytest.approx(dynamics * 20.0, abs=0.1)
+
+
+def test_a_smaller_rise_lacks_the_dead_band_at_first():
+    strength, steady = followed([-40.0] * ticks(5.0), WIDE_S)
+    _, louder = followed([-32.0], WIDE_S, strength)
+    wanted = WIDE_S.slope * (8.0 - WIDE_S.jitter)
+    assert decibels(louder[0] / steady[-1]) == pytest.approx(wanted, abs=0.1)
 
 
 def test_small_jitter_of_loudness_is_hardly_felt():

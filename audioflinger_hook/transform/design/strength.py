@@ -48,6 +48,10 @@ FLOOR_RISE_DB_A_S = 2.0
 JITTER_S, SLOW_S = 0.1, 0.03
 """Times in which jitter of loudness, and what counts for the programme, are averaged."""
 
+ATTACK_S = 0.012
+"""After a jump, all changes are followed for so long: until the windows are filled by the new sound,
+whose strength would else be `jitter` too small for its first 0.1 s."""
+
 GROUP_S, GROUP_UP_S, GROUP_DOWN_S, GROUP_DEVIATES_S = 0.006, 0.2, 0.4, 1.0
 """Times in which the level of a group of bands is averaged, what is usual follows a rise, or a
 fall, and its mean deviation is found."""
@@ -89,7 +93,9 @@ class StrengthDesign:
     jitter: float
     """Smaller changes of loudness are jitter, of which steady sounds consist, ..."""
     jitter_followed: float
-    """... and of which this share is followed."""
+    """... and of which this share is followed, ..."""
+    attack_ticks: float
+    """... but for so many ticks after a jump."""
     group_smooth: float
     """Share of a tick in the sone of a group of bands."""
     group_up: float
@@ -121,6 +127,8 @@ class StrengthDesign:
     gate_margin: float = 0.01
     """Share of the gate's width that is still silent. At the floor itself, where the quietest
     recent tick stands exactly, rounding would decide."""
+    jump: float = 10.0
+    """A rise in one tick by more is a jump."""
     group_sone: float = GROUP_SONE
     silence_db: float = 10.0 * math.log2(GROUP_SONE)
     """Level of a group of bands in silence."""
@@ -172,6 +180,7 @@ class StrengthDesign:
             gate=parameters.loudness_gate_db,
             jitter=parameters.jitter_db,
             jitter_followed=min(1.0, tick_s / JITTER_S),
+            attack_ticks=float(round(ATTACK_S / tick_s)),
             group_smooth=min(1.0, tick_s / GROUP_S),
             group_up=tick_s / GROUP_UP_S,
             group_down=tick_s / GROUP_DOWN_S,

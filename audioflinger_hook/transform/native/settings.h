@@ -117,7 +117,9 @@
     ENTRY(gate) /* from the floor to where all is felt, */                                         \
     ENTRY(gate_margin) /* of which this share is still silent */                                   \
     ENTRY(jitter) /* smaller changes of loudness are jitter, */                                    \
-    ENTRY(jitter_followed) /* of which this share is followed */                                   \
+    ENTRY(jitter_followed) /* of which this share is followed, */                                  \
+    ENTRY(jump) /* but after a jump, a rise in one tick by more, */                                \
+    ENTRY(attack_ticks) /* for so many ticks */                                                    \
     ENTRY(group_smooth) /* share of a tick in the average of a group of bands */                   \
     ENTRY(group_sone) /* added to that before the logarithm */                                     \
     ENTRY(group_up) /* share by which what is usual follows a rise */                              \

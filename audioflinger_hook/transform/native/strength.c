@@ -105,7 +105,11 @@ static void boost(const Settings *s, Strength *strength, double wanted)
 double strength_follow(const Settings *s, Strength *strength, const Heard *heard)
 {
     const double change = heard->db - strength->steady;
-    const double small = within(change, -s->jitter, s->jitter);
+    if (change > s->jump)
+        strength->attack_ticks = s->attack_ticks;
+    const double jitter = strength->attack_ticks > 0.0 ? 0.0 : s->jitter;
+    const double small = within(change, -jitter, jitter);
+    strength->attack_ticks = larger(0.0, strength->attack_ticks - 1.0);
     strength->steady += (change - small) + s->jitter_followed * small;
     strength->slow += s->slow_followed * (strength->steady - strength->slow);
     strength->floor = larger(s->floor_min, smaller(strength->floor + s->floor_rise, strength->steady));
@@ -127,6 +131,7 @@ int strength_is_possible(const Settings *s, const Strength *strength)
         if (!isfinite(numbers[one]))
             return 0;
     return strength->programme >= s->programme_min && strength->programme <= s->programme_top &&
-           strength->boost >= 0.0 && strength->boost <= s->boost_max && strength->heard >= 0.0 &&
+           strength->attack_ticks >= 0.0 && strength->boost >= 0.0 &&
+           strength->boost <= s->boost_max && strength->heard >= 0.0 &&
            strength->speech_left >= 0.0 && strength->speech_left <= 1.0;
 }

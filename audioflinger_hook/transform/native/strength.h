@@ -13,6 +13,7 @@ typedef struct {
     double floor;     /* of the background noise */
     double loud;      /* falls slowly */
     double steady;    /* loudness without its jitter */
+    double attack_ticks; /* for how long all changes are followed */
     double slow;      /* the same, averaged */
     double usual;     /* what rises of all sound are counted from */
     double boost, held_ticks; /* what a rise adds, and for how long it stays */
