@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Set
+from collections.abc import Callable, Mapping, Set
 from typing import Protocol
 
 from device.server.graph import Graph, LinkPair
@@ -31,9 +31,13 @@ class Wiring(Protocol):
         """Return the wanted links."""
         ...
 
+    def made_nodes(self) -> Mapping[str, str]:
+        """Return the commands of `pw-cli` for nodes that are to be there, by their names."""
+        ...
+
 
 class LinkKeeper:
-    """Asks for links that are missing and for the end of others. Waits for nothing.
+    """Asks for links and nodes that are missing and for the end of others. Waits for nothing.
 
     The graph's thread calls the methods after each change, and the supervising thread for requests
     without effect, both with the graph's lock held.
@@ -45,7 +49,8 @@ class LinkKeeper:
     def __init__(self, graph: Graph, send: Callable[[str], None]) -> None:
         self._graph = graph
         self._send = send
-        self._asked_s: dict[tuple[str, LinkPair | int], float] = {}
+        self._asked_s: dict[tuple[str, LinkPair | int | str], float] = {}
+        self._made: set[str] = set()
         self._missing_s: dict[LinkPair, float] = {}
         self._present_s: dict[LinkPair, float] = {}
         self._paused_s: dict[int, float] = {}
@@ -67,6 +72,7 @@ class LinkKeeper:
             command = f"create-link -1 {pair[0]} -1 {pair[1]}"
             properties = "{ link.passive=true object.linger=false }"
             self._ask("create", pair, f"{command} {properties}", now_s)
+        self._make_nodes(self.wiring.made_nodes(), now_s)
         self._note_times(wanted, present, now_s)
         self._renew_paused(links.keys(), now_s)
 
@@ -78,7 +84,16 @@ class LinkKeeper:
         """Return how long the one of these links has been missing that has been so for longest."""
         return max((now_s - self._missing_s.get(pair, now_s) for pair in pairs), default=0.0)
 
-    def _ask(self, kind: str, what: LinkPair | int, command: str, now_s: float) -> None:
+    def _make_nodes(self, made: Mapping[str, str], now_s: float) -> None:
+        self._made.update(made)
+        for name in self._made:
+            nodes = list(self._graph.nodes_named(name))
+            if name in made and not nodes:
+                self._ask("create", name, made[name], now_s)
+            for node in nodes[name in made :]:  # a busy server may have made two
+                self._ask("destroy", node.id, f"destroy {node.id}", now_s)
+
+    def _ask(self, kind: str, what: LinkPair | int | str, command: str, now_s: float) -> None:
         if (kind, what) not in self._asked_s:
             self._asked_s[kind, what] = now_s
             self._send(command)

@@ -89,6 +89,17 @@ def test_a_chain_is_linked_from_the_streams_to_the_devices_channels() -> None:
     assert by_monitor.links(graph) == {(13, 41), (14, 42), (51, 21)}
 
 
+def test_silence_keeps_the_formats_of_what_taps_streams() -> None:
+    graph = desktop()
+    graph.apply([node(90, "silence"), port(91, 90, "playback_MONO"), port(92, 90, "monitor_MONO")])
+    wiring = ChainWiring((chain(),), DESK, "dac", ("FL", "FR"), silence="silence")
+    assert wiring.links(graph) == {(92, 41), (92, 42), (51, 21)}
+    assert not wiring.is_fed(graph)
+    assert not wiring.tap_links(graph, chain())  # is never waited for
+    by_monitor = ChainWiring((chain(),), DESK, "dac", ("FL", "FR"), True, "silence")
+    assert (92, 41) not in by_monitor.links(graph)
+
+
 def test_a_chain_that_is_leaving_has_no_links_but_is_ours() -> None:
     graph = desktop()
     wiring = ChainWiring((chain(linked=False),), DESK, "dac", ("FL", "FR"))

@@ -127,11 +127,13 @@ def test_where_nothing_hangs_on_it_there_is_no_signal_and_no_file(
     assert not path.exists()
 
 
+@pytest.mark.calm
 def test_ctrl_c_in_a_sweep_is_silence_at_once_and_no_file(
     server: SoundServer, tmp_path: Path
 ) -> None:
     path = tmp_path / "mine.toml"
     with (
+        on_a_bench(server),
         recording(server, "haptic.monitor", tmp_path / "heard") as heard,
         subprocess.Popen(
             [*CUSHION, *arguments(path), "--seconds", "30"],
@@ -142,7 +144,8 @@ def test_ctrl_c_in_a_sweep_is_silence_at_once_and_no_file(
             text=True,
         ) as process,
     ):
-        wait_for(lambda: felt_now(heard), "the sweep")
+        wait_for(lambda: felt_now(heard) or process.poll() is not None, "the sweep", 30.0)
+        assert process.poll() is None, process.communicate()
         process.send_signal(signal.SIGINT)
         pressed = len(heard())
         _, stderr = process.communicate(timeout=15.0)

@@ -308,7 +308,7 @@ def test_it_idles_without_processor_time_and_wakes_at_once(
         ):
             since_s = time.monotonic()
             back_within(felt, since_s, "idling")
-        daemon.wait_state(DaemonState.RUNNING)
+            daemon.wait_state(DaemonState.RUNNING)
 
 
 # ------------------------------------------------------------------------------------------ faults

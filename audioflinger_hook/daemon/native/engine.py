@@ -7,11 +7,12 @@ the vibration goes nowhere until both are back.
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable
 from pathlib import Path
 
 from audioflinger_hook.daemon.inputs.applications import Applications
-from audioflinger_hook.daemon.native.chain import Chain
+from audioflinger_hook.daemon.native.chain import NAME, Chain
 from audioflinger_hook.daemon.native.chains import FADE_S, Chains, Restore
 from audioflinger_hook.daemon.native.designs import DriveDesigns
 from audioflinger_hook.daemon.native.plan import ChainPlan, device_map
@@ -146,7 +147,7 @@ class NativeEngine:
         with self._watch.lock:
             graph, chains = self._watch.graph, self._chains
             chains.end_leaving(graph, now_s)
-            if not self._has_session():
+            if not self._has_session(now_s):
                 self._designs.end()
                 return False
             try:
@@ -177,7 +178,7 @@ class NativeEngine:
             running.linked_s = math.inf
         self.audible = False
         with self._watch.lock:
-            self._has_session()
+            self._has_session(now_s)
             self._chains.end_leaving(self._watch.graph, now_s)
             self._wire(None, None, now_s)
         return played
@@ -219,7 +220,7 @@ class NativeEngine:
         if self._config.tap.kind == "default":
             self._states.count(Cause.DEFAULT_CHANGED, f"the tap is now: {tap.name}")
 
-    def _has_session(self) -> bool:
+    def _has_session(self, now_s: float) -> bool:
         """Whether the session manager runs; end the chains of before when it has gone.
 
         WirePlumber 0.4 never stops waiting for nodes that played before it started. Until then it
@@ -229,6 +230,7 @@ class NativeEngine:
         if known is not None and seen != known and not self.waits_for:
             self._states.count(Cause.SERVER_LOST, "PipeWire's session manager has ended")
             self._chains.close()
+            self._wire(None, None, now_s)
             self.audible = self.is_fed = False
         self._session_manager = seen if seen is not None else known
         gone = known is not None and seen is None
@@ -245,6 +247,7 @@ class NativeEngine:
             device=device.name if device else "",
             device_positions=port_names(device.channel_map, device.channels) if device else (),
             by_monitor=bool(self.monitor_reason),
+            silence=f"{NAME}-{os.getpid()}-silence",
         )
         self._watch.keeper.wiring = self._wiring
         self._watch.keeper.update(now_s)

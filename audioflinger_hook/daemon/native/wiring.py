@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Set
+from collections.abc import Mapping, Set
 from dataclasses import dataclass
 
 from audioflinger_hook.daemon.native.taps import IN, MONITOR, OUT, PLAYBACK, Tap
 from device.server.graph import Graph, LinkPair
+
+SILENT_NODE = (
+    "create-node adapter {{ factory.name=support.null-audio-sink node.name={name} "
+    'node.description="Haptic Cushion (silence)" audio.position=[MONO] node.passive=true '
+    "object.linger=false }}"
+)
+"""A sink without a media class: no program offers it, and nothing is played to it."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +62,9 @@ class ChainWiring:
         Its channels, such as ("FL", "FR").
     by_monitor : bool
         Whether the sink's monitor is tapped, else its streams.
+    silence : str
+        Node that is made while a chain taps streams: its monitor, nothing but zeros, is linked to
+        them. A linked port keeps its format, so a new stream's link has less to negotiate.
     """
 
     chains: tuple[ChainEnds, ...] = ()
@@ -62,11 +72,17 @@ class ChainWiring:
     device: str = ""
     device_positions: tuple[str, ...] = ()
     by_monitor: bool = False
+    silence: str = ""
 
     def nodes(self, graph: Graph) -> Set[int]:
         """Return the ids of the chains' nodes."""
         names = (name for chain in self.chains for name in (chain.tap, chain.vibration))
         return {node.id for name in names for node in graph.nodes_named(name)}
+
+    def made_nodes(self) -> Mapping[str, str]:
+        """Return the command that makes the silence, by its name, while it has a use."""
+        used = self.silence and not self.by_monitor and any(chain.linked for chain in self.chains)
+        return {self.silence: SILENT_NODE.format(name=self.silence)} if used else {}
 
     def links(self, graph: Graph) -> Set[LinkPair]:
         """Return the links of all chains."""
@@ -74,6 +90,7 @@ class ChainWiring:
         for chain in self.chains:
             if chain.linked:
                 found |= self.tap_links(graph, chain) | self.device_links(graph, chain)
+                found |= self._silent_links(graph, chain)
         return found
 
     def tap_links(self, graph: Graph, chain: ChainEnds) -> set[LinkPair]:
@@ -84,6 +101,13 @@ class ChainWiring:
         if self.by_monitor:
             return set(self.tap.monitored(graph, inputs))
         return set(self.tap.mirrored(graph, self.device, inputs))
+
+    def _silent_links(self, graph: Graph, chain: ChainEnds) -> set[LinkPair]:
+        node = graph.node_named(self.silence)
+        if node is None or self.by_monitor:
+            return set()
+        outputs = graph.ports_of(node.id, MONITOR).values()
+        return {(output, port) for output in outputs for port in chain.tap_ports(graph)}
 
     def device_links(self, graph: Graph, chain: ChainEnds) -> set[LinkPair]:
         """Return the links from a chain to the device."""

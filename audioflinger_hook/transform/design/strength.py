@@ -49,8 +49,8 @@ JITTER_S, SLOW_S = 0.1, 0.03
 """Times in which jitter of loudness, and what counts for the programme, are averaged."""
 
 ATTACK_S = 0.012
-"""After a jump, all changes are followed for so long: until the windows are filled by the new sound,
-whose strength would else be `jitter` too small for its first 0.1 s."""
+"""After a jump, all changes are followed for so long: until the windows are filled by the new
+sound, whose strength would else be `jitter` too small for its first 0.1 s."""
 
 GROUP_S, GROUP_UP_S, GROUP_DOWN_S, GROUP_DEVIATES_S = 0.006, 0.2, 0.4, 1.0
 """Times in which the level of a group of bands is averaged, what is usual follows a rise, or a

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Set
+from collections.abc import Mapping, Set
 from typing import Any
 
 from hypothesis import given
@@ -20,14 +20,18 @@ from tests.support.graphs import Item, desktop, gone, link, node, play, port
 class OneLink:
     """One link from a monitor of `desk` to the chain's tap."""
 
-    def __init__(self, *pairs: LinkPair) -> None:
+    def __init__(self, *pairs: LinkPair, made: Mapping[str, str] | None = None) -> None:
         self.pairs = frozenset(pairs or ((13, 41),))
+        self.made = made or {}
 
     def nodes(self, graph: Graph) -> Set[int]:
         return {40}
 
     def links(self, graph: Graph) -> Set[LinkPair]:
         return self.pairs
+
+    def made_nodes(self) -> Mapping[str, str]:
+        return self.made
 
 
 def keeper_of(graph: Graph, *pairs: LinkPair) -> tuple[LinkKeeper, list[str]]:
@@ -217,6 +221,22 @@ def test_any_other_link_of_our_nodes_is_removed() -> None:
     graph.apply([link(70, 13, 41, graph), link(71, 14, 41, graph), link(72, 13, 21, graph)])
     keeper.update(1.0)
     assert sent == ["destroy 71"]
+
+
+def test_a_node_is_made_while_it_is_wanted_and_only_once() -> None:
+    graph = desktop()
+    keeper, sent = keeper_of(graph)
+    graph.apply([link(70, 13, 41, graph)])
+    keeper.wiring = OneLink(made={"quiet": "create-node adapter"})
+    keeper.update(1.0)
+    keeper.update(1.05)
+    assert sent == ["create-node adapter"]
+    graph.apply([node(80, "quiet"), node(81, "quiet")])
+    keeper.update(1.3)
+    assert sent[1:] == ["destroy 81"]
+    keeper.wiring = OneLink()
+    keeper.update(1.6)
+    assert sorted(sent[2:]) == ["destroy 80", "destroy 81"]
 
 
 def test_a_link_that_does_not_last_counts_as_missing() -> None:
