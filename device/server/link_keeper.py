@@ -109,7 +109,11 @@ class LinkKeeper:
         }
 
     def _renew_paused(self, link_ids: Set[int], now_s: float) -> None:
-        """Remove links that the server has left paused; the next update makes them again."""
+        """Remove links that the server has left paused; the next update makes them again.
+
+        Those from nodes that were made here may stay paused: they carry nothing.
+        """
+        ours = {node.id for name in self._made for node in self._graph.nodes_named(name)}
         active = {
             (link.output_node_id, link.input_node_id)
             for link in map(self._graph.links.__getitem__, link_ids)
@@ -119,7 +123,7 @@ class LinkKeeper:
         for link_id in link_ids:
             link = self._graph.links[link_id]
             ends = link.output_node_id, link.input_node_id
-            if link.state == "paused" and ends in active:
+            if link.state == "paused" and ends in active and link.output_node_id not in ours:
                 since_s = self._paused_s[link_id] = before.get(link_id, now_s)
                 if now_s - since_s > PAUSED_S:
                     self._ask("destroy", link_id, f"destroy {link_id}", now_s)

@@ -100,6 +100,13 @@ def test_silence_keeps_the_formats_of_what_taps_streams() -> None:
     assert (92, 41) not in by_monitor.links(graph)
 
 
+def test_silence_is_there_before_the_first_link_and_after_the_last() -> None:
+    waiting = ChainWiring((chain(linked=False),), silence="silence")
+    assert list(waiting.made_nodes()) == ["silence"]
+    assert "node.name=silence " in waiting.made_nodes()["silence"]
+    assert not ChainWiring(silence="silence").made_nodes()
+
+
 def test_a_chain_that_is_leaving_has_no_links_but_is_ours() -> None:
     graph = desktop()
     wiring = ChainWiring((chain(linked=False),), DESK, "dac", ("FL", "FR"))

@@ -277,6 +277,8 @@ class NativeEngine:
             if self._wiring.by_monitor and chain.linked:
                 from_tap = self._wiring.tap_links(graph, chain)
                 wanted = wanted | from_tap if from_tap else set()
+            elif wanted and not running.is_linked:
+                wanted = wanted | self._wiring.silent_links(graph, chain)
             if wanted and chain.tap_ports(graph) and keeper.are_there(wanted):
                 if not running.is_linked:
                     running.linked_s = running.moved_s = now_s

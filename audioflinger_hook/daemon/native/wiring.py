@@ -63,8 +63,9 @@ class ChainWiring:
     by_monitor : bool
         Whether the sink's monitor is tapped, else its streams.
     silence : str
-        Node that is made while a chain taps streams: its monitor, nothing but zeros, is linked to
-        them. A linked port keeps its format, so a new stream's link has less to negotiate.
+        Node that is made while there are chains: its monitor, nothing but zeros, is linked to those
+        that tap streams. A linked port keeps its format, so a new stream's link has less to
+        negotiate.
     """
 
     chains: tuple[ChainEnds, ...] = ()
@@ -80,8 +81,11 @@ class ChainWiring:
         return {node.id for name in names for node in graph.nodes_named(name)}
 
     def made_nodes(self) -> Mapping[str, str]:
-        """Return the command that makes the silence, by its name, while it has a use."""
-        used = self.silence and not self.by_monitor and any(chain.linked for chain in self.chains)
+        """Return the command that makes the silence, by its name.
+
+        It is there before a chain plays, and as long: a node that joins costs the others a cycle.
+        """
+        used = self.silence and self.chains
         return {self.silence: SILENT_NODE.format(name=self.silence)} if used else {}
 
     def links(self, graph: Graph) -> Set[LinkPair]:
@@ -90,7 +94,7 @@ class ChainWiring:
         for chain in self.chains:
             if chain.linked:
                 found |= self.tap_links(graph, chain) | self.device_links(graph, chain)
-                found |= self._silent_links(graph, chain)
+                found |= self.silent_links(graph, chain)
         return found
 
     def tap_links(self, graph: Graph, chain: ChainEnds) -> set[LinkPair]:
@@ -102,7 +106,8 @@ class ChainWiring:
             return set(self.tap.monitored(graph, inputs))
         return set(self.tap.mirrored(graph, self.device, inputs))
 
-    def _silent_links(self, graph: Graph, chain: ChainEnds) -> set[LinkPair]:
+    def silent_links(self, graph: Graph, chain: ChainEnds) -> set[LinkPair]:
+        """Return the links from the silence to a chain's tap; none until it is there."""
         node = graph.node_named(self.silence)
         if node is None or self.by_monitor:
             return set()
