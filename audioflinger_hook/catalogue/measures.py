@@ -64,10 +64,10 @@ class VibrationMeter:
     def measures(self) -> dict[str, Any]:
         """Return exposure and course of all that was taken.
 
-        exposure_a8_m_s2: A(8) of ISO 2631-1 that the sound adds to a day, of the strongest channel:
-            the weighted acceleration of the rig's linear model at full volume, spread over 8 h.
-        course: peaks in thousandths of full scale, in order of time, 1 to 240; course_step_s: the
-            time of each.
+        exposure_a8_m_s2: A(8) of ISO 2631-1 that the sound adds to a day, of the strongest channel.
+            It is the weighted acceleration of the rig's linear model at full volume, over 8 h.
+        course: 1 to 240 peaks in order of time, in thousandths of full scale.
+        course_step_s: the time of each.
         """
         if self._filled:
             self._take_block()

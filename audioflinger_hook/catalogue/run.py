@@ -39,9 +39,8 @@ def shard_of(items: Iterable[Item], index: int, count: int) -> Iterator[Item]:
 class Run:
     """Works on all items of a run. Iterate over `outcomes` once, from one thread.
 
-    If workers die, the batches that they may have had run again, one at a time, so that an item
-    which ends its worker is found and fails, and no other item does. Finished items of a repeated
-    batch are skipped by their records.
+    If workers die, the batches that they may have had run again, one at a time. So only an item
+    that ends its worker fails. Finished items of a repeated batch are skipped by their records.
 
     Parameters
     ----------

@@ -1,9 +1,9 @@
 """AHAP 1.0 for Apple's Core Haptics: continuous events, their curves, and transients.
 
-Limits: a continuous event lasts 30 s at most; a curve has 16 points at most; at most 60 points a
-second; times of a curve's points are relative to the curve. A player multiplies intensities of
-curve and event and adds their sharpness, also for transients, so transients are divided by the
-curve. Intensity is the square root of amplitude.
+A continuous event lasts at most 30 s. A curve has at most 16 points, and at most 60 a second, with
+times relative to the curve. A player multiplies intensities of curve and event and adds their
+sharpness, also for transients. So transients are divided by the curve. Intensity is the square root
+of amplitude.
 """
 
 from __future__ import annotations

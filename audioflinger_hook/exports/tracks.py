@@ -34,8 +34,8 @@ RING_S = 0.06
 FAINT = 0.003
 POINT_S = 0.002
 LEVEL_TOLERANCE, HZ_TOLERANCE = 0.01, 0.3
-"""Largest error of the straight lines: of amplitude, as a share of the track's largest, and of
-frequency in Hz where the track is loudest, more where it is weak."""
+"""Largest errors of the straight lines. Amplitude: as a share of the track's largest. Frequency: in
+Hz where the track is loudest, more where it is weak."""
 
 LONGEST_S = 0.1
 """Points are at most this far apart, so that straight lines of frequency keep the phase."""

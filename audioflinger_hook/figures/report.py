@@ -72,8 +72,8 @@ def draw_report(
 ) -> None:
     """Writes the report as a PNG of 1600 x 1500 pixels to `path`, a file name or a binary file.
 
-    `audio` has the shape (frames, channels), `vibration` and `acceleration_m_s2` (frames,), each
-    at its own samplerate in Hz and all starting at the same moment; audio and vibration have full
+    `audio` has the shape (frames, channels), `vibration` and `acceleration_m_s2` (frames,). Each
+    has its own samplerate in Hz, and all start at the same moment. Audio and vibration have full
     scale 1. `principals` are (time in s, audio frequency in Hz, vibration frequency in Hz, strength
     from 0 to 1); `events` are (start in s, end in s, label); `facts` are short texts for the line
     under the title; `description` is not drawn but stored as the PNG's text chunk of that name.

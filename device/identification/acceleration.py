@@ -103,7 +103,7 @@ def _identify(
         recording,
         found,
         "more than one resonance and a seat are in the band, or this is another channel; check "
-        "which input it is, fasten what rattles, or sweep a narrower band around the resonance",
+        "the input, fasten what rattles, or sweep a narrower band around the resonance",
     )
     values = [found.estimate({index: 1.0}) for index in range(3)]
     limits = ("sensitivity", WIDEST_SENSITIVITY), ("f0_hz", WIDEST_F0), ("q", WIDEST_Q)

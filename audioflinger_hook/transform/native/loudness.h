@@ -5,8 +5,8 @@
 
 #include "settings.h"
 
-/* All of it is state, in dB of loudness but for two: the factor on the last amplitudes, and the
- * hops for which loudness has been far above the programme, or below with a minus. */
+/* State, in dB of loudness. But gain is the factor on the last amplitudes. far_hops counts the hops
+ * with loudness far above the programme; negative: far below. */
 typedef struct {
     double *programme, *floor, *loud, *steady, *gain, *far_hops;
 } Loudness;
