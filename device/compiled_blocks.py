@@ -33,8 +33,8 @@ class _View(ctypes.Structure):
 class Compiled:
     """What device/native/ computes; one thread at a time for one set of arrays.
 
-    Every method raises TypeError, BufferError or ValueError if an array has another type, is not
-    contiguous or cannot be written to, or if a number does not fit; then nothing has changed.
+    Every method raises TypeError, BufferError or ValueError, and changes nothing, where an array
+    has another type, is not contiguous or is read-only, or where a number does not fit.
 
     ImportError: the library is missing, cut off or of another version.
     """

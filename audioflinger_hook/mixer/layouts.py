@@ -28,8 +28,8 @@ def source_weights(channels: int, sources: Sequence[str]) -> NDArray[np.float64]
 
     A source is the mean of its halves, left and right; where these cancel, the transform takes the
     sum of their powers. sources: each "mix", "left", "right", "front" or "back". The mix is that of
-    `downmix`. The other sources are means of the channels on that side and of the channels that
-    belong to both sides, such as the centre; the latter are weighted 3 dB lower. The weights of
+    `downmix`. The other sources are means of the channels on that side and of those that belong to
+    both sides, such as the centre, which count 3 dB less. The weights of
     these sources add up to 1: none of them exceeds full scale. "left" and "right" have equal
     halves. If no channel is behind, "front" and "back" are the mix; if no channel is on a side, all
     sources are.

@@ -102,8 +102,8 @@ def _identify(
     check_misfit(
         recording,
         found,
-        "the band has more than one resonance and a seat, or this is another channel; check the "
-        "inputs, fasten loose parts, or narrow the sweep around the resonance",
+        "more than one resonance and a seat are in the band, or this is another channel; check "
+        "the input, fasten what rattles, or sweep a narrower band around the resonance",
     )
     values = [found.estimate({index: 1.0}) for index in range(3)]
     limits = ("sensitivity", WIDEST_SENSITIVITY), ("f0_hz", WIDEST_F0), ("q", WIDEST_Q)

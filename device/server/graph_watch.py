@@ -33,7 +33,7 @@ GATHER_S = 0.2  # changes are reported at once, and again after so long
 
 DESCRIBED_S = 0.001  # time for more to arrive: `pw-dump` writes hundreds of lines for one change
 
-BUSY_READS, BUSY_S, BUSY_WAIT_S = 400, 5.0, 0.02
+BUSY_READS, BUSY_S, BUSY_WAIT_S = 250, 5.0, 0.02
 """After so many reads in so long, each one waits longer. A stream that comes and goes takes 25."""
 
 END_S = 0.5  # longest wait for the thread's end

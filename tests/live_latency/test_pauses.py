@@ -65,15 +65,16 @@ def test_processes_that_were_stopped_look_like_a_machine_that_stood_still() -> N
         stopped_s = time.monotonic()
         for pid in pids:
             os.kill(pid, signal.SIGSTOP)
-        while time.monotonic() < stopped_s + 0.1:
+        while (continued_s := time.monotonic()) < stopped_s + 0.1:
             pass
         for pid in pids:
             os.kill(pid, signal.SIGCONT)
         deadline_s = time.monotonic() + 5.0
-        while not (found := [one for one in witness.pauses() if one.seconds > 0.05]):
+        while not (found := [one for one in witness.pauses() if one.end_s >= continued_s]):
             assert time.monotonic() < deadline_s
-        most_s = time.monotonic() - stopped_s  # a busy machine lets them go on later
-    assert 0.05 < found[0].seconds < most_s
+        now_s = time.monotonic()  # a busy machine lets them go on later
+    assert found[0].start_s < continued_s - 0.05  # a busy machine stops them later
+    assert found[0].end_s < now_s
 
 
 def test_one_core_that_is_taken_away_is_a_pause_only_of_that_core() -> None:

@@ -168,7 +168,8 @@ def test_a_default_sink_of_44_1_khz_is_felt_at_its_rate(
     ):
         wait_for(lambda: felt_now(felt), "vibration", 20.0)
         more(felt, 0.5)
-        assert pitch_hz(more(felt, 1.0)) == pytest.approx(felt_hz(HEARD_HZ), abs=1.0)
+        # heard at 48 kHz it would be 3.5 Hz off; a cycle that is lost blurs the second by 1 Hz
+        assert pitch_hz(more(felt, 1.0)) == pytest.approx(felt_hz(HEARD_HZ), abs=2.0)
         assert daemon.wait(lambda status: status.graph, "figures").state.value == "running"
 
 

@@ -28,7 +28,7 @@ from device.server.node_errors import NodeErrors
 from device.server.snapshot import Sink, Source
 
 REFUSED_S = 0.5
-"""A link from a stream that is missing for so long is refused; then the monitor is tapped."""
+"""A link that is missing for so long is refused. If it is from a stream, the monitor is tapped."""
 
 REFUSED_WAIT_S, REFUSED_WAIT_MAX_S = 5.0, 600.0
 """Links from streams are tried again after so long, twice as long each time; a busy machine may
@@ -278,7 +278,9 @@ class NativeEngine:
                 from_tap = self._wiring.tap_links(graph, chain)
                 wanted = wanted | from_tap if from_tap else set()
             elif wanted and not running.is_linked:
-                wanted = wanted | self._wiring.silent_links(graph, chain)
+                silent = self._wiring.silent_links(graph, chain)
+                if keeper.missing_for_s(silent, now_s) <= REFUSED_S:
+                    wanted = wanted | silent
             if wanted and chain.tap_ports(graph) and keeper.are_there(wanted):
                 if not running.is_linked:
                     running.linked_s = running.moved_s = now_s

@@ -41,9 +41,9 @@ BAND_MARGIN_HZ = 1_000.0
 """Bins up to this far above the band are kept, to find the half-power width of its last peaks."""
 
 STRAIGHT_LINES = 10 ** (-0.17 / 20)
-"""The reference form's half-power bandwidths, on straight lines between bins, are 0.07 to 0.27 dB
-narrower than the live form's, on bells, by where between two bins a tone stands. With r so much
-smaller a tone has the same level within 0.1 dB."""
+"""The reference form measures half-power bandwidths on straight lines between bins, the live form
+on bells. The former are 0.07 to 0.27 dB narrower, by the place of a tone between two bins. With r
+so much smaller a tone has the same level within 0.1 dB."""
 
 LATENCY_AT_HZ = 60.0
 """Vibration frequency whose delay is reported: 78 to 95 % of the energy is at 20 to 80 Hz."""

@@ -59,8 +59,8 @@ double tracking_near_hz(const Settings *settings, double hz);
 /* The amplitudes near to a vibration frequency at the end of the hop. */
 double tracking_sounding_near(const Settings *settings, const Slots *slots, double hz);
 
-/* Give hz and phase those of the strongest partial near to hz, so many seconds before the end of the
- * hop; return 1, or 0 where there is none or partials are not merged. */
+/* Set hz and phase to those of the strongest partial near to hz, at before_end_s seconds before the
+ * end of the hop. Return 1; 0 where there is none, or partials are not merged. */
 double tracking_join(const Settings *settings, const Slots *slots, double before_end_s, double *hz,
                      double *phase);
 
