@@ -12,7 +12,7 @@ from scipy.signal import sosfilt
 from device.drive.exposure.dose import wk_sections
 from device.rig import rig_by_name
 from device.rig.actuator import LinearActuator
-from device.rig.seat import SeatMotion
+from device.rig.equations import seat_sections
 from device.units import Float32Array, FloatArray
 
 DAY_S = 8 * 3600.0
@@ -116,13 +116,13 @@ def _weighted_gain(rig: str, rate: int, frames: int) -> FloatArray:
 def _weighted_response(name: str) -> tuple[FloatArray, float]:
     """Return |weighted acceleration / full scale|² at frequencies from 0, and their distance."""
     rig = rig_by_name(name)
-    impulse = np.zeros((4 * RESPONSE_HZ, 1))
+    impulse = np.zeros(4 * RESPONSE_HZ)
     impulse[0] = rig.dac.full_scale_v * rig.amplifier.gain
     source = rig.amplifier.source_impedance_ohm
     if rig.seat:
-        moved = SeatMotion(rig.actuator, rig.seat, RESPONSE_HZ, source, 1).move(impulse)[:, 0]
+        moved = sosfilt(seat_sections(rig.actuator, rig.seat, RESPONSE_HZ, source), impulse)
     else:
         actuator = LinearActuator(rig.actuator, RESPONSE_HZ, source)
-        moved = actuator.move(impulse[:, 0], ("acceleration_m_s2",)).acceleration_m_s2
+        moved = actuator.move(impulse, ("acceleration_m_s2",)).acceleration_m_s2
     response = np.fft.rfft(sosfilt(wk_sections(RESPONSE_HZ), moved))
     return np.abs(response) ** 2, RESPONSE_HZ / len(impulse)

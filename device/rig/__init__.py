@@ -5,8 +5,8 @@
 | parameters, rig, rig_file | what a rig is, variants of it, and its TOML file |
 | electronics, actuator, instruments | DAC and amplifier; linear actuator; accelerometer to DAQ |
 | simulated_rig | all stages behind `VibrationOutput` |
-| shapes, co_energy, equations, thermal, seat | the physics beyond the linear actuator |
-| energy_table, model_design | numbers and tables of the two models, for compiled code |
+| shapes, co_energy, equations, thermal | the physics beyond the linear actuator, and the seat |
+| model_design | numbers and tables of the two models, for compiled code |
 | adaptive_actuator | the cheapest model that suffices, block by block |
 | model_record | which model ran, its cost and its true error |
 

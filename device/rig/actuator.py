@@ -38,26 +38,16 @@ def state_space(
 
     s = (x sqrt(k), x' sqrt(m), i sqrt(L)), which keeps the exponential well conditioned.
     """
-    m, c, k = p.moving_mass_kg, p.damping_n_s_per_m, p.stiffness_n_per_m
-    bl, inductance = p.force_factor_n_per_a, p.inductance_h
+    m, c, inductance = p.moving_mass_kg, p.damping_n_s_per_m, p.inductance_h
     resistance = p.resistance_ohm + source_impedance_ohm
     w0 = p.resonance_rad_s
-    coupling = bl / np.sqrt(m * inductance)
+    coupling = p.force_factor_n_per_a / np.sqrt(m * inductance)
     rate = np.array(
-        [
-            [0.0, w0, 0.0],
-            [-w0, -c / m, coupling],
-            [0.0, -coupling, -resistance / inductance],
-        ]
+        [[0.0, w0, 0.0], [-w0, -c / m, coupling], [0.0, -coupling, -resistance / inductance]]
     )
-    drive = np.array([0.0, 0.0, 1.0 / np.sqrt(inductance)])
-    rows: dict[Quantity, FloatArray] = {
-        "displacement_m": np.array([1.0 / np.sqrt(k), 0.0, 0.0]),
-        "velocity_m_s": np.array([0.0, 1.0 / np.sqrt(m), 0.0]),
-        "current_a": np.array([0.0, 0.0, 1.0 / np.sqrt(inductance)]),
-        "acceleration_m_s2": rate[1] / np.sqrt(m),
-    }
-    return rate, drive, rows
+    x, v, i = np.diag(1.0 / np.sqrt([p.stiffness_n_per_m, m, inductance]))
+    rows = x, v, i, rate[1] / np.sqrt(m)
+    return rate, i, dict(zip(QUANTITIES, rows, strict=True))
 
 
 def first_order_hold(
@@ -87,6 +77,10 @@ _PART_FRAMES = 32_768
 at fixed places, so that the result does not depend on the blocks."""
 
 
+def _nothing() -> FloatArray:
+    return np.empty(0)
+
+
 @dataclass(frozen=True)
 class Motion:
     """Motion at each sample, float64, (frames,); quantities that were not asked for have length 0.
@@ -95,11 +89,11 @@ class Motion:
     displacement. The seat's acceleration is that of the frame.
     """
 
-    displacement_m: FloatArray
-    velocity_m_s: FloatArray
-    current_a: FloatArray
-    acceleration_m_s2: FloatArray
-    seat_acceleration_m_s2: FloatArray = field(default_factory=lambda: np.empty(0))
+    displacement_m: FloatArray = field(default_factory=_nothing)
+    velocity_m_s: FloatArray = field(default_factory=_nothing)
+    current_a: FloatArray = field(default_factory=_nothing)
+    acceleration_m_s2: FloatArray = field(default_factory=_nothing)
+    seat_acceleration_m_s2: FloatArray = field(default_factory=_nothing)
 
 
 class LinearActuator:
@@ -146,22 +140,9 @@ class LinearActuator:
         """
         volts = np.ascontiguousarray(volts, dtype=np.float64)
         moved = np.empty((len(outputs), len(volts)))
-        self.move_into(volts, outputs, moved, 0, len(volts))
-        rows = dict(zip(outputs, moved, strict=True))
-        return Motion(*[rows[name] if name in rows else np.empty(0) for name in QUANTITIES])
-
-    def move_into(
-        self,
-        volts: FloatArray,
-        outputs: Sequence[Quantity],
-        moved: FloatArray,
-        start: int,
-        end: int,
-    ) -> None:
-        """As `move`, for a part of contiguous float64 volts, into moved, (outputs, frames)."""
-        wanted = tuple(outputs)
-        while start < end:
-            stop = min(start + self._frames_to_check, end)
+        wanted, start, frames = tuple(outputs), 0, len(volts)
+        while start < frames:
+            stop = min(start + self._frames_to_check, frames)
             if blocks.compiled is not None:
                 taps = self._taps_of(wanted)
                 self.replaced_samples += blocks.compiled.linear_motion(
@@ -173,6 +154,7 @@ class LinearActuator:
                     self._weigh(name, recent, row[start:stop])
             self._let_decay(stop - start)
             start = stop
+        return Motion(**dict(zip(outputs, moved, strict=True)))
 
     def _taps_of(self, wanted: tuple[Quantity, ...]) -> FloatArray:
         """Return the taps of these quantities, (quantities, 4)."""
@@ -187,10 +169,9 @@ class LinearActuator:
         self.replaced_samples += replaced
         end = _TAPS + len(drive)
         self._filtered[:_TAPS] = self._last
-        self._filtered[_TAPS:end], after = scipy.signal.sosfilt(
+        self._filtered[_TAPS:end], self._sections[:] = scipy.signal.sosfilt(
             self._poles, drive, zi=self._sections
         )
-        self._sections[:] = after
         self._last[:] = self._filtered[end - _TAPS : end]
         return self._filtered[1:end]
 
@@ -244,11 +225,10 @@ def _filters(
         states.append(step @ states[-1])
     denominator = np.convolve(poles[0, 3:], poles[1, 3:])[:_TAPS]
     gain = poles[0, 0] * poles[1, 0]
-    taps: dict[Quantity, FloatArray] = {}
-    for name, row in rows.items():
-        impulse_response = np.array([row @ state for state in states])
-        taps[name] = np.convolve(denominator, impulse_response)[:_TAPS] / gain
-    return poles, taps
+    impulses = {name: np.array([row @ state for state in states]) for name, row in rows.items()}
+    return poles, {
+        name: np.convolve(denominator, impulse)[:_TAPS] / gain for name, impulse in impulses.items()
+    }
 
 
 def _section(first: complex, second: complex) -> list[float]:

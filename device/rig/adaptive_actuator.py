@@ -16,7 +16,7 @@ from device.errors import UsageError
 from device.rig.actuator import QUANTITIES, SEAT_ACCELERATION, Motion
 from device.rig.co_energy import energies
 from device.rig.equations import Equations
-from device.rig.model_design import ModelDesign
+from device.rig.model_design import STATE_NUMBERS, ModelDesign
 from device.rig.parameters import MODELS, Model, check_tolerance
 from device.rig.rig import Rig
 from device.rig.thermal import Temperatures
@@ -80,25 +80,23 @@ class AdaptiveActuator:
         self.rig, self.samplerate, self.tolerance, self.model = rig, samplerate, tolerance, model
         self._move = blocks.compiled.move_rig
         self._source_ohm = rig.amplifier.source_impedance_ohm
-        large = energies(rig.actuator, rig.large_signal)
-        self.equations = Equations(
-            rig.actuator, large, self._source_ohm, rig.seat if seat else None
-        )
+        stored = energies(rig.actuator, rig.large_signal)
+        frame = rig.seat if seat else None
+        self.equations = Equations(rig.actuator, stored, self._source_ohm, frame)
         self._design = ModelDesign(self.equations, samplerate, tolerance, refine)
         self._rows = 5 if seat else 4
-        self.temperatures: Temperatures | None = None
-        if temperature and rig.thermal:
-            self.temperatures = Temperatures(rig.thermal)
+        warms = rig.thermal if temperature else None
+        self.temperatures = Temperatures(warms) if warms else None
         coarse = self._design.coarse
         self.block_frames = coarse * max(1, round(BLOCK_S * samplerate / coarse))
         self.reset()
 
     def reset(self) -> None:
         """Come to rest, cool down, and clear reports and counts."""
-        self._state = self._design.at_rest()
+        self._state = np.zeros(STATE_NUMBERS)
         if self.temperatures:
             self.temperatures.reset()
-        self._design.set_resistance(self.equations.linear_resistance_ohm)
+        self._design.set_resistance(self.equations.resistance_ohm)
         self._frames = 0
         self.replaced_samples = 0  # volts that were not finite or above 1e6 and became 0
         self.reports: deque[BlockReport] = deque(maxlen=_REPORTS)
@@ -127,9 +125,8 @@ class AdaptiveActuator:
             self._move_part(finite, moved, start, stop, first)
             self._warm(moved[2, start:stop])
             start = stop
-        nothing: FloatArray = np.empty(0)
         rows = dict(zip(_NAMES, moved, strict=False))
-        return Motion(*(rows[name] if name in outputs else nothing for name in _NAMES))
+        return Motion(**{name: rows[name] for name in outputs})
 
     def _move_part(
         self, volts: FloatArray, moved: FloatArray, start: int, stop: int, first: int
@@ -147,10 +144,8 @@ class AdaptiveActuator:
             self._frames += frames
 
     def _warm(self, current_a: FloatArray) -> None:
-        if self.temperatures is None:
-            return
-        resistance_ohm = self.temperatures.resistance_ohm(self.rig.actuator.resistance_ohm)
-        power_w = resistance_ohm * float(np.mean(np.square(current_a)))
-        self.temperatures.heat(power_w, len(current_a) / self.samplerate)
-        resistance_ohm = self.temperatures.resistance_ohm(self.rig.actuator.resistance_ohm)
-        self._design.set_resistance(resistance_ohm + self._source_ohm)
+        if warm := self.temperatures:
+            cold_ohm = self.rig.actuator.resistance_ohm
+            power_w = warm.resistance_ohm(cold_ohm) * float(np.mean(np.square(current_a)))
+            warm.heat(power_w, len(current_a) / self.samplerate)
+            self._design.set_resistance(warm.resistance_ohm(cold_ohm) + self._source_ohm)

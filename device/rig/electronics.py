@@ -1,7 +1,5 @@
 """DAC and power amplifier: from vibration samples to the voltage that drives the actuator."""
 
-from typing import Any
-
 import numpy as np
 import scipy
 from numpy.typing import NDArray
@@ -21,12 +19,12 @@ class Band:
 
     def __init__(self, low_cut_hz: float, high_cut_hz: float, samplerate: float) -> None:
         self.samplerate = samplerate
-        sections: list[NDArray[Any]] = []
-        if 0.0 < low_cut_hz < _MAX_CORNER * samplerate:
-            sections.append(scipy.signal.butter(2, low_cut_hz, "high", fs=samplerate, output="sos"))
-        if high_cut_hz < _MAX_CORNER * samplerate:
-            sections.append(scipy.signal.butter(2, high_cut_hz, "low", fs=samplerate, output="sos"))
-        self.sections: FloatArray = np.concatenate(sections) if sections else np.empty((0, 6))
+        sections = [
+            scipy.signal.butter(2, hz, kind, fs=samplerate, output="sos")
+            for kind, hz in (("high", low_cut_hz), ("low", high_cut_hz))
+            if 0.0 < hz < _MAX_CORNER * samplerate
+        ]
+        self.sections: FloatArray = np.concatenate([np.empty((0, 6)), *sections])
         self.reset()
 
     def reset(self) -> None:

@@ -1,4 +1,4 @@
-"""The equations of motion and their linear part.
+"""The equations of motion, their linear part, and the seat as a linear filter of the volts.
 
     y' = u - z'                        y: excursion, the moving mass against the frame
     m u' = F(y, i) - c y'              u: speed of the moving mass; F: dW'/dx - dV/dx
@@ -12,8 +12,10 @@ force on the moving mass, which the frame gets in the other direction, and a vol
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
-from device.rig.co_energy import Energies
+from device.rig.actuator import first_order_hold
+from device.rig.co_energy import Energies, linear_energies
 from device.rig.parameters import ActuatorParameters, SeatParameters
 from device.units import FloatArray
 
@@ -25,9 +27,8 @@ FORCE, VOLTS = range(2)
 class Equations:
     """Linear part and remainder of one actuator with the amplifier's impedance in its circuit.
 
-    `resistance_ohm` is that of source and coil at its present temperature; the linear part keeps
-    the value at rest. rate is A, (states, states); entry, (states, 2), is where a force and a
-    voltage that are left out act. The last column of entry is B.
+    resistance_ohm: of source and coil at rest. rate: A, (states, states). entry: (states, 2), where
+    a force and a voltage that are left out act; its last column is B.
     """
 
     actuator: ActuatorParameters
@@ -37,8 +38,7 @@ class Equations:
 
     def __post_init__(self) -> None:
         p, seat = self.actuator, self.seat
-        self.linear_resistance_ohm = p.resistance_ohm + self.source_impedance_ohm
-        self.resistance_ohm = self.linear_resistance_ohm
+        self.resistance_ohm = p.resistance_ohm + self.source_impedance_ohm
         self.mass, self.damping = p.moving_mass_kg, p.damping_n_s_per_m
         self.stiffness, self.force_factor = p.stiffness_n_per_m, p.force_factor_n_per_a
         self.inductance = p.inductance_h
@@ -49,7 +49,7 @@ class Equations:
         self.rate[EXCURSION, SPEED] = 1.0
         self.rate[SPEED, :3] = [-k / m, -c / m, pull / m]
         self.rate[FLUX, SPEED] = -self.force_factor
-        self.rate[FLUX, FLUX] = -self.linear_resistance_ohm / self.inductance
+        self.rate[FLUX, FLUX] = -self.resistance_ohm / self.inductance
         self.entry[SPEED, FORCE] = 1.0 / m
         self.entry[FLUX, VOLTS] = 1.0
         if seat:
@@ -63,14 +63,31 @@ class Equations:
             self.entry[FRAME_SPEED, FORCE] = -1.0 / big
 
     @property
-    def states(self) -> int:
-        """3, or 5 with a seat."""
-        return len(self.rate)
-
-    @property
     def scale(self) -> FloatArray:
         """Return (states,): half the sum of the squares of scale times s is the linear energy."""
         squares = [self.stiffness, self.mass, 1.0 / self.inductance]
         if self.seat:
             squares += [self.seat.stiffness_n_per_m, self.seat.mass_kg]
         return np.sqrt(squares)
+
+
+def seat_sections(
+    p: ActuatorParameters, seat: SeatParameters, samplerate: float, source_impedance_ohm: float
+) -> FloatArray:
+    """Return second-order sections, (3, 6), from volts to the seat's acceleration, m/s^2.
+
+    They are exact for a voltage that is a straight line between samples.
+    """
+    equations = Equations(p, linear_energies(p), source_impedance_ohm, seat)
+    # In coordinates whose squares are energies, entries do not differ by factors of millions.
+    scale = equations.scale
+    rate, drive = scale[:, None] * equations.rate / scale, np.zeros(len(scale))
+    drive[FLUX] = scale[FLUX]
+    shown = equations.rate[FRAME_SPEED] / scale
+    step, from_last, from_new = first_order_hold(rate, drive, 1.0 / samplerate)
+    # The state takes the last volt only; the output takes the new one.
+    entered = (step @ from_new + from_last)[:, None]
+    zeros, poles, gain = scipy.signal.ss2zpk(
+        step, entered, shown[None], np.array([[shown @ from_new]])
+    )
+    return np.asarray(scipy.signal.zpk2sos(zeros, poles, gain))

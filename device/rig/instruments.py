@@ -50,14 +50,12 @@ class InstrumentChain:
     """
 
     def __init__(self, rig: Rig, samplerate: float, seed: int = 0) -> None:
-        absent = [n for n in ("accelerometer", "conditioning", "daq") if getattr(rig, n) is None]
         if not (rig.accelerometer and rig.conditioning and rig.daq):
-            raise UsageError(
-                f"rig {rig.name!r} describes no {', '.join(f'[{name}]' for name in absent)}; "
-                "add it to its file"
-            )
-        self._sensor, p = rig.accelerometer, rig.conditioning
-        self._conditioning = p
+            chain = ("accelerometer", "conditioning", "daq")
+            absent = ", ".join(f"[{name}]" for name in chain if getattr(rig, name) is None)
+            raise UsageError(f"rig {rig.name!r} describes no {absent}; add it to its file")
+        self._sensor = rig.accelerometer
+        p = self._conditioning = rig.conditioning
         self.band = Band(p.low_cut_hz, p.high_cut_hz, samplerate)
         self._random = np.random.default_rng(seed)
         # The sample rate shows only a part of the noise in its whole band.

@@ -7,13 +7,13 @@ Exponential time differencing for stiff systems (2002).
 """
 
 import math
+from dataclasses import astuple
 
 import numpy as np
 
 from device.rig.actuator import first_order_hold
-from device.rig.energy_table import table_of
+from device.rig.co_energy import table_of
 from device.rig.equations import Equations
-from device.units import FloatArray
 
 FLOOR = 0.01
 """Errors are shares of a peak, or of this share of Xmax where the peak is less."""
@@ -29,7 +29,8 @@ _TURN, _CONTACT_TURN = 0.35, 0.125
 _COARSE_HZ = 6_000.0
 """Rate at which the first-order correction is computed."""
 _STATES = 5
-_STATE_NUMBERS = 2 * _STATES + 8
+STATE_NUMBERS = 2 * _STATES + 8
+"""Length of the state of a rig; at rest it is 0."""
 
 
 class ModelDesign:
@@ -47,19 +48,16 @@ class ModelDesign:
         self.coarse = max(1, round(samplerate / _COARSE_HZ))
         longest_s = min(LONGEST_STEP_S, _TURN / _fastest_rad_s(e))
         first = max(0, math.ceil(math.log2(self._period_s / longest_s) - 1e-9)) + refine
-        self._levels = 1 + max(
-            first, math.ceil(math.log2(self._period_s / _SHORTEST_STEP_S)) + refine
-        )
+        last = math.ceil(math.log2(self._period_s / _SHORTEST_STEP_S)) + refine
+        self._levels = 1 + max(first, last)
         table, stops = table_of(e.energies, p.x_max_m), e.energies.stops
         least_m = FLOOR * p.x_max_m
-        frame = (
-            (seat.mass_kg, seat.stiffness_n_per_m, seat.damping_n_s_per_m) if seat else (0, 0, 0)
-        )
+        frame = astuple(seat) if seat else (0, 0, 0)
         contact_kg = e.mass * seat.mass_kg / (e.mass + seat.mass_kg) if seat else e.mass
         self._numbers = np.array(
             [
                 e.mass, e.damping, e.stiffness, e.force_factor, e.inductance,
-                e.resistance_ohm, e.linear_resistance_ohm,
+                e.resistance_ohm, e.resistance_ohm,  # now, and at rest
                 stops.start, stops.hardness, e.energies.stop_loss_s_per_m,
                 contact_kg, _CONTACT_TURN / 2**refine,
                 table.lowest_m, table.intervals_per_m, len(table.rows), *frame,
@@ -73,11 +71,11 @@ class ModelDesign:
         maps = []
         for width, entry in ((1, e.entry[:, 1:]), (self.coarse, e.entry)):
             # In coordinates whose squares are energies, entries do not differ by millions.
-            onward, last, new = _holds(
-                scale[:, None] * e.rate / scale, scale[:, None] * entry, width * self._period_s
-            )
-            parts = (onward * scale / scale[:, None], last / scale[:, None], new / scale[:, None])
-            maps.append(np.concatenate([part.ravel() for part in parts]))
+            rate, scaled = scale[:, None] * e.rate / scale, scale[:, None] * entry
+            holds = [first_order_hold(rate, one, width * self._period_s) for one in scaled.T]
+            inputs = [np.column_stack([hold[k] for hold in holds]) for k in (1, 2)]
+            parts = holds[0][0] * scale, *inputs
+            maps.append(np.concatenate([(part / scale[:, None]).ravel() for part in parts]))
         self.arrays = (self._numbers, table.rows, self._steps, *maps)
         self.set_resistance(e.resistance_ohm)
 
@@ -89,34 +87,20 @@ class ModelDesign:
             width_s = self._period_s / 2**level
             self._steps[level] = width_s, decay_per_s, 0.0, 0.0, *_flux_step(decay_per_s, width_s)
 
-    @staticmethod
-    def at_rest() -> FloatArray:
-        """Return the state of a rig at rest."""
-        return np.zeros(_STATE_NUMBERS)
-
 
 def _fastest_rad_s(e: Equations) -> float:
     """Return the rate of the fastest motion that stays below the stops."""
     reach = np.linspace(-1.0, 1.0, 41) * e.actuator.x_max_m
-    stiffness = np.abs(e.energies.potential.jet(reach)[2]).max()
+    stiffness = np.abs(e.energies.spring.jet(reach)[2]).max()
     # The coil's voltage acts like a spring, or like a damper where its current settles sooner.
     spring = e.force_factor / math.sqrt(e.inductance * e.mass)
-    damper = e.force_factor**2 / (e.linear_resistance_ohm * e.mass)
+    damper = e.force_factor**2 / (e.resistance_ohm * e.mass)
     fastest = math.sqrt(stiffness / e.mass) + e.damping / e.mass + min(spring, damper)
     if e.seat:
         big = e.seat.mass_kg
         fastest *= 1.0 + e.mass / big
         fastest += math.sqrt(e.seat.stiffness_n_per_m / big) + e.seat.damping_n_s_per_m / big
     return fastest
-
-
-def _holds(
-    rate: FloatArray, entry: FloatArray, width_s: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the first-order hold of several inputs; see `first_order_hold`."""
-    found = [first_order_hold(rate, column, width_s) for column in entry.T]
-    last, new = (np.column_stack([one[k] for one in found]) for k in (1, 2))
-    return found[0][0], last, new
 
 
 def _flux_step(decay_per_s: float, width_s: float) -> tuple[float, ...]:

@@ -65,18 +65,18 @@ class _Compared:
 
     def begin(self) -> None:
         """Begin another second."""
-        self._wrong, self._peaks = np.zeros(2), self._least.copy()
+        self._wrong, self._peaks = np.zeros(2), self._least
         self._nonlinear = self.actuator.frames_by_model["nonlinear"]
 
     def compare(self, volts: FloatArray, motion: Motion) -> None:
         """Take the motion under some volts."""
         true = self._true.move(volts, SHOWN[:2])
-        for index, name in enumerate(SHOWN[:2]):
-            expected: FloatArray = getattr(true, name)
-            wrong = np.abs(getattr(motion, name) - expected).max(initial=0.0)
-            self._wrong[index] = max(self._wrong[index], wrong)
-            peak = np.abs(expected).max(initial=0.0)
-            self._peaks[index] = max(self._peaks[index], peak)
+        found, expected = (
+            np.array([one.acceleration_m_s2, one.displacement_m]) for one in (motion, true)
+        )
+        wrong = np.abs(found - expected).max(axis=1, initial=0.0)
+        self._wrong = np.maximum(self._wrong, wrong)
+        self._peaks = np.maximum(self._peaks, np.abs(expected).max(axis=1, initial=0.0))
 
     @property
     def error(self) -> float:
@@ -150,10 +150,8 @@ def in_words(seconds: Iterable[SecondReport]) -> list[str]:
         first, last = part[0].second, part[-1].second + 1
         cost_ms = sum(one.cost_ms for one in part) / len(part)
         error = max(one.error_percent for one in part)
-        lines.append(
-            f"{first} to {last} s: {kind}, {cost_ms:.2g} ms of CPU a second, true error up to "
-            f"{error:.2g} %"
-        )
+        cost = f"{cost_ms:.2g} ms of CPU a second"
+        lines.append(f"{first} to {last} s: {kind}, {cost}, true error up to {error:.2g} %")
     return lines
 
 

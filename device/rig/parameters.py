@@ -53,15 +53,13 @@ Model = Literal["auto", "linear", "nonlinear"]
 MODELS: tuple[Model, ...] = get_args(Model)
 LEAST_TOLERANCE = 1e-5
 """The smallest error, as a share of the peak, that a user may ask for."""
-_HIGHEST_TOLERANCE = 1.0
 
 
 def check_tolerance(tolerance: float) -> None:
     """Raise UsageError for a tolerance that is not above 0 and at most 1."""
-    if not 0.0 < tolerance <= _HIGHEST_TOLERANCE:
+    if not 0.0 < tolerance <= 1.0:
         raise UsageError(
-            f"tolerance={tolerance!r} must be above 0 and at most {_HIGHEST_TOLERANCE:g}; "
-            "0.01 allows 1 % of the peak"
+            f"tolerance={tolerance!r} must be above 0 and at most 1; 0.01 allows 1 % of the peak"
         )
 
 
@@ -69,8 +67,7 @@ class Stage:
     """Base of all stages; each field is annotated with its limit."""
 
     def __post_init__(self) -> None:
-        wrong = self.problems(vars(self))
-        if wrong:
+        if wrong := self.problems(vars(self)):
             stage = type(self).__name__.removesuffix("Parameters")
             raise UsageError(f"{stage} of the rig: {'; '.join(wrong)}; correct the rig")
 
@@ -126,30 +123,12 @@ EDDY = ("inductance_eddy_h", "resistance_eddy_ohm")
 class ActuatorParameters(Stage):
     """A voice-coil actuator near its rest position; all but the last two values are above 0.
 
-    Attributes
-    ----------
-    moving_mass_kg : float
-        m.
-    resonance_hz : float
-        f0, undamped.
-    q_mechanical : float
-        Qms: the Q with the coil open.
-    force_factor_n_per_a : float
-        Bl.
-    resistance_ohm : float
-        R of the coil.
-    inductance_h : float
-        L of the coil.
-    x_max_m : float
-        The excursion, either way, up to which the linear model holds.
-    inductance_eddy_h, resistance_eddy_ohm : float
-        L2 and R2 of eddy currents, R2 parallel to L2, in series with L; 0: none. Calibration uses
-        them; the models of the rig leave them out.
-
-    Raises
-    ------
-    UsageError
-        A parameter is out of range.
+    moving_mass_kg: m. resonance_hz: f0, undamped. q_mechanical: Qms, the Q with the coil open.
+    force_factor_n_per_a: Bl. resistance_ohm, inductance_h: R and L of the coil. x_max_m: excursion,
+    either way, up to which the linear model holds. inductance_eddy_h, resistance_eddy_ohm: L2 and
+    R2 of eddy currents, R2 parallel to L2, in series with L; 0: none. Calibration uses them; the
+    models of the rig leave them out.
+    UsageError: a parameter is out of range.
     """
 
     moving_mass_kg: Positive
@@ -166,10 +145,9 @@ class ActuatorParameters(Stage):
     def problems(cls, values: dict[str, Any]) -> list[str]:
         """Return what is wrong with the values; L2 without R2, and R2 without L2, too."""
         found = super().problems(values)
-        eddy = {name: values.get(name, 0.0) for name in EDDY}
-        if not found and len([name for name in EDDY if eddy[name] > 0.0]) == 1:
-            given, other = sorted(EDDY, key=lambda name: -eddy[name])
-            found = [f"{given}={eddy[given]!r} needs {other} above 0 as well, or both must be 0"]
+        other, given = sorted(EDDY, key=lambda name: bool(values.get(name, 0.0)))
+        if not found and values.get(given, 0.0) and not values.get(other, 0.0):
+            found = [f"{given}={values[given]!r} needs {other} above 0 as well, or both must be 0"]
         return found
 
     def coil_ohm(self, s: complex) -> complex:

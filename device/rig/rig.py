@@ -39,35 +39,12 @@ class Source:
 class Rig:
     """One chain from the vibration signal to the seat and back, under a name.
 
-    Attributes
-    ----------
-    name : str
-        The name that `--rig` takes.
-    dac : DacParameters
-        The digital-to-analogue converter.
-    amplifier : AmplifierParameters
-        The power amplifier.
-    actuator : ActuatorParameters
-        The actuator near its rest position.
-    large_signal : LargeSignalParameters | None
-        Its behaviour towards Xmax and beyond.
-    thermal : ThermalParameters | None
-        How its coil warms up.
-    seat : SeatParameters | None
-        The frame, cushion and sitter.
-    accelerometer : AccelerometerParameters | None
-        The sensor at the seat.
-    conditioning : ConditioningParameters | None
-        The sensor's charge amplifier.
-    daq : DaqParameters | None
-        The data-acquisition input.
-    sources : tuple[Source, ...]
-        One for each value whose origin the file states.
-
-    Raises
-    ------
-    UsageError
-        Values of different stages contradict one another; the message names all of them.
+    name: what `--rig` takes. dac, amplifier, actuator: always there, the actuator near its rest
+    position. large_signal: its behaviour towards Xmax and beyond. thermal: how its coil warms up.
+    seat: frame, cushion and sitter. accelerometer, conditioning, daq: sensor at the seat, its
+    charge amplifier, and the data-acquisition input. sources: one for each value whose origin the
+    file states.
+    UsageError: values of different stages contradict one another; the message names all of them.
     """
 
     name: str
@@ -83,8 +60,7 @@ class Rig:
     sources: tuple[Source, ...] = field(default=(), repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        wrong = find_contradictions(self.stages())
-        if wrong:
+        if wrong := find_contradictions(self.stages()):
             raise UsageError(f"rig {self.name!r}: {'; '.join(wrong)}; correct the rig")
 
     def stages(self) -> dict[str, Any]:
@@ -102,6 +78,7 @@ def find_contradictions(stages: dict[str, Any]) -> list[str]:
     get = stages.get
     actuator, amplifier, dac = get("actuator"), get("amplifier"), get("dac")
     large, accelerometer = get("large_signal"), get("accelerometer")
+    conditioning, daq = get("conditioning"), get("daq")
     wrong = []
     if actuator and large and large.stop_m <= actuator.x_max_m:
         wrong.append(
@@ -109,8 +86,7 @@ def find_contradictions(stages: dict[str, Any]) -> list[str]:
             f"actuator.x_max_m={actuator.x_max_m!r}, where the linear range ends"
         )
     if actuator:
-        for name in ("amplifier", "conditioning"):
-            stage = get(name)
+        for name, stage in (("amplifier", amplifier), ("conditioning", conditioning)):
             if stage and not stage.low_cut_hz < actuator.resonance_hz < stage.high_cut_hz:
                 wrong.append(
                     f"actuator.resonance_hz={actuator.resonance_hz!r} must be inside the band of "
@@ -136,7 +112,6 @@ def find_contradictions(stages: dict[str, Any]) -> list[str]:
                 f"amplifier.output_limit_v={amplifier.output_limit_v!r} must be above one step "
                 f"of the DAC after the gain, {step_v:.3g} V"
             )
-    conditioning, daq = get("conditioning"), get("daq")
     if conditioning:
         noise_v = conditioning.noise_pc * conditioning.gain_v_per_pc
         for name, limit_v in (

@@ -26,6 +26,7 @@ from device.rig.rig import SOURCE_KINDS, Rig, Source, find_contradictions
 
 SUFFIX = ".toml"
 SHIPPED = ("paper", "consumer")
+_NAMES = ", ".join(SHIPPED)
 
 STAGES: dict[str, type[Stage]] = {
     stage.name: kind
@@ -42,16 +43,9 @@ AGREEMENT = 0.02
 def read_rig(path: str | Path) -> Rig:
     """Return the rig that a file describes.
 
-    Parameters
-    ----------
-    path : str | Path
-        A TOML file. Without `name` in it, the rig takes the file's name.
-
-    Raises
-    ------
-    UsageError
-        The file cannot be read or is not TOML. Or values are missing, unknown, of the wrong type,
-        out of range or contradictory; the message names all of them.
+    path: a TOML file. Without `name` in it, the rig takes the file's name.
+    UsageError: the file cannot be read or is not TOML. Or values are missing, unknown, of the wrong
+    type, out of range or contradictory; the message names all of them.
     """
     path = Path(path)
     try:
@@ -59,8 +53,7 @@ def read_rig(path: str | Path) -> Rig:
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or "it is not text in UTF-8"
         raise UsageError(
-            f"cannot read the rig file {path}: {reason}; check it, or choose one of: "
-            + ", ".join(SHIPPED)
+            f"cannot read the rig file {path}: {reason}; check it, or choose one of: {_NAMES}"
         ) from None
     return parse_rig(text, path.stem, str(path))
 
@@ -129,6 +122,7 @@ class _Reading:
         """Return the bare value and keep its source, if there is one."""
         if not isinstance(stated, dict):
             return stated
+        value, interval = stated.get("value", math.nan), stated.get("interval")
         kinds = [kind for kind in SOURCE_KINDS if kind in stated]
         unknown = set(stated) - {"value", "interval", *SOURCE_KINDS}
         if "value" not in stated or len(kinds) != 1 or unknown:
@@ -136,15 +130,12 @@ class _Reading:
                 f"{parameter} must be a number or {{ value = ..., KIND = 'why' }} with one KIND "
                 f"of {', '.join(SOURCE_KINDS)}"
             )
-            return stated.get("value", math.nan)
-        value = stated["value"]
-        interval = stated.get("interval")
+            return value
         if interval is not None and not _is_interval(interval, value):
             self.wrong.append(f"{parameter}: interval={interval!r} must be [low, high] around it")
             interval = None
-        words = str(stated[kinds[0]])
         bounds = (float(interval[0]), float(interval[1])) if interval else None
-        self.sources.append(Source(parameter, kinds[0], words, bounds))
+        self.sources.append(Source(parameter, kinds[0], str(stated[kinds[0]]), bounds))
         return value
 
     def _compare(self, actuator: ActuatorParameters, stated: dict[str, Any]) -> None:
@@ -185,20 +176,12 @@ PAPER, CONSUMER = _RIGS["paper"], _RIGS["consumer"]
 def rig_by_name(name: str) -> Rig:
     """Return the shipped rig of that name, or the rig in a file.
 
-    Parameters
-    ----------
-    name : str
-        A shipped rig's name, or a path that ends in .toml.
-
-    Raises
-    ------
-    UsageError
-        No rig has that name; the message lists the names. Or the file is invalid, see `read_rig`.
+    name: a shipped rig's name, or a path that ends in .toml.
+    UsageError: no rig has that name; the message lists the names. Or the file is invalid, see
+    `read_rig`.
     """
     if name in _RIGS:
         return _RIGS[name]
     if name.endswith(SUFFIX):
         return read_rig(name)
-    raise UsageError(
-        f"no rig is named {name!r}; choose one of: {', '.join(_RIGS)}; or a file, NAME{SUFFIX}"
-    )
+    raise UsageError(f"no rig is named {name!r}; choose one of: {_NAMES}; or a file, NAME{SUFFIX}")

@@ -25,17 +25,16 @@ class SimulatedRig:
     move by blocks of 0.1 s counted from the start, and by the rest at `close`. The bytes of a
     record therefore do not depend on how the vibration was cut.
 
-    rig: the rig of all channels, or that of each channel, None where nothing is connected.
-    channels: number of channels, 1 or more; None for as many as rigs are listed. recorder: gets
-    what the accelerometers show, at the same rate and channels, with 1.0 for
-    ACCELERATION_FULL_SCALE_M_S2. It is closed or aborted with the rig. tolerance: none for linear
-    actuators, else the error that `AdaptiveActuator` may make, with the `model`. clock: CPU time in
-    seconds; with it, `seconds` says second by second which model ran, its cost and its true error,
-    for about 5 ms more of CPU a second and actuator. acceleration_m_s2: (frames, channels) of what
-    the last `write` or `close` moved, a new array each time; 0 without a rig.
-    peak_acceleration_m_s2, peak_displacement_m, peak_current_a: largest magnitudes of any channel
-    since the start or `reset`. overcurrent_samples: samples beyond the amplifier's current limit; a
-    real one would limit it or switch off.
+    rig: of all channels, or of each, None where nothing is connected. channels: 1 or more; None for
+    as many as rigs are listed. recorder: gets what the accelerometers show, at the same rate and
+    channels, with 1.0 for ACCELERATION_FULL_SCALE_M_S2; it is closed or aborted with the rig.
+    tolerance: None for linear actuators, else the error that `AdaptiveActuator` may make, with the
+    `model`. clock: CPU time, s; with it, `seconds` says second by second which model ran, its cost
+    and its true error, for about 5 ms more of CPU a second and actuator. acceleration_m_s2:
+    (frames, channels) of what the last `write` or `close` moved, a new array each time; 0 without a
+    rig. peak_acceleration_m_s2, peak_displacement_m, peak_current_a: largest magnitudes of any
+    channel since the start or `reset`. overcurrent_samples: those beyond the amplifier's current
+    limit; a real one would limit it or switch off.
     """
 
     def __init__(
@@ -63,18 +62,10 @@ class SimulatedRig:
         self.channels = len(rigs)
         self._recorder = recorder
         self._closed = False
-        self._stages = [
-            _Stage(
-                one,
-                [k for k, other in enumerate(rigs) if other == one],
-                samplerate,
-                tolerance,
-                model,
-                clock,
-            )
-            for one in dict.fromkeys(rigs)
-            if one is not None
-        ]
+        self._stages: list[_Stage] = []
+        for one in dict.fromkeys(filter(None, rigs)):
+            columns = [column for column, other in enumerate(rigs) if other == one]
+            self._stages.append(_Stage(one, columns, samplerate, tolerance, model, clock))
         chosen = [one for one in self.actuators if isinstance(one, AdaptiveActuator)]
         self._grid_frames = max((one.block_frames for one in chosen), default=0)
         self.reset()
@@ -99,7 +90,10 @@ class SimulatedRig:
     def seconds(self) -> list[SecondReport]:
         """What the models did in each whole second so far, of the rig with the largest error."""
         records = [stage.record.seconds for stage in self._stages if stage.record]
-        return [max(several, key=_error) for several in zip(*records, strict=False)]
+        return [
+            max(several, key=lambda one: one.error_percent)
+            for several in zip(*records, strict=False)
+        ]
 
     def reset(self) -> None:
         """Return to rest and forget peaks and counts; recorded frames stay."""
@@ -107,9 +101,7 @@ class SimulatedRig:
             stage.reset()
         self.acceleration_m_s2: FloatArray = np.zeros((0, self.channels))
         self._waiting: FloatArray = np.zeros((0, self.channels))
-        self.peak_acceleration_m_s2 = 0.0
-        self.peak_displacement_m = 0.0
-        self.peak_current_a = 0.0
+        self.peak_acceleration_m_s2 = self.peak_displacement_m = self.peak_current_a = 0.0
         self.overcurrent_samples = 0
 
     def write(self, vibration: FloatArray | Float32Array) -> None:
@@ -150,13 +142,15 @@ class SimulatedRig:
 
     def close(self) -> None:
         """Move by what waits for the rest of a block, and close the recorder."""
-        if self._grid_frames and not self._closed:
+        if self._closed:
+            return
+        if self._grid_frames:
             waiting, self._waiting = self._waiting, self._waiting[:0]
             self.acceleration_m_s2 = self._move(waiting)
         for stage in self._stages:
-            if stage.record and not self._closed:
+            if stage.record:
                 stage.record.finish()
-        if not self._closed and self._recorder:
+        if self._recorder:
             self._recorder.close()
         self._closed = True
 
@@ -179,8 +173,7 @@ class _Stage:
         model: Model,
         clock: Callable[[], float] | None,
     ) -> None:
-        self.rig = rig
-        self.columns = columns
+        self.rig, self.columns = rig, columns
         self.dac = Dac(rig.dac)
         self.amplifier = Amplifier(rig.amplifier, samplerate)
         source = rig.amplifier.source_impedance_ohm
@@ -209,10 +202,6 @@ class _Stage:
         """Return the amplifier's output, (columns, frames), contiguous."""
         own = vibration[:, self.columns]
         return np.ascontiguousarray(self.amplifier.drive(self.dac.volts(own)).T)
-
-
-def _error(second: SecondReport) -> float:
-    return second.error_percent
 
 
 def _larger(peak: float, samples: FloatArray) -> float:

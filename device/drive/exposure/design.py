@@ -12,7 +12,7 @@ from device.errors import UsageError
 from device.records import Records
 from device.rig import Rig
 from device.rig.actuator import motion_filter
-from device.rig.seat import seat_sections
+from device.rig.equations import seat_sections
 from device.units import FloatArray
 
 _LOWEST_HZ = 6_000

@@ -71,7 +71,7 @@ def protection_records(rig: Rig, samplerate: int, limits: Limits | None = None) 
     period_s = frames / samplerate
     prediction, current_a = _predict(rig, samplerate, frames, limits)
     ambient_c = thermal.ambient_c if thermal else 20.0
-    heating = Temperatures(thermal).step(period_s) if thermal else ()
+    heating = Temperatures(thermal).step(period_s) if thermal else []
     return {
         "models": len(prediction.models),
         "states": prediction.states,

@@ -17,10 +17,9 @@ from device.errors import UsageError
 from device.rig import CONSUMER, PAPER
 from device.rig.actuator import QUANTITIES, LinearActuator
 from device.rig.adaptive_actuator import AdaptiveActuator
-from device.rig.co_energy import energies, linear_energies
-from device.rig.energy_table import table_of
+from device.rig.co_energy import energies, linear_energies, table_of
 from device.rig.equations import Equations
-from device.rig.model_design import ModelDesign
+from device.rig.model_design import STATE_NUMBERS, ModelDesign
 from tests.support.co_energy import stored_energy_j
 from tools.bench.measures.solved_motion import solved_motion
 from tools.bench.sections.model_selection import hard_drives
@@ -146,9 +145,9 @@ def test_the_tables_say_what_the_energies_say(change):
     share = place - np.floor(place)
     cubics = table.rows[place.astype(int)].reshape(-1, 4, 4)
     got = np.einsum("pfk,pk->fp", cubics, share[:, None] ** np.arange(4))
-    _, force_factor, _ = e.co_energy.magnet.jet(x)
-    inductance, slope, _ = e.co_energy.inductance.jet(x)
-    spring = e.potential.jet(x)[1] - e.stops.jet(x)[1]
+    _, force_factor, _ = e.magnet.jet(x)
+    inductance, slope, _ = e.inductance.jet(x)
+    spring = e.spring.jet(x)[1]
     for one, expected in zip(got, (force_factor, 1 / inductance, slope / 2, spring), strict=True):
         assert np.abs(one - expected).max() < 3e-9 * np.abs(expected).max()
 
@@ -316,7 +315,7 @@ def test_left_alone_the_motion_dies_away_over_a_million_samples(model):
 @cache
 def good_arrays():
     design = ModelDesign(Equations(PAPER.actuator, energies(PAPER.actuator, LARGE)), FS, 1e-2)
-    return design.arrays, design.at_rest()
+    return design.arrays, np.zeros(STATE_NUMBERS)
 
 
 def test_arrays_that_do_not_fit_are_refused():

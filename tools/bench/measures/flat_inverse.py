@@ -10,8 +10,6 @@ and W' (rig/co_energy.py) is quadratic in i, so that the current has a closed fo
 motion is that of the linear model, whose state gives the derivatives exactly.
 """
 
-from dataclasses import replace
-
 import numpy as np
 
 from device.errors import UsageError
@@ -45,8 +43,7 @@ class FlatInverse:
         self._p = p
         self._ohm = p.resistance_ohm + source
         self._stop_m = rig.large_signal.stop_m
-        # Without the stops, against which no drive helps.
-        self._energies = energies(p, replace(rig.large_signal, stop_n_per_m2=0.0))
+        self._energies = energies(p, rig.large_signal)
         self.reset()
 
     def reset(self) -> None:
@@ -68,12 +65,12 @@ class FlatInverse:
         jerk = (bl * slope - friction * a - p.stiffness_n_per_m * v) / p.moving_mass_kg
         self.beyond_samples += int(np.count_nonzero(np.abs(x) > self._stop_m))
 
-        _, spring_n, spring_n_m = self._energies.potential.jet(x)
+        # Without the stops, against which no drive helps.
+        _, spring_n, spring_n_m = self._energies.spring.jet(x)
         force_n = p.moving_mass_kg * a + friction * v + spring_n
         force_slope = p.moving_mass_kg * jerk + friction * a + spring_n_m * v
-        co_energy = self._energies.co_energy
-        _, force_factor, force_factor_slope = co_energy.magnet.jet(x)
-        inductance, gradient, curvature = co_energy.inductance.jet(x)
+        _, force_factor, force_factor_slope = self._energies.magnet.jet(x)
+        inductance, gradient, curvature = self._energies.inductance.jet(x)
         # Equals F / Bl for a constant inductance; in this form no digits cancel.
         least = (_WEAKEST * force_factor) ** 2
         root = np.sqrt(np.maximum(force_factor**2 + 2.0 * gradient * force_n, least))

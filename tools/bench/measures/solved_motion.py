@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -10,7 +11,6 @@ from scipy.integrate import solve_ivp
 
 from audioflinger_hook.transform import FloatArray
 from device.rig import Rig
-from device.rig.co_energy import energies
 
 STIFF_PER_S = 1e5
 """From here on the coil's current settles within less than a sample."""
@@ -23,29 +23,49 @@ def rates_of(rig: Rig, *, seat: bool = False) -> Rates:
 
     It returns their rates, and what the samples show: y, y', i, u' and z''.
     """
-    p, e = rig.actuator, energies(rig.actuator, rig.large_signal)
+    p, large = rig.actuator, rig.large_signal
     ohm = p.resistance_ohm + rig.amplifier.source_impedance_ohm
-    magnet, inductance, potential = e.co_energy.magnet, e.co_energy.inductance, e.potential
+    derivatives = _derivatives(rig)
     frame = rig.seat if seat else None
 
     def rates(volt: float, state: list[float]) -> tuple[list[float], list[float]]:
         y, u, i, z, frame_speed = state
         w = u - frame_speed
-        # A divided difference where both ends meet is the derivative.
-        factor, slope = magnet.divided(y, y), inductance.divided(y, y)
-        force = (factor + 0.5 * slope * i) * i - potential.divided(y, y) - p.damping_n_s_per_m * w
-        depth = abs(y) - e.stops.start
-        if depth > 0.0:
-            force -= e.stop_loss_s_per_m * e.stops.hardness * depth * depth * w
+        factor, henry, slope, spring = derivatives(y)
+        force = (factor + 0.5 * slope * i) * i - spring - p.damping_n_s_per_m * w
+        if large and abs(y) > large.stop_m:
+            pressed = large.stop_n_per_m2 * (abs(y) - large.stop_m) ** 2
+            force -= math.copysign(pressed, y) + large.stop_loss_s_per_m * pressed * w
         pushed = 0.0
         if frame:
             resisting = frame.stiffness_n_per_m * z + frame.damping_n_s_per_m * frame_speed
             pushed = -(force + resisting) / frame.mass_kg
-        change = (volt - ohm * i - (factor + slope * i) * w) / inductance.value(y)
+        change = (volt - ohm * i - (factor + slope * i) * w) / henry
         a = force / p.moving_mass_kg
         return [w, a, change, frame_speed, pushed], [y, w, i, a, pushed]
 
     return rates
+
+
+def _derivatives(rig: Rig) -> Callable[[float], tuple[float, float, float, float]]:
+    """Return a function of y: Bl, L, dL/dy and the spring's force, from their closed forms."""
+    p, large = rig.actuator, rig.large_signal
+    factor, henry, stiffness = p.force_factor_n_per_a, p.inductance_h, p.stiffness_n_per_m
+    rise = large.stiffness_rise if large else 0.0
+    loss = large.force_factor_loss if large else 0.0
+    change = large.inductance_change if large else 0.0
+
+    def at(y: float) -> tuple[float, float, float, float]:
+        share = y / p.x_max_m
+        t = math.tanh(share)
+        return (
+            factor / (1.0 + loss / (1.0 - loss) * share * share),
+            henry * (1.0 - change * t),
+            henry * change / p.x_max_m * (t * t - 1.0),
+            stiffness * (1.0 + rise * share * share) * y,
+        )
+
+    return at
 
 
 def solved_motion(
