@@ -93,9 +93,8 @@ def _identify(
     """Return the mode, and the fitted response in the band."""
     electrical = recording.names[0] != "current"
     factors = [MODE, *([LAG] if electrical else []), *([DELAY] if recording.delayed else [])]
-    recording, found, extras, inverted = _fit_mode(
-        recording, factors, on_seat, math.isfinite(x_max_m)
-    )
+    level_known = math.isfinite(x_max_m)
+    recording, found, extras, inverted = _fit_mode(recording, factors, on_seat, level_known)
     on_seat = any(extra.name == "seat" for extra in extras)
     check_converged(recording, found)
     refuse_outside(recording, found.logs[1])
@@ -105,27 +104,20 @@ def _identify(
         "more than one resonance and a seat are in the band, or this is another channel; check "
         "the input, fasten what rattles, or sweep a narrower band around the resonance",
     )
-    values = [found.estimate({index: 1.0}) for index in range(3)]
-    limits = ("sensitivity", WIDEST_SENSITIVITY), ("f0_hz", WIDEST_F0), ("q", WIDEST_Q)
-    for (name, limit), value in zip(limits, values, strict=True):
-        require(name, value, limit, _ADVICE)
-    f = recording.frequencies_hz[recording.band]
+    sensitivity, f0, q = (found.estimate({index: 1.0}) for index in range(3))
+    require("sensitivity", sensitivity, WIDEST_SENSITIVITY, _ADVICE)
+    require("f0_hz", f0, WIDEST_F0, _ADVICE)
+    require("q", q, WIDEST_Q, _ADVICE)
     model = product(*factors, *(extra.factor for extra in extras))
-    shown = model(f, found.logs)[0]
-    moved = recording.excursion_m(shown)
-    sensitivity, f0, q = values
+    shown = model(recording.frequencies_hz[recording.band], found.logs)[0]
     # Clock drift turns the phase by this angle, which at f0 shifts it by angle / (2 Q).
     turned = math.tau * f0.value * recording.drift_reach * recording.sweep.duration_s
     f0 = f0.widen(0.5 * turned / q.value)
-    share = moved / x_max_m
+    share = recording.excursion_m(shown) / x_max_m
     square = excursion_square(share, on_seat)
     f0, q = f0.extend_down(F0_BY_LEVEL * square), q.extend_down(Q_BY_LEVEL * square)
-    corner = corner_of(
-        found,
-        extras,
-        sum(factor.parameters for factor in factors),
-        recording.high_pass_hz or 0.0,
-    )
+    first = sum(factor.parameters for factor in factors)
+    corner = corner_of(found, extras, first, recording.high_pass_hz or 0.0)
     return Mode(f0, q, sensitivity, on_seat, share, found, inverted, corner), shown
 
 
@@ -140,9 +132,7 @@ def _fit_mode(
     for candidate in candidates:
         starts = _starts(candidate, factors)
         simple = fit(candidate, product(*factors), starts)
-        extras = []
-        if LAG in factors:
-            extras.append(_eddy())
+        extras = [_eddy()] if LAG in factors else []
         if recording.high_pass_hz is not None:
             extras.append(high_pass_extra(recording))
         if on_seat is not False and (seat := seat_extra(simple.logs[1], level_known=level_known)):
@@ -157,8 +147,8 @@ def _eddy() -> Extra:
     """Return the effect of eddy currents on the coil's lag under voltage drive."""
     corners = np.log([60.0, 200.0, 600.0])
     starts = tuple(-math.log(math.tau) - np.array([hz, hz - 0.2]) for hz in corners)
-    ends = -math.log(math.tau) - np.log([10e3, 5.0])
-    return Extra("eddy", EDDY, starts, np.full(2, ends[0]), np.full(2, ends[1]))
+    lowest, highest = (np.full(2, -math.log(math.tau * hz)) for hz in (10e3, 5.0))
+    return Extra("eddy", EDDY, starts, lowest, highest)
 
 
 def high_pass_extra(recording: Recording) -> Extra:

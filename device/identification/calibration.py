@@ -146,7 +146,7 @@ def calibrate(
     """
     recordings = play_steps(laboratory, rig, sweep, pairs, on_level, scaled=scaled)
     there = {recording.names: recording for recording in recordings}
-    mode = driven = impedance = level = None
+    mode = driven = impedance = level = drive = None
     x_max_m = rig.actuator.x_max_m if scaled else float("inf")
     if recording := there.get(("current", "acceleration")):
         mode = identify_mode(recording, x_max_m)
@@ -156,7 +156,6 @@ def calibrate(
         level = driven.level_of_x_max if scaled and level is None else level
     if recording := there.get(("voltage", "current")):
         impedance = identify_impedance(recording, level_of_x_max=level or 0.0, mode=mode)
-    drive = None
     if recording := there.get((PLAYED, "voltage")):
         drive = identify_drive(recording, rig, impedance)
     found = Calibration(
@@ -177,16 +176,17 @@ def _add_direct(
     """Add the values that the current shows, without values of the rig's file."""
     mode, impedance = found.mode, found.impedance
     values: Values = {}
+    if impedance is not None:
+        inductances = impedance.inductances(found.sweep.low_hz, found.sweep.high_hz)
+        values = {
+            "actuator.resonance_hz": impedance.f0_hz,
+            "actuator.q_mechanical": impedance.q_mechanical,
+            "actuator.resistance_ohm": impedance.resistance_ohm,
+            **{f"actuator.{name}": value for name, value in inductances.items()},
+        }
     if mode is not None:
         values |= {"actuator.resonance_hz": mode.f0_hz, "actuator.q_mechanical": mode.q}
-    elif impedance is not None:
-        values["actuator.resonance_hz"] = impedance.f0_hz
-        values["actuator.q_mechanical"] = impedance.q_mechanical
     if impedance is not None:
-        values["actuator.resistance_ohm"] = impedance.resistance_ohm
-        ends = found.sweep.low_hz, found.sweep.high_hz
-        for name, value in impedance.inductances(*ends).items():
-            values[f"actuator.{name}"] = value
         rig = _without_eddy(rig)
         if weighed is not None and not found.on_seat:
             values |= by_known_mass(impedance, weighed)
@@ -211,10 +211,10 @@ def _add_by_coil(
     assumed = [name for name in COIL if f"actuator.{name}" in rig.assumed()]
     if not assumed:
         return replace(found, rig=add_values(rig, values, _describe(found)), values=values)
-    driven = found.driven
+    shown = f"{found.driven.f0_hz.value:.2f} Hz with Q {found.driven.q.value:.2f}"
     words = (
-        f"with the assumed {', '.join(assumed)} it gives the mode that was identified, "
-        f"{driven.f0_hz.value:.2f} Hz with Q {driven.q.value:.2f}: {_describe(found)}"
+        f"with the assumed {', '.join(assumed)} it gives the mode that was identified, {shown}: "
+        f"{_describe(found)}"
     )
     return replace(found, rig=add_values(rig, values, words, assumed=True), matched=True)
 
@@ -238,12 +238,9 @@ def _add_drive(found: Calibration) -> Calibration:
     if drive is not None:
         values["amplifier.gain"] = drive.volts.scaled(1.0 / rig.dac.full_scale_v)
         volts = drive.volts.value
+        words = f"only gain times this counts, {volts:.4g} V: {_describe(found)}"
         sources = tuple(
-            replace(
-                source,
-                kind="identified",
-                words=f"only gain times this counts, {volts:.4g} V: {_describe(found)}",
-            )
+            replace(source, kind="identified", words=words)
             if source.parameter == "dac.full_scale_v" and source.kind == "assumed"
             else source
             for source in rig.sources

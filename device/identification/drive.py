@@ -51,8 +51,7 @@ def identify_drive(recording: Recording, rig: Rig, impedance: Impedance | None) 
         starts = tuple(np.log([share * r]) for share in (0.03, 0.3, 3.0, 30.0))
         ends = np.log([1e-3 * r]), np.log([1e4 * r])
         extras.append(Extra("source", load(impedance.admittance(f)), starts, *ends))
-    start = _start(recording)
-    found, chosen, _ = fit_with_extras(recording, factors, [start], extras)
+    found, chosen, _ = fit_with_extras(recording, factors, [_start(recording)], extras)
     check_converged(recording, found)
     check_misfit(
         recording,
@@ -68,8 +67,7 @@ def identify_drive(recording: Recording, rig: Rig, impedance: Impedance | None) 
                 source = None
         first += extra.factor.parameters
     if source is None:
-        loss = 1.0 + rig.amplifier.source_impedance_ohm / rig.actuator.resistance_ohm
-        volts = volts.scaled(loss)
+        volts = volts.scaled(1.0 + rig.amplifier.source_impedance_ohm / rig.actuator.resistance_ohm)
     require("volts per full scale", volts, WIDEST_VOLTS, "raise the level a little")
     corner = corner_of(found, chosen, len(factors), recording.high_pass_hz or 0.0)
     return Drive(volts, corner, source)

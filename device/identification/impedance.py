@@ -41,12 +41,7 @@ from device.identification.recording import ComplexArray, IdentificationError, R
 from device.identification.transfer import check_recording
 from device.units import FloatArray
 
-WIDEST = {
-    "resistance_ohm": 0.05,
-    "f0_hz": 0.03,
-    "q_mechanical": 0.3,
-    "q_electrical": 0.3,
-}
+WIDEST = {"resistance_ohm": 0.05, "f0_hz": 0.03, "q_mechanical": 0.3, "q_electrical": 0.3}
 """Half the widest accepted 95 % interval, as a share."""
 COIL_OHM = 0.3, 150.0
 """Resistances of coils that an amplifier for loudspeakers drives, with room on both sides."""
@@ -210,9 +205,6 @@ def _starts(recording: Recording, law: CoilLaw, near: FloatArray | None) -> list
         re = max(solved[0], 1e-3)
         rise = max(solved[1], 1e-3 * re)
         amplitudes = np.maximum(solved[2:], 1e-6 * re)
-        starts.append(
-            np.concatenate(
-                [[math.log(re), log_hz, log_q, math.log(rise)], np.log(amplitudes), shape]
-            )
-        )
+        first = [math.log(re), log_hz, log_q, math.log(rise)]
+        starts.append(np.concatenate([first, np.log(amplitudes), shape]))
     return starts

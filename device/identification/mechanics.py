@@ -37,19 +37,18 @@ def add_values(rig: Rig, values: Values, words: str, *, assumed: bool = False) -
 
     Values that rely on assumed ones stay "assumed" and have no interval.
     """
-    known = tuple(
-        Source(name, "assumed", words)
-        if assumed
-        else Source(name, "identified", words, estimate.interval)
-        for name, estimate in values.items()
-    )
-    others = tuple(source for source in rig.sources if source.parameter not in values)
+    sources = [source for source in rig.sources if source.parameter not in values]
     found: dict[str, dict[str, float]] = {}
     for parameter, estimate in values.items():
+        sources.append(
+            Source(parameter, "assumed", words)
+            if assumed
+            else Source(parameter, "identified", words, estimate.interval)
+        )
         stage, name = parameter.split(".")
         found.setdefault(stage, {})[name] = estimate.value
     stages = {name: replace(getattr(rig, name), **new) for name, new in found.items()}
-    return replace(rig, **stages, sources=others + known)
+    return replace(rig, **stages, sources=tuple(sources))
 
 
 def format_rig(rig: Rig) -> str:
@@ -60,17 +59,15 @@ def format_rig(rig: Rig) -> str:
         lines += ["", f"[{stage}]"]
         for field in fields(parameters):
             plain = getattr(parameters, field.name)
-            value = _toml(plain)
-            if plain == field.default and f"{stage}.{field.name}" not in sources:
-                continue
-            if source := sources.get(f"{stage}.{field.name}"):
-                interval = ""
+            value, source = _toml(plain), sources.get(f"{stage}.{field.name}")
+            if source:
+                words = f"{source.kind} = {json.dumps(source.words)}"
                 if source.interval:
                     low, high = source.interval
-                    interval = f", interval = [{_toml(low)}, {_toml(high)}]"
-                value = (
-                    f"{{ value = {value}, {source.kind} = {json.dumps(source.words)}{interval} }}"
-                )
+                    words += f", interval = [{_toml(low)}, {_toml(high)}]"
+                value = f"{{ value = {value}, {words} }}"
+            elif plain == field.default:
+                continue
             lines.append(f"{field.name} = {value}")
     return "\n".join(lines) + "\n"
 
@@ -149,8 +146,7 @@ def by_known_mass(impedance: Impedance, mass: Estimate) -> Values:
     """Return Bl for a moving mass, kg, that was weighed, and the mass."""
     half = {index: 0.5 * power for index, power in MOTIONAL.items()}
     alone = multiply_powers([(impedance.fit, half)], math.sqrt(math.tau * mass.value))
-    share = mass.relative / 1.96
-    spread = math.hypot(math.log(alone.high / alone.value), 0.5 * 1.96 * share)
+    spread = math.hypot(math.log(alone.high / alone.value), 0.5 * mass.relative)
     low, high = alone.value * math.exp(-spread), alone.value * math.exp(spread)
     return _checked(Estimate(alone.value, low, high), mass, "weigh the mass again")
 

@@ -68,14 +68,9 @@ class SimulatedLaboratory:
         current_range = min(
             amplifier.current_limit_a, amplifier.output_limit_v / self.rig.actuator.resistance_ohm
         )
-        acceleration, current = (
-            self._add_noise(sweep, signal, np.random.default_rng(seed))
-            for signal, seed in zip(
-                (motion.acceleration_m_s2, motion.current_a),
-                np.random.SeedSequence(self._seed).spawn(2),
-                strict=True,
-            )
-        )
+        first, second = np.random.SeedSequence(self._seed).spawn(2)
+        acceleration = self._add_noise(sweep, motion.acceleration_m_s2, first)
+        current = self._add_noise(sweep, motion.current_a, second)
         read = {
             "acceleration": chain.acceleration_m_s2(acceleration),
             "current": _read_scaled(daq, current_range, rate, self._seed + 2, current),
@@ -103,13 +98,14 @@ class SimulatedLaboratory:
         return recordings
 
     def _add_noise(
-        self, sweep: Sweep, signal: FloatArray, random: np.random.Generator
+        self, sweep: Sweep, signal: FloatArray, seed: np.random.SeedSequence
     ) -> FloatArray:
         if math.isinf(self._snr_db):
             return signal
         sounding = signal[sweep.lead_frames : len(signal) - round(sweep.tail_s * sweep.samplerate)]
         rms = float(np.sqrt(np.mean(sounding**2))) * 10.0 ** (-self._snr_db / 20.0)
-        return np.asarray(signal + rms * random.standard_normal(len(signal)))
+        noise = np.random.default_rng(seed).standard_normal(len(signal))
+        return np.asarray(signal + rms * noise)
 
 
 def through_amplifier(recording: Recording, amplifier: AmplifierParameters) -> Recording:

@@ -89,7 +89,10 @@ def measure_distortion(recording: Recording) -> list[Distortion]:
         if not len(drives) or lead not in fit:
             break  # neither the band nor the recording has room for this and higher orders
         for time_s in fit:
-            part = _cut(impulse, -round(time_s * rate), half)
+            # The impulse response near that time, windowed; the rest is 0.
+            frames = np.arange(-half, half) - round(time_s * rate)
+            part = np.zeros_like(impulse)
+            part[frames] = impulse[frames] * np.hanning(2 * half)
             spectrum = np.abs(rfft(part))[recording.band]
             shares.append(np.interp(order * drives, f, spectrum) / np.interp(drives, f, linear))
         found.append(Distortion(order, drives, shares[0], np.max(shares[1:], axis=0)))
@@ -113,14 +116,6 @@ def _fade_out(frames: int) -> FloatArray:
     fade = max(1, round(_FADE_SHARE * frames))
     window[-fade:] = 0.5 + 0.5 * np.cos(np.pi * np.arange(1, fade + 1) / fade)
     return window
-
-
-def _cut(impulse: FloatArray, centre: int, half: int) -> FloatArray:
-    """Return the impulse response within half frames of a position, windowed; the rest is 0."""
-    frames = np.arange(centre - half, centre + half)
-    part = np.zeros_like(impulse)
-    part[frames] = impulse[frames] * np.hanning(2 * half)
-    return part
 
 
 LOW_COHERENCE = 0.9
@@ -189,9 +184,8 @@ def check_recording(recording: Recording) -> None:
         noise, whole = float(np.std(samples[lead])), float(np.std(samples[sounding]))
         if whole <= _MIN_SIGNAL * noise or not np.any(samples[sounding]):
             raise IdentificationError(
-                f"{name}: no signal, {whole:.3g} r.m.s. during the sweep and {noise:.3g} in "
-                "the silence before it; check power, cables and that channel, or raise the "
-                "level"
+                f"{name}: no signal, {whole:.3g} r.m.s. during the sweep and {noise:.3g} in the "
+                "silence before it; check power, cables and that channel, or raise the level"
             )
     found = estimate_transfer(replace(recording, correction=None))  # without the correction
     coherent = float(np.median(found.coherence))

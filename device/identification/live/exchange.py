@@ -104,16 +104,17 @@ class Exchange:
         if not self._may_play:
             self._listen(frames[:take])
         elif self._got >= self._heard_by and not all(self._heard[i] for i in self._used):
-            silent = next(i for i in self._used if not self._heard[i])
-            self.abort(
-                IdentificationError(
-                    f"{self._names[silent]}: no signal, nothing but zeros for {NO_SIGNAL_S:g} s; "
-                    "check power, cables and that channel, that the input is not muted, and that "
-                    f"the loop's delay is at most {MOST_LATENCY_S:g} s"
-                )
+            self._refuse(
+                next(i for i in self._used if not self._heard[i]),
+                f"no signal, nothing but zeros for {NO_SIGNAL_S:g} s; check power, cables and that "
+                "channel, that the input is not muted, and that the loop's delay is at most "
+                f"{MOST_LATENCY_S:g} s",
             )
         if self._got == len(self._recorded):
             self.ended.set()
+
+    def _refuse(self, channel: int, words: str) -> None:
+        self.abort(IdentificationError(f"{self._names[channel]}: {words}"))
 
     def _check_peaks(self, frames: Float32Array) -> None:
         for channel in self._used:
@@ -121,12 +122,8 @@ class Exchange:
             self._heard[channel] |= peak > 0.0
             if not peak < _CLIPPED:
                 what = "is not a number" if math.isnan(peak) else f"clips at {peak:.4g}"
-                self.abort(
-                    IdentificationError(
-                        f"{self._names[channel]}: the input {what} of its full scale; lower the "
-                        "level, or the gain of that input"
-                    )
-                )
+                advice = "lower the level, or the gain of that input"
+                self._refuse(channel, f"the input {what} of its full scale; {advice}")
                 return
 
     def _listen(self, frames: Float32Array) -> None:
@@ -140,13 +137,11 @@ class Exchange:
         for channel in self._used:
             rms = math.sqrt(max(float(variance[channel]), 0.0))
             if rms > LOUDEST_BACKGROUND:
-                self.abort(
-                    IdentificationError(
-                        f"{self._names[channel]}: {rms:.3g} r.m.s. of full scale before anything "
-                        f"was played, at most {LOUDEST_BACKGROUND} is allowed: something else "
-                        "plays or moves the cushion, or the input is noisy; stop it, or lower the "
-                        "gain of that input"
-                    )
+                self._refuse(
+                    channel,
+                    f"{rms:.3g} r.m.s. of full scale before anything was played, at most "
+                    f"{LOUDEST_BACKGROUND} is allowed: something else plays or moves the cushion, "
+                    "or the input is noisy; stop it, or lower the gain of that input",
                 )
                 return
         self._may_play = True

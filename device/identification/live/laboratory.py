@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -66,12 +66,13 @@ class Inputs:
                 f"channels={shown}: nothing can be identified from that; name acceleration, or "
                 "voltage and current"
             )
-        for name, value in (
-            ("input full scale", self.full_scale_v),
-            ("acceleration sensitivity", self.acceleration_v_per_m_s2),
-            ("shunt", self.shunt_ohm),
-            ("voltage ratio", self.voltage_ratio),
-        ):
+        scales = {
+            "input full scale": self.full_scale_v,
+            "acceleration sensitivity": self.acceleration_v_per_m_s2,
+            "shunt": self.shunt_ohm,
+            "voltage ratio": self.voltage_ratio,
+        }
+        for name, value in scales.items():
             if value is not None and not 0.0 < value < 1e9:
                 raise UsageError(f"{name}={value!r} must be above 0; correct it")
         if self.shunt_ohm is not None and not SHUNT_OHM[0] <= self.shunt_ohm <= SHUNT_OHM[1]:
@@ -100,11 +101,6 @@ class Inputs:
         return cls(names, **{key: value for key, value in known.items() if value is not None})
 
     @property
-    def used(self) -> tuple[int, ...]:
-        """The channels that are used, from 0."""
-        return tuple(i for i, name in enumerate(self.names) if name != UNUSED)
-
-    @property
     def acceleration_scaled(self) -> bool:
         """Whether acceleration is in m/s^2 rather than in shares of full scale."""
         return self.acceleration_v_per_m_s2 is not None
@@ -122,16 +118,10 @@ class Inputs:
     @property
     def pairs(self) -> tuple[Pair, ...]:
         """The available pairs (reference, response)."""
-        there, pairs = set(self.names), []
-        if {"current", "acceleration"} <= there:
-            pairs.append(("current", "acceleration"))
-        if {"voltage", "current"} <= there:
-            pairs.append(("voltage", "current"))
-        if "acceleration" in there:
-            pairs.append(("voltage" if "voltage" in there else DRIVE, "acceleration"))
-        if "voltage" in there:
-            pairs.append((PLAYED, "voltage"))
-        return tuple(pairs)
+        driven = ("voltage" if "voltage" in self.names else DRIVE, "acceleration")
+        known = {*self.names, DRIVE, PLAYED}
+        possible = ("current", "acceleration"), ("voltage", "current"), driven, (PLAYED, "voltage")
+        return tuple(pair for pair in possible if known.issuperset(pair))
 
 
 MOST_CHANGE_PPM = 40.0
@@ -213,63 +203,62 @@ class LiveLaboratory:
         )
         self._transport.run(exchange)
         recorded = exchange.recorded.astype(np.float64)
+        channels = dict(zip(self._inputs.names, recorded.T, strict=True))
+        channels.pop(UNUSED, None)
         if exchange.error is not None:
             if not exchange.played:  # the background was too loud; hum has its own remedy
-                for channel in self._inputs.used:
-                    silence = recorded[:, channel]
-                    name = self._inputs.names[channel]
+                for name, silence in channels.items():
                     check_hum(silence, float(np.std(silence)), sweep.samplerate, name)
             raise exchange.error
         background = exchange.background_frames
         hum_hz = {
-            self._inputs.names[channel]: self._check_signal(
-                recorded[:, channel], background, self._inputs.names[channel]
-            )
-            for channel in self._inputs.used
+            name: self._check_signal(samples, background, name)
+            for name, samples in channels.items()
         }
-        clearest, name = self._clearest()
-        after = recorded[background:, clearest]
-        check_latency(excitation, after, name)
-        for channel in self._inputs.used:
-            self._check_end(recorded[:, channel], background, self._inputs.names[channel])
-        delay = find_delay(excitation, after, name)
-        drift = find_drift(excitation, after, delay, name)
-        self._compare(drift, name)
+        # The channel that shows the playback with the least effect of the rig.
+        clearest = next(
+            n for n in ("loopback", "voltage", "current", "acceleration") if n in channels
+        )
+        after = channels[clearest][background:]
+        check_latency(excitation, after, clearest)
+        for name, samples in channels.items():
+            self._check_end(samples, background, name)
+        delay = find_delay(excitation, after, clearest)
+        drift = find_drift(excitation, after, delay, clearest)
+        self._compare(drift, clearest)
         self.delay_s = delay / sweep.samplerate
         first = background + delay + excitation.sweep_start * (1.0 + 1e-6 * drift.value)
-        read = {}
-        for index in self._inputs.used:
-            samples = resample_to_played(recorded[:, index], first, drift.value, sweep.frames)
-            what = self._inputs.names[index]
-            read[what] = samples * self._inputs.scale(what)
+        read = {
+            name: self._inputs.scale(name)
+            * resample_to_played(samples, first, drift.value, sweep.frames)
+            for name, samples in channels.items()
+        }
         if {"voltage", "current"} <= set(read):
             self.current_turned = float(np.mean(read["voltage"] * read["current"])) < 0.0
             if self.current_turned:
                 read["current"] = -read["current"]
         read[PLAYED] = sweep.samples()
         read[DRIVE] = read.get("loopback", read[PLAYED])
-        return [
-            replace(
-                self._recording(sweep, read, pair),
-                hum_hz=max(hum_hz.get(name, 0.0) for name in pair),
-            )
-            for pair in pairs
-        ]
+        return [self._recording(sweep, read, pair, hum_hz, drift) for pair in pairs]
 
     def _recording(
-        self, sweep: Sweep, read: dict[str, FloatArray], pair: tuple[str, str]
+        self,
+        sweep: Sweep,
+        read: dict[str, FloatArray],
+        pair: tuple[str, str],
+        hum_hz: dict[str, float],
+        drift: Drift,
     ) -> Recording:
         reference, response = pair
-        there = self._inputs.names
-        limits = tuple(self._inputs.scale(name) if name in there else math.inf for name in pair)
+        limits = {name: self._inputs.scale(name) for name in hum_hz}
         delayed = reference == PLAYED or (reference == DRIVE and "loopback" not in read)
-        drift = self._drifts[-1]
         found = Recording(
             sweep,
             read[reference],
             read[response],
             pair,
-            (limits[0], limits[1]),
+            (limits.get(reference, math.inf), limits.get(response, math.inf)),
+            hum_hz=max(hum_hz.get(name, 0.0) for name in pair),
             delayed=delayed,
             polarity_known=response != "acceleration",
             drift_reach=1e-6 * drift.reach if delayed else 0.0,
@@ -277,12 +266,6 @@ class LiveLaboratory:
         if reference in (DRIVE, PLAYED) and self._amplifier is not None:
             found = through_amplifier(found, self._amplifier)
         return found
-
-    def _clearest(self) -> tuple[int, str]:
-        """Return the channel that shows the playback with the least effect of the rig."""
-        names = self._inputs.names
-        name = next(n for n in ("loopback", "voltage", "current", "acceleration") if n in names)
-        return names.index(name), name
 
     def _check_signal(self, samples: FloatArray, background: int, name: str) -> float:
         """Refuse a channel without a signal or with loud hum; return the frequency of its hum."""

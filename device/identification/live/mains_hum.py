@@ -18,31 +18,20 @@ _MOST = 0.3
 """From this share on, the silence is hum; below, it is noise with some hum."""
 
 
-def find_hum(silence: FloatArray, samplerate: float) -> tuple[float, float, float]:
-    """Return the mains hum in (frames,) of silence: frequency, Hz, r.m.s. and share of the power.
-
-    All are 0 if there is none.
-    """
-    time_s = np.arange(len(silence)) / samplerate
-    still = silence - silence.mean()
-    power = float(np.mean(still**2))
-    best = (0.0, 0.0)
-    for hz in MAINS_HZ:
-        turns = math.tau * hz * np.outer(time_s, np.arange(1, HARMONICS + 1))
-        waves = np.concatenate([np.cos(turns), np.sin(turns)], axis=1)
-        hum = waves @ np.linalg.lstsq(waves, still)[0]
-        best = max(best, (float(np.sqrt(np.mean(hum**2))), hz))
-    rms, hz = best
-    share = rms**2 / max(power, 1e-300)
-    return (hz, rms, share) if share > _CLEAR else (0.0, 0.0, 0.0)
-
-
 def check_hum(silence: FloatArray, loud: float, samplerate: float, name: str) -> float:
-    """Return the frequency of the hum that fits must leave out, Hz; 0 if there is none.
+    """Return the frequency of the hum in (frames,) of silence that fits must leave out, Hz, or 0.
 
     IdentificationError: the hum is too large a share of `loud`, the r.m.s. during the sweep.
     """
-    hz, rms, share = find_hum(silence, samplerate)
+    time_s = np.arange(len(silence)) / samplerate
+    still = silence - silence.mean()
+    rms, hz = 0.0, 0.0
+    for mains_hz in MAINS_HZ:
+        turns = math.tau * mains_hz * np.outer(time_s, np.arange(1, HARMONICS + 1))
+        waves = np.concatenate([np.cos(turns), np.sin(turns)], axis=1)
+        hum = waves @ np.linalg.lstsq(waves, still)[0]
+        rms, hz = max((rms, hz), (float(np.sqrt(np.mean(hum**2))), mains_hz))
+    share = rms**2 / max(float(np.mean(still**2)), 1e-300)
     if share > _MOST and rms > MOST_HUM * loud:
         raise IdentificationError(
             f"{name}: mains hum of {hz:g} Hz, {rms:.3g} r.m.s. of full scale, is "
@@ -50,4 +39,4 @@ def check_hum(silence: FloatArray, loud: float, samplerate: float, name: str) ->
             "break the ground loop (a balanced input, a transformer, one socket for all), move "
             "cables away from power supplies, or raise the level"
         )
-    return hz
+    return hz if share > _CLEAR else 0.0

@@ -45,10 +45,10 @@ def find_delay(excitation: Excitation, channel: FloatArray, name: str) -> int:
     """Return the frame of a recorded channel, (frames,), at which the playback begins."""
     mark = excitation.samples[: excitation.sweep_start]
     early = channel[: excitation.sweep_start + round(_EARLY_S * excitation.sweep.samplerate)]
-    found = _peak(excitation, excitation.samples, channel)
-    if found[1] < CLEAREST:  # lost frames blur the whole, but not the first mark
-        found = max(found, _peak(excitation, mark, early), key=lambda one: one[1])
-    peak, clearness = found
+    peak, clearness = _peak(excitation, excitation.samples, channel)
+    if clearness < CLEAREST:  # lost frames blur the whole, but not the first mark
+        by_mark = _peak(excitation, mark, early)
+        peak, clearness = max((peak, clearness), by_mark, key=lambda one: one[1])
     if clearness < CLEAREST:
         raise IdentificationError(
             f"{name} does not follow the sweep: its impulse response is {clearness:.1f} times "
@@ -62,9 +62,8 @@ def check_latency(excitation: Excitation, channel: FloatArray, name: str) -> Non
     """Refuse a recorded channel, (frames,), in which the playback begins too late to fit."""
     rate = excitation.sweep.samplerate
     room = len(channel) - excitation.frames
-    peak, clearness = _peak(
-        excitation, excitation.samples, channel, len(channel) - round(_EARLY_S * rate)
-    )
+    latest = len(channel) - round(_EARLY_S * rate)
+    peak, clearness = _peak(excitation, excitation.samples, channel, latest)
     if peak > room and clearness >= CLEAREST:
         raise IdentificationError(
             f"{name}: the sweep arrives {peak / rate:.2f} s after it was played, at most "
