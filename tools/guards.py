@@ -61,7 +61,7 @@ MUTATIONS = (
     Mutation(
         "the coil counts as held by nothing but its resistance",
         "device/drive/protection/prediction.py",
-        "volts / unmoved_ohm * np.eye(self.states)[LAST]",
+        "volts / unmoved_ohm * np.eye(states)[LAST]",
         "drives[0].i_row",
         f"{RANDOM}::{RANDOM_DRIVES}",
     ),

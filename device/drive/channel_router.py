@@ -41,9 +41,12 @@ class ChannelRouter:
         if before == actuators:
             return True
         routed = self._routed
-        if routed is None or channel_map is None or len(before) != len(actuators):
-            return False
-        if routed.channels != channel_map.channels:
+        if (
+            routed is None
+            or channel_map is None
+            or len(before) != len(actuators)
+            or routed.channels != channel_map.channels
+        ):
             return False
         routed.change(channel_map)
         return True

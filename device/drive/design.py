@@ -28,10 +28,10 @@ class DriveDesign:
     The damping makes up for the strength that it takes. Protection is always on, since a damped
     signal exceeds full scale and must not be clipped.
 
-    samplerate: Hz, 6000 or more. damping: None for none. exposure_cap: one of
-    `CAPS`; above half of the cap's dose the gain falls slowly. limits: None for those of the rig.
-    records: numbers and tables, by name; see `DriveDesign` of the core. worst_second: bound on the
-    dose that a second can add.
+    samplerate: Hz, 6000 or more. damping: None for none. exposure_cap: one of `CAPS`; above half of
+    the cap's dose the gain falls slowly. limits: None for those of the rig. records: numbers and
+    tables, by name; see `DriveDesign` of the core. worst_second: bound on the dose that a second
+    can add.
     UsageError: the sample rate is too low.
     """
 
@@ -46,15 +46,15 @@ class DriveDesign:
     def __post_init__(self) -> None:
         damping = self.damping
         sections = damping.sections(self.samplerate) if damping else np.empty((0, 6))
-        records: Records = {
+        exposure = exposure_records(self.rig, self.samplerate, self.exposure_cap)
+        protection = protection_records(self.rig, self.samplerate, self.limits)
+        records = {
             "damping_gain": damping.gain if damping else 0.0,
             "damping.count": len(sections),
             "damping.sections": sections,
+            **{f"protection.{name}": value for name, value in protection.items()},
+            **{f"exposure.{name}": value for name, value in exposure.items()},
         }
-        exposure = exposure_records(self.rig, self.samplerate, self.exposure_cap)
-        protection = protection_records(self.rig, self.samplerate, self.limits)
-        records |= {f"protection.{name}": value for name, value in protection.items()}
-        records |= {f"exposure.{name}": value for name, value in exposure.items()}
         object.__setattr__(self, "records", records)
         object.__setattr__(self, "worst_second", worst_second(self.rig, self.samplerate))
 

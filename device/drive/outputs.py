@@ -18,15 +18,8 @@ FADE_S = 0.005
 class Driver(Protocol):
     """Processing before an output, such as `Drive`."""
 
-    @property
-    def inputs(self) -> int:
-        """Columns of an input block."""
-        ...
-
-    @property
-    def latency_frames(self) -> int:
-        """Delay of the vibration in frames."""
-        ...
+    inputs: int  # columns of an input block
+    latency_frames: int  # delay of the vibration
 
     def process(self, vibration: FloatArray) -> FloatArray | Float32Array:
         """Return the driven vibration for a block; the block does not change."""
@@ -140,8 +133,7 @@ class FadedOutput(WrappedOutput):
         """Write the frames held back, faded, and finish the output. May be repeated."""
         held, self._held = self._held, self._held[:0]
         shares = (np.arange(len(held)) + 0.5) / max(1, len(held))
-        gains = 0.5 + 0.5 * np.cos(np.pi * shares)
-        self._pass_on(held * gains[:, None])
+        self._pass_on(held * (0.5 + 0.5 * np.cos(np.pi * shares))[:, None])
         super().close()
 
     def abort(self) -> None:

@@ -3,6 +3,7 @@
 No choice rings more than no damping would, at any f0 within `NEVER_WORSE` of the believed one.
 """
 
+import itertools
 from dataclasses import dataclass
 
 from device.drive.damping.design import (
@@ -74,15 +75,9 @@ def choose_damping(
             burst_response(p, damping, detuning=d).against(other).residual_db
             for d, other in zip(detunings, references, strict=True)
         )
-        candidates.append(
-            Candidate(
-                damping,
-                shown,
-                worst_db,
-                affordable=shown.peak_volts_db <= headroom_db,
-                makeup=plain.rms_m_s2 / believed.rms_m_s2,
-            )
-        )
+        affordable = shown.peak_volts_db <= headroom_db
+        makeup = plain.rms_m_s2 / believed.rms_m_s2
+        candidates.append(Candidate(damping, shown, worst_db, affordable, makeup))
     candidates.sort(key=_rank)
     if candidates[0].affordable:
         others = _other_rigs(p, source_impedance_ohm)
@@ -126,12 +121,12 @@ def _rank(candidate: Candidate) -> tuple[bool, float]:
 
 def _dampings(p: ActuatorParameters, source_impedance_ohm: float) -> list[Damping]:
     """Return all candidates at this source impedance."""
-    ringing = resonance_of(p, source_impedance_ohm)
-    inverses = [
-        inverse_damping(p, wanted_q, source_impedance_ohm, caution=caution, shift=shift)
-        for wanted_q in WANTED_Q
-        for caution in CAUTION
-        for shift in SHIFT
-        if wanted_q < caution * ringing.q
+    q = resonance_of(p, source_impedance_ohm).q
+    return [
+        no_damping(source_impedance_ohm),
+        *(
+            inverse_damping(p, wanted_q, source_impedance_ohm, caution=caution, shift=shift)
+            for wanted_q, caution, shift in itertools.product(WANTED_Q, CAUTION, SHIFT)
+            if wanted_q < caution * q
+        ),
     ]
-    return [no_damping(source_impedance_ohm), *inverses]

@@ -15,28 +15,18 @@ HIGHEST_HZ = 80.0
 """End of the standard's weighting; above it the same formula is an extrapolation."""
 
 
-_Part = tuple[tuple[float, float, float], tuple[float, float, float], float]
-
-
-def _w(frequency_hz: float) -> float:
-    return math.tau * frequency_hz
-
-
-def _second(frequency_hz: float, q: float) -> tuple[float, float, float]:
+def _second(frequency_hz: float, q: float) -> FloatArray:
     """1 + s / (Q w) + s^2 / w^2, highest power first."""
-    return (1.0 / _w(frequency_hz) ** 2, 1.0 / (q * _w(frequency_hz)), 1.0)
+    w = math.tau * frequency_hz
+    return np.array([1.0 / w**2, 1.0 / (q * w), 1.0])
 
 
 _BAND_Q = math.sqrt(0.5)
-PARTS: tuple[_Part, ...] = (
-    ((1.0 / _w(0.4) ** 2, 0.0, 0.0), _second(0.4, _BAND_Q), 0.4),
-    ((0.0, 0.0, 1.0), _second(100.0, _BAND_Q), 100.0),
-    ((0.0, 1.0 / _w(12.5), 1.0), _second(12.5, 0.63), 12.5),
-    (
-        tuple(c * (2.37 / 3.35) ** 2 for c in _second(2.37, 0.91)),  # type: ignore[assignment]
-        _second(3.35, 0.91),
-        math.sqrt(2.37 * 3.35),
-    ),
+PARTS: tuple[tuple[FloatArray, FloatArray, float], ...] = (
+    (_second(0.4, _BAND_Q) * [1.0, 0.0, 0.0], _second(0.4, _BAND_Q), 0.4),
+    (np.array([0.0, 0.0, 1.0]), _second(100.0, _BAND_Q), 100.0),
+    (_second(12.5, 1.0) * [0.0, 1.0, 1.0], _second(12.5, 0.63), 12.5),
+    (_second(2.37, 0.91) * (2.37 / 3.35) ** 2, _second(3.35, 0.91), math.sqrt(2.37 * 3.35)),
 )
 """Numerator, denominator (powers of s, highest first) and the frequency that stays exact."""
 

@@ -7,14 +7,13 @@ import math
 import numpy as np
 
 from device.drive.protection.bounding_models import RESERVE, bounding_models
-from device.drive.protection.drive_model import amplifier_sections
+from device.drive.protection.drive_model import DriveModel, amplifier_sections
 from device.drive.protection.limits import APPROACH_S, Limits, limits_of
-from device.drive.protection.prediction import Prediction, most_current_a
+from device.drive.protection.prediction import LANES, prediction_records
 from device.errors import UsageError
 from device.records import Records
 from device.rig import Rig
 from device.rig.thermal import COPPER_PER_K, Temperatures
-from device.units import FloatArray
 
 BLOCK_S = 0.002
 BLOCKS_AHEAD = 2
@@ -32,18 +31,8 @@ RELEASE_S = 0.5
 WANTED_RISE_S, WANTED_FALL_S = 0.03, 2.0
 """Time constants of the wanted power's rise, over a few periods of vibration, and decay."""
 
-NUMBERS = ("reach", "swing", "last_kick", "ring")
-MATRICES = ("excursion_by_state", "state_by_state", "current_by_state", "tail_by_state")
-RESPONSES = ("excursion_by_drive", "state_by_drive", "current_by_drive")
-
-LANES = 8
-"""The core reads groups of this many frames."""
-
 _FINE_HZ = 32_000
 """From here on a block has whole groups."""
-
-_UNREACHABLE = 1e30
-"""In place of infinity, for a reach that is not computed."""
 
 
 def latency_frames(samplerate: int) -> int:
@@ -69,22 +58,12 @@ def protection_records(rig: Rig, samplerate: int, limits: Limits | None = None) 
         )
     frames = _block_frames(samplerate)
     period_s = frames / samplerate
-    prediction, current_a = _predict(rig, samplerate, frames, limits)
+    prediction, current_a = _predict(rig, samplerate, limits)
     ambient_c = thermal.ambient_c if thermal else 20.0
     heating = Temperatures(thermal).step(period_s) if thermal else []
     return {
-        "models": len(prediction.models),
-        "states": prediction.states,
-        "frames": frames,
-        "watched": prediction.watched,
-        "stride": prediction.stride,
-        "tail_points": prediction.tail_points,
-        "currents": len(prediction.current_by_drive),
+        **prediction,
         "hold_blocks": math.ceil(HOLD_S / period_s),
-        **{name: np.minimum(getattr(prediction, name), _UNREACHABLE) for name in NUMBERS},
-        **{name: _padded(getattr(prediction, name), 0) for name in MATRICES},
-        **{name: _padded(getattr(prediction, name), LANES) for name in RESPONSES},
-        "swing_m": prediction.swing_m,
         "level": limits.level,
         "current_a": current_a or 0.0,
         "recovery": period_s / RECOVERY_S,
@@ -103,40 +82,24 @@ def protection_records(rig: Rig, samplerate: int, limits: Limits | None = None) 
     }
 
 
-def _padded(table: FloatArray, least: int) -> FloatArray:
-    """Return a table whose rows end in `least` zeros, and more until they fill whole groups."""
-    numbers = table.shape[-1]
-    zeros = -(-(numbers + least) // LANES) * LANES - numbers
-    return np.pad(table, [(0, 0)] * (table.ndim - 1) + [(0, zeros)])
-
-
 def _block_frames(samplerate: int) -> int:
     """Return the length of a block; a long one has divisors, for few points of a free swing."""
     multiple = 1 if samplerate < _FINE_HZ else LANES
     return multiple * round(BLOCK_S * samplerate / multiple)
 
 
-def _predict(
-    rig: Rig, samplerate: int, frames: int, limits: Limits
-) -> tuple[Prediction, float | None]:
+def _predict(rig: Rig, samplerate: int, limits: Limits) -> tuple[Records, float | None]:
     """Return the prediction, and the limit of the current in A; None if no drive can reach it."""
     volts = rig.dac.full_scale_v * rig.amplifier.gain
     source = rig.amplifier.source_impedance_ohm
     models = bounding_models(rig.actuator, limits, source)
     sections = amplifier_sections(rig.amplifier, models, samplerate)
+    drives = [DriveModel(model, samplerate, source, sections, volts) for model in models]
     current_a = limits.current_a
     if current_a is not None:
-        most_a = most_current_a(models, samplerate, source, sections) * limits.level * volts
+        most_a = max(drive.reach("current_a") for drive in drives) * limits.level * volts
         current_a *= 1.0 - RESERVE
         current_a = current_a if most_a > current_a else None
-    prediction = Prediction(
-        models,
-        samplerate,
-        frames,
-        volts=volts,
-        source_impedance_ohm=source,
-        sections=sections,
-        excursion_m=(1.0 - RESERVE) * limits.excursion_m,
-        current_models=0 if current_a is None else len(models),
-    )
-    return prediction, current_a
+    limited = 0 if current_a is None else len(drives)
+    excursion_m = (1.0 - RESERVE) * limits.excursion_m
+    return prediction_records(drives, _block_frames(samplerate), excursion_m, limited), current_a

@@ -1,5 +1,6 @@
 """The amplifier's band and one actuator behind it, as one step from sample to sample."""
 
+import math
 from collections.abc import Sequence
 from functools import lru_cache
 
@@ -7,7 +8,7 @@ import numpy as np
 import scipy
 
 from device.rig import ActuatorParameters
-from device.rig.actuator import first_order_hold, state_space
+from device.rig.actuator import LinearActuator, Quantity, first_order_hold, state_space
 from device.rig.electronics import Band
 from device.rig.parameters import AmplifierParameters
 from device.units import FloatArray
@@ -20,6 +21,9 @@ of full scale, then two values for each of its sections."""
 _FAR_ABOVE = 20.0
 """A low-pass this many times above the resonance is left out: it changes the level there by 3e-6,
 and the delay that it adds makes no excursion larger."""
+
+_DECAYED = 25.0
+_HORIZON_FRAMES = 1 << 20
 
 
 def amplifier_sections(
@@ -37,10 +41,8 @@ class DriveModel:
 
     Exact for a voltage that is straight between samples. Any thread may use it.
 
-    samplerate: rate in Hz.
-    source_impedance_ohm: of the amplifier.
-    sections: of the amplifier's band, (n, 6).
-    volts: at the actuator for full scale.
+    model: the actuator. samplerate: Hz. source_impedance_ohm: of the amplifier. sections: of its
+    band, (n, 6). volts: at the actuator for full scale.
     step, drive: (states, states) and (states,), for a drive of full scale 1.
     x_row, i_row: (states,): excursion in m and current in A of a state.
     last_kick: norm of the actuator's state after a last output of 1: the root of twice its energy.
@@ -54,6 +56,8 @@ class DriveModel:
         sections: FloatArray,
         volts: float,
     ) -> None:
+        self.model, self.samplerate, self.volts = model, samplerate, volts
+        self.source_impedance_ohm, self._sections = source_impedance_ohm, sections
         hold, from_last, from_new, x_row, i_row = _held(model, samplerate, source_impedance_ohm)
         turn, enter, leave, through = _cascade(sections)
         self.states = LAST + 1 + len(turn)
@@ -69,17 +73,51 @@ class DriveModel:
         self.i_row: FloatArray = np.pad(i_row, (0, self.states - n))
         self.last_kick = float(np.linalg.norm(self.step[:n, LAST]))
 
+    def reach(self, quantity: Quantity) -> float:
+        """Return the largest |quantity| per volt of peak drive: the sum of |impulse response|.
 
-def rings(sections: FloatArray, frames: int) -> FloatArray:
-    """Return the amplifier's output without drive from each state of 1, (2 n, frames)."""
-    shapes = [_section(section)[4] for section in sections]
-    given = []
-    for at, shape in enumerate(shapes):
-        for column in shape.T:
-            state = np.zeros((len(sections), 2))
-            state[at] = column
-            given.append(scipy.signal.sosfilt(sections, np.zeros(frames), zi=state)[0])
-    return np.array(given)
+        Infinity if it decays too slowly; then every block is computed.
+        """
+        frames = self._horizon()
+        if not frames:
+            return math.inf
+        impulse = np.zeros(frames)
+        impulse[0] = 1.0
+        if len(self._sections):
+            impulse = scipy.signal.sosfilt(self._sections, impulse)
+        # The remaining e^-25 is not in the sum.
+        return float(np.abs(self._moved(impulse, quantity)).sum()) * (1.0 + 1e-9)
+
+    def ring(self) -> float:
+        """Return the largest |x|, m per volt, after an amplifier's state of length 1, undriven."""
+        if not len(self._sections):
+            return 0.0
+        frames = self._horizon()
+        if not frames:
+            return math.inf
+        squares = np.zeros(frames)
+        for at, section in enumerate(self._sections):
+            for column in _section(section)[4].T:
+                state = np.zeros((len(self._sections), 2))
+                state[at] = column
+                volts, _ = scipy.signal.sosfilt(self._sections, np.zeros(frames), zi=state)
+                squares += self._moved(volts, "displacement_m") ** 2
+        return math.sqrt(float(squares.max()))
+
+    def _moved(self, volts: FloatArray, quantity: Quantity) -> FloatArray:
+        actuator = LinearActuator(self.model, self.samplerate, self.source_impedance_ohm)
+        moved: FloatArray = getattr(actuator.move(volts, (quantity,)), quantity)
+        return moved
+
+    def _horizon(self) -> int:
+        """Return the frames until all ringing has fallen to e^-25; 0 if too long to compute."""
+        decay = math.pi * self.model.resonance_hz / self.model.q_total(self.source_impedance_ohm)
+        # The amplifier's slowest pair of poles shrinks by e^-slow a second.
+        radii = [math.sqrt(float(a2)) for a2 in self._sections[:, 5]]
+        slow = min((-math.log(radius) * self.samplerate for radius in radii), default=math.inf)
+        # The actuator rings after the amplifier.
+        frames = math.ceil(_DECAYED * self.samplerate * (1.0 / decay + 1.0 / slow))
+        return frames if frames <= _HORIZON_FRAMES else 0
 
 
 @lru_cache(maxsize=64)  # as in rig/actuator.py
