@@ -4,8 +4,8 @@
 | --- | --- |
 | sweep, recording, transfer | the played signal, its recording, and whether it can be used |
 | responses, output_error | models of a response, and their fit |
-| acceleration, impedance, mechanics | f0, Q and sensitivity; R and L; Bl, mass, Qms |
-| drive | volts of full scale, the amplifier's high-pass and source impedance |
+| acceleration, mechanics | f0, Q and sensitivity; Bl, mass, Qms |
+| impedance | R and L; volts of full scale, the amplifier's high-pass and source impedance |
 | calibration | all of these in turn, from low levels up; the rig with its new values |
 | simulated_laboratory | plays sweeps to the simulated rig |
 | live/ | plays sweeps to real devices |

@@ -11,8 +11,12 @@ from typing import Protocol
 import numpy as np
 
 from device.identification.acceleration import Mode, identify_mode
-from device.identification.drive import Drive, identify_drive
-from device.identification.impedance import Impedance, identify_impedance
+from device.identification.impedance import (
+    Drive,
+    Impedance,
+    identify_drive,
+    identify_impedance,
+)
 from device.identification.mechanics import (
     Values,
     add_values,

@@ -1,4 +1,8 @@
-"""The electrical side of a rig from its impedance: Re, coil, f0, Qms, Qes, with intervals."""
+"""The electrical side of a rig, with intervals.
+
+The coil's impedance gives Re, inductance, f0, Qms and Qes; its voltage for the played signal gives
+the drive: volts per full scale, high-pass, source impedance.
+"""
 
 import itertools
 import math
@@ -13,7 +17,10 @@ from device.identification.acceleration import (
     HARDENING,
     Q_BY_LEVEL,
     Mode,
+    corner_of,
     excursion_square,
+    find_delay_s,
+    high_pass_extra,
     refuse_outside,
     seat_extra,
 )
@@ -28,20 +35,24 @@ from device.identification.coil_laws import (
 )
 from device.identification.output_error import (
     Estimate,
+    Extra,
     Fit,
     Known,
     check_converged,
     check_misfit,
     fit,
+    fit_with_extras,
     penalty,
     require,
     unlimited,
 )
 from device.identification.recording import ComplexArray, IdentificationError, Recording
 from device.identification.transfer import check_recording
+from device.rig.rig import Rig
 from device.units import FloatArray
 
 WIDEST = {"resistance_ohm": 0.05, "f0_hz": 0.03, "q_mechanical": 0.3, "q_electrical": 0.3}
+WIDEST_VOLTS = 0.05
 """Half the widest accepted 95 % interval, as a share."""
 COIL_OHM = 0.3, 150.0
 """Resistances of coils that an amplifier for loudspeakers drives, with room on both sides."""
@@ -208,3 +219,63 @@ def _starts(recording: Recording, law: CoilLaw, near: FloatArray | None) -> list
         first = [math.log(re), log_hz, log_q, math.log(rise)]
         starts.append(np.concatenate([first, np.log(amplitudes), shape]))
     return starts
+
+
+LEAST_SOURCE = 1e-3
+"""A source impedance below this share of the coil's resistance is negligible."""
+
+
+@dataclass(frozen=True)
+class Drive:
+    """The amplifier, as the coil's voltage for the played signal shows it."""
+
+    volts: Estimate  # without a load, for a sample of 1.0
+    high_pass_hz: Estimate | None  # None: that of the rig
+    source_ohm: Estimate | None  # None: that of the rig
+
+
+def identify_drive(recording: Recording, rig: Rig, impedance: Impedance | None) -> Drive:
+    """Return the drive from a recording of the coil's voltage for the played signal.
+
+    The response must be divided by the band of the rig's amplifier. impedance: that of the coil,
+    which reveals the source impedance; None if the current was not measured.
+    """
+    f = recording.frequencies_hz[recording.band][recording.usable]
+    factors = [responses.GAIN, *([responses.DELAY] if recording.delayed else [])]
+    extras = [high_pass_extra(recording)]
+    if impedance:
+        r = impedance.resistance_ohm.value
+        starts = tuple(np.log([share * r]) for share in (0.03, 0.3, 3.0, 30.0))
+        ends = np.log([1e-3 * r]), np.log([1e4 * r])
+        extras.append(Extra("source", responses.load(impedance.admittance(f)), starts, *ends))
+    found, chosen, _ = fit_with_extras(recording, factors, [_drive_start(recording)], extras)
+    check_converged(recording, found)
+    check_misfit(
+        recording,
+        found,
+        "this is not an amplifier with one high-pass; switch off equalisers, and check the inputs",
+    )
+    volts, source = found.estimate({0: 1.0}), None
+    first = len(factors)
+    for extra in chosen:
+        if extra.name == "source" and impedance:
+            source = found.estimate({first: 1.0})
+            if source.value < LEAST_SOURCE * impedance.resistance_ohm.value:
+                source = None
+        first += extra.factor.parameters
+    if source is None:
+        volts = volts.scaled(1.0 + rig.amplifier.source_impedance_ohm / rig.actuator.resistance_ohm)
+    require("volts per full scale", volts, WIDEST_VOLTS, "raise the level a little")
+    corner = corner_of(found, chosen, len(factors), recording.high_pass_hz or 0.0)
+    return Drive(volts, corner, source)
+
+
+def _drive_start(recording: Recording) -> FloatArray:
+    """Return the logarithm of the gain and, if there is one, the delay."""
+    f = recording.frequencies_hz[recording.band]
+    played = recording.reference_spectrum[recording.band]
+    measured = recording.response_spectrum[recording.band]
+    gain = math.log(float(np.linalg.norm(measured) / np.linalg.norm(played)))
+    if not recording.delayed:
+        return np.array([gain])
+    return np.array([gain, find_delay_s(f, played.conj() * measured) / responses.DELAY_S])

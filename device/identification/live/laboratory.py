@@ -11,7 +11,6 @@ import numpy as np
 
 from device.errors import UsageError
 from device.identification.live.exchange import Exchange
-from device.identification.live.mains_hum import check_hum
 from device.identification.live.two_clocks import (
     Drift,
     DropoutError,
@@ -35,8 +34,6 @@ DRIVE = "drive"
 
 MOST_CHANNELS = 32
 
-Pair = tuple[str, str]
-
 
 @dataclass(frozen=True)
 class Inputs:
@@ -53,10 +50,14 @@ class Inputs:
         unknown = [name for name in used if name not in QUANTITIES]
         twice = sorted({name for name in used if used.count(name) > 1})
         shown = ",".join(self.names)
-        if unknown or twice or not 1 <= len(self.names) <= MOST_CHANNELS:
+        what = ""
+        if unknown:
+            what = f"{unknown[0]!r} is unknown"
+        elif twice:
+            what = f"{', '.join(twice)} twice"
+        elif not 1 <= len(self.names) <= MOST_CHANNELS:
             what = f"1 to {MOST_CHANNELS} channels are possible"
-            if unknown or twice:
-                what = f"{unknown[0]!r} is unknown" if unknown else f"{', '.join(twice)} twice"
+        if what:
             raise UsageError(
                 f"channels={shown}: {what}; name each input in order, of "
                 f"{', '.join(QUANTITIES)}, and {UNUSED} for one that is not used"
@@ -85,8 +86,7 @@ class Inputs:
         if physical and self.full_scale_v is None:
             raise UsageError(
                 f"channels={shown}: volts, amperes and an acceleration sensitivity need the "
-                "input's full scale; give --input-full-scale-v V, the peak volts of a sample of "
-                "1.0"
+                "input's full scale; give --input-full-scale-v V, the peak volts of a sample of 1.0"
             )
         if "current" in used and self.shunt_ohm is None:
             raise UsageError(
@@ -116,7 +116,7 @@ class Inputs:
         return volts * self.voltage_ratio if name == "voltage" else 1.0
 
     @property
-    def pairs(self) -> tuple[Pair, ...]:
+    def pairs(self) -> tuple[tuple[str, str], ...]:
         """The available pairs (reference, response)."""
         driven = ("voltage" if "voltage" in self.names else DRIVE, "acceleration")
         known = {*self.names, DRIVE, PLAYED}
@@ -133,6 +133,16 @@ MOST_TRIES = 3
 _MIN_SIGNAL = 1.5
 _MAX_AFTER = 0.1
 _REST_S = 0.2
+
+MAINS_HZ = 50.0, 60.0
+HARMONICS = 8
+MOST_HUM = 0.05
+"""Largest r.m.s. of the hum as a share of that during the sweep. Fits leave out its lines; louder
+hum hides the marks that compare the clocks."""
+_CLEAR = 0.02
+"""Smallest share of the silence's power that counts as hum; in white noise it is 0.1 %."""
+_MOST = 0.3
+"""From this share on, the silence is hum; below, it is noise with some hum."""
 
 
 class Transport(Protocol):
@@ -208,7 +218,7 @@ class LiveLaboratory:
         if exchange.error is not None:
             if not exchange.played:  # the background was too loud; hum has its own remedy
                 for name, silence in channels.items():
-                    check_hum(silence, float(np.std(silence)), sweep.samplerate, name)
+                    _check_hum(silence, float(np.std(silence)), sweep.samplerate, name)
             raise exchange.error
         background = exchange.background_frames
         hum_hz = {
@@ -270,7 +280,7 @@ class LiveLaboratory:
     def _check_signal(self, samples: FloatArray, background: int, name: str) -> float:
         """Refuse a channel without a signal or with loud hum; return the frequency of its hum."""
         noise, whole = (float(np.std(s)) for s in (samples[:background], samples[background:]))
-        hum_hz = check_hum(samples[:background], whole, self._transport.samplerate, name)
+        hum_hz = _check_hum(samples[:background], whole, self._transport.samplerate, name)
         if whole <= _MIN_SIGNAL * noise or whole == 0.0:
             raise IdentificationError(
                 f"{name}: no signal, {whole:.3g} r.m.s. of full scale during the sweep and "
@@ -298,3 +308,27 @@ class LiveLaboratory:
                     "sweep again"
                 )
         self._drifts.append(drift)
+
+
+def _check_hum(silence: FloatArray, loud: float, samplerate: float, name: str) -> float:
+    """Return the frequency of the hum in (frames,) of silence that fits must leave out, Hz, or 0.
+
+    IdentificationError: the hum is too large a share of `loud`, the r.m.s. during the sweep.
+    """
+    time_s = np.arange(len(silence)) / samplerate
+    still = silence - silence.mean()
+    rms, hz = 0.0, 0.0
+    for mains_hz in MAINS_HZ:
+        turns = math.tau * mains_hz * np.outer(time_s, np.arange(1, HARMONICS + 1))
+        waves = np.concatenate([np.cos(turns), np.sin(turns)], axis=1)
+        hum = waves @ np.linalg.lstsq(waves, still)[0]
+        rms, hz = max((rms, hz), (float(np.sqrt(np.mean(hum**2))), mains_hz))
+    share = rms**2 / max(float(np.mean(still**2)), 1e-300)
+    if share > _MOST and rms > MOST_HUM * loud:
+        raise IdentificationError(
+            f"{name}: mains hum of {hz:g} Hz, {rms:.3g} r.m.s. of full scale, is "
+            f"{100 * rms / loud:.2g} % of the signal, at most {100 * MOST_HUM:g} % is allowed; "
+            "break the ground loop (a balanced input, a transformer, one socket for all), move "
+            "cables away from power supplies, or raise the level"
+        )
+    return hz if share > _CLEAR else 0.0
