@@ -76,15 +76,12 @@ class Drive:
         if self.outputs > ACTUATORS:
             raise UsageError(f"{self.outputs} actuators are too many; at most {ACTUATORS} play")
         delay_frames_max = round(1e-3 * DELAY_MAX_MS * samplerate) if actuators else 0
+        columns = 1 if actuators else channels
         self._core = core = Core(
             core_design(
-                samplerate,
-                self.inputs,
-                drives=designs if actuators else designs * channels,
-                delay_frames_max=delay_frames_max,
+                samplerate, self.inputs, drives=designs * columns, delay_frames_max=delay_frames_max
             )
         )
-        columns = 1 if actuators else channels
         self.processors = driven_rigs(designs, core.controls, core.readings, columns)
         for index in range(self.outputs):
             core.controls.actuators[index].source = index

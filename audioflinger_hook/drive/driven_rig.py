@@ -22,11 +22,8 @@ class DrivenRig:
     def __init__(
         self, design: DriveDesign, controls: Controls, readings: Readings, slots: range
     ) -> None:
-        self.design = design
-        self.rig = design.rig
-        self.exposure_cap = design.exposure_cap
-        self.knows_seat = design.knows_seat
-        self.makeup_db = design.makeup_db
+        self.design, self.rig, self.exposure_cap = design, design.rig, design.exposure_cap
+        self.knows_seat, self.makeup_db = design.knows_seat, design.makeup_db
         self.latency_frames = design.latency_frames
         self.channels = len(slots)
         self._core_controls, self._core_readings = controls, readings

@@ -73,8 +73,8 @@ class SafetyBounds:
         warm.magnet_k = max(0.0, known.magnet_c - ambient_c)
         count = max(1, math.ceil(min(seconds, 60.0) / _STEP_S)) if most_w else 1
         for _ in range(count if seconds else 0):
-            allowed_w = power_to_limit_w(warm, limit_c - ambient_c) if most_w else 0.0
-            warm.heat(min(most_w, allowed_w), seconds / count)
+            power_w = min(most_w, power_to_limit_w(warm, limit_c - ambient_c))
+            warm.heat(power_w, seconds / count)
         # A step may end microkelvins above the limit that protection keeps.
         coil_c = min(ambient_c + warm.coil_k, max(limit_c, known.coil_c))
         return replace(state, coil_c=coil_c, magnet_c=ambient_c + warm.magnet_k)

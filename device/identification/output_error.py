@@ -91,8 +91,7 @@ def multiply_powers(parts: Sequence[tuple[Fit, dict[int, float]]], factor: float
     log, variance = math.log(factor), 0.0
     for fit, powers in parts:
         row = np.zeros(len(fit.logs))
-        for index, power in powers.items():
-            row[index] = power
+        row[list(powers)] = list(powers.values())
         log += float(row @ fit.logs)
         variance += float(row @ fit.covariance @ row)
     reach = _NORMAL_95 * math.sqrt(variance) if variance >= 0.0 else math.inf
@@ -115,9 +114,8 @@ class Known:
 
     def slopes(self, parameters: int) -> FloatArray:
         """Return the derivatives of `misses`."""
-        rows = np.zeros((len(self.logs), parameters))
-        rows[:, self.first : self.first + len(self.logs)] = np.diag(1.0 / self.deviation)
-        return rows
+        after = parameters - self.first - len(self.logs)
+        return np.pad(np.diag(1.0 / self.deviation), ((0, 0), (self.first, after)))
 
 
 def fit(

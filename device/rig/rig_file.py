@@ -110,10 +110,8 @@ class _Reading:
         self.wrong += [f"{name}.{problem}" for problem in kind.problems(values)]
         if len(self.wrong) > before:
             return None
-        for key, value in values.items():
-            if get_args(known[key].type)[0] is float:
-                values[key] = float(value)
-        stage = kind(**values)
+        are_floats = {key: get_args(known[key].type)[0] is float for key in values}
+        stage = kind(**{k: float(v) if are_floats[k] else v for k, v in values.items()})
         if isinstance(stage, ActuatorParameters):
             self._compare(stage, stated)
         return stage
@@ -165,8 +163,8 @@ def _is_interval(interval: Any, value: Any) -> bool:
 
 
 def _shipped(name: str) -> Rig:
-    file = files("device.rig").joinpath(name + SUFFIX)
-    return parse_rig(file.read_text(encoding="utf-8"), name, f"{name}{SUFFIX} of this package")
+    text = files("device.rig").joinpath(name + SUFFIX).read_text(encoding="utf-8")
+    return parse_rig(text, name, f"{name}{SUFFIX} of this package")
 
 
 _RIGS = {name: _shipped(name) for name in SHIPPED}

@@ -32,8 +32,7 @@ class Resonance:
 
         The discrete model of the actuator has the same poles, so they cancel exactly at any rate.
         """
-        w = math.tau * self.frequency_hz
-        damping = 1.0 / (2.0 * self.q)
+        w, damping = math.tau * self.frequency_hz, 1.0 / (2.0 * self.q)
         root = np.sqrt(complex(damping**2 - 1.0))
         pair = np.exp(np.array([-damping + root, -damping - root]) * w / samplerate)
         return np.array([1.0, -(pair[0] + pair[1]).real, (pair[0] * pair[1]).real])
@@ -82,14 +81,12 @@ def inverse_sections(ringing: Resonance, wanted: Resonance, samplerate: float) -
 class Damping:
     """One damping filter, and the amplifier that it is meant for.
 
-    name: kind of filter.
     source_impedance_ohm: of the amplifier; 0 (voltage drive) damps (Qts), large: current drive
         (Qms).
     ringing, wanted: the resonance that the filter removes, and the one that replaces it.
     gain: additional factor.
     """
 
-    name: str
     source_impedance_ohm: float
     ringing: Resonance | None = None
     wanted: Resonance | None = None
@@ -110,7 +107,7 @@ class Damping:
 
 def no_damping(source_impedance_ohm: float = 0.0) -> Damping:
     """Return a filter that changes nothing: only the amplifier's source impedance damps."""
-    return Damping("none", source_impedance_ohm)
+    return Damping(source_impedance_ohm)
 
 
 def inverse_damping(
@@ -130,9 +127,5 @@ def inverse_damping(
     """
     ringing = resonance_of(p, source_impedance_ohm)
     frequency_hz = shift * ringing.frequency_hz
-    return Damping(
-        "inverse",
-        source_impedance_ohm,
-        ringing=Resonance(frequency_hz, caution * ringing.q),
-        wanted=Resonance(frequency_hz, wanted_q),
-    )
+    removed = Resonance(frequency_hz, caution * ringing.q)
+    return Damping(source_impedance_ohm, removed, Resonance(frequency_hz, wanted_q))

@@ -65,28 +65,20 @@ class Residual:
 
 
 def burst_response(
-    p: ActuatorParameters,
-    damping: Damping,
-    *,
-    detuning: float = 0.0,
-    mass: float = 1.0,
+    p: ActuatorParameters, damping: Damping, *, detuning: float = 0.0, mass: float = 1.0
 ) -> BurstResponse:
     """Return the response of the linear model; see the definitions above.
 
     p: the believed actuator; detuning: share by which the true f0 differs.
     """
-    true = vary(detune(p, detuning), mass)
-    longest_s = decay_s(true, damping.source_impedance_ohm)
-    frames = round((BURST_S + max(longest_s, BURST_S)) * SAMPLERATE)
+    true, source = vary(detune(p, detuning), mass), damping.source_impedance_ohm
+    frames = round((BURST_S + max(decay_s(true, source), BURST_S)) * SAMPLERATE)
     burst = sine_burst(frames, BURST_S, p.resonance_hz)
-    source = damping.source_impedance_ohm
     # Scaled so that a current source gives about the same volts.
     drive = damping.filtered(burst, SAMPLERATE) * (1.0 + source)
-    motion = LinearActuator(true, SAMPLERATE, source).move(
-        drive.astype(np.float64), ("acceleration_m_s2", "current_a")
-    )
-    volts = drive - source * motion.current_a
-    return measured(motion.acceleration_m_s2, volts)
+    actuator = LinearActuator(true, SAMPLERATE, source)
+    motion = actuator.move(drive, ("acceleration_m_s2", "current_a"))
+    return measured(motion.acceleration_m_s2, drive - source * motion.current_a)
 
 
 def measured(acceleration_m_s2: FloatArray, volts: FloatArray) -> BurstResponse:

@@ -130,7 +130,7 @@ def test_driven_by_current_it_rings_at_f0_with_the_mechanical_q():
 @pytest.mark.parametrize("samplerate", [1_000, 8_000, 48_000, 192_000])
 def test_the_inverse_makes_one_resonance_another_at_any_rate(samplerate):
     ringing, wanted = Resonance(91.0, 3.0), Resonance(91.0, 0.6)
-    damping = Damping("inverse", 0.0, ringing, wanted)
+    damping = Damping(0.0, ringing, wanted)
     frames = samplerate // 5
     impulse = np.zeros(frames)
     impulse[0] = 1.0
@@ -145,9 +145,7 @@ def test_the_inverse_makes_one_resonance_another_at_any_rate(samplerate):
 @given(st.floats(10.0, 400.0), st.floats(0.6, 50.0), st.floats(0.3, 1.0))
 def test_the_inverse_needs_no_more_level_for_any_steady_tone(frequency_hz, q, share):
     wanted = Resonance(frequency_hz, max(0.3, share * q))
-    b0, b1, b2, _, a1, a2 = Damping("x", 0.0, Resonance(frequency_hz, q), wanted).sections(48_000)[
-        0
-    ]
+    b0, b1, b2, _, a1, a2 = Damping(0.0, Resonance(frequency_hz, q), wanted).sections(48_000)[0]
     z = np.exp(-1j * math.tau * np.geomspace(1.0, 24_000.0, 500) / 48_000)
     gain = np.abs((b0 + b1 * z + b2 * z**2) / (1 + a1 * z + a2 * z**2))
     # The sampled pair's peak is flatter than the analogue one's by (w0 T)^2.
