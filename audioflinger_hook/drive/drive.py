@@ -29,15 +29,13 @@ class Drive:
 
     One thread calls `process`, `drain` and `flush`; any thread may call the rest.
 
-    actuators: what each actuator plays; empty for one on each channel of the vibration.
-    samplerate: rate in Hz.
-    channels: number of channels of the vibration; used only if no actuators are named.
+    actuators: what each actuator plays; empty for one on each channel of the vibration. samplerate:
+    Hz. channels: number of channels of the vibration; used only if no actuators are named.
     rig, damping, protection, exposure_cap: values for actuators that do not set their own.
-    sources: names of the input columns; empty if no actuators are named.
-    inputs, outputs: columns of the blocks that come and leave.
-    processors: readings of each actuator's rig, None if its settings are all "off"; one for all
-        channels, if no actuators are named.
-    latency_frames: latency of all actuators in frames, without their `delay_ms`.
+    sources: names of the input columns; empty if no actuators are named. inputs, outputs: columns
+    of the blocks that come and leave. processors: readings of each actuator's rig, None if its
+    settings are all "off"; one for all channels, if no actuators are named. latency_frames: latency
+    of all actuators in frames, without their `delay_ms`.
     UsageError: there is no such rig, the sample rate is too low for its processing, or there are
         more than 64 actuators.
     """

@@ -66,9 +66,8 @@ class ChannelMap:
     ) -> ChannelMap:
         """Return the map for the actuators' channels; channels without an actuator are silent.
 
-        wiring: the channels of each actuator.
-        channels, positions, device: the device's number of channels, their names in order, empty
-            if they have none, and the device's name for messages.
+        wiring: the channels of each actuator. channels, positions, device: the device's number of
+        channels, their names in order, empty if they have none, and its name for messages.
         UsageError: an actuator has no channel, a channel has two actuators, or the device has no
             such channel.
         """

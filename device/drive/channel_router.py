@@ -18,9 +18,8 @@ Fill = Callable[[Float32Array, float], None]
 class ChannelRouter:
     """Routes actuators to one output's channels; outlives the output's streams.
 
-    For the supervising thread alone.
-
-    actuators: the named actuators; if empty, the vibration's channels repeat over the device's.
+    For the supervising thread alone. actuators: those that are named; if there are none, the
+    vibration's channels repeat over the device's.
     """
 
     def __init__(self, actuators: Sequence[ActuatorSettings]) -> None:
@@ -57,8 +56,6 @@ class RoutedFill:
 
     The output's thread calls `fill`; any thread may call `change`.
 
-    fill: writes the actuators' signals.
-    channel_map: which actuator each channel plays.
     block_frames: usual length of a block; another length allocates new memory.
     """
 

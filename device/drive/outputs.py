@@ -110,10 +110,8 @@ class FadedOutput(WrappedOutput):
     """Fades the last frames before it closes an output, by a raised cosine, at the same length.
 
     For files whose end cuts the sound off. A file that is shorter than the fade is faded from its
-    first frame on.
-
-    frames: length of the fade, 0 for none.
-    peak: largest magnitude that was written so far; 1.0 is full scale.
+    first frame on. frames: length of the fade, 0 for none. peak: largest magnitude that was written
+    so far; 1.0 is full scale.
     """
 
     def __init__(self, output: VibrationOutput, frames: int) -> None:

@@ -31,19 +31,13 @@ _BETTER = 0.98
 
 @dataclass(frozen=True)
 class Candidate:
-    """A damping and its residual, compared with undamped current drive.
-
-    as_believed: residual of the rig as identified.
-    worst_db: largest residual of all possible rigs.
-    affordable: whether the peak volts for the identified rig are within the headroom.
-    makeup: factor on the drive that makes a burst as strong as one without damping.
-    """
+    """A damping and its residual, compared with undamped current drive."""
 
     damping: Damping
-    as_believed: Residual
-    worst_db: float
-    affordable: bool
-    makeup: float
+    as_believed: Residual  # of the rig as identified
+    worst_db: float  # largest residual of all possible rigs
+    affordable: bool  # the peak volts for the identified rig are within the headroom
+    makeup: float  # factor on the drive that makes a burst as strong as one without damping
 
 
 def choose_damping(
@@ -58,10 +52,9 @@ def choose_damping(
     Best is the least residual in the worst case. Takes about a second. If no candidate is within
     the headroom, the first needs the fewest volts of all, and its `affordable` is False.
 
-    p: the actuator as identified.
-    uncertainty: share by which f0 may differ in either direction, 0 to 0.5.
-    headroom_db: available peak volts above those of undamped current drive for equal vibration.
-    source_impedance_ohm: of the amplifier.
+    p: the actuator as identified. uncertainty: share by which f0 may differ in either direction, 0
+    to 0.5. headroom_db: available peak volts above those of undamped current drive for equal
+    vibration. source_impedance_ohm: of the amplifier.
     """
     detunings = sorted({0.0, -uncertainty, uncertainty})
     references = [undamped(p, detuning=d) for d in detunings]

@@ -33,18 +33,12 @@ _DECAYS = 12.0
 
 @dataclass(frozen=True)
 class BurstResponse:
-    """The response to one burst.
+    """The response to one burst; see the definitions above."""
 
-    residual: energy after the burst, as a share of the energy within the burst.
-    settling_s: settling time.
-    peak_v: peak volts for 1 m/s² r.m.s. within the burst.
-    rms_m_s2: r.m.s. acceleration in the burst, for a drive of 1 V (current source: about 1 A).
-    """
-
-    residual: float
+    residual: float  # energy after the burst, as a share of that within it
     settling_s: float
-    peak_v: float
-    rms_m_s2: float
+    peak_v: float  # for 1 m/s² r.m.s. within the burst
+    rms_m_s2: float  # in the burst, for a drive of 1 V (current source: about 1 A)
 
     def against(self, reference: "BurstResponse") -> "Residual":
         """Return the difference from another response in dB."""

@@ -68,12 +68,10 @@ act at half of the dose, 71 % of the A(8) limit."""
 class Exposure:
     """Readings of the weighted acceleration so far, each of the channel where it is largest.
 
-    time_s: duration.
-    running_m_s2, rms_m_s2: r.m.s. of about the last second, and of all the time.
-    a8_m_s2: A(8), the same energy spread over eight hours.
-    vdv: vibration dose value in m/s^1.75.
+    time_s: duration. running_m_s2, rms_m_s2: r.m.s. of about the last second, and of all the time.
+    a8_m_s2: A(8), the same energy spread over eight hours. vdv: vibration dose value in m/s^1.75.
     extrapolated: share of the weighted energy above 80 Hz, where ISO 2631-1 gives no weighting; of
-        the channel with the largest A(8).
+    the channel with the largest A(8).
     """
 
     time_s: float

@@ -56,16 +56,13 @@ def limits_of(rig: Rig) -> Limits:
 class ProtectionStatus:
     """Counts, since the start or `reset`, and readings of the protection.
 
-    blocks: all so far.
-    limited_blocks: those in which the gain was below 1.
-    infeasible_blocks: blocks in which no gain could keep every limit; the gain became 0.
-    replaced_samples: samples that were not finite.
-    gain, least_gain: smallest of all channels, now and since the start; 0 to 1.
+    blocks: all so far. limited_blocks: those in which the gain was below 1. infeasible_blocks:
+    those in which no gain could keep every limit; the gain became 0. replaced_samples: those that
+    were not finite. gain, least_gain: smallest of all channels, now and since the start; 0 to 1.
     limited_by: cause of the gain: "excursion, current or level", "temperature", "outside" (such as
-        an exposure cap), or "".
-    excursion_m: amplitude that the stored energy of the identified model could reach.
-    coil_c, resistance_ohm: of the warmest coil, °C and ohm; None without a thermal model.
-    latency_s: delay of the vibration.
+    an exposure cap), or "". excursion_m: amplitude that the stored energy of the identified model
+    could reach. coil_c, resistance_ohm: of the warmest coil, °C and ohm; None without a thermal
+    model. latency_s: delay of the vibration.
     """
 
     blocks: int

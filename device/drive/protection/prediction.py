@@ -32,10 +32,8 @@ def prediction_records(
     Impulse responses are stored last frame first, and matrices by their columns, as the core uses
     them: a state times a matrix is a sum of columns. Zeros fill whole groups of `LANES`.
 
-    drives: rigs that the actuator may be; the believed one first.
-    block_frames: length of a block, 1 or more.
-    excursion_m: limit, either way.
-    current_models: number of models whose current is limited.
+    drives: rigs that the actuator may be; the believed one first. block_frames: length of a block,
+    1 or more. excursion_m: limit, either way. current_models: number whose current is limited.
 
     states: of one model. stride: frames between two whose excursion is computed, the last of a
         block among them; watched: their number. tail_points: of the free swing after a block.
