@@ -19,7 +19,6 @@ from device.rig.equations import Equations
 from device.rig.model_design import STATE_NUMBERS, ModelDesign
 from device.rig.parameters import MODELS, Model, check_tolerance
 from device.rig.rig import Rig
-from device.rig.thermal import Temperatures
 from device.units import FloatArray, finite_or_zero
 
 BLOCK_S = 0.1
@@ -46,11 +45,11 @@ class AdaptiveActuator:
     the start, or for as much of it as a call brings.
 
     tolerance: allowed error of excursion and acceleration as a share of a block's peak, above 0 and
-    at most 1. model: use this one, whatever its error. seat, temperature: the actuator is on the
-    rig's seat instead of solid ground; the coil warms up. refine: halve the steps of the non-linear
-    model so often, which divides their error by 16 each time.
+    at most 1. model: use this one, whatever its error. seat: the actuator is on the rig's seat
+    instead of solid ground. refine: halve the steps of the non-linear model so often, which divides
+    their error by 16 each time.
 
-    UsageError: the rig has no such part, a number is out of range, or the library is missing.
+    UsageError: the rig has no seat, a number is out of range, or the library is missing.
     """
 
     def __init__(
@@ -61,42 +60,34 @@ class AdaptiveActuator:
         *,
         model: Model = "auto",
         seat: bool = False,
-        temperature: bool = False,
         refine: int = 0,
     ) -> None:
         check_tolerance(tolerance)
         if not (np.isfinite(samplerate) and samplerate > 0):
             raise UsageError(f"samplerate={samplerate!r} Hz must be above 0; choose another rate")
-        for wanted, name in ((seat, "seat"), (temperature, "thermal")):
-            if wanted and getattr(rig, name) is None:
-                raise UsageError(f"rig {rig.name!r} describes no [{name}]; add it to its file")
+        if seat and rig.seat is None:
+            raise UsageError(f"rig {rig.name!r} describes no [seat]; add it to its file")
         if blocks.compiled is None:
             raise UsageError(
                 "the simulated rig needs device/blocks_library.so, which is missing or damaged; "
                 "install a C compiler and then this package again"
             )
-        if rig.large_signal is None and not temperature:
+        if rig.large_signal is None:
             model = "linear"  # it leaves nothing out
         self.rig, self.samplerate, self.tolerance, self.model = rig, samplerate, tolerance, model
         self._move = blocks.compiled.move_rig
-        self._source_ohm = rig.amplifier.source_impedance_ohm
+        source_ohm, frame = rig.amplifier.source_impedance_ohm, rig.seat if seat else None
         stored = energies(rig.actuator, rig.large_signal)
-        frame = rig.seat if seat else None
-        self.equations = Equations(rig.actuator, stored, self._source_ohm, frame)
-        self._design = ModelDesign(self.equations, samplerate, tolerance, refine)
+        equations = Equations(rig.actuator, stored, source_ohm, frame)
+        self._design = ModelDesign(equations, samplerate, tolerance, refine)
         self._rows = 5 if seat else 4
-        warms = rig.thermal if temperature else None
-        self.temperatures = Temperatures(warms) if warms else None
         coarse = self._design.coarse
         self.block_frames = coarse * max(1, round(BLOCK_S * samplerate / coarse))
         self.reset()
 
     def reset(self) -> None:
-        """Come to rest, cool down, and clear reports and counts."""
+        """Come to rest, and clear reports and counts."""
         self._state = np.zeros(STATE_NUMBERS)
-        if self.temperatures:
-            self.temperatures.reset()
-        self._design.set_resistance(self.equations.resistance_ohm)
         self._frames = 0
         self.replaced_samples = 0  # volts that were not finite or above 1e6 and became 0
         self.reports: deque[BlockReport] = deque(maxlen=_REPORTS)
@@ -117,35 +108,20 @@ class AdaptiveActuator:
             finite, replaced = finite_or_zero(finite, _ABSURD_V)
             self.replaced_samples += replaced
         moved = np.empty((self._rows, len(finite)))
-        start, frames = 0, len(finite)
-        while start < frames:
-            first = min(self.block_frames - self._frames % self.block_frames, frames - start)
-            # A coil that warms up has another resistance in each block.
-            stop = start + first if self.temperatures else frames
-            self._move_part(finite, moved, start, stop, first)
-            self._warm(moved[2, start:stop])
-            start = stop
+        if len(finite):
+            self._move_into(finite, moved)
         rows = dict(zip(_NAMES, moved, strict=False))
         return Motion(**{name: rows[name] for name in outputs})
 
-    def _move_part(
-        self, volts: FloatArray, moved: FloatArray, start: int, stop: int, first: int
-    ) -> None:
-        lengths = [first]
-        while sum(lengths) < stop - start:
-            lengths.append(min(self.block_frames, stop - start - sum(lengths)))
+    def _move_into(self, volts: FloatArray, moved: FloatArray) -> None:
+        whole, block = len(volts), self.block_frames
+        first = min(block - self._frames % block, whole)
+        lengths = [first, *(min(block, whole - start) for start in range(first, whole, block))]
         found = np.zeros((len(lengths), 2))
-        numbers = start, stop, first, self.block_frames, MODELS.index(self.model)
+        numbers = 0, whole, first, block, MODELS.index(self.model)
         self._move(volts, moved, self._design.arrays, self._state, found, numbers)
         for frames, (nonlinear, estimate) in zip(lengths, found.tolist(), strict=True):
             model: Model = "nonlinear" if nonlinear else "linear"
             self.reports.append(BlockReport(self._frames, frames, model, estimate))
             self.frames_by_model[model] += frames
             self._frames += frames
-
-    def _warm(self, current_a: FloatArray) -> None:
-        if warm := self.temperatures:
-            cold_ohm = self.rig.actuator.resistance_ohm
-            power_w = warm.resistance_ohm(cold_ohm) * float(np.mean(np.square(current_a)))
-            warm.heat(power_w, len(current_a) / self.samplerate)
-            self._design.set_resistance(warm.resistance_ohm(cold_ohm) + self._source_ohm)

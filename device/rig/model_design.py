@@ -44,48 +44,40 @@ class ModelDesign:
         self, equations: Equations, samplerate: float, tolerance: float, refine: int = 0
     ) -> None:
         e, p, seat = equations, equations.actuator, equations.seat
-        self.equations, self._period_s = e, 1.0 / samplerate
+        period_s = 1.0 / samplerate
         self.coarse = max(1, round(samplerate / _COARSE_HZ))
         longest_s = min(LONGEST_STEP_S, _TURN / _fastest_rad_s(e))
-        first = max(0, math.ceil(math.log2(self._period_s / longest_s) - 1e-9)) + refine
-        last = math.ceil(math.log2(self._period_s / _SHORTEST_STEP_S)) + refine
-        self._levels = 1 + max(first, last)
+        first = max(0, math.ceil(math.log2(period_s / longest_s) - 1e-9)) + refine
+        last = math.ceil(math.log2(period_s / _SHORTEST_STEP_S)) + refine
+        levels = 1 + max(first, last)
         table, stops = table_of(e.energies, p.x_max_m), e.energies.stops
         least_m = FLOOR * p.x_max_m
         frame = astuple(seat) if seat else (0, 0, 0)
         contact_kg = e.mass * seat.mass_kg / (e.mass + seat.mass_kg) if seat else e.mass
-        self._numbers = np.array(
+        numbers = np.array(
             [
                 e.mass, e.damping, e.stiffness, e.force_factor, e.inductance,
-                e.resistance_ohm, e.resistance_ohm,  # now, and at rest
+                e.resistance_ohm, e.resistance_ohm,  # of a warm and of a cold coil
                 stops.start, stops.hardness, e.energies.stop_loss_s_per_m,
                 contact_kg, _CONTACT_TURN / 2**refine,
                 table.lowest_m, table.intervals_per_m, len(table.rows), *frame,
                 least_m, least_m * p.resonance_rad_s**2, tolerance, MARGIN,
-                self._period_s, self._levels, first, self.coarse,
+                period_s, levels, first, self.coarse,
             ],
             dtype=np.float64,
         )  # fmt: skip
-        self._steps = np.zeros((self._levels, 12))
+        decay_per_s = e.resistance_ohm / e.inductance
+        steps = [_step(decay_per_s, period_s / 2**level) for level in range(levels)]
         scale = e.scale
         maps = []
         for width, entry in ((1, e.entry[:, 1:]), (self.coarse, e.entry)):
             # In coordinates whose squares are energies, entries do not differ by millions.
             rate, scaled = scale[:, None] * e.rate / scale, scale[:, None] * entry
-            holds = [first_order_hold(rate, one, width * self._period_s) for one in scaled.T]
+            holds = [first_order_hold(rate, one, width * period_s) for one in scaled.T]
             inputs = [np.column_stack([hold[k] for hold in holds]) for k in (1, 2)]
             parts = holds[0][0] * scale, *inputs
             maps.append(np.concatenate([(part / scale[:, None]).ravel() for part in parts]))
-        self.arrays = (self._numbers, table.rows, self._steps, *maps)
-        self.set_resistance(e.resistance_ohm)
-
-    def set_resistance(self, resistance_ohm: float) -> None:
-        """Take over the present resistance of source and coil."""
-        decay_per_s = resistance_ohm / self.equations.inductance
-        self._numbers[5] = resistance_ohm
-        for level in range(self._levels):
-            width_s = self._period_s / 2**level
-            self._steps[level] = width_s, decay_per_s, 0.0, 0.0, *_flux_step(decay_per_s, width_s)
+        self.arrays = (numbers, table.rows, np.array(steps), *maps)
 
 
 def _fastest_rad_s(e: Equations) -> float:
@@ -103,11 +95,12 @@ def _fastest_rad_s(e: Equations) -> float:
     return fastest
 
 
-def _flux_step(decay_per_s: float, width_s: float) -> tuple[float, ...]:
-    """Return what half a step and all of it do to the flux, as `Step` in C lists it."""
+def _step(decay_per_s: float, width_s: float) -> tuple[float, ...]:
+    """Return a step, and what half of it and all of it do to the flux, as `Step` in C lists it."""
     whole, half_s = decay_per_s * width_s, 0.5 * width_s
     two, three = _phi(2, -whole), _phi(3, -whole)
     return (
+        *(width_s, decay_per_s, 0.0, 0.0),
         math.exp(-0.5 * whole),
         half_s * _phi(1, -0.5 * whole),
         half_s * half_s * _phi(2, -0.5 * whole),

@@ -24,10 +24,6 @@ class Temperatures:
         self._rate[0] = np.array([-into_magnet, into_magnet, 1.0]) / p.coil_j_per_k
         self._rate[1, :2] = np.array([into_magnet, -(into_magnet + out)]) / p.magnet_j_per_k
         self._steps: dict[float, list[float]] = {}
-        self.reset()
-
-    def reset(self) -> None:
-        """Cool down."""
         self.coil_k = self.magnet_k = 0.0
 
     def heat(self, power_w: float, duration_s: float) -> None:
