@@ -239,16 +239,15 @@ def fit_with_extras(
     factors: Sequence[Factor],
     starts: Sequence[FloatArray],
     extras: Sequence[Extra],
-    limits: tuple[FloatArray, FloatArray] | None = None,
 ) -> tuple[Fit, tuple[Extra, ...], float]:
     """Return the fit, the extras that the evidence supports, and the cost with penalties.
 
     The extra that explains most comes first. Parameters of extras follow those of the factors, in
     the order of the second result.
     """
-    found = fit(recording, product(*factors), starts, limits)
+    found = fit(recording, product(*factors), starts)
     chosen: tuple[Extra, ...] = ()
-    low, high = limits or unlimited(len(found.logs))
+    low, high = unlimited(len(found.logs))
     left = list(extras)
     paid = 0.0
     while left:
