@@ -86,11 +86,6 @@ class Drive:
         self._set_controls()
 
     @property
-    def settings(self) -> tuple[ActuatorSettings, ...]:
-        """The latest settings of the named actuators."""
-        return self._settings
-
-    @property
     def delays_frames(self) -> tuple[int, ...]:
         """Delay set for each named actuator, in frames."""
         return tuple(self._delay(actuator) for actuator in self._settings)
