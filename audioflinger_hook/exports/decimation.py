@@ -8,6 +8,7 @@ import numpy as np
 from scipy.signal import ellip, sosfilt
 
 from audioflinger_hook.mixer.resampler import Resampler, frames_out
+from device.drive.outputs import WrappedOutput
 from device.output import VibrationOutput
 from device.units import Float32Array, FloatArray, amplitude_to_db, check_channels
 
@@ -16,7 +17,7 @@ PIECE_FRAMES = 8_192
 """Frames fed to the resampler at once: its memory does not depend on the caller's blocks."""
 
 
-class ResampledOutput:
+class ResampledOutput(WrappedOutput):
     """Converts the rate before an output by a linear-phase low-pass, without any delay.
 
     The pass band ends at 0.45 of the lower rate, the stop band starts at half of it: see
@@ -27,9 +28,8 @@ class ResampledOutput:
     """
 
     def __init__(self, output: VibrationOutput, samplerate: int) -> None:
+        super().__init__(output)
         self.samplerate = samplerate
-        self.channels = output.channels
-        self._output = output
         common = int(np.gcd(samplerate, output.samplerate))
         self._up, self._down = output.samplerate // common, samplerate // common
         most = frames_out(PIECE_FRAMES, samplerate, output.samplerate) + 1
@@ -51,11 +51,7 @@ class ResampledOutput:
         wanted = self._to_skip + frames_out(self._taken, self._down, self._up)
         while self._made < wanted:
             self._feed(np.zeros((PIECE_FRAMES, self.channels), np.float32), wanted)
-        self._output.close()
-
-    def abort(self) -> None:
-        """Discard the output."""
-        self._output.abort()
+        super().close()
 
     def _feed(self, vibration: FloatArray | Float32Array, wanted: int | None = None) -> None:
         for first in range(0, len(vibration), PIECE_FRAMES):
@@ -75,7 +71,7 @@ Watch = Callable[[FloatArray | Float32Array, int], None]
 """Called with each block of vibration, (frames, channels), before its conversion, and its rate."""
 
 
-class LeakMeter:
+class LeakMeter(WrappedOutput):
     """Passes vibration to an output and measures its energy above 250 Hz. Use from one thread.
 
     An elliptic high-pass of order 12 separates it: 0.1 dB of ripple above 250 Hz, 80 dB of
@@ -83,9 +79,7 @@ class LeakMeter:
     """
 
     def __init__(self, output: VibrationOutput, watch: Watch | None = None) -> None:
-        self.samplerate = output.samplerate
-        self.channels = output.channels
-        self._output = output
+        super().__init__(output)
         self._watch = watch
         self._high_pass = ellip(
             12, 0.1, 80.0, AUDIBLE_FROM_HZ, "high", fs=self.samplerate, output="sos"
@@ -111,12 +105,4 @@ class LeakMeter:
             self._above += float(np.square(above).sum())
             if self._watch:
                 self._watch(vibration, self.samplerate)
-        self._output.write(vibration)
-
-    def close(self) -> None:
-        """Finish the output."""
-        self._output.close()
-
-    def abort(self) -> None:
-        """Discard the output."""
-        self._output.abort()
+        super().write(vibration)

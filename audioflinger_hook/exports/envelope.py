@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from audioflinger_hook.exports.glides import VibrationCurve
+from audioflinger_hook.exports.glides import Onset, VibrationCurve
 from audioflinger_hook.exports.simplify import fitted, simplify
 from device.units import FloatArray, amplitude_to_db
 
@@ -63,7 +63,7 @@ class Envelope:
     transients: in order of time.
     error: `envelope_error_db`, r.m.s. error of the smoothed envelope with its transients, in dB of
         its r.m.s.; `frequency_error_hz`, r.m.s., weighted by power; counts `points`, `transients`.
-    clipped_points: points above full scale, written as 1.
+    warnings: what the user should know.
     """
 
     time_s: FloatArray
@@ -71,13 +71,7 @@ class Envelope:
     hz: FloatArray
     transients: tuple[Transient, ...]
     error: dict[str, float]
-    clipped_points: int
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """What the user should know."""
-        clipped = self.clipped_points
-        return (f"{clipped} points beyond full scale were limited",) if clipped else ()
+    warnings: tuple[str, ...]
 
 
 def envelope_of(curve: VibrationCurve, duration_s: float, limits: Limits) -> Envelope:
@@ -87,7 +81,7 @@ def envelope_of(curve: VibrationCurve, duration_s: float, limits: Limits) -> Env
     """
     rate = curve.rate_hz
     times = curve.times_s
-    at = {int(np.ceil((one.time_s - curve.start_s) * rate)): one for one in curve.onsets}
+    at = _onsets_at(curve)
     edges, smooth = _edges(curve), smoothed(curve)
     lowered, found = smooth.copy(), dict[int, Transient]()
     length = max(1, round(TRANSIENT_S * rate))
@@ -136,7 +130,9 @@ def envelope_of(curve: VibrationCurve, duration_s: float, limits: Limits) -> Env
     level, hz, at_s = np.concatenate(levels), points[places, 1], np.array(time_s)
     played = np.square(level) if limits.square_root else level
     error = _errors(curve, smooth, at_s, played, hz, transients)
-    return Envelope(at_s, level, hz, tuple(transients), error, int(clipped[places].sum()))
+    limited = int(clipped[places].sum())
+    warnings = (f"{limited} points beyond full scale were limited",) if limited else ()
+    return Envelope(at_s, level, hz, tuple(transients), error, warnings)
 
 
 def envelope_error(curve: VibrationCurve, amplitude: FloatArray) -> dict[str, float]:
@@ -158,9 +154,14 @@ def smoothed(curve: VibrationCurve) -> FloatArray:
 
 def _edges(curve: VibrationCurve) -> list[int]:
     """Return the first place, those after each onset, and the number of places."""
-    after = {int(np.ceil((one.time_s - curve.start_s) * curve.rate_hz)) for one in curve.onsets}
     size = curve.amplitude.size
-    return [0, *sorted(place for place in after if 0 < place < size), size]
+    return [0, *sorted(place for place in _onsets_at(curve) if 0 < place < size), size]
+
+
+def _onsets_at(curve: VibrationCurve) -> dict[int, Onset]:
+    """Return the onsets by the place after each."""
+    start_s, rate_hz = curve.start_s, curve.rate_hz
+    return {int(np.ceil((one.time_s - start_s) * rate_hz)): one for one in curve.onsets}
 
 
 def _errors(

@@ -62,6 +62,20 @@ class HjifWriter(TrackWriter):
             "lower_frequency_limit": math.floor(low_hz),
             "upper_frequency_limit": math.ceil(high_hz),
         }
+        channels = [
+            {
+                "id": number,
+                "description": f"channel {number + 1}",
+                "gain": 1.0,
+                "mixing_weight": 1.0,
+                "body_part_mask": BODY_PART_UNSPECIFIED,
+                "reference_device_id": 0,
+                "bands": [
+                    {"band_type": "VectorialWave", **limits, "effects": effects} for effects in mine
+                ],
+            }
+            for number, mine in enumerate(bands)
+        ]
         return {
             "version": VERSION,
             "profile": "Main",
@@ -80,21 +94,7 @@ class HjifWriter(TrackWriter):
                     "description": "vibration of a seat",
                     "perception_modality": "Vibrotactile",
                     "reference_devices": [self._device(low_hz, high_hz)],
-                    "channels": [
-                        {
-                            "id": number,
-                            "description": f"channel {number + 1}",
-                            "gain": 1.0,
-                            "mixing_weight": 1.0,
-                            "body_part_mask": BODY_PART_UNSPECIFIED,
-                            "reference_device_id": 0,
-                            "bands": [
-                                {"band_type": "VectorialWave", **limits, "effects": effects}
-                                for effects in mine
-                            ],
-                        }
-                        for number, mine in enumerate(bands)
-                    ],
+                    "channels": channels,
                     "effect_library": [],
                 }
             ],

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from audioflinger_hook.exports.sound_output import LibsndfileTarget, SoundFileOutput
+from device.drive.outputs import WrappedOutput
 from device.errors import InternalError, UsageError
 from device.units import Float32Array, FloatArray
 
@@ -30,7 +31,7 @@ _BITS_REVERSED = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
 _PAGE_HEAD = struct.Struct("<4sBBqIIIB")
 
 
-class OggHapticOutput:
+class OggHapticOutput(WrappedOutput):
     """A `VibrationOutput` that also takes the sound, by `hear`. Use from one thread.
 
     path: the file to create or replace. samplerate: Hz. audio_channels: 1 to 8. haptic_channels: 1
@@ -45,10 +46,6 @@ class OggHapticOutput:
                 f"the format ogg-haptic cannot hold {audio_channels} channels of sound; allowed: 1 "
                 f"to {AUDIO_CHANNELS_MAX}; mix some of them down first"
             )
-        self.samplerate = samplerate
-        self.channels = haptic_channels
-        self._waiting: tuple[deque[Float32Array], ...] = (deque(), deque())
-        """Sound and vibration whose other part has not come."""
         self._file = SoundFileOutput(
             path,
             samplerate,
@@ -58,6 +55,10 @@ class OggHapticOutput:
             target=_HapticPages(path, haptic_channels),
             level=COMPRESSION_LEVEL,
         )
+        super().__init__(self._file)
+        self.channels = haptic_channels
+        self._waiting: tuple[deque[Float32Array], ...] = (deque(), deque())
+        """Sound and vibration whose other part has not come."""
 
     @property
     def limited_samples(self) -> int:
@@ -84,14 +85,6 @@ class OggHapticOutput:
                 if frames < len(part):
                     blocks.appendleft(part[frames:])
 
-    def close(self) -> None:
-        """Finish the file."""
-        self._file.close()
-
-    def abort(self) -> None:
-        """Discard the file."""
-        self._file.abort()
-
 
 class _HapticPages(LibsndfileTarget):
     """Passes Ogg pages on with the haptic comment, a fixed serial number and new checksums."""
@@ -114,7 +107,7 @@ class _HapticPages(LibsndfileTarget):
     def commit(self) -> None:
         """Give the file its name."""
         if self._pending or len(self._packets) < HEADERS:
-            self.abort()
+            self.file.abort()
             raise InternalError("the Vorbis encoder wrote an incomplete stream")
         super().commit()
 
@@ -171,7 +164,7 @@ class _HapticPages(LibsndfileTarget):
             numbers = (b"OggS", 0, flags, position, SERIAL, self._sequence, checksum, len(lacing))
             return _PAGE_HEAD.pack(*numbers) + lacing + body
 
-        self._file.write(page(ogg_checksum(page(0))))
+        self.file.write(page(ogg_checksum(page(0))))
         self._sequence += 1
 
 

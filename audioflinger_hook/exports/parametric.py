@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
@@ -148,18 +148,19 @@ class TrackWriter(ABC):
 
     def add(self, channel: int, rows: FloatArray, frame: int) -> None:
         """Take glides and the tracks that have ended."""
-        for track in self._readers[channel].add(rows, frame):
-            self._tracks += 1
-            self.take(channel, track.on_device(self._band_hz))
+        self._take_all(channel, self._readers[channel].add(rows, frame))
 
     def finish(self, duration_s: float) -> Composed:
         """Take the tracks that last to the end, and write the rest."""
         for channel, reader in enumerate(self._readers):
-            for track in reader.rest():
-                self._tracks += 1
-                self.take(channel, track.on_device(self._band_hz))
+            self._take_all(channel, reader.rest())
         counts = {"tracks": self._tracks, **self.write_rest(duration_s)}
         return Composed({name: float(count) for name, count in counts.items()})
+
+    def _take_all(self, channel: int, tracks: Iterable[PartialTrack]) -> None:
+        for track in tracks:
+            self._tracks += 1
+            self.take(channel, track.on_device(self._band_hz))
 
     @abstractmethod
     def take(self, channel: int, track: PartialTrack) -> None:
@@ -196,11 +197,9 @@ def refuse_settings(name: str, settings: Settings) -> None:
             f"transform = {settings.form!r} tracks no partials, from which the format {name} is "
             "made; allowed: live; use --transform live, or the format wav or flac"
         )
-    unheld = [
-        key for key in ("damping", "protection", "exposure_cap") if getattr(settings, key) != "off"
-    ]
-    if settings.actuators:
-        unheld.append("actuator")
+    shaping = ("damping", "protection", "exposure_cap")
+    unheld = [key for key in shaping if getattr(settings, key) != "off"]
+    unheld += ["actuator"] if settings.actuators else []
     if unheld:
         raise UsageError(
             f"the format {name} describes vibration for any actuator and cannot hold "

@@ -20,11 +20,12 @@ the caller's blocks, and the Vorbis encoder's stack stays small."""
 class LibsndfileTarget:
     """The file object that libsndfile writes to; it keeps the reason of a failure.
 
-    path: the file to create or replace. UsageError, WriteError: as `AtomicFile`.
+    path: the file to create or replace. file: takes its content. UsageError, WriteError: as
+    `AtomicFile`.
     """
 
     def __init__(self, path: Path) -> None:
-        self._file = AtomicFile(path)
+        self.file = AtomicFile(path)
         self._position = self._size = 0
         self.failure: WriteError | None = None
 
@@ -41,9 +42,9 @@ class LibsndfileTarget:
         """Put bytes at the position, and move it."""
         over = content[: self._size - self._position]
         if over:
-            self._file.overwrite(over, self._position)
+            self.file.overwrite(over, self._position)
         if rest := content[len(over) :]:
-            self._file.write(rest)
+            self.file.write(rest)
         self._position += len(content)
         self._size = max(self._size, self._position)
 
@@ -63,11 +64,7 @@ class LibsndfileTarget:
 
     def commit(self) -> None:
         """Give the file its name."""
-        self._file.commit()
-
-    def abort(self) -> None:
-        """Discard the file."""
-        self._file.abort()
+        self.file.commit()
 
 
 class SoundFileOutput:
@@ -110,7 +107,7 @@ class SoundFileOutput:
                 compression_level=level,
             )
         except (soundfile.LibsndfileError, ValueError, TypeError) as error:
-            self._target.abort()
+            self._target.file.abort()
             if self._target.failure:
                 raise self._target.failure from None
             raise UsageError(
@@ -143,7 +140,7 @@ class SoundFileOutput:
         if file is not None:
             self._target.failure = self._target.failure or WriteError("aborted")
             file.close()
-        self._target.abort()
+        self._target.file.abort()
 
     def _encode(self, frames: int) -> None:
         assert self._file is not None
