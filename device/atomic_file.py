@@ -14,7 +14,9 @@ from pathlib import Path
 
 from device.errors import CushionError, UsageError, WriteError
 
-_NOT_THE_USERS_FAULT = {errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EMFILE, errno.ENFILE}
+MACHINE_FAULTS = {errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EMFILE, errno.ENFILE}
+"""Errors of the disk or the machine, not of the user."""
+
 _REASONS = {
     errno.ENOSPC: "the disk is full; free some space or name another folder",
     errno.EDQUOT: "the disk quota is used up; free some space or name another folder",
@@ -153,7 +155,7 @@ class AtomicFile:
 
     def _failure(self, error: OSError) -> WriteError:
         self.abort()
-        return WriteError(f"cannot write {self.path}: {_reason(error)}")
+        return WriteError(f"cannot write {self.path}: {write_reason(error)}")
 
 
 def write_bytes_atomically(path: str | os.PathLike[str], content: bytes) -> None:
@@ -197,16 +199,17 @@ def _open_folder(folder: Path, path: Path) -> int:
 def _open_failure(path: Path, error: OSError | ValueError) -> CushionError:
     if not isinstance(error, OSError):  # a name with a null byte
         return UsageError(f"cannot write {str(path)!r}: {error}; choose another name")
-    if error.errno in _NOT_THE_USERS_FAULT:
-        return WriteError(f"cannot write {path}: {_reason(error)}")
+    if error.errno in MACHINE_FAULTS:
+        return WriteError(f"cannot write {path}: {write_reason(error)}")
     if error.errno in (errno.EACCES, errno.EPERM):
         return UsageError(
             f"cannot write {path}: no permission to write in folder {path.parent}; name another"
         )
-    return UsageError(f"cannot write {path}: {_reason(error)}")
+    return UsageError(f"cannot write {path}: {write_reason(error)}")
 
 
-def _reason(error: OSError) -> str:
+def write_reason(error: OSError) -> str:
+    """Return why a file cannot be written, and what to do."""
     return _REASONS.get(error.errno or 0, f"{error.strerror or error}; name another folder")
 
 

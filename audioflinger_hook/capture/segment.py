@@ -38,7 +38,19 @@ class SegmentFormat:
     frames_there: int
 
 
-class SegmentWriter:
+class _Descriptor:
+    """An open file."""
+
+    _fd = -1
+
+    def close(self) -> None:
+        """Close the file. May be called more than once."""
+        if self._fd >= 0:
+            os.close(self._fd)
+            self._fd = -1
+
+
+class SegmentWriter(_Descriptor):
     """A new segment at `path`; an older file of that name is replaced.
 
     Samples go to the operating system at once. `append` writes them after the last buffer, `keep`
@@ -78,12 +90,6 @@ class SegmentWriter:
             os.ftruncate(self._fd, self._size())
             write_at(self._fd, wav_header(self.samplerate, self.channels, frames), 0)
 
-    def close(self) -> None:
-        """Close the file. May be called more than once."""
-        if self._fd >= 0:
-            os.close(self._fd)
-            self._fd = -1
-
     def discard(self) -> None:
         """Close the file and remove it."""
         self.close()
@@ -94,7 +100,7 @@ class SegmentWriter:
         return SAMPLES_OFFSET + self.frames * self.channels * _SAMPLE.itemsize
 
 
-class SegmentReader:
+class SegmentReader(_Descriptor):
     """Reads samples of any buffer of a segment, also while it grows. Use from one thread.
 
     FileNotFoundError: there is no such file.
@@ -150,12 +156,6 @@ class SegmentReader:
         there = (os.fstat(self._fd).st_size - SAMPLES_OFFSET) // (channels * _SAMPLE.itemsize)
         return SegmentFormat(samplerate, channels, min(frames, there), there)
 
-    def close(self) -> None:
-        """Close the file. May be called more than once."""
-        if self._fd >= 0:
-            os.close(self._fd)
-            self._fd = -1
-
 
 def segment_format(path: Path) -> SegmentFormat | None:
     """Return `SegmentReader.format` of a file; raises the errors of `SegmentReader`."""
@@ -186,14 +186,9 @@ def _read_at(fd: int, target: memoryview, position: int) -> bool:
 class CaptureBuffer:
     """A buffer exactly as it was delivered.
 
-    Attributes
-    ----------
-    frames, samplerate : array of float32, int
-        (frames, channels), possibly empty, which the reader owns; Hz.
-    time_s : float
-        Time of delivery, in seconds of the recorder's monotonic clock.
-    discontinuity : bool
-        Whether frames are missing before it: at the source, in the recorder or in the capture.
+    frames: (frames, channels) float32, possibly empty, which the reader owns. samplerate: Hz.
+    time_s: time of delivery, in seconds of the recorder's monotonic clock. discontinuity: whether
+    frames are missing before it: at the source, in the recorder or in the capture.
     """
 
     frames: Float32Array

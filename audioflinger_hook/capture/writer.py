@@ -25,17 +25,9 @@ from audioflinger_hook.capture.format import (
     segment_paths,
 )
 from audioflinger_hook.capture.segment import SegmentWriter, write_at
+from device.atomic_file import MACHINE_FAULTS, write_reason
 from device.errors import CushionError, InternalError, UsageError, WriteError
 from device.units import Float32Array
-
-_NOT_THE_USERS_FAULT = {errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EMFILE, errno.ENFILE}
-_REASONS = {
-    errno.ENOSPC: "the disk is full; free some space or name another folder",
-    errno.EDQUOT: "the disk quota is used up; free some space or name another folder",
-    errno.EFBIG: "a file would be larger than allowed; raise the limit (ulimit -f)",
-    errno.EROFS: "the file system is read-only; name another folder",
-    errno.ENAMETOOLONG: "the name is too long; choose a shorter one",
-}
 
 
 @dataclass
@@ -221,7 +213,7 @@ class CaptureWriter:
 
     def _fail(self, error: OSError) -> WriteError:
         self._failure = WriteError(
-            f"cannot write to the capture {self.folder}: {_reason(error)}; "
+            f"cannot write to the capture {self.folder}: {write_reason(error)}; "
             "it can be replayed up to there"
         )
         self._release()
@@ -287,8 +279,8 @@ def _make_folder(folder: Path) -> bool:
 def _folder_failure(folder: Path, error: OSError | ValueError) -> CushionError:
     if not isinstance(error, OSError):  # a name with a null byte
         return UsageError(f"cannot capture to {str(folder)!r}: {error}; choose another name")
-    if error.errno in _NOT_THE_USERS_FAULT | {errno.EFBIG}:
-        return WriteError(f"cannot capture to {folder}: {_reason(error)}")
+    if error.errno in MACHINE_FAULTS | {errno.EFBIG}:
+        return WriteError(f"cannot capture to {folder}: {write_reason(error)}")
     if isinstance(error, FileNotFoundError):
         return UsageError(
             f"cannot capture to {folder}: folder {folder.parent} does not exist; "
@@ -298,11 +290,7 @@ def _folder_failure(folder: Path, error: OSError | ValueError) -> CushionError:
         return UsageError(f"cannot capture to {folder}: no permission to write there; name another")
     if isinstance(error, FileExistsError):
         return UsageError(f"cannot capture to {folder}: another capture began there; name another")
-    return UsageError(f"cannot capture to {folder}: {_reason(error)}")
-
-
-def _reason(error: OSError) -> str:
-    return _REASONS.get(error.errno or 0, f"{error.strerror or error}; name another folder")
+    return UsageError(f"cannot capture to {folder}: {write_reason(error)}")
 
 
 def _fsync(path: Path) -> None:

@@ -248,7 +248,7 @@ def test_a_capture_beyond_a_limit_on_file_sizes_can_be_replayed_up_to_there(tmp_
     path, folder = sound(tmp_path / "in.wav", noise(3 * RATE, 2)), tmp_path / "cap"
     done = cushion("capture", folder, "--tap", f"file:{path}", preexec_fn=limited)
     error = refused(done, 5)
-    assert f"cannot write to the capture {folder}: a file would be larger than allowed" in error
+    assert f"cannot write to the capture {folder}: the file would be larger than allowed" in error
     # Not even the first buffer fitted.
     assert "has no sound" in refused(call("replay", folder, tmp_path / "out.wav"))
     small = [(noise(480, 2, seed), seed) for seed in range(60)]
