@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -83,26 +83,27 @@ def parse_address(text: str, what: str) -> str:
     return text.rstrip("/") if is_url(text) else os.path.normpath(Path(text).absolute())
 
 
-def filesystem_of(url: str, refuse: Callable[[str], CushionError] = UsageError) -> tuple[Any, str]:
+def filesystem_of(url: str) -> tuple[Any, str]:
     """Return the fsspec filesystem of a URL, without a cache of listings, and the path in it."""
-    try:
-        import fsspec
-    except ImportError:
-        raise refuse(f"{scrubbed(url)}: {EXTRA}") from None
+    fsspec = _fsspec(url)
     try:
         filesystem, path = fsspec.core.url_to_fs(url, use_listings_cache=False)
     except (ImportError, ValueError, TypeError) as error:
-        raise refuse(f"{scrubbed(url)} cannot be used ({scrubbed(str(error))})") from None
+        raise UsageError(f"{scrubbed(url)} cannot be used ({scrubbed(str(error))})") from None
     return filesystem, path
 
 
 def known_scheme(url: str) -> bool:
     """Return whether a library for such URLs is known."""
+    return url.partition("://")[0].lower() in _fsspec(url).available_protocols()
+
+
+def _fsspec(url: str) -> Any:
     try:
         import fsspec
     except ImportError:
         raise UsageError(f"{scrubbed(url)}: {EXTRA}") from None
-    return url.partition("://")[0].lower() in fsspec.available_protocols()
+    return fsspec
 
 
 @contextmanager

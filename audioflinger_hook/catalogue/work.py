@@ -30,12 +30,10 @@ from audioflinger_hook.catalogue.timing import Timing, has_errno
 from audioflinger_hook.exports.export import export
 from audioflinger_hook.sources import FileTap, TapClient
 from audioflinger_hook.sources.film import FILMS, FilmTap
-from audioflinger_hook.sources.part import PartTap
-from audioflinger_hook.sources.tap import SteadyTap
+from audioflinger_hook.sources.tap import PartTap, SteadyTap
 from device.errors import CushionError, InternalError, UsageError
 
 State = Literal["rendered", "skipped", "failed"]
-
 
 FIGURES = (
     "frames", "samplerate", "channels", "peak", "leak_above_250_hz_db", "limited_samples",
@@ -170,16 +168,9 @@ def _render(
         raise UsageError(f"{item.audio} is the file that its result would replace; name another id")
 
     def make(target: Path) -> dict[str, Any]:
-        tap = open_sound(path, item, recipe)
-        meter = VibrationMeter(settings.rig)
-        report = export(
-            TapClient(tap),
-            target,
-            settings,
-            recipe.options,
-            warnings=tap.warnings,
-            watch=meter.watch,
-        )
+        tap, options = open_sound(path, item, recipe), recipe.options
+        client, meter = TapClient(tap), VibrationMeter(settings.rig)
+        report = export(client, target, settings, options, warnings=tap.warnings, watch=meter.watch)
         found = {one: getattr(report, one) for one in FIGURES}
         found["warnings"] = [str(one).replace(str(path), item.audio) for one in report.warnings]
         return {**found, **meter.measures()}

@@ -1,7 +1,7 @@
 """Where sound comes from: taps deliver buffers, clients write them into the mixer's tracks.
 
 address         the grammar of `--tap`
-tap             the interfaces of taps and clients
+tap             the interfaces of taps and clients; a part of a tap
 file, capture   taps
 tap_client      one tap on one track
 scene           one track for each sound of a scene

@@ -49,16 +49,14 @@ def parse_tap(text: str) -> TapAddress:
     """
     if text == "default":
         return TapAddress("default")
-    before, colon, name = text.partition(":")
+    kind, colon, name = text.partition(":")
     if not colon:
+        kind, name = "sink", text
         if "/" in text or Path(text).suffix.lower() in SOUND_SUFFIXES:
             raise UsageError(
                 f"tap {text!r} is not the name of a sink; did you mean file:{text}? allowed: "
                 f"{GRAMMAR}"
             )
-        kind, name = "sink", text
-    else:
-        kind = before
     for known in KINDS:
         if kind == known != "default" and name.strip():
             return TapAddress(known, name)

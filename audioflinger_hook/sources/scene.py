@@ -78,14 +78,9 @@ class _Voice:
         track = mixer.create_track(
             sound.name, sound.pcm_format, rate, channels, ring_frames=4 * period, start_threshold=1
         )
-        return cls(
-            track,
-            encode(sound.frames, sound.pcm_format),
-            channels * sound.pcm_format.bytes_per_sample,
-            start,
-            pause,
-            resume,
-        )
+        stored = encode(sound.frames, sound.pcm_format)
+        frame_bytes = channels * sound.pcm_format.bytes_per_sample
+        return cls(track, stored, frame_bytes, start, pause, resume)
 
     def play(self, first: int, last: int) -> None:
         """Start, pause, resume and fill the track in the mix's frames from `first` up to `last`."""
