@@ -88,13 +88,11 @@ class _Channels(Description):
         return "mono, each, or channel numbers counted from 0"
 
     def refuse(self, value: object) -> Refusal | None:
-        if value in ("mono", "each"):
-            return None
-        good = isinstance(value, tuple) and len(value) > 0
         numbers = value if isinstance(value, tuple) else ()
-        if good and all(type(one) is int and 0 <= one < 64 for one in numbers):
+        if numbers and all(type(one) is int and 0 <= one < 64 for one in numbers):
             return None
-        return Refusal("is not a choice of channels", self.allowed)
+        words = ("mono", "each")
+        return None if value in words else Refusal("is not a choice of channels", self.allowed)
 
     def json_schema(self) -> dict[str, Any]:
         numbers = {"type": "array", "items": {"type": "integer", "minimum": 0}}

@@ -284,13 +284,10 @@ class Manifest:
                 if (pattern or is_sound(name)) and not audio.startswith(f"{self.out}/"):
                     yield audio
         elif self._sources == "glob":
-            for path in walk(self._root.rstrip("/"), self.out):
-                if matches(path, self.address):
-                    yield path
+            paths = walk(self._root.rstrip("/"), self.out)
+            yield from (path for path in paths if matches(path, self.address))
         else:
-            for path in walk(self.address, self.out):
-                if is_sound(path):
-                    yield path
+            yield from filter(is_sound, walk(self.address, self.out))
 
     def _find_duplicates(
         self, part: tempfile.SpooledTemporaryFile[bytes], mistakes: Mistakes

@@ -20,13 +20,16 @@ LISTED = 10
 STRANGE_LEAK_DB = -30.0
 """Energy above 250 Hz that even white noise does not reach."""
 
+Ranked = tuple[float, int, str, str]
+"""An item of a heap: rank, -count, the item's id, text."""
+
 
 @dataclass
 class Summary:
     """The result of a run so far; its size does not grow with the number of items.
 
     sound_s, worker_s: length of the rendered sounds, and the time of workers for them.
-    exit_code: of the worst failure. slowest, strangest: heaps of (rank, count, item's id, text).
+    exit_code: of the worst failure. slowest, strangest: heaps.
     """
 
     items: int = 0
@@ -36,8 +39,8 @@ class Summary:
     sound_s: float = 0.0
     worker_s: float = 0.0
     exit_code: int = 0
-    slowest: list[tuple[float, int, str, str]] = field(default_factory=list)
-    strangest: list[tuple[float, int, str, str]] = field(default_factory=list)
+    slowest: list[Ranked] = field(default_factory=list)
+    strangest: list[Ranked] = field(default_factory=list)
 
     def add(self, outcome: Outcome) -> None:
         """Count an outcome."""
@@ -81,9 +84,7 @@ class Summary:
                 found.append(f"{title}: {listed}")
         return found
 
-    def _keep(
-        self, heap: list[tuple[float, int, str, str]], rank: float, outcome: Outcome, text: str
-    ) -> None:
+    def _keep(self, heap: list[Ranked], rank: float, outcome: Outcome, text: str) -> None:
         # Of equal ranks the first item counts more; -items makes entries different.
         entry = (rank, -self.items, outcome.item.id, text)
         if len(heap) < LISTED:
@@ -107,7 +108,7 @@ def strangeness(record: Mapping[str, Any]) -> tuple[float, str]:
     return 0.0, ""
 
 
-def _descending(heap: list[tuple[float, int, str, str]]) -> list[tuple[float, int, str, str]]:
+def _descending(heap: list[Ranked]) -> list[Ranked]:
     return sorted(heap, reverse=True)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import closing
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from audioflinger_hook.config.settings import Settings
@@ -113,39 +113,33 @@ def export(
     )
 
 
+@dataclass
 class _Opener:
     """Opens the file of a format for `render`; then `file` and `meter` are set."""
 
-    file: VibrationOutput
-    meter: LeakMeter
-
-    def __init__(
-        self,
-        settings: Settings,
-        options: ExportOptions,
-        audio_channels: int,
-        watch: Watch | None,
-    ) -> None:
-        self._settings, self._options = settings, options
-        self._audio_channels = audio_channels
-        self._watch = watch
+    settings: Settings
+    options: ExportOptions
+    audio_channels: int
+    watch: Watch | None
+    file: VibrationOutput = field(init=False)
+    meter: LeakMeter = field(init=False)
 
     def open(self, path: Path, samplerate: int, channels: int) -> VibrationOutput:
         """Return the output for vibration at this rate in Hz. Errors are those of `export`."""
-        name = self._options.format
+        name = self.options.format
         check_channel_count(name, channels)
-        rate = self._options.output_rate_hz or samplerate
+        rate = self.options.output_rate_hz or samplerate
         if name in WRITERS:
-            job = (self._settings, self._options, WRITERS[name])
+            job = (self.settings, self.options, WRITERS[name])
             self.file = DescribedOutput(path, samplerate, channels, *job)
         elif name == "flac":
             self.file = SoundFileOutput(path, rate, channels, "FLAC", "PCM_24")
         elif name == "ogg-haptic":
-            self.file = OggHapticOutput(path, rate, self._audio_channels, channels)
+            self.file = OggHapticOutput(path, rate, self.audio_channels, channels)
         else:
             self.file = WavOutput(path, rate, channels)
         converted = self.file if rate == samplerate else ResampledOutput(self.file, samplerate)
-        self.meter = LeakMeter(converted, self._watch)
+        self.meter = LeakMeter(converted, self.watch)
         return self.meter
 
     def observe(self, framework: Framework) -> Callable[[Step], None] | None:
