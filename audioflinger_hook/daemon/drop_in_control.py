@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from audioflinger_hook.daemon.reconnecting_stream import LONGEST_WAIT_S
 from audioflinger_hook.daemon.run_config import RunConfig
-from audioflinger_hook.daemon.timing import Backoff
+from audioflinger_hook.daemon.timing import LONGEST_S, Backoff
 from device.errors import CushionError
 from device.server import DropIn, PulseConnection
 
@@ -21,7 +20,7 @@ class DropInControl:
 
     def _restart(self, config: RunConfig) -> None:
         self._config = config
-        self._backoff = Backoff(longest_s=10.0 * LONGEST_WAIT_S)
+        self._backoff = Backoff(longest_s=10.0 * LONGEST_S)
         self._target: str | None = None
         self._refusal = ""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from audioflinger_hook.capture import CaptureRecorder
 from audioflinger_hook.daemon.inputs.sink import SinkInput
-from audioflinger_hook.daemon.timing import Backoff
+from audioflinger_hook.daemon.server_link import ServerLink
 from audioflinger_hook.daemon.wake import Nudge, Wake
 from audioflinger_hook.service.state import StateKeeper
 from audioflinger_hook.sources import PushTap, TapAddress
@@ -18,9 +18,6 @@ TICK_S = 0.05
 
 LOST_LIMIT_S = 10.0
 """Longest wait for a lost server or sink."""
-
-LONGEST_WAIT_S = 0.5
-"""Time between attempts to reach the server."""
 
 
 class LiveCapture:
@@ -37,13 +34,11 @@ class LiveCapture:
     def __init__(self, address: TapAddress, wake: Wake, now_s: float) -> None:
         self.heard_s = 0.0
         self.format = (0, 0)
-        self._wake = wake
         self._tap = PushTap(0, 0)
         self._recorder: CaptureRecorder | None = None
         self._pcms = PcmConfig("cushion_tap")
         self._input = SinkInput(address, self._pcms.pcms["cushion_tap"], StateKeeper(now_s), self)
-        self._connection: PulseConnection | None = None
-        self._backoff = Backoff(longest_s=LONGEST_WAIT_S)
+        self._link = ServerLink(Nudge(wake), fallback=False)
         self._well_s, self._well_heard_s = now_s, 0.0
         self._reason = ""
 
@@ -52,8 +47,9 @@ class LiveCapture:
 
         LostError, NotFoundError: one is not available.
         """
-        self._connection = PulseConnection(Nudge(self._wake))
-        self._input.locate(self._connection.latest, None)
+        self._link.open(self._well_s)
+        assert self._link.connection is not None
+        self._input.locate(self._link.connection.latest, None)
 
     def begin(self, recorder: CaptureRecorder) -> None:
         """Record stream `tap` from now on; call it before the first `tick`."""
@@ -83,8 +79,7 @@ class LiveCapture:
     def close(self) -> None:
         """End the capture's stream. May be repeated; raises nothing."""
         self._input.close()
-        if self._connection:
-            self._connection.close()
+        self._link.close()
         self._pcms.close()
 
     def opened(self, samplerate: int, channels: int) -> bool:
@@ -108,19 +103,8 @@ class LiveCapture:
         self.heard_s += len(frames) / tap.samplerate
 
     def _connected(self, now_s: float) -> PulseConnection | None:
-        connection = self._connection
-        if connection is not None:
-            if connection.lost is None:
-                return connection
+        if self._link.lost:
             self._input.close()
-            connection.close()
-            self._connection = None
-        if self._backoff.wait_s(now_s) > 0.0:
-            return None
-        try:
-            self._connection = connection = PulseConnection(Nudge(self._wake))
-        except LostError:
-            self._backoff.failed(now_s)
-            raise
-        self._backoff.succeeded()
-        return connection
+            self._link.close()
+        self._link.open(now_s)
+        return self._link.connection

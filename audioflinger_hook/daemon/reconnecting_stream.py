@@ -21,9 +21,6 @@ ASTRAY_S = 0.4
 GONE_S = 3.0
 """A running stream may be missing from the server's list for this time, as in underruns."""
 
-LONGEST_WAIT_S = 0.5
-"""Time between attempts to open a stream; an attempt costs almost nothing."""
-
 StreamT = TypeVar("StreamT", CaptureStream, PlaybackStream)
 
 
@@ -39,7 +36,7 @@ class ReconnectingStream(Generic[StreamT]):
         self._states = states
         self._lost = lost
         self._moved = moved
-        self._backoff = Backoff(longest_s=LONGEST_WAIT_S)
+        self._backoff = Backoff()
         self._xruns_before = 0
         self.stream: StreamT | None = None
         self.guard: StreamGuard | None = None

@@ -7,22 +7,20 @@ from device.errors import CushionError
 from device.server import FallbackSink, PulseConnection
 from device.server.snapshot import Listener
 
-LONGEST_WAIT_S = 0.5
-"""Time between attempts to reach the server; an attempt costs almost nothing."""
-
 
 class ServerLink:
     """Connection to the server and its silent fallback sink. For the supervising thread alone.
 
-    listener: is told by each connection of changes and of the loss of the connection. connection:
-    None if not connected; a connection may be lost, see `lost`.
+    listener: is told by each connection of changes and of the loss of the connection. fallback:
+    whether to make the sink. connection: None if not connected; it may be lost, see `lost`.
     """
 
-    def __init__(self, listener: Listener) -> None:
+    def __init__(self, listener: Listener, *, fallback: bool = True) -> None:
         self.connection: PulseConnection | None = None
         self._listener = listener
+        self._has_fallback = fallback
         self._fallback: FallbackSink | None = None
-        self._backoff = Backoff(longest_s=LONGEST_WAIT_S)
+        self._backoff = Backoff()
 
     @property
     def lost(self) -> str:
@@ -46,7 +44,8 @@ class ServerLink:
             return False
         try:
             self.connection = PulseConnection(self._listener)
-            self._fallback = FallbackSink(self.connection)
+            if self._has_fallback:
+                self._fallback = FallbackSink(self.connection)
         except CushionError:
             self._backoff.failed(now_s)
             raise

@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 from audioflinger_hook.service.state import Cause, StateKeeper
 
-FIRST_S = 0.05
-LONGEST_S = 2.0
+FIRST_S, LONGEST_S = 0.05, 0.5
+"""First and longest wait between attempts at a server or a stream, which cost almost nothing."""
 
 
 class Backoff:

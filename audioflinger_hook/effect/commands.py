@@ -111,15 +111,12 @@ def is_word(number: object) -> bool:
 
 def is_config(config: object) -> bool:
     """Return whether something is a valid configuration: whole numbers in range."""
-    return (
-        type(config) is EffectConfig
-        and is_word(config.samplerate)
-        and is_word(config.channels)
-        and is_word(config.haptic_channels)
-        and is_word(config.frames)
-        and config.samplerate >= 1
-        and 1 <= config.channels <= CHANNELS_MAX
-        and config.haptic_channels <= CHANNELS_MAX
-        and 1 <= config.frames <= FRAMES_MAX
-        and type(config.access) is Access
+    if type(config) is not EffectConfig or type(config.access) is not Access:
+        return False
+    ranges = (
+        (config.samplerate, 1, WORD_MAX),
+        (config.channels, 1, CHANNELS_MAX),
+        (config.haptic_channels, 0, CHANNELS_MAX),
+        (config.frames, 1, FRAMES_MAX),
     )
+    return all(type(number) is int and low <= number <= high for number, low, high in ranges)

@@ -188,14 +188,12 @@ class Loan:
 
 def same_layout(one: MixBuffer, other: MixBuffer) -> bool:
     """Return whether two buffers have equal shapes and types."""
-    return (
-        one.samples.shape == other.samples.shape
-        and one.samples.dtype == other.samples.dtype
-        and one.audio.shape == other.audio.shape
-        and one.audio.dtype == other.audio.dtype
-        and one.haptic.shape == other.haptic.shape
-        and one.haptic.dtype == other.haptic.dtype
+    pairs = (
+        (one.samples, other.samples),
+        (one.audio, other.audio),
+        (one.haptic, other.haptic),
     )
+    return all(a.shape == b.shape and a.dtype == b.dtype for a, b in pairs)
 
 
 def all_finite(samples: NDArray[np.float32]) -> bool:

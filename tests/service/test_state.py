@@ -113,7 +113,7 @@ def test_the_memory_of_the_keeper_does_not_grow():
 
 
 def test_waits_double_from_50_ms_to_2_s_and_begin_anew_after_a_success():
-    backoff = Backoff()
+    backoff = Backoff(longest_s=2.0)
     waits = [backoff.failed(100.0) for _ in range(8)]
     assert waits == [0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 2.0, 2.0]
     backoff.succeeded()
@@ -123,7 +123,7 @@ def test_waits_double_from_50_ms_to_2_s_and_begin_anew_after_a_success():
 
 @given(st.lists(st.tuples(st.floats(-1e6, 1e6), st.booleans()), max_size=60))
 def test_no_wait_is_ever_longer_than_the_longest_whatever_the_clock_does(steps):
-    backoff = Backoff()
+    backoff = Backoff(longest_s=2.0)
     for now_s, failed in steps:
         if failed:
             backoff.failed(now_s)
@@ -131,7 +131,7 @@ def test_no_wait_is_ever_longer_than_the_longest_whatever_the_clock_does(steps):
 
 
 def test_a_wait_is_over_when_its_time_has_passed():
-    backoff = Backoff()
+    backoff = Backoff(longest_s=2.0)
     assert backoff.wait_s(5.0) == 0.0
     backoff.failed(5.0)
     assert backoff.wait_s(5.01) == pytest.approx(0.04)

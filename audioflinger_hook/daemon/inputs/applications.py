@@ -9,7 +9,6 @@ from functools import partial
 from audioflinger_hook.daemon.capture_queue import SoundGain
 from audioflinger_hook.daemon.engine import Engine
 from audioflinger_hook.daemon.inputs.base import NOTHING, Input
-from audioflinger_hook.daemon.reconnecting_stream import LONGEST_WAIT_S
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.daemon.timing import Backoff
 from audioflinger_hook.service.state import Cause, StateKeeper
@@ -31,8 +30,7 @@ CAPTURES_MAX = 32
 NO_APPLICATION = "no application plays"
 NONE_SUCH = "no application that the tap names plays; `cushion devices` lists those that do"
 
-DEFAULT_SAMPLERATE = 48_000
-DEFAULT_CHANNELS = 2
+DEFAULT_SAMPLERATE, DEFAULT_CHANNELS = 48_000, 2
 
 
 @dataclass(frozen=True)
@@ -105,7 +103,7 @@ class ApplicationsFeed:
 class ApplicationsInput(Input):
     """Sound of the applications that the config's rules select; there may be none.
 
-    feed: takes their buffers on the thread that captures. The others methods are for the
+    feed: takes their buffers on the thread that captures. The other methods are for the
     supervising thread.
     """
 
@@ -121,7 +119,7 @@ class ApplicationsInput(Input):
         self._feed = feed
         self._captures: AppCaptures | None = None
         self._open: dict[int, tuple[AppCapture, Voice]] = {}
-        self._backoff = Backoff(longest_s=LONGEST_WAIT_S)
+        self._backoff = Backoff()
         self._found = Applications((), DEFAULT_SAMPLERATE, DEFAULT_CHANNELS)
         self._volume = TapVolume()
         self._xruns_before = 0

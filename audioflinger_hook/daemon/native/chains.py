@@ -26,7 +26,7 @@ STUCK_S = 1.0
 START_S = 5.0
 """Longest time from the start of a process to its ports."""
 
-LONGEST_WAIT_S = 1.0
+START_WAIT_S = 1.0
 """Longest time between two starts."""
 
 Restore = Callable[[Sequence[DrivenRig | None], bool], None]
@@ -51,7 +51,7 @@ class Chains:
         self.problem = ""
         self._folder = folder
         self._sound_gain = 1.0
-        self.backoff = Backoff(longest_s=LONGEST_WAIT_S)
+        self.backoff = Backoff(longest_s=START_WAIT_S)
         self.current: RunningChain | None = None
         self.following: RunningChain | None = None
         self.leaving: list[RunningChain] = []

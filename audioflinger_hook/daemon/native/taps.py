@@ -23,18 +23,11 @@ OUT, IN, PLAYBACK, MONITOR = "output_", "input_", "playback_", "monitor_"
 
 @dataclass(frozen=True)
 class Tap:
-    """A tap.
+    """What a chain taps.
 
-    Attributes
-    ----------
-    name : str
-        For messages.
-    positions : tuple[str, ...]
-        Its channels in the mixer's order, such as ("FL", "FR").
-    sink : str
-        Node that the tapped streams play to; "" for any sink but the device's.
-    rules : AppRules or None
-        Which streams are tapped; None for all.
+    name: for messages. positions: channels in the mixer's order, such as ("FL", "FR"). sink: node
+    that the tapped streams play to, "" for any but the device's. rules: which streams are tapped,
+    None for all.
     """
 
     name: str
@@ -81,7 +74,6 @@ class Tap:
                 yield ports[position], port
 
     def _takes(self, graph: Graph, link: Link, avoided: int | None) -> bool:
-        """Whether a link to the sink is mirrored."""
         output, node = graph.ports.get(link.output_id), graph.nodes.get(link.output_node_id)
         if output is None or node is None or link.input_id not in graph.ports:
             return False

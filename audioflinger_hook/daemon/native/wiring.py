@@ -18,18 +18,9 @@ SILENT_NODE = (
 
 @dataclass(frozen=True)
 class ChainEnds:
-    """The nodes of one chain, and how they are linked.
+    """The names of one chain's nodes, the channels of its tap, and whether it is to be linked.
 
-    Attributes
-    ----------
-    tap, vibration : str
-        Names of its nodes.
-    channels : int
-        Of its tap.
-    played : tuple[int | None, ...]
-        For each channel of the device: the actuator that it plays, None for none.
-    linked : bool
-        Whether it is to be linked at all.
+    played: for each channel of the device, the actuator that it plays, None for none.
     """
 
     tap: str
@@ -48,24 +39,12 @@ class ChainEnds:
 
 @dataclass(frozen=True)
 class ChainWiring:
-    """What is to be linked: all chains to one tap and to one device.
+    """What is to be linked: all chains that run, to one tap and to one device.
 
-    Attributes
-    ----------
-    chains : tuple[ChainEnds, ...]
-        All chains that run.
-    tap : Tap or None
-        What is tapped; None for nothing.
-    device : str
-        Node of the sink that the vibration goes to.
-    device_positions : tuple[str, ...]
-        Its channels, such as ("FL", "FR").
-    by_monitor : bool
-        Whether the sink's monitor is tapped, else its streams.
-    silence : str
-        Node that is made while there are chains: its monitor, nothing but zeros, is linked to those
-        that tap streams. A linked port keeps its format, so a new stream's link has less to
-        negotiate.
+    device: node of the sink that the vibration goes to. device_positions: its channels, such as
+    ("FL", "FR"). by_monitor: whether the sink's monitor is tapped, else its streams. silence: node
+    that is made while there are chains. Its monitor, nothing but zeros, is linked to chains that
+    tap streams: a linked port keeps its format, so a new stream's link has less to negotiate.
     """
 
     chains: tuple[ChainEnds, ...] = ()
