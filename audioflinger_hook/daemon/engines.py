@@ -44,13 +44,9 @@ NATIVE_TICK_S = 0.25
 class Engines:
     """The engines of one run; one of them plays. For the supervising thread alone.
 
-    config: what to do. endpoints: of the Python engine. states: the daemon's state. folder:
-    private, for files of the native engine and of a live page; None: only the Python engine, and no
-    such file. on_change: called by another thread when PipeWire's graph changes.
-
-    safety: what the driven rigs must not forget.
-
-    volume_db: the listener's volume that is undone, 0 dB for 100 %. python: what the audio threads
+    folder: private, for files of the native engine and of a live page; None: only the Python
+    engine, and no such file. on_change: called by another thread when PipeWire's graph changes.
+    safety: what the driven rigs must not forget. volume_db: the listener's volume that is undone, 0 dB for 100 %. python: what the audio threads
     run; None before the first sound, and while the native engine plays. native: the native engine
     and its failures. reason: why the Python engine computes, "" while the native one does.
     """
@@ -148,10 +144,6 @@ class Engines:
         if first:
             self.safety.restore(rigs)
         self.safety.carry_over(self.rigs, rigs)
-
-    @property
-    def _delay_s(self) -> float:
-        return max(0.0, self._config.live.offset_s)
 
     def follow(self, config: RunConfig, changes: ConfigDiff) -> None:
         """Use another config; changes: what differs from the present one."""
@@ -280,7 +272,7 @@ class Engines:
                 device.samplerate or source.samplerate,
                 self._config.settings,
                 clocks=self._clocks,
-                offset_s=self._delay_s,
+                offset_s=max(0.0, self._config.live.offset_s),
                 block_frames=self._config.live.block_frames,
                 now_s=now_s,
                 bypass_late=self._endpoints.input.needs_server,

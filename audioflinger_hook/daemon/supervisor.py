@@ -40,12 +40,10 @@ class Supervisor:
     and devices raise nothing: the daemon waits and recovers. An unreadable or unwritable file ends
     the daemon.
 
-    config: what to do now. clocks: sources of time; `now_s` is time.monotonic() or a replacement.
-    wake: rung when something changes. states: the daemon's state and its recoveries. folder:
-    private, for files of the native engine; None: only the Python engine. safety: what outlives
-    the process; None: nothing does. engines: both engines.
-    priority: of the audio threads.
-    config_error: why the latest config was not applied, "" if it was.
+    clocks: `now_s` is time.monotonic() or a replacement. wake: rung when something changes. folder:
+    private, for files of the native engine; None: only the Python engine. safety: what outlives the
+    process; None: nothing does. priority: of the audio threads. config_error: why the latest config
+    was not applied, "" if it was.
     UsageError, NotFoundError: a file to play or to write cannot be used.
     """
 

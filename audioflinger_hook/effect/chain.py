@@ -35,8 +35,8 @@ class EffectChains(EffectsPort):
     steps the mixer, except those that only read: `sessions`, `modules`, `effects`, `bypassed` and
     `dump`. `process` and `end_of_cycle` neither raise, block nor log.
 
-    clock: seconds. budget_share: share of a buffer's length that one effect may take; more is an
-    overrun. With inf, for offline work, time bypasses no effect: equal input gives equal bytes.
+    clock: seconds. budget_share: see BUDGET_SHARE; more is an overrun. With inf, for offline work,
+    time bypasses no effect: equal input gives equal bytes.
     """
 
     def __init__(self, clock: Callable[[], float], *, budget_share: float = BUDGET_SHARE) -> None:
@@ -206,11 +206,12 @@ def insert_index(new: EffectDescriptor, chain: Sequence[EffectDescriptor]) -> in
     return places[0][0] if places else len(chain)
 
 
-KIND_NAMES = ("insert", "auxiliary", "replace", "preproc", "postproc")
-"""By the bits of TYPE_MASK."""
-
-PLACE_NAMES = ("any", "first", "last", "exclusive")
-"""By the bits of INSERT_MASK, above those of TYPE_MASK."""
+PLACE_NAMES = {
+    EffectFlag.INSERT_ANY: "any",
+    EffectFlag.INSERT_FIRST: "first",
+    EffectFlag.INSERT_LAST: "last",
+    EffectFlag.INSERT_EXCLUSIVE: "exclusive",
+}
 
 
 def effect_lines(place: int, module: EffectModule) -> list[str]:
@@ -259,11 +260,10 @@ def asked_lines(module: EffectModule) -> tuple[str, ...]:
 
 def flags_text(flags: EffectFlag) -> str:
     """Return an effect's flags in words."""
-    kind = flags & EffectFlag.TYPE_MASK
-    place = (flags & EffectFlag.INSERT_MASK) >> 3
+    kind, place = flags & EffectFlag.TYPE_MASK, flags & EffectFlag.INSERT_MASK
     words = [
-        f"conn. mode: {KIND_NAMES[kind] if kind < len(KIND_NAMES) else 'unknown'}",
-        f"insert pref: {PLACE_NAMES[place] if place < len(PLACE_NAMES) else 'unknown'}",
+        f"conn. mode: {'postproc' if kind == EffectFlag.POST_PROC else 'insert'}",
+        f"insert pref: {PLACE_NAMES.get(place, 'unknown')}",
     ]
     if flags & EffectFlag.VOLUME_MASK:
         words.append("told of volume")

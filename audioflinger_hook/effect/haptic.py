@@ -38,13 +38,14 @@ class Vibration:
     """Vibration of one stream, scaled by a gain and written to all haptic channels of a buffer.
 
     gain: 0 to 1, reached linearly over a block. clip: whether samples beyond full scale are limited
-    and counted. frames: of the largest block. For the thread that steps the mixer.
+    and counted. frames: of the largest block. transform: the one that sounds. For the thread that
+    steps the mixer.
     """
 
     def __init__(self, transform: HapticTransform, gain: float, frames: int) -> None:
         self.gain = gain
         self.clip = True
-        self._transform = transform
+        self.transform = transform
         self._next: HapticTransform | None = None
         self._level = gain
         self._limited_before = 0
@@ -60,26 +61,17 @@ class Vibration:
     @property
     def latency_frames(self) -> int:
         """Frames by which vibration comes after its sound, with the newest transform."""
-        return (self._next or self._transform).latency_frames
+        return (self._next or self.transform).latency_frames
 
     @property
     def limited_samples(self) -> int:
         """Samples changed so far by the limiter or the cut at full scale."""
-        return self._limited_before + self._transform.limited_samples + self._clipped
+        return self._limited_before + self.transform.limited_samples + self._clipped
 
     @property
     def replaced_samples(self) -> int:
         """Unusable samples of sound so far, which were replaced by 0."""
-        return self._replaced_before + self._transform.replaced_samples
-
-    @property
-    def principal(self) -> tuple[tuple[float, float, float], ...]:
-        """What the latest hop vibrates, before the gain; any thread may read it."""
-        return self._transform.principal
-
-    def take_glides(self) -> FloatArray:
-        """Return what the partials did since the last call, before the gain."""
-        return self._transform.take_glides()
+        return self._replaced_before + self.transform.replaced_samples
 
     def change(self, transform: HapticTransform) -> None:
         """Fade the old transform out over the next block; the new one then starts from silence."""
@@ -87,9 +79,9 @@ class Vibration:
 
     def restart(self, transform: HapticTransform) -> None:
         """Change to another transform at once, without a fade, if the stream is new or silent."""
-        self._limited_before += self._transform.limited_samples
-        self._replaced_before += self._transform.replaced_samples
-        self._transform = transform
+        self._limited_before += self.transform.limited_samples
+        self._replaced_before += self.transform.replaced_samples
+        self.transform = transform
         self._next = None
         self._level = self.gain
 
@@ -97,12 +89,12 @@ class Vibration:
         """Forget all sound at once; the counters keep their values."""
         if self._next is not None:
             self.restart(self._next)
-        self._transform.reset()
+        self.transform.reset()
         self._level = self.gain
 
     def process(self, audio: Frames, out: NDArray[np.float32]) -> None:
         """Write the vibration now due to `out` (frames, haptic channels); `audio` is only read."""
-        owed = self._transform.process(audio)
+        owed = self.transform.process(audio)
         if self._next is None:
             self._write(owed, out, self.gain)
         else:
@@ -111,7 +103,7 @@ class Vibration:
 
     def drain(self, haptic_channels: int) -> NDArray[np.float32]:
         """Return the vibration left after the sound ends, (latency_frames, haptic_channels)."""
-        owed = self._transform.finish()
+        owed = self.transform.finish()
         out = np.zeros((len(owed), haptic_channels), np.float32)
         self._write(owed, out, self.gain)
         if self._next is not None:
@@ -256,9 +248,9 @@ class HapticEffect:
             case _ if code == DRAIN:
                 return self._drain()
             case _ if code == PRINCIPAL:
-                return OK, vibration.principal if vibration and self._enabled else ()
+                return OK, vibration.transform.principal if vibration and self._enabled else ()
             case _ if code == GLIDES:
-                return (OK, vibration.take_glides()) if vibration else (ENODATA, None)
+                return (OK, vibration.transform.take_glides()) if vibration else (ENODATA, None)
         return ENOSYS, None
 
     def _set_config(self, config: object) -> int:

@@ -21,12 +21,7 @@ Value = bool | int | float | str
 
 Values = Mapping[str, Value]
 
-KINDS: dict[type, tuple[type, ...]] = {
-    bool: (bool,),
-    int: (int,),
-    float: (float, int),
-    str: (str,),
-}
+KINDS: dict[type, tuple[type, ...]] = {bool: (bool,), int: (int,), float: (float, int), str: (str,)}
 """Python types accepted for each kind of parameter. They must match exactly: True is no number."""
 
 

@@ -18,9 +18,8 @@ _COLUMNS = (
 def dump(mixer: Mixer, cycle_times_s: Sequence[float] = ()) -> str:
     """Return the thread, tracks and effect chains of a mixer as lines of text.
 
-    Any thread may call it; the values may then belong to two neighbouring cycles.
-
     mixer, cycle_times_s: the mixer; durations of the last cycles in s, if they were measured.
+    Any thread may call it; the values may then belong to two neighbouring cycles.
     """
     lines = [*_thread(mixer), *_cycle_times(mixer, cycle_times_s), *_tracks(mixer)]
     lines += [f"  {line}" for line in mixer.effects.dump()]

@@ -68,8 +68,7 @@ class Mixer:
     samplerate: Hz of the mix.
     channels, haptic_channels: of the mix; the haptic channels follow the audio.
     hal_frames: frames that the output takes at once; `frames`, those of a whole cycle, follow.
-    sinks: each takes every buffer that is written.
-    effects: the effect chains; None for none.
+    sinks, effects: what takes every buffer that is written; the effect chains, None for none.
     standby_delay_s: seconds without an active track until standby. With inf, silence is written
         instead.
     on_mix: called in each cycle with the mix before the effects of session 0, (frames, channels);

@@ -44,28 +44,24 @@ class VolumeRamp:
 
     A change goes linearly over exactly one buffer: frame i of n has old + (new - old) i/n, so the
     next buffer starts at the new gain. A track's first buffer has no ramp. frames: usual length of
-    a buffer, for which the ramp is kept ready.
+    a buffer, for which the ramp is kept ready. gains: those reached, one per channel; None before
+    the first buffer.
     """
 
     def __init__(self, channels: int, frames: int) -> None:
         self._rise = _rise(frames)
         self._silent: Gains = (0.0,) * channels
         self._unity: Gains = (1.0,) * channels
-        self._now: Gains | None = None
+        self.gains: Gains | None = None
         self._row = np.zeros(channels, np.float32)
-
-    @property
-    def gains(self) -> Gains | None:
-        """The gains reached, one per channel; None before the first buffer."""
-        return self._now
 
     def restart(self) -> None:
         """Treat the next buffer as the first."""
-        self._now = None
+        self.gains = None
 
     def mute(self) -> None:
         """Make the next buffer rise from silence."""
-        self._now = self._silent
+        self.gains = self._silent
 
     def mix(
         self,
@@ -83,8 +79,8 @@ class VolumeRamp:
         copied or added bit for bit.
         """
         goal = self._silent if goal is None else goal
-        now = goal if self._now is None else self._now
-        self._now = goal
+        now = goal if self.gains is None else self.gains
+        self.gains = goal
         if now == goal == self._unity:
             if first:
                 target[...] = source

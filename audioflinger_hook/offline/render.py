@@ -85,13 +85,9 @@ def render_file(
 ) -> RenderReport:
     """Write the vibration of a sound file as float32 WAV of the same rate and length.
 
-    Errors are those of `render`.
-
-    source: the sound file.
-    target: the WAV file to create or replace.
-    settings: as in a config file; by default those of an empty config file.
-    acceleration: the WAV file for the rig's simulated acceleration.
-    progress: called after every buffer with the frames done and the total frames.
+    source, target: the sound file, and the WAV file to create or replace.
+    settings: as in a config file; by default those of an empty one.
+    acceleration, progress: see `render`, which also says the errors.
     """
     refuse_same_file(source, target, acceleration)
     tap = FileTap(source)

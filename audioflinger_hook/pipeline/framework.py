@@ -24,7 +24,7 @@ from audioflinger_hook.effect.interface import OK, Command, Values
 from audioflinger_hook.effect.module import EffectModule
 from audioflinger_hook.effect.registry import EffectRegistry
 from audioflinger_hook.effect.xml import OUTPUT_MIX_STREAM, bundled_effects, read_effects
-from audioflinger_hook.mixer import Mixer, Sink, dump
+from audioflinger_hook.mixer import Mixer, dump
 from audioflinger_hook.mixer.effects_port import OUTPUT_MIX
 from audioflinger_hook.transform import HapticTransform
 from device.drive.channel_map import ChannelMap
@@ -47,9 +47,9 @@ class Framework:
     The thread that steps the mix calls all methods but `change` and `look_for_blocked`, which
     another thread calls; any thread may call `dump`, `bypassed` and the properties.
 
-    samplerate, channels: of the mix, in Hz. The mix has one haptic channel; with
-        `settings.channels` = "each", one for each channel; with named actuators, one for each of
-        their sources.
+    samplerate, channels: of the mix; the rate in Hz.
+    haptic_channels: one; with `settings.channels` = "each", one for each channel of the mix; with
+        named actuators, one for each of their sources.
     hal_frames, standby_delay_s: see `Mixer`; files keep their silence, so inf.
     clock: seconds; an effect that takes too long is bypassed. None for files: time has no effect.
     warnings: effects that were left out.
@@ -68,8 +68,10 @@ class Framework:
         standby_delay_s: float = math.inf,
     ) -> None:
         self.settings = settings or Settings()
+        self.samplerate = samplerate
         self.warnings: list[str] = []
         each = self.settings.channels == "each"
+        self.haptic_channels = channels if each else max(1, len(self.settings.sources))
         self._chains = EffectChains(
             clock or (lambda: 0.0), budget_share=BUDGET_SHARE if clock else float("inf")
         )
@@ -80,7 +82,7 @@ class Framework:
             samplerate,
             channels,
             hal_frames=hal_frames,
-            haptic_channels=channels if each else max(1, len(self.settings.sources)),
+            haptic_channels=self.haptic_channels,
             effects=self._chains,
             standby_delay_s=standby_delay_s,
         )
@@ -88,16 +90,6 @@ class Framework:
             self._explain()
         # Applied now, not a cycle later, so that the first buffer has them.
         self._chains.end_of_cycle(0.0)
-
-    @property
-    def samplerate(self) -> int:
-        """Rate of the mix in Hz."""
-        return self.mixer.samplerate
-
-    @property
-    def haptic_channels(self) -> int:
-        """Channels of vibration."""
-        return self.mixer.haptic_channels
 
     @property
     def latency_frames(self) -> int:
@@ -147,10 +139,6 @@ class Framework:
         self.settings = settings
         self._wanted = self._parameters(settings)
         self.mixer.post(self._take_wanted)
-
-    def send_to(self, *sinks: Sink) -> None:
-        """Send the mix to these sinks from the next cycle on."""
-        self.mixer.sinks = sinks
 
     def drain(self) -> NDArray[np.float32]:
         """Return the vibration held back after the last sound, (frames, haptic_channels).

@@ -84,7 +84,7 @@ class Pipeline:
         self._outputs = tuple(outputs)
         self._sink = HapticSink(*outputs, clip=framework.settings.form != "reference")
         self._ended = False
-        framework.send_to(self._sink)
+        framework.mixer.sinks = (self._sink,)
         client.connect(framework.mixer)
 
     def step(self, now_s: float = 0.0) -> Step | None:

@@ -34,7 +34,7 @@ class SinkInput(Input):
     opened later. on_heard: called by PortAudio's thread if the listening input gets sound.
     """
 
-    needs_server = True
+    needs_server = may_rest = True  # while closed, the input listens
 
     def __init__(
         self,
@@ -65,11 +65,6 @@ class SinkInput(Input):
         self._found: Source | None = None
         self._muted = ""
         self._source: Source | None = None
-
-    @property
-    def may_rest(self) -> bool:
-        """Always True: while closed, the input listens."""
-        return True
 
     @property
     def name(self) -> str | None:

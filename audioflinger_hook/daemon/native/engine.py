@@ -40,9 +40,7 @@ class NativeEngine:
 
     The supervising thread calls the methods; any thread may read the attributes.
 
-    folder: private, for files. states: counts what was lost and came back. on_change: called by
-    another thread when the graph changes. restore: sets what the rigs of a new chain begin with.
-    designs: makes those of drives. monitor_reason: why the sink's monitor is tapped instead of the
+    folder, on_change, restore: see `NativeRun`. designs: of drives. monitor_reason: why the sink's monitor is tapped instead of the
     streams that play to it; "" for the streams. audible: whether the chain is linked and
     plays. is_fed: whether a stream plays that is tapped. errors: the server's counts of its nodes.
     waits_for: what must come back before it can play, "" for nothing.

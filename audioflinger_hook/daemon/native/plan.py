@@ -34,10 +34,9 @@ class DriveChoice(NamedTuple):
 class ChainPlan:
     """The fixed part of a chain; another plan needs another chain.
 
-    samplerate: of the graph in Hz. tap_channels: of the tap. sources: of vibrations, empty for one
-    of the mono mix, or one for each channel. outputs: vibrations. actuators: for each, the number
-    of its vibration. parameters: of the transform. drives: of each named actuator, or one for all:
-    its rig, damping, protection and exposure cap.
+    samplerate: of the graph in Hz. sources: of vibrations, empty for one of the mono mix, or one
+    for each channel. outputs: count of vibrations. actuators: for each, the number of its
+    vibration. parameters: of the transform. drives: of each named actuator, or one for all.
     """
 
     samplerate: int

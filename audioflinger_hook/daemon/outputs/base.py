@@ -38,11 +38,7 @@ class Output(Endpoint):
     """Where vibration goes."""
 
     address: DeviceAddress
-
-    @property
-    def may_rest(self) -> bool:
-        """Whether the output may be closed while nothing plays."""
-        return True
+    may_rest = True
 
     @property
     @abstractmethod
@@ -256,18 +252,15 @@ class DeviceVolume:
         NotFoundError: it cannot be set, so the device must not play. LostError: the server is lost.
         """
         self._last, self.warning = None, ""
-        if self.wanted_db is not None:
-            self._set(self.wanted_db, set_volume)
-        self._last = (self.wanted_db, self.limit_db)
-
-    def _set(self, wanted_db: float, set_volume: SetVolume) -> None:
-        if wanted_db > self.limit_db:
+        wanted_db = self.wanted_db
+        if wanted_db is not None and wanted_db > self.limit_db:
             self.warning = (
                 f"device_volume_db = {wanted_db:g}: the rig allows at most "
                 f"{self.limit_db:g} dB, which is set instead"
             )
         try:
-            set_volume(min(wanted_db, self.limit_db))
+            if wanted_db is not None:
+                set_volume(min(wanted_db, self.limit_db))
         except LostError:
             raise
         except CushionError as error:
@@ -276,6 +269,7 @@ class DeviceVolume:
                 f"mute stays: {error}; choose another level, or --device-volume-db off, which "
                 "plays with the device's own level and mute"
             ) from None
+        self._last = (wanted_db, self.limit_db)
 
     def update(self, set_volume: SetVolume) -> None:
         """Set the volume if the config changed; changes made elsewhere stay. Raises as `set`."""

@@ -47,6 +47,7 @@ class PacedOutput(Output):
         recording: RunRecording | None = None,
     ) -> None:
         super().__init__(address)
+        self.may_rest = address.kind != "wav"  # a file is as long as the run
         self._pacer = pacer
         self._recording = recording
         self._job: _Writer | None = None
@@ -54,11 +55,6 @@ class PacedOutput(Output):
         self._router = ChannelRouter(self._settings.actuators)
         self._make = _maker(address, self._settings)
         self._format: tuple[int, int] | None = None
-
-    @property
-    def may_rest(self) -> bool:
-        """Always False for a file, since the file is as long as the run."""
-        return self.address.kind != "wav"
 
     @property
     def name(self) -> str | None:
