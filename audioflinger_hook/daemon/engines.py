@@ -46,9 +46,10 @@ class Engines:
 
     folder: private, for files of the native engine and of a live page; None: only the Python
     engine, and no such file. on_change: called by another thread when PipeWire's graph changes.
-    safety: what the driven rigs must not forget. volume_db: the listener's volume that is undone, 0 dB for 100 %. python: what the audio threads
-    run; None before the first sound, and while the native engine plays. native: the native engine
-    and its failures. reason: why the Python engine computes, "" while the native one does.
+    safety: what the driven rigs must not forget. volume_db: the listener's volume that is undone, 0
+    dB for 100 %. python: what the audio threads run; None before the first sound, and while the
+    native engine plays. native: the native engine and its failures. reason: why the Python engine
+    computes, "" while the native one does.
     """
 
     def __init__(

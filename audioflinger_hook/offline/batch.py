@@ -92,15 +92,17 @@ def render_files(
     with LocalWorkers(min(workers, count), __name__, count) as pool:
 
         def submit(item: int) -> Future[Rendered]:
-            return pool.submit(_try_item, item, sources[item], targets[item], settings)
+            share = partial(report_to_pool, item)
+            return pool.submit(_try_file, sources[item], targets[item], settings, share)
 
         futures: dict[int, Future[Rendered]] = {}
         left = iter(range(count))
 
         def submit_more() -> None:
             """Keep all processes busy; not while files wait for their second try, alone."""
-            if not any(each.done() and _is_broken(each) for each in futures.values()):
-                under_way = sum(not each.done() for each in futures.values())
+            done = [each for each in futures.values() if each.done()]
+            if not any(isinstance(each.exception(), BrokenExecutor) for each in done):
+                under_way = len(futures) - len(done)
                 for item in islice(left, AHEAD * workers - under_way):
                     futures[item] = submit(item)
 
@@ -125,14 +127,6 @@ def render_files(
                 code = InternalError.exit_code
                 came = Rendered(sources[item], targets[item], error=error, exit_code=code)
             yield came
-
-
-def _is_broken(future: Future[Rendered]) -> bool:
-    return isinstance(future.exception(), BrokenExecutor)
-
-
-def _try_item(item: int, source: Path, target: Path, settings: Settings) -> Rendered:
-    return _try_file(source, target, settings, partial(report_to_pool, item))
 
 
 def _try_file(

@@ -40,10 +40,10 @@ class NativeEngine:
 
     The supervising thread calls the methods; any thread may read the attributes.
 
-    folder, on_change, restore: see `NativeRun`. designs: of drives. monitor_reason: why the sink's monitor is tapped instead of the
-    streams that play to it; "" for the streams. audible: whether the chain is linked and
-    plays. is_fed: whether a stream plays that is tapped. errors: the server's counts of its nodes.
-    waits_for: what must come back before it can play, "" for nothing.
+    folder, on_change, restore: see `NativeRun`. designs: of drives. monitor_reason: why the sink's
+    monitor is tapped instead of the streams that play to it; "" for the streams. audible: whether
+    the chain is linked and plays. is_fed: whether a stream plays that is tapped. errors: the
+    server's counts of its nodes. waits_for: what must come back before it can play, "" for nothing.
     NotFoundError: a program of PipeWire is missing.
     """
 
