@@ -28,9 +28,8 @@ from audioflinger_hook.daemon.native.abilities import (
 )
 from audioflinger_hook.daemon.native.page import Page
 from audioflinger_hook.daemon.native.plan import ChainPlan, device_map
-from audioflinger_hook.daemon.native.ports import in_mixing_order, port_names
 from audioflinger_hook.daemon.native.run import NativeRun
-from audioflinger_hook.daemon.native.taps import tap_of
+from audioflinger_hook.daemon.native.taps import in_mixing_order, port_names, tap_of
 from audioflinger_hook.daemon.outputs.base import DeviceVolume
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.daemon.soft_fade import FADE_S, SoftFade

@@ -16,9 +16,8 @@ from audioflinger_hook.daemon.native.chain import NAME, Chain
 from audioflinger_hook.daemon.native.chains import FADE_S, Chains, Restore
 from audioflinger_hook.daemon.native.designs import DriveDesigns
 from audioflinger_hook.daemon.native.plan import ChainPlan, device_map
-from audioflinger_hook.daemon.native.ports import port_names
 from audioflinger_hook.daemon.native.running import RunningChain
-from audioflinger_hook.daemon.native.taps import Tap, tap_of
+from audioflinger_hook.daemon.native.taps import Tap, port_names, tap_of
 from audioflinger_hook.daemon.native.wiring import ChainEnds, ChainWiring, why_unlinkable
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.service.state import Cause, StateKeeper

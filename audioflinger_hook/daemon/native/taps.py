@@ -12,13 +12,19 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 from audioflinger_hook.daemon.inputs.applications import Applications
-from audioflinger_hook.daemon.native.ports import in_mixing_order, port_names
+from device.layouts import layout
 from device.server import AppRules
 from device.server.graph import Graph, Link, LinkPair, Node
 from device.server.snapshot import Source, Stream
 
 OUT, IN, PLAYBACK, MONITOR = "output_", "input_", "playback_", "monitor_"
 """Beginnings of the names of ports."""
+
+_REAR = {"BL": "RL", "BR": "RR", "BC": "RC"}
+"""PipeWire's names of Android's positions behind the listener."""
+
+_SIDE = {"BL": "SL", "BR": "SR", "BC": "RC"}
+"""The same of sinks whose only surrounds are at the sides."""
 
 
 @dataclass(frozen=True)
@@ -126,3 +132,33 @@ def channels_of(position: str, positions: tuple[str, ...]) -> tuple[int, ...]:
         if name[-1:] == side and side in ("L", "R")
     )
     return same or tuple(range(len(positions)))
+
+
+def port_names(channel_map: str, channels: int) -> tuple[str, ...]:
+    """Return the end of each channel's port name, such as "FL"; AUX0, AUX1, ... if unknown.
+
+    channel_map: positions in order, such as "front-left,front-right".
+    """
+    positions = channel_map.split(",") if channel_map else []
+    names = tuple(map(_port_name, positions))
+    if len(names) == channels and len(set(names)) == channels:
+        return names
+    return tuple(f"AUX{channel}" for channel in range(channels))
+
+
+def _port_name(position: str) -> str:
+    """Return PipeWire's name of PulseAudio's position: initials, or the whole of one word."""
+    words = position.upper().split("-")
+    return words[0] if len(words) == 1 else "".join(word[:1] for word in words if word != "OF")
+
+
+def in_mixing_order(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the ends of port names in the order of the mixer's layout, if they are its positions.
+
+    The transform adds channels in this order, and its sources go by it.
+    """
+    for known in (_REAR, _SIDE):
+        wanted = tuple(known.get(name, name) for name in layout(len(names)))
+        if sorted(wanted) == sorted(names):
+            return wanted
+    return names
