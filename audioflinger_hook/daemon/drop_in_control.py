@@ -58,7 +58,10 @@ class DropInControl:
         if self._backoff.wait_s(now_s) > 0.0:
             return
         try:
-            self._drop_in = self._made(connection, haptic_sink)
+            names = [sink.name for sink in connection.latest.sinks]
+            target = self._target if self._target in names else None  # the former one
+            delay_s = self._wanted_delay_s
+            self._drop_in = DropIn(connection, target, delay_s, haptic_sink=haptic_sink)
         except CushionError as error:
             self._refusal = str(error)
             self._backoff.failed(now_s)
@@ -75,9 +78,3 @@ class DropInControl:
     @property
     def _wanted_delay_s(self) -> float:
         return max(0.0, -self._config.live.offset_s)
-
-    def _made(self, connection: PulseConnection, haptic_sink: str | None) -> DropIn:
-        """Return a new sink, which forwards to the former target if available."""
-        names = [sink.name for sink in connection.latest.sinks]
-        target = self._target if self._target in names else None
-        return DropIn(connection, target, self._wanted_delay_s, haptic_sink=haptic_sink)

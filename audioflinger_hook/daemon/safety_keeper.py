@@ -177,7 +177,8 @@ class SafetyKeeper:
             return {}, f"{path} cannot be read ({error})"
         except (ValueError, TypeError, KeyError, AttributeError):
             return {}, f"{path} is damaged, or of another version"
-        if any(one["wall_s"] > now.wall_s and one["boot"] != now.boot for one in _each(known)):
+        others = [one for one in known["actuators"].values() if one["boot"] != now.boot]
+        if any(one["wall_s"] > now.wall_s for one in others):
             return {}, f"{path} is from the future: the clock was set back"
         return known, ""
 
@@ -213,16 +214,12 @@ def _states_of(rigs: Rigs) -> dict[tuple[int, int], SafetyState]:
     }
 
 
-def _each(known: dict[str, Any]) -> Sequence[dict[str, Any]]:
-    return tuple(known["actuators"].values())
-
-
 def _checked(known: dict[str, Any]) -> dict[str, Any]:
     """Return a record if every value in it can be. ValueError, TypeError, KeyError: it cannot."""
     if known["version"] != VERSION:
         raise ValueError(known["version"])
     str(known["since"])
-    for one in _each(known):
+    for one in known["actuators"].values():
         numbers = [one["boot_s"], one["wall_s"], *DoseSums(**one["dose"]).__dict__.values()]
         numbers += [one[name] for name in ("coil_c", "magnet_c") if one[name] is not None]
         if not all(math.isfinite(number) and number >= 0.0 for number in numbers):

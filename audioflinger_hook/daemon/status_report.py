@@ -15,7 +15,6 @@ from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.daemon.engine import Engine
 from audioflinger_hook.daemon.native.chain import Chain
 from audioflinger_hook.daemon.native.engine import NativeEngine
-from audioflinger_hook.daemon.native.page import Page
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.daemon.supervisor import Supervisor
 from audioflinger_hook.drive.driven_rig import DrivenRig
@@ -114,6 +113,9 @@ def _of_native(native: NativeEngine, chain: Chain, supervisor: Supervisor) -> di
     settings, resting = supervisor.config.settings, supervisor.states.state is DaemonState.IDLE
     plan, page = chain.plan, chain.page
     latency_frames = max((rig.latency_frames for rig in chain.rigs if rig), default=0)
+    # The monitor of a sink that drives the graph is read one cycle late.
+    is_late = native.monitor_reason and page.samplerate
+    tap_ms = 1e3 * page.cycle_frames / page.samplerate if is_late else 0.0
     # While the graph rests, the plugin does not run, and its last levels stay.
     actuators = range(min(len(settings.actuators), len(chain.rigs)))
     levels = [Level() if resting else page.level(slot) for slot in actuators]
@@ -121,7 +123,7 @@ def _of_native(native: NativeEngine, chain: Chain, supervisor: Supervisor) -> di
     return {
         "levels": Levels() if resting else Levels(*page.levels, channels),
         "latency": LatencyBudget.of(
-            tap_ms=_tap_ms(native, page),
+            tap_ms=tap_ms,
             transform_ms=1e3 * plan.transform.latency_frames / plan.samplerate,
             offset_ms=1e3 * supervisor.offset_s,
             driving_ms=1e3 * latency_frames / plan.samplerate,
@@ -139,13 +141,6 @@ def _of_native(native: NativeEngine, chain: Chain, supervisor: Supervisor) -> di
         "engine_reason": "",
         **_of_rigs(chain.rigs, levels, settings, supervisor),
     }
-
-
-def _tap_ms(native: NativeEngine, page: Page) -> float:
-    """Return the delay of the tap: the monitor of a sink that drives is read one cycle late."""
-    if not native.monitor_reason or not page.samplerate:
-        return 0.0
-    return 1e3 * page.cycle_frames / page.samplerate
 
 
 def _of_rigs(

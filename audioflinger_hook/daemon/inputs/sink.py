@@ -152,10 +152,9 @@ class SinkInput(Input):
             self._listener.close()
             return False
         heard, self._heard = self._heard, False
-        if self._listener.stream is not None and self._source is not source:
-            moved = self._source is None or self._source.index != source.index
-            if moved:
-                self._listener.close()
+        before = self._source
+        if self._listener.stream is not None and (before is None or before.index != source.index):
+            self._listener.close()
         self._listener.check(now_s)
         with suppress(LostError, NotFoundError):  # the next snapshot shows what happened
             self._pcm.target = ServerDevice(source.name)
