@@ -43,10 +43,7 @@ class LiveCapture:
         self._reason = ""
 
     def look(self) -> None:
-        """Check that server and tap are available.
-
-        LostError, NotFoundError: one is not available.
-        """
+        """Raise LostError or NotFoundError if the server or the tap is not available."""
         self._link.open(self._well_s)
         assert self._link.connection is not None
         self._input.locate(self._link.connection.latest, None)

@@ -53,10 +53,7 @@ def facts_of(settings: Settings) -> Facts:
 
 
 def settings_from(facts: Facts) -> Settings | None:
-    """Return the settings stored in a run's capture, or None if it has none.
-
-    UsageError: this version cannot use the stored settings.
-    """
+    """Return the settings in a run's capture, None if none. UsageError: they cannot be used."""
     if "form" not in facts:
         return None
     try:

@@ -243,10 +243,7 @@ def effect_lines(place: int, module: EffectModule) -> list[str]:
 
 
 def asked_lines(module: EffectModule) -> tuple[str, ...]:
-    """Return what the effect itself reports: its parameters and its own dump.
-
-    Called by the thread that steps the mixer, like every command.
-    """
+    """Return what the effect itself reports. For the thread that steps the mixer."""
     lines = []
     for parameter in module.descriptor.parameters:
         status, value = module.command(Command.GET_PARAM, parameter.name)

@@ -107,10 +107,7 @@ def decode_rows(rows: NDArray[Any], pcm_format: PcmFormat, frames: NDArray[np.fl
 
 
 def decode(stored: PcmData, pcm_format: PcmFormat, channels: int) -> NDArray[np.float32]:
-    """The frames stored, (frames, channels) float32, full scale ±1; a copy.
-
-    Raises UsageError as `stored_frames` does.
-    """
+    """The frames stored, (frames, channels) float32, full scale ±1; raises as `stored_frames`."""
     rows = stored_frames(stored, pcm_format, channels)
     frames = np.empty((len(rows), channels), np.float32)
     decode_rows(rows, pcm_format, frames)

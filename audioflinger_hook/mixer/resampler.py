@@ -68,10 +68,7 @@ class Resampler:
             room[~finite] = 0.0
 
     def produce(self, frames: NDArray[np.float32]) -> None:
-        """Fill `frames`, (n, channels) float32, with the next n output frames.
-
-        `frames_needed(n)` frames must have been fed.
-        """
+        """Fill `frames`, (n, channels) float32, from the `frames_needed(n)` that were fed."""
         self._kernel.render(self._inputs, self._base, self._next, frames)
         self._next += len(frames)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from enum import Enum
+from typing import TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
@@ -211,11 +212,17 @@ class Track:
             (frames, channels); copied. Offer the frames not stored again after a cycle.
         UsageError: the samples have another type or shape; nothing is stored then.
         """
-        rows = stored_frames(samples, self.format, self.channels)
-        taken = min(len(rows), self.ring.room)
-        first, second = self.ring.spans_to_write(taken)
-        decode_rows(rows[: len(first)], self.format, first)
-        decode_rows(rows[len(first) : taken], self.format, second)
+        if self._is_float_block(samples):
+            taken = min(len(samples), self.ring.room)
+            first, second = self.ring.spans_to_write(taken)
+            first[...] = samples[: len(first)]
+            second[...] = samples[len(first) : taken]
+        else:
+            rows = stored_frames(samples, self.format, self.channels)
+            taken = min(len(rows), self.ring.room)
+            first, second = self.ring.spans_to_write(taken)
+            decode_rows(rows[: len(first)], self.format, first)
+            decode_rows(rows[len(first) : taken], self.format, second)
         self.ring.commit(taken)
         return taken
 
@@ -252,6 +259,15 @@ class Track:
                 f"one, or one for each channel of the mix, up to {CHANNELS_MAX}"
             )
         self.volume = gains
+
+    def _is_float_block(self, samples: PcmData) -> TypeGuard[NDArray[np.float32]]:
+        """Return whether samples need no conversion, like the samples of a tap."""
+        return (
+            self.format is PcmFormat.FLOAT
+            and isinstance(samples, np.ndarray)
+            and samples.dtype == np.float32
+            and samples.shape[1:] == (self.channels,)
+        )
 
     def _ask(self, request: Request) -> None:
         self.requests.append((request, self.ring.written))

@@ -149,10 +149,7 @@ class Chains:
             self.current, self.following = new, None
 
     def let_play(self, now_s: float) -> bool:
-        """Fade the chains in or out, and return whether one plays.
-
-        The following one takes over when it has settled.
-        """
+        """Fade chains in or out; a settled following one takes over. Return whether one plays."""
         takes_over = self.following is not None and self.following.is_settled(now_s)
         chosen = self.following if takes_over else self.current
         for running in self.running:

@@ -107,8 +107,5 @@ class ChainPlan:
 
 
 def device_map(settings: Settings, plan: ChainPlan, sink: Sink) -> ChannelMap:
-    """Return which actuator each channel of the device plays.
-
-    UsageError: an actuator wants a channel that the device does not have.
-    """
+    """Return which actuator each channel plays. UsageError: one wants a channel that is missing."""
     return actuators_of_channels(sink, settings.actuators, plan.outputs)
