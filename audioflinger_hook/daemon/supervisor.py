@@ -220,8 +220,9 @@ class Supervisor:
         except (LostError, NotFoundError) as error:
             if connection and connection.lost:
                 self._lose_server(now_s, str(error))
-            else:  # if the device or tap has vanished, the next snapshot shows that
-                self._explain(error, now_s)
+            elif self.states.state is not DaemonState.RUNNING:
+                # Why no stream opens; if device or tap has vanished, the next snapshot shows it.
+                self.states.enter(self.states.state, now_s, str(error))
             return
         if self.input.name and self.output.name:
             self.states.enter(DaemonState.RUNNING, now_s)
@@ -310,11 +311,6 @@ class Supervisor:
             self._link.close()
         self._found = (None, None)
         self.states.enter(DaemonState.WAITING_FOR_SERVER, now_s, reason)
-
-    def _explain(self, error: CushionError, now_s: float) -> None:
-        """Say why no stream opens, in the present state, unless it plays already."""
-        if self.states.state is not DaemonState.RUNNING:
-            self.states.enter(self.states.state, now_s, str(error))
 
     def _locate_tap(self, snapshot: ServerSnapshot | None, device: AudioNode) -> AudioNode:
         return self.input.locate(snapshot, device.name if self.output.needs_server else None)

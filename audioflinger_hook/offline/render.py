@@ -163,6 +163,7 @@ def render(
         raise
     finally:
         client.close()
+    readings = [processor.exposure() for processor in written[0].drive.processors if processor]
     return RenderReport(
         frames=frames,
         samplerate=rate,
@@ -175,7 +176,7 @@ def render(
         replaced_samples=framework.replaced_samples,
         peak_acceleration_m_s2=rig.peak_acceleration_m_s2 if rig else None,
         strength_db=written[0].drive.strength_db,
-        exposure=_largest_exposure(written[0].drive),
+        exposure=max(readings, key=lambda reading: reading.a8_m_s2, default=None),
         models=rig.seconds if rig else [],
         warnings=[*framework.warnings, *framework.bypass_warnings(), *warnings],
     )
@@ -221,11 +222,6 @@ def _driven(written: FadedOutput, channel_map: ChannelMap, framework: Framework)
         return _Driven(written, DrivenOutput(aligned, drive, channel_map), drive)
     driven = DrivenOutput(AlignedOutput(written, drive.latency_frames), drive, channel_map)
     return _Driven(written, AlignedOutput(driven, framework.latency_frames), drive)
-
-
-def _largest_exposure(drive: Drive) -> Exposure | None:
-    readings = [processor.exposure() for processor in drive.processors if processor]
-    return max(readings, key=lambda reading: reading.a8_m_s2, default=None)
 
 
 def refuse_same_file(source: Path, target: Path, acceleration: Path | None) -> None:
