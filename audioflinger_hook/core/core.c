@@ -40,18 +40,18 @@ static void take_controls(Core *core, size_t which, const ActuatorControls *cont
 /* Write what the latest hop vibrates, once for each hop. */
 static void report_partials(Core *core, CoreReadings *readings)
 {
-    const Told *told = &core->live.told;
-    if (told->hops == core->hops)
+    const DisplayPartials *display = &core->live.display;
+    if (display->hops == core->hops)
         return;
-    core->hops = told->hops;
+    core->hops = display->hops;
     const uint64_t sequence = readings->sequence & ~UINT64_C(1); /* odd: a host ended while it wrote */
     STORE(readings->sequence, sequence + 1);
     __atomic_thread_fence(__ATOMIC_RELEASE);
-    STORE(readings->partials_count, (uint64_t)told->count);
-    for (size_t one = 0; one < told->count; one++) {
-        STORE(readings->partials[one][0], told->audio_hz[one]);
-        STORE(readings->partials[one][1], told->hz[one]);
-        STORE(readings->partials[one][2], told->amplitude[one]);
+    STORE(readings->partials_count, (uint64_t)display->count);
+    for (size_t one = 0; one < display->count; one++) {
+        STORE(readings->partials[one][0], display->audio_hz[one]);
+        STORE(readings->partials[one][1], display->hz[one]);
+        STORE(readings->partials[one][2], display->amplitude[one]);
     }
     __atomic_thread_fence(__ATOMIC_RELEASE);
     STORE(readings->sequence, sequence + 2);

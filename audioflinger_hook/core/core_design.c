@@ -75,7 +75,7 @@ const char *core_design_read(CoreDesign *design, DriveDesign *drives, const void
         return "it lacks samplerate or inputs";
     design->info.samplerate = (uint32_t)samplerate;
     design->info.inputs = design->info.vibrations = (uint32_t)inputs;
-    design->each = count_or_none(records, "each") != 0;
+    design->per_channel = count_or_none(records, "per_channel") != 0;
     design->has_transform = count_or_none(records, "window_frames") != 0;
     if (design->has_transform) {
         misfit = design_open(&design->transform, records);
@@ -83,7 +83,7 @@ const char *core_design_read(CoreDesign *design, DriveDesign *drives, const void
             return misfit;
         design->info.latency_frames = (uint32_t)design->transform.latency_frames;
         design->info.tonal_latency_frames = (uint32_t)design->transform.tonal_latency_frames;
-        if (!design->each)
+        if (!design->per_channel)
             design->info.vibrations = 1;
     }
     misfit = read_sources(design, records);

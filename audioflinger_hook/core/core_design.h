@@ -8,7 +8,7 @@
 
 typedef struct {
     CoreInfo info; /* without memory_bytes */
-    int has_transform, each; /* each: one vibration for each channel */
+    int has_transform, per_channel; /* one vibration for each channel */
     Design transform;
     const double *weights; /* (vibrations, 2, inputs): in the mean, and in half the difference; or NULL */
     size_t drives;

@@ -13,11 +13,11 @@ static void layout(Core *core, Arena *arena)
     const size_t mixes = core->design.weights ? vibrations : 0;
     core->sound = arena_alloc(arena, PIECE_FRAMES * info->inputs, sizeof(double));
     core->mixed = arena_alloc(arena, mixes ? PIECE_FRAMES * (mixes + 2) : 0, sizeof(double));
-    core->powers = arena_alloc(arena, mixes, sizeof(MixPowers));
+    core->powers = arena_alloc(arena, mixes, sizeof(DownmixState));
     core->vibration = arena_alloc(arena, PIECE_FRAMES * vibrations, sizeof(double));
     if (core->design.has_transform) {
-        const int each = mixes || core->design.each;
-        live_open(&core->live, &core->design.transform.settings, mixes ? mixes : info->inputs, each,
+        const int per_channel = mixes || core->design.per_channel;
+        live_open(&core->live, &core->design.transform.settings, mixes ? mixes : info->inputs, per_channel,
                   arena);
     }
     core->driven = *arena;
@@ -101,7 +101,7 @@ void core_reset(Core *core, int doses_too)
     if (core->design.has_transform)
         live_reset(&core->live);
     if (core->design.weights)
-        memset(core->powers, 0, info->vibrations * sizeof(MixPowers));
+        memset(core->powers, 0, info->vibrations * sizeof(DownmixState));
     memset(core->history.samples, 0, info->vibrations * core->history.frames * sizeof(float));
     core->history.next = 0;
     for (size_t which = 0; which < info->actuators; which++)

@@ -18,7 +18,7 @@ struct Core {
     double *sound;      /* (frames, inputs), if it is scaled or mixed */
     double *mixed;      /* (frames, vibrations), then two columns of work */
     double *vibration;  /* (frames, vibrations) */
-    MixPowers *powers;  /* of the mixes */
+    DownmixState *powers;  /* of the mixes */
     int is_fresh, is_opened; /* nothing was processed since core_reset, or core_open */
     double sound_gain;  /* of the last frame */
     Arena driven;       /* where history and actuators begin */

@@ -2,7 +2,7 @@
 
 #include "core_parts.h"
 
-/* What changes as a stream goes on, beside the numbers of voices, mixes and drives. */
+/* What changes as a stream goes on, beside the numbers of channels, mixes and drives. */
 typedef struct {
     uint64_t filled, tick, oldest, silent, replaced, mix_replaced, limited, delivered;
     uint64_t frames, day, is_fresh, is_opened;
@@ -38,7 +38,7 @@ __attribute__((no_sanitize("address"))) static void copy_in(void *memory, const 
 
 static size_t mix_bytes(const Core *core)
 {
-    return core->design.weights ? core->design.info.vibrations * sizeof(MixPowers) : 0;
+    return core->design.weights ? core->design.info.vibrations * sizeof(DownmixState) : 0;
 }
 
 static size_t voices_bytes(const Core *core)
@@ -165,9 +165,10 @@ size_t core_glides_max(const Core *core, size_t frames)
     if (!core->design.has_transform)
         return 0;
     const size_t of_hops = (frames / s->hop_frames + 2) * tracking_slots(s);
-    const size_t of_tick = loudness_is_on(s) ? tracking_slots(s) + s->fresh_max : s->fresh_max;
+    const size_t tracked = loudness_is_on(s) ? tracking_slots(s) : 0;
+    const size_t of_tick = tracked + s->onset_partials_max;
     const size_t of_ticks = (frames / s->tick_frames + 2) * of_tick;
-    return core->live.voices_count * (of_hops + of_ticks);
+    return core->live.channels_count * (of_hops + of_ticks);
 }
 
 size_t core_record(Core *core, CoreGlide *rows, size_t room)

@@ -40,7 +40,7 @@ def core_design(
     actuator's rig; () for the vibration itself. delay_frames_max: longest delay of an actuator.
     """
     records: Records = {**(transform or {})}
-    records |= {"samplerate": samplerate, "inputs": inputs, "each": int(each)}
+    records |= {"samplerate": samplerate, "inputs": inputs, "per_channel": int(each)}
     if len(mixes):
         records |= {"sources": len(mixes), "source_weights": np.array(mixes).ravel()}
     if drives:

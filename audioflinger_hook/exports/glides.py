@@ -73,7 +73,7 @@ class VibrationCurve:
 
 def first_onset_slot(design: LiveDesign) -> int:
     """Return the number of the first slot of partials that are born of an onset."""
-    return 2 * (design.analysis.partials_max + design.onsets.fresh_max)
+    return 2 * (design.analysis.partials_max + design.onsets.onset_partials_max)
 
 
 def rising(design: LiveDesign, rows: FloatArray) -> NDArray[np.bool_]:

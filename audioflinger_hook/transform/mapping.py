@@ -33,7 +33,7 @@ class VibrationMapping:
     """B_c: Hz of vibration per factor e of audio frequency; 0 for mapping "jnd"."""
     scale_ratio: float
     """Exponent: vibration follows this power of audio frequency for "jnd"; 0 for "paper"."""
-    by_energy: int
+    energy_mapping: int
     """Level law: 1 for "energy", 0 for "tonal"."""
     full_scale_r: float
     """R: r of a full-scale tone, in Hz."""
@@ -47,7 +47,7 @@ class VibrationMapping:
             bottom_hz=parameters.vibration_bottom_hz,
             scale_hz=0.0 if equal_jnds else parameters.scale_hz,
             scale_ratio=parameters.scale_ratio if equal_jnds else 0.0,
-            by_energy=int(parameters.level_law == "energy"),
+            energy_mapping=int(parameters.level_law == "energy"),
             full_scale_r=full_scale_r,
         )
 
@@ -82,7 +82,7 @@ class VibrationMapping:
         times df over the width of a tone: what a spectral peak of that height and width holds. A
         single full-scale sample, whose spectrum is flat, comes out 25 dB weaker.
         """
-        if self.by_energy:
+        if self.energy_mapping:
             strength: FloatArray = np.sqrt(amplitude * r / self.full_scale_r)
         else:
             strength = r * r / (r.sum() * self.full_scale_r)
@@ -94,7 +94,7 @@ class VibrationMapping:
         It is 1 for a steady tone, 1 / M for M equal ones by `tonal`, always 1 by `energy`. A window
         that is only partly filled by its sound gives the same ratio.
         """
-        if self.by_energy or not r.size:
+        if self.energy_mapping or not r.size:
             return 1.0
         strength = self.amplitudes(amplitude, r)
         energy = float((amplitude * r).sum()) / self.full_scale_r

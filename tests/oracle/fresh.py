@@ -42,15 +42,15 @@ class Fresh:
             base = sum(one.amplitude for one in self.partials.near(hz))
             base += sum(begun.goal for _, one, begun in self._begun() if abs(one.hz - hz) < reach)
             goal = min(amplitude - base, self._room())
-            if goal <= s.worth * amplitude:
+            if goal <= s.min_gain_share * amplitude:
                 continue
             begun = Begun(group, goal, base, weight)
             if young:
                 replaced = young.pop(0)
                 begun.age, begun.joins = 1, replaced.joins
                 vars(replaced).update(vars(begun))
-            elif len(self.sounding) < s.fresh_max:
-                slot, phase = min(set(range(s.fresh_max)) - set(self.sounding)), s.birth_phase
+            elif len(self.sounding) < s.onset_partials_max:
+                slot, phase = min(set(range(s.onset_partials_max)) - set(self.sounding)), s.start_phase
                 if other := self.partials.strongest_near(hz):
                     hz, phase = other.hz, (other.phase - other.hz * ticks_left * s.tick_s) % 1.0
                     begun.joins = True
@@ -77,7 +77,7 @@ class Fresh:
         hz, begun.weight, amplitude = self.estimate(tick, begun.group)
         wanted = amplitude - begun.base
         # Of a sound that is there already rounding leaves nothing, or next to nothing.
-        if wanted < max(0.0, self.s.worth_holding * amplitude):
+        if wanted < max(0.0, self.s.min_held_share * amplitude):
             wanted = 0.0
         begun.goal += min(wanted - begun.goal, self._room())
         return one.hz if begun.joins else hz

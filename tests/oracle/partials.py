@@ -52,7 +52,7 @@ class Partials:
     start_sum: of the amplitudes at the start of the latest glides."""
 
     def __init__(self, s: Any) -> None:
-        self.s, self.most = s, s.partials_max + s.fresh_max
+        self.s, self.most = s, s.partials_max + s.onset_partials_max
         self.sounding: dict[int, Partial] = {}
         self.glides: list[tuple[float, ...]] = []
         self.start_sum = 0.0
@@ -120,7 +120,7 @@ class Partials:
         reach_hz *= s.scale_hz + s.scale_ratio * hz
         if s.merge_ratio:
             reach_hz = np.maximum(reach_hz, s.tracking.merging_hz(hz))
-        reach_hz *= np.array([s.fresh_reach if one.begun else 1.0 for one in sounding])[nearest]
+        reach_hz *= np.array([s.onset_reach if one.begun else 1.0 for one in sounding])[nearest]
         mutual = distance.argmin(axis=0)[nearest] == np.arange(hz.size)
         slots = np.array(list(self.sounding))[nearest]
         return zip(slots.tolist(), gap_hz, mutual & (gap_hz <= reach_hz), strict=True)
@@ -139,7 +139,7 @@ class Partials:
             begun, amplitude = one.begun, one.begun.goal + one.begun.base
             share = recent_power(begun.group) / begun.power if begun.power > 0.0 else 0.0
             now, full = amplitude * min(1.0, share) ** 0.5, len(end) >= self.most
-            if begun.hops and now >= self.s.worth_holding * amplitude and (slot in end or not full):
+            if begun.hops and now >= self.s.min_held_share * amplitude and (slot in end or not full):
                 begun.hops, wanted[slot] = begun.hops - 1, now * known
                 end.setdefault(slot, replace(one, amplitude=0.0))
             elif slot in end:

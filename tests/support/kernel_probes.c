@@ -46,7 +46,7 @@ static const char *misfit(const Py_buffer *views, Py_ssize_t bins, Py_ssize_t fi
     return NULL;
 }
 
-static Py_ssize_t found_in_rows(const Py_buffer *views, const Rule *rule, double first_sample,
+static Py_ssize_t found_in_rows(const Py_buffer *views, const PeakCriteria *criteria, double first_sample,
                                 double weakest, void *work)
 {
     const double *turn = views[TURN].buf;
@@ -68,7 +68,7 @@ static Py_ssize_t found_in_rows(const Py_buffer *views, const Rule *rule, double
         double *numbers = (double *)views[FOUND].buf + total;
         const Principals found = {numbers, numbers + pitch, numbers + 2 * pitch,
                                   numbers + 3 * pitch};
-        const int32_t count = principal(rule, &window, spectrum, found, work);
+        const int32_t count = find_principal(criteria, &window, spectrum, found, work);
         for (int32_t one = 0; one < count; one++)
             row_of[total++] = row;
     }
@@ -96,7 +96,7 @@ static PyObject *find(PyObject *Py_UNUSED(module), PyObject *arguments)
     if (open == ARRAYS) {
         const char *wrong = misfit(views, bins, first, last, most);
         void *work = wrong ? NULL : PyMem_Malloc(analysis_work((size_t)bins));
-        const Rule rule = {
+        const PeakCriteria criteria = {
             .bins = (int32_t)bins,
             .first = (int32_t)first,
             .last = last < first ? 0 : (int32_t)last,
@@ -111,7 +111,7 @@ static PyObject *find(PyObject *Py_UNUSED(module), PyObject *arguments)
         else if (!work)
             PyErr_NoMemory();
         else
-            count = found_in_rows(views, &rule, first_sample, weakest, work);
+            count = found_in_rows(views, &criteria, first_sample, weakest, work);
         PyMem_Free(work);
     }
     while (open-- > 0)

@@ -29,7 +29,7 @@ VALUES: dict[str, Any] = blob.unpack(DESIGN.to_bytes())
 
 
 def design_of(values, channels=1, each=False):
-    return blob.pack({"inputs": channels, "each": int(each), **values})
+    return blob.pack({"inputs": channels, "per_channel": int(each), **values})
 
 
 WHOLE = design_of(VALUES)
@@ -198,7 +198,7 @@ def test_a_kernel_is_not_made_of_a_damaged_design(at, flip):
         ("tick_glide", SETTINGS["tick_glide"][1:]),
         ("tick_glide_s", SETTINGS["tick_glide_s"][1:]),
         ("find_onsets", 2),
-        ("by_energy", 2),
+        ("energy_mapping", 2),
         ("short_frames", 0),
         ("short_frames", SETTINGS["short_frames"] + 1),
         ("short_frames", SETTINGS["tick_frames"] - 1),
@@ -230,9 +230,9 @@ def test_a_kernel_is_not_made_of_a_damaged_design(at, flip):
         ("heard_ticks", SETTINGS["heard_ticks"] + 1),
         ("one_tone", SETTINGS["one_tone"][1:]),
         ("groups_max", 0),
-        ("groups_max", SETTINGS["fresh_max"] + 1),
-        ("fresh_max", SETTINGS["groups_max"] - 1),
-        ("fresh_max", 17),
+        ("groups_max", SETTINGS["onset_partials_max"] + 1),
+        ("onset_partials_max", SETTINGS["groups_max"] - 1),
+        ("onset_partials_max", 17),
         ("rise_shares", np.zeros(0)),
         ("rise_shares", np.full_like(SETTINGS["rise_shares"], np.inf)),
         ("hold_hops", 2**40),

@@ -187,7 +187,7 @@ class OnsetDesign:
     short_window: FloatArray
     short_hz: FloatArray
     """Vibration frequency of each bin."""
-    worth: float
+    min_gain_share: float
     """No partial starts if less than this share of its amplitude is missing."""
     band_edges: FloatArray
     """Bins: the first of each band, and past the last."""
@@ -209,13 +209,13 @@ class OnsetDesign:
     """Ticks over which an onset's sound is measured, each better than the last."""
     groups_max: int = GROUPS_MAX
     """Largest number of groups of bands in which one onset starts partials."""
-    fresh_max: int = 2 * GROUPS_MAX
+    onset_partials_max: int = 2 * GROUPS_MAX
     """Largest number of onset partials at a time."""
     forgotten: float = 1e-30
     """Power that counts as zero."""
     apart_from: float = 1.0 + 1e-9
     """Ratio from which on two bands differ, so that rounding decides nothing between equals."""
-    birth_phase: float = 0.75
+    start_phase: float = 0.75
     """Phase at birth in cycles: a sine, whose first swing is felt at once."""
     one_tone: FloatArray = field(default_factory=lambda: np.array((0.12, 0.28, 0.34, 0.36)))
     """Sum p^2 / (sum p)^2 over the bins' powers p of a tone, in each tick after an onset. In noise
@@ -264,7 +264,7 @@ class OnsetDesign:
             short_hz=mapping.vibration_hz(
                 np.clip(hz, parameters.band_low_hz, parameters.band_high_hz)
             ),
-            worth=MERGED_WORTH if parameters.merge_ratio else WORTH,
+            min_gain_share=MERGED_WORTH if parameters.merge_ratio else WORTH,
             band_edges=np.array(sorted(edges), dtype=np.float64),
         )
 

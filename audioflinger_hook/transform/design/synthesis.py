@@ -153,9 +153,9 @@ class TrackingDesign:
     first_hz: float = 1e-9
     """Added to the distance of each further slot, in Hz of vibration, so that the first of equally
     near slots wins: two onsets of the same sound give birth at the same frequency."""
-    fresh_reach: float = 2.0
+    onset_reach: float = 2.0
     """Factor on the reach of a partial that is held, of which little is known yet."""
-    worth_holding: float = 0.05
+    min_held_share: float = 0.05
     """Share of its amplitude below which a partial is no longer held."""
     stronger: float = 1.0 + 1e-9
     """Ratio from which on one amplitude is larger than another."""
@@ -175,7 +175,7 @@ class TrackingDesign:
     def near_hz(self, hz: float, mapping: VibrationMapping) -> float:
         """Return how far from a new partial its true frequency may be, in Hz of vibration."""
         ratio = max(self.match_ratio, self.match_audio_hz / mapping.audio_hz(hz))
-        near_hz = self.fresh_reach * (mapping.scale_hz + mapping.scale_ratio * hz) * ratio
+        near_hz = self.onset_reach * (mapping.scale_hz + mapping.scale_ratio * hz) * ratio
         if self.merge_ratio:
             near_hz = max(near_hz, float(self.merging_hz(hz)))
         return near_hz

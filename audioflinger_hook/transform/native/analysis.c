@@ -39,7 +39,7 @@ typedef struct {
 } Work;
 
 /* Give every part its place in the memory, or count how much that is where there is none. */
-static size_t lay_out(void *memory, size_t bins, Work *work)
+static size_t layout_work(void *memory, size_t bins, Work *work)
 {
     const size_t most = bins / 2 + 1;
     Peaks *peaks = &work->peaks;
@@ -66,7 +66,7 @@ static size_t lay_out(void *memory, size_t bins, Work *work)
 size_t analysis_work(size_t bins)
 {
     Work work;
-    return lay_out(NULL, bins, &work);
+    return layout_work(NULL, bins, &work);
 }
 
 /* ------------------------------------------------------------------------ half-power bandwidth */
@@ -130,7 +130,7 @@ INLINED void bound_side(Side side, const double *restrict level, int32_t count)
 }
 
 /* Bound the r of all peaks from above; the bound is a number even where the amplitudes are none. */
-SIMD_CLONES static void bound(const Rule *rule, Peaks *peaks)
+SIMD_CLONES static void bound(const PeakCriteria *criteria, Peaks *peaks)
 {
     bound_side(peaks->down, peaks->level, peaks->count);
     bound_side(peaks->up, peaks->level, peaks->count);
@@ -138,30 +138,30 @@ SIMD_CLONES static void bound(const Rule *rule, Peaks *peaks)
     const double *restrict down = peaks->down.bound, *restrict up = peaks->up.bound;
     double *restrict bounds = peaks->bound;
     for (int32_t one = 0; one < peaks->count; one++) {
-        const double r = height[one] * ((down[one] + up[one]) * rule->bin_hz) * SLACK;
+        const double r = height[one] * ((down[one] + up[one]) * criteria->bin_hz) * SLACK;
         bounds[one] = r > 0.0 ? r : 0.0;
     }
 }
 
 /* Measure a peak's r, unless that is done; return whether it is principal. */
-static int measure_peak(const Rule *rule, Peaks *peaks, int32_t one)
+static int measure_peak(const PeakCriteria *criteria, Peaks *peaks, int32_t one)
 {
     if (peaks->r[one] < 0.0) {
         const double level = peaks->level[one];
         const double bins =
             side_on_bell(peaks->down, one, level) + side_on_bell(peaks->up, one, level);
-        peaks->bandwidth_hz[one] = bins * rule->bin_hz;
+        peaks->bandwidth_hz[one] = bins * criteria->bin_hz;
         const double r = peaks->height[one] * peaks->bandwidth_hz[one];
         peaks->r[one] = r;
         peaks->rank[one] = r - r * (LOWER_FIRST * (double)peaks->bin[one]);
     }
-    return peaks->r[one] > rule->threshold_hz;
+    return peaks->r[one] > criteria->threshold_hz;
 }
 
 /* ------------------------------------------------------------------------------------ selection */
 
 /* Choose those above a share of the highest principal one: the others may be its side lobes. */
-static void choose_no_side_lobes(const Rule *rule, Peaks *peaks, Chosen *chosen)
+static void choose_no_side_lobes(const PeakCriteria *criteria, Peaks *peaks, Chosen *chosen)
 {
     double highest = 0.0;
     while (highest == 0.0) {
@@ -174,12 +174,12 @@ static void choose_no_side_lobes(const Rule *rule, Peaks *peaks, Chosen *chosen)
             }
         if (which < 0)
             break;
-        if (measure_peak(rule, peaks, which))
+        if (measure_peak(criteria, peaks, which))
             highest = height;
         else
             peaks->r[which] = 0.0;
     }
-    const double under = highest > 0.0 ? rule->side_lobe * highest : INFINITY;
+    const double under = highest > 0.0 ? criteria->side_lobe * highest : INFINITY;
     int32_t count = 0;
     for (int32_t one = 0; one < peaks->count; one++) {
         chosen->place[count] = one;
@@ -227,24 +227,24 @@ SIMD_CLONES static int32_t few_largest(double *restrict numbers, int32_t count, 
 
 /* Of more than `most` rule out what cannot be among those with the largest r: first those that have
  * the largest bounds are measured, then it is known what the others must exceed. */
-static void rule_out(const Rule *rule, Work *work)
+static void rule_out(const PeakCriteria *criteria, Work *work)
 {
     Peaks *peaks = &work->peaks;
     Chosen *chosen = &work->chosen;
-    bound(rule, peaks);
+    bound(criteria, peaks);
     for (int32_t one = 0; one < chosen->count; one++)
         work->sorting[one] = peaks->bound[chosen->place[one]];
-    const int32_t few = few_largest(work->sorting, chosen->count, rule->most, work->sorted);
-    const double likely = nth_largest(work->sorting, few, rule->most, work->sorted);
+    const int32_t few = few_largest(work->sorting, chosen->count, criteria->most, work->sorted);
+    const double likely = nth_largest(work->sorting, few, criteria->most, work->sorted);
     int32_t known = 0;
     for (int32_t one = 0; one < chosen->count; one++) {
         const int32_t place = chosen->place[one];
-        if (peaks->bound[place] >= likely && measure_peak(rule, peaks, place))
+        if (peaks->bound[place] >= likely && measure_peak(criteria, peaks, place))
             work->sorting[known++] = peaks->rank[place];
     }
     /* What is not principal may stay for now. */
     const double least =
-        known < rule->most ? 0.0 : nth_largest(work->sorting, known, rule->most, work->sorted);
+        known < criteria->most ? 0.0 : nth_largest(work->sorting, known, criteria->most, work->sorted);
     int32_t count = 0;
     for (int32_t one = 0; one < chosen->count; one++) {
         const int32_t place = chosen->place[one];
@@ -255,24 +255,24 @@ static void rule_out(const Rule *rule, Work *work)
 }
 
 /* Choose what is principal of the chosen, the `most` with the largest r. */
-static void choose_strongest(const Rule *rule, Work *work)
+static void choose_strongest(const PeakCriteria *criteria, Work *work)
 {
     Peaks *peaks = &work->peaks;
     Chosen *chosen = &work->chosen;
-    if (chosen->count > rule->most)
-        rule_out(rule, work);
+    if (chosen->count > criteria->most)
+        rule_out(criteria, work);
     int32_t count = 0;
     for (int32_t one = 0; one < chosen->count; one++)
-        if (measure_peak(rule, peaks, chosen->place[one])) {
+        if (measure_peak(criteria, peaks, chosen->place[one])) {
             work->sorting[count] = peaks->rank[chosen->place[one]];
             chosen->place[count++] = chosen->place[one];
         }
     chosen->count = count;
-    if (count <= rule->most)
+    if (count <= criteria->most)
         return;
-    const double least = nth_largest(work->sorting, count, rule->most, work->sorted);
+    const double least = nth_largest(work->sorting, count, criteria->most, work->sorted);
     int32_t equals = 0;
-    while (equals < rule->most && work->sorted[rule->most - 1 - equals] == least)
+    while (equals < criteria->most && work->sorted[criteria->most - 1 - equals] == least)
         equals++;
     int32_t kept = 0;
     for (int32_t one = 0; one < count; one++) {
@@ -283,25 +283,25 @@ static void choose_strongest(const Rule *rule, Work *work)
     chosen->count = kept;
 }
 
-int32_t principal(const Rule *rule, const Window *window, Spectrum spectrum, Principals found,
-                  void *memory)
+int32_t find_principal(const PeakCriteria *criteria, const Window *window, Spectrum spectrum,
+                       Principals found, void *memory)
 {
     Work work;
-    lay_out(memory, (size_t)rule->bins, &work);
+    layout_work(memory, (size_t)criteria->bins, &work);
     double *amplitude = work.edges + EDGE;
     for (int32_t edge = 1; edge <= EDGE; edge++)
-        amplitude[-edge] = amplitude[rule->bins - 1 + edge] = 0.0;
+        amplitude[-edge] = amplitude[criteria->bins - 1 + edge] = 0.0;
     Peaks *peaks = &work.peaks;
-    peaks_amplitudes(spectrum, amplitude, rule->bins);
+    peaks_amplitudes(spectrum, amplitude, criteria->bins);
     peaks_clear_images(window, spectrum, amplitude, peaks);
-    peaks_list(rule, amplitude, work.turns, peaks);
+    peaks_list(criteria, amplitude, work.turns, peaks);
     peaks_refine(amplitude, peaks);
     find_steps(amplitude, peaks);
-    choose_no_side_lobes(rule, peaks, &work.chosen);
-    choose_strongest(rule, &work);
+    choose_no_side_lobes(criteria, peaks, &work.chosen);
+    choose_strongest(criteria, &work);
     for (int32_t one = 0; one < work.chosen.count; one++) {
         const int32_t place = work.chosen.place[one];
-        found.audio_hz[one] = ((double)peaks->bin[place] + peaks->offset[place]) * rule->bin_hz;
+        found.audio_hz[one] = ((double)peaks->bin[place] + peaks->offset[place]) * criteria->bin_hz;
         found.amplitude[one] = peaks->height[place];
         found.bandwidth_hz[one] = peaks->bandwidth_hz[place];
         found.r[one] = peaks->r[place];

@@ -36,7 +36,7 @@ typedef struct {
     double peak_span_min; /* amplitude times bins between valleys from which r can pass */
     double side_lobe;     /* share of the highest amplitude that the others must exceed */
     int32_t most;         /* of more than these the ones with the largest r stay */
-} Rule;
+} PeakCriteria;
 
 /* Bins, real and imaginary parts, each `step` after the last. */
 typedef struct {
@@ -52,9 +52,9 @@ typedef struct {
 /* Bytes of work space for so many bins. */
 size_t analysis_work(size_t bins);
 
-/* Find what is principal in a spectrum; return how many, at most `rule->most` or bins / 2.
+/* Find what is principal in a spectrum; return how many, at most `criteria->most` or bins / 2.
  * found: room for as many. work: aligned as malloc does. */
-int32_t principal(const Rule *rule, const Window *window, Spectrum spectrum, Principals found,
-                  void *work);
+int32_t find_principal(const PeakCriteria *criteria, const Window *window, Spectrum spectrum,
+                       Principals found, void *work);
 
 #endif

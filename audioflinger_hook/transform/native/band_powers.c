@@ -96,7 +96,7 @@ SIMD_CLONES_NARROW static void hear_low(const Settings *s, LowBands *low, const 
 
 /* -------------------------------------------------------------------------------------- all bands */
 
-void band_powers_hear(const Settings *s, const BandPowers *powers, const double *samples,
+void band_powers_update(const Settings *s, const BandPowers *powers, const double *samples,
                       const double *short_power, double *excitation)
 {
     const size_t low = band_powers_low(s), high = band_powers_high(s), older = s->average_ticks - 1;

@@ -12,7 +12,7 @@
 /* All-passes in each of the two chains that make a signal analytic. */
 #define CHAIN 4
 
-/* What is remembered of one voice. All of it is state, doubles alone. */
+/* What is remembered of one channel. All of it is state, doubles alone. */
 typedef struct {
     double smooth[16];                          /* of the low-pass before the low rate */
     double chains[2][CHAIN][2];                 /* of the all-passes */
@@ -38,7 +38,7 @@ void band_powers_reset(const Settings *settings, const BandPowers *powers);
 
 /* Write the excitation of each band over its threshold in quiet. samples: the newest tick_frames of
  * band-passed sound. short_power: of the bins of the onset search in this tick. */
-void band_powers_hear(const Settings *settings, const BandPowers *powers, const double *samples,
+void band_powers_update(const Settings *settings, const BandPowers *powers, const double *samples,
                       const double *short_power, double *excitation);
 
 #endif

@@ -103,7 +103,7 @@ static const char *read_settings(Records records, Settings *settings)
         return "it lacks the table " #name;
     TABLES(ENTRY)
 #undef ENTRY
-    return settings_misfit(settings);
+    return settings_error(settings);
 }
 
 static int is_big_endian(void)

@@ -75,24 +75,24 @@ INLINED double factor_of(const Settings *s, MixBalance now)
 }
 
 /* Add the difference to some frames of a group, of which so many have been. */
-INLINED void add_side(MixBalance now, double been, double *mono, const double *side, size_t frames)
+INLINED void add_side(MixBalance now, double filled, double *mono, const double *side, size_t frames)
 {
     if (!(now.start > 0.0 || now.end > 0.0))
         return;
     for (size_t frame = 0; frame < frames; frame++) {
-        const double share = (been + (double)frame + 1.0) / GROUP;
+        const double share = (filled + (double)frame + 1.0) / GROUP;
         mono[frame] += (now.start + (now.end - now.start) * share) * side[frame];
     }
 }
 
 /* Go on with the group under way; return how many frames that took. */
-static size_t go_on(const Settings *settings, MixPowers *powers, double *mono, const double *side,
+static size_t finish_group(const Settings *settings, DownmixState *powers, double *mono, const double *side,
                     size_t frames)
 {
-    const size_t been = (size_t)powers->frames, room = GROUP - been;
+    const size_t filled = (size_t)powers->frames, room = GROUP - filled;
     const size_t part = frames < room ? frames : room;
-    memcpy(powers->of_mean + been, mono, part * sizeof(double));
-    memcpy(powers->of_side + been, side, part * sizeof(double));
+    memcpy(powers->of_mean + filled, mono, part * sizeof(double));
+    memcpy(powers->of_side + filled, side, part * sizeof(double));
     add_side(powers->balance, powers->frames, mono, side, part);
     powers->frames += (double)part;
     if (part == room) {
@@ -120,22 +120,22 @@ static void take_groups(const Settings *settings, MixBalance *balance, double *m
     *balance = now;
 }
 
-void downmix_restore(const Settings *settings, MixPowers *powers, double *mono, const double *side,
+void downmix_restore(const Settings *settings, DownmixState *powers, double *mono, const double *side,
                      size_t frames)
 {
-    size_t done = powers->frames > 0.0 ? go_on(settings, powers, mono, side, frames) : 0;
+    size_t done = powers->frames > 0.0 ? finish_group(settings, powers, mono, side, frames) : 0;
     const size_t groups = (frames - done) / GROUP;
     take_groups(settings, &powers->balance, mono + done, side + done, groups);
     done += groups * GROUP;
     if (done < frames)
-        go_on(settings, powers, mono + done, side + done, frames - done);
+        finish_group(settings, powers, mono + done, side + done, frames - done);
 }
 
-void downmix_rest(const Settings *settings, MixPowers *powers, size_t frames)
+void downmix_rest(const Settings *settings, DownmixState *powers, size_t frames)
 {
     double mono[GROUP] = {0.0}, side[GROUP] = {0.0};
     while (frames) {
-        const MixPowers before = *powers;
+        const DownmixState before = *powers;
         const size_t part = frames < GROUP ? frames : GROUP;
         downmix_restore(settings, powers, mono, side, part);
         frames -= part;
@@ -144,7 +144,7 @@ void downmix_rest(const Settings *settings, MixPowers *powers, size_t frames)
     }
 }
 
-int downmix_is_possible(const MixPowers *powers)
+int downmix_is_possible(const DownmixState *powers)
 {
     const MixBalance *now = &powers->balance;
     const double numbers[] = {now->mean, now->side, now->newest, now->start, now->end};

@@ -20,10 +20,10 @@ typedef struct {
 typedef struct {
     MixBalance balance;
     double frames, of_mean[MIX_GROUP], of_side[MIX_GROUP];
-} MixPowers;
+} DownmixState;
 
 /* Numbers in it. */
-#define MIX_POWERS (sizeof(MixPowers) / sizeof(double))
+#define DOWNMIX_STATE_NUMBERS (sizeof(DownmixState) / sizeof(double))
 
 /* Return the weights of so many channels in the mean, then those in half the difference of the left
  * and right half; NULL where all channels are averaged. */
@@ -33,13 +33,13 @@ const double *downmix_weights(const Settings *settings, size_t channels);
 int downmix_is_table(Table table);
 
 /* Add so much of the difference to so many frames of the mean as this cancels. */
-void downmix_restore(const Settings *settings, MixPowers *powers, double *mono, const double *side,
+void downmix_restore(const Settings *settings, DownmixState *powers, double *mono, const double *side,
                      size_t frames);
 
 /* Take note of so many frames of silence. */
-void downmix_rest(const Settings *settings, MixPowers *powers, size_t frames);
+void downmix_rest(const Settings *settings, DownmixState *powers, size_t frames);
 
 /* Whether the numbers are such as powers can be. */
-int downmix_is_possible(const MixPowers *powers);
+int downmix_is_possible(const DownmixState *powers);
 
 #endif

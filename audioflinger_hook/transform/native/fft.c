@@ -4,7 +4,7 @@
  *
  * - Pairs of samples are taken for complex numbers, half as many, and their spectrum is taken apart
  *   again at the end.
- * - The upper half of those is 0 too: the first division by two costs one turn for each, and leaves
+ * - The upper half of those is 0 too: the first division by two costs one twiddle for each, and leaves
  *   two transforms of the same length, for even and for odd bins. They run side by side.
  *
  * Each of these is written as a grid. Columns are transformed (all at once, so that every loop is
@@ -16,14 +16,14 @@
 
 #include "common.h"
 
-/* --------------------------------------------------------------------------------------- passes */
+/* --------------------------------------------------------------------------------------- stages */
 
 /* Turned back by an angle: (real, imaginary) times (cosine, -sine). */
 #define TURNED(out, which, re, im)                                                                 \
     do {                                                                                           \
         const double one_re = (re), one_im = (im);                                                 \
         if (turned) {                                                                              \
-            const double c = turn[2 * (which) - 2], s = turn[2 * (which) - 1];                     \
+            const double c = twiddle[2 * (which) - 2], s = twiddle[2 * (which) - 1];                     \
             out_re[(which) * (out) + at] = one_re * c + one_im * s;                                \
             out_im[(which) * (out) + at] = one_im * c - one_re * s;                                \
         } else {                                                                                   \
@@ -38,7 +38,7 @@ typedef struct {
 } Places;
 
 INLINED void by_two(const double *restrict re, const double *restrict im, double *restrict out_re,
-                    double *restrict out_im, Places places, const double *turn, int turned)
+                    double *restrict out_im, Places places, const double *twiddle, int turned)
 {
     const size_t in = places.in;
     NO_ALIAS
@@ -51,7 +51,7 @@ INLINED void by_two(const double *restrict re, const double *restrict im, double
 }
 
 INLINED void by_three(const double *restrict re, const double *restrict im, double *restrict out_re,
-                      double *restrict out_im, Places places, const double *turn, int turned)
+                      double *restrict out_im, Places places, const double *twiddle, int turned)
 {
     static const double SIN = 0.86602540378443864676;
     const size_t in = places.in;
@@ -69,7 +69,7 @@ INLINED void by_three(const double *restrict re, const double *restrict im, doub
 }
 
 INLINED void by_four(const double *restrict re, const double *restrict im, double *restrict out_re,
-                     double *restrict out_im, Places places, const double *turn, int turned)
+                     double *restrict out_im, Places places, const double *twiddle, int turned)
 {
     const size_t in = places.in;
     NO_ALIAS
@@ -87,7 +87,7 @@ INLINED void by_four(const double *restrict re, const double *restrict im, doubl
 }
 
 INLINED void by_five(const double *restrict re, const double *restrict im, double *restrict out_re,
-                     double *restrict out_im, Places places, const double *turn, int turned)
+                     double *restrict out_im, Places places, const double *twiddle, int turned)
 {
     static const double C1 = 0.30901699437494742410, S1 = 0.95105651629515357212;
     static const double C2 = -0.80901699437494742410, S2 = 0.58778525229247312917;
@@ -115,13 +115,13 @@ INLINED void by_five(const double *restrict re, const double *restrict im, doubl
 }
 
 INLINED void butterfly(size_t factor, const double *re, const double *im, double *out_re,
-                       double *out_im, Places places, const double *turn, int turned)
+                       double *out_im, Places places, const double *twiddle, int turned)
 {
     switch (factor) {
-    case 2: by_two(re, im, out_re, out_im, places, turn, turned); break;
-    case 3: by_three(re, im, out_re, out_im, places, turn, turned); break;
-    case 4: by_four(re, im, out_re, out_im, places, turn, turned); break;
-    default: by_five(re, im, out_re, out_im, places, turn, turned); break;
+    case 2: by_two(re, im, out_re, out_im, places, twiddle, turned); break;
+    case 3: by_three(re, im, out_re, out_im, places, twiddle, turned); break;
+    case 4: by_four(re, im, out_re, out_im, places, twiddle, turned); break;
+    default: by_five(re, im, out_re, out_im, places, twiddle, turned); break;
     }
 }
 
@@ -130,31 +130,31 @@ typedef struct {
     double *re, *im;
 } Complexes;
 
-/* Do one pass, of one factor; return its end in the table of turns. */
-INLINED const double *pass_once(size_t factor, size_t size, size_t run, const double *turn,
+/* Do one pass, of one factor; return its end in the table of twiddles. */
+INLINED const double *pass_once(size_t factor, size_t size, size_t run, const double *twiddle,
                                 Complexes *from, Complexes *to)
 {
     const size_t rest = size / factor;
     const Places places = {rest * run, run, run};
-    butterfly(factor, from->re, from->im, to->re, to->im, places, turn, 0);
-    turn += 2 * (factor - 1);
-    for (size_t place = 1; place < rest; place++, turn += 2 * (factor - 1))
+    butterfly(factor, from->re, from->im, to->re, to->im, places, twiddle, 0);
+    twiddle += 2 * (factor - 1);
+    for (size_t place = 1; place < rest; place++, twiddle += 2 * (factor - 1))
         butterfly(factor, from->re + run * place, from->im + run * place,
-                  to->re + run * factor * place, to->im + run * factor * place, places, turn, 1);
+                  to->re + run * factor * place, to->im + run * factor * place, places, twiddle, 1);
     const Complexes done = *to;
     *to = *from;
     *from = done;
-    return turn;
+    return twiddle;
 }
 
-/* Do all passes of one transform (Stockham's: nothing has to be put in order afterwards). */
-SIMD_CLONES static void pass_through(const Passes *passes, Complexes *from, Complexes *to)
+/* Do all stages of one transform (Stockham's: nothing has to be put in order afterwards). */
+SIMD_CLONES static void pass_through(const FftStages *stages, Complexes *from, Complexes *to)
 {
-    const double *turn = passes->turns;
-    size_t size = passes->size, run = passes->run;
-    for (size_t which = 0; which < passes->count; which++) {
-        const size_t factor = passes->factors[which];
-        turn = pass_once(factor, size, run, turn, from, to);
+    const double *twiddle = stages->twiddles;
+    size_t size = stages->size, run = stages->run;
+    for (size_t which = 0; which < stages->count; which++) {
+        const size_t factor = stages->factors[which];
+        twiddle = pass_once(factor, size, run, twiddle, from, to);
         size /= factor;
         run *= factor;
     }
@@ -162,18 +162,18 @@ SIMD_CLONES static void pass_through(const Passes *passes, Complexes *from, Comp
 
 /* The same for 120 complex numbers, those of the short window at 44.1 and 48 kHz. There loops are so
  * short that a quarter is won where the compiler knows how long they are and what is how far away. */
-SIMD_CLONES_NARROW static void pass_through_columns_of_10(const Passes *passes, Complexes *from,
+SIMD_CLONES_NARROW static void pass_through_columns_of_10(const FftStages *stages, Complexes *from,
                                                     Complexes *to)
 {
-    const double *turn = pass_once(3, 12, 10, passes->turns, from, to);
-    pass_once(4, 4, 30, turn, from, to);
+    const double *twiddle = pass_once(3, 12, 10, stages->twiddles, from, to);
+    pass_once(4, 4, 30, twiddle, from, to);
 }
 
-SIMD_CLONES_NARROW static void pass_through_rows_of_12(const Passes *passes, Complexes *from,
+SIMD_CLONES_NARROW static void pass_through_rows_of_12(const FftStages *stages, Complexes *from,
                                                  Complexes *to)
 {
-    const double *turn = pass_once(5, 10, 12, passes->turns, from, to);
-    pass_once(2, 2, 60, turn, from, to);
+    const double *twiddle = pass_once(5, 10, 12, stages->twiddles, from, to);
+    pass_once(2, 2, 60, twiddle, from, to);
 }
 
 /* Two numbers in one register. */
@@ -191,15 +191,15 @@ INLINED Pair pair_at(const double *at)
 INLINED void pair_to(double *at, Pair pair) { memcpy(at, &pair, sizeof pair); }
 
 /* Turn each number of the grid and write rows as columns. */
-INLINED void exchanged_one(const double *turn, size_t rows, size_t columns, Complexes from,
+INLINED void exchanged_one(const double *twiddle, size_t rows, size_t columns, Complexes from,
                            Complexes to)
 {
-    for (size_t column = 0; column < columns; column++, turn += 2 * rows) {
+    for (size_t column = 0; column < columns; column++, twiddle += 2 * rows) {
         const double *restrict re = from.re + column, *restrict im = from.im + column;
         double *restrict to_re = to.re + column * rows, *restrict to_im = to.im + column * rows;
         NO_ALIAS
         for (size_t row = 0; row < rows; row++) {
-            const double c = turn[2 * row], s = turn[2 * row + 1];
+            const double c = twiddle[2 * row], s = twiddle[2 * row + 1];
             const double x = re[row * columns], y = im[row * columns];
             to_re[row] = x * c + y * s;
             to_im[row] = y * c - x * s;
@@ -211,13 +211,13 @@ INLINED void exchanged_one(const double *turn, size_t rows, size_t columns, Comp
 INLINED void exchanged_two(const Fft *fft, Complexes from, Complexes to)
 {
     const size_t rows = fft->columns.size, columns = fft->rows.size;
-    const double *turn = fft->grid_turn;
-    for (size_t column = 0; column < columns; column++, turn += 2 * rows) {
+    const double *twiddle = fft->grid_turn;
+    for (size_t column = 0; column < columns; column++, twiddle += 2 * rows) {
         const double *restrict re = from.re + 2 * column, *restrict im = from.im + 2 * column;
         double *restrict to_re = to.re + 2 * column * rows;
         double *restrict to_im = to.im + 2 * column * rows;
         for (size_t row = 0; row < rows; row++) {
-            const Pair c = pair_of(turn[2 * row]), s = pair_of(turn[2 * row + 1]);
+            const Pair c = pair_of(twiddle[2 * row]), s = pair_of(twiddle[2 * row + 1]);
             const Pair x = pair_at(re + 2 * row * columns), y = pair_at(im + 2 * row * columns);
             pair_to(to_re + 2 * row, x * c + y * s);
             pair_to(to_im + 2 * row, y * c - x * s);
@@ -252,11 +252,11 @@ SIMD_CLONES static void pair_samples(const Fft *fft, const double *restrict samp
         }
         return;
     }
-    const double *restrict turn = fft->lane_turn;
+    const double *restrict twiddle = fft->lane_turn;
     NO_ALIAS
     for (size_t at = 0; at < fft->points; at++) {
         const double x = samples[2 * at], y = samples[2 * at + 1];
-        const double c = turn[2 * at], s = turn[2 * at + 1];
+        const double c = twiddle[2 * at], s = twiddle[2 * at + 1];
         re[2 * at] = x;
         re[2 * at + 1] = x * c + y * s;
         im[2 * at] = y;

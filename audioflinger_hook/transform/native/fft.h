@@ -17,8 +17,8 @@
 typedef struct {
     size_t size, run;
     size_t factors[FACTORS_MAX], count;
-    const double *turns; /* for each factor what its outputs are turned by, cosine and sine */
-} Passes;
+    const double *twiddles; /* for each factor what its outputs are turned by, cosine and sine */
+} FftStages;
 
 /* How spectra of one length are made. Its tables lie in the arena. */
 typedef struct {
@@ -27,7 +27,7 @@ typedef struct {
     size_t points; /* complex numbers in one small transform */
     size_t lanes;  /* small transforms side by side */
     size_t halved; /* complex numbers that hold the samples in pairs; 0 where they are not paired */
-    Passes columns, rows;
+    FftStages columns, rows;
     const double *lane_turn; /* of each number on its way to the odd bins; cosine and sine */
     const double *grid_turn; /* of each number between columns and rows */
     const double *bin_cos;   /* of each bin, by which the odd samples' spectrum is turned */

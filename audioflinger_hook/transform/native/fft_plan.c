@@ -1,4 +1,4 @@
-/* How a spectrum of one length is made: its division into factors, and the tables of turns. */
+/* How a spectrum of one length is made: its division into factors, and the twiddle factors. */
 
 #include "common.h"
 #include "exact.h"
@@ -30,34 +30,34 @@ static double *write_turns(double *table, size_t count, size_t step, size_t whol
 }
 
 /* Divide size into factors of 5, 3, 4 and 2; return whether that leaves nothing. */
-static int factorise(Passes *passes, size_t size)
+static int factorise(FftStages *stages, size_t size)
 {
     static const size_t PRIMES[] = {5, 3, 4, 2};
-    passes->size = size;
-    passes->count = 0;
+    stages->size = size;
+    stages->count = 0;
     for (size_t which = 0; which < sizeof PRIMES / sizeof *PRIMES; which++)
         for (; size % PRIMES[which] == 0; size /= PRIMES[which])
-            passes->factors[passes->count++] = PRIMES[which];
+            stages->factors[stages->count++] = PRIMES[which];
     return size == 1;
 }
 
-/* Doubles in the table of turns of one transform. */
-static size_t turns_of(const Passes *passes)
+/* Doubles in the table of twiddles of one transform. */
+static size_t twiddles_of(const FftStages *stages)
 {
-    size_t total = 0, size = passes->size;
-    for (size_t which = 0; which < passes->count; which++) {
-        total += 2 * (size - size / passes->factors[which]);
-        size /= passes->factors[which];
+    size_t total = 0, size = stages->size;
+    for (size_t which = 0; which < stages->count; which++) {
+        total += 2 * (size - size / stages->factors[which]);
+        size /= stages->factors[which];
     }
     return total;
 }
 
-static double *write_passes(Passes *passes, double *table)
+static double *write_passes(FftStages *stages, double *table)
 {
-    passes->turns = table;
-    size_t size = passes->size;
-    for (size_t which = 0; which < passes->count; which++) {
-        const size_t factor = passes->factors[which], rest = size / factor;
+    stages->twiddles = table;
+    size_t size = stages->size;
+    for (size_t which = 0; which < stages->count; which++) {
+        const size_t factor = stages->factors[which], rest = size / factor;
         for (size_t place = 0; place < rest; place++)
             for (size_t output = 1; output < factor; output++, table += 2)
                 turn_of(place * output, size, table, table + 1);
@@ -69,7 +69,7 @@ static double *write_passes(Passes *passes, double *table)
 /* Divide so many points into a grid that is as square as can be; return whether it can be done. */
 static int make_grid(Fft *fft)
 {
-    Passes all;
+    FftStages all;
     if (!factorise(&all, fft->points))
         return 0;
     size_t best = 1;
@@ -96,7 +96,7 @@ int fft_open(Fft *fft, size_t length, int padded, Arena *arena)
     const size_t lane_turns = fft->lanes == 2 ? 2 * fft->points : 0;
     const size_t bins = fft->halved ? fft->halved + 1 : 0;
     const size_t total =
-        turns_of(&fft->columns) + turns_of(&fft->rows) + lane_turns + 2 * fft->points + 2 * bins;
+        twiddles_of(&fft->columns) + twiddles_of(&fft->rows) + lane_turns + 2 * fft->points + 2 * bins;
     double *table = arena_alloc(arena, total, sizeof(double));
     if (!table)
         return 1;

@@ -1,4 +1,4 @@
-/* The glides of all voices as they are played, for those who write down what vibrates. */
+/* The glides of all channels as they are played, for those who write down what vibrates. */
 
 #include "glide_log.h"
 
@@ -16,7 +16,7 @@ void glide_log_add_all(GlideLog *log, GlidePlace place, const Glides *glides)
         if (glides->start_amplitude[slot] == 0.0 && glides->end_amplitude[slot] == 0.0)
             continue;
         glide_log_add(log, (GlideRow){
-            (double)log->frame,      (double)place.frames,          (double)place.voice,
+            (double)log->frame,      (double)place.frames,          (double)place.channel,
             (double)(place.first_slot + slot),
             glides->start_hz[slot],  glides->end_hz[slot],
             glides->start_amplitude[slot], glides->end_amplitude[slot], glides->start_phase[slot],

@@ -1,4 +1,4 @@
-/* The glides of all voices as they are played, for those who write down what vibrates. */
+/* The glides of all channels as they are played, for those who write down what vibrates. */
 
 #ifndef CUSHION_GLIDE_LOG_H
 #define CUSHION_GLIDE_LOG_H
@@ -8,11 +8,11 @@
 
 #include "tracking.h"
 
-/* What one slot does in one hop, or in one tick of fresh partials. Only numbers: Python reads rows. */
+/* What one slot does in one hop, or in one tick of onset partials. Only numbers: Python reads rows. */
 typedef struct {
     double frame;  /* the first, counted from the start of the recording */
     double frames; /* of the hop or the tick */
-    double voice, slot;
+    double channel, slot;
     double start_hz, end_hz, start_amplitude, end_amplitude, start_phase;
 } GlideRow;
 
@@ -26,7 +26,7 @@ typedef struct {
 
 /* What part of a stream some glides belong to. first_slot: number of the first of them. */
 typedef struct {
-    size_t voice, first_slot, slots, frames;
+    size_t channel, first_slot, slots, frames;
 } GlidePlace;
 
 /* Add one row. */

@@ -15,18 +15,18 @@ static void strengthen(Live *live, size_t count)
         sum_r += live->found.r[one];
     for (size_t one = 0; one < count; one++) {
         const double r = live->found.r[one];
-        live->amplitude[one] = s->by_energy ? sqrt(live->found.amplitude[one] * r / s->full_scale_r)
+        live->amplitude[one] = s->energy_mapping ? sqrt(live->found.amplitude[one] * r / s->full_scale_r)
                                             : r * r / (sum_r * s->full_scale_r);
         if (loudness_is_on(s))
             live->amplitude[one] *= tilt(s, live->hz[one]);
     }
 }
 
-static void lower_speech(Live *live, const Voice *voice, size_t count)
+static void lower_speech(Live *live, const Channel *channel, size_t count)
 {
     for (size_t one = 0; one < count; one++) {
         const double left =
-            speech_gain(&live->settings, voice->speech, live->found.audio_hz[one]);
+            speech_gain(&live->settings, channel->speech, live->found.audio_hz[one]);
         live->found.amplitude[one] *= left;
         live->found.r[one] *= left;
     }
@@ -43,7 +43,7 @@ static double felt_power(const Live *live, size_t count)
     return power;
 }
 
-int levels_set(Live *live, Voice *voice, size_t count)
+int levels_set(Live *live, Channel *channel, size_t count)
 {
     const Settings *s = &live->settings;
     const int followed = loudness_is_on(s), lowered = s->speech_db > 0.0;
@@ -52,10 +52,10 @@ int levels_set(Live *live, Voice *voice, size_t count)
     /* Before the law of level, so that what speech loses is not missing from the rest. */
     if (lowered) {
         const double before = felt_power(live, count);
-        lower_speech(live, voice, count);
+        lower_speech(live, channel, count);
         strengthen(live, count);
         if (followed && before > 0.0)
-            voice->strength->speech_left = smaller(1.0, sqrt(felt_power(live, count) / before));
+            channel->strength->speech_left = smaller(1.0, sqrt(felt_power(live, count) / before));
     }
     for (size_t one = 0; one < count; one++)
         total += live->amplitude[one];
@@ -81,7 +81,7 @@ double levels_gain(const Live *live, double wanted, size_t count)
 double levels_left_by_law(const Live *live, size_t count)
 {
     double sum_r = 0.0, fourths = 0.0, energy = 0.0;
-    if (live->settings.by_energy || !count)
+    if (live->settings.energy_mapping || !count)
         return 1.0;
     for (size_t one = 0; one < count; one++) {
         const double r = live->found.r[one];

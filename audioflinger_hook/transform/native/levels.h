@@ -8,7 +8,7 @@
 /* Set the amplitudes of what was found. Where loudness is followed only their proportion matters, and
  * what speech loses is noted for the strength; else they are scaled down where their sum would pass the
  * ceiling: return whether it would. */
-int levels_set(Live *live, Voice *voice, size_t count);
+int levels_set(Live *live, Channel *channel, size_t count);
 
 /* The factor that makes amplitudes as strong as is wanted, as far as the ceiling allows. */
 double levels_gain(const Live *live, double wanted, size_t count);

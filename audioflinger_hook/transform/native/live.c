@@ -15,14 +15,14 @@
 /* ------------------------------------------------------------------------------------- analysis */
 
 /* Put the window in order, the oldest frame first, and take it through the window function. */
-SIMD_CLONES static void apply_window(const Live *live, const Voice *voice, double *restrict samples)
+SIMD_CLONES static void apply_window(const Live *live, const Channel *channel, double *restrict samples)
 {
     const size_t frames = live->settings.window_frames, first = frames - live->oldest;
     const double *restrict window = live->settings.window.at;
-    const double *restrict past = voice->past + live->oldest;
+    const double *restrict past = channel->past + live->oldest;
     for (size_t frame = 0; frame < first; frame++)
         samples[frame] = past[frame] * window[frame];
-    past = voice->past;
+    past = channel->past;
     window += first;
     samples += first;
     for (size_t frame = 0; frame < frames - first; frame++)
@@ -31,10 +31,10 @@ SIMD_CLONES static void apply_window(const Live *live, const Voice *voice, doubl
 
 /* Find the principal tones of the window; return how many, 0 where none vibrates. wanted: strength of
  * the vibration. */
-static size_t analyse_window(Live *live, const Voice *voice, double wanted)
+static size_t analyse_window(Live *live, const Channel *channel, double wanted)
 {
     const Settings *s = &live->settings;
-    const Rule rule = {
+    const PeakCriteria criteria = {
         .bins = (int32_t)s->bins,
         .first = (int32_t)s->first_bin,
         .last = (int32_t)s->last_bin,
@@ -56,47 +56,47 @@ static size_t analyse_window(Live *live, const Voice *voice, double wanted)
         .weakest_share = s->weakest_share,
     };
     const Spectrum spectrum = {live->real, live->imaginary, 1};
-    apply_window(live, voice, live->windowed);
+    apply_window(live, channel, live->windowed);
     fft_spectrum(&live->fft, live->windowed, s->bins, live->real, live->imaginary, live->fft_space);
     if (!(wanted > 0.0))
         return 0;
-    return (size_t)principal(&rule, &window, spectrum, live->found, live->analysis_space);
+    return (size_t)find_principal(&criteria, &window, spectrum, live->found, live->analysis_space);
 }
 
 /* -------------------------------------------------------------------------------------- one hop */
 
 /* Publish the partials of a hop; of too many, the weakest are left out. wanted: strength. */
-static void tell(Live *live, double wanted, size_t count)
+static void publish_partials(Live *live, double wanted, size_t count)
 {
-    Told *told = &live->told;
+    DisplayPartials *display = &live->display;
     const double gain = loudness_is_on(&live->settings) ? levels_gain(live, wanted, count) : 1.0;
     for (size_t one = 0; one < count; one++) {
-        size_t at = told->count;
-        if (at < TOLD_MAX) {
-            told->count++;
+        size_t at = display->count;
+        if (at < DISPLAY_PARTIALS_MAX) {
+            display->count++;
         } else {
             at = 0;
-            for (size_t other = 1; other < TOLD_MAX; other++)
-                if (told->amplitude[other] < told->amplitude[at])
+            for (size_t other = 1; other < DISPLAY_PARTIALS_MAX; other++)
+                if (display->amplitude[other] < display->amplitude[at])
                     at = other;
-            if (gain * live->amplitude[one] <= told->amplitude[at])
+            if (gain * live->amplitude[one] <= display->amplitude[at])
                 continue;
         }
-        told->audio_hz[at] = live->found.audio_hz[one];
-        told->hz[at] = live->hz[one];
-        told->amplitude[at] = gain * live->amplitude[one];
+        display->audio_hz[at] = live->found.audio_hz[one];
+        display->hz[at] = live->hz[one];
+        display->amplitude[at] = gain * live->amplitude[one];
     }
 }
 
-static void follow(Live *live, Voice *voice, Glides *glides, double wanted, size_t count)
+static void follow(Live *live, Channel *channel, Glides *glides, double wanted, size_t count)
 {
     const Settings *s = &live->settings;
-    const double left = tracking_holds(s, &voice->slots) ? levels_left_by_law(live, count) : 1.0;
+    const double left = tracking_holds(s, &channel->slots) ? levels_left_by_law(live, count) : 1.0;
     for (size_t one = 0; one < count; one++)
-        live->hz[one] = felt_hz(s, live->found.audio_hz[one]);
-    if (levels_set(live, voice, count))
+        live->hz[one] = vibration_hz(s, live->found.audio_hz[one]);
+    if (levels_set(live, channel, count))
         live->limited += s->hop_frames;
-    tell(live, wanted, count);
+    publish_partials(live, wanted, count);
     double total = 0.0;
     for (size_t one = 0; one < count; one++) {
         total += live->amplitude[one];
@@ -104,168 +104,169 @@ static void follow(Live *live, Voice *voice, Glides *glides, double wanted, size
     }
     const Partials partials = {live->found.audio_hz, live->hz, live->amplitude, count};
     const double room = loudness_is_on(s) ? INFINITY : larger(0.0, s->ceiling - total);
-    tracking_follow(s, &voice->slots, glides, partials, room, left, &voice->onsets,
+    tracking_follow(s, &channel->slots, glides, partials, room, left, &channel->onsets,
                     live->tracking_space);
 }
 
-static size_t number_of(const Live *live, const Voice *voice)
+static size_t number_of(const Live *live, const Channel *channel)
 {
-    return (size_t)(voice - live->voices);
+    return (size_t)(channel - live->channels);
 }
 
 /* Find the next hop of the partials. wanted: strength at its start. */
-static void end_hop(Live *live, Voice *voice, double wanted)
+static void end_hop(Live *live, Channel *channel, double wanted)
 {
     const Settings *s = &live->settings;
     const int followed = loudness_is_on(s);
-    Glides *glides = followed ? &voice->oscillators.hop : &live->glides;
+    Glides *glides = followed ? &channel->oscillators.hop : &live->glides;
     double loudest = 0.0;
     for (size_t hop = 0; hop < s->hops_in_window; hop++)
-        loudest = larger(voice->peaks[hop], loudest);
-    memmove(voice->peaks, voice->peaks + 1, (s->hops_in_window - 1) * sizeof(double));
-    voice->peaks[s->hops_in_window - 1] = 0.0;
+        loudest = larger(channel->peaks[hop], loudest);
+    memmove(channel->peaks, channel->peaks + 1, (s->hops_in_window - 1) * sizeof(double));
+    channel->peaks[s->hops_in_window - 1] = 0.0;
 
-    onset_partials_hand_over(s, voice->fresh, &voice->onsets, &voice->slots);
+    onset_partials_hand_over(s, channel->onset_partials, &channel->onsets, &channel->slots);
     size_t count = 0;
     const int audible = loudest >= s->silence;
     if (audible)
-        count = analyse_window(live, voice, wanted);
+        count = analyse_window(live, channel, wanted);
     if (s->speech_db > 0.0 && audible)
-        speech_hear(s, voice->speech, live->real, live->imaginary, live->speech_space);
+        speech_update(s, channel->speech, live->real, live->imaginary, live->speech_space);
     else if (s->speech_db > 0.0)
-        speech_pause(s, voice->speech);
-    if (count || tracking_holds(s, &voice->slots)) {
-        follow(live, voice, glides, wanted, count);
-        *voice->ringing = (double)s->ring_hops;
-    } else if (tracking_sounds(s, &voice->slots)) {
-        tracking_fade(s, &voice->slots, glides);
+        speech_pause(s, channel->speech);
+    if (count || tracking_holds(s, &channel->slots)) {
+        follow(live, channel, glides, wanted, count);
+        *channel->tail = (double)s->ring_hops;
+    } else if (tracking_sounds(s, &channel->slots)) {
+        tracking_fade(s, &channel->slots, glides);
     } else {
-        if (*voice->ringing > 0.0)
-            *voice->ringing -= 1.0;
+        if (*channel->tail > 0.0)
+            *channel->tail -= 1.0;
         tracking_rest(s, glides);
     }
     if (followed) {
-        oscillators_begin_hop(s, &voice->oscillators);
+        oscillators_begin_hop(s, &channel->oscillators);
         return;
     }
-    const GlidePlace place = {number_of(live, voice), 0, tracking_slots(s), s->hop_frames};
+    const GlidePlace place = {number_of(live, channel), 0, tracking_slots(s), s->hop_frames};
     glide_log_add_all(&live->log, place, glides);
-    synthesis_hop(s, glides, voice->hop);
+    synthesis_hop(s, glides, channel->hop_low_rate);
 }
 
 /* -------------------------------------------------------------------------------------- one tick */
 
 /* Look for an onset in the tick that is full; `newest` and the powers of its bins are known then. */
-static int find_onset(Live *live, const Voice *voice)
+static int find_onset(Live *live, const Channel *channel)
 {
     const Settings *s = &live->settings;
     const size_t count = s->short_frames;
     const size_t last = live->oldest ? live->oldest : s->window_frames;
     if (last >= count) {
-        memcpy(live->newest, voice->past + last - count, count * sizeof(double));
+        memcpy(live->newest, channel->past + last - count, count * sizeof(double));
     } else {
         const size_t wrapped = count - last;
-        memcpy(live->newest, voice->past + s->window_frames - wrapped, wrapped * sizeof(double));
-        memcpy(live->newest + wrapped, voice->past, last * sizeof(double));
+        memcpy(live->newest, channel->past + s->window_frames - wrapped, wrapped * sizeof(double));
+        memcpy(live->newest + wrapped, channel->past, last * sizeof(double));
     }
-    return onsets_hear(s, &live->short_fft, &voice->onsets, live->newest, live->onset_space);
+    return onsets_detect(s, &live->short_fft, &channel->onsets, live->newest, live->onset_space);
 }
 
 /* How strong the next tick vibrates at its end, by the loudness of the one that is full. */
-static double find_strength(const Live *live, const Voice *voice)
+static double find_strength(const Live *live, const Channel *channel)
 {
     const Settings *s = &live->settings;
     double excitation[BANDS_MAX];
-    band_powers_hear(s, &voice->powers, live->newest + (s->short_frames - s->tick_frames),
+    band_powers_update(s, &channel->powers, live->newest + (s->short_frames - s->tick_frames),
                      live->onset_space, excitation);
     const Heard heard = loudness_of(s, excitation);
-    return strength_follow(s, voice->strength, &heard);
+    return strength_follow(s, channel->strength, &heard);
 }
 
 /* Write the next tick at the low rate: all partials by their own amplitudes. */
-static void play_levels(Live *live, const Voice *voice, int fresh, int full)
+static void play_levels(Live *live, const Channel *channel, int onset_sounds, int full)
 {
     const Settings *s = &live->settings;
-    const double *hop = voice->hop + (full ? 0 : (live->tick + 1) * s->tick_steps);
+    const double *hop = channel->hop_low_rate + (full ? 0 : (live->tick + 1) * s->tick_steps);
     memset(live->low_rate, 0, s->tick_steps * sizeof(double));
-    if (fresh) {
-        const GlidePlace place = {number_of(live, voice), tracking_slots(s), s->fresh_max, s->tick_frames};
-        glide_log_add_all(&live->log, place, &live->fresh_glides);
-        synthesis_add_fresh(s, &live->fresh_glides, live->low_rate);
+    if (onset_sounds) {
+        const GlidePlace place = {number_of(live, channel), tracking_slots(s),
+                                  s->onset_partials_max, s->tick_frames};
+        glide_log_add_all(&live->log, place, &live->onset_glides);
+        synthesis_add_onsets(s, &live->onset_glides, live->low_rate);
     }
     for (size_t step = 0; step < s->tick_steps; step++)
         live->low_rate[step] += hop[step];
 }
 
 /* The same as strong as is wanted. */
-static void play_strength(Live *live, const Voice *voice, int fresh, int full, double wanted)
+static void play_strength(Live *live, const Channel *channel, int onset_sounds, int full, double wanted)
 {
     const Settings *s = &live->settings;
-    const OscillatorTick now = {full ? 0 : live->tick + 1, fresh ? &live->fresh_glides : NULL, wanted,
-                                &live->log, number_of(live, voice)};
-    live->limited += s->decimation * oscillators_play(s, &voice->oscillators, now, live->low_rate,
+    const OscillatorTick now = {full ? 0 : live->tick + 1, onset_sounds ? &live->onset_glides : NULL, wanted,
+                                &live->log, number_of(live, channel)};
+    live->limited += s->decimation * oscillators_play(s, &channel->oscillators, now, live->low_rate,
                                                       live->oscillator_space);
 }
 
 /* Compute the vibration that follows the tick that is full now. */
-static void advance(Live *live, Voice *voice)
+static void advance(Live *live, Channel *channel)
 {
     const Settings *s = &live->settings;
     const int followed = loudness_is_on(s), full = live->tick + 1 == s->ticks;
-    const int onset = (s->find_onsets || followed) && find_onset(live, voice) && s->find_onsets;
-    const OnsetSources told = {&voice->onsets, voice->speech};
-    const double wanted = followed ? find_strength(live, voice) : 1.0;
+    const int onset = (s->find_onsets || followed) && find_onset(live, channel) && s->find_onsets;
+    const OnsetSources sources = {&channel->onsets, channel->speech};
+    const double wanted = followed ? find_strength(live, channel) : 1.0;
     if (full)
-        end_hop(live, voice, wanted);
+        end_hop(live, channel, wanted);
     if (onset)
-        onset_partials_bear(s, voice->fresh, told, &voice->slots,
+        onset_partials_start(s, channel->onset_partials, sources, &channel->slots,
                             full ? s->ticks : s->ticks - 1 - live->tick);
-    const int fresh = onset_partials_sounds(s, voice->fresh);
-    if (fresh) {
-        *voice->ringing = (double)s->ring_hops;
-        onset_partials_play(s, voice->fresh, told, &voice->slots, &live->fresh_glides);
+    const int onset_sounds = onset_partials_sounds(s, channel->onset_partials);
+    if (onset_sounds) {
+        *channel->tail = (double)s->ring_hops;
+        onset_partials_play(s, channel->onset_partials, sources, &channel->slots, &live->onset_glides);
     }
     if (followed)
-        play_strength(live, voice, fresh, full, wanted);
-    else if (*voice->ringing > 0.0)
-        play_levels(live, voice, fresh, full);
-    if (*voice->ringing > 0.0) {
-        synthesis_play(s, live->low_rate, &voice->smoothing, voice->played, live->synthesis_space);
-        live->limited += synthesis_keep_below_full_scale(s, voice->played);
+        play_strength(live, channel, onset_sounds, full, wanted);
+    else if (*channel->tail > 0.0)
+        play_levels(live, channel, onset_sounds, full);
+    if (*channel->tail > 0.0) {
+        synthesis_play(s, live->low_rate, &channel->smoothing, channel->output_tick, live->synthesis_space);
+        live->limited += synthesis_keep_below_full_scale(s, channel->output_tick);
     } else {
         /* What sleeps is exactly 0 and forgets its ringing. */
-        smoothing_reset(s, &voice->smoothing);
-        memset(voice->played, 0, s->tick_frames * sizeof(double));
+        smoothing_reset(s, &channel->smoothing);
+        memset(channel->output_tick, 0, s->tick_frames * sizeof(double));
     }
 }
 
 /* -------------------------------------------------------------------------------------- a block */
 
-/* Take frames into a voice's window. silent: all of them are exactly 0. */
-static void collect(Live *live, Voice *voice, Sound sound, size_t frames, int silent)
+/* Take frames into a channel's window. silent: all of them are exactly 0. */
+static void collect(Live *live, Channel *channel, Sound sound, size_t frames, int silent)
 {
     const Settings *s = &live->settings;
     double loudest;
     if (silent) {
         if (live->mix_weights)
-            downmix_rest(s, live->mix_powers, frames);
-        loudest = input_band_pass_silence(s, voice->band, live->mono, frames);
+            downmix_rest(s, live->downmix_state, frames);
+        loudest = input_band_pass_silence(s, channel->band, live->mono, frames);
     } else {
         const double *weights = live->mix_weights;
         live->replaced += input_mix(s, sound, weights, frames, live->mono, live->side);
         if (weights)
-            downmix_restore(s, live->mix_powers, live->mono, live->side, frames);
-        loudest = input_band_pass(s, voice->band, live->mono, frames);
+            downmix_restore(s, live->downmix_state, live->mono, live->side, frames);
+        loudest = input_band_pass(s, channel->band, live->mono, frames);
     }
-    double *of_hop = &voice->peaks[s->hops_in_window - 1];
-    double *of_tick = &voice->onsets.peaks[s->short_ticks - 1];
+    double *of_hop = &channel->peaks[s->hops_in_window - 1];
+    double *of_tick = &channel->onsets.peaks[s->short_ticks - 1];
     *of_hop = larger(loudest, *of_hop);
     *of_tick = larger(loudest, *of_tick);
     const double *from = live->mono;
     size_t at = live->oldest;
     while (frames) {
         const size_t room = s->window_frames - at, part = frames < room ? frames : room;
-        memcpy(voice->past + at, from, part * sizeof(double));
+        memcpy(channel->past + at, from, part * sizeof(double));
         from += part;
         frames -= part;
         at = at + part == s->window_frames ? 0 : at + part;
@@ -282,14 +283,14 @@ static void begin(const Settings *s, double *begun, double *vibration, size_t fr
     }
 }
 
-static void deliver(const Voice *voice, size_t from, size_t frames, double *vibration, size_t apart)
+static void deliver(const Channel *channel, size_t from, size_t frames, double *vibration, size_t apart)
 {
-    const double *played = voice->played + from;
+    const double *output_tick = channel->output_tick + from;
     if (apart == 1)
-        memcpy(vibration, played, frames * sizeof(double));
+        memcpy(vibration, output_tick, frames * sizeof(double));
     else
         for (size_t frame = 0; frame < frames; frame++)
-            vibration[frame * apart] = played[frame];
+            vibration[frame * apart] = output_tick[frame];
 }
 
 /* Count the silence that these frames end with; return whether they are nothing else. */
@@ -304,10 +305,10 @@ static int note_silence(Live *live, Sound sound, size_t frames)
 /* Whether nothing is played, and earlier sound has no effect any more. */
 static int asleep(const Live *live)
 {
-    for (size_t which = 0; which < live->voices_count; which++) {
-        const Voice *voice = &live->voices[which];
-        if (*voice->ringing > 0.0 || tracking_sounds(&live->settings, &voice->slots) ||
-            !speech_is_at_rest(voice->speech))
+    for (size_t which = 0; which < live->channels_count; which++) {
+        const Channel *channel = &live->channels[which];
+        if (*channel->tail > 0.0 || tracking_sounds(&live->settings, &channel->slots) ||
+            !speech_is_at_rest(channel->speech))
             return 0;
     }
     return 1;
@@ -327,26 +328,26 @@ static size_t up_to_onset(Live *live, Sound sound, size_t frames)
         return silent;
     if (asleep(live)) {
         live->filled = live->tick = 0;
-        memset(live->mix_powers, 0, sizeof *live->mix_powers);
-        for (size_t which = 0; which < live->voices_count; which++) {
-            onsets_reset(&live->settings, &live->voices[which].onsets);
-            live_rest(live, &live->voices[which]);
+        memset(live->downmix_state, 0, sizeof *live->downmix_state);
+        for (size_t which = 0; which < live->channels_count; which++) {
+            onsets_reset(&live->settings, &live->channels[which].onsets);
+            live_rest(live, &live->channels[which]);
         }
     }
     return frames;
 }
 
-/* Let the programme be that of the loudest voice: what is softer on one side stays so. */
+/* Let the programme be that of the loudest channel: what is softer on one side stays so. */
 static void share_programme(Live *live)
 {
-    const Strength *loudest = live->voices[0].strength;
-    for (size_t which = 1; which < live->voices_count; which++)
-        if (live->voices[which].strength->loud > loudest->loud)
-            loudest = live->voices[which].strength;
+    const Strength *loudest = live->channels[0].strength;
+    for (size_t which = 1; which < live->channels_count; which++)
+        if (live->channels[which].strength->loud > loudest->loud)
+            loudest = live->channels[which].strength;
     const double programme = loudest->programme, heard = loudest->heard;
-    for (size_t which = 0; which < live->voices_count; which++) {
-        live->voices[which].strength->programme = programme;
-        live->voices[which].strength->heard = heard;
+    for (size_t which = 0; which < live->channels_count; which++) {
+        live->channels[which].strength->programme = programme;
+        live->channels[which].strength->heard = heard;
     }
 }
 
@@ -358,20 +359,20 @@ void live_process(Live *live, Sound sound, size_t frames, double *vibration)
         const size_t same = up_to_onset(live, sound, frames);
         const size_t room = s->tick_frames - live->filled, part = same < room ? same : room;
         const int silent = note_silence(live, sound, part);
-        for (size_t which = 0; which < live->voices_count; which++) {
+        for (size_t which = 0; which < live->channels_count; which++) {
             Sound input = sound;
-            if (live->each) {
+            if (live->per_channel) {
                 input.at += (ptrdiff_t)which * sound.channel_bytes;
                 input.channels = 1;
             }
-            Voice *voice = &live->voices[which];
-            collect(live, voice, input, part, silent);
-            deliver(voice, live->filled, part, vibration + which, live->voices_count);
+            Channel *channel = &live->channels[which];
+            collect(live, channel, input, part, silent);
+            deliver(channel, live->filled, part, vibration + which, live->channels_count);
             if (s->begin_fade.length)
-                begin(s, voice->begun, vibration + which, part, live->voices_count);
+                begin(s, channel->begun, vibration + which, part, live->channels_count);
         }
         sound.at += (ptrdiff_t)part * sound.frame_bytes;
-        vibration += part * live->voices_count;
+        vibration += part * live->channels_count;
         frames -= part;
         live->filled += part;
         live->log.frame += part;
@@ -379,11 +380,11 @@ void live_process(Live *live, Sound sound, size_t frames, double *vibration)
         if (live->filled == s->tick_frames) {
             live->filled = 0;
             if (live->tick + 1 == s->ticks) {
-                live->told.count = 0;
-                live->told.hops++;
+                live->display.count = 0;
+                live->display.hops++;
             }
-            for (size_t which = 0; which < live->voices_count; which++)
-                advance(live, &live->voices[which]);
+            for (size_t which = 0; which < live->channels_count; which++)
+                advance(live, &live->channels[which]);
             live->tick = (live->tick + 1) % s->ticks;
             if (loudness_is_on(s))
                 share_programme(live);

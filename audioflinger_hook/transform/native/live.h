@@ -27,40 +27,40 @@ typedef struct {
     double *band;   /* of the band-pass */
     double *past;   /* the last window_frames, a ring that begins at Live's `oldest` */
     double *peaks;  /* of the last hops_in_window, the one under way the last */
-    double *played; /* the tick that is being delivered */
-    double *hop;    /* of the partials, at the low rate, of which that is a part; where loudness */
+    double *output_tick; /* the tick that is being delivered */
+    double *hop_low_rate;    /* of the partials, at the low rate, of which that is a part; where loudness */
                     /* is followed, `oscillators` has them instead */
     Onsets onsets;
-    OnsetPartial *fresh;
+    OnsetPartial *onset_partials;
     Slots slots;
     BandPowers powers;
     Strength *strength;
     Oscillators oscillators;
     double *begun; /* frames of the stream that were delivered, up to its first full one */
     Smoothing smoothing;
-    double *ringing; /* hops that the low-pass still rings */
+    double *tail; /* hops that the low-pass still rings */
     Speech *speech;
-} Voice;
+} Channel;
 
-#define TOLD_MAX 16
+#define DISPLAY_PARTIALS_MAX 16
 
-/* What the latest hop of all voices vibrates, the first found first. For showing it: no state. */
+/* What the latest hop of all channels vibrates, the first found first. For showing it: no state. */
 typedef struct {
     uint64_t hops; /* so far */
     size_t count;
-    double audio_hz[TOLD_MAX], hz[TOLD_MAX], amplitude[TOLD_MAX];
-} Told;
+    double audio_hz[DISPLAY_PARTIALS_MAX], hz[DISPLAY_PARTIALS_MAX], amplitude[DISPLAY_PARTIALS_MAX];
+} DisplayPartials;
 
-/* A kernel: settings, work space, and the state of every voice. Nothing is allocated after
+/* A kernel: settings, work space, and the state of every channel. Nothing is allocated after
  * `live_open`. */
 typedef struct {
     Settings settings;
-    size_t channels, voices_count;
-    int each; /* one voice a channel, else one for their mono mix */
+    size_t sound_channels, channels_count;
+    int per_channel; /* a vibration for each channel of sound, else one of their mix */
     Fft fft, short_fft;
-    Voice *voices;
+    Channel *channels;
     const double *mix_weights; /* of the mono mix, NULL for a plain mean; in the settings */
-    MixPowers *mix_powers;     /* part of `state` */
+    DownmixState *downmix_state;     /* part of `state` */
     double *state;
     size_t state_length; /* doubles */
     size_t filled;       /* frames of the tick under way */
@@ -68,7 +68,7 @@ typedef struct {
     size_t oldest;       /* of the ring */
     size_t silent;       /* frames that were exactly 0 of late, up to window_frames */
     uint64_t replaced, limited, delivered;
-    Told told;
+    DisplayPartials display;
     GlideLog log; /* no state: off until Python switches it on */
 
     double *mono, *side, *windowed, *real, *imaginary, *fft_space, *synthesis_space, *onset_space;
@@ -79,20 +79,20 @@ typedef struct {
     void *analysis_space, *tracking_space;
     Principals found;
     double *hz, *amplitude;
-    Glides glides, fresh_glides;
+    Glides glides, onset_glides;
 } Live;
 
 /* Make a kernel of settings that fit, with memory of the arena; without memory, only count it. Return
  * 0 if fft_length has other factors than 2, 3 and 5. */
-int live_open(Live *live, const Settings *settings, size_t channels, int each, Arena *arena);
+int live_open(Live *live, const Settings *settings, size_t channels, int per_channel, Arena *arena);
 
 /* Return to the state of a new stream; the counters go on. */
 void live_reset(Live *live);
 
-/* Let a voice forget all but the programme, after a long silence. */
-void live_rest(Live *live, Voice *voice);
+/* Let a channel forget all but the programme, after a long silence. */
+void live_rest(Live *live, Channel *channel);
 
-/* Take so many frames of sound and write as many of vibration, (frames, voices). */
+/* Take so many frames of sound and write as many of vibration, (frames, channels). */
 void live_process(Live *live, Sound sound, size_t frames, double *vibration);
 
 /* Whether what stands in `state`, `filled`, `tick`, `oldest` and `silent` can be gone on with. */

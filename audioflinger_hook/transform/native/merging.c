@@ -84,7 +84,7 @@ Partials merging_merge(const Settings *s, Merging *merging, size_t sounding, Par
     const size_t count = join(s, groups, sort(groups, centres));
     for (size_t one = 0; one < count; one++) {
         merging->hz[one] = group_hz(&groups[one]);
-        merging->audio_hz[one] = heard_hz(s, merging->hz[one]);
+        merging->audio_hz[one] = audio_hz(s, merging->hz[one]);
         merging->amplitude[one] = sqrt(groups[one].power);
         merging->dominance[one] = groups[one].strongest / groups[one].power;
     }

@@ -7,10 +7,10 @@
 #include "scaling.h"
 #include "synthesis.h"
 
-int onset_partials_sounds(const Settings *settings, const OnsetPartial *fresh)
+int onset_partials_sounds(const Settings *settings, const OnsetPartial *partials)
 {
-    for (size_t slot = 0; slot < settings->fresh_max; slot++)
-        if (fresh[slot].sounds != 0.0)
+    for (size_t slot = 0; slot < settings->onset_partials_max; slot++)
+        if (partials[slot].sounds != 0.0)
             return 1;
     return 0;
 }
@@ -34,92 +34,92 @@ static Estimate estimate(const Settings *s, OnsetSources sources, Group group)
     if (loudness_is_on(s))
         amplitude *= tilt(s, told.hz);
     if (s->speech_db > 0.0)
-        amplitude *= speech_coarse_gain(s, sources.speech, heard_hz(s, told.hz));
+        amplitude *= speech_coarse_gain(s, sources.speech, audio_hz(s, told.hz));
     return (Estimate){told.hz, told.weight, amplitude * smoothing_gain(s, told.hz)};
 }
 
 /* What all sums of amplitudes leave under the ceiling; where loudness is followed, that is for the
  * oscillators to keep. */
-static double room(const Settings *settings, const OnsetPartial *fresh, const Slots *slots)
+static double room(const Settings *settings, const OnsetPartial *partials, const Slots *slots)
 {
     if (loudness_is_on(settings))
         return INFINITY;
     double taken = 0.0;
-    for (size_t slot = 0; slot < settings->fresh_max; slot++)
-        taken += fresh[slot].sounds != 0.0 ? fresh[slot].goal : 0.0;
+    for (size_t slot = 0; slot < settings->onset_partials_max; slot++)
+        taken += partials[slot].sounds != 0.0 ? partials[slot].goal : 0.0;
     return larger(0.0, settings->ceiling - (tracking_loudest_sum(settings, slots) + taken));
 }
 
-static double sounding_near(const Settings *settings, const OnsetPartial *fresh, double hz)
+static double sounding_near(const Settings *settings, const OnsetPartial *partials, double hz)
 {
     const double near_hz = tracking_near_hz(settings, hz);
     double base = 0.0;
-    for (size_t slot = 0; slot < settings->fresh_max; slot++)
-        if (fresh[slot].sounds != 0.0 && fabs(fresh[slot].hz - hz) < near_hz)
-            base += fresh[slot].goal;
+    for (size_t slot = 0; slot < settings->onset_partials_max; slot++)
+        if (partials[slot].sounds != 0.0 && fabs(partials[slot].hz - hz) < near_hz)
+            base += partials[slot].goal;
     return base;
 }
 
 /* Return the first slot of a young one, or the count where there is none. */
-static size_t young_one(const Settings *s, const OnsetPartial *fresh, const int *young)
+static size_t young_one(const Settings *s, const OnsetPartial *partials, const int *young)
 {
     size_t slot = 0;
-    while (slot < s->fresh_max && !(fresh[slot].sounds != 0.0 && young[slot]))
+    while (slot < s->onset_partials_max && !(partials[slot].sounds != 0.0 && young[slot]))
         slot++;
     return slot;
 }
 
-static size_t free_one(const Settings *s, const OnsetPartial *fresh)
+static size_t free_one(const Settings *s, const OnsetPartial *partials)
 {
     size_t slot = 0;
-    while (slot < s->fresh_max && fresh[slot].sounds != 0.0)
+    while (slot < s->onset_partials_max && partials[slot].sounds != 0.0)
         slot++;
     return slot;
 }
 
-void onset_partials_bear(const Settings *s, OnsetPartial *fresh, OnsetSources sources,
+void onset_partials_start(const Settings *s, OnsetPartial *partials, OnsetSources sources,
                          const Slots *slots, size_t ticks_left)
 {
     Group groups[FRESH_MAX];
     int young[FRESH_MAX];
     const size_t count = onsets_groups(s, sources.onsets, groups);
-    for (size_t slot = 0; slot < s->fresh_max; slot++) {
-        young[slot] = fresh[slot].sounds != 0.0 && fresh[slot].age < (double)s->heard_ticks;
+    for (size_t slot = 0; slot < s->onset_partials_max; slot++) {
+        young[slot] = partials[slot].sounds != 0.0 && partials[slot].age < (double)s->heard_ticks;
         if (young[slot])
-            fresh[slot].goal = 0.0;
+            partials[slot].goal = 0.0;
     }
     for (size_t which = 0; which < count; which++) {
         const Estimate found = estimate(s, sources, groups[which]);
         const double base = tracking_sounding_near(s, slots, found.hz) +
-                            sounding_near(s, fresh, found.hz);
-        const double lacking = smaller(found.amplitude - base, room(s, fresh, slots));
-        if (!(lacking > s->worth * found.amplitude))
+                            sounding_near(s, partials, found.hz);
+        const double lacking = smaller(found.amplitude - base, room(s, partials, slots));
+        if (!(lacking > s->min_gain_share * found.amplitude))
             continue;
-        size_t slot = young_one(s, fresh, young);
-        if (slot < s->fresh_max) {
+        size_t slot = young_one(s, partials, young);
+        if (slot < s->onset_partials_max) {
             young[slot] = 0;
-            fresh[slot].age = 1.0;
+            partials[slot].age = 1.0;
         } else {
-            slot = free_one(s, fresh);
-            if (slot == s->fresh_max)
+            slot = free_one(s, partials);
+            if (slot == s->onset_partials_max)
                 break;
-            fresh[slot] = (OnsetPartial){.sounds = 1.0, .hz = found.hz, .phase = s->birth_phase};
-            fresh[slot].joins = tracking_join(s, slots, (double)ticks_left * s->tick_s,
-                                              &fresh[slot].hz, &fresh[slot].phase);
+            partials[slot] = (OnsetPartial){.sounds = 1.0, .hz = found.hz, .phase = s->start_phase};
+            partials[slot].joins = tracking_join(s, slots, (double)ticks_left * s->tick_s,
+                                              &partials[slot].hz, &partials[slot].phase);
         }
-        fresh[slot].first_band = (double)groups[which].first;
-        fresh[slot].last_band = (double)groups[which].last;
-        fresh[slot].base = base;
-        fresh[slot].weight = found.weight;
-        fresh[slot].goal = lacking;
+        partials[slot].first_band = (double)groups[which].first;
+        partials[slot].last_band = (double)groups[which].last;
+        partials[slot].base = base;
+        partials[slot].weight = found.weight;
+        partials[slot].goal = lacking;
     }
-    for (size_t slot = 0; slot < s->fresh_max; slot++)
+    for (size_t slot = 0; slot < s->onset_partials_max; slot++)
         if (young[slot])
-            fresh[slot].age = (double)s->heard_ticks;
+            partials[slot].age = (double)s->heard_ticks;
 }
 
 /* Let a partial's goal follow what has been measured of its onset; return its new frequency. */
-static double follow(const Settings *s, OnsetPartial *fresh, OnsetPartial *one, OnsetSources sources,
+static double follow(const Settings *s, OnsetPartial *partials, OnsetPartial *one, OnsetSources sources,
                      const Slots *slots)
 {
     const int is_young = one->age > 0.0 && one->age < (double)s->heard_ticks;
@@ -128,21 +128,21 @@ static double follow(const Settings *s, OnsetPartial *fresh, OnsetPartial *one, 
     const Estimate found = estimate(s, sources, group_of(one));
     /* Of a sound that is there already rounding leaves nothing, or next to nothing. */
     const double lacking = found.amplitude - one->base;
-    const int little = lacking < s->worth_holding * found.amplitude || lacking < 0.0;
+    const int little = lacking < s->min_held_share * found.amplitude || lacking < 0.0;
     const double wanted = little ? 0.0 : lacking;
     one->weight = found.weight;
-    one->goal += smaller(wanted - one->goal, room(s, fresh, slots));
+    one->goal += smaller(wanted - one->goal, room(s, partials, slots));
     return one->joins == 0.0 ? found.hz : one->hz;
 }
 
-void onset_partials_play(const Settings *s, OnsetPartial *fresh, OnsetSources sources, const Slots *slots,
+void onset_partials_play(const Settings *s, OnsetPartial *partials, OnsetSources sources, const Slots *slots,
                 Glides *glides)
 {
-    for (size_t slot = 0; slot < s->fresh_max; slot++)
-        if (fresh[slot].sounds != 0.0)
-            glides->end_hz[slot] = follow(s, fresh, &fresh[slot], sources, slots);
-    for (size_t slot = 0; slot < s->fresh_max; slot++) {
-        OnsetPartial *one = &fresh[slot];
+    for (size_t slot = 0; slot < s->onset_partials_max; slot++)
+        if (partials[slot].sounds != 0.0)
+            glides->end_hz[slot] = follow(s, partials, &partials[slot], sources, slots);
+    for (size_t slot = 0; slot < s->onset_partials_max; slot++) {
+        OnsetPartial *one = &partials[slot];
         if (one->sounds == 0.0) {
             glides->start_amplitude[slot] = glides->end_amplitude[slot] = 0.0;
             continue;
@@ -164,10 +164,10 @@ void onset_partials_play(const Settings *s, OnsetPartial *fresh, OnsetSources so
     }
 }
 
-void onset_partials_hand_over(const Settings *s, OnsetPartial *fresh, const Onsets *onsets, Slots *slots)
+void onset_partials_hand_over(const Settings *s, OnsetPartial *partials, const Onsets *onsets, Slots *slots)
 {
-    for (size_t slot = 0; slot < s->fresh_max; slot++) {
-        OnsetPartial *one = &fresh[slot];
+    for (size_t slot = 0; slot < s->onset_partials_max; slot++) {
+        OnsetPartial *one = &partials[slot];
         if (one->sounds == 0.0 || one->age < (double)s->heard_ticks)
             continue;
         const Held held = {one->goal + one->base, one->weight,

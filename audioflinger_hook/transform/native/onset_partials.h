@@ -27,18 +27,19 @@ typedef struct {
 } OnsetSources;
 
 /* Whether any sounds. */
-int onset_partials_sounds(const Settings *settings, const OnsetPartial *fresh);
+int onset_partials_sounds(const Settings *settings, const OnsetPartial *partials);
 
 /* Start partials for the onset that was found. ticks_left: to the end of the hop that the slots have
  * written last. */
-void onset_partials_bear(const Settings *settings, OnsetPartial *fresh, OnsetSources sources,
+void onset_partials_start(const Settings *settings, OnsetPartial *partials, OnsetSources sources,
                          const Slots *slots, size_t ticks_left);
 
-/* Write one tick of glides, fresh_max slots; while more is told of the onset, follow that. */
-void onset_partials_play(const Settings *settings, OnsetPartial *fresh, OnsetSources sources, const Slots *slots,
-                Glides *glides);
+/* Write one tick of glides, onset_partials_max slots; while more is told of the onset, follow that. */
+void onset_partials_play(const Settings *settings, OnsetPartial *partials, OnsetSources sources,
+                         const Slots *slots, Glides *glides);
 
 /* Let those that are told as well as they can be go over to the tracker. */
-void onset_partials_hand_over(const Settings *settings, OnsetPartial *fresh, const Onsets *onsets, Slots *slots);
+void onset_partials_hand_over(const Settings *settings, OnsetPartial *partials, const Onsets *onsets,
+                              Slots *slots);
 
 #endif

@@ -66,7 +66,7 @@ static double sum(const double *values, size_t count)
 }
 
 /* Write the powers of bins and bands; what stays under the quietest onset is taken for silence. */
-static void see(const Settings *s, const Fft *fft, double loudest, const double *samples,
+static void power_of_bands(const Settings *s, const Fft *fft, double loudest, const double *samples,
                 double *power, double *bands, double *work)
 {
     const size_t count = onsets_bands(s);
@@ -104,7 +104,7 @@ static void remember(const Settings *s, const Onsets *onsets, const double *band
 }
 
 /* Note which bands rise; return whether that is an onset. */
-static int rises(const Settings *s, const Onsets *onsets, const double *bands, double *rising)
+static int detect(const Settings *s, const Onsets *onsets, const double *bands, double *rising)
 {
     const size_t count = onsets_bands(s);
     const double total = sum(bands, count);
@@ -122,17 +122,17 @@ static int rises(const Settings *s, const Onsets *onsets, const double *bands, d
     return armed && risen > s->quietest && risen > s->risen_share * total;
 }
 
-int onsets_hear(const Settings *s, const Fft *fft, const Onsets *onsets, const double *samples,
+int onsets_detect(const Settings *s, const Fft *fft, const Onsets *onsets, const double *samples,
                 double *work)
 {
     const size_t count = onsets_bands(s);
     double *power = work, *bands = power + s->short_bins;
     const double peak = onsets->peaks[s->short_ticks - 1];
-    see(s, fft, loudest_of(s, onsets), samples, power, bands, bands + count);
+    power_of_bands(s, fft, loudest_of(s, onsets), samples, power, bands, bands + count);
     remember(s, onsets, bands);
     *onsets->since = smaller(*onsets->since + 1.0, (double)(s->rest_ticks + s->heard_ticks));
     double *rising = bands + count;
-    const int onset = rises(s, onsets, bands, rising);
+    const int onset = detect(s, onsets, bands, rising);
     if (onset) {
         *onsets->since = *onsets->newest = *onsets->peak = 0.0;
         for (size_t band = 0; band < count; band++)
@@ -236,9 +236,9 @@ OnsetTone onsets_estimate(const Settings *s, const Onsets *onsets, Group group)
     /* Where loudness is followed, noise is as strong as it is loud. */
     if (loudness_is_on(s))
         purity = 1.0;
-    const double level = onsets_level(onsets), by_energy = sqrt(share * purity);
-    const double weight = s->by_energy ? by_energy : share * sqrt(share) * purity;
-    const int weak = by_energy * level < s->weakest;
+    const double level = onsets_level(onsets), by_power = sqrt(share * purity);
+    const double weight = s->energy_mapping ? by_power : share * sqrt(share) * purity;
+    const int weak = by_power * level < s->weakest;
     const OnsetTone found = {weighted / larger(squares, TINY), weak ? 0.0 : weight};
     return found;
 }

@@ -8,7 +8,7 @@
 #include "fft.h"
 #include "settings.h"
 
-/* What one voice has heard of late. All of it is state. */
+/* What one channel has heard of late. All of it is state. */
 typedef struct {
     double *peaks;   /* largest magnitude of the ticks that the window touches, the last the newest */
     double *past;    /* the bands' powers in the last back_ticks, the oldest first */
@@ -32,7 +32,7 @@ typedef struct {
 
 size_t onsets_bands(const Settings *settings);
 
-/* Doubles of work space that `onsets_hear` needs. */
+/* Doubles of work space that `onsets_detect` needs. */
 size_t onsets_work(const Settings *settings, const Fft *fft);
 
 /* Return to the state of a new stream. */
@@ -41,7 +41,7 @@ void onsets_reset(const Settings *settings, const Onsets *onsets);
 /* Take one tick and return whether there is an onset in it. samples: the last short_frames of
  * band-passed sound, of which the last tick_frames are new; the peak of those is noted already. The
  * first short_bins numbers of `work` are then the powers of the bins. */
-int onsets_hear(const Settings *settings, const Fft *fft, const Onsets *onsets,
+int onsets_detect(const Settings *settings, const Fft *fft, const Onsets *onsets,
                 const double *samples, double *work);
 
 /* Whether the last onset's sound is told better by this tick than by the one before. */

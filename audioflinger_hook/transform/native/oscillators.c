@@ -26,7 +26,7 @@ typedef struct {
     double *share; /* and what of an amplitude is felt once the low-pass has passed it */
 } Sounding;
 
-static size_t most_sounding(const Settings *s) { return tracking_slots(s) + s->fresh_max; }
+static size_t most_sounding(const Settings *s) { return tracking_slots(s) + s->onset_partials_max; }
 
 size_t oscillators_work(const Settings *s) { return most_sounding(s) * (3 * s->tick_steps + 3); }
 
@@ -190,7 +190,7 @@ static void log_tick(const Settings *s, OscillatorTick now, const Glides *glides
         const double phase = glides->start_phase[slot] + turns;
         const double from_hz = hz + rise_hz * whole, to_hz = hz + rise_hz * shapes.whole[last];
         glide_log_add(now.log, (GlideRow){
-            (double)now.log->frame, (double)s->tick_frames, (double)now.voice,
+            (double)now.log->frame, (double)s->tick_frames, (double)now.channel,
             (double)(first_slot + slot), from_hz, to_hz,
             driven(s, before, from_hz) * (start + rise * begun),
             driven(s, after, to_hz) * (start + rise * shapes.shape[last]),
@@ -217,8 +217,8 @@ size_t oscillators_play(const Settings *s, const Oscillators *oscillators, Oscil
     memset(low_rate, 0, steps * sizeof(double));
     if (drive->wanted > 0.0 || now.wanted > 0.0) {
         add(s, &sounding, &oscillators->hop, tracking_slots(s), hop);
-        if (now.fresh)
-            add(s, &sounding, now.fresh, s->fresh_max, tick);
+        if (now.onset_partials)
+            add(s, &sounding, now.onset_partials, s->onset_partials_max, tick);
     }
     if (!sounding.count) {
         rest(drive, now.wanted);
@@ -253,8 +253,8 @@ size_t oscillators_play(const Settings *s, const Oscillators *oscillators, Oscil
     drive->beat = beat;
     drive->moved = moved;
     log_tick(s, now, &oscillators->hop, tracking_slots(s), 0, hop, &before, drive);
-    if (now.fresh)
-        log_tick(s, now, now.fresh, s->fresh_max, tracking_slots(s), tick, &before, drive);
+    if (now.onset_partials)
+        log_tick(s, now, now.onset_partials, s->onset_partials_max, tracking_slots(s), tick, &before, drive);
     return limited;
 }
 

@@ -18,7 +18,7 @@ typedef struct {
 
 #define DRIVE_STATES (sizeof(Drive) / sizeof(double))
 
-/* One voice's. hop: what its slots do in the hop under way, state as well. */
+/* One channel's. hop: what its slots do in the hop under way, state as well. */
 typedef struct {
     Drive *drive;
     Glides hop;
@@ -30,14 +30,14 @@ size_t oscillators_work(const Settings *settings);
 /* Take note of new glides in `hop`. */
 void oscillators_begin_hop(const Settings *settings, const Oscillators *oscillators);
 
-/* A tick of one voice. tick: its number in the hop. fresh: NULL where none sounds. wanted: strength at
- * its end. */
+/* A tick of one channel. tick: its number in the hop. onset_partials: NULL where none sounds. wanted:
+ * strength at its end. */
 typedef struct {
     size_t tick;
-    const Glides *fresh;
+    const Glides *onset_partials;
     double wanted;
     GlideLog *log;
-    size_t voice;
+    size_t channel;
 } OscillatorTick;
 
 /* Write a tick at the low rate, (tick_steps,); return in how many of its steps amplitudes were limited. */

@@ -166,7 +166,7 @@ void peaks_clear_images(const Window *window, Spectrum spectrum, double *amplitu
 /* ---------------------------------------------------------------------------------------- peaks */
 
 /* Note for each bin but the last whether the amplitude rises from it to the next. */
-SIMD_CLONES static void rises(const double *restrict amplitude, uint8_t *restrict rising, int32_t bins)
+SIMD_CLONES static void mark_rising(const double *restrict amplitude, uint8_t *restrict rising, int32_t bins)
 {
     for (int32_t bin = 0; bin < bins; bin++)
         rising[bin] = amplitude[bin + 1] > APART_FROM * amplitude[bin];
@@ -179,12 +179,12 @@ SIMD_CLONES static void rises(const double *restrict amplitude, uint8_t *restric
  * No bandwidth exceeds the span between the valleys, and refinement raises a peak by a bounded
  * factor: what stays under the threshold at that bound is left out before anything costly.
  */
-void peaks_list(const Rule *rule, const double *amplitude, Turns turns, Peaks *peaks)
+void peaks_list(const PeakCriteria *criteria, const double *amplitude, Turns turns, Peaks *peaks)
 {
-    const int32_t top_bin = rule->bins - 1;
+    const int32_t top_bin = criteria->bins - 1;
     int32_t count = 0;
     uint8_t was = 0;
-    rises(amplitude, turns.rising, top_bin);
+    mark_rising(amplitude, turns.rising, top_bin);
     for (int32_t bin = 0; bin < top_bin; bin++) {
         turns.bin[count] = bin;
         count += turns.rising[bin] ^ was;
@@ -199,8 +199,8 @@ void peaks_list(const Rule *rule, const double *amplitude, Turns turns, Peaks *p
         peaks->left[able] = left;
         peaks->bin[able] = bin;
         peaks->right[able] = right;
-        able += (bin >= rule->first) & (bin <= rule->last) &
-                (amplitude[bin] * (double)(right - left) > rule->peak_span_min);
+        able += (bin >= criteria->first) & (bin <= criteria->last) &
+                (amplitude[bin] * (double)(right - left) > criteria->peak_span_min);
     }
     peaks->count = able;
 }

@@ -45,7 +45,7 @@ void peaks_amplitudes(Spectrum spectrum, double *amplitude, int32_t bins);
 void peaks_clear_images(const Window *window, Spectrum spectrum, double *amplitude, Peaks *peaks);
 
 /* List the peaks of the band that can be principal: bins, and those of the valleys. */
-void peaks_list(const Rule *rule, const double *amplitude, Turns turns, Peaks *peaks);
+void peaks_list(const PeakCriteria *criteria, const double *amplitude, Turns turns, Peaks *peaks);
 
 /* Set offset, height and level of all peaks. */
 void peaks_refine(const double *amplitude, Peaks *peaks);

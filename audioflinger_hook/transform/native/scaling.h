@@ -8,7 +8,7 @@
 #include "settings.h"
 
 /* Where in the vibration's range a frequency of sound is felt, Hz. */
-INLINED double felt_hz(const Settings *s, double audio_hz)
+INLINED double vibration_hz(const Settings *s, double audio_hz)
 {
     const double octaves = exact_log(audio_hz / s->band_low_hz);
     return s->scale_ratio != 0.0 ? s->bottom_hz * exact_exp(s->scale_ratio * octaves)
@@ -16,7 +16,7 @@ INLINED double felt_hz(const Settings *s, double audio_hz)
 }
 
 /* The frequency of sound that is felt there, Hz. */
-INLINED double heard_hz(const Settings *s, double hz)
+INLINED double audio_hz(const Settings *s, double hz)
 {
     const double octaves = s->scale_ratio != 0.0 ? exact_log(hz / s->bottom_hz) / s->scale_ratio
                                                  : (hz - s->bottom_hz) / s->scale_hz;

@@ -81,7 +81,7 @@ static const char *loudness_misfit(const Settings *s)
     return NULL;
 }
 
-const char *settings_misfit(const Settings *s)
+const char *settings_error(const Settings *s)
 {
 #define ENTRY(name)                                                                                \
     if (s->name > COUNT_MAX)                                                                       \
@@ -145,19 +145,19 @@ const char *settings_misfit(const Settings *s)
         return "newest_frames: not within a tick";
     if (s->short_ticks != (s->short_frames + s->tick_frames - 1) / s->tick_frames)
         return "short_ticks: not those that short_frames touch";
-    /* An onset is compared with up to three ticks ago; see `rises` in onsets.c. */
+    /* An onset is compared with up to three ticks ago; see `detect` in onsets.c. */
     if (s->back_ticks < 3 || s->back_ticks > BACK_MAX)
         return "back_ticks: under 3, or too many";
     if (s->rearmed_ticks < 1 || s->rest_ticks < s->rearmed_ticks)
         return "rearmed_ticks: not from 1 to rest_ticks";
     if (s->heard_ticks < 1 || s->one_tone.length != s->heard_ticks)
         return "one_tone: not one entry for each of heard_ticks";
-    if (s->groups_max < 1 || s->groups_max > s->fresh_max || s->fresh_max > FRESH_MAX)
-        return "groups_max, fresh_max: none, too many, or more groups than partials";
+    if (s->groups_max < 1 || s->groups_max > s->onset_partials_max || s->onset_partials_max > FRESH_MAX)
+        return "groups_max, onset_partials_max: none, too many, or more groups than partials";
     if (s->rise_shares.length < 1)
         return "rise_shares: empty";
-    if (s->find_onsets > 1 || s->by_energy > 1)
-        return "find_onsets, by_energy: neither 0 nor 1";
+    if (s->find_onsets > 1 || s->energy_mapping > 1)
+        return "find_onsets, energy_mapping: neither 0 nor 1";
     if (s->image_table.length < 1)
         return "image_table: empty";
     if (s->image_turn.length % 2 || s->image_turn.length / 2 > s->bins)

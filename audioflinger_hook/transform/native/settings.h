@@ -32,11 +32,11 @@
     ENTRY(rearmed_ticks) /* or so many to one that is `rearmed` times as strong */                 \
     ENTRY(heard_ticks)  /* from which an onset's sound is told */                                  \
     ENTRY(groups_max)   /* of bands in which an onset gives birth */                               \
-    ENTRY(fresh_max)    /* partials at a time that the analysis does not know yet */               \
+    ENTRY(onset_partials_max) /* partials at a time that the analysis does not know yet */         \
     ENTRY(hold_hops)    /* for which those are held then */                                        \
-    ENTRY(average_ticks) /* over which the power of high bands is averaged */                       \
+    ENTRY(average_ticks) /* over which the power of high bands is averaged */                      \
     ENTRY(begin_frames) /* at the start of a stream, which are silent */                           \
-    ENTRY(by_energy)    /* the level law: 1 by energy, 0 the paper's */
+    ENTRY(energy_mapping) /* the level law: 1 by energy, 0 the paper's */
 
 #define NUMBERS(ENTRY)                                                                             \
     ENTRY(magnitude_max)  /* of a sample; above it is damage */                                    \
@@ -65,7 +65,7 @@
     ENTRY(hop_s)                                                                                   \
     ENTRY(match_audio_hz) /* by which a partial may move in a hop, */                              \
     ENTRY(match_ratio)    /* or by this share */                                                   \
-    ENTRY(merge_ratio) /* partials closer than this share of their frequency are one; 0: none */    \
+    ENTRY(merge_ratio) /* partials closer than this share of their frequency are one; 0: none */   \
     ENTRY(merge_hz)    /* or closer than this */                                                   \
     ENTRY(merge_again) /* groups closer than this share of that become one */                      \
     ENTRY(first_hz)  /* of slots as near the first is nearer by this */                            \
@@ -86,10 +86,10 @@
     ENTRY(rearmed)                                                                                 \
     ENTRY(risen_share)  /* of which what rose is more than this share at an onset */               \
     ENTRY(apart_from)   /* ratio from which on two bands are told apart */                         \
-    ENTRY(worth)        /* what is born adds what lacks, if that is more than this share */        \
-    ENTRY(birth_phase)  /* cycles */                                                               \
-    ENTRY(fresh_reach)  /* a partial that is held is matched so much further away */               \
-    ENTRY(worth_holding) /* share of its amplitude up to which it is not held */                   \
+    ENTRY(min_gain_share) /* what is born adds what lacks, if that is more than this share */      \
+    ENTRY(start_phase)  /* cycles */                                                               \
+    ENTRY(onset_reach)  /* a partial that is held is matched so much further away */               \
+    ENTRY(min_held_share) /* share of its amplitude up to which it is not held */                  \
     ENTRY(stronger)      /* ratio from which on one amplitude is larger than another */            \
     ENTRY(joined_from)   /* amplitude up to which a partial is as good as none to join */          \
     FOLLOWER(ENTRY)                                                                                \
@@ -170,12 +170,12 @@
     ENTRY(short_hz)    /* vibration frequency of each bin */                                       \
     ENTRY(band_edges)  /* bins: the first of each band, and past the last */                       \
     ENTRY(one_tone)    /* purity of a tone, by ticks since its onset */                            \
-    ENTRY(rise_shares) /* of its amplitude that a fresh partial has after each tick */             \
-    ENTRY(low_sections) /* low-pass and high-pass as second-order sections; then low_b and low_a are empty */\
+    ENTRY(rise_shares) /* of its amplitude that an onset partial has after each tick */             \
+    ENTRY(low_sections) /* low-pass and high-pass as second-order sections; then low_b and low_a are empty */ \
     ENTRY(begin_fade) /* of the first frames of a stream, after begin_frames of silence */         \
     ENTRY(low_smooth) /* sections before the low rate, for the low bands */                        \
     ENTRY(quadrature) /* squares of the all-passes: of one chain, then of the other */             \
-    ENTRY(low_poles)   /* LOW_NUMBERS of each low band: its pole, and the gain before it */         \
+    ENTRY(low_poles)   /* LOW_NUMBERS of each low band: its pole, and the gain before it */        \
     ENTRY(low_weights) /* of each: factor on its squares, */                                       \
     ENTRY(low_band_of) /* and its band of loudness */                                              \
     ENTRY(high_edges) /* short bins: the first of each high band, and past the last */             \
@@ -242,13 +242,13 @@ typedef struct {
 /* The longest recursion of a filter. */
 #define ORDER_MAX 12
 
-/* The largest fresh_max. */
+/* The largest onset_partials_max. */
 #define FRESH_MAX 16
 
 /* The largest back_ticks. */
 #define BACK_MAX 64
 
 /* Return what of the settings does not fit the rest; NULL where all of it does. */
-const char *settings_misfit(const Settings *settings);
+const char *settings_error(const Settings *settings);
 
 #endif

@@ -1,4 +1,4 @@
-/* Speech heard in the sound: the cues, the belief and the gain. docs/transform.md says what each is
+/* Speech heard in the sound: the cues, the probability and the gain. docs/transform.md says what each is
  * for. */
 
 #include "speech.h"
@@ -153,10 +153,10 @@ static void believe(const Settings *s, Speech *speech)
         ramp(s, VOICING, speech->voicing) * ramp(s, SWING, sqrt(speech->swing)) *
         ramp(s, BALANCE, sqrt(speech->balance)) * (1.0 - ramp(s, RESTING, resting));
     const double threshold =
-        s->speech_likely + (s->speech_likely_still - s->speech_likely) * speech->belief;
+        s->speech_likely + (s->speech_likely_still - s->speech_likely) * speech->probability;
     const double speed = clip((likely - threshold) / s->speech_sure, -1.0, 1.0);
     const double step = speed * (speed > 0.0 ? s->speech_attack : s->speech_release);
-    speech->belief = clip(speech->belief + step, 0.0, 1.0);
+    speech->probability = clip(speech->probability + step, 0.0, 1.0);
 }
 
 /* Learn how loud the voice and what is behind it are. */
@@ -206,7 +206,7 @@ static void follow(const Settings *s, Speech *speech, const double *octaves, dou
     learn(s, speech);
 }
 
-void speech_hear(const Settings *s, Speech *speech, const double *real, const double *imaginary,
+void speech_update(const Settings *s, Speech *speech, const double *real, const double *imaginary,
                  double *work)
 {
     double octaves[OCTAVES], log_pitch;
@@ -274,7 +274,7 @@ static double spoken_share(const Settings *s, const Speech *speech, double audio
 
 static double lower_gain(const Settings *s, const Speech *speech, double share)
 {
-    return exact_amplitude(-s->speech_db * speech->belief * share);
+    return exact_amplitude(-s->speech_db * speech->probability * share);
 }
 
 double speech_coarse_gain(const Settings *s, const Speech *speech, double audio_hz)

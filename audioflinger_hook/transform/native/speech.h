@@ -7,10 +7,10 @@
 
 #define OCTAVES 6
 
-/* What is remembered of one voice, doubles alone; all 0 at rest, and any numbers do no harm. Levels in dB over
+/* The state of one channel, doubles alone; all 0 at rest, and any numbers do no harm. Levels in dB over
  * speech_silent_power. */
 typedef struct {
-    double belief, hops_to_rest;
+    double probability, hops_to_rest;
     double voiced, voicing, steady, log_pitch;
     double swing, balance, peak;
     double fast[OCTAVES], slow[OCTAVES]; /* of the octaves but the first, then of the vowels */
@@ -22,11 +22,11 @@ typedef struct {
 /* Return what of speech's settings does not fit the rest; NULL where all of it does. */
 const char *speech_misfit(const Settings *settings);
 
-/* Doubles of work space that `speech_hear` needs. */
+/* Doubles of work space that `speech_update` needs. */
 size_t speech_work(const Settings *settings);
 
 /* Take the next hop's spectrum, `bins` real and imaginary parts. */
-void speech_hear(const Settings *settings, Speech *speech, const double *real,
+void speech_update(const Settings *settings, Speech *speech, const double *real,
                  const double *imaginary, double *work);
 
 /* Take a hop in which nothing is heard. */

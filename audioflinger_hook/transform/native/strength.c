@@ -1,4 +1,4 @@
-/* How strong a voice vibrates, tick by tick; tests/oracle/strength.py has it to read. */
+/* How strong a channel vibrates, tick by tick; tests/oracle/strength.py has it to read. */
 
 #include "strength.h"
 

@@ -1,4 +1,4 @@
-/* How strong a voice vibrates, tick by tick, by how loud its sound is. */
+/* How strong a channel vibrates, tick by tick, by how loud its sound is. */
 
 #ifndef CUSHION_STRENGTH_H
 #define CUSHION_STRENGTH_H
@@ -6,7 +6,7 @@
 #include "loudness.h"
 #include "settings.h"
 
-/* What is remembered of one voice: state, doubles alone. Levels in dB of loudness. */
+/* What is remembered of one channel: state, doubles alone. Levels in dB of loudness. */
 typedef struct {
     double programme; /* the usual level of what is played */
     double heard;     /* ticks of sound so far, up to start_ticks */

@@ -86,11 +86,11 @@ void synthesis_hop(const Settings *settings, const Glides *glides, double *low_r
     add_partials(glides, count, shapes, low_rate);
 }
 
-void synthesis_add_fresh(const Settings *settings, const Glides *fresh, double *low_rate)
+void synthesis_add_onsets(const Settings *settings, const Glides *onset_partials, double *low_rate)
 {
     const Shapes shapes = {settings->tick_glide.at, settings->seconds.at,
                            settings->tick_glide_s.at, settings->tick_steps};
-    add_partials(fresh, settings->fresh_max, shapes, low_rate);
+    add_partials(onset_partials, settings->onset_partials_max, shapes, low_rate);
 }
 
 /* ------------------------------------------------------------------------------------ smoothing */

@@ -6,7 +6,7 @@
 #include "settings.h"
 #include "tracking.h"
 
-/* What the low-pass and the interpolation remember of one voice. */
+/* What the low-pass and the interpolation remember of one channel. */
 typedef struct {
     double *state; /* of the low-pass */
     double *tail;  /* the last samples at the low rate: one less than taps */
@@ -27,8 +27,8 @@ size_t synthesis_work(const Settings *settings);
 /* Write one hop at the low rate, (steps,). */
 void synthesis_hop(const Settings *settings, const Glides *glides, double *low_rate);
 
-/* Add one tick of fresh partials at the low rate, (tick_steps,). */
-void synthesis_add_fresh(const Settings *settings, const Glides *fresh, double *low_rate);
+/* Add one tick of onset partials at the low rate, (tick_steps,). */
+void synthesis_add_onsets(const Settings *settings, const Glides *onset_partials, double *low_rate);
 
 /* Write one tick of vibration, (tick_frames,). low_rate: (tick_steps,), which is overwritten. */
 void synthesis_play(const Settings *settings, double *low_rate, Smoothing *smoothing, double *vibration,

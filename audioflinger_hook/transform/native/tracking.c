@@ -32,13 +32,13 @@ typedef struct {
 
 static size_t most_alive(const Settings *settings)
 {
-    return settings->partials_max + settings->fresh_max;
+    return settings->partials_max + settings->onset_partials_max;
 }
 
 size_t tracking_slots(const Settings *settings) { return 2 * most_alive(settings); }
 
 /* Give every part its place in the memory, or count how much that is where there is none. */
-static size_t lay_out(void *memory, const Settings *settings, Match **matches, Alive *alive,
+static size_t layout_work(void *memory, const Settings *settings, Match **matches, Alive *alive,
                       Merging *merging)
 {
     Arena arena = {memory, 0};
@@ -64,7 +64,7 @@ size_t tracking_work(const Settings *settings)
     Match *matches;
     Alive alive;
     Merging merging;
-    return lay_out(NULL, settings, &matches, &alive, &merging);
+    return layout_work(NULL, settings, &matches, &alive, &merging);
 }
 
 int tracking_sounds(const Settings *settings, const Slots *slots)
@@ -93,9 +93,9 @@ int tracking_holds(const Settings *settings, const Slots *slots)
 
 double tracking_near_hz(const Settings *settings, double hz)
 {
-    const double ratio = settings->match_audio_hz / heard_hz(settings, hz);
+    const double ratio = settings->match_audio_hz / audio_hz(settings, hz);
     const double slope_hz = settings->scale_hz + settings->scale_ratio * hz;
-    const double near_hz = settings->fresh_reach * slope_hz * larger(settings->match_ratio, ratio);
+    const double near_hz = settings->onset_reach * slope_hz * larger(settings->match_ratio, ratio);
     return settings->merge_ratio > 0.0 ? larger(near_hz, merging_hz(settings, hz)) : near_hz;
 }
 
@@ -210,7 +210,7 @@ static void match(const Settings *settings, const Slots *slots, Partials partial
         if (settings->merge_ratio > 0.0)
             reach_hz = larger(reach_hz, merging_hz(settings, partials.hz[one]));
         if (held)
-            reach_hz *= settings->fresh_reach;
+            reach_hz *= settings->onset_reach;
         matches[one].slot = mutual && matches[one].gap_hz <= reach_hz ? matches[one].nearest : none;
     }
 }
@@ -308,7 +308,7 @@ static void hold(const Settings *s, Slots *slots, double room, double left, cons
         const int full = slots->alive[slot] == 0.0 && living(s, slots) >= most_alive(s);
         slots->held_hops[slot] -= 1.0;
         if (full || slots->held_hops[slot] == 0.0 ||
-            wanted < s->worth_holding * slots->held_amplitude[slot]) {
+            wanted < s->min_held_share * slots->held_amplitude[slot]) {
             slots->held_hops[slot] = 0.0;
             continue;
         }
@@ -328,7 +328,7 @@ void tracking_follow(const Settings *settings, Slots *slots, Glides *glides, Par
     Match *matches;
     Alive alive;
     Merging merging;
-    lay_out(work, settings, &matches, &alive, &merging);
+    layout_work(work, settings, &matches, &alive, &merging);
     const int merges = settings->merge_ratio > 0.0 && partials.count;
     if (merges) {
         size_t sounding = 0;

@@ -6,8 +6,9 @@
 #include "onsets.h"
 #include "settings.h"
 
-/* The slots of one voice's oscillators: two sets of partials_max and fresh_max, as one set may live
- * while another fades. Frequencies in Hz of vibration, amplitudes in full scale, phases in cycles. */
+/* The slots of one channel's oscillators: two sets of partials_max and
+ * onset_partials_max, as one set may live while another fades. Frequencies in Hz of vibration,
+ * amplitudes in full scale, phases in cycles. */
 typedef struct {
     double *hz, *amplitude, *phase;
     double *alive; /* 1 or 0 */
@@ -53,7 +54,7 @@ int tracking_holds(const Settings *settings, const Slots *slots);
 /* The larger of both ends' sums of amplitudes, of the last hop that was written. */
 double tracking_loudest_sum(const Settings *settings, const Slots *slots);
 
-/* How far from a fresh partial its true frequency may be, in Hz of vibration. */
+/* How far from an onset partial its true frequency may be, in Hz of vibration. */
 double tracking_near_hz(const Settings *settings, double hz);
 
 /* The amplitudes near to a vibration frequency at the end of the hop. */
