@@ -33,7 +33,7 @@ SONE = ProfileValue(
 LOWER = ProfileValue("jnd", "a seated body feels lower vibration better, and amplifiers have room")
 
 FOLLOWING = {
-    "level_law": BY_ENERGY,
+    "amplitude_mapping": BY_ENERGY,
     "loudness_db": FOLLOWED,
     "loudness_floor_db": FLOOR,
     "strength": FELT,

@@ -51,6 +51,7 @@ OPTIONS = {
 """
 
 REPLACED_PARAMETERS = {
+    "level_law": "amplitude_mapping",
     "follower_db": "loudness_db",
     "follower_target_db": "loudness_target_db",
     "follower_slope_db": "dynamics, with a twentieth of the value",

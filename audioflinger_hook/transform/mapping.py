@@ -47,7 +47,7 @@ class VibrationMapping:
             bottom_hz=parameters.vibration_bottom_hz,
             scale_hz=0.0 if equal_jnds else parameters.scale_hz,
             scale_ratio=parameters.scale_ratio if equal_jnds else 0.0,
-            energy_mapping=int(parameters.level_law == "energy"),
+            energy_mapping=int(parameters.amplitude_mapping == "energy"),
             full_scale_r=full_scale_r,
         )
 

@@ -87,7 +87,7 @@ class TransformParameters(Described):
     speech_suppression_db: Annotated[
         float, Number("reduction of speech (live form only); 0: off", 0.0, 24.0, "dB")
     ] = 0.0
-    level_law: Annotated[
+    amplitude_mapping: Annotated[
         str,
         Choice(
             "amplitudes as in the paper, which favours tones (tonal), or noise as strong as a tone "

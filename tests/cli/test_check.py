@@ -62,7 +62,7 @@ band_high_hz = 10_000.0
 vibration_top_hz = 200
 threshold_hz = 0.5
 partials_max = 8
-level_law = "energy"
+amplitude_mapping = "energy"
 mapping = "jnd"
 """
 
@@ -254,8 +254,8 @@ def test_no_number_is_too_large_to_be_refused(config, value):
 
 @pytest.mark.parametrize("value", ['"loud"', "3", "true", '["energy"]'])
 def test_a_word_of_the_transform_that_is_none_of_its_choices_is_a_mistake(config, value):
-    found = mistakes(config(f"[transform]\nlevel_law = {value}\n"))
-    what = f"transform.level_law = {value} is not known; allowed: tonal, energy"
+    found = mistakes(config(f"[transform]\namplitude_mapping = {value}\n"))
+    what = f"transform.amplitude_mapping = {value} is not known; allowed: tonal, energy"
     assert found == [(2, what)]
 
 

@@ -23,7 +23,7 @@ BLOB = DESIGN.to_bytes()
 PARAMETERS = [
     TransformParameters(),
     TransformParameters(loudness_db=20.0, speech_suppression_db=12.0),
-    TransformParameters(mapping="jnd", level_law="energy", window_s=0.03, partials_max=3),
+    TransformParameters(mapping="jnd", amplitude_mapping="energy", window_s=0.03, partials_max=3),
 ]
 
 

@@ -202,13 +202,13 @@ def test_it_agrees_with_every_parameter_at_its_limits(kind):
 
 
 VARIANTS: dict[str, dict[str, Any]] = {
-    "by energy": {"level_law": "energy"},
+    "by energy": {"amplitude_mapping": "energy"},
     "equal JNDs": {"mapping": "jnd"},
-    "both": {"level_law": "energy", "mapping": "jnd", "partials_max": 5},
+    "both": {"amplitude_mapping": "energy", "mapping": "jnd", "partials_max": 5},
     "followed": {"loudness_db": 30.0},
     "all": {
         "loudness_db": 40.0,
-        "level_law": "energy",
+        "amplitude_mapping": "energy",
         "mapping": "jnd",
         "partials_max": 5,
         "speech_suppression_db": 24.0,

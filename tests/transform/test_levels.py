@@ -17,7 +17,7 @@ from tests.support.signals import (
 
 RATE = 48_000
 PAPER = TransformParameters()
-ENERGY = TransformParameters(level_law="energy")
+ENERGY = TransformParameters(amplitude_mapping="energy")
 JND = TransformParameters(mapping="jnd")
 FULL_SCALE_R = PAPER.unit_strength_hz(RATE)
 

@@ -41,7 +41,7 @@ def test_the_defaults_are_the_papers():
     assert parameters.vibration_top_hz == 220.0
     assert parameters.threshold_hz == 0.3
     assert parameters.partials_max == 16
-    assert parameters.level_law == "tonal"
+    assert parameters.amplitude_mapping == "tonal"
     assert parameters.mapping == "paper"
 
 

@@ -39,7 +39,7 @@ from tests.support.signals import (
 )
 
 RATE = 48_000
-FOLLOWED = TransformParameters(loudness_db=30.0, level_law="energy")
+FOLLOWED = TransformParameters(loudness_db=30.0, amplitude_mapping="energy")
 WIDE = replace(FOLLOWED, loudness_db=54.0, loudness_floor_db=-75.0)
 """As far as the profiles go."""
 LEVELLED = replace(parameters_of("cinema"), strength="rig", resonance_hz=90.0, resonance_q=4.0)
@@ -351,9 +351,9 @@ def test_hum_and_dither_of_a_quiet_room_are_not_felt(profile):
 
 @pytest.mark.parametrize("lift_db", [10.0, 30.0])
 def test_quiet_noise_is_lifted_by_no_more_than_was_asked_for(lift_db):
-    parameters = TransformParameters(loudness_db=lift_db, level_law="energy")
+    parameters = TransformParameters(loudness_db=lift_db, amplitude_mapping="energy")
     sound = white_noise(3.0, 16_000, 10 ** (-54 / 20))
-    plain = TransformParameters(threshold_hz=parameters.live_threshold_hz, level_law="energy")
+    plain = TransformParameters(threshold_hz=parameters.live_threshold_hz, amplitude_mapping="energy")
     lifted, as_it_is = (
         level_db(played(sound, 16_000, parameters=each)[-16_000:]) for each in (parameters, plain)
     )
@@ -474,7 +474,7 @@ def test_a_stream_begun_anew_knows_nothing_of_the_one_before():
 
 def test_the_reference_form_knows_no_follower():
     sound = talk(0.5)
-    plain = TransformParameters(level_law="energy")
+    plain = TransformParameters(amplitude_mapping="energy")
     followed_too = played(sound, RATE, form="reference", parameters=FOLLOWED)
     assert identical(followed_too, played(sound, RATE, form="reference", parameters=plain))
 

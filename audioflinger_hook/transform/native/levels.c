@@ -1,11 +1,11 @@
-/* How strong each partial of a hop is: the law of level, loudness, speech and the ceiling. */
+/* How strong each partial of a hop is: the amplitude mapping, loudness, speech and the ceiling. */
 
 #include "levels.h"
 
 #include "common.h"
 #include "scaling.h"
 
-/* Set the amplitudes of what was found by the level law: P_k r_k over a full-scale tone's r, or by
+/* Set the amplitudes of what was found: P_k r_k over that of a full-scale tone, or by
  * the energy of each. */
 static void strengthen(Live *live, size_t count)
 {
@@ -49,7 +49,7 @@ int levels_set(Live *live, Channel *channel, size_t count)
     const int followed = loudness_is_on(s), lowered = s->speech_db > 0.0;
     double total = 0.0;
     strengthen(live, count);
-    /* Before the law of level, so that what speech loses is not missing from the rest. */
+    /* Before the amplitude mapping, so that what speech loses is not missing from the rest. */
     if (lowered) {
         const double before = felt_power(live, count);
         lower_speech(live, channel, count);

@@ -36,7 +36,7 @@
     ENTRY(hold_hops)    /* for which those are held then */                                        \
     ENTRY(average_ticks) /* over which the power of high bands is averaged */                      \
     ENTRY(begin_frames) /* at the start of a stream, which are silent */                           \
-    ENTRY(energy_mapping) /* the level law: 1 by energy, 0 the paper's */
+    ENTRY(energy_mapping) /* 1: by energy; 0: as the paper */
 
 #define NUMBERS(ENTRY)                                                                             \
     ENTRY(magnitude_max)  /* of a sample; above it is damage */                                    \
