@@ -55,7 +55,9 @@ CONFIGS = {
     "level": "gain_db = -7.5\n",
     "parameters": 'profile = "music"\n[transform]\nthreshold_hz = 0.1\npartials_max = 9\n',
     "follower": "[transform]\nloudness_db = 20\ndynamics = 0.4\n",
-    "jnd": '[transform]\nmapping = "jnd"\namplitude_mapping = "energy"\nspeech_suppression_db = 12\n',
+    "jnd": (
+        '[transform]\nmapping = "jnd"\namplitude_mapping = "energy"\nspeech_suppression_db = 12\n'
+    ),
     "damped": 'damping = "auto"\nrig = "consumer"\n',
     "protected": 'protection = "on"\nexposure_cap = "action"\n',
     "one actuator": '[[actuator]]\nchannels = [1]\ngain_db = -6\ndamping = "auto"\n',

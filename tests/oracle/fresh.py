@@ -50,7 +50,8 @@ class Fresh:
                 begun.age, begun.joins = 1, replaced.joins
                 vars(replaced).update(vars(begun))
             elif len(self.sounding) < s.onset_partials_max:
-                slot, phase = min(set(range(s.onset_partials_max)) - set(self.sounding)), s.start_phase
+                slot = min(set(range(s.onset_partials_max)) - set(self.sounding))
+                phase = s.start_phase
                 if other := self.partials.strongest_near(hz):
                     hz, phase = other.hz, (other.phase - other.hz * ticks_left * s.tick_s) % 1.0
                     begun.joins = True

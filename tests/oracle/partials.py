@@ -139,7 +139,8 @@ class Partials:
             begun, amplitude = one.begun, one.begun.goal + one.begun.base
             share = recent_power(begun.group) / begun.power if begun.power > 0.0 else 0.0
             now, full = amplitude * min(1.0, share) ** 0.5, len(end) >= self.most
-            if begun.hops and now >= self.s.min_held_share * amplitude and (slot in end or not full):
+            least = self.s.min_held_share * amplitude
+            if begun.hops and now >= least and (slot in end or not full):
                 begun.hops, wanted[slot] = begun.hops - 1, now * known
                 end.setdefault(slot, replace(one, amplitude=0.0))
             elif slot in end:

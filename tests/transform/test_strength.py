@@ -353,7 +353,8 @@ def test_hum_and_dither_of_a_quiet_room_are_not_felt(profile):
 def test_quiet_noise_is_lifted_by_no_more_than_was_asked_for(lift_db):
     parameters = TransformParameters(loudness_db=lift_db, amplitude_mapping="energy")
     sound = white_noise(3.0, 16_000, 10 ** (-54 / 20))
-    plain = TransformParameters(threshold_hz=parameters.live_threshold_hz, amplitude_mapping="energy")
+    lowest_hz = parameters.live_threshold_hz
+    plain = TransformParameters(threshold_hz=lowest_hz, amplitude_mapping="energy")
     lifted, as_it_is = (
         level_db(played(sound, 16_000, parameters=each)[-16_000:]) for each in (parameters, plain)
     )

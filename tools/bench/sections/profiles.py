@@ -61,7 +61,8 @@ class Way:
 def ways() -> tuple[Way, ...]:
     """Return the profile `paper`, the mapping by energy alone, and all other profiles."""
     profiles = tuple(Way(name, parameters_of(name)) for name in PROFILES)
-    return profiles[0], Way(BY_ENERGY, TransformParameters(amplitude_mapping="energy")), *profiles[1:]
+    by_energy = Way(BY_ENERGY, TransformParameters(amplitude_mapping="energy"))
+    return profiles[0], by_energy, *profiles[1:]
 
 
 def profiles(bench: Workbench) -> Section:
