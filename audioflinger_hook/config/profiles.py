@@ -28,8 +28,9 @@ FLOOR = ProfileValue(-68.0, "soft sounds vibrate at a low volume; inaudible hiss
 FELT = ProfileValue("felt", "as strong as a seated body feels it, whatever its frequency")
 DEEP = ProfileValue(20.0, "sub-bass vibrates, down to the lowest notes")
 SONE = ProfileValue(
-    0.64, "amplitude nearly in proportion to sone: what is twice as loud is felt so"
+    0.68, "amplitude nearly in proportion to sone: what is twice as loud is felt so"
 )
+STEADY = ProfileValue(1.5, "what is steady stays so, and small changes are followed")
 LOWER = ProfileValue("jnd", "a seated body feels lower vibration better, and amplifiers have room")
 
 FOLLOWING = {
@@ -40,6 +41,7 @@ FOLLOWING = {
     "band_low_hz": DEEP,
     "mapping": LOWER,
     "dynamics": SONE,
+    "jitter_db": STEADY,
 }
 """What all profiles but the paper's have in common: vibration as strong as sound is loud."""
 
@@ -64,16 +66,16 @@ PROFILES: dict[str, dict[str, ProfileValue]] = {
         "loudness_target_db": ProfileValue(-24.0, "room for what is louder than the rest"),
     },
     "speech": {
-        **{name: choice for name, choice in FOLLOWING.items() if name != "strength"},
+        **FOLLOWING,
         "band_low_hz": ProfileValue(150.0, "the bass of music and engines does not hide a voice"),
-        "band_high_hz": ProfileValue(3_500.0, "nor does what is brighter than it"),
+        "band_high_hz": ProfileValue(2_000.0, "nor does what is brighter than vowels"),
         "vibration_top_hz": ProfileValue(
             60.0, "all of a voice is felt alike, so that its syllables are what changes"
         ),
-        "dynamics": ProfileValue(0.8, "syllables are felt apart; music under speech is soft"),
+        "dynamics": ProfileValue(0.75, "syllables are felt apart; music under speech is soft"),
         "rise_db": ProfileValue(0.0, "consonants are no blows: vibration follows the syllables"),
         "jitter_db": ProfileValue(1.0, "even small changes of a voice are followed"),
-        "merge_ratio": ProfileValue(0.8, "tones that a body cannot distinguish would warble"),
+        "merge_ratio": ProfileValue(0.9, "tones that a body cannot distinguish would warble"),
         "loudness_floor_db": ProfileValue(-75.0, "soft words vibrate, too"),
         "loudness_target_db": ProfileValue(-24.0, "room for what is louder than the rest"),
     },

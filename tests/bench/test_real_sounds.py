@@ -128,6 +128,7 @@ def test_a_method_that_changes_nothing_is_never_late_and_never_warbles():
     ]
     values = {row.name: row.value or 0.0 for row in rows}
     assert values["drums: half of the peak, 95th percentile"] == 0.0
+    assert values["drums and shots: peak after the sound's, median"] == 0.0
     assert values["shots: felt as impacts"] == 2.0
     assert values["steady A-major chord: modulation at 4 to 16 Hz"] < 6.0
     assert len(series["drum, sound"]) == 200
