@@ -2,9 +2,8 @@
 
     dump.py, hexdump.py  bytes from a raw file, lsusb -v, a description or a hex dump
     blocks.py            bytes cut into descriptors; problems in words
-    reading.py           a device and its configurations
-    configuration.py     a configuration and its interfaces
-    standard.py          device and endpoints
+    reading.py           the reader of a device and its configurations
+    configuration.py     a device, its configurations, interfaces and endpoints
     entities.py          terminals, units, clocks
     streaming.py         formats and samplerates
     topology.py          paths of sound and clocks

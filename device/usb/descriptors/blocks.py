@@ -11,10 +11,7 @@ from collections.abc import Iterable, Iterator
 from device.errors import UsageError
 from device.values import counted
 
-PROBLEMS_MAX = 200
-"""Problems kept of one configuration, enough for a bug report."""
-
-LENGTH_MIN = 2
+PROBLEMS_MAX = 200  # kept of one configuration, enough for a bug report
 
 DEVICE, CONFIGURATION, INTERFACE, ENDPOINT, ASSOCIATION = 0x01, 0x02, 0x04, 0x05, 0x0B
 CS_INTERFACE, CS_ENDPOINT = 0x24, 0x25
@@ -39,12 +36,9 @@ class DescriptorError(UsageError):
 
 
 class Findings:
-    """Collects the problems of one configuration.
+    """Collects the problems of one configuration, by their places in the dump.
 
-    Parameters
-    ----------
-    begins_at : int
-        Place of the configuration's first byte in the dump; problems name places of the dump.
+    begins_at: place of the configuration's first byte in the dump.
     """
 
     def __init__(self, begins_at: int = 0) -> None:
@@ -69,14 +63,8 @@ class Findings:
 class Block:
     """One descriptor's bytes while it is read.
 
-    Attributes
-    ----------
-    offset : int
-        Bytes from the first of the configuration.
-    raw : bytes
-        All its bytes, at least 2; more than the standard has are ignored.
-    name : str
-        Its name in problems.
+    offset: bytes from the first of the configuration. raw: all its bytes, at least 2; more than the
+    standard has are ignored. name: in problems.
     """
 
     __slots__ = ("_findings", "name", "offset", "raw")
@@ -123,7 +111,7 @@ def blocks(raw: bytes, at: int, findings: Findings) -> Iterator[Block]:
     end = len(raw)
     while at < end:
         length, left = raw[at], end - at
-        if length < LENGTH_MIN or left < LENGTH_MIN:
+        if length < 2 or left < 2:
             problem = f"bLength is {length}, so the last {counted(left, 'bytes')} cannot be read"
             findings.note(at, "descriptor", problem)
             return

@@ -33,40 +33,18 @@ class FeatureControl(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Entity:
-    """A terminal, unit or clock.
+    """A terminal, unit or clock."""
 
-    Attributes
-    ----------
-    offset : int
-        Bytes from the first of the configuration.
-    uac : int
-        Version of USB Audio, 1 or 2.
-    kind : str
-        "input terminal", "feature unit" and so on.
-    id : int
-        1 to 255.
-    source_ids : tuple of int
-        Entities that it takes its input from.
-    clock_ids : tuple of int
-        Clocks of a terminal or converter of 2.0.
-    terminal_type : int
-        wTerminalType, 0 for others.
-    channels, channel_config : int
-        Of an input terminal: channels, and one bit a loudspeaker position; 0 for others.
-    controls : tuple of int
-        Bit maps of a feature unit, one a channel; the master's (channel 0) is first.
-    """
-
-    offset: int
-    uac: int
-    kind: str
-    id: int
-    source_ids: tuple[int, ...]
-    clock_ids: tuple[int, ...]
-    terminal_type: int
-    channels: int
-    channel_config: int
-    controls: tuple[int, ...]
+    offset: int  # bytes from the first of the configuration
+    uac: int  # version of USB Audio, 1 or 2
+    kind: str  # "input terminal", "feature unit" and so on
+    id: int  # 1 to 255
+    source_ids: tuple[int, ...]  # entities that it takes its input from
+    clock_ids: tuple[int, ...]  # of a terminal or converter of 2.0
+    terminal_type: int  # wTerminalType, 0 for others
+    channels: int  # of an input terminal, 0 for others
+    channel_config: int  # one bit a loudspeaker position
+    controls: tuple[int, ...]  # bit maps of a feature unit by channel; 0 is the master
 
     def settable(self, control: FeatureControl) -> tuple[int, ...]:
         """Return the channels whose control the host may set; 0 is the master."""
@@ -76,19 +54,15 @@ class Entity:
 
 
 class _Layout(NamedTuple):
-    """Where a descriptor has its fields, in bytes from its beginning; 0 if it has none.
-
-    least: its bytes without ids of sources. sources: of bNrInPins, with the ids behind it.
-    channels: wChannelConfig (1.0) or bmChannelConfig (2.0) follows them.
-    """
+    """Where a descriptor has its fields, in bytes from its beginning; 0 if it has none."""
 
     kind: str
-    least: int
+    least: int  # its bytes without ids of sources
     source: int = 0
-    sources: int = 0
+    sources: int = 0  # bNrInPins, with the ids behind it
     clocks: tuple[int, ...] = ()
     terminal_type: int = 0
-    channels: int = 0
+    channels: int = 0  # wChannelConfig (1.0) or bmChannelConfig (2.0) follows them
 
 
 _LAYOUTS: dict[int, dict[int, _Layout]] = {

@@ -4,9 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from device.usb.descriptors.configuration import Configuration, Interface
+from device.usb.descriptors.configuration import (
+    Configuration,
+    Endpoint,
+    Interface,
+    Synchronisation,
+    Transfer,
+    Usage,
+)
 from device.usb.descriptors.entities import INPUT, FeatureControl
-from device.usb.descriptors.standard import Endpoint, Synchronisation, Transfer, Usage
 from device.usb.descriptors.streaming import RateRange
 from device.usb.descriptors.topology import Topology, topologies
 
@@ -21,41 +27,23 @@ _BASIC_FRAME_BYTES = {2: (1, 2), 3: (1, 3), 4: (2, 2), 6: (2, 3)}
 class PlaybackFormat:
     """One way to play: choose `alternate` of `interface`, send frames to `endpoint_address`.
 
-    Attributes
-    ----------
-    interface, alternate, endpoint_address : int
-        Interface, its alternate setting, and the endpoint for the samples.
-    uac : int
-        Version of USB Audio, 1 to 3.
-    encodings : tuple of str
-        Encodings of a sample, usually "PCM".
-    channels, channel_config : int
-        Channels, 0 where only the device knows (3.0); one bit a loudspeaker position, 0 where
-        unknown.
-    subslot_bytes, bits : int
-        Bytes of a sample, and its significant upper bits.
-    samplerates : tuple of int, RateRange or None
-        Hz; None where the clock has to be asked (2.0, 3.0).
-    packet_bytes_max, interval : int
-        Bytes of one (micro)frame, and bInterval.
-    synchronisation : Synchronisation
-        The clock that the endpoint follows.
-    feedback_endpoint : int or None
-        Address of the endpoint that reports the device's rate.
-    implicit_feedback : bool
-        Whether that is a recording endpoint, whose packets give the rate.
-    clock_id : int or None
-        Clock of the terminal, None in 1.0 and 3.0.
-    clock_sources : tuple of int
-        Clock sources that may drive it.
-    control_interface : int or None
-        Interface for requests to the function's units.
-    path : tuple of int
-        Ids from the USB terminal to the output terminal; empty without a path.
-    feature_unit : int or None
-        Unit on the path for volume and mute: the first with a settable volume, else mute.
-    volume_channels, mute_channels : tuple of int
-        Channels of that unit that the host can set; 0 is the master.
+    interface, alternate, endpoint_address: numbers for the host's requests.
+    uac: version of USB Audio, 1 to 3.
+    encodings: of a sample, usually "PCM".
+    channels: count, 0 where only the device knows it (3.0).
+    channel_config: one bit a loudspeaker position, 0 where unknown.
+    subslot_bytes, bits: bytes of a sample, and its significant upper bits.
+    samplerates: Hz; None where the clock has to be asked (2.0, 3.0).
+    packet_bytes_max, interval: bytes of one (micro)frame, and bInterval.
+    synchronisation: the clock that the endpoint follows.
+    feedback_endpoint: address of the endpoint that reports the device's rate.
+    implicit_feedback: whether that is a recording endpoint, whose packets give the rate.
+    clock_id: clock of the terminal, None in 1.0 and 3.0.
+    clock_sources: clock sources that may drive it.
+    control_interface: for requests to the function's units.
+    path: ids from the USB terminal to the output terminal; empty without a path.
+    feature_unit: unit on the path for volume and mute, see `Topology.output`.
+    volume_channels, mute_channels: channels of that unit that the host can set; 0 is the master.
     """
 
     interface: int

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from device.usb.descriptors.blocks import Block
 
-TYPE_I, EXTENDED_TYPE_I = 0x01, 0x81
+_TYPE_I, _EXTENDED_TYPE_I = 0x01, 0x81
 
 _ENCODINGS_1 = {
     0x0000: "undefined",
@@ -31,10 +31,7 @@ _ENCODINGS_3 = {**_ENCODINGS_2, 5: "DSD", 6: "raw data", 31: "format bit 31"}
 class RateRange:
     """All samplerates from a lowest to a highest one.
 
-    Attributes
-    ----------
-    lowest, highest : int
-        Hz.
+    lowest, highest: Hz.
     """
 
     lowest: int
@@ -43,52 +40,26 @@ class RateRange:
 
 @dataclass(frozen=True, slots=True)
 class StreamGeneral:
-    """What flows through an alternate setting.
+    """What flows through an alternate setting."""
 
-    Attributes
-    ----------
-    offset : int
-        Bytes from the first of the configuration.
-    uac : int
-        Version of USB Audio, 1 to 3.
-    terminal_link : int
-        Id of its terminal.
-    encodings : tuple of str
-        "PCM", "IEEE float" and so on.
-    channels, channel_config : int or None
-        Channels, and one bit a loudspeaker position; 2.0 only.
-    subslot_bytes, bits : int
-        As in `StreamFormat`; 3.0 only, else 0.
-    """
-
-    offset: int
+    offset: int  # bytes from the first of the configuration
     uac: int
-    terminal_link: int
-    encodings: tuple[str, ...]
-    channels: int | None = None
-    channel_config: int | None = None
-    subslot_bytes: int = 0
+    terminal_link: int  # id of its terminal
+    encodings: tuple[str, ...]  # "PCM", "IEEE float" and so on
+    channels: int | None = None  # 2.0 only
+    channel_config: int | None = None  # one bit a loudspeaker position; 2.0 only
+    subslot_bytes: int = 0  # as in `StreamFormat`; 3.0 only
     bits: int = 0
 
 
 @dataclass(frozen=True, slots=True)
 class StreamFormat:
-    """A format of type I, plain or extended; other types have 0 bytes.
+    """A format of type I, plain or extended; other types have 0 bytes."""
 
-    Attributes
-    ----------
-    subslot_bytes, bits : int
-        Bytes of a sample (bSubframeSize in 1.0), and its significant upper bits.
-    channels : int or None
-        1.0 only.
-    samplerates : tuple of int, RateRange or None
-        Hz; 1.0 only.
-    """
-
-    subslot_bytes: int
-    bits: int
-    channels: int | None = None
-    samplerates: tuple[int, ...] | RateRange | None = None
+    subslot_bytes: int  # of a sample (bSubframeSize in 1.0)
+    bits: int  # its significant upper bits
+    channels: int | None = None  # 1.0 only
+    samplerates: tuple[int, ...] | RateRange | None = None  # Hz; 1.0 only
 
 
 def read_general(block: Block, uac: int) -> StreamGeneral | None:
@@ -119,7 +90,7 @@ def read_format(block: Block, uac: int) -> StreamFormat | None:
     block.name = "format type"
     if not block.holds(4):
         return None
-    if block.raw[3] != TYPE_I and (uac == 1 or block.raw[3] != EXTENDED_TYPE_I):
+    if block.raw[3] != _TYPE_I and (uac == 1 or block.raw[3] != _EXTENDED_TYPE_I):
         return StreamFormat(0, 0)
     if not block.holds(8 if uac == 1 else 6):
         return None
