@@ -1,14 +1,14 @@
 """Descriptors of USB Audio 1.0, 2.0 and 3.0: which formats a device plays, and where it is damaged.
 
-    dump.py, hexdump.py  bytes from a raw file, lsusb -v, a description or a hex dump
-    blocks.py            bytes cut into descriptors; problems in words
-    reading.py           the reader of a device and its configurations
-    configuration.py     a device, its configurations, interfaces and endpoints
-    entities.py          terminals, units, clocks
-    streaming.py         formats and samplerates
-    topology.py          paths of sound and clocks
-    checks.py            contradictions in a configuration
-    playback.py          formats that can be played
+    dump.py           bytes from a raw file, lsusb -v, a description or a hex dump
+    blocks.py         bytes cut into descriptors; problems in words
+    reading.py        the reader of a device and its configurations
+    configuration.py  a device, its configurations, interfaces and endpoints
+    entities.py       terminals, units, clocks
+    streaming.py      formats and samplerates
+    topology.py       paths of sound and clocks
+    checks.py         contradictions in a configuration
+    playback.py       formats that can be played
 
 Pure functions of bytes. Unknown descriptors and the units of 3.0 are skipped.
 """

@@ -119,11 +119,10 @@ class Interface:
         return f"interface {self.number}.{self.alternate}"
 
     @property
-    def uac(self) -> int | None:
-        """The version of USB Audio, 1 to 3, of control and streaming interfaces; else None."""
-        if self.is_control or self.is_streaming:
-            return UAC_OF_PROTOCOL.get(self.protocol, 1)
-        return None
+    def uac(self) -> int:
+        """The version of USB Audio, 1 to 3, of control and streaming interfaces; else 0."""
+        is_audio = self.is_control or self.is_streaming
+        return UAC_OF_PROTOCOL.get(self.protocol, 1) if is_audio else 0
 
     @property
     def is_control(self) -> bool:
@@ -158,4 +157,4 @@ class Configuration:
     @property
     def uac(self) -> int | None:
         """The highest version of USB Audio of its interfaces; None without audio."""
-        return max((i.uac for i in self.interfaces if i.uac is not None), default=None)
+        return max((i.uac for i in self.interfaces if i.uac), default=None)

@@ -43,7 +43,6 @@ class StreamGeneral:
     """What flows through an alternate setting."""
 
     offset: int  # bytes from the first of the configuration
-    uac: int
     terminal_link: int  # id of its terminal
     encodings: tuple[str, ...]  # "PCM", "IEEE float" and so on
     channels: int | None = None  # 2.0 only
@@ -70,14 +69,14 @@ def read_general(block: Block, uac: int) -> StreamGeneral | None:
     at, raw, link = block.offset, block.raw, block.raw[3]
     if uac == 1:
         tag = block.number(5, 2)
-        return StreamGeneral(at, 1, link, (_ENCODINGS_1.get(tag) or f"format 0x{tag:04x}",))
+        return StreamGeneral(at, link, (_ENCODINGS_1.get(tag) or f"format 0x{tag:04x}",))
     if uac == 2:
         encodings = _named_bits(block.number(6, 4), _ENCODINGS_2)
         if not raw[10]:
             block.note("it has 0 channels")
-        return StreamGeneral(at, 2, link, encodings, raw[10], block.number(11, 4))
+        return StreamGeneral(at, link, encodings, raw[10], block.number(11, 4))
     encodings = _named_bits(block.number(10, 8), _ENCODINGS_3)
-    return StreamGeneral(at, 3, link, encodings, subslot_bytes=raw[18], bits=raw[19])
+    return StreamGeneral(at, link, encodings, subslot_bytes=raw[18], bits=raw[19])
 
 
 def _named_bits(bits: int, names: Mapping[int, str]) -> tuple[str, ...]:
