@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import errno
 import math
-from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -50,8 +50,9 @@ def playback_of(device: UsbAudioDevice) -> PlaybackFormat:
 class UsbControl:
     """The controls of one open device, for one thread, which must not be an audio thread.
 
-    handle: PyUSB's device, which `close` releases. Volumes are in dB; channel 0 is the master.
-    A request takes some ms, or 0.5 s if the device does not answer.
+    handle: PyUSB's device, which `close` releases. volume_channels, mute_channels: those that can
+    be set; channel 0 is the master. Volumes are in dB. A request takes some ms, or 0.5 s if the
+    device does not answer.
 
     All methods raise UsbAccessError if the device refuses, does not answer or has no such control,
     and NoUsbDeviceError if it was pulled out.
@@ -61,20 +62,12 @@ class UsbControl:
         self._device = device
         self._playback = playback
         self._handle = handle
-
-    @property
-    def volume_channels(self) -> tuple[int, ...]:
-        """Channels whose volume can be set."""
-        return self._playback.volume_channels
-
-    @property
-    def mute_channels(self) -> tuple[int, ...]:
-        """Channels whose mute can be set."""
-        return self._playback.mute_channels
+        self.volume_channels = playback.volume_channels
+        self.mute_channels = playback.mute_channels
 
     def volume_db(self, channel: int) -> float:
         """Return a volume; -inf is silence."""
-        return requests.volume_db(self._ask_feature(FeatureControl.VOLUME, channel))
+        return requests.from_volume_units(self._units(channel))
 
     def volume_range(self, channel: int) -> VolumeRange:
         """Return the range of a volume."""
@@ -113,7 +106,8 @@ class UsbControl:
 
     def muted(self, channel: int) -> bool:
         """Return whether a channel is muted."""
-        return bool(requests.number(self._ask_feature(FeatureControl.MUTE, channel), 1))
+        asked = requests.feature(self._playback, FeatureControl.MUTE, channel)
+        return bool(requests.number(self._ask(asked), asked.length))
 
     def set_muted(self, channel: int, muted: bool) -> None:
         """Mute or unmute a channel. UsbAccessError: also if the mute does not change."""
@@ -140,19 +134,15 @@ class UsbControl:
 
     def state(self) -> ControlState:
         """Return all settings that the device reports."""
-        volumes, mutes = [], []
+        volumes, mutes, rate = [], [], None
         for channel in self.volume_channels:
-            answer = self._answer(requests.feature(self._playback, FeatureControl.VOLUME, channel))
-            if len(answer) >= 2:
-                volumes.append((channel, int.from_bytes(answer[:2], "little", signed=True)))
+            with suppress(UsbAccessError):
+                volumes.append((channel, self._units(channel)))
         for channel in self.mute_channels:
-            answer = self._answer(requests.feature(self._playback, FeatureControl.MUTE, channel))
-            if answer:
-                mutes.append((channel, bool(answer[0])))
-        try:
+            with suppress(UsbAccessError):
+                mutes.append((channel, self.muted(channel)))
+        with suppress(UsbAccessError):
             rate = self.samplerate()
-        except UsbAccessError:
-            rate = None
         return ControlState(tuple(volumes), tuple(mutes), rate)
 
     def restore(self, state: ControlState) -> None:
@@ -172,31 +162,21 @@ class UsbControl:
 
         usb.util.dispose_resources(self._handle)
 
-    def _ask_feature(self, control: FeatureControl, channel: int) -> bytes:
-        return self._ask(requests.feature(self._playback, control, channel))
+    def _units(self, channel: int) -> int:
+        return requests.volume(
+            self._ask(requests.feature(self._playback, FeatureControl.VOLUME, channel))
+        )
 
     def _set_units(self, channel: int, units: int) -> None:
         self._ask(requests.set_feature(self._playback, FeatureControl.VOLUME, channel, units))
 
-    def _answer(self, request: Request) -> bytes:
-        try:
-            return self._ask(request)
-        except UsbAccessError:
-            return b""
-
     def _ask(self, request: Request) -> bytes:
         import usb.core
 
+        setup = (request.request_type, request.request, request.value, request.index)
         data = request.length if request.data is None else request.data
         try:
-            answer = self._handle.ctrl_transfer(
-                request.request_type,
-                request.request,
-                request.value,
-                request.index,
-                data,
-                TIMEOUT_MS,
-            )
+            answer = self._handle.ctrl_transfer(*setup, data, TIMEOUT_MS)
         except usb.core.USBError as error:
             if error.errno == errno.EPIPE:
                 raise UsbAccessError(
@@ -213,8 +193,7 @@ def open_control(device: UsbAudioDevice) -> UsbControl:
     UsbAccessError: a driver holds it, it may not be opened, or nothing can be played on it.
     NoLibusbError, NoUsbDeviceError: libusb is missing, or does not see it.
     """
-    drivers = held_by(device)
-    if drivers:
+    if drivers := held_by(device):
         raise UsbAccessError(
             f"{device.label!r} belongs to the driver {', '.join(drivers)}; set its volume in the "
             "sound settings or with alsamixer, or use --take-over to detach the driver for a moment"
@@ -224,5 +203,5 @@ def open_control(device: UsbAudioDevice) -> UsbControl:
 
 def held_by(device: UsbAudioDevice) -> tuple[str, ...]:
     """Return the drivers of the kernel that hold audio interfaces of a device."""
-    drivers: Iterable[str] = (interface.driver for interface in device.interfaces)
-    return tuple(dict.fromkeys(name for name in drivers if name not in ("", "usbfs")))
+    drivers = dict.fromkeys(interface.driver for interface in device.interfaces)
+    return tuple(name for name in drivers if name not in ("", "usbfs"))

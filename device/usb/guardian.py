@@ -33,7 +33,7 @@ def main() -> int:
     try:
         _give_back(wanted)
     except NoUsbDeviceError:
-        return 0
+        pass
     except CushionError as error:
         print(error)
         return 1
@@ -49,7 +49,6 @@ def _give_back(wanted: dict[str, Any]) -> None:
     state = wanted["state"]
     handle = open_device(device)
     control = UsbControl(device, playback_of(device), handle)
-    trouble: CushionError | None = None
     try:
         control.restore(
             ControlState(
@@ -58,13 +57,9 @@ def _give_back(wanted: dict[str, Any]) -> None:
                 state["samplerate"],
             )
         )
-    except CushionError as error:
-        trouble = error
     finally:
         control.close()
-    _attach(handle, wanted["interfaces"])
-    if trouble is not None:
-        raise trouble
+        _attach(handle, wanted["interfaces"])
 
 
 def _attach(handle: Any, interfaces: list[int]) -> None:
