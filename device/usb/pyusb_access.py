@@ -14,13 +14,11 @@ from device.errors import NoLibusbError, NoUsbDeviceError, UsbAccessError
 from device.extras import not_installed
 from device.usb.sysfs import UsbAudioDevice
 
-TIMEOUT_MS = 500
-"""Time limit of one request; devices answer within some ms or never."""
+TIMEOUT_MS = 500  # of one request; devices answer within some ms or never
 
-_DEVICE, _CONFIGURATION = 1, 2
-_DEVICE_LENGTH, _CONFIGURATION_LENGTH = 18, 9
-_TOTAL_LENGTH = slice(2, 4)
-"""Types, lengths, and the place of wTotalLength: USB 2.0, tables 9-5, 9-8 and 9-10."""
+# types and lengths: USB 2.0, tables 9-5, 9-8 and 9-10
+_DEVICE, _DEVICE_BYTES = 1, 18
+_CONFIGURATION, _CONFIGURATION_BYTES = 2, 9
 
 
 @cache
@@ -47,8 +45,7 @@ def open_device(device: UsbAudioDevice) -> Any:
 
     The first request opens it; usb.util.dispose_resources closes it.
 
-    NoLibusbError: libusb is missing.
-    NoUsbDeviceError: libusb does not see the device.
+    NoLibusbError: libusb is missing. NoUsbDeviceError: it does not see the device.
     """
     backend = libusb()
     import usb.core
@@ -80,10 +77,10 @@ def read_descriptors(device: UsbAudioDevice) -> bytes:
     from usb.control import get_descriptor
 
     try:
-        blocks = [bytes(get_descriptor(handle, _DEVICE_LENGTH, _DEVICE, 0))]
+        blocks = [bytes(get_descriptor(handle, _DEVICE_BYTES, _DEVICE, 0))]
         for index in range(handle.bNumConfigurations):
-            head = bytes(get_descriptor(handle, _CONFIGURATION_LENGTH, _CONFIGURATION, index))
-            length = int.from_bytes(head[_TOTAL_LENGTH], "little")
+            head = bytes(get_descriptor(handle, _CONFIGURATION_BYTES, _CONFIGURATION, index))
+            length = int.from_bytes(head[2:4], "little")  # wTotalLength
             blocks.append(bytes(get_descriptor(handle, length, _CONFIGURATION, index)))
     except usb.core.USBError as error:
         raise refusal(device, error) from None

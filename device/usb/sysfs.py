@@ -19,14 +19,8 @@ from device.usb.descriptors import DescriptorError, parse_whole, playback_format
 
 ROOT = Path("/")
 
-AUDIO_CLASS = 0x01
-STREAMING = 0x02
-"""The subclass of interfaces that carry samples; 0x01 is control, 0x03 is MIDI."""
-
-_NO_BUS = (
-    "no USB bus is visible in /sys/bus/usb or /dev/bus/usb; pass both on to a container "
-    "(--device /dev/bus/usb), or add a USB controller to a virtual machine"
-)
+_AUDIO_CLASS = 0x01
+_STREAMING = 0x02
 
 _PORT = re.compile(r"(\d+)-\d+(\.\d+)*")
 _INTERFACE = re.compile(r"(?P<port>\d+-[\d.]+):\d+\.\d+")
@@ -61,30 +55,17 @@ class AlsaCard:
 class UsbAudioDevice:
     """One USB device with an audio interface, as it was at one moment.
 
-    Attributes
-    ----------
-    port : str
-        Bus and chain of ports, such as "1-2.3".
-    path : str
-        Path below /sys, such as "/devices/pci0000:00/0000:00:14.0/usb1/1-2".
-    vendor_id, product_id : str
-        Four hexadecimal digits each.
-    manufacturer, product, serial : str
-        The device's strings, "" for none; unprintable characters are "�".
-    bus, address : int
-        Numbers on the bus; the address changes when it is plugged in.
-    speed : float
-        Mbit/s, 0 if unknown.
-    max_power_ma : int or None
-        mA, None if unknown.
-    configuration : int or None
-        Number of the active configuration, None if unknown or if none is.
-    descriptors : bytes
-        Device descriptor first, then the configurations; b"" if they are unreadable.
-    node : Path
-        The file through which it is opened.
-    interfaces, cards : tuple of AudioInterface, tuple of AlsaCard
-        Its audio interfaces and sound cards.
+    port: bus and chain of ports, such as "1-2.3".
+    path: below /sys, such as "/devices/pci0000:00/0000:00:14.0/usb1/1-2".
+    vendor_id, product_id: four hexadecimal digits each.
+    manufacturer, product, serial: its strings, "" for none; unprintable characters are "�".
+    bus, address: numbers on the bus; the address changes when it is plugged in.
+    speed: Mbit/s, 0 if unknown.
+    max_power_ma: None if unknown.
+    configuration: number of the active one, None if unknown or if none is.
+    descriptors: device descriptor, then configurations; b"" if they are unreadable.
+    node: the file through which it is opened.
+    interfaces, cards: its audio interfaces and sound cards.
     """
 
     port: str
@@ -118,7 +99,7 @@ class UsbAudioDevice:
             configuration = None
         if configuration is not None:
             return bool(playback_formats(configuration))
-        return not self.cards and any(each.subclass == STREAMING for each in self.interfaces)
+        return not self.cards and any(each.subclass == _STREAMING for each in self.interfaces)
 
     @property
     def label(self) -> str:
@@ -132,12 +113,7 @@ class UsbAudioDevice:
 class Found:
     """The present USB audio devices.
 
-    Attributes
-    ----------
-    devices : tuple of UsbAudioDevice
-        Sorted by port.
-    reason : NotFoundError or None
-        Why none plays; None if one does.
+    devices: sorted by port. reason: why none plays; None if one does.
     """
 
     devices: tuple[UsbAudioDevice, ...]
@@ -147,15 +123,16 @@ class Found:
 def find_devices(root: Path = ROOT) -> Found:
     """Return every USB device with an audio interface; unreadable ones are left out.
 
-    Parameters
-    ----------
-    root : Path
-        The folder above /sys and /proc.
+    root: the folder above /sys and /proc.
     """
     bus = root / "sys/bus/usb/devices"
-    names = names_in(bus)
+    names = _names_in(bus)
     if not any(name.startswith("usb") for name in names) and not (root / "dev/bus/usb").is_dir():
-        return Found((), NoUsbBusError(_NO_BUS))
+        reason = NoUsbBusError(
+            "no USB bus is visible in /sys/bus/usb or /dev/bus/usb; pass both on to a container "
+            "(--device /dev/bus/usb), or add a USB controller to a virtual machine"
+        )
+        return Found((), reason)
     cards = _cards(root)
     interfaces = defaultdict(list)
     for name in names:
@@ -165,12 +142,11 @@ def find_devices(root: Path = ROOT) -> Found:
         _device(root, name, sorted(interfaces[name]), cards)
         for name in sorted(filter(_PORT.fullmatch, names), key=_in_order)
     )
-    devices = tuple(device for device in found if device is not None)
+    devices = tuple(filter(None, found))
     return Found(devices, _why_none_plays(devices))
 
 
-def names_in(folder: Path) -> frozenset[str]:
-    """Return the names in a folder; none if the folder is missing or unreadable."""
+def _names_in(folder: Path) -> frozenset[str]:
     try:
         return frozenset(os.listdir(folder))  # noqa: PTH208 - half the time of Path.iterdir
     except OSError:
@@ -235,7 +211,7 @@ def _device(
 
 def _interface(folder: Path) -> AudioInterface | None:
     try:
-        if int((folder / "bInterfaceClass").read_bytes(), 16) != AUDIO_CLASS:
+        if int((folder / "bInterfaceClass").read_bytes(), 16) != _AUDIO_CLASS:
             return None
         return AudioInterface(
             number=int((folder / "bInterfaceNumber").read_bytes(), 16),
@@ -250,7 +226,7 @@ def _interface(folder: Path) -> AudioInterface | None:
 def _cards(root: Path) -> dict[str, list[AlsaCard]]:
     """Return the sound cards by the real path of their USB device."""
     sound = root / "sys/class/sound"
-    names = names_in(sound)
+    names = _names_in(sound)
     playback = defaultdict(list)
     for name in names:
         if match := _PCM.fullmatch(name):
@@ -262,9 +238,8 @@ def _cards(root: Path) -> dict[str, list[AlsaCard]]:
         usb = next((at for at in (place, *place.parents) if _PORT.fullmatch(at.name)), None)
         if usb is None:
             continue
-        known_as = _text(root / f"proc/asound/card{number}/id")
-        known_as = known_as or _text(sound / f"card{number}" / "id")
-        cards[str(usb)].append(AlsaCard(number, known_as, tuple(sorted(playback[number]))))
+        name = _text(root / f"proc/asound/card{number}/id") or _text(sound / f"card{number}/id")
+        cards[str(usb)].append(AlsaCard(number, name, tuple(sorted(playback[number]))))
     return cards
 
 
