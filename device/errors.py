@@ -62,3 +62,8 @@ class NoLibusbError(NotFoundError):
 
 class UsbAccessError(NotFoundError):
     """The device is connected, but cannot be opened (permission) or does not answer."""
+
+
+def not_installed(package: str, extra: str) -> str:
+    """Return the message that a package is missing, and which extra of this one brings it."""
+    return f'{package} is not installed; install it: pip install "haptic-cushion[{extra}]"'

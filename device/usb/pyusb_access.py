@@ -10,8 +10,7 @@ import errno
 from functools import cache
 from typing import Any
 
-from device.errors import NoLibusbError, NoUsbDeviceError, UsbAccessError
-from device.extras import not_installed
+from device.errors import NoLibusbError, NoUsbDeviceError, UsbAccessError, not_installed
 from device.usb.sysfs import UsbAudioDevice
 
 TIMEOUT_MS = 500  # of one request; devices answer within some ms or never
