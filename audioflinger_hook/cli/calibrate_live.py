@@ -16,9 +16,9 @@ from audioflinger_hook.cli.measurement_streams import (
 from audioflinger_hook.cli.terminal import warn
 from device.address import DeviceAddress
 from device.alsa import choose_setup, find_capture, find_playback
+from device.alsa.cards import why_blocked
 from device.alsa.negotiation import CardSetup, list_offers
 from device.alsa.usb_stream import read_usb_stream
-from device.alsa.use import why_blocked
 from device.errors import NotFoundError, UsageError
 from device.identification.calibration import Calibration, calibrate
 from device.identification.live.laboratory import UNUSED, Devices, Inputs, LiveLaboratory

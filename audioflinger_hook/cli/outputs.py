@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from device.alsa.cards import PlaybackDevice
+from device.alsa.cards import AlsaDevice
 from device.server import ServerSnapshot
 from device.server.forwarding import SINK
 from device.server.identity import identity_of
@@ -52,7 +52,7 @@ class Output:
 def list_outputs(
     snapshot: ServerSnapshot,
     devices: Sequence[UsbAudioDevice],
-    playbacks: Iterable[PlaybackDevice],
+    playbacks: Iterable[AlsaDevice],
 ) -> list[Output]:
     """Return every output but our own sinks.
 

@@ -13,9 +13,9 @@ import numpy as np
 
 from device.address import DeviceAddress
 from device.alsa import choose_setup, find_playback
+from device.alsa.cards import why_blocked
 from device.alsa.negotiation import list_offers
 from device.alsa.usb_stream import read_usb_stream
-from device.alsa.use import why_blocked
 from device.drive import ActuatorSettings, ChannelMap, channels_needed, wiring_of
 from device.drive.channel_positions import sink_channel_map
 from device.errors import LostError, NotFoundError

@@ -2,10 +2,9 @@
 
 | module | contents |
 | --- | --- |
-| `cards` | cards and their playback and capture devices, by number or id |
+| `cards` | cards and their playback and capture devices, by number or id, and who uses them |
 | `usb_stream` | the formats that a USB card offers, and its own clock |
 | `negotiation` | the best format, rate and channel count for a card |
-| `use` | who uses a device now, and how it was opened |
 | `mixer` | a card's own volumes and mutes |
 | `decibels` | what the steps of a volume mean in dB |
 

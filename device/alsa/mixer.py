@@ -13,8 +13,8 @@ import os
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from device.alsa.cards import DEVICES
 from device.alsa.decibels import Decibels, parse_decibels
-from device.alsa.use import DEVICES
 from device.errors import NotFoundError, UsageError
 from device.volume_limit import MAX_VOLUME_DB, limit_volume_db
 

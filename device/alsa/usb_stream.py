@@ -10,8 +10,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from device.alsa.cards import PlaybackDevice, read_text
-from device.alsa.use import read_hw_params
+from device.alsa.cards import AlsaDevice, read_hw_params, read_text
 
 _NUMBER = re.compile(r"\d+")
 _MOMENTARY = re.compile(r"(\d+) Hz \(0x([0-9a-f]{1,8})\.([0-9a-f]{4})\)")
@@ -82,7 +81,7 @@ class MeasuredRate:
         return 1e6 * (self.measured_hz / self.nominal_hz - 1.0)
 
 
-def measure_rate(device: PlaybackDevice) -> MeasuredRate | None:
+def measure_rate(device: AlsaDevice) -> MeasuredRate | None:
     """Return the rate of a USB device that plays now; None if it does not say it."""
     stream, opened = read_usb_stream(device), read_hw_params(device)
     if stream is None or stream.measured_hz is None or not opened:
@@ -90,7 +89,7 @@ def measure_rate(device: PlaybackDevice) -> MeasuredRate | None:
     return MeasuredRate(opened[0].samplerate, stream.measured_hz)
 
 
-def read_usb_stream(device: PlaybackDevice) -> UsbStream | None:
+def read_usb_stream(device: AlsaDevice) -> UsbStream | None:
     """Return what a USB playback or capture device offers; None for other cards."""
     text = read_text(device.card.folder / f"stream{device.device}")
     return parse_usb_stream(text, f"{device.kind.capitalize()}:") if text else None

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from device.alsa import find_playback
-from device.alsa.use import find_owner
+from device.alsa.cards import find_owner
 from device.errors import NotFoundError, UsbAccessError
 from device.usb.control import ControlState, UsbControl, held_by, playback_of
 from device.usb.pyusb_access import open_device
