@@ -24,9 +24,7 @@ class Rates:
     least: int = 0
     most: int = 0
 
-    def __contains__(self, samplerate: object) -> bool:
-        if not isinstance(samplerate, int):
-            return False
+    def __contains__(self, samplerate: int) -> bool:
         return samplerate in self.single or 0 < self.least <= samplerate <= self.most
 
     def __str__(self) -> str:
@@ -58,14 +56,10 @@ class UsbFormat:
 
 @dataclass(frozen=True)
 class UsbStream:
-    """What a USB card offers in one direction.
-
-    measured_hz: the rate that the device asks for through its feedback endpoint while it plays,
-    else None.
-    """
+    """What a USB card offers in one direction."""
 
     formats: tuple[UsbFormat, ...]
-    measured_hz: float | None = None
+    measured_hz: float | None = None  # asked for by the feedback endpoint while it plays
 
 
 @dataclass(frozen=True)
@@ -115,9 +109,9 @@ def parse_usb_stream(text: str, side: str = "Playback:") -> UsbStream:
 
 
 def _measured_hz(now: dict[str, str]) -> float | None:
-    """Return the rate of a stream's present state: whole Hz, then frames in 1 ms or 125 us.
+    """Return the present rate, reported as whole Hz, then as frames in 1 ms or 125 us.
 
-    Without a feedback endpoint it is only what the host assumes.
+    Without a feedback endpoint it is only what the host assumes, so None.
     """
     match = _MOMENTARY.match(now.get("Momentary freq", ""))
     if match is None or "Feedback Format" not in now:
@@ -129,7 +123,6 @@ def _measured_hz(now: dict[str, str]) -> float | None:
 
 
 def _lines_of(text: str, side: str) -> Iterator[str]:
-    """Yield the lines of one side, stripped."""
     inside = False
     for line in map(str.strip, text.splitlines()):
         if line in ("Playback:", "Capture:"):
@@ -162,6 +155,5 @@ def _rates(text: str) -> Rates:
 
 
 def _first(text: str) -> int:
-    """Return the first number in the text, or 0."""
     match = _NUMBER.search(text)
-    return int(match.group()) if match else 0
+    return int(match[0]) if match else 0
