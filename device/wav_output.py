@@ -1,9 +1,7 @@
 """Writes vibration or simulated acceleration to a float32 WAV file, complete or not at all.
 
-The header is written here and not by libsndfile, for three reasons. A failed write keeps its
-reason, while libsndfile reports only that fewer frames were written. A recording of unknown length
-may exceed 4 GB. Equal vibration gives equal files; libsndfile writes the time of day into float
-files.
+libsndfile cannot do it: it gives no reason for a failed write, wants to know beforehand whether a
+file exceeds 4 GB, and writes the time of day into float files.
 """
 
 import os
@@ -127,5 +125,5 @@ def wav_header(samplerate: int, channels: int, frames: int, comment: str | None 
 
 
 def _chunk(name: bytes, content: bytes) -> bytes:
-    """Return a RIFF chunk; the content is padded to an even length, the size is without padding."""
+    """Return a RIFF chunk, padded to an even length; its size does not count the padding."""
     return struct.pack("<4sI", name, len(content)) + content + b"\0" * (len(content) % 2)

@@ -62,8 +62,8 @@ class UsbIdentity:
         parts = _NAME.fullmatch(text.removeprefix("usb:"))
         if parts is None:
             raise UsageError(
-                f"{text!r} names no USB device: it is written {GRAMMAR}, with four hexadecimal "
-                "digits for VID and PID each and a port such as 1-2 or 1-2.3"
+                f"device {text!r} is not {GRAMMAR} with four hexadecimal digits each for VID and "
+                "PID, and a port such as 1-2 or 1-2.3"
             )
         return cls(parts["vendor"], parts["product"], parts["serial"] or "", parts["port"] or "")
 

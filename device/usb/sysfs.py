@@ -210,6 +210,7 @@ def _device(
 
 
 def _interface(folder: Path) -> AudioInterface | None:
+    driver = folder / "driver"
     try:
         if int((folder / "bInterfaceClass").read_bytes(), 16) != _AUDIO_CLASS:
             return None
@@ -217,7 +218,7 @@ def _interface(folder: Path) -> AudioInterface | None:
             number=int((folder / "bInterfaceNumber").read_bytes(), 16),
             subclass=int((folder / "bInterfaceSubClass").read_bytes(), 16),
             protocol=int((folder / "bInterfaceProtocol").read_bytes(), 16),
-            driver=_link(folder / "driver"),
+            driver=driver.readlink().name if driver.is_symlink() else "",
         )
     except (OSError, ValueError):
         return None
@@ -264,10 +265,3 @@ def _text(path: Path) -> str:
 def _number(path: Path, pattern: str) -> str:
     match = re.match(pattern, _text(path))
     return match[0] if match else ""
-
-
-def _link(path: Path) -> str:
-    try:
-        return path.readlink().name
-    except OSError:
-        return ""

@@ -7,6 +7,7 @@ are little-endian.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 
 from device.errors import UsageError
 from device.values import counted
@@ -60,20 +61,14 @@ class Findings:
         return (*found, counted(more, "more problems")) if more else tuple(found)
 
 
+@dataclass(slots=True)
 class Block:
-    """One descriptor's bytes while it is read.
+    """One descriptor's bytes while it is read."""
 
-    offset: bytes from the first of the configuration. raw: all its bytes, at least 2; more than the
-    standard has are ignored. name: in problems.
-    """
-
-    __slots__ = ("_findings", "name", "offset", "raw")
-
-    def __init__(self, offset: int, raw: bytes, findings: Findings) -> None:
-        self.offset = offset
-        self.raw = raw
-        self.name = type_name(raw[1])
-        self._findings = findings
+    offset: int  # bytes from the first of the configuration
+    raw: bytes  # at least 2; more than the standard has are ignored
+    name: str  # in problems
+    findings: Findings
 
     @property
     def type(self) -> int:
@@ -91,7 +86,7 @@ class Block:
 
     def note(self, problem: str) -> None:
         """Add a problem of this descriptor."""
-        self._findings.note(self.offset, self.name, problem)
+        self.findings.note(self.offset, self.name, problem)
 
     def holds(self, length: int) -> bool:
         """Return whether it has at least so many bytes; a shorter one is a problem."""
@@ -101,7 +96,7 @@ class Block:
         return False
 
 
-def type_name(descriptor_type: int) -> str:
+def _type_name(descriptor_type: int) -> str:
     """Return the name of a bDescriptorType."""
     return _NAMES.get(descriptor_type) or f"descriptor of type 0x{descriptor_type:02x}"
 
@@ -117,8 +112,8 @@ def blocks(raw: bytes, at: int, findings: Findings) -> Iterator[Block]:
             return
         if length > left:
             problem = f"bLength is {length}, but the dump ends after {left} bytes"
-            findings.note(at, type_name(raw[at + 1]), problem)
-        yield Block(at, raw[at : at + length], findings)
+            findings.note(at, _type_name(raw[at + 1]), problem)
+        yield Block(at, raw[at : at + length], _type_name(raw[at + 1]), findings)
         at += length
 
 
