@@ -103,7 +103,8 @@ class Call(Generic[Result]):
 
     def is_over(self, now_s: float) -> bool:
         """Return whether the process has ended; one that takes over LIMIT_S is ended."""
-        if now_s > self._until_s and self._kill():
+        if now_s > self._until_s and self._process.poll() is None:
+            end(self._process)
             self._is_late = True
         return self._process.poll() is not None
 
@@ -132,14 +133,8 @@ class Call(Generic[Result]):
 
     def close(self) -> None:
         """End the process. May be repeated; raises nothing."""
-        self._kill()
-        self._close_files()
-
-    def _kill(self) -> bool:
-        """End the process; return whether it was running."""
-        running = self._process.poll() is None
         end(self._process)
-        return running
+        self._close_files()
 
     def _close_files(self) -> None:
         while self._files:

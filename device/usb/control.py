@@ -15,7 +15,7 @@ from typing import Any
 from device.errors import UsbAccessError
 from device.usb import requests
 from device.usb.descriptors import PlaybackFormat, RateRange, parse_whole, playback_formats
-from device.usb.descriptors.entities import FeatureControl
+from device.usb.descriptors.audio_class import FeatureControl
 from device.usb.pyusb_access import TIMEOUT_MS, open_device, read_descriptors, refusal
 from device.usb.requests import Request, VolumeRange
 from device.usb.sysfs import UsbAudioDevice

@@ -66,14 +66,12 @@ def _attach(handle: Any, interfaces: list[int]) -> None:
     import usb.core
     import usb.util
 
-    try:
-        for number in interfaces:
-            # Attaching the driver to the first interface also attaches it to the others.
-            with suppress(usb.core.USBError, NotImplementedError):
-                if not handle.is_kernel_driver_active(number):
-                    handle.attach_kernel_driver(number)
-    finally:
-        usb.util.dispose_resources(handle)
+    for number in interfaces:
+        # Attaching the driver to the first interface also attaches it to the others.
+        with suppress(usb.core.USBError, NotImplementedError):
+            if not handle.is_kernel_driver_active(number):
+                handle.attach_kernel_driver(number)
+    usb.util.dispose_resources(handle)
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ from typing import Literal
 
 from device.errors import UsageError, UsbAccessError
 from device.usb.descriptors import PlaybackFormat, RateRange
-from device.usb.descriptors.entities import VOLUME_UNITS_PER_DB, FeatureControl
+from device.usb.descriptors.audio_class import VOLUME_UNITS_PER_DB, FeatureControl
 from device.volume_limit import MAX_VOLUME_DB, limit_volume_db
 
 What = Literal["now", "range", "lowest", "highest", "step"]

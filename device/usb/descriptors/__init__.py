@@ -4,8 +4,7 @@
     blocks.py         bytes cut into descriptors; problems in words
     reading.py        the reader of a device and its configurations
     configuration.py  a device, its configurations, interfaces and endpoints
-    entities.py       terminals, units, clocks
-    streaming.py      formats and samplerates
+    audio_class.py    terminals, units, clocks, formats and samplerates
     topology.py       paths of sound and clocks
     checks.py         contradictions in a configuration
     playback.py       formats that can be played
@@ -13,12 +12,12 @@
 Pure functions of bytes. Unknown descriptors and the units of 3.0 are skipped.
 """
 
+from device.usb.descriptors.audio_class import RateRange
 from device.usb.descriptors.blocks import DescriptorError
 from device.usb.descriptors.configuration import Configuration
 from device.usb.descriptors.dump import hex_lines, parse_dump
 from device.usb.descriptors.playback import PlaybackFormat, playback_formats
 from device.usb.descriptors.reading import WholeDevice, parse_configuration, parse_whole
-from device.usb.descriptors.streaming import RateRange
 
 __all__ = [
     "Configuration",

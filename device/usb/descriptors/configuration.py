@@ -8,8 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum
 
-from device.usb.descriptors.entities import Entity
-from device.usb.descriptors.streaming import StreamFormat, StreamGeneral
+from device.usb.descriptors.audio_class import Entity, StreamFormat, StreamGeneral
 
 _AUDIO = 0x01
 _CONTROL, _STREAMING = 0x01, 0x02
@@ -65,8 +64,10 @@ class Endpoint:
 
     offset: int
     address: int
-    attributes: int
-    max_packet: int
+    transfer: Transfer
+    synchronisation: Synchronisation
+    usage: Usage
+    packet_bytes: int  # largest number of bytes per (micro)frame
     interval: int
     synch_address: int  # of its feedback endpoint, 0 for none; 1.0 only
 
@@ -74,26 +75,6 @@ class Endpoint:
     def to_host(self) -> bool:
         """Whether it is an IN endpoint."""
         return bool(self.address & 0x80)
-
-    @property
-    def transfer(self) -> Transfer:
-        """Bits 0 and 1 of bmAttributes."""
-        return Transfer(self.attributes & 3)
-
-    @property
-    def synchronisation(self) -> Synchronisation:
-        """Bits 2 and 3."""
-        return Synchronisation(self.attributes >> 2 & 3)
-
-    @property
-    def usage(self) -> Usage:
-        """Bits 4 and 5."""
-        return Usage(self.attributes >> 4 & 3)
-
-    @property
-    def packet_bytes(self) -> int:
-        """Largest bytes per (micro)frame: packet size times transactions (USB 2.0, 9.6.6)."""
-        return (self.max_packet & 0x7FF) * (1 + (self.max_packet >> 11 & 3))
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from device.usb.descriptors.audio_class import INPUT, FeatureControl, RateRange
 from device.usb.descriptors.configuration import (
     Configuration,
     Endpoint,
@@ -13,8 +14,6 @@ from device.usb.descriptors.configuration import (
     Transfer,
     Usage,
 )
-from device.usb.descriptors.entities import INPUT, FeatureControl
-from device.usb.descriptors.streaming import RateRange
 from device.usb.descriptors.topology import Topology, topologies
 
 _BASIC_FRAMES = 48  # of 1 ms; asynchronous endpoints have room for one more

@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
+from device.usb.descriptors.audio_class import (
+    read_entity,
+    read_format,
+    read_general,
+    read_header,
+)
 from device.usb.descriptors.blocks import (
     ASSOCIATION,
     CONFIGURATION,
@@ -25,10 +30,11 @@ from device.usb.descriptors.configuration import (
     DeviceDescriptor,
     Endpoint,
     Interface,
+    Synchronisation,
+    Transfer,
+    Usage,
 )
-from device.usb.descriptors.entities import Entity, read_entity, read_header
 from device.usb.descriptors.playback import playback_formats
-from device.usb.descriptors.streaming import StreamFormat, StreamGeneral, read_format, read_general
 from device.values import counted
 
 # USB 2.0, tables 9-8, 9-10, 9-12 and 9-13; associations: USB 2.0 ECN
@@ -62,9 +68,8 @@ class WholeDevice:
             problems.append(f"{found} of {counted(wanted, 'configurations')} can be read")
         if self.rest:
             at = len(self.raw) - len(self.rest)
-            problems.append(
-                f"from 0x{at:04x} on, {counted(len(self.rest), 'bytes')} cannot be read"
-            )
+            left = counted(len(self.rest), "bytes")
+            problems.append(f"from 0x{at:04x} on, {left} cannot be read")
         return "; ".join(problems)
 
     def active(self, value: int | None) -> Configuration | None:
@@ -126,13 +131,13 @@ def parse_device(raw: bytes) -> DeviceDescriptor:
     return DeviceDescriptor(*struct.unpack_from("<2xH4xHHH3xB", raw))
 
 
-def _interface(group: list[Block]) -> Iterable[Interface]:
+def _interface(group: list[Block]) -> list[Interface]:
     """Return the interface that a group of blocks begins with, if there is one."""
     if not group or group[0].type != INTERFACE or not group[0].holds(_INTERFACE_BYTES):
         for block in group:
             if block.type == ENDPOINT:
                 block.note("it belongs to no interface; it is ignored")
-        return ()
+        return []
     head, *others = group
     interface = Interface(head.offset, *head.raw[2:8])
     head.name = interface.title
@@ -147,38 +152,36 @@ def _interface(group: list[Block]) -> Iterable[Interface]:
     )
     interface = replace(interface, endpoints=endpoints)
     own = [block for block in others if block.type == CS_INTERFACE]
-    if interface.is_control and uac in (1, 2):
-        return (_control(interface, own, uac),)
-    if interface.is_streaming and uac:
-        return (_streaming(interface, own, uac),)
-    return (interface,)
+    if interface.is_control and uac < 3:
+        return [_control(interface, own, uac)]
+    return [_streaming(interface, own, uac) if interface.is_streaming else interface]
 
 
 def _endpoint(block: Block) -> Endpoint:
-    raw = block.raw
-    synch_address = raw[8] if len(raw) > 8 else 0
-    return Endpoint(block.offset, raw[2], raw[3], block.number(4, 2), raw[6], synch_address)
+    raw, attributes, max_packet = block.raw, block.raw[3], block.number(4, 2)
+    return Endpoint(
+        block.offset,
+        address=raw[2],
+        transfer=Transfer(attributes & 3),
+        synchronisation=Synchronisation(attributes >> 2 & 3),
+        usage=Usage(attributes >> 4 & 3),
+        # packet size times transactions (USB 2.0, 9.6.6)
+        packet_bytes=(max_packet & 0x7FF) * (1 + (max_packet >> 11 & 3)),
+        interval=raw[6],
+        synch_address=raw[8] if len(raw) > 8 else 0,
+    )
 
 
 def _control(interface: Interface, own: list[Block], uac: int) -> Interface:
-    entities: list[Entity] = []
-    headers: list[tuple[int, ...]] = []
-    for block in own:
-        if block.subtype == 1:
-            headers.append(read_header(block, uac))
-        elif entity := read_entity(block, uac):
-            entities.append(entity)
-    return replace(interface, entities=tuple(entities), listed=headers[0] if headers else None)
+    headers = [read_header(block, uac) for block in own if block.subtype == 1]
+    entities = (read_entity(block, uac) for block in own if block.subtype != 1)
+    listed = headers[0] if headers else None
+    return replace(interface, entities=tuple(filter(None, entities)), listed=listed)
 
 
 def _streaming(interface: Interface, own: list[Block], uac: int) -> Interface:
-    generals: list[StreamGeneral | None] = []
-    formats: list[StreamFormat | None] = []
-    for block in own:
-        if block.subtype == 1:
-            generals.append(read_general(block, uac))
-        elif block.subtype == 2 and uac < 3:
-            formats.append(read_format(block, uac))
+    generals = [read_general(block, uac) for block in own if block.subtype == 1]
+    formats = [read_format(block, uac) for block in own if block.subtype == 2 and uac < 3]
     general = next(filter(None, generals), None)
     # The first of type I, or else the first.
     found = max(filter(None, formats), key=lambda each: each.subslot_bytes > 0, default=None)

@@ -7,8 +7,7 @@ from __future__ import annotations
 
 from functools import cached_property
 
-from device.usb.descriptors.configuration import Configuration, Interface
-from device.usb.descriptors.entities import (
+from device.usb.descriptors.audio_class import (
     CLOCK_SOURCE,
     CLOCKS,
     FEATURE,
@@ -18,6 +17,7 @@ from device.usb.descriptors.entities import (
     Entity,
     FeatureControl,
 )
+from device.usb.descriptors.configuration import Configuration, Interface
 
 _ASSOCIATIONS_MAX = 256  # as many as interface numbers; each belongs to one association
 
