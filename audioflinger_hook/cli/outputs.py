@@ -12,7 +12,7 @@ from device.server.identity import identity_of
 from device.server.snapshot import Sink
 from device.stream.pcms import FALLBACK_SINK
 from device.usb import UsbAudioDevice, identify
-from device.usb.coils import coil_channels
+from device.usb.identity import coil_channels
 from device.usb.mapping import device_of_sink
 
 OWN_SINKS = (SINK, FALLBACK_SINK)

@@ -25,7 +25,7 @@ from device.stream import PlaybackStream
 from device.stream.pcms import CardDevice, Pcm, ServerDevice
 from device.stream.sample_format import SampleFormat
 from device.units import Float32Array
-from device.usb.coils import coil_channels
+from device.usb.identity import coil_channels
 
 PCM = "cushion_output"
 """The PCM that the caller configures, before it connects to the server."""

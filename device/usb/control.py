@@ -1,7 +1,9 @@
-"""A device's own volume, mute and samplerate, read and set by requests to the device.
+"""A device opened with PyUSB: its descriptors, and its own volume, mute and samplerate.
 
-This needs a device that no kernel driver holds. Usually a driver does; then ALSA's mixer or the
-sound server sets the volume, and `take_over` detaches the driver for a moment.
+Opening a device does not affect its driver or sound card. Volume, mute and samplerate need a device
+that no kernel driver holds. Usually a driver does; then ALSA's mixer or the sound server sets the
+volume, and `take_over` detaches the driver for a moment. Requests take milliseconds, or 0.5 s if
+the device does not answer.
 """
 
 from __future__ import annotations
@@ -10,16 +12,108 @@ import errno
 import math
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
-from device.errors import UsbAccessError
+from device.errors import NoLibusbError, NoUsbDeviceError, UsbAccessError, not_installed
 from device.usb import requests
 from device.usb.descriptors import PlaybackFormat, RateRange, parse_whole, playback_formats
 from device.usb.descriptors.audio_class import FeatureControl
-from device.usb.pyusb_access import TIMEOUT_MS, open_device, read_descriptors, refusal
 from device.usb.requests import Request, VolumeRange
 from device.usb.sysfs import UsbAudioDevice
 from device.volume_limit import MAX_VOLUME_DB
+
+_TIMEOUT_MS = 500  # of one request; devices answer within some ms or never
+
+# types and lengths: USB 2.0, tables 9-5, 9-8 and 9-10
+_DEVICE, _DEVICE_BYTES = 1, 18
+_CONFIGURATION, _CONFIGURATION_BYTES = 2, 9
+
+
+@cache
+def libusb() -> Any:
+    """Return PyUSB's backend. A process may have only one, so it is chosen once.
+
+    NoLibusbError: there is none; the next call searches again.
+    """
+    try:
+        from usb.backend import libusb1
+    except ImportError:
+        raise NoLibusbError(not_installed("PyUSB", "live")) from None
+    backend = libusb1.get_backend()
+    if backend is None:
+        raise NoLibusbError(
+            "no libusb: PyUSB is here, but not the library libusb-1.0; install it: "
+            "sudo apt install libusb-1.0-0, or sudo dnf install libusb1"
+        )
+    return backend
+
+
+def open_device(device: UsbAudioDevice) -> Any:
+    """Return PyUSB's usb.core.Device of a device from `find_devices`.
+
+    The first request opens it; usb.util.dispose_resources closes it.
+
+    NoLibusbError: libusb is missing. NoUsbDeviceError: it does not see the device.
+    """
+    backend = libusb()
+    import usb.core
+
+    try:
+        handle = usb.core.find(backend=backend, bus=device.bus, address=device.address)
+    except usb.core.USBError as error:
+        raise _refusal(device, error) from None
+    ids = (int(device.vendor_id, 16), int(device.product_id, 16))
+    if handle is None or (handle.idVendor, handle.idProduct) != ids:
+        raise NoUsbDeviceError(
+            f"libusb does not see {device.label!r} at {device.node}, which the kernel shows; plug "
+            "it in again; in a container, plug it in before the program starts, and pass on "
+            "/dev/bus/usb"
+        )
+    return handle
+
+
+def read_descriptors(device: UsbAudioDevice) -> bytes:
+    """Return the device descriptor and all configurations, from /sys or else from the device.
+
+    NoLibusbError, NoUsbDeviceError, UsbAccessError: both fail.
+    """
+    if device.descriptors:
+        return device.descriptors
+    handle = open_device(device)
+    import usb.core
+    import usb.util
+    from usb.control import get_descriptor
+
+    try:
+        blocks = [bytes(get_descriptor(handle, _DEVICE_BYTES, _DEVICE, 0))]
+        for index in range(handle.bNumConfigurations):
+            head = bytes(get_descriptor(handle, _CONFIGURATION_BYTES, _CONFIGURATION, index))
+            length = int.from_bytes(head[2:4], "little")  # wTotalLength
+            blocks.append(bytes(get_descriptor(handle, length, _CONFIGURATION, index)))
+    except usb.core.USBError as error:
+        raise _refusal(device, error) from None
+    finally:
+        usb.util.dispose_resources(handle)
+    return b"".join(blocks)
+
+
+def _refusal(device: UsbAudioDevice, error: Any) -> UsbAccessError | NoUsbDeviceError:
+    """Return the error to raise for an error of PyUSB."""
+    what = f"{device.label!r} at {device.node}"
+    if error.errno in (errno.ENODEV, errno.ENOENT):
+        return NoUsbDeviceError(f"{what} was pulled out; plug it in again")
+    if error.errno in (errno.EACCES, errno.EPERM):
+        return UsbAccessError(
+            f"no permission to open {what} (errno {error.errno}); `cushion install-service --udev` "
+            'prints a udev rule (TAG+="uaccess") that gives the permission to the person at the '
+            "machine; install it and plug the device in again"
+        )
+    if error.errno == errno.EBUSY:
+        return UsbAccessError(f"{what} is held by a driver or another program (errno EBUSY)")
+    if error.errno == errno.ETIMEDOUT:
+        return UsbAccessError(f"{what} does not answer within {_TIMEOUT_MS} ms; plug it in again")
+    return UsbAccessError(f"{what} does not answer correctly ({error}); plug it in again")
 
 
 @dataclass(frozen=True)
@@ -51,8 +145,7 @@ class UsbControl:
     """The controls of one open device, for one thread, which must not be an audio thread.
 
     handle: PyUSB's device, which `close` releases. volume_channels, mute_channels: those that can
-    be set; channel 0 is the master. Volumes are in dB. A request takes some ms, or 0.5 s if the
-    device does not answer.
+    be set; channel 0 is the master. Volumes are in dB.
 
     All methods raise UsbAccessError if the device refuses, does not answer or has no such control,
     and NoUsbDeviceError if it was pulled out.
@@ -176,14 +269,14 @@ class UsbControl:
         setup = (request.request_type, request.request, request.value, request.index)
         data = request.length if request.data is None else request.data
         try:
-            answer = self._handle.ctrl_transfer(*setup, data, TIMEOUT_MS)
+            answer = self._handle.ctrl_transfer(*setup, data, _TIMEOUT_MS)
         except usb.core.USBError as error:
             if error.errno == errno.EPIPE:
                 raise UsbAccessError(
                     f"{self._device.label!r} at {self._device.node} refuses the request (it "
                     "stalls); it has no such control"
                 ) from None
-            raise refusal(self._device, error) from None
+            raise _refusal(self._device, error) from None
         return b"" if isinstance(answer, int) else bytes(answer)
 
 

@@ -15,8 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from device.errors import CushionError, NoUsbDeviceError
-from device.usb.control import ControlState, UsbControl, playback_of
-from device.usb.pyusb_access import open_device
+from device.usb.control import ControlState, UsbControl, open_device, playback_of
 from device.usb.sysfs import find_devices
 
 

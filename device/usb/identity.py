@@ -25,6 +25,13 @@ _NAME = re.compile(
     r"(?::(?P<serial>.+?))?(?:@(?P<port>\d+-\d+(?:\.\d+)*))?"
 )
 
+_DUALSENSE = (2, 3)  # channels 0 and 1 are its speaker and headphones
+
+_COILS = {
+    ("054c", "0ce6"): _DUALSENSE,
+    ("054c", "0df2"): _DUALSENSE,  # Edge
+}
+
 
 @dataclass(frozen=True)
 class UsbIdentity:
@@ -156,3 +163,11 @@ def _serials(device: UsbAudioDevice) -> tuple[str, ...]:
     vendor = _udev_form(device.manufacturer) or device.vendor_id
     model = _udev_form(device.product) or device.product_id
     return (device.serial, serial, f"{vendor}_{model}_{serial}") if serial else (device.serial,)
+
+
+def coil_channels(vendor_id: str, product_id: str) -> tuple[int, ...]:
+    """Return the channels with coils, counted from 0; () where all of them may have some.
+
+    vendor_id, product_id: four hexadecimal digits each, in lower case.
+    """
+    return _COILS.get((vendor_id, product_id), ())

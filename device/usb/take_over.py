@@ -20,8 +20,7 @@ from typing import Any
 from device.alsa import find_playback
 from device.alsa.cards import find_owner
 from device.errors import NotFoundError, UsbAccessError
-from device.usb.control import ControlState, UsbControl, held_by, playback_of
-from device.usb.pyusb_access import open_device
+from device.usb.control import ControlState, UsbControl, held_by, open_device, playback_of
 from device.usb.sysfs import ROOT, UsbAudioDevice, find_devices
 
 _RETURNS_S = 5.0  # longest wait for the card; the kernel takes tenths of a second

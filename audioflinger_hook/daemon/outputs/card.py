@@ -21,7 +21,7 @@ from device.server import PulseConnection, ServerSnapshot
 from device.stream.pcms import CardDevice, Target
 from device.stream.sample_format import SampleFormat
 from device.usb import UsbIdentity, find_devices, find_one
-from device.usb.coils import coil_channels
+from device.usb.identity import coil_channels
 from device.usb.sysfs import ROOT
 
 
