@@ -41,8 +41,6 @@ class LostError(CushionError):
 class InternalError(CushionError):
     """The program failed; base class of errors at run time."""
 
-    exit_code = 5
-
 
 class WriteError(InternalError):
     """Writing failed: the disk is full, or a quota or a file-size limit is reached."""

@@ -24,17 +24,13 @@ _ADDRESS = re.compile(r"(?:CARD=)?(?P<card>[^,=\s]+)(?:,(?:DEV=)?(?P<device>\d+)
 
 @dataclass(frozen=True)
 class Card:
-    """One sound card.
+    """One sound card."""
 
-    number: ALSA's, which another card may get later. id: one word, stable unless several cards
-    have the same. driver, name: as the card reports them. root: the directory read.
-    """
-
-    number: int
-    id: str
+    number: int  # ALSA's, which another card may get later
+    id: str  # one word, stable unless several cards have the same
     driver: str
     name: str
-    root: Path = field(repr=False)
+    root: Path = field(repr=False)  # the directory read
 
     def __str__(self) -> str:
         return f"hw:{self.id}"
@@ -81,10 +77,7 @@ class HwParams:
 
     @property
     def delay_s(self) -> float:
-        """Seconds from the card's request for a frame until it plays it.
-
-        It asks when a period is free; the rest of its buffer precedes that frame.
-        """
+        """Seconds from the card's request for a frame, when a period is free, until it plays it."""
         return (self.buffer_frames - self.period_frames) / self.samplerate
 
 
@@ -243,10 +236,9 @@ def why_blocked(
             f"this user may not open {playback} ({node}); log in at the machine itself, or join "
             "the group audio"
         )
-    user = find_owner(playback, processes)
-    if user is None:
-        return None
-    return (
-        f"{playback} is in use by {user}; end that program, or name the sink that the sound server "
-        "has for this card (see `cushion devices`)"
-    )
+    if user := find_owner(playback, processes):
+        return (
+            f"{playback} is in use by {user}; end that program, or name the sink that the sound "
+            "server has for this card (see `cushion devices`)"
+        )
+    return None

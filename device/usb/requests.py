@@ -23,14 +23,10 @@ SILENCE_UNITS = -32_768
 # bmRequestType of a query: to the host, of the class, for an interface or an endpoint
 _INTERFACE, _ENDPOINT = 0xA1, 0xA2
 _TO_HOST = 0x80
+_GET_1: dict[What, int] = {"now": 0x81, "lowest": 0x82, "highest": 0x83, "step": 0x84}
 _GET_2: dict[What, int] = {"now": 0x01, "range": 0x02}
-_GET: dict[int, dict[What, int]] = {
-    1: {"now": 0x81, "lowest": 0x82, "highest": 0x83, "step": 0x84},
-    2: _GET_2,
-    3: _GET_2,
-}
 _SET = 0x01
-_SAMPLERATE = 0x01
+_SAMPLERATE = 0x01 << 8
 _MOST_RANGES = 32  # more than any device has, so that a wrong count cannot request much
 
 
@@ -84,7 +80,8 @@ def feature(
         length = 2 + 3 * length * _MOST_RANGES
     value = (control + 1) << 8 | channel
     index = _unit_index(playback, playback.feature_unit, "volume or mute")
-    return Request(_INTERFACE, _GET[playback.uac][what], value, index, length)
+    get = _GET_1 if playback.uac == 1 else _GET_2
+    return Request(_INTERFACE, get[what], value, index, length)
 
 
 def set_feature(
@@ -103,8 +100,7 @@ def samplerate(playback: PlaybackFormat, what: What = "now") -> Request:
     if playback.uac == 1 and what != "now":
         raise UsbAccessError("a device of USB Audio 1.0 lists its samplerates in its descriptors")
     if playback.uac == 1:
-        address = playback.endpoint_address
-        return Request(_ENDPOINT, _GET[1][what], _SAMPLERATE << 8, address, 3)
+        return Request(_ENDPOINT, _GET_1[what], _SAMPLERATE, playback.endpoint_address, 3)
     if len(playback.clock_sources) > 1:
         raise UsbAccessError(
             f"the device can use any of the clocks {playback.clock_sources}; the clock in use is "
@@ -112,7 +108,7 @@ def samplerate(playback: PlaybackFormat, what: What = "now") -> Request:
         )
     index = _unit_index(playback, next(iter(playback.clock_sources), None), "a clock")
     length = 4 if what == "now" else 2 + 12 * _MOST_RANGES
-    return Request(_INTERFACE, _GET_2[what], _SAMPLERATE << 8, index, length)
+    return Request(_INTERFACE, _GET_2[what], _SAMPLERATE, index, length)
 
 
 def set_samplerate(playback: PlaybackFormat, hertz: int) -> Request:
@@ -181,8 +177,7 @@ def _volume_range(triples: list[tuple[int, ...]]) -> VolumeRange:
     # Steps cannot be counted from silence.
     lowest = max(lowest, SILENCE_UNITS + 1)
     step = max(1, *(step for _, _, step in triples))
-    units = VOLUME_UNITS_PER_DB
-    return VolumeRange(lowest / units, highest / units, step / units)
+    return VolumeRange(*(units / VOLUME_UNITS_PER_DB for units in (lowest, highest, step)))
 
 
 def _ranges(name: str, answer: bytes, layout: str) -> list[tuple[int, ...]]:

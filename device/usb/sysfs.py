@@ -153,12 +153,10 @@ def _names_in(folder: Path) -> frozenset[str]:
         return frozenset()
 
 
-def _why_none_plays(devices: Iterable[UsbAudioDevice]) -> NoUsbDeviceError | None:
-    others = []
-    for device in devices:
-        if device.plays:
-            return None
-        others.append(f"{device.label!r} in port {device.port}")
+def _why_none_plays(devices: tuple[UsbAudioDevice, ...]) -> NoUsbDeviceError | None:
+    if any(device.plays for device in devices):
+        return None
+    others = [f"{device.label!r} in port {device.port}" for device in devices]
     if others:
         return NoUsbDeviceError(
             f"no USB device plays sound: {', '.join(others)} is only for MIDI or recording; plug "

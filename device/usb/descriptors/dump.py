@@ -45,8 +45,8 @@ _LEAST_BYTES = {DEVICE: 18, CONFIGURATION: 9, INTERFACE: 9, ENDPOINT: 7, ASSOCIA
 _SUPER_SPEED = 0x0300
 
 
+# a comment, or the text that hexdump -C shows behind a bar: whichever begins first
 _COMMENT = re.compile(r"/\*.*?(?:\*/|$)|(?:#|//|;|\|).*")
-"""A comment, or the text that hexdump -C shows behind a bar: whichever begins first."""
 
 _ADDRESS_COLON = re.compile(r"\s*([0-9a-fA-F]{4,16}):(?=\s|$)")
 _FILLERS = re.compile(r"[{},\[\]]|\\x|\b0[xX](?=[0-9a-fA-F])")
@@ -229,7 +229,6 @@ def _line(content: str, with_addresses: bool) -> tuple[int | None, str]:
 
 
 def _address(digits: str) -> int:
-    """Return the number before a line's bytes; od counts in octal."""
     octal = len(digits) == _OD_ADDRESS_DIGITS
     if not (_OCTAL if octal else _DIGITS).fullmatch(digits):
         raise ValueError(f"{_shown(digits)} is not {'an octal' if octal else 'an'} address")
@@ -237,7 +236,6 @@ def _address(digits: str) -> int:
 
 
 def _shown(text: str) -> str:
-    """Return a word of the dump for a message; a long word is cut."""
     return repr(text if len(text) <= _SHOWN else f"{text[:_SHOWN]}...")
 
 
