@@ -14,8 +14,7 @@ import numpy as np
 from device.address import DeviceAddress
 from device.alsa import choose_setup, find_playback
 from device.alsa.cards import why_blocked
-from device.alsa.negotiation import list_offers
-from device.alsa.usb_stream import read_usb_stream
+from device.alsa.offers import list_offers
 from device.drive import ActuatorSettings, ChannelMap, channels_needed, wiring_of
 from device.drive.channel_positions import sink_channel_map
 from device.errors import LostError, NotFoundError
@@ -168,7 +167,7 @@ def _on_card(
     coils = coil_channels(*playback.card.usb_id)
     wiring = wiring_of(actuators)
     needed = max(1, channels_needed(wiring), *(1 + coil for coil in coils))
-    setup = choose_setup(list_offers(read_usb_stream(playback)), CARD_RATE_HZ, needed)
+    setup = choose_setup(list_offers(playback), CARD_RATE_HZ, needed)
     channel_map = (
         ChannelMap.of(wiring, setup.channels, device=str(playback))
         if actuators

@@ -13,8 +13,7 @@ from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.service.state import DaemonState
 from device.alsa import choose_setup, find_playback, set_card_volume
 from device.alsa.cards import PROC, AlsaDevice, read_hw_params, why_blocked
-from device.alsa.negotiation import CardSetup, list_offers
-from device.alsa.usb_stream import MeasuredRate, measure_rate, read_usb_stream
+from device.alsa.offers import CardSetup, MeasuredRate, list_offers, measure_rate
 from device.drive import ActuatorSettings, ChannelMap, channels_needed, wiring_of
 from device.errors import CushionError, LostError, NotFoundError, UsageError
 from device.server import PulseConnection, ServerSnapshot
@@ -182,7 +181,7 @@ class CardOutput(StreamOutput[CardNode]):
             wiring = wiring_of(actuators)
             channels = max(len(actuators), channels_needed(wiring))
         try:
-            offers = list_offers(read_usb_stream(playback))
+            offers = list_offers(playback)
             setup = choose_setup(offers, samplerate, channels, without=self._failed_formats)
             if actuators:
                 ChannelMap.of(wiring, setup.channels, device=str(playback))

@@ -21,13 +21,7 @@ from device.alsa.cards import (
     read_hw_params,
     why_blocked,
 )
-from device.alsa.usb_stream import (
-    Rates,
-    UsbFormat,
-    measure_rate,
-    parse_usb_stream,
-    read_usb_stream,
-)
+from device.alsa.offers import Rates, UsbFormat, measure_rate, parse_usb_stream, read_usb_stream
 from device.errors import NotFoundError, UsageError
 from tests.support.sound_cards import ADAPTIVE, ASYNC, HW_PARAMS, RUNNING, Cards
 
