@@ -224,15 +224,11 @@ def _line(content: str, with_addresses: bool) -> tuple[int | None, str]:
     if len(first) == _OD_ADDRESS_DIGITS and lengths == {4}:
         raise ValueError(f"{_shown(content.strip())} shows swapped bytes; use od -t x1")
     if len(first) in _ADDRESS_DIGITS and (lengths == {2} or (with_addresses and not lengths)):
-        return _address(first), _digits(tokens[1:])
+        octal = len(first) == _OD_ADDRESS_DIGITS
+        if not (_OCTAL if octal else _DIGITS).fullmatch(first):
+            raise ValueError(f"{_shown(first)} is not {'an octal' if octal else 'an'} address")
+        return int(first, 8 if octal else 16), _digits(tokens[1:])
     return None, _digits(tokens)
-
-
-def _address(digits: str) -> int:
-    octal = len(digits) == _OD_ADDRESS_DIGITS
-    if not (_OCTAL if octal else _DIGITS).fullmatch(digits):
-        raise ValueError(f"{_shown(digits)} is not {'an octal' if octal else 'an'} address")
-    return int(digits, 8 if octal else 16)
 
 
 def _shown(text: str) -> str:
