@@ -24,12 +24,7 @@ _WRITTEN = ("state", "moved", "report", "out")
 class _View(ctypes.Structure):
     """One array of native/blocks.h."""
 
-    _fields_ = (
-        ("buf", c_void_p),
-        ("ndim", c_size_t),
-        ("shape", c_size_t * 3),
-        ("len", c_size_t),
-    )
+    _fields_ = (("buf", c_void_p), ("ndim", c_size_t), ("shape", c_size_t * 3), ("len", c_size_t))
 
 
 class Compiled:

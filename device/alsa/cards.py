@@ -160,10 +160,7 @@ def find_capture(name: str, root: Path = PROC) -> AlsaDevice:
 
 
 def parse_card_address(name: str) -> re.Match[str]:
-    """Return a match with the groups `card` and `device` (None if omitted); looks nothing up.
-
-    UsageError: the address is malformed.
-    """
+    """Return a match with `card` and `device` (None if omitted). UsageError: it is malformed."""
     match = _ADDRESS.fullmatch(name)
     if match is None:
         raise UsageError(
@@ -188,23 +185,14 @@ def read_fields(path: Path) -> dict[str, str]:
 
 
 def read_hw_params(playback: AlsaDevice) -> tuple[HwParams, ...]:
-    """Return how the device was opened, once per open stream; usually one.
-
-    Empty while it is closed. Entries that cannot be parsed are left out.
-    """
+    """Return how the device was opened, once per open stream; usually one, none while closed."""
     opened = []
     for folder in sorted(playback.folder.glob("sub*")):
         found = read_fields(folder / "hw_params")
         with suppress(KeyError, ValueError, IndexError):
-            opened.append(
-                HwParams(
-                    found["format"],
-                    int(found["rate"].split()[0]),
-                    int(found["channels"]),
-                    int(found["period_size"]),
-                    int(found["buffer_size"]),
-                )
-            )
+            names = ("rate", "channels", "period_size", "buffer_size")
+            numbers = [int(found[name].split()[0]) for name in names]
+            opened.append(HwParams(found["format"], *numbers))
     return tuple(opened)
 
 
