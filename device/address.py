@@ -36,10 +36,7 @@ class DeviceAddress:
         return UsbIdentity.parse(str(self)) if self.kind == "usb" else None
 
     def sink(self, snapshot: ServerSnapshot) -> Sink:
-        """Return the sound server's sink of this device.
-
-        NotFoundError: no sink matches, or more than one does. No other sink is used instead.
-        """
+        """Return the sound server's sink of this device. NotFoundError: not exactly one matches."""
         if self.kind == "sink":
             return find_sink(snapshot, self.name)
         identity = self.usb

@@ -154,10 +154,7 @@ class AtomicFile:
 
 
 def write_bytes_atomically(path: str | os.PathLike[str], content: bytes) -> None:
-    """Write a complete file, or leave it unchanged and raise an error of `AtomicFile`.
-
-    path: the file to create or replace. content: all of it.
-    """
+    """Write a complete file, or leave it unchanged and raise an error of `AtomicFile`."""
     with AtomicFile(path) as file:
         file.write(content)
 

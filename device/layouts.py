@@ -50,8 +50,7 @@ def layout(channels: int) -> tuple[str, ...]:
 def order_from_alsa(channels: int) -> tuple[int, ...] | None:
     """The numbers of ALSA's channels in the order of `layout`; None if they need no other order.
 
-    ALSA, and so its plugin for sound servers, has the surrounds before the centre in 5.0, 5.1 and
-    7.1.
+    ALSA has the surrounds before the centre in 5.0, 5.1 and 7.1.
     """
     if channels not in (5, 6, 8):
         return None

@@ -202,9 +202,8 @@ class Text(Description):
 class Described:
     """Base of dataclasses whose fields are described: `Annotated[type, Number(...)]`.
 
-    The descriptions are appended to the class's docstring.
-
-    UsageError: the constructor got refused values; the message names all of them.
+    The descriptions are appended to the class's docstring. UsageError: the constructor got refused
+    values; the message names all of them.
     """
 
     DESCRIPTIONS: ClassVar[Mapping[str, Description]] = {}

@@ -23,11 +23,10 @@ class WavOutput:
 
     Memory use does not depend on the length. Samples are stored as given, also beyond ±1.0.
 
-    path: the file to create or replace. samplerate: Hz. channels: 1 to 16383. comment: stored as
-    the file's comment (RIFF INFO, UTF-8); None for none. frames: number written so far.
+    path: the file to create or replace. samplerate: Hz. channels: 1 to 16383. comment: RIFF INFO,
+    UTF-8; None for none. frames: number written so far.
 
-    UsageError: the file cannot be created there, see `AtomicFile`. WriteError: the disk is full or
-    failed, here or in `write` and `close`; no file is left then.
+    UsageError, WriteError: as of `AtomicFile`, here or in `write` and `close`.
     """
 
     def __init__(

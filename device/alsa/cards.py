@@ -113,10 +113,7 @@ def list_devices(card: Card, kind: str = "playback") -> tuple[AlsaDevice, ...]:
 
 
 def find_card(name: str, root: Path = PROC) -> Card:
-    """Return the card with exactly this number or id.
-
-    NotFoundError: there is none; the nearest ids are suggested.
-    """
+    """Return the card with this number or id. NotFoundError: there is none."""
     cards = list_cards(root)
     for card in cards:
         if name in (card.id, str(card.number)):
@@ -214,10 +211,7 @@ def find_owner(playback: AlsaDevice, processes: Path = Path("/proc")) -> Owner |
 def why_blocked(
     playback: AlsaDevice, devices: Path = DEVICES, processes: Path = Path("/proc")
 ) -> str | None:
-    """Return why a device cannot be opened, and what to do, in one line; None if it can.
-
-    devices: the directory of device files.
-    """
+    """Return why a device cannot be opened, and what to do, in one line; None if it can."""
     node = devices / f"pcmC{playback.card.number}D{playback.device}{playback.kind[0]}"
     if node.exists() and not os.access(node, os.R_OK | os.W_OK):
         return (

@@ -49,10 +49,7 @@ class Decibels:
 
 
 def parse_decibels(words: Sequence[int], lowest: int, highest: int) -> Decibels | None:
-    """Return the meaning of the steps from lowest to highest; None if the table is invalid.
-
-    words: unsigned, of 32 bits each.
-    """
+    """Return what steps mean by a table of unsigned 32-bit words; None if it is invalid."""
     level = _level(list(words), lowest, highest, 0)
     if level is None or not level(lowest) <= level(highest):
         return None

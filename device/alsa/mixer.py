@@ -83,29 +83,17 @@ class _Table(ctypes.Structure):
     _fields_ = (("number", c_uint), ("length", c_uint), ("words", c_uint32 * _TABLE_WORDS))
 
 
-def _request(number: int, size: int) -> int:
-    """_IOWR('U', number, size)."""
-    return 3 << 30 | size << 16 | ord("U") << 8 | number
-
-
-_GET_LIST = _request(0x10, ctypes.sizeof(_List))
-_GET_INFO = _request(0x11, ctypes.sizeof(_Info))
-_READ = _request(0x12, ctypes.sizeof(_Value))
-_WRITE = _request(0x13, ctypes.sizeof(_Value))
-_READ_TABLE = _request(0x1A, 8)  # the size excludes the words
+_GET_LIST, _GET_INFO, _READ, _WRITE, _READ_TABLE = 0x10, 0x11, 0x12, 0x13, 0x1A
 
 
 @dataclass(frozen=True)
 class MixerControl:
-    """A playback volume or mute of a card. name: the driver's. channels: count.
+    """A playback volume or mute of a card."""
 
-    decibels: the meaning of a volume's steps; None if the driver does not report it.
-    """
-
-    name: str
+    name: str  # the driver's
     channels: int
     number: int = field(repr=False)
-    decibels: Decibels | None = field(default=None, repr=False)
+    decibels: Decibels | None = field(default=None, repr=False)  # of a volume's steps, if known
 
 
 class CardMixer:
@@ -237,10 +225,12 @@ class CardMixer:
         held.steps[: control.channels] = [step] * control.channels
         self._ask(_WRITE, held)
 
-    def _ask(self, request: int, what: ctypes.Structure) -> None:
+    def _ask(self, number: int, what: ctypes.Structure) -> None:
+        size = ctypes.sizeof(what) if number != _READ_TABLE else 8  # without the table's words
+        request = 3 << 30 | size << 16 | ord("U") << 8 | number  # _IOWR('U', number, size)
         if _ioctl(self._file, request, ctypes.byref(what)) < 0:
-            number = ctypes.get_errno()
-            raise self._refusal(OSError(number, os.strerror(number)))
+            code = ctypes.get_errno()
+            raise self._refusal(OSError(code, os.strerror(code)))
 
     def _refusal(self, error: OSError) -> NotFoundError:
         what = f"the mixer of sound card {self._card} ({self._node})"
@@ -262,15 +252,14 @@ def set_card_volume(
 ) -> tuple[float, ...]:
     """Set all playback volumes of a card, unmute it, and return the level of each volume in dB.
 
-    Levels are rounded down and never exceed wanted_db, limit_db or 0 dB. Volumes in series are all
-    set and read back, and all of them before the mutes, so that nothing is ever too loud. Where one
-    of them cannot be set, the mutes stay.
+    Levels are rounded down and never exceed wanted_db, limit_db or 0 dB. All volumes are set and
+    read back before the mutes, so that nothing is ever too loud. Where one of them cannot be set,
+    the mutes stay.
 
     card: ALSA's number. wanted_db: for each volume. limit_db: upper limit.
 
-    NotFoundError: the card is missing, has no volume, or does not take the level or let its mute
-    be lifted. UsageError: wanted_db is NaN, or a volume's steps are unknown or cannot be set so
-    low.
+    NotFoundError: the card is missing, has no volume, or does not do it. UsageError: wanted_db is
+    NaN, or a volume's steps are unknown or cannot be set so low.
     """
     with CardMixer(card) as mixer:
         if not mixer.volumes:

@@ -49,20 +49,15 @@ class Rates:
 
 @dataclass(frozen=True)
 class UsbFormat:
-    """One alternate setting of the streaming interface, as the kernel reports it.
-
-    formats: ALSA's names, including those that we do not play. bits: resolution, 0 if unknown.
-    sync: of the endpoint: ASYNC (the device's clock), ADAPTIVE (follows the host), SYNC (the bus
-    clock) or NONE.
-    """
+    """One alternate setting of the streaming interface, as the kernel reports it."""
 
     interface: int
     altsetting: int
-    formats: tuple[str, ...]
+    formats: tuple[str, ...]  # ALSA's names, including those that we do not play
     channels: int
     rates: Rates
-    bits: int = 0
-    sync: str = "NONE"
+    bits: int = 0  # resolution, 0 if unknown
+    sync: str = "NONE"  # or ASYNC (the device's clock), ADAPTIVE (the host's), SYNC (the bus's)
 
     def __str__(self) -> str:
         return f"{'/'.join(self.formats)} with {self.channels} channels at {self.rates}"
@@ -104,10 +99,7 @@ def read_usb_stream(device: AlsaDevice) -> UsbStream | None:
 
 
 def parse_usb_stream(text: str, side: str = "Playback:") -> UsbStream:
-    """Parse one side of a stream file; `formats` is empty if the side is missing.
-
-    side: "Playback:" or "Capture:".
-    """
+    """Parse one side of a stream file, "Playback:" or "Capture:", or nothing if it is missing."""
     blocks: list[dict[str, str]] = []
     now: dict[str, str] = {}
     for line in _lines_of(text, side):

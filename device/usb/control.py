@@ -32,10 +32,7 @@ _CONFIGURATION, _CONFIGURATION_BYTES = 2, 9
 
 @cache
 def libusb() -> Any:
-    """Return PyUSB's backend. A process may have only one, so it is chosen once.
-
-    NoLibusbError: there is none; the next call searches again.
-    """
+    """Return PyUSB's backend, chosen once for a process. NoLibusbError: there is none."""
     try:
         from usb.backend import libusb1
     except ImportError:

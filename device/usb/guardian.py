@@ -1,8 +1,7 @@
 """The process that gives a device back to its driver when its parent closes a pipe or was killed.
 
 It reads lines of JSON from standard input until that is closed; the last line counts. Then it
-restores the state and attaches the driver. An error becomes one line on standard output. It
-ignores a device that was unplugged in the meantime.
+restores the state and attaches the driver. An error becomes one line on standard output.
 """
 
 from __future__ import annotations

@@ -62,10 +62,7 @@ class UsbIdentity:
 
     @classmethod
     def parse(cls, text: str) -> UsbIdentity:
-        """Return the identity in a text of the form `GRAMMAR`; "usb:" is optional.
-
-        UsageError: the text has another form.
-        """
+        """Return the identity in a text, also without "usb:". UsageError: it has another form."""
         parts = _NAME.fullmatch(text.removeprefix("usb:"))
         if parts is None:
             raise UsageError(

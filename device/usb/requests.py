@@ -71,10 +71,7 @@ class VolumeRange:
 def feature(
     playback: PlaybackFormat, control: FeatureControl, channel: int, what: What = "now"
 ) -> Request:
-    """Return the query of a control of a playback format's feature unit.
-
-    UsbAccessError: it has no feature unit.
-    """
+    """Return the query of a control of the feature unit. UsbAccessError: there is none."""
     length = 1 if control is FeatureControl.MUTE else 2
     if what == "range":
         length = 2 + 3 * length * _MOST_RANGES

@@ -30,16 +30,12 @@ _PCM = re.compile(r"pcmC(?P<card>\d+)D(?P<device>\d+)p")
 
 @dataclass(frozen=True)
 class AudioInterface:
-    """One audio interface of a device. subclass: 1 control, 2 streaming, 3 MIDI.
-
-    protocol: 0x00 for version 1 of the audio class, 0x20 for 2, 0x30 for 3. driver: the one that
-    holds it, such as "snd-usb-audio", "" for none.
-    """
+    """One audio interface of a device."""
 
     number: int
-    subclass: int
-    protocol: int
-    driver: str
+    subclass: int  # 1 control, 2 streaming, 3 MIDI
+    protocol: int  # 0x00 for version 1 of the audio class, 0x20 for 2, 0x30 for 3
+    driver: str  # the one that holds it, such as "snd-usb-audio", "" for none
 
 
 @dataclass(frozen=True)
@@ -111,20 +107,14 @@ class UsbAudioDevice:
 
 @dataclass(frozen=True)
 class Found:
-    """The present USB audio devices.
-
-    devices: sorted by port. reason: why none plays; None if one does.
-    """
+    """The present USB audio devices. devices: sorted by port. reason: why none plays, or None."""
 
     devices: tuple[UsbAudioDevice, ...]
     reason: NotFoundError | None = None
 
 
 def find_devices(root: Path = ROOT) -> Found:
-    """Return every USB device with an audio interface; unreadable ones are left out.
-
-    root: the folder above /sys and /proc.
-    """
+    """Return every readable USB device with an audio interface. root: above /sys and /proc."""
     bus = root / "sys/bus/usb/devices"
     names = _names_in(bus)
     if not any(name.startswith("usb") for name in names) and not (root / "dev/bus/usb").is_dir():

@@ -1,8 +1,7 @@
 """Taking a device from its driver for a moment, and giving it back whatever happens.
 
-Without the driver, the sound card is gone for all programs. A second process, the guardian, gives
-the device back. It waits until this process closes a pipe, or ends in any way. Then it restores the
-settings and attaches the driver. Signals to this process's group do not reach it.
+Without the driver, the sound card is gone for all programs. A second process, guardian.py, gives
+the device back when this one closes a pipe or ends. Signals to this one's group do not reach it.
 """
 
 from __future__ import annotations

@@ -30,18 +30,11 @@ CLOCKS = (CLOCK_SOURCE, "clock selector", "clock multiplier")
 
 _TYPE_I, _EXTENDED_TYPE_I = 0x01, 0x81
 
-_ENCODINGS_1 = {
-    0x0000: "undefined",
-    0x0001: "PCM",
-    0x0002: "PCM8",
-    0x0003: "IEEE float",
-    0x0004: "A-law",
-    0x0005: "mu-law",
-    0x1001: "MPEG",
-    0x1002: "AC-3",
-}
-_ENCODINGS_2 = {0: "PCM", 1: "PCM8", 2: "IEEE float", 3: "A-law", 4: "mu-law", 31: "raw data"}
-_ENCODINGS_3 = {**_ENCODINGS_2, 5: "DSD", 6: "raw data", 31: "format bit 31"}
+_ENCODINGS = ("PCM", "PCM8", "IEEE float", "A-law", "mu-law")
+# 1.0: by number. 2.0 and 3.0: by bit
+_ENCODINGS_1 = dict(enumerate(("undefined", *_ENCODINGS))) | {0x1001: "MPEG", 0x1002: "AC-3"}
+_ENCODINGS_2 = dict(enumerate(_ENCODINGS)) | {31: "raw data"}
+_ENCODINGS_3 = dict(enumerate((*_ENCODINGS, "DSD", "raw data")))
 
 
 class FeatureControl(IntEnum):

@@ -1,7 +1,4 @@
-"""How sound and clocks flow through an audio function, by its entities' source ids.
-
-Ids may point nowhere or in a circle: every search visits an entity once.
-"""
+"""How sound and clocks flow through an audio function; every search visits an entity once."""
 
 from __future__ import annotations
 
