@@ -32,17 +32,11 @@ class DeviceAddress:
 
     @property
     def usb(self) -> UsbIdentity | None:
-        """Identity of the USB device; None for another kind.
-
-        UsageError: the name has not the form VID:PID. `parse_device` refuses such names.
-        """
+        """Identity of the USB device; None for another kind."""
         return UsbIdentity.parse(str(self)) if self.kind == "usb" else None
 
     def sink(self, snapshot: ServerSnapshot) -> Sink:
-        """Return the sound server's sink of this device.
-
-        NotFoundError: no sink matches, or more than one does. No other sink is used instead.
-        """
+        """Return the sound server's sink of this device. NotFoundError: not exactly one matches."""
         if self.kind == "sink":
             return find_sink(snapshot, self.name)
         identity = self.usb
@@ -78,13 +72,7 @@ def parse_device(text: str) -> DeviceAddress:
     before, colon, name = text.partition(":")
     kind, name = (before, name) if colon else ("sink", text)
     if kind == "usb" and name:
-        try:
-            UsbIdentity.parse(text)
-        except UsageError:
-            raise UsageError(
-                f"device {text!r} is not {USB_GRAMMAR} with four hexadecimal digits each for VID "
-                "and PID, and a port such as 1-2 or 1-2.3"
-            ) from None
+        UsbIdentity.parse(text)
     if kind == "hw" and name.strip():
         parse_card_address(name)
     for known in KINDS:

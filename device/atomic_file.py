@@ -25,21 +25,20 @@ _REASONS = {
     errno.ENAMETOOLONG: "the name is too long; choose a shorter one",
 }
 _FLAGS = os.O_RDWR | os.O_CLOEXEC
+_FOLDER_FLAGS = getattr(os, "O_PATH", os.O_RDONLY) | os.O_DIRECTORY | os.O_CLOEXEC
 _MODE = 0o666  # reduced by the umask
 
 
 class AtomicFile:
     """A new file that appears at `path` only after `commit` returns.
 
-    Until then, and after `abort` or kill -9, the folder is unchanged, and so is an existing file of
-    that name. As a context manager, it commits, or aborts on an exception. A link is followed: the
-    file it points to is replaced. Use from one thread at a time.
+    Until then, and after `abort` or kill -9, an existing file of that name is unchanged. As a
+    context manager, it commits, or aborts on an exception. A link is followed: the file it points
+    to is replaced. Use from one thread at a time.
 
-    path: of the finished file.
-
-    UsageError: the folder does not exist, is not a folder or not writable. The same if the path is
-    a folder or a device, or the file there is write-protected. WriteError: the disk is full or
-    failed. Methods raise it, too, and have then aborted.
+    UsageError: there is no such folder, or the folder or the file there cannot be written, or the
+    path is a folder or a device. WriteError: the disk is full or failed. Methods raise it, too, and
+    have then aborted.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
@@ -50,14 +49,11 @@ class AtomicFile:
             _refuse_unless_regular(self.path)
             target = self.path.resolve()
             self._name = target.name
-            self._folder_fd = _open_folder(target.parent, self.path)
+            self._folder_fd = os.open(target.parent, _FOLDER_FLAGS)
             self._open_file()
         except (OSError, ValueError) as error:
             self.abort()
             raise _open_failure(self.path, error) from error
-        except CushionError:
-            self.abort()
-            raise
 
     def write(self, content: bytes | memoryview) -> None:
         """Append all of the content, or raise WriteError."""
@@ -82,10 +78,9 @@ class AtomicFile:
         return os.fstat(self._file_fd).st_size
 
     def commit(self, *, sync: bool = True) -> None:
-        """Give the file its name: sync the content, then replace the old file in one step.
+        """Sync the content, then give the file its name, in place of an old file.
 
-        sync: whether to wait until the content is on the disk. Without it, a power failure soon
-        after may leave a file of that name that is not whole.
+        Without `sync`, a power failure soon after may leave a file that is not whole.
         """
         if self._file_fd < 0:
             raise WriteError(f"cannot write {self.path}: it was closed before")
@@ -159,10 +154,7 @@ class AtomicFile:
 
 
 def write_bytes_atomically(path: str | os.PathLike[str], content: bytes) -> None:
-    """Write a complete file, or leave it unchanged and raise an error of `AtomicFile`.
-
-    path: the file to create or replace. content: all of it.
-    """
+    """Write a complete file, or leave it unchanged and raise an error of `AtomicFile`."""
     with AtomicFile(path) as file:
         file.write(content)
 
@@ -174,37 +166,30 @@ def _refuse_unless_regular(path: Path) -> None:
         mode = path.stat().st_mode
     except FileNotFoundError:
         return
-    except NotADirectoryError as error:
-        raise UsageError(
-            f"cannot write {path}: {path.parent} is not a folder; name a folder"
-        ) from error
     if stat.S_ISDIR(mode):
         raise UsageError(f"cannot write {path}: it is a folder; name a file in it")
     if not stat.S_ISREG(mode):
         raise UsageError(f"cannot write {path}: it is not a regular file; name another file")
-    effective = os.access in os.supports_effective_ids
-    if not os.access(path, os.W_OK, effective_ids=effective):
+    if not os.access(path, os.W_OK, effective_ids=os.access in os.supports_effective_ids):
         raise UsageError(f"cannot write {path}: it is write-protected; name another file")
-
-
-def _open_folder(folder: Path, path: Path) -> int:
-    try:
-        return os.open(folder, getattr(os, "O_PATH", os.O_RDONLY) | os.O_DIRECTORY | os.O_CLOEXEC)
-    except FileNotFoundError as error:
-        raise UsageError(
-            f"cannot write {path}: folder {folder} does not exist; create it or name another"
-        ) from error
 
 
 def _open_failure(path: Path, error: OSError | ValueError) -> CushionError:
     if not isinstance(error, OSError):  # a name with a null byte
         return UsageError(f"cannot write {str(path)!r}: {error}; choose another name")
-    if error.errno in MACHINE_FAULTS:
-        return WriteError(f"cannot write {path}: {write_reason(error)}")
+    if error.errno == errno.ENOENT:
+        folder = path.resolve().parent
+        return UsageError(
+            f"cannot write {path}: folder {folder} does not exist; create it or name another"
+        )
+    if error.errno == errno.ENOTDIR:
+        return UsageError(f"cannot write {path}: {path.parent} is not a folder; name a folder")
     if error.errno in (errno.EACCES, errno.EPERM):
         return UsageError(
             f"cannot write {path}: no permission to write in folder {path.parent}; name another"
         )
+    if error.errno in MACHINE_FAULTS:
+        return WriteError(f"cannot write {path}: {write_reason(error)}")
     return UsageError(f"cannot write {path}: {write_reason(error)}")
 
 

@@ -41,8 +41,6 @@ class LostError(CushionError):
 class InternalError(CushionError):
     """The program failed; base class of errors at run time."""
 
-    exit_code = 5
-
 
 class WriteError(InternalError):
     """Writing failed: the disk is full, or a quota or a file-size limit is reached."""
@@ -62,3 +60,8 @@ class NoLibusbError(NotFoundError):
 
 class UsbAccessError(NotFoundError):
     """The device is connected, but cannot be opened (permission) or does not answer."""
+
+
+def not_installed(package: str, extra: str) -> str:
+    """Return the message that a package is missing, and which extra of this one brings it."""
+    return f'{package} is not installed; install it: pip install "haptic-cushion[{extra}]"'

@@ -47,18 +47,14 @@ def layout(channels: int) -> tuple[str, ...]:
     return (*positions, f"C{channels}") if len(positions) < channels else tuple(positions)
 
 
-_OF_ALSA = "FL FR BL BR FC LFE SL SR"
-
-
 def order_from_alsa(channels: int) -> tuple[int, ...] | None:
     """The numbers of ALSA's channels in the order of `layout`; None if they need no other order.
 
-    ALSA, and so its plugin for sound servers, has the surrounds before the centre in 5.0, 5.1 and
-    7.1.
+    ALSA has the surrounds before the centre in 5.0, 5.1 and 7.1.
     """
     if channels not in (5, 6, 8):
         return None
-    theirs = _OF_ALSA.split()
+    theirs = ("FL", "FR", "BL", "BR", "FC", "LFE", "SL", "SR")
     return tuple(theirs.index(position) for position in layout(channels))
 
 
@@ -70,18 +66,14 @@ def sides(channels: int) -> str:
     panned right must not vanish. With two LFE channels (22.2) the first is L, the second R.
     """
     positions = layout(channels)
-    two_lfe = "LFE2" in positions
-    return "".join(
-        {"LFE": "L", "LFE2": "R"}[position] if two_lfe and "LFE" in position else _side(position)
-        for position in positions
-    )
-
-
-def _side(position: str) -> str:
-    name = position.rstrip("0123456789")
-    if name in ("FLC", "FRC"):
-        return name[1]
-    return name[-1] if name[-1] in "LR" else "C"
+    known = {"FLC": "L", "FRC": "R"}
+    if "LFE2" in positions:
+        known |= {"LFE": "L", "LFE2": "R"}
+    letters = []
+    for position in positions:
+        last = position.rstrip("0123456789")[-1]
+        letters.append(known.get(position, last if last in "LR" else "C"))
+    return "".join(letters)
 
 
 @cache

@@ -16,26 +16,20 @@ class VibrationOutput(Protocol):
     @property
     def samplerate(self) -> int:
         """Rate in Hz that the vibration must have."""
-        ...
 
     @property
     def channels(self) -> int:
         """Number of columns that a block must have."""
-        ...
 
     def write(self, vibration: FloatArray | Float32Array) -> None:
         """Take one block: (frames, channels), full scale ±1.0, any number of frames, also 0.
 
-        The array is not kept: the caller may reuse it after the return. InternalError: the block
-        has another shape, or the output is closed. WriteError: the disk is full or failed; the
-        output has discarded everything, as `abort` does.
+        The caller may reuse the array after the return. InternalError: the block has another shape,
+        or the output is closed. WriteError: the disk is full or failed; all is discarded.
         """
-        ...
 
     def close(self) -> None:
         """Finish: all frames written are kept; a file appears under its name."""
-        ...
 
     def abort(self) -> None:
         """Discard everything, as if the output had never been opened. Raises nothing."""
-        ...

@@ -13,6 +13,9 @@ Float32Array = NDArray[np.float32]
 Block = TypeVar("Block", FloatArray, Float32Array)
 """A block of vibration, (frames, channels), of either precision."""
 
+Record = int | float | FloatArray
+Records = dict[str, Record]  # counts, numbers and tables of a design, by name
+
 
 def check_channels(block: FloatArray | Float32Array, channels: int) -> None:
     """Raise InternalError unless a block has shape (frames, channels) with this many channels."""

@@ -103,10 +103,7 @@ class Description(ABC):
 
 @dataclass(frozen=True)
 class Number(Description):
-    """A number from low to high, both included. With `whole`, only whole numbers are allowed.
-
-    `off`: the word "off" is allowed as well, and stands for None.
-    """
+    """A number from low to high, both included. `off`: also that word, for None."""
 
     low: float
     high: float
@@ -202,18 +199,11 @@ class Text(Description):
         return {"type": "string", "minLength": 1}
 
 
-def _type_name(kind: Any) -> str:
-    """Return a type's name in code; Python 3.13 puts Path into pathlib._local."""
-    name = kind.__name__ if isinstance(kind, type) else str(kind)
-    return name.replace("pathlib._local.", "pathlib.")
-
-
 class Described:
     """Base of dataclasses whose fields are described: `Annotated[type, Number(...)]`.
 
-    The descriptions are appended to the class's docstring.
-
-    UsageError: the constructor got refused values; the message names all of them.
+    The descriptions are appended to the class's docstring. UsageError: the constructor got refused
+    values; the message names all of them.
     """
 
     DESCRIPTIONS: ClassVar[Mapping[str, Description]] = {}
@@ -226,7 +216,9 @@ class Described:
         text = inspect.cleandoc(cls.__doc__ or "")
         text += "" if "\nAttributes\n---" in text else "\n\nAttributes\n----------"
         for name, described in cls.DESCRIPTIONS.items():
-            kind = _type_name(hints[name].__origin__)
+            kind = hints[name].__origin__
+            kind = kind.__name__ if isinstance(kind, type) else str(kind)
+            kind = kind.replace("pathlib._local.", "pathlib.")  # as before Python 3.13
             meaning = f"{described.meaning[0].upper()}{described.meaning[1:]}"
             text += f"\n{name} : {kind}\n    {meaning}. Allowed: {described.allowed}."
         cls.__doc__ = text
@@ -272,10 +264,7 @@ class Described:
 
     @classmethod
     def from_values(cls, values: Mapping[str, Any]) -> Self:
-        """Return an instance made of values from a config file or a capture.
-
-        UsageError: a value is refused.
-        """
+        """Return an instance of a file's values. UsageError: a value is refused."""
         if found := cls.refusals(values):
             raise UsageError("; ".join(f"{name} {refusal}" for name, refusal in found.items()))
         known = cls.DESCRIPTIONS

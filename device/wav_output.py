@@ -1,9 +1,7 @@
 """Writes vibration or simulated acceleration to a float32 WAV file, complete or not at all.
 
-The header is written here and not by libsndfile, for three reasons. A failed write keeps its
-reason, while libsndfile reports only that fewer frames were written. A recording of unknown length
-may exceed 4 GB. Equal vibration gives equal files; libsndfile writes the time of day into float
-files.
+libsndfile cannot do it: it gives no reason for a failed write, wants to know beforehand whether a
+file exceeds 4 GB, and writes the time of day into float files.
 """
 
 import os
@@ -25,11 +23,10 @@ class WavOutput:
 
     Memory use does not depend on the length. Samples are stored as given, also beyond ±1.0.
 
-    path: the file to create or replace. samplerate: Hz. channels: 1 to 16383. comment: stored as
-    the file's comment (RIFF INFO, UTF-8); None for none. frames: number written so far.
+    path: the file to create or replace. samplerate: Hz. channels: 1 to 16383. comment: RIFF INFO,
+    UTF-8; None for none. frames: number written so far.
 
-    UsageError: the file cannot be created there, see `AtomicFile`. WriteError: the disk is full or
-    failed, here or in `write` and `close`; no file is left then.
+    UsageError, WriteError: as of `AtomicFile`, here or in `write` and `close`.
     """
 
     def __init__(
@@ -127,5 +124,5 @@ def wav_header(samplerate: int, channels: int, frames: int, comment: str | None 
 
 
 def _chunk(name: bytes, content: bytes) -> bytes:
-    """Return a RIFF chunk; the content is padded to an even length, the size is without padding."""
+    """Return a RIFF chunk, padded to an even length; its size does not count the padding."""
     return struct.pack("<4sI", name, len(content)) + content + b"\0" * (len(content) % 2)

@@ -27,7 +27,7 @@ FORBIDDEN = [
     ("device", "audioflinger_hook"),
     ("audioflinger_hook/core", r"audioflinger_hook(?!\.core\b)"),
     ("audioflinger_hook/transform", r"audioflinger_hook(?!\.(transform|core)\b)"),
-    ("audioflinger_hook/transform", r"device(?!\.(errors|layouts|records|units|values)\b)"),
+    ("audioflinger_hook/transform", r"device(?!\.(errors|layouts|units|values)\b)"),
     ("audioflinger_hook/transform", IO),
     ("audioflinger_hook/mixer", r"audioflinger_hook\.(effect|sources|transform|capture)\b"),
     ("audioflinger_hook/mixer", IO),

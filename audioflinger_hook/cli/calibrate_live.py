@@ -16,9 +16,8 @@ from audioflinger_hook.cli.measurement_streams import (
 from audioflinger_hook.cli.terminal import warn
 from device.address import DeviceAddress
 from device.alsa import choose_setup, find_capture, find_playback
-from device.alsa.negotiation import CardSetup, list_offers
-from device.alsa.usb_stream import read_usb_stream
-from device.alsa.use import why_blocked
+from device.alsa.cards import why_blocked
+from device.alsa.offers import CardSetup, list_offers
 from device.errors import NotFoundError, UsageError
 from device.identification.calibration import Calibration, calibrate
 from device.identification.live.laboratory import UNUSED, Devices, Inputs, LiveLaboratory
@@ -180,7 +179,7 @@ def _output(device: DeviceAddress, snapshot: ServerSnapshot | None) -> tuple[Str
         playback = find_playback(device.name)
         if refused := why_blocked(playback):
             raise NotFoundError(refused)
-        choice: CardSetup = choose_setup(list_offers(read_usb_stream(playback)), RATE_HZ, 1)
+        choice: CardSetup = choose_setup(list_offers(playback), RATE_HZ, 1)
         card = CardDevice(playback.card.number, playback.device)
         output = StreamEndpoint(card, str(playback), choice.channels, choice.sample_format)
         return output, choice.samplerate
@@ -233,7 +232,7 @@ def _input(
     capture = find_capture(name)
     if refused := why_blocked(capture):
         raise NotFoundError(refused)
-    choice = choose_setup(list_offers(read_usb_stream(capture)), rate, needed, needed)
+    choice = choose_setup(list_offers(capture), rate, needed, needed)
     if choice.samplerate != rate and not output.guarded:
         raise UsageError(
             f"{output.name} plays at {rate} Hz and {capture} records at {choice.samplerate} Hz; "

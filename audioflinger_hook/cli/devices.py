@@ -15,8 +15,7 @@ from audioflinger_hook.cli.usb import mixer_of, volume_now
 from audioflinger_hook.cli.usb_formats import format_text, formats_of
 from audioflinger_hook.service.one_line import one_line
 from device.alsa import list_cards
-from device.alsa.cards import PlaybackDevice, list_playbacks
-from device.alsa.use import why_blocked
+from device.alsa.cards import AlsaDevice, list_devices, why_blocked
 from device.errors import CushionError
 from device.server import PulseConnection, ServerSnapshot
 from device.server.app_rules import is_application
@@ -43,7 +42,7 @@ def run(options: argparse.Namespace) -> int:
         warn(str(usb.reason))
     document = _server(snapshot) | {
         "usb": [_usb(device, usb, snapshot) for device in usb.devices],
-        "cards": [_card(playback) for card in list_cards() for playback in list_playbacks(card)],
+        "cards": [_card(playback) for card in list_cards() for playback in list_devices(card)],
     }
     if options.json:
         print(json.dumps(document, indent=2))
@@ -82,7 +81,7 @@ def _usb(device: UsbAudioDevice, found: Found, snapshot: ServerSnapshot | None) 
     }
 
 
-def _card(playback: PlaybackDevice) -> dict[str, Any]:
+def _card(playback: AlsaDevice) -> dict[str, Any]:
     return {
         "device": f"hw:{playback.card.id or playback.card.number},{playback.device}",
         "number": playback.card.number,

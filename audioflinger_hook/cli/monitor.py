@@ -14,8 +14,7 @@ from contextlib import suppress
 from audioflinger_hook.cli.terminal import warn
 from audioflinger_hook.service.runtime_folder import RuntimeFolder
 from device.atomic_file import write_bytes_atomically
-from device.errors import UsageError
-from device.extras import not_installed
+from device.errors import UsageError, not_installed
 
 OPENER = "page.html"
 """A file of the user's alone that leads a browser to the page: others can read the arguments of a

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from device.alsa.cards import PlaybackDevice
+from device.alsa.cards import AlsaDevice
 from device.server import ServerSnapshot
 from device.server.forwarding import SINK
 from device.server.identity import identity_of
 from device.server.snapshot import Sink
 from device.stream.pcms import FALLBACK_SINK
 from device.usb import UsbAudioDevice, identify
-from device.usb.coils import coil_channels
+from device.usb.identity import coil_channels
 from device.usb.mapping import device_of_sink
 
 OWN_SINKS = (SINK, FALLBACK_SINK)
@@ -52,7 +52,7 @@ class Output:
 def list_outputs(
     snapshot: ServerSnapshot,
     devices: Sequence[UsbAudioDevice],
-    playbacks: Iterable[PlaybackDevice],
+    playbacks: Iterable[AlsaDevice],
 ) -> list[Output]:
     """Return every output but our own sinks.
 

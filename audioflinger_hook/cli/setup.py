@@ -27,7 +27,7 @@ from audioflinger_hook.config.profiles import LIVE_DEFAULT, PROFILES
 from audioflinger_hook.service import install as service
 from device.address import DeviceAddress, parse_device
 from device.alsa import find_playback, list_cards
-from device.alsa.cards import list_playbacks
+from device.alsa.cards import list_devices
 from device.drive import ActuatorSettings
 from device.errors import LostError, NotFoundError, UsageError
 from device.server import PulseConnection, ServerSnapshot
@@ -169,7 +169,7 @@ def _choose_output(
 
 
 def _outputs(connection: PulseConnection) -> list[Output]:
-    playbacks = [each for card in list_cards() for each in list_playbacks(card)]
+    playbacks = [each for card in list_cards() for each in list_devices(card)]
     return list_outputs(connection.latest, find_devices().devices, playbacks)
 
 

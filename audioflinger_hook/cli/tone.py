@@ -13,9 +13,8 @@ import numpy as np
 
 from device.address import DeviceAddress
 from device.alsa import choose_setup, find_playback
-from device.alsa.negotiation import list_offers
-from device.alsa.usb_stream import read_usb_stream
-from device.alsa.use import why_blocked
+from device.alsa.cards import why_blocked
+from device.alsa.offers import list_offers
 from device.drive import ActuatorSettings, ChannelMap, channels_needed, wiring_of
 from device.drive.channel_positions import sink_channel_map
 from device.errors import LostError, NotFoundError
@@ -25,7 +24,7 @@ from device.stream import PlaybackStream
 from device.stream.pcms import CardDevice, Pcm, ServerDevice
 from device.stream.sample_format import SampleFormat
 from device.units import Float32Array
-from device.usb.coils import coil_channels
+from device.usb.identity import coil_channels
 
 PCM = "cushion_output"
 """The PCM that the caller configures, before it connects to the server."""
@@ -168,7 +167,7 @@ def _on_card(
     coils = coil_channels(*playback.card.usb_id)
     wiring = wiring_of(actuators)
     needed = max(1, channels_needed(wiring), *(1 + coil for coil in coils))
-    setup = choose_setup(list_offers(read_usb_stream(playback)), CARD_RATE_HZ, needed)
+    setup = choose_setup(list_offers(playback), CARD_RATE_HZ, needed)
     channel_map = (
         ChannelMap.of(wiring, setup.channels, device=str(playback))
         if actuators

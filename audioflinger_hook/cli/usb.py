@@ -17,7 +17,7 @@ from audioflinger_hook.cli.usb_formats import format_text, formats_of, joined, s
 from device.alsa.mixer import CardMixer
 from device.errors import CushionError, NoUsbDeviceError, UsageError
 from device.usb import UsbAudioDevice, UsbIdentity, find_devices, find_one, identify
-from device.usb.control import UsbControl, held_by, open_control
+from device.usb.control import UsbControl, held_by, open_control, read_descriptors
 from device.usb.descriptors import (
     PlaybackFormat,
     RateRange,
@@ -27,7 +27,6 @@ from device.usb.descriptors import (
     parse_whole,
     playback_formats,
 )
-from device.usb.pyusb_access import read_descriptors
 from device.usb.take_over import take_over
 
 DUMP_BYTES_MAX = 4 << 20

@@ -12,7 +12,7 @@ from typing import Any
 
 from device.alsa import find_playback
 from device.alsa.cards import PROC
-from device.alsa.usb_stream import Rates, UsbFormat, read_usb_stream
+from device.alsa.offers import Rates, UsbFormat, read_usb_stream
 from device.errors import NotFoundError
 from device.usb import UsbAudioDevice
 from device.usb.descriptors import Configuration, PlaybackFormat, RateRange, playback_formats

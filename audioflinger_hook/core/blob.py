@@ -28,7 +28,7 @@ import zlib
 import numpy as np
 
 from device.errors import UsageError
-from device.records import Record, Records
+from device.units import Record, Records
 
 MAGIC = b"CUSHLIVE"
 FORMAT_VERSION = 4

@@ -9,8 +9,7 @@ import numpy as np
 
 from audioflinger_hook.core import blob
 from audioflinger_hook.core.rounding import round_number, round_table
-from device.records import Record, Records
-from device.units import FloatArray
+from device.units import FloatArray, Record, Records
 
 if TYPE_CHECKING:
     from device.drive.design import DriveDesign

@@ -2,10 +2,8 @@
 
 | module | contents |
 | --- | --- |
-| `cards` | cards and their playback and capture devices, by number or id |
-| `usb_stream` | the formats that a USB card offers, and its own clock |
-| `negotiation` | the best format, rate and channel count for a card |
-| `use` | who uses a device now, and how it was opened |
+| `cards` | cards and their playback and capture devices, by number or id, and who uses them |
+| `offers` | the formats, rates and channel counts that a card offers, and the best of them |
 | `mixer` | a card's own volumes and mutes |
 | `decibels` | what the steps of a volume mean in dB |
 
@@ -14,6 +12,6 @@ Streams on cards are opened by `device.stream`.
 
 from device.alsa.cards import find_capture, find_playback, list_cards
 from device.alsa.mixer import set_card_volume
-from device.alsa.negotiation import choose_setup
+from device.alsa.offers import choose_setup
 
 __all__ = ["choose_setup", "find_capture", "find_playback", "list_cards", "set_card_volume"]

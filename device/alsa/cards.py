@@ -1,4 +1,4 @@
-"""Sound cards and their devices, read from /proc/asound.
+"""Sound cards, their devices, and who uses them, read from /proc/asound.
 
 Names must match exactly; an error suggests the nearest ones. A card may vanish between two lines
 that are read: it then counts as missing.
@@ -6,17 +6,17 @@ that are read: it then counts as missing.
 
 from __future__ import annotations
 
+import os
 import re
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import ClassVar, TypeVar
 
 from device.errors import NotFoundError, UsageError
 from device.values import no_such
 
 PROC = Path("/proc/asound")
-
-Device = TypeVar("Device", bound="PlaybackDevice")
+DEVICES = Path("/dev/snd")
 
 _CARD = re.compile(r"^\s*(\d+) \[(\S+)\s*\]: (\S+) - (.*)$")
 _ADDRESS = re.compile(r"(?:CARD=)?(?P<card>[^,=\s]+)(?:,(?:DEV=)?(?P<device>\d+))?")
@@ -24,17 +24,13 @@ _ADDRESS = re.compile(r"(?:CARD=)?(?P<card>[^,=\s]+)(?:,(?:DEV=)?(?P<device>\d+)
 
 @dataclass(frozen=True)
 class Card:
-    """One sound card.
+    """One sound card."""
 
-    number: ALSA's, which another card may get later. id: one word, stable unless several cards
-    have the same. driver, name: as the card reports them. root: the directory read.
-    """
-
-    number: int
-    id: str
+    number: int  # ALSA's, which another card may get later
+    id: str  # one word, stable unless several cards have the same
     driver: str
     name: str
-    root: Path = field(repr=False)
+    root: Path = field(repr=False)  # the directory read
 
     def __str__(self) -> str:
         return f"hw:{self.id}"
@@ -52,14 +48,13 @@ class Card:
 
 
 @dataclass(frozen=True)
-class PlaybackDevice:
-    """One of a card's playback devices. device: its number, usually 0."""
+class AlsaDevice:
+    """A playback or capture device of a card. device: its number, usually 0."""
 
     card: Card
     device: int
     name: str
-
-    kind: ClassVar[str] = "playback"
+    kind: str = "playback"  # or "capture"
 
     def __str__(self) -> str:
         return f"{self.card},{self.device}"
@@ -71,10 +66,30 @@ class PlaybackDevice:
 
 
 @dataclass(frozen=True)
-class CaptureDevice(PlaybackDevice):
-    """One of a card's capture devices."""
+class HwParams:
+    """How a card was opened. format: ALSA's name. samplerate: Hz."""
 
-    kind: ClassVar[str] = "capture"
+    format: str
+    samplerate: int
+    channels: int
+    period_frames: int
+    buffer_frames: int
+
+    @property
+    def delay_s(self) -> float:
+        """Seconds from the card's request for a frame, when a period is free, until it plays it."""
+        return (self.buffer_frames - self.period_frames) / self.samplerate
+
+
+@dataclass(frozen=True)
+class Owner:
+    """Who has opened a card. process: its id, or that of the thread. name: "" if unknown."""
+
+    process: int
+    name: str
+
+    def __str__(self) -> str:
+        return f"{self.name or 'another program'} (process {self.process})"
 
 
 def list_cards(root: Path = PROC) -> tuple[Card, ...]:
@@ -87,25 +102,18 @@ def list_cards(root: Path = PROC) -> tuple[Card, ...]:
     return tuple(sorted(found, key=lambda card: card.number))
 
 
-def list_playbacks(card: Card) -> tuple[PlaybackDevice, ...]:
-    """Return a card's playback devices, sorted by number."""
-    return _list_devices(card, PlaybackDevice)
-
-
-def _list_devices(card: Card, kind: type[Device]) -> tuple[Device, ...]:
+def list_devices(card: Card, kind: str = "playback") -> tuple[AlsaDevice, ...]:
+    """Return a card's devices of a kind, sorted by number."""
     found = (
-        kind(card, int(folder.name[3:-1]), read_fields(folder / "info").get("name", ""))
-        for folder in card.folder.glob(f"pcm*{kind.kind[0]}")
-        if folder.name[3:-1].isdecimal()
+        AlsaDevice(card, int(number), read_fields(folder / "info").get("name", ""), kind)
+        for folder in card.folder.glob(f"pcm*{kind[0]}")
+        if (number := folder.name[3:-1]).isdecimal()
     )
     return tuple(sorted(found, key=lambda device: device.device))
 
 
 def find_card(name: str, root: Path = PROC) -> Card:
-    """Return the card with exactly this number or id.
-
-    NotFoundError: there is none; the nearest ids are suggested.
-    """
+    """Return the card with this number or id. NotFoundError: there is none."""
     cards = list_cards(root)
     for card in cards:
         if name in (card.id, str(card.number)):
@@ -118,43 +126,38 @@ def find_card(name: str, root: Path = PROC) -> Card:
     )
 
 
-def find_playback(name: str, root: Path = PROC) -> PlaybackDevice:
+def find_playback(name: str, root: Path = PROC, kind: str = "playback") -> AlsaDevice:
     """Return the playback device of an address: CARD or CARD,DEVICE.
 
-    name: CARD is a number or an id; without DEVICE it means the card's first playback device.
-    root: of the kernel's files. UsageError: the address is malformed. NotFoundError: there is no
-    such card, or it has no such device.
+    name: CARD is a number or an id; without DEVICE it means the card's first device. root: of the
+    kernel's files. kind: "capture" for a capture device.
+
+    UsageError: the address is malformed. NotFoundError: there is no such card, or it has no such
+    device.
     """
-    return _find_device(name, root, PlaybackDevice)
+    match = parse_card_address(name)
+    card = find_card(match["card"], root)
+    found = list_devices(card, kind)
+    for one in found:
+        if match["device"] is None or int(match["device"]) == one.device:
+            return one
+    if not found:
+        raise NotFoundError(f"the sound card {card} has no {kind} device; name another card")
+    names = ", ".join(f"{one} ({one.name})" for one in found)
+    wanted = int(match["device"])
+    raise NotFoundError(f"the sound card {card} has no {kind} device {wanted}; it has {names}")
 
 
-def find_capture(name: str, root: Path = PROC) -> CaptureDevice:
+def find_capture(name: str, root: Path = PROC) -> AlsaDevice:
     """Return the capture device of an address; name, root and errors as for `find_playback`.
 
     name: an address. root: of the kernel's files.
     """
-    return _find_device(name, root, CaptureDevice)
-
-
-def _find_device(name: str, root: Path, kind: type[Device]) -> Device:
-    match = parse_card_address(name)
-    card = find_card(match["card"], root)
-    found = _list_devices(card, kind)
-    wanted = None if match["device"] is None else int(match["device"])
-    for one in found:
-        if wanted in (None, one.device):
-            return one
-    if not found:
-        raise NotFoundError(f"the sound card {card} has no {kind.kind} device; name another card")
-    names = ", ".join(f"{one} ({one.name})" for one in found)
-    raise NotFoundError(f"the sound card {card} has no {kind.kind} device {wanted}; it has {names}")
+    return find_playback(name, root, "capture")
 
 
 def parse_card_address(name: str) -> re.Match[str]:
-    """Return a match with the groups `card` and `device` (None if omitted); looks nothing up.
-
-    UsageError: the address is malformed.
-    """
+    """Return a match with `card` and `device` (None if omitted). UsageError: it is malformed."""
     match = _ADDRESS.fullmatch(name)
     if match is None:
         raise UsageError(
@@ -173,6 +176,51 @@ def read_text(path: Path) -> str:
 
 
 def read_fields(path: Path) -> dict[str, str]:
-    """Return the lines "name: text" of a kernel file by name; empty if it is missing."""
+    """Return the lines "name: text" of a kernel file, by name; empty if it is missing."""
     lines = (line.partition(":") for line in read_text(path).splitlines())
     return {name.strip(): text.strip() for name, colon, text in lines if colon}
+
+
+def read_hw_params(playback: AlsaDevice) -> tuple[HwParams, ...]:
+    """Return how the device was opened, once per open stream; usually one, none while closed."""
+    opened = []
+    for folder in sorted(playback.folder.glob("sub*")):
+        found = read_fields(folder / "hw_params")
+        with suppress(KeyError, ValueError, IndexError):
+            names = ("rate", "channels", "period_size", "buffer_size")
+            numbers = [int(found[name].split()[0]) for name in names]
+            opened.append(HwParams(found["format"], *numbers))
+    return tuple(opened)
+
+
+def find_owner(playback: AlsaDevice, processes: Path = Path("/proc")) -> Owner | None:
+    """Return who uses the device; None if a stream of it is free."""
+    first = None
+    for folder in sorted(playback.folder.glob("sub*")):
+        status = folder / "status"
+        if read_text(status).strip() in ("closed", ""):
+            return None
+        digits = read_fields(status).get("owner_pid", "")
+        if first is None and digits.isdecimal():
+            thread = processes / digits
+            process = read_fields(thread / "status").get("Tgid", digits)
+            first = Owner(int(process), read_text(processes / process / "comm").strip())
+    return first
+
+
+def why_blocked(
+    playback: AlsaDevice, devices: Path = DEVICES, processes: Path = Path("/proc")
+) -> str | None:
+    """Return why a device cannot be opened, and what to do, in one line; None if it can."""
+    node = devices / f"pcmC{playback.card.number}D{playback.device}{playback.kind[0]}"
+    if node.exists() and not os.access(node, os.R_OK | os.W_OK):
+        return (
+            f"this user may not open {playback} ({node}); log in at the machine itself, or join "
+            "the group audio"
+        )
+    if user := find_owner(playback, processes):
+        return (
+            f"{playback} is in use by {user}; end that program, or name the sink that the sound "
+            "server has for this card (see `cushion devices`)"
+        )
+    return None

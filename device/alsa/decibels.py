@@ -25,14 +25,11 @@ Level = Callable[[int], float]  # the level of a step in dB
 
 @dataclass(frozen=True)
 class Decibels:
-    """The level of each step from `lowest` to `highest`, in dB; -inf is silence.
-
-    level: of a step; it rises with the steps unless the driver is faulty.
-    """
+    """The level of each step from `lowest` to `highest`, in dB; -inf is silence."""
 
     lowest: int
     highest: int
-    level: Level
+    level: Level  # rises with the steps unless the driver is faulty
 
     @property
     def lowest_db(self) -> float:
@@ -52,46 +49,37 @@ class Decibels:
 
 
 def parse_decibels(words: Sequence[int], lowest: int, highest: int) -> Decibels | None:
-    """Return the meaning of the steps from lowest to highest; None if the table is invalid.
-
-    words: unsigned, of 32 bits each.
-    """
-    level = _level(list(words), lowest, highest, 0) if lowest < highest else None
+    """Return what steps mean by a table of unsigned 32-bit words; None if it is invalid."""
+    level = _level(list(words), lowest, highest, 0)
     if level is None or not level(lowest) <= level(highest):
         return None
     return Decibels(lowest, highest, level)
 
 
 def _level(words: list[int], lowest: int, highest: int, depth: int) -> Level | None:
-    if len(words) < 2 or depth > _DEEPEST:
+    if len(words) < 2 or lowest >= highest or depth > _DEEPEST:
         return None
     kind, body = words[0], words[2 : 2 + words[1] // 4]
     if len(body) < words[1] // 4:
         return None
     if kind == _CONTAINER:
-        return _first_of(body, lowest, highest, depth)
+        while len(body) >= 2:
+            level = _level(body, lowest, highest, depth + 1)
+            if level is not None:
+                return level
+            body = body[2 + (body[1] + 3) // 4 :]
+        return None
     if kind == _RANGE:
         return _pieces(body, depth)
-    if len(body) < 2 or lowest >= highest:
+    if len(body) < 2:
         return None
     first, second = _signed(body[0]), _signed(body[1])
     if kind == _SCALE:
-        silent = bool(body[1] & _SILENT_WHEN_LOWEST)
-        return _even(first, body[1] & 0xFFFF, 1, lowest, silent=silent)
+        return _even(first, body[1] & 0xFFFF, 1, lowest, bool(body[1] & _SILENT_WHEN_LOWEST))
     if kind == _LINEAR:
         return _linear(first, second, lowest, highest)
     if kind in (_BOUNDS, _BOUNDS_MUTE):
-        silent = kind == _BOUNDS_MUTE
-        return _even(first, second - first, highest - lowest, lowest, silent=silent)
-    return None
-
-
-def _first_of(body: list[int], lowest: int, highest: int, depth: int) -> Level | None:
-    while len(body) >= 2:
-        level = _level(body, lowest, highest, depth + 1)
-        if level is not None:
-            return level
-        body = body[2 + (body[1] + 3) // 4 :]
+        return _even(first, second - first, highest - lowest, lowest, kind == _BOUNDS_MUTE)
     return None
 
 
@@ -100,9 +88,8 @@ def _pieces(body: list[int], depth: int) -> Level | None:
     found: list[tuple[int, int, Level]] = []
     while len(body) >= 4:
         first, last = _signed(body[0]), _signed(body[1])
-        level = _level(body[2:], first, last, depth + 1) if first < last else None
-        if first == last:  # a single step takes the lower end of a table of two
-            level = _level(body[2:], first, last + 1, depth + 1)
+        # a single step takes the lower end of a table of two
+        level = _level(body[2:], first, max(last, first + 1), depth + 1) if first <= last else None
         if level is None:
             return None
         found.append((first, last, level))
@@ -119,7 +106,7 @@ def _pieces(body: list[int], depth: int) -> Level | None:
     return level_of
 
 
-def _even(first: int, rise: int, steps: int, lowest: int, *, silent: bool) -> Level:
+def _even(first: int, rise: int, steps: int, lowest: int, silent: bool) -> Level:
     """Return the level of steps that rise evenly in dB. rise: over that many steps."""
 
     def level(step: int) -> float:

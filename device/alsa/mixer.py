@@ -10,11 +10,12 @@ import ctypes
 import errno
 import math
 import os
+from ctypes import c_char, c_int, c_long, c_longlong, c_ubyte, c_uint, c_uint32, c_ulong, c_void_p
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from device.alsa.cards import DEVICES
 from device.alsa.decibels import Decibels, parse_decibels
-from device.alsa.use import DEVICES
 from device.errors import NotFoundError, UsageError
 from device.volume_limit import MAX_VOLUME_DB, limit_volume_db
 
@@ -22,8 +23,7 @@ _VOLUME, _SWITCH = "Playback Volume", "Playback Switch"
 _MIXER = 2
 _BOOLEAN, _INTEGER = 1, 2
 _READABLE, _WRITABLE, _HAS_TABLE = 1 << 0, 1 << 1, 1 << 4
-READ_BACK_DB = 1.0
-"""A level may be read back this much lower: drivers round to the steps of the device."""
+_READ_BACK_DB = 1.0  # a level may be this much lower: drivers round to the steps of the device
 
 _MOST_ELEMENTS = 4_096
 _TABLE_WORDS = 1_024
@@ -31,105 +31,75 @@ _TABLE_WORDS = 1_024
 # Not fcntl.ioctl, which keeps Python's lock with large structures: audio threads would wait for it
 # as long as a device takes to answer.
 _ioctl = ctypes.CDLL(None, use_errno=True).ioctl
-_ioctl.argtypes = (ctypes.c_int, ctypes.c_ulong, ctypes.c_void_p)
+_ioctl.argtypes = (c_int, c_ulong, c_void_p)
 
 
 class _Id(ctypes.Structure):
     _fields_ = (
-        ("number", ctypes.c_uint),
-        ("interface", ctypes.c_int),
-        ("device", ctypes.c_uint),
-        ("subdevice", ctypes.c_uint),
-        ("name", ctypes.c_char * 44),
-        ("index", ctypes.c_uint),
+        ("number", c_uint),
+        ("interface", c_int),
+        ("device", c_uint),
+        ("subdevice", c_uint),
+        ("name", c_char * 44),
+        ("index", c_uint),
     )
 
 
 class _List(ctypes.Structure):
     _fields_ = (
-        ("offset", ctypes.c_uint),
-        ("space", ctypes.c_uint),
-        ("used", ctypes.c_uint),
-        ("count", ctypes.c_uint),
-        ("ids", ctypes.c_void_p),
-        ("reserved", ctypes.c_ubyte * 50),
+        ("offset", c_uint),
+        ("space", c_uint),
+        ("used", c_uint),
+        ("count", c_uint),
+        ("ids", c_void_p),
+        ("reserved", c_ubyte * 50),
     )
 
 
 class _Info(ctypes.Structure):
     _fields_ = (
         ("id", _Id),
-        ("type", ctypes.c_int),
-        ("access", ctypes.c_uint),
-        ("count", ctypes.c_uint),
-        ("owner", ctypes.c_int),
-        ("lowest", ctypes.c_long),
-        ("highest", ctypes.c_long),
-        ("reserved", ctypes.c_ubyte * (128 + 64 - 2 * ctypes.sizeof(ctypes.c_long))),
+        ("type", c_int),
+        ("access", c_uint),
+        ("count", c_uint),
+        ("owner", c_int),
+        ("lowest", c_long),
+        ("highest", c_long),
+        ("reserved", c_ubyte * (128 + 64 - 2 * ctypes.sizeof(c_long))),
     )
 
 
 class _ValueOf(ctypes.Union):
-    _fields_ = (("steps", ctypes.c_long * 128), ("wide", ctypes.c_longlong * 64))
+    _fields_ = (("steps", c_long * 128), ("wide", c_longlong * 64))
     # the second decides where the union begins on processors of 32 bits
 
 
 class _Value(ctypes.Structure):
     _anonymous_ = ("of",)
-    _fields_ = (
-        ("id", _Id),
-        ("indirect", ctypes.c_uint),
-        ("of", _ValueOf),
-        ("reserved", ctypes.c_ubyte * 128),
-    )
+    _fields_ = (("id", _Id), ("indirect", c_uint), ("of", _ValueOf), ("reserved", c_ubyte * 128))
 
 
 class _Table(ctypes.Structure):
-    _fields_ = (
-        ("number", ctypes.c_uint),
-        ("length", ctypes.c_uint),
-        ("words", ctypes.c_uint32 * _TABLE_WORDS),
-    )
+    _fields_ = (("number", c_uint), ("length", c_uint), ("words", c_uint32 * _TABLE_WORDS))
 
 
-def _request(number: int, size: int) -> int:
-    """_IOWR('U', number, size)."""
-    return 3 << 30 | size << 16 | ord("U") << 8 | number
-
-
-_GET_LIST = _request(0x10, ctypes.sizeof(_List))
-_GET_INFO = _request(0x11, ctypes.sizeof(_Info))
-_READ = _request(0x12, ctypes.sizeof(_Value))
-_WRITE = _request(0x13, ctypes.sizeof(_Value))
-_READ_TABLE = _request(0x1A, 8)  # the size excludes the words
+_GET_LIST, _GET_INFO, _READ, _WRITE, _READ_TABLE = 0x10, 0x11, 0x12, 0x13, 0x1A
 
 
 @dataclass(frozen=True)
-class MixerVolume:
-    """A playback volume of a card. name: the driver's. channels: count.
+class MixerControl:
+    """A playback volume or mute of a card."""
 
-    decibels: the meaning of its steps; None if the driver does not report it.
-    """
-
-    name: str
-    channels: int
-    decibels: Decibels | None = field(repr=False)
-    number: int = field(repr=False)
-
-
-@dataclass(frozen=True)
-class MixerSwitch:
-    """A playback mute of a card. name: the driver's. channels: count."""
-
-    name: str
+    name: str  # the driver's
     channels: int
     number: int = field(repr=False)
+    decibels: Decibels | None = field(default=None, repr=False)  # of a volume's steps, if known
 
 
 class CardMixer:
     """The volumes and mutes of one card; a context manager. One thread at a time uses it.
 
-    card: ALSA's number. devices: the directory of device files.
+    card: ALSA's number. devices: the directory of device files. volumes, switches: its controls.
 
     NotFoundError: the card is missing or was unplugged, or this user may not open it. All methods
     raise it.
@@ -142,25 +112,23 @@ class CardMixer:
             self._file = os.open(self._node, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
         except OSError as error:
             raise self._refusal(error) from None
-        volumes: list[MixerVolume] = []
-        switches: list[MixerSwitch] = []
+        self.volumes: list[MixerControl] = []
+        self.switches: list[MixerControl] = []
         try:
             for number in self._numbers():
-                self._take(number, volumes, switches)
+                self._take(number)
         except BaseException:
             self.close()
             raise
-        self.volumes = tuple(volumes)
-        self.switches = tuple(switches)
 
-    def volume_db(self, volume: MixerVolume) -> tuple[float, ...] | None:
+    def volume_db(self, volume: MixerControl) -> tuple[float, ...] | None:
         """Return the level of each channel in dB, -inf for silence; None if unknown."""
         if volume.decibels is None:
             return None
         return tuple(map(volume.decibels.level, self._steps(volume)))
 
     def set_volume_db(
-        self, volume: MixerVolume, wanted_db: float, limit_db: float = MAX_VOLUME_DB
+        self, volume: MixerControl, wanted_db: float, limit_db: float = MAX_VOLUME_DB
     ) -> float:
         """Set all channels to the nearest level not above wanted_db, limit_db and 0 dB.
 
@@ -181,26 +149,26 @@ class CardMixer:
         self._set(volume, step)
         level_db, found_db = decibels.level(step), list(map(decibels.level, self._steps(volume)))
         # Some kernels drop a value that the device refuses, and report success.
-        if not all(level_db - READ_BACK_DB <= found <= level_db for found in found_db):
+        if not all(level_db - _READ_BACK_DB <= found <= level_db for found in found_db):
             raise NotFoundError(
                 f"sound card {self._card}: {volume.name!r} was set to {_shown(level_db)} and is "
                 f"{_shown(max(found_db))}: the device does not take it"
             )
         return max(found_db)
 
-    def muted(self, switch: MixerSwitch) -> tuple[bool, ...]:
+    def muted(self, switch: MixerControl) -> tuple[bool, ...]:
         """Return whether each channel is muted."""
         return tuple(not on for on in self._steps(switch))
 
-    def set_muted(self, switch: MixerSwitch, muted: bool) -> None:
+    def set_muted(self, switch: MixerControl, muted: bool) -> None:
         """Mute all channels, or none. NotFoundError: the device does not do it."""
         self._set(switch, int(not muted))
         if set(self.muted(switch)) != {muted}:
-            stays = "muted" if not muted else "open"
+            stays = "open" if muted else "muted"
             raise NotFoundError(f"sound card {self._card}: {switch.name!r} stays {stays}")
 
     def close(self) -> None:
-        """Close the control file. Further calls do nothing."""
+        """Close the control file. May be repeated."""
         if self._file >= 0:
             os.close(self._file)
             self._file = -1
@@ -224,7 +192,7 @@ class CardMixer:
             and control.name.endswith((_VOLUME.encode(), _SWITCH.encode()))
         ]
 
-    def _take(self, number: int, volumes: list[MixerVolume], switches: list[MixerSwitch]) -> None:
+    def _take(self, number: int) -> None:
         info = _Info(_Id(number))
         self._ask(_GET_INFO, info)
         allowed = _READABLE | _WRITABLE
@@ -232,11 +200,11 @@ class CardMixer:
             return
         name = info.id.name.decode(errors="replace")
         if info.type == _BOOLEAN and name.endswith(_SWITCH):
-            switches.append(MixerSwitch(name, info.count, number))
+            self.switches.append(MixerControl(name, info.count, number))
         if info.type == _INTEGER and name.endswith(_VOLUME):
             words = self._table(number) if info.access & _HAS_TABLE else []
             decibels = parse_decibels(words, info.lowest, info.highest)
-            volumes.append(MixerVolume(name, info.count, decibels, number))
+            self.volumes.append(MixerControl(name, info.count, number, decibels))
 
     def _table(self, number: int) -> list[int]:
         table = _Table(number=number, length=4 * _TABLE_WORDS)
@@ -247,20 +215,22 @@ class CardMixer:
         words = list(table.words)
         return words[: 2 + words[1] // 4]
 
-    def _steps(self, control: MixerVolume | MixerSwitch) -> list[int]:
+    def _steps(self, control: MixerControl) -> list[int]:
         held = _Value(_Id(control.number))
         self._ask(_READ, held)
         return list(held.steps[: control.channels])
 
-    def _set(self, control: MixerVolume | MixerSwitch, step: int) -> None:
+    def _set(self, control: MixerControl, step: int) -> None:
         held = _Value(_Id(control.number))
         held.steps[: control.channels] = [step] * control.channels
         self._ask(_WRITE, held)
 
-    def _ask(self, request: int, what: ctypes.Structure) -> None:
+    def _ask(self, number: int, what: ctypes.Structure) -> None:
+        size = ctypes.sizeof(what) if number != _READ_TABLE else 8  # without the table's words
+        request = 3 << 30 | size << 16 | ord("U") << 8 | number  # _IOWR('U', number, size)
         if _ioctl(self._file, request, ctypes.byref(what)) < 0:
-            number = ctypes.get_errno()
-            raise self._refusal(OSError(number, os.strerror(number)))
+            code = ctypes.get_errno()
+            raise self._refusal(OSError(code, os.strerror(code)))
 
     def _refusal(self, error: OSError) -> NotFoundError:
         what = f"the mixer of sound card {self._card} ({self._node})"
@@ -282,15 +252,14 @@ def set_card_volume(
 ) -> tuple[float, ...]:
     """Set all playback volumes of a card, unmute it, and return the level of each volume in dB.
 
-    Levels are rounded down and never exceed wanted_db, limit_db or 0 dB. Volumes in series are all
-    set and read back, and all of them before the mutes, so that nothing is ever too loud. Where one
-    of them cannot be set, the mutes stay.
+    Levels are rounded down and never exceed wanted_db, limit_db or 0 dB. All volumes are set and
+    read back before the mutes, so that nothing is ever too loud. Where one of them cannot be set,
+    the mutes stay.
 
     card: ALSA's number. wanted_db: for each volume. limit_db: upper limit.
 
-    NotFoundError: the card is missing, has no volume, or does not take the level or let its mute
-    be lifted. UsageError: wanted_db is NaN, or a volume's steps are unknown or cannot be set so
-    low.
+    NotFoundError: the card is missing, has no volume, or does not do it. UsageError: wanted_db is
+    NaN, or a volume's steps are unknown or cannot be set so low.
     """
     with CardMixer(card) as mixer:
         if not mixer.volumes:

@@ -9,7 +9,7 @@ from device.drive.settings import ActuatorSettings, wiring_of
 from device.errors import UsageError
 from device.server.identity import identity_of
 from device.server.snapshot import Sink
-from device.usb.coils import coil_channels
+from device.usb.identity import coil_channels
 
 _POSITIONS = (
     *("front-left", "front-right", "rear-left", "rear-right"),

@@ -15,10 +15,9 @@ from device.drive.exposure.design import exposure_records, worst_second
 from device.drive.protection.design import latency_frames, protection_records
 from device.drive.protection.limits import Limits
 from device.drive.safety import SafetyBounds
-from device.records import Records
 from device.rig import ActuatorParameters, Rig, rig_by_name
 from device.rig.thermal import Temperatures
-from device.units import amplitude_to_db
+from device.units import Records, amplitude_to_db
 
 
 @dataclass(frozen=True)

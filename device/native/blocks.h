@@ -1,4 +1,4 @@
-/* What is done to blocks of frames; device/compiled_blocks.py calls it by ctypes. */
+/* What is done to blocks of frames; device/blocks.py calls it by ctypes. */
 
 #ifndef DEVICE_BLOCKS_H
 #define DEVICE_BLOCKS_H

@@ -17,8 +17,7 @@ from ctypes import c_char_p, c_int, c_uint32, c_void_p
 from functools import cache
 from typing import Any
 
-from device.errors import NotFoundError
-from device.extras import not_installed
+from device.errors import NotFoundError, not_installed
 
 FLOAT32_LE, FLOAT32_BE = 5, 6
 CONTEXT_NOAUTOSPAWN = 0x1

@@ -18,8 +18,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, TypeVar
 
-from device.errors import InternalError, LostError, NotFoundError
-from device.extras import not_installed
+from device.errors import InternalError, LostError, NotFoundError, not_installed
 from device.stream.pcms import Pcm
 from device.stream.sample_format import SampleFormat
 

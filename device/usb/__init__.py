@@ -1,10 +1,8 @@
 """USB audio devices: finding, naming, querying and setting them.
 
     sysfs.py                    devices, as the kernel lists them
-    identity.py, mapping.py     their names, sound cards and sinks
-    coils.py                    devices with coils on some channels only
-    pyusb_access.py             opening a device with PyUSB
-    control.py, requests.py     volume, mute and rate of a device without a driver
+    identity.py, mapping.py     their names, coils, sound cards and sinks
+    control.py, requests.py     a device opened with PyUSB: volume, mute and rate
     take_over.py, guardian.py   taking a device from its driver, and giving it back
     descriptors/                raw descriptors, decoded
 

@@ -1,8 +1,7 @@
 """The process that gives a device back to its driver when its parent closes a pipe or was killed.
 
 It reads lines of JSON from standard input until that is closed; the last line counts. Then it
-restores the state and attaches the driver. An error becomes one line on standard output. It
-ignores a device that was unplugged in the meantime.
+restores the state and attaches the driver. An error becomes one line on standard output.
 """
 
 from __future__ import annotations
@@ -15,8 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from device.errors import CushionError, NoUsbDeviceError
-from device.usb.control import ControlState, UsbControl, playback_of
-from device.usb.pyusb_access import open_device
+from device.usb.control import ControlState, UsbControl, open_device, playback_of
 from device.usb.sysfs import find_devices
 
 
@@ -33,7 +31,7 @@ def main() -> int:
     try:
         _give_back(wanted)
     except NoUsbDeviceError:
-        return 0
+        pass
     except CushionError as error:
         print(error)
         return 1
@@ -49,7 +47,6 @@ def _give_back(wanted: dict[str, Any]) -> None:
     state = wanted["state"]
     handle = open_device(device)
     control = UsbControl(device, playback_of(device), handle)
-    trouble: CushionError | None = None
     try:
         control.restore(
             ControlState(
@@ -58,27 +55,21 @@ def _give_back(wanted: dict[str, Any]) -> None:
                 state["samplerate"],
             )
         )
-    except CushionError as error:
-        trouble = error
     finally:
         control.close()
-    _attach(handle, wanted["interfaces"])
-    if trouble is not None:
-        raise trouble
+        _attach(handle, wanted["interfaces"])
 
 
 def _attach(handle: Any, interfaces: list[int]) -> None:
     import usb.core
     import usb.util
 
-    try:
-        for number in interfaces:
-            # Attaching the driver to the first interface also attaches it to the others.
-            with suppress(usb.core.USBError, NotImplementedError):
-                if not handle.is_kernel_driver_active(number):
-                    handle.attach_kernel_driver(number)
-    finally:
-        usb.util.dispose_resources(handle)
+    for number in interfaces:
+        # Attaching the driver to the first interface also attaches it to the others.
+        with suppress(usb.core.USBError, NotImplementedError):
+            if not handle.is_kernel_driver_active(number):
+                handle.attach_kernel_driver(number)
+    usb.util.dispose_resources(handle)
 
 
 if __name__ == "__main__":

@@ -1,8 +1,7 @@
 """Names of USB devices that stay the same after replugging, and the devices that they name.
 
-A name is vendor, product and serial. If several units have the same serial, or none, the port is
-added. Card numbers and bus addresses are not part of the name, since they change when a device is
-plugged in again. Pure functions.
+A name is vendor, product and serial, and also the port if several units have the same serial, or
+none. Card numbers and bus addresses change when a device is plugged in again. Pure functions.
 
 A port is the kernel's name of it: the number of the bus, then a port of each hub. It stays the same
 after a reboot as long as the machine keeps its USB controllers.
@@ -12,7 +11,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from operator import attrgetter
 
 from device.errors import NotFoundError, NoUsbDeviceError, UsageError
 from device.usb.sysfs import Found, UsbAudioDevice
@@ -24,22 +25,22 @@ _NAME = re.compile(
     r"(?::(?P<serial>.+?))?(?:@(?P<port>\d+-\d+(?:\.\d+)*))?"
 )
 
+_DUALSENSE = (2, 3)  # channels 0 and 1 are its speaker and headphones
+
+_COILS = {
+    ("054c", "0ce6"): _DUALSENSE,
+    ("054c", "0df2"): _DUALSENSE,  # Edge
+}
+
 
 @dataclass(frozen=True)
 class UsbIdentity:
     """The name of a USB device.
 
-    Parameters
-    ----------
-    vendor_id, product_id : str
-        Four hexadecimal digits each, kept in lower case.
-    serial, port : str
-        "" for any.
+    vendor_id, product_id: four hexadecimal digits each, kept in lower case. serial, port: "" for
+    any.
 
-    Raises
-    ------
-    UsageError
-        No device can have this name.
+    UsageError: no device can have this name.
     """
 
     vendor_id: str
@@ -61,15 +62,12 @@ class UsbIdentity:
 
     @classmethod
     def parse(cls, text: str) -> UsbIdentity:
-        """Return the identity in a text of the form `GRAMMAR`; "usb:" is optional.
-
-        UsageError: the text has another form.
-        """
+        """Return the identity in a text, also without "usb:". UsageError: it has another form."""
         parts = _NAME.fullmatch(text.removeprefix("usb:"))
         if parts is None:
             raise UsageError(
-                f"{text!r} names no USB device: it is written {GRAMMAR}, with four hexadecimal "
-                "digits for VID and PID each and a port such as 1-2 or 1-2.3"
+                f"device {text!r} is not {GRAMMAR} with four hexadecimal digits each for VID and "
+                "PID, and a port such as 1-2 or 1-2.3"
             )
         return cls(parts["vendor"], parts["product"], parts["serial"] or "", parts["port"] or "")
 
@@ -79,49 +77,31 @@ class UsbIdentity:
             return False
         if self.port not in ("", device.port):
             return False
-        return not self.serial or (
-            device.serial != "" and self.serial in (device.serial, *_server_serials(device))
-        )
+        return self.serial == "" or self.serial in _serials(device)
 
 
 def identify(device: UsbAudioDevice, present: Iterable[UsbAudioDevice]) -> UsbIdentity:
     """Return a name that no other device has, and that stays after replugging.
 
-    With a unique serial the name is valid at every port, else it includes the port.
-
-    Parameters
-    ----------
-    device : UsbAudioDevice
-        The device.
-    present : iterable of UsbAudioDevice
-        All present devices, with or without this one.
+    device: with a unique serial its name is valid at every port, else it includes the port.
+    present: all present devices, with or without this one.
     """
     bare = UsbIdentity(device.vendor_id, device.product_id)
-    twins = any(other.port != device.port and _same_kind(other, device) for other in present)
-    if device.serial and not twins:
-        try:
+    kind = attrgetter("vendor_id", "product_id", "serial")
+    is_unique = all(other.port == device.port or kind(other) != kind(device) for other in present)
+    if device.serial and is_unique:
+        with suppress(UsageError):  # the serial ends like a port
             return replace(bare, serial=device.serial)
-        except UsageError:  # the serial ends like a port
-            pass
     return replace(bare, serial=device.serial, port=device.port)
 
 
 def find_one(identity: UsbIdentity, found: Found) -> UsbAudioDevice:
     """Return the present device of a name.
 
-    Parameters
-    ----------
-    identity : UsbIdentity
-        The name.
-    found : Found
-        The present devices.
+    identity: the name. found: the present devices.
 
-    Raises
-    ------
-    NoUsbBusError, NoUsbDeviceError
-        No device has the name; the message lists the present ones.
-    NotFoundError
-        Several devices have it; the message gives a name for each.
+    NoUsbBusError, NoUsbDeviceError: no device has the name; the message lists the present ones.
+    NotFoundError: several devices have it; the message gives a name for each.
     """
     matches = [device for device in found.devices if identity.is_device(device)]
     if len(matches) == 1:
@@ -129,21 +109,19 @@ def find_one(identity: UsbIdentity, found: Found) -> UsbAudioDevice:
     if matches:
         raise NotFoundError(
             f"{identity} is not one device but {len(matches)}: "
-            f"{describe(matches, found.devices)}; name one as written here"
+            f"{_described(matches, found.devices)}; name one as written here"
         )
     if not found.devices and found.reason is not None:
         raise type(found.reason)(f"{identity} is missing: {found.reason}")
     raise NoUsbDeviceError(
         f"{identity} is missing: plug it in, or name one of "
-        f"{describe(found.devices, found.devices)}"
+        f"{_described(found.devices, found.devices)}"
     )
 
 
-def describe(devices: Iterable[UsbAudioDevice], present: Iterable[UsbAudioDevice]) -> str:
-    """Return devices on one line, each with a name that identifies it."""
-    known = tuple(present)
+def _described(devices: Iterable[UsbAudioDevice], present: tuple[UsbAudioDevice, ...]) -> str:
     return ", ".join(
-        f"{identify(device, known)} ({device.label}, port {device.port}"
+        f"{identify(device, present)} ({device.label}, port {device.port}"
         + "".join(f", card {card.number}" for card in device.cards)
         + ")"
         for device in devices
@@ -152,12 +130,11 @@ def describe(devices: Iterable[UsbAudioDevice], present: Iterable[UsbAudioDevice
 
 def is_server_serial(known: str, serial: str) -> bool:
     """Return whether a sound server's serial is a device's serial or was made from it."""
-    return any(
-        known == form or known.endswith(f"_{form}") for form in (serial, udev_form(serial)) if form
-    )
+    forms = filter(None, (serial, _udev_form(serial)))
+    return any(known == form or known.endswith(f"_{form}") for form in forms)
 
 
-def udev_form(text: str) -> str:
+def _udev_form(text: str) -> str:
     """Return a device's string in udev's form, which sound servers use.
 
     Each run of blanks becomes one "_", and so does each character that udev does not allow
@@ -174,20 +151,20 @@ def udev_serial(device: UsbAudioDevice) -> str:
     """
     if any(not " " <= sign <= "~" or sign == "," for sign in device.serial):
         return ""
-    return udev_form(device.serial)
+    return _udev_form(device.serial)
 
 
-def _server_serials(device: UsbAudioDevice) -> tuple[str, ...]:
-    """Return the other forms of a device's serial: udev's and a sound server's."""
+def _serials(device: UsbAudioDevice) -> tuple[str, ...]:
+    """Return the forms of a device's serial: its own, udev's and a sound server's."""
     serial = udev_serial(device)
-    vendor = udev_form(device.manufacturer) or device.vendor_id
-    model = udev_form(device.product) or device.product_id
-    return (serial, f"{vendor}_{model}_{serial}") if serial else ()
+    vendor = _udev_form(device.manufacturer) or device.vendor_id
+    model = _udev_form(device.product) or device.product_id
+    return (device.serial, serial, f"{vendor}_{model}_{serial}") if serial else (device.serial,)
 
 
-def _same_kind(one: UsbAudioDevice, other: UsbAudioDevice) -> bool:
-    return (one.vendor_id, one.product_id, one.serial) == (
-        other.vendor_id,
-        other.product_id,
-        other.serial,
-    )
+def coil_channels(vendor_id: str, product_id: str) -> tuple[int, ...]:
+    """Return the channels with coils, counted from 0; () where all of them may have some.
+
+    vendor_id, product_id: four hexadecimal digits each, in lower case.
+    """
+    return _COILS.get((vendor_id, product_id), ())

@@ -1,8 +1,8 @@
-"""From a USB device to its ALSA names and a sound server's sinks, and back.
+"""From a USB device to its ALSA names and a sound server's sinks, and back. Pure functions.
 
-Pure functions of `find_devices` and a snapshot of the server. The most reliable property of a sink
-counts: its path in /sys, then the number of its sound card if the ids agree, then ids and serial
-if they are unique. A sink of an unplugged device never leads to another device.
+The most reliable property of a sink counts: its path in /sys, then the number of its sound card if
+the ids agree, then ids and serial if they are unique. A sink of an unplugged device never leads to
+another device.
 """
 
 from __future__ import annotations
@@ -40,12 +40,10 @@ def card_of_name(name: str) -> str:
 
 def device_of_card(card: int | str, devices: Iterable[UsbAudioDevice]) -> UsbAudioDevice | None:
     """Return the device of a sound card, by its number or id."""
-    wanted = str(card)
     for device in devices:
-        for known in device.cards:
-            # ALSA allows no id that is a number
-            if wanted in (str(known.number), known.id) and wanted:
-                return device
+        # ALSA allows no id that is a number; an id is "" if it is unknown
+        if any(str(card) in (str(each.number), each.id or None) for each in device.cards):
+            return device
     return None
 
 

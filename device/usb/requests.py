@@ -8,30 +8,26 @@ from __future__ import annotations
 
 import math
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from device.errors import UsageError, UsbAccessError
 from device.usb.descriptors import PlaybackFormat, RateRange
-from device.usb.descriptors.entities import VOLUME_UNITS_PER_DB, FeatureControl
+from device.usb.descriptors.audio_class import VOLUME_UNITS_PER_DB, FeatureControl
 from device.volume_limit import MAX_VOLUME_DB, limit_volume_db
 
 What = Literal["now", "range", "lowest", "highest", "step"]
 
 SILENCE_UNITS = -32_768
 
-_OUT_OF_INTERFACE, _OUT_OF_ENDPOINT = 0xA1, 0xA2
-_INTO_INTERFACE, _INTO_ENDPOINT = 0x21, 0x22
+# bmRequestType of a query: to the host, of the class, for an interface or an endpoint
+_INTERFACE, _ENDPOINT = 0xA1, 0xA2
+_TO_HOST = 0x80
+_GET_1: dict[What, int] = {"now": 0x81, "lowest": 0x82, "highest": 0x83, "step": 0x84}
 _GET_2: dict[What, int] = {"now": 0x01, "range": 0x02}
-_GET: dict[int, dict[What, int]] = {
-    1: {"now": 0x81, "lowest": 0x82, "highest": 0x83, "step": 0x84},
-    2: _GET_2,
-    3: _GET_2,
-}
 _SET = 0x01
-_SAMPLERATE = 0x01
-_MOST_RANGES = 32
-"""More ranges than any device has, so that a wrong count cannot request much."""
+_SAMPLERATE = 0x01 << 8
+_MOST_RANGES = 32  # more than any device has, so that a wrong count cannot request much
 
 
 @dataclass(frozen=True)
@@ -45,10 +41,15 @@ class Request:
     length: int
     data: bytes | None = None
 
+    def setting(self, value: int, *, signed: bool = False) -> Request:
+        """Return the request that sets what this one queries."""
+        data = value.to_bytes(self.length, "little", signed=signed)
+        return replace(self, request_type=self.request_type & ~_TO_HOST, request=_SET, data=data)
+
 
 @dataclass(frozen=True)
 class VolumeRange:
-    """The range of a volume in dB, and the distance of its values."""
+    """The range of a volume, and the distance of its values."""
 
     lowest_db: float
     highest_db: float
@@ -70,16 +71,14 @@ class VolumeRange:
 def feature(
     playback: PlaybackFormat, control: FeatureControl, channel: int, what: What = "now"
 ) -> Request:
-    """Return the query of a control of a playback format's feature unit.
-
-    UsbAccessError: it has no feature unit.
-    """
+    """Return the query of a control of the feature unit. UsbAccessError: there is none."""
     length = 1 if control is FeatureControl.MUTE else 2
     if what == "range":
         length = 2 + 3 * length * _MOST_RANGES
     value = (control + 1) << 8 | channel
     index = _unit_index(playback, playback.feature_unit, "volume or mute")
-    return Request(_OUT_OF_INTERFACE, _GET[playback.uac][what], value, index, length)
+    get = _GET_1 if playback.uac == 1 else _GET_2
+    return Request(_INTERFACE, get[what], value, index, length)
 
 
 def set_feature(
@@ -87,8 +86,7 @@ def set_feature(
 ) -> Request:
     """Return the request that sets a control to a value in the control's units."""
     asked = feature(playback, control, channel)
-    data = value.to_bytes(asked.length, "little", signed=control is not FeatureControl.MUTE)
-    return Request(_INTO_INTERFACE, _SET, asked.value, asked.index, len(data), data)
+    return asked.setting(value, signed=control is not FeatureControl.MUTE)
 
 
 def samplerate(playback: PlaybackFormat, what: What = "now") -> Request:
@@ -99,17 +97,15 @@ def samplerate(playback: PlaybackFormat, what: What = "now") -> Request:
     if playback.uac == 1 and what != "now":
         raise UsbAccessError("a device of USB Audio 1.0 lists its samplerates in its descriptors")
     if playback.uac == 1:
-        address = playback.endpoint_address
-        return Request(_OUT_OF_ENDPOINT, _GET[1][what], _SAMPLERATE << 8, address, 3)
+        return Request(_ENDPOINT, _GET_1[what], _SAMPLERATE, playback.endpoint_address, 3)
     if len(playback.clock_sources) > 1:
         raise UsbAccessError(
             f"the device can use any of the clocks {playback.clock_sources}; the clock in use is "
             "not known, so none is read"
         )
-    clock = playback.clock_sources[0] if playback.clock_sources else None
-    index = _unit_index(playback, clock, "a clock")
+    index = _unit_index(playback, next(iter(playback.clock_sources), None), "a clock")
     length = 4 if what == "now" else 2 + 12 * _MOST_RANGES
-    return Request(_OUT_OF_INTERFACE, _GET_2[what], _SAMPLERATE << 8, index, length)
+    return Request(_INTERFACE, _GET_2[what], _SAMPLERATE, index, length)
 
 
 def set_samplerate(playback: PlaybackFormat, hertz: int) -> Request:
@@ -117,14 +113,7 @@ def set_samplerate(playback: PlaybackFormat, hertz: int) -> Request:
     asked = samplerate(playback)
     if not 0 < hertz < 1 << 8 * min(3, asked.length):
         raise UsageError(f"samplerate {hertz} Hz is not possible; choose one that is offered")
-    into = _INTO_ENDPOINT if playback.uac == 1 else _INTO_INTERFACE
-    data = hertz.to_bytes(asked.length, "little")
-    return Request(into, _SET, asked.value, asked.index, len(data), data)
-
-
-def volume_db(answer: bytes) -> float:
-    """Return a volume in dB; -inf is silence. UsbAccessError: the answer is too short."""
-    return from_volume_units(_units("volume", answer, "<h")[0])
+    return asked.setting(hertz)
 
 
 def from_volume_units(units: int) -> float:
@@ -141,8 +130,8 @@ def volume_units(decibels: float) -> int:
 
 def volume_range(lowest: bytes, highest: bytes, step: bytes) -> VolumeRange:
     """Return the range in three answers of 1.0. UsbAccessError: it is not valid."""
-    triple = [_units("volume range", answer, "<h")[0] for answer in (lowest, highest, step)]
-    return _volume_range([(triple[0], triple[1], triple[2])])
+    answers = (lowest, highest, step)
+    return _volume_range([tuple(volume(answer, "volume range") for answer in answers)])
 
 
 def volume_ranges(answer: bytes) -> VolumeRange:
@@ -159,11 +148,19 @@ def samplerate_ranges(answer: bytes) -> tuple[RateRange, ...]:
     )
 
 
-def number(answer: bytes, length: int) -> int:
-    """Return a number without a sign. UsbAccessError: the answer is too short."""
+def volume(answer: bytes, name: str = "volume") -> int:
+    """Return a volume in 1/256 dB. UsbAccessError: the answer is too short."""
+    return number(answer, 2, name, signed=True)
+
+
+def number(answer: bytes, length: int, name: str = "number", *, signed: bool = False) -> int:
+    """Return the number that an answer begins with. UsbAccessError: the answer is too short."""
     if len(answer) < length:
-        raise _short("number", answer, length)
-    return int.from_bytes(answer[:length], "little")
+        raise UsbAccessError(
+            f"the device answers {answer.hex(' ') or 'nothing'} where its {name} needs {length} "
+            "bytes"
+        )
+    return int.from_bytes(answer[:length], "little", signed=signed)
 
 
 def _volume_range(triples: list[tuple[int, ...]]) -> VolumeRange:
@@ -177,30 +174,16 @@ def _volume_range(triples: list[tuple[int, ...]]) -> VolumeRange:
     # Steps cannot be counted from silence.
     lowest = max(lowest, SILENCE_UNITS + 1)
     step = max(1, *(step for _, _, step in triples))
-    units = VOLUME_UNITS_PER_DB
-    return VolumeRange(lowest / units, highest / units, step / units)
+    return VolumeRange(*(units / VOLUME_UNITS_PER_DB for units in (lowest, highest, step)))
 
 
 def _ranges(name: str, answer: bytes, layout: str) -> list[tuple[int, ...]]:
     """Return each complete (lowest, highest, step) of a RANGE answer."""
-    (count,) = _units(name, answer, "<H")
     size = struct.calcsize(layout)
-    whole = min(count, (len(answer) - 2) // size)
+    whole = min(number(answer, 2, name), (len(answer) - 2) // size)
     if not whole:
         raise UsbAccessError(f"the device offers no {name}: {answer.hex(' ')}")
     return [struct.unpack_from(layout, answer, 2 + size * each) for each in range(whole)]
-
-
-def _units(name: str, answer: bytes, layout: str) -> tuple[int, ...]:
-    if len(answer) < struct.calcsize(layout):
-        raise _short(name, answer, struct.calcsize(layout))
-    return struct.unpack_from(layout, answer)
-
-
-def _short(name: str, answer: bytes, length: int) -> UsbAccessError:
-    return UsbAccessError(
-        f"the device answers {answer.hex(' ') or 'nothing'} where its {name} needs {length} bytes"
-    )
 
 
 def _unit_index(playback: PlaybackFormat, unit: int | None, name: str) -> int:

@@ -19,14 +19,8 @@ from device.usb.descriptors import DescriptorError, parse_whole, playback_format
 
 ROOT = Path("/")
 
-AUDIO_CLASS = 0x01
-STREAMING = 0x02
-"""The subclass of interfaces that carry samples; 0x01 is control, 0x03 is MIDI."""
-
-_NO_BUS = (
-    "no USB bus is visible in /sys/bus/usb or /dev/bus/usb; pass both on to a container "
-    "(--device /dev/bus/usb), or add a USB controller to a virtual machine"
-)
+_AUDIO_CLASS = 0x01
+_STREAMING = 0x02
 
 _PORT = re.compile(r"(\d+)-\d+(\.\d+)*")
 _INTERFACE = re.compile(r"(?P<port>\d+-[\d.]+):\d+\.\d+")
@@ -36,16 +30,12 @@ _PCM = re.compile(r"pcmC(?P<card>\d+)D(?P<device>\d+)p")
 
 @dataclass(frozen=True)
 class AudioInterface:
-    """One audio interface of a device. subclass: 1 control, 2 streaming, 3 MIDI.
-
-    protocol: 0x00 for version 1 of the audio class, 0x20 for 2, 0x30 for 3. driver: the one that
-    holds it, such as "snd-usb-audio", "" for none.
-    """
+    """One audio interface of a device."""
 
     number: int
-    subclass: int
-    protocol: int
-    driver: str
+    subclass: int  # 1 control, 2 streaming, 3 MIDI
+    protocol: int  # 0x00 for version 1 of the audio class, 0x20 for 2, 0x30 for 3
+    driver: str  # the one that holds it, such as "snd-usb-audio", "" for none
 
 
 @dataclass(frozen=True)
@@ -61,30 +51,17 @@ class AlsaCard:
 class UsbAudioDevice:
     """One USB device with an audio interface, as it was at one moment.
 
-    Attributes
-    ----------
-    port : str
-        Bus and chain of ports, such as "1-2.3".
-    path : str
-        Path below /sys, such as "/devices/pci0000:00/0000:00:14.0/usb1/1-2".
-    vendor_id, product_id : str
-        Four hexadecimal digits each.
-    manufacturer, product, serial : str
-        The device's strings, "" for none; unprintable characters are "�".
-    bus, address : int
-        Numbers on the bus; the address changes when it is plugged in.
-    speed : float
-        Mbit/s, 0 if unknown.
-    max_power_ma : int or None
-        mA, None if unknown.
-    configuration : int or None
-        Number of the active configuration, None if unknown or if none is.
-    descriptors : bytes
-        Device descriptor first, then the configurations; b"" if they are unreadable.
-    node : Path
-        The file through which it is opened.
-    interfaces, cards : tuple of AudioInterface, tuple of AlsaCard
-        Its audio interfaces and sound cards.
+    port: bus and chain of ports, such as "1-2.3".
+    path: below /sys, such as "/devices/pci0000:00/0000:00:14.0/usb1/1-2".
+    vendor_id, product_id: four hexadecimal digits each.
+    manufacturer, product, serial: its strings, "" for none; unprintable characters are "�".
+    bus, address: numbers on the bus; the address changes when it is plugged in.
+    speed: Mbit/s, 0 if unknown.
+    max_power_ma: None if unknown.
+    configuration: number of the active one, None if unknown or if none is.
+    descriptors: device descriptor, then configurations; b"" if they are unreadable.
+    node: the file through which it is opened.
+    interfaces, cards: its audio interfaces and sound cards.
     """
 
     port: str
@@ -118,7 +95,7 @@ class UsbAudioDevice:
             configuration = None
         if configuration is not None:
             return bool(playback_formats(configuration))
-        return not self.cards and any(each.subclass == STREAMING for each in self.interfaces)
+        return not self.cards and any(each.subclass == _STREAMING for each in self.interfaces)
 
     @property
     def label(self) -> str:
@@ -130,32 +107,22 @@ class UsbAudioDevice:
 
 @dataclass(frozen=True)
 class Found:
-    """The present USB audio devices.
-
-    Attributes
-    ----------
-    devices : tuple of UsbAudioDevice
-        Sorted by port.
-    reason : NotFoundError or None
-        Why none plays; None if one does.
-    """
+    """The present USB audio devices. devices: sorted by port. reason: why none plays, or None."""
 
     devices: tuple[UsbAudioDevice, ...]
     reason: NotFoundError | None = None
 
 
 def find_devices(root: Path = ROOT) -> Found:
-    """Return every USB device with an audio interface; unreadable ones are left out.
-
-    Parameters
-    ----------
-    root : Path
-        The folder above /sys and /proc.
-    """
+    """Return every readable USB device with an audio interface. root: above /sys and /proc."""
     bus = root / "sys/bus/usb/devices"
-    names = names_in(bus)
+    names = _names_in(bus)
     if not any(name.startswith("usb") for name in names) and not (root / "dev/bus/usb").is_dir():
-        return Found((), NoUsbBusError(_NO_BUS))
+        reason = NoUsbBusError(
+            "no USB bus is visible in /sys/bus/usb or /dev/bus/usb; pass both on to a container "
+            "(--device /dev/bus/usb), or add a USB controller to a virtual machine"
+        )
+        return Found((), reason)
     cards = _cards(root)
     interfaces = defaultdict(list)
     for name in names:
@@ -165,24 +132,21 @@ def find_devices(root: Path = ROOT) -> Found:
         _device(root, name, sorted(interfaces[name]), cards)
         for name in sorted(filter(_PORT.fullmatch, names), key=_in_order)
     )
-    devices = tuple(device for device in found if device is not None)
+    devices = tuple(filter(None, found))
     return Found(devices, _why_none_plays(devices))
 
 
-def names_in(folder: Path) -> frozenset[str]:
-    """Return the names in a folder; none if the folder is missing or unreadable."""
+def _names_in(folder: Path) -> frozenset[str]:
     try:
         return frozenset(os.listdir(folder))  # noqa: PTH208 - half the time of Path.iterdir
     except OSError:
         return frozenset()
 
 
-def _why_none_plays(devices: Iterable[UsbAudioDevice]) -> NoUsbDeviceError | None:
-    others = []
-    for device in devices:
-        if device.plays:
-            return None
-        others.append(f"{device.label!r} in port {device.port}")
+def _why_none_plays(devices: tuple[UsbAudioDevice, ...]) -> NoUsbDeviceError | None:
+    if any(device.plays for device in devices):
+        return None
+    others = [f"{device.label!r} in port {device.port}" for device in devices]
     if others:
         return NoUsbDeviceError(
             f"no USB device plays sound: {', '.join(others)} is only for MIDI or recording; plug "
@@ -234,14 +198,15 @@ def _device(
 
 
 def _interface(folder: Path) -> AudioInterface | None:
+    driver = folder / "driver"
     try:
-        if int((folder / "bInterfaceClass").read_bytes(), 16) != AUDIO_CLASS:
+        if int((folder / "bInterfaceClass").read_bytes(), 16) != _AUDIO_CLASS:
             return None
         return AudioInterface(
             number=int((folder / "bInterfaceNumber").read_bytes(), 16),
             subclass=int((folder / "bInterfaceSubClass").read_bytes(), 16),
             protocol=int((folder / "bInterfaceProtocol").read_bytes(), 16),
-            driver=_link(folder / "driver"),
+            driver=driver.readlink().name if driver.is_symlink() else "",
         )
     except (OSError, ValueError):
         return None
@@ -250,7 +215,7 @@ def _interface(folder: Path) -> AudioInterface | None:
 def _cards(root: Path) -> dict[str, list[AlsaCard]]:
     """Return the sound cards by the real path of their USB device."""
     sound = root / "sys/class/sound"
-    names = names_in(sound)
+    names = _names_in(sound)
     playback = defaultdict(list)
     for name in names:
         if match := _PCM.fullmatch(name):
@@ -262,9 +227,8 @@ def _cards(root: Path) -> dict[str, list[AlsaCard]]:
         usb = next((at for at in (place, *place.parents) if _PORT.fullmatch(at.name)), None)
         if usb is None:
             continue
-        known_as = _text(root / f"proc/asound/card{number}/id")
-        known_as = known_as or _text(sound / f"card{number}" / "id")
-        cards[str(usb)].append(AlsaCard(number, known_as, tuple(sorted(playback[number]))))
+        name = _text(root / f"proc/asound/card{number}/id") or _text(sound / f"card{number}/id")
+        cards[str(usb)].append(AlsaCard(number, name, tuple(sorted(playback[number]))))
     return cards
 
 
@@ -289,10 +253,3 @@ def _text(path: Path) -> str:
 def _number(path: Path, pattern: str) -> str:
     match = re.match(pattern, _text(path))
     return match[0] if match else ""
-
-
-def _link(path: Path) -> str:
-    try:
-        return path.readlink().name
-    except OSError:
-        return ""

@@ -1,8 +1,7 @@
 """Taking a device from its driver for a moment, and giving it back whatever happens.
 
-Without the driver, the sound card is gone for all programs. A second process, the guardian, gives
-the device back. It waits until this process closes a pipe, or ends in any way. Then it restores the
-settings and attaches the driver. Signals to this process's group do not reach it.
+Without the driver, the sound card is gone for all programs. A second process, guardian.py, gives
+the device back when this one closes a pipe or ends. Signals to this one's group do not reach it.
 """
 
 from __future__ import annotations
@@ -18,14 +17,12 @@ from pathlib import Path
 from typing import Any
 
 from device.alsa import find_playback
-from device.alsa.use import find_owner
+from device.alsa.cards import find_owner
 from device.errors import NotFoundError, UsbAccessError
-from device.usb.control import ControlState, UsbControl, held_by, playback_of
-from device.usb.pyusb_access import open_device
+from device.usb.control import ControlState, UsbControl, held_by, open_device, playback_of
 from device.usb.sysfs import ROOT, UsbAudioDevice, find_devices
 
-RETURNS_S = 5.0
-"""Longest wait for the card; the kernel takes tenths of a second."""
+_RETURNS_S = 5.0  # longest wait for the card; the kernel takes tenths of a second
 _POLL_S = 0.02
 
 
@@ -44,6 +41,8 @@ def take_over(device: UsbAudioDevice, *, root: Path = ROOT) -> Iterator[UsbContr
     control = UsbControl(device, playback, handle)
     numbers = [each.number for each in device.interfaces if each.driver in held_by(device)]
     guardian = _Guardian(device, root)
+    # Before a driver is detached, so that the process attaches it again in every case.
+    guardian.guard(ControlState(), numbers)
     try:
         # All interfaces: even the query fails if the device may not be opened.
         for interface in device.interfaces:
@@ -63,7 +62,6 @@ class _Guardian:
     """The second process, which restores the newest state that `guard` sent."""
 
     def __init__(self, device: UsbAudioDevice, root: Path) -> None:
-        numbers = [each.number for each in device.interfaces if each.driver in held_by(device)]
         self._process = subprocess.Popen(
             [sys.executable, "-m", "device.usb.guardian"],
             stdin=subprocess.PIPE,
@@ -74,8 +72,6 @@ class _Guardian:
             cwd=Path(__file__).resolve().parents[2],
         )
         self._place = {"root": str(root), "port": device.port, "address": device.address}
-        # Before a driver is detached, so that the process attaches it again in every case.
-        self.guard(ControlState(), numbers)
 
     def guard(self, state: ControlState, interfaces: list[int]) -> None:
         """Send the state and interfaces to restore, in place of those sent before."""
@@ -87,7 +83,7 @@ class _Guardian:
     def give_back(self) -> str:
         """Let the process give the device back; return the problem, "" if there is none."""
         try:
-            output, _ = self._process.communicate(timeout=RETURNS_S + 5.0)
+            output, _ = self._process.communicate(timeout=_RETURNS_S + 5.0)
         except subprocess.TimeoutExpired:
             return "the device could not be given back to its driver; plug it in again"
         return output.strip()
@@ -122,9 +118,8 @@ def _detach(device: UsbAudioDevice, handle: Any, number: int) -> None:
 def _await_card(device: UsbAudioDevice, root: Path) -> None:
     """Wait until the device's sound card is back, under any number."""
     nap = threading.Event()
-    for _ in range(round(RETURNS_S / _POLL_S)):
-        for other in find_devices(root).devices:
-            if other.port == device.port and other.cards:
-                return
+    for _ in range(round(_RETURNS_S / _POLL_S)):
+        if any(each.port == device.port and each.cards for each in find_devices(root).devices):
+            return
         nap.wait(_POLL_S)
     raise UsbAccessError(f"the sound card of {device.label!r} did not come back; plug it in again")

@@ -16,8 +16,8 @@ from audioflinger_hook.core.design import core_design
 from audioflinger_hook.transform.design import LiveDesign
 from device.drive.design import DriveDesign, damping_for
 from device.errors import InternalError
-from device.records import Records
 from device.rig import CONSUMER, PAPER
+from device.units import Records
 from tests.plugin.hosting import damaged
 
 RATE = 8_000

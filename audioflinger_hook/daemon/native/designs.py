@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from audioflinger_hook.daemon.timing import Backoff
-from device.call import Call
 from device.drive.design import DriveDesign, DrivePlan, designs_of
 from device.errors import CushionError
+from device.process import Call
 
 LONGEST_WAIT_S = 60.0
 """Longest time from one failure to the next attempt."""

@@ -13,7 +13,7 @@ from audioflinger_hook.daemon.recording import RunRecording
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.service.state import Cause, DaemonState, StateKeeper
 from device.address import DeviceAddress
-from device.alsa.usb_stream import MeasuredRate
+from device.alsa.offers import MeasuredRate
 from device.drive import ActuatorSettings, ChannelMap
 from device.drive.channel_router import ChannelRouter
 from device.errors import CushionError, LostError, NotFoundError, UsageError

@@ -12,17 +12,15 @@ from audioflinger_hook.daemon.outputs.base import Fill, SetVolume, StreamOutput
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.service.state import DaemonState
 from device.alsa import choose_setup, find_playback, set_card_volume
-from device.alsa.cards import PROC, PlaybackDevice
-from device.alsa.negotiation import CardSetup, list_offers
-from device.alsa.usb_stream import MeasuredRate, measure_rate, read_usb_stream
-from device.alsa.use import read_hw_params, why_blocked
+from device.alsa.cards import PROC, AlsaDevice, read_hw_params, why_blocked
+from device.alsa.offers import CardSetup, MeasuredRate, list_offers, measure_rate
 from device.drive import ActuatorSettings, ChannelMap, channels_needed, wiring_of
 from device.errors import CushionError, LostError, NotFoundError, UsageError
 from device.server import PulseConnection, ServerSnapshot
 from device.stream.pcms import CardDevice, Target
 from device.stream.sample_format import SampleFormat
 from device.usb import UsbIdentity, find_devices, find_one
-from device.usb.coils import coil_channels
+from device.usb.identity import coil_channels
 from device.usb.sysfs import ROOT
 
 
@@ -30,7 +28,7 @@ from device.usb.sysfs import ROOT
 class CardNode:
     """A card and the setup to open it with; setup: None until the format of the mix is known."""
 
-    playback: PlaybackDevice
+    playback: AlsaDevice
     setup: CardSetup | None
 
     @property
@@ -160,7 +158,7 @@ class CardOutput(StreamOutput[CardNode]):
     def _volume_setter(self, node: CardNode, connection: PulseConnection | None) -> SetVolume:
         return partial(set_card_volume, node.playback.card.number)
 
-    def _find(self) -> PlaybackDevice:
+    def _find(self) -> AlsaDevice:
         if self.address.kind != "usb":
             return find_playback(self.address.name, self._root)
         device = find_one(UsbIdentity.parse(str(self.address)), find_devices(self._usb_root))
@@ -172,7 +170,7 @@ class CardOutput(StreamOutput[CardNode]):
             "interfaces"
         )
 
-    def _setup(self, playback: PlaybackDevice, actuators: Sequence[ActuatorSettings]) -> CardSetup:
+    def _setup(self, playback: AlsaDevice, actuators: Sequence[ActuatorSettings]) -> CardSetup:
         """Return the setup to open the card with; raises NotFoundError if none is suitable.
 
         Until the mix is known, this checks only whether any mix would be playable.
@@ -183,7 +181,7 @@ class CardOutput(StreamOutput[CardNode]):
             wiring = wiring_of(actuators)
             channels = max(len(actuators), channels_needed(wiring))
         try:
-            offers = list_offers(read_usb_stream(playback))
+            offers = list_offers(playback)
             setup = choose_setup(offers, samplerate, channels, without=self._failed_formats)
             if actuators:
                 ChannelMap.of(wiring, setup.channels, device=str(playback))
@@ -201,7 +199,7 @@ class CardOutput(StreamOutput[CardNode]):
         coils = _coils(node.playback)
         return ChannelMap.on_coils(self._haptic_channels, node.channels, coils, node.name)
 
-    def _verify(self, playback: PlaybackDevice, setup: CardSetup) -> None:
+    def _verify(self, playback: AlsaDevice, setup: CardSetup) -> None:
         """Check the format that the kernel reports, as PortAudio converts silently."""
         opened = read_hw_params(playback)
         wanted = setup.sample_format.value
@@ -214,5 +212,5 @@ class CardOutput(StreamOutput[CardNode]):
         self._delay_s = opened[0].delay_s if opened else 0.0
 
 
-def _coils(playback: PlaybackDevice) -> tuple[int, ...]:
+def _coils(playback: AlsaDevice) -> tuple[int, ...]:
     return coil_channels(*playback.card.usb_id)

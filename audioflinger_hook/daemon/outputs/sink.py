@@ -10,7 +10,7 @@ from functools import partial
 from audioflinger_hook.daemon.outputs.base import Fill, SetVolume, StreamOutput
 from audioflinger_hook.daemon.run_config import RunConfig
 from device.alsa import find_playback
-from device.alsa.usb_stream import MeasuredRate, measure_rate
+from device.alsa.offers import MeasuredRate, measure_rate
 from device.drive import ActuatorSettings, ChannelMap
 from device.drive.channel_positions import sink_channel_map
 from device.errors import NotFoundError, UsageError

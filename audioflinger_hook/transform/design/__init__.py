@@ -33,7 +33,7 @@ from audioflinger_hook.transform.mapping import VibrationMapping
 from audioflinger_hook.transform.parameters import TransformParameters
 from audioflinger_hook.transform.spectrum import Spectrum
 from device.errors import UsageError
-from device.records import Records
+from device.units import Records
 
 __all__ = ["LiveDesign"]
 

@@ -9,11 +9,10 @@ import scipy
 
 from device.drive.exposure.dose import CAPS, HIGHEST_HZ, RUNNING_S, DoseSums, wk_sections
 from device.errors import UsageError
-from device.records import Records
 from device.rig import Rig
 from device.rig.actuator import motion_filter
 from device.rig.equations import seat_sections
-from device.units import FloatArray
+from device.units import FloatArray, Records
 
 _LOWEST_HZ = 6_000
 """Least rate of the actuator model and Wk: linear interpolation then loses 0.06 % at 80 Hz and

@@ -11,9 +11,9 @@ from device.drive.protection.drive_model import DriveModel, amplifier_sections
 from device.drive.protection.limits import APPROACH_S, Limits, limits_of
 from device.drive.protection.prediction import LANES, prediction_records
 from device.errors import UsageError
-from device.records import Records
 from device.rig import Rig
 from device.rig.thermal import COPPER_PER_K, Temperatures
+from device.units import Records
 
 BLOCK_S = 0.002
 BLOCKS_AHEAD = 2

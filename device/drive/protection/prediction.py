@@ -9,8 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from device.drive.protection.drive_model import LAST, DriveModel
-from device.records import Records
-from device.units import FloatArray
+from device.units import FloatArray, Records
 
 LANES = 8
 """The core reads groups of this many frames."""

@@ -1,25 +1,23 @@
 """Descriptors of USB Audio 1.0, 2.0 and 3.0: which formats a device plays, and where it is damaged.
 
-    dump.py, hexdump.py  bytes from a raw file, lsusb -v, a description or a hex dump
-    blocks.py            bytes cut into descriptors; problems in words
-    reading.py           a device and its configurations
-    configuration.py     a configuration and its interfaces
-    standard.py          device and endpoints
-    entities.py          terminals, units, clocks
-    streaming.py         formats and samplerates
-    topology.py          paths of sound and clocks
-    checks.py            contradictions in a configuration
-    playback.py          formats that can be played
+    dump.py           bytes from a raw file, lsusb -v, a description or a hex dump
+    blocks.py         bytes cut into descriptors; problems in words
+    reading.py        the reader of a device and its configurations
+    configuration.py  a device, its configurations, interfaces and endpoints
+    audio_class.py    terminals, units, clocks, formats and samplerates
+    topology.py       paths of sound and clocks
+    checks.py         contradictions in a configuration
+    playback.py       formats that can be played
 
 Pure functions of bytes. Unknown descriptors and the units of 3.0 are skipped.
 """
 
+from device.usb.descriptors.audio_class import RateRange
 from device.usb.descriptors.blocks import DescriptorError
 from device.usb.descriptors.configuration import Configuration
 from device.usb.descriptors.dump import hex_lines, parse_dump
 from device.usb.descriptors.playback import PlaybackFormat, playback_formats
 from device.usb.descriptors.reading import WholeDevice, parse_configuration, parse_whole
-from device.usb.descriptors.streaming import RateRange
 
 __all__ = [
     "Configuration",

@@ -7,14 +7,12 @@ are little-endian.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 
 from device.errors import UsageError
 from device.values import counted
 
-PROBLEMS_MAX = 200
-"""Problems kept of one configuration, enough for a bug report."""
-
-LENGTH_MIN = 2
+PROBLEMS_MAX = 200  # kept of one configuration, enough for a bug report
 
 DEVICE, CONFIGURATION, INTERFACE, ENDPOINT, ASSOCIATION = 0x01, 0x02, 0x04, 0x05, 0x0B
 CS_INTERFACE, CS_ENDPOINT = 0x24, 0x25
@@ -39,12 +37,9 @@ class DescriptorError(UsageError):
 
 
 class Findings:
-    """Collects the problems of one configuration.
+    """Collects the problems of one configuration, by their places in the dump.
 
-    Parameters
-    ----------
-    begins_at : int
-        Place of the configuration's first byte in the dump; problems name places of the dump.
+    begins_at: place of the configuration's first byte in the dump.
     """
 
     def __init__(self, begins_at: int = 0) -> None:
@@ -66,26 +61,14 @@ class Findings:
         return (*found, counted(more, "more problems")) if more else tuple(found)
 
 
+@dataclass(slots=True)
 class Block:
-    """One descriptor's bytes while it is read.
+    """One descriptor's bytes while it is read."""
 
-    Attributes
-    ----------
-    offset : int
-        Bytes from the first of the configuration.
-    raw : bytes
-        All its bytes, at least 2; more than the standard has are ignored.
-    name : str
-        Its name in problems.
-    """
-
-    __slots__ = ("_findings", "name", "offset", "raw")
-
-    def __init__(self, offset: int, raw: bytes, findings: Findings) -> None:
-        self.offset = offset
-        self.raw = raw
-        self.name = type_name(raw[1])
-        self._findings = findings
+    offset: int  # bytes from the first of the configuration
+    raw: bytes  # at least 2; more than the standard has are ignored
+    name: str  # in problems
+    findings: Findings
 
     @property
     def type(self) -> int:
@@ -103,7 +86,7 @@ class Block:
 
     def note(self, problem: str) -> None:
         """Add a problem of this descriptor."""
-        self._findings.note(self.offset, self.name, problem)
+        self.findings.note(self.offset, self.name, problem)
 
     def holds(self, length: int) -> bool:
         """Return whether it has at least so many bytes; a shorter one is a problem."""
@@ -113,7 +96,7 @@ class Block:
         return False
 
 
-def type_name(descriptor_type: int) -> str:
+def _type_name(descriptor_type: int) -> str:
     """Return the name of a bDescriptorType."""
     return _NAMES.get(descriptor_type) or f"descriptor of type 0x{descriptor_type:02x}"
 
@@ -123,14 +106,14 @@ def blocks(raw: bytes, at: int, findings: Findings) -> Iterator[Block]:
     end = len(raw)
     while at < end:
         length, left = raw[at], end - at
-        if length < LENGTH_MIN or left < LENGTH_MIN:
+        if length < 2 or left < 2:
             problem = f"bLength is {length}, so the last {counted(left, 'bytes')} cannot be read"
             findings.note(at, "descriptor", problem)
             return
         if length > left:
             problem = f"bLength is {length}, but the dump ends after {left} bytes"
-            findings.note(at, type_name(raw[at + 1]), problem)
-        yield Block(at, raw[at : at + length], findings)
+            findings.note(at, _type_name(raw[at + 1]), problem)
+        yield Block(at, raw[at : at + length], _type_name(raw[at + 1]), findings)
         at += length
 
 

@@ -5,10 +5,9 @@ Every check looks at each descriptor once, so the time grows linearly with their
 
 from __future__ import annotations
 
+from device.usb.descriptors.audio_class import CLOCKS, INPUT, OUTPUT, Entity
 from device.usb.descriptors.blocks import Findings, listed
-from device.usb.descriptors.configuration import Configuration, Interface
-from device.usb.descriptors.entities import CLOCKS, INPUT, OUTPUT, Entity
-from device.usb.descriptors.standard import Transfer
+from device.usb.descriptors.configuration import Configuration, Interface, Transfer
 from device.usb.descriptors.topology import Topology, topologies
 from device.values import counted
 

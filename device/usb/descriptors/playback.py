@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
-from device.usb.descriptors.configuration import Configuration, Interface
-from device.usb.descriptors.entities import INPUT, FeatureControl
-from device.usb.descriptors.standard import Endpoint, Synchronisation, Transfer, Usage
-from device.usb.descriptors.streaming import RateRange
+from device.usb.descriptors.audio_class import INPUT, FeatureControl, RateRange
+from device.usb.descriptors.configuration import (
+    Configuration,
+    Endpoint,
+    Interface,
+    Synchronisation,
+    Transfer,
+    Usage,
+)
 from device.usb.descriptors.topology import Topology, topologies
 
-_BASIC_FRAMES = 48
-"""Of 1 ms; asynchronous endpoints have room for one more."""
+_BASIC_FRAMES = 48  # of 1 ms; asynchronous endpoints have room for one more
 
 _BASIC_FRAME_BYTES = {2: (1, 2), 3: (1, 3), 4: (2, 2), 6: (2, 3)}
 """Channels and bytes of a sample, by the bytes of a frame."""
@@ -21,41 +26,23 @@ _BASIC_FRAME_BYTES = {2: (1, 2), 3: (1, 3), 4: (2, 2), 6: (2, 3)}
 class PlaybackFormat:
     """One way to play: choose `alternate` of `interface`, send frames to `endpoint_address`.
 
-    Attributes
-    ----------
-    interface, alternate, endpoint_address : int
-        Interface, its alternate setting, and the endpoint for the samples.
-    uac : int
-        Version of USB Audio, 1 to 3.
-    encodings : tuple of str
-        Encodings of a sample, usually "PCM".
-    channels, channel_config : int
-        Channels, 0 where only the device knows (3.0); one bit a loudspeaker position, 0 where
-        unknown.
-    subslot_bytes, bits : int
-        Bytes of a sample, and its significant upper bits.
-    samplerates : tuple of int, RateRange or None
-        Hz; None where the clock has to be asked (2.0, 3.0).
-    packet_bytes_max, interval : int
-        Bytes of one (micro)frame, and bInterval.
-    synchronisation : Synchronisation
-        The clock that the endpoint follows.
-    feedback_endpoint : int or None
-        Address of the endpoint that reports the device's rate.
-    implicit_feedback : bool
-        Whether that is a recording endpoint, whose packets give the rate.
-    clock_id : int or None
-        Clock of the terminal, None in 1.0 and 3.0.
-    clock_sources : tuple of int
-        Clock sources that may drive it.
-    control_interface : int or None
-        Interface for requests to the function's units.
-    path : tuple of int
-        Ids from the USB terminal to the output terminal; empty without a path.
-    feature_unit : int or None
-        Unit on the path for volume and mute: the first with a settable volume, else mute.
-    volume_channels, mute_channels : tuple of int
-        Channels of that unit that the host can set; 0 is the master.
+    interface, alternate, endpoint_address: numbers for the host's requests.
+    uac: version of USB Audio, 1 to 3.
+    encodings: of a sample, usually "PCM".
+    channels: count, 0 where only the device knows it (3.0).
+    channel_config: one bit a loudspeaker position, 0 where unknown.
+    subslot_bytes, bits: bytes of a sample, and its significant upper bits.
+    samplerates: Hz; None where the clock has to be asked (2.0, 3.0).
+    packet_bytes_max, interval: bytes of one (micro)frame, and bInterval.
+    synchronisation: the clock that the endpoint follows.
+    feedback_endpoint: address of the endpoint that reports the device's rate.
+    implicit_feedback: whether that is a recording endpoint, whose packets give the rate.
+    clock_id: clock of the terminal, None in 1.0 and 3.0.
+    clock_sources: clock sources that may drive it.
+    control_interface: for requests to the function's units.
+    path: ids from the USB terminal to the output terminal; empty without a path.
+    feature_unit: unit on the path for volume and mute, see `Topology.output`.
+    volume_channels, mute_channels: channels of that unit that the host can set; 0 is the master.
     """
 
     interface: int
@@ -88,62 +75,82 @@ def playback_formats(configuration: Configuration) -> tuple[PlaybackFormat, ...]
     Alternate settings without an isochronous output endpoint, channels or sample size are left out.
     Of 3.0 the channels are known in a basic profile only, and the units never.
 
-    Parameters
-    ----------
-    configuration : Configuration
-        The decoded configuration.
+    configuration: the decoded one.
     """
     functions = topologies(configuration)
     implicit = _implicit_endpoints(configuration, functions)
     found = []
     for interface in configuration.interfaces:
-        endpoint = _data_endpoint(interface)
+        endpoint = next((one for one in interface.endpoints if _takes_samples(one)), None)
         if not interface.is_streaming or endpoint is None:
             continue
-        if interface.uac == 3:
-            playback = _playback_3(interface, endpoint)
-        else:
-            playback = _playback(interface, endpoint, functions.get(interface.number), implicit)
-        if playback:
-            found.append(playback)
+        samples = _samples(interface, endpoint)
+        if samples:
+            function = functions.get(interface.number) if interface.uac != 3 else None
+            found.append(_playback(interface, endpoint, samples, function, implicit))
     return tuple(found)
 
 
-def _playback(
-    interface: Interface,
-    endpoint: Endpoint,
-    function: Topology | None,
-    implicit: dict[int, int],
-) -> PlaybackFormat | None:
+class _Samples(NamedTuple):
+    """What an alternate setting takes, as in `PlaybackFormat`."""
+
+    encodings: tuple[str, ...]
+    channels: int
+    subslot_bytes: int
+    bits: int
+    samplerates: tuple[int, ...] | RateRange | None
+
+
+def _samples(interface: Interface, endpoint: Endpoint) -> _Samples | None:
+    """Return what an alternate setting takes; None if it takes no samples of type I.
+
+    One of 3.0 without a general descriptor has a basic profile: PCM at 48 kHz. Its channels and
+    bits follow from the bytes of 1 ms (Basic Audio Device 3.0, table 4-2).
+    """
     general, stream_format = interface.general, interface.format
+    if interface.uac == 3:
+        if general:
+            samples = _Samples(general.encodings, 0, general.subslot_bytes, general.bits, None)
+        else:
+            frame_bytes = endpoint.packet_bytes // _BASIC_FRAMES
+            channels, size = _BASIC_FRAME_BYTES.get(frame_bytes, (0, 0))
+            samples = _Samples(("PCM",), channels, size, 8 * size, (1_000 * _BASIC_FRAMES,))
+        return samples if samples.subslot_bytes else None
     if not general or not stream_format or not stream_format.subslot_bytes:
         return None
     channels = general.channels or stream_format.channels or 0
     if not channels:
         return None
-    terminal = function.terminals.get(general.terminal_link) if function else None
+    size, bits = stream_format.subslot_bytes, stream_format.bits
+    return _Samples(general.encodings, channels, size, bits, stream_format.samplerates)
+
+
+def _playback(
+    interface: Interface,
+    endpoint: Endpoint,
+    samples: _Samples,
+    function: Topology | None,
+    implicit: dict[int, int],
+) -> PlaybackFormat:
+    general = interface.general
+    terminal = function.terminals.get(general.terminal_link) if function and general else None
     terminal = terminal if terminal and terminal.kind == INPUT else None
-    channel_config = general.channel_config
+    channel_config = general.channel_config if general else None
     if channel_config is None:
-        same = terminal is not None and terminal.channels == channels
+        same = terminal is not None and terminal.channels == samples.channels
         channel_config = terminal.channel_config if terminal and same else 0
     clock_id = next(iter(terminal.clock_ids), None) if terminal else None
     path, unit = function.output(terminal.id) if function and terminal else ((), None)
     feedback, is_implicit = _feedback(interface, endpoint), False
-    if feedback is None and endpoint.synchronisation is Synchronisation.ASYNCHRONOUS:
-        feedback = implicit.get(function.control.number) if function else None
+    if function and feedback is None and endpoint.synchronisation is Synchronisation.ASYNCHRONOUS:
+        feedback = implicit.get(function.control.number)
         is_implicit = feedback is not None
     return PlaybackFormat(
         interface=interface.number,
         alternate=interface.alternate,
         endpoint_address=endpoint.address,
-        uac=general.uac,
-        encodings=general.encodings,
-        channels=channels,
+        uac=interface.uac,
         channel_config=channel_config,
-        subslot_bytes=stream_format.subslot_bytes,
-        bits=stream_format.bits,
-        samplerates=stream_format.samplerates,
         packet_bytes_max=endpoint.packet_bytes,
         interval=endpoint.interval,
         synchronisation=endpoint.synchronisation,
@@ -156,77 +163,33 @@ def _playback(
         feature_unit=unit.id if unit else None,
         volume_channels=unit.settable(FeatureControl.VOLUME) if unit else (),
         mute_channels=unit.settable(FeatureControl.MUTE) if unit else (),
+        **samples._asdict(),
     )
 
 
-def _playback_3(interface: Interface, endpoint: Endpoint) -> PlaybackFormat | None:
-    """Return the format of an alternate setting of 3.0.
-
-    Without a general descriptor it has a basic profile: PCM at 48 kHz. Its channels and bits follow
-    from the bytes of 1 ms (Basic Audio Device 3.0, table 4-2).
-    """
-    general, rates = interface.general, None
-    encodings: tuple[str, ...]
-    if general is not None:
-        encodings, channels = general.encodings, 0
-        subslot_bytes, bits = general.subslot_bytes, general.bits
-    else:
-        frame_bytes = endpoint.packet_bytes // _BASIC_FRAMES
-        channels, subslot_bytes = _BASIC_FRAME_BYTES.get(frame_bytes, (0, 0))
-        encodings, bits, rates = ("PCM",), 8 * subslot_bytes, (1_000 * _BASIC_FRAMES,)
-    if not subslot_bytes:
-        return None
-    return PlaybackFormat(
-        interface=interface.number,
-        alternate=interface.alternate,
-        endpoint_address=endpoint.address,
-        uac=3,
-        encodings=encodings,
-        channels=channels,
-        channel_config=0,
-        subslot_bytes=subslot_bytes,
-        bits=bits,
-        samplerates=rates,
-        packet_bytes_max=endpoint.packet_bytes,
-        interval=endpoint.interval,
-        synchronisation=endpoint.synchronisation,
-        feedback_endpoint=_feedback(interface, endpoint),
-    )
-
-
-def _data_endpoint(interface: Interface) -> Endpoint | None:
-    """Return the first isochronous endpoint to the device that carries samples."""
-    for endpoint in interface.endpoints:
-        isochronous = endpoint.transfer is Transfer.ISOCHRONOUS
-        if isochronous and not endpoint.to_host and endpoint.usage is not Usage.FEEDBACK:
-            return endpoint
-    return None
+def _takes_samples(endpoint: Endpoint) -> bool:
+    isochronous = endpoint.transfer is Transfer.ISOCHRONOUS
+    return isochronous and not endpoint.to_host and endpoint.usage is not Usage.FEEDBACK
 
 
 def _feedback(interface: Interface, endpoint: Endpoint) -> int | None:
     """Return the address of the explicit feedback endpoint beside a data endpoint.
 
-    Devices of 1.0 name it in bSynchAddress instead of marking it. Some do neither: then it is the
-    endpoint of the other direction.
+    Devices of 1.0 name it in bSynchAddress instead of marking it. Some give its number without the
+    direction, which Linux accepts as well. Some do neither: then it is the endpoint of the other
+    direction.
     """
     beside = [
         other
         for other in interface.endpoints
         if other.transfer is Transfer.ISOCHRONOUS and other.to_host
     ]
-    for other in beside:
-        if other.usage is Usage.FEEDBACK:
-            return other.address
     synch = endpoint.synch_address
-    for other in beside:
-        # Some devices give its number without the direction, which Linux accepts as well.
-        if synch and other.address == synch | 0x80:
-            return other.address
-    if endpoint.synchronisation is Synchronisation.ASYNCHRONOUS:
-        for other in beside:
-            if other.usage is Usage.DATA:
-                return other.address
-    return None
+    asynchronous = endpoint.synchronisation is Synchronisation.ASYNCHRONOUS
+    marked = [one.address for one in beside if one.usage is Usage.FEEDBACK]
+    named = [one.address for one in beside if synch and one.address == synch | 0x80]
+    others = [one.address for one in beside if asynchronous and one.usage is Usage.DATA]
+    return next(iter(marked + named + others), None)
 
 
 def _implicit_endpoints(
@@ -236,7 +199,7 @@ def _implicit_endpoints(
     found: dict[int, int] = {}
     for interface in configuration.interfaces:
         function = functions.get(interface.number) if interface.is_streaming else None
-        for endpoint in interface.endpoints if function else ():
+        for endpoint in interface.endpoints:
             marked = endpoint.usage is Usage.IMPLICIT_FEEDBACK and endpoint.to_host
             if function and marked and endpoint.transfer is Transfer.ISOCHRONOUS:
                 found.setdefault(function.control.number, endpoint.address)

@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import struct
 from dataclasses import dataclass, replace
 
+from device.usb.descriptors.audio_class import (
+    read_entity,
+    read_format,
+    read_general,
+    read_header,
+)
 from device.usb.descriptors.blocks import (
     ASSOCIATION,
     CONFIGURATION,
@@ -21,36 +27,31 @@ from device.usb.descriptors.checks import check
 from device.usb.descriptors.configuration import (
     UAC_OF_PROTOCOL,
     Configuration,
+    DeviceDescriptor,
+    Endpoint,
     Interface,
+    Synchronisation,
+    Transfer,
+    Usage,
 )
-from device.usb.descriptors.entities import Entity, read_entity, read_header
 from device.usb.descriptors.playback import playback_formats
-from device.usb.descriptors.standard import DeviceDescriptor, parse_device, read_endpoint
-from device.usb.descriptors.streaming import StreamFormat, StreamGeneral, read_format, read_general
 from device.values import counted
 
-CONFIGURATION_BYTES = 9
-INTERFACE_BYTES = 9
-ASSOCIATION_BYTES = 8
+# USB 2.0, tables 9-8, 9-10, 9-12 and 9-13; associations: USB 2.0 ECN
+_DEVICE_BYTES, _CONFIGURATION_BYTES, _INTERFACE_BYTES, _ENDPOINT_BYTES = 18, 9, 9, 7
+_ASSOCIATION_BYTES = 8
 
-BYTES_MAX = 0xFFFF
-"""Largest wTotalLength; bytes behind are not read."""
+_BYTES_MAX = 0xFFFF  # largest wTotalLength; bytes behind are not read
 
 
 @dataclass(frozen=True, slots=True)
 class WholeDevice:
     """A device and its configurations.
 
-    Attributes
-    ----------
-    device : DeviceDescriptor or None
-        None if the bytes begin with a configuration.
-    configurations : tuple of Configuration
-        In the device's order.
-    rest : bytes
-        Undecoded bytes at the end.
-    raw : bytes
-        All its bytes.
+    device: None if the bytes begin with a configuration.
+    configurations: in the device's order.
+    rest: undecoded bytes at the end.
+    raw: all its bytes.
     """
 
     device: DeviceDescriptor | None
@@ -67,9 +68,8 @@ class WholeDevice:
             problems.append(f"{found} of {counted(wanted, 'configurations')} can be read")
         if self.rest:
             at = len(self.raw) - len(self.rest)
-            problems.append(
-                f"from 0x{at:04x} on, {counted(len(self.rest), 'bytes')} cannot be read"
-            )
+            left = counted(len(self.rest), "bytes")
+            problems.append(f"from 0x{at:04x} on, {left} cannot be read")
         return "; ".join(problems)
 
     def active(self, value: int | None) -> Configuration | None:
@@ -85,27 +85,18 @@ class WholeDevice:
 
 
 def parse_configuration(raw: bytes, begins_at: int = 0) -> Configuration:
-    """Return the decoded bytes of one configuration.
+    """Return the configuration that the bytes begin with.
 
-    Overlong and unknown descriptors are no problems. Time and memory grow linearly with the number
-    of bytes.
+    raw: its descriptor and all that follows it. begins_at: place of the first byte in the dump, for
+    problems. Overlong and unknown descriptors are no problems. Time and memory are linear in the
+    number of bytes.
 
-    Parameters
-    ----------
-    raw : bytes
-        The configuration descriptor and all that follows it.
-    begins_at : int
-        Place of the first byte in the dump, for problems.
-
-    Raises
-    ------
-    DescriptorError
-        The bytes do not begin with a configuration descriptor.
+    DescriptorError: the bytes do not begin with a configuration descriptor.
     """
-    if len(raw) < CONFIGURATION_BYTES or raw[0] < CONFIGURATION_BYTES or raw[1] != CONFIGURATION:
+    if len(raw) < _CONFIGURATION_BYTES or raw[0] < _CONFIGURATION_BYTES or raw[1] != CONFIGURATION:
         raise DescriptorError(
             f"no configuration at 0x{begins_at:04x}: {counted(len(raw), 'bytes')} there, "
-            f"{raw[:2].hex(' ') or 'none'} first; needed: {CONFIGURATION_BYTES} or more, 09 02 "
+            f"{raw[:2].hex(' ') or 'none'} first; needed: {_CONFIGURATION_BYTES} or more, 09 02 "
             "first, as in /sys/bus/usb/devices/PORT/descriptors"
         )
     findings = Findings(begins_at)
@@ -117,11 +108,11 @@ def parse_configuration(raw: bytes, begins_at: int = 0) -> Configuration:
     associations: list[range] = []
     interfaces: list[Interface] = []
     group: list[Block] = []
-    for block in blocks(raw[:BYTES_MAX], raw[0], findings):
+    for block in blocks(raw[:_BYTES_MAX], raw[0], findings):
         if block.type in (INTERFACE, ASSOCIATION):
             interfaces += _interface(group)
             group = []
-        if block.type == ASSOCIATION and block.holds(ASSOCIATION_BYTES):
+        if block.type == ASSOCIATION and block.holds(_ASSOCIATION_BYTES):
             associations.append(range(block.raw[2], block.raw[2] + block.raw[3]))
         group.append(block)
     interfaces += _interface(group)
@@ -130,13 +121,23 @@ def parse_configuration(raw: bytes, begins_at: int = 0) -> Configuration:
     return replace(found, problems=findings.problems())
 
 
-def _interface(group: list[Block]) -> Iterable[Interface]:
+def parse_device(raw: bytes) -> DeviceDescriptor:
+    """Return the device descriptor that the bytes begin with. DescriptorError: there is none."""
+    if len(raw) < _DEVICE_BYTES or raw[0] < _DEVICE_BYTES or raw[1] != DEVICE:
+        raise DescriptorError(
+            f"no device descriptor: {counted(len(raw), 'bytes')} there, "
+            f"{raw[:2].hex(' ') or 'none'} first; needed: {_DEVICE_BYTES} or more, 12 01 first"
+        )
+    return DeviceDescriptor(*struct.unpack_from("<2xH4xHHH3xB", raw))
+
+
+def _interface(group: list[Block]) -> list[Interface]:
     """Return the interface that a group of blocks begins with, if there is one."""
-    if not group or group[0].type != INTERFACE or not group[0].holds(INTERFACE_BYTES):
+    if not group or group[0].type != INTERFACE or not group[0].holds(_INTERFACE_BYTES):
         for block in group:
             if block.type == ENDPOINT:
                 block.note("it belongs to no interface; it is ignored")
-        return ()
+        return []
     head, *others = group
     interface = Interface(head.offset, *head.raw[2:8])
     head.name = interface.title
@@ -144,35 +145,43 @@ def _interface(group: list[Block]) -> Iterable[Interface]:
     if uac and interface.protocol not in UAC_OF_PROTOCOL:
         known = "0x00 (1.0), 0x20 (2.0) and 0x30 (3.0)"
         head.note(f"bInterfaceProtocol is 0x{interface.protocol:02x}, read as 1.0; known: {known}")
-    endpoints = (read_endpoint(block) for block in others if block.type == ENDPOINT)
-    interface = replace(interface, endpoints=tuple(filter(None, endpoints)))
+    endpoints = tuple(
+        _endpoint(block)
+        for block in others
+        if block.type == ENDPOINT and block.holds(_ENDPOINT_BYTES)
+    )
+    interface = replace(interface, endpoints=endpoints)
     own = [block for block in others if block.type == CS_INTERFACE]
-    if interface.is_control and uac in (1, 2):
-        return (_control(interface, own, uac),)
-    if interface.is_streaming and uac:
-        return (_streaming(interface, own, uac),)
-    return (interface,)
+    if interface.is_control and uac < 3:
+        return [_control(interface, own, uac)]
+    return [_streaming(interface, own, uac) if interface.is_streaming else interface]
+
+
+def _endpoint(block: Block) -> Endpoint:
+    raw, attributes, max_packet = block.raw, block.raw[3], block.number(4, 2)
+    return Endpoint(
+        block.offset,
+        address=raw[2],
+        transfer=Transfer(attributes & 3),
+        synchronisation=Synchronisation(attributes >> 2 & 3),
+        usage=Usage(attributes >> 4 & 3),
+        # packet size times transactions (USB 2.0, 9.6.6)
+        packet_bytes=(max_packet & 0x7FF) * (1 + (max_packet >> 11 & 3)),
+        interval=raw[6],
+        synch_address=raw[8] if len(raw) > 8 else 0,
+    )
 
 
 def _control(interface: Interface, own: list[Block], uac: int) -> Interface:
-    entities: list[Entity] = []
-    headers: list[tuple[int, ...]] = []
-    for block in own:
-        if block.subtype == 1:
-            headers.append(read_header(block, uac))
-        elif entity := read_entity(block, uac):
-            entities.append(entity)
-    return replace(interface, entities=tuple(entities), listed=headers[0] if headers else None)
+    headers = [read_header(block, uac) for block in own if block.subtype == 1]
+    entities = (read_entity(block, uac) for block in own if block.subtype != 1)
+    listed = headers[0] if headers else None
+    return replace(interface, entities=tuple(filter(None, entities)), listed=listed)
 
 
 def _streaming(interface: Interface, own: list[Block], uac: int) -> Interface:
-    generals: list[StreamGeneral | None] = []
-    formats: list[StreamFormat | None] = []
-    for block in own:
-        if block.subtype == 1:
-            generals.append(read_general(block, uac))
-        elif block.subtype == 2 and uac < 3:
-            formats.append(read_format(block, uac))
+    generals = [read_general(block, uac) for block in own if block.subtype == 1]
+    formats = [read_format(block, uac) for block in own if block.subtype == 2 and uac < 3]
     general = next(filter(None, generals), None)
     # The first of type I, or else the first.
     found = max(filter(None, formats), key=lambda each: each.subslot_bytes > 0, default=None)
@@ -180,17 +189,11 @@ def _streaming(interface: Interface, own: list[Block], uac: int) -> Interface:
 
 
 def parse_whole(raw: bytes) -> WholeDevice:
-    """Return the decoded bytes of a device.
+    """Return the device of /sys/.../descriptors, or of a dump that begins with a configuration.
 
-    Parameters
-    ----------
-    raw : bytes
-        The content of /sys/.../descriptors, or a dump that begins with a configuration.
+    raw: the bytes.
 
-    Raises
-    ------
-    DescriptorError
-        They begin neither with a device nor with a configuration descriptor.
+    DescriptorError: they begin neither with a device nor with a configuration descriptor.
     """
     raw = bytes(raw)
     device = parse_device(raw) if raw[1:2] == bytes([DEVICE]) else None
@@ -198,7 +201,7 @@ def parse_whole(raw: bytes) -> WholeDevice:
     configurations: list[Configuration] = []
     while at < len(raw):
         end = at + int.from_bytes(raw[at + 2 : at + 4], "little")
-        if end < at + CONFIGURATION_BYTES or raw[end : end + 2] != raw[at : at + 2]:
+        if end < at + _CONFIGURATION_BYTES or raw[end : end + 2] != raw[at : at + 2]:
             end = len(raw)
         try:
             configurations.append(parse_configuration(raw[at:end], at))

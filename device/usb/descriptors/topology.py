@@ -1,14 +1,10 @@
-"""How sound and clocks flow through an audio function, by its entities' source ids.
-
-Ids may point nowhere or in a circle: every search visits an entity once.
-"""
+"""How sound and clocks flow through an audio function; every search visits an entity once."""
 
 from __future__ import annotations
 
 from functools import cached_property
 
-from device.usb.descriptors.configuration import Configuration, Interface
-from device.usb.descriptors.entities import (
+from device.usb.descriptors.audio_class import (
     CLOCK_SOURCE,
     CLOCKS,
     FEATURE,
@@ -18,12 +14,12 @@ from device.usb.descriptors.entities import (
     Entity,
     FeatureControl,
 )
+from device.usb.descriptors.configuration import Configuration, Interface
 
-_ASSOCIATIONS_MAX = 256
-"""Largest count of interface numbers; each belongs to one association."""
+_ASSOCIATIONS_MAX = 256  # as many as interface numbers; each belongs to one association
 
+# upper byte of output and bidirectional terminal types: loudspeakers, headphones, headsets
 _LISTENED_TERMINALS = (0x03, 0x04)
-"""Upper byte of output and bidirectional terminal types: loudspeakers, headphones, headsets."""
 
 
 class Topology:
@@ -54,8 +50,8 @@ class Topology:
             path = [terminal_id]
             while (following := self._next.get(path[-1])) is not None:
                 path.append(following)
-            units = [entity for each in path if (entity := self.entities.get(each))]
-            units = [unit for unit in units if unit.kind == FEATURE and len(path) > 1]
+            reached = (self.entities.get(each) for each in path if len(path) > 1)
+            units = [entity for entity in reached if entity and entity.kind == FEATURE]
             wanted = (FeatureControl.VOLUME, FeatureControl.MUTE)
             settable = (unit for control in wanted for unit in units if unit.settable(control))
             unit = next(settable, units[0] if units else None)
@@ -113,8 +109,6 @@ def topologies(configuration: Configuration) -> dict[int, Topology]:
         if interface.is_control and interface.number not in functions:
             functions[interface.number] = Topology(interface)
     owners = dict(functions)
-    if not functions:
-        return owners
     for spanned in configuration.associations[:_ASSOCIATIONS_MAX]:
         first = next((functions[n] for n in spanned if n in functions), None)
         if first:
@@ -126,10 +120,10 @@ def topologies(configuration: Configuration) -> dict[int, Topology]:
             # The header of a MIDI function may list an interface of another one by mistake.
             if versions.get(number) == function.control.uac:
                 owners.setdefault(number, function)
-    latest = next(iter(functions.values()))
+    latest = next(iter(functions.values()), None)
     for interface in configuration.interfaces:
         if interface.is_control:
             latest = functions[interface.number]
-        elif interface.is_streaming:
+        elif interface.is_streaming and latest:
             owners.setdefault(interface.number, latest)
     return owners

@@ -9,15 +9,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from device.alsa.cards import find_capture, find_card, find_playback, list_cards, list_playbacks
-from device.alsa.usb_stream import (
-    Rates,
-    UsbFormat,
-    measure_rate,
-    parse_usb_stream,
-    read_usb_stream,
+from device.alsa.cards import (
+    HwParams,
+    Owner,
+    find_capture,
+    find_card,
+    find_owner,
+    find_playback,
+    list_cards,
+    list_devices,
+    read_hw_params,
+    why_blocked,
 )
-from device.alsa.use import HwParams, Owner, find_owner, read_hw_params, why_blocked
+from device.alsa.offers import Rates, UsbFormat, measure_rate, parse_usb_stream, read_usb_stream
 from device.errors import NotFoundError, UsageError
 from tests.support.sound_cards import ADAPTIVE, ASYNC, HW_PARAMS, RUNNING, Cards
 
@@ -35,8 +39,8 @@ def test_every_card_is_listed_with_what_it_is(cards: Cards) -> None:
     assert (first.number, first.id, first.driver) == (0, "PCH", "HDA-Intel")
     assert (second.number, second.id) == (31, "DAC")
     assert second.name == "DAC card"
-    assert [str(one) for one in list_playbacks(first)] == ["hw:PCH,0", "hw:PCH,3"]
-    assert list_playbacks(first)[1].name == "output 3"
+    assert [str(one) for one in list_devices(first)] == ["hw:PCH,0", "hw:PCH,3"]
+    assert list_devices(first)[1].name == "output 3"
 
 
 def test_a_machine_without_cards_has_none(tmp_path: Path) -> None:

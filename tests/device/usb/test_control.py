@@ -323,7 +323,7 @@ def test_every_refusal_has_its_own_words(
 @given(st.binary(max_size=64), st.integers(0, 5))
 def test_answers_of_any_bytes_are_a_value_or_an_error_of_the_device(raw: bytes, which: int) -> None:
     read: list[Any] = [
-        requests.volume_db,
+        requests.volume,
         requests.volume_ranges,
         requests.samplerate_ranges,
         lambda answer: requests.number(answer, 4),

@@ -8,7 +8,7 @@ from device.usb.descriptors import (
     parse_whole,
     playback_formats,
 )
-from device.usb.descriptors.standard import parse_device
+from device.usb.descriptors.reading import parse_device
 from tests.support import usb_builder as usb
 from tests.support.usb_shapes import SHAPES
 

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from device.usb.descriptors import DescriptorError
-from device.usb.descriptors.hexdump import parse_hex
+from device.usb.descriptors.dump import parse_hex
 
 BYTES = bytes.fromhex("09026d000301 00a0320904 000000 0101 00 7c23 2f2a 3b")
 

@@ -14,7 +14,7 @@ import usb.core
 from usb.backend import libusb1
 
 from device.usb import NoLibusbError, NoUsbDeviceError, UsbAccessError, find_devices
-from device.usb.pyusb_access import (
+from device.usb.control import (
     libusb,
     open_device,
     read_descriptors,

@@ -351,7 +351,7 @@ with take_over(device) as control:
 LOOKS = """
 import subprocess, sys, time
 from device.usb import find_devices
-from device.usb.pyusb_access import open_device
+from device.usb.control import open_device
 import usb.util
 subprocess.run([sys.executable, "-c", sys.argv[1], sys.argv[2]])
 (device,) = find_devices().devices

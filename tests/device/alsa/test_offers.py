@@ -6,16 +6,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from device.alsa.negotiation import (
+from device.alsa.offers import (
+    ASSUMED,
     MAX_HZ,
     MIN_HZ,
     PREFERRED,
     USUAL_MIN_HZ,
     CardSetup,
+    Rates,
+    UsbFormat,
     choose_setup,
-    list_offers,
+    parse_usb_stream,
 )
-from device.alsa.usb_stream import Rates, UsbFormat, parse_usb_stream
 from device.errors import NotFoundError
 from device.stream.sample_format import SampleFormat
 from tests.support.sound_cards import ADAPTIVE, ASYNC
@@ -107,25 +109,21 @@ def test_the_rate_comes_before_the_resolution() -> None:
 
 
 def test_a_format_that_turned_out_not_to_be_there_is_not_taken_again() -> None:
-    some = list_offers(None)
+    some = ASSUMED
     assert choose_setup(some, 48_000, 1) == CardSetup(S32, 48_000, 2)
     assert choose_setup(some, 48_000, 1, without={S32}) == CardSetup(S16, 48_000, 2)
 
 
 def test_what_usb_cards_tell_is_what_they_offer() -> None:
-    assert choose_setup(list_offers(parse_usb_stream(ASYNC)), 48_000, 2) == CardSetup(
-        S32, 48_000, 2
-    )
-    assert choose_setup(list_offers(parse_usb_stream(ADAPTIVE)), 48_000, 2) == CardSetup(
-        S24, 48_000, 8
-    )
+    assert choose_setup(parse_usb_stream(ASYNC).formats, 48_000, 2) == CardSetup(S32, 48_000, 2)
+    assert choose_setup(parse_usb_stream(ADAPTIVE).formats, 48_000, 2) == CardSetup(S24, 48_000, 8)
 
 
 @pytest.mark.parametrize(
     ("some", "words"),
     [
         (
-            list_offers(parse_usb_stream(ADAPTIVE)),
+            parse_usb_stream(ADAPTIVE).formats,
             "S24_3LE/S16_LE with 8 channels at 8000 to 96000",
         ),
         ([offer(("U8",), 9, USUAL, 8)], "U8 with 9 channels at 44100, 48000, 96000"),

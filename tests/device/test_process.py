@@ -8,8 +8,8 @@ import time
 
 import pytest
 
-from device.call import LIMIT_S, Call
 from device.errors import LostError, UsageError
+from device.process import LIMIT_S, Call
 from tests.support.commands import open_files
 
 
