@@ -1,9 +1,8 @@
 """Named PCMs (ALSA devices), and the sinks, monitors and cards that they open.
 
 PortAudio lists ALSA's devices once, when it starts, by name. So a private ALSA configuration
-defines the names, in a file in memory, which ends with this process. ALSA reads it again when its
-path changes, so a PCM can open another device each time, also a card that returns under another
-number.
+defines the names, in a file in memory. ALSA reads it again when its path changes, so a PCM can
+open another device each time, also a card that returns under another number.
 
 At first every PCM opens ALSA's `null`, and `default`, which PortAudio 19.6 needs, always does. So
 PortAudio starts without a sound server, and no unnamed device can play or record.
@@ -11,6 +10,7 @@ PortAudio starts without a sound server, and no unnamed device can play or recor
 
 from __future__ import annotations
 
+import ctypes
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -18,15 +18,14 @@ from dataclasses import dataclass
 
 from device.errors import LostError
 from device.process import memory_file
-from device.stream.pulse_plugin import missing_plugin
 
 # media.role (no other program's), application.id and application.name of all our streams
 ROLE, APPLICATION_ID, APPLICATION_NAME = "haptic", "haptic-cushion", "Haptic Cushion"
 
-FALLBACK_SINK = "cushion_refuge"
-"""Name of the silent sink that catches our output: see `FallbackSink`."""
-
+FALLBACK_SINK = "cushion_refuge"  # name of the silent sink that catches our output
 TAG = "cushion.stream"  # property of a stream that identifies one opening of it
+
+PLUGIN = "libasound_module_pcm_pulse.so"  # ALSA's plugin for sound servers
 
 _REWRITTEN = ("ALSA_CONFIG_PATH", "PULSE_PROP", "PULSE_PROP_OVERRIDE")
 
@@ -70,7 +69,7 @@ class PcmConfig:
 
     @contextmanager
     def opening(self, pcm: Pcm, tag: str, *, output: bool) -> Iterator[None]:
-        """Return a context in which opening `pcm` opens its target with our properties and tag.
+        """Let opening `pcm` open its target, with our properties and tag, inside this context.
 
         output: whether it is opened for playback. One thread at a time may be in this context.
         """
@@ -126,10 +125,12 @@ def _properties(tag: str, output: bool) -> str:
 
 
 class Target:
-    """The device that a PCM opens, at first none; `str()` gives its name for messages."""
+    """The device that a PCM opens, at first none; `str()` gives its name for messages.
+
+    trouble: why opening it may fail, and what to do.
+    """
 
     trouble = "no device was set for this PCM"
-    """Why opening it may fail, and what to do."""
 
     def __str__(self) -> str:
         return "nowhere"
@@ -160,7 +161,7 @@ class ServerDevice(Target):
         return self.device
 
     def missing(self) -> str:
-        """Return that ALSA's plugin for sound servers is missing; "" if it is there."""
+        """See `missing_plugin`."""
         return missing_plugin()
 
     @property
@@ -192,6 +193,30 @@ class CardDevice(Target):
     def definition(self) -> str:
         """For ALSA's direct access to the kernel."""
         return f"type hw card {self.card} device {self.device}"
+
+
+def missing_plugin(library: str = "libasound.so.2") -> str:
+    """Return that ALSA's plugin for sound servers is missing and how to get it; "" if it loads.
+
+    library: ALSA's; "" as well where that library itself cannot be asked. Any thread may call it.
+    """
+    try:
+        alsa = ctypes.CDLL(library)
+        load, unload = alsa.snd_dlopen, alsa.snd_dlclose
+    except (OSError, AttributeError):
+        return ""
+    load.argtypes = (ctypes.c_char_p, ctypes.c_int, ctypes.c_char_p, ctypes.c_size_t)
+    load.restype = ctypes.c_void_p
+    unload.argtypes = (ctypes.c_void_p,)
+    why = ctypes.create_string_buffer(256)
+    if loaded := load(PLUGIN.encode(), os.RTLD_LAZY, why, len(why)):
+        unload(loaded)
+        return ""
+    return (
+        f"ALSA's plugin for sound servers, {PLUGIN}, is missing; install the package "
+        "libasound2-plugins (Debian, Ubuntu), alsa-plugins-pulseaudio (Fedora) or "
+        "alsa-plugins (Arch), and start again"
+    )
 
 
 def _quoted(text: str) -> str:

@@ -30,8 +30,7 @@ from device.stream.portaudio import (
 from device.stream.sample_format import Encoder, SampleFormat
 from device.units import Float32Array
 
-LOST_AFTER_S = 0.5
-"""Callbacks are at most 20 ms apart on an idle machine, 25 ms if a thread holds the GIL."""
+LOST_AFTER_S = 0.5  # callbacks are at most 25 ms apart on an idle machine
 
 BEGUN_AFTER_S, BEGINS_WITHIN_S = 0.05, 2.5
 """An idle sink of PulseAudio without norewinds has rendered up to 2 s ahead. A new playback stream
@@ -64,8 +63,6 @@ class CallbackCounts:
 
 
 class _Stream(CallbackCounts):
-    """The common part of both streams."""
-
     _output: bool
 
     def __init__(
@@ -75,16 +72,14 @@ class _Stream(CallbackCounts):
         channels: int,
         block_frames: int,
         priority: AudioPriority | None,
-        sample_format: SampleFormat,
+        sample_format: SampleFormat = SampleFormat.FLOAT32,
         *,
         audible: bool,
     ) -> None:
         check_format(samplerate, channels)
         super().__init__(audible)
-        self._priority = priority
-        self._claimed = -1
-        self.samplerate = samplerate
-        self.channels = channels
+        self._priority, self._claimed = priority, -1
+        self.samplerate, self.channels = samplerate, channels
         self._closing = False
         self._gil_state = GilState()
         self._close_lock = threading.Lock()
@@ -99,11 +94,11 @@ class _Stream(CallbackCounts):
 
         A new stream on a server has BEGINS_WITHIN_S. now_s: time.monotonic(). For any thread.
         """
-        now = time.monotonic() if now_s is None else now_s
+        now_s = time.monotonic() if now_s is None else now_s
         young = self.last_callback_s - self.opened_s < BEGUN_AFTER_S
         begins = young and self._on_server and (self.callbacks > 0 or not self._output)
         limit_s = BEGINS_WITHIN_S if begins else LOST_AFTER_S
-        return now - self.last_callback_s > limit_s or not self.is_active()
+        return now_s - self.last_callback_s > limit_s or not self.is_active()
 
     def is_active(self) -> bool:
         """Whether PortAudio reports the stream as running, even if suspended."""
@@ -157,16 +152,16 @@ class _Stream(CallbackCounts):
 class CaptureStream(_Stream):
     """Delivers the frames of a PCM's source; runs from the moment it is made.
 
-    pcm: its target is captured. samplerate: Hz. on_frames: gets every block, read only, which it
-    may keep, and the time. PortAudio's thread calls it: it must neither block nor close the stream.
-    audible: any thread may set it; while False, the frames are 0 from the next block on.
-    block_frames: per callback. priority: what the callback's thread requests. order: the source's
-    channels in the order of delivery; None for their own.
+    pcm: its target is captured. samplerate: Hz. channels: per frame. on_frames: gets every block,
+    read only, which it may keep, and the time. PortAudio's thread calls it: it must neither block
+    nor close the stream. audible: any thread may set it; while False, the frames are 0 from the
+    next block on. block_frames: per callback. priority: what the callback's thread requests.
+    order: the source's channels in the order of delivery; None for their own.
 
     silenced: blocks that were. tag: value of the property `pcms.TAG`, by which the server shows
-    the stream. opened_s, last_callback_s: the same before the first callback. callbacks, frames:
-    counts. xruns: overflows and underflows that PortAudio reported, which are few of them. errors:
-    exceptions in callbacks, counted by name. channels: per frame.
+    the stream. opened_s, last_callback_s: the same before the first callback. xruns: overflows and
+    underflows that PortAudio reported, which are few of them. errors: exceptions in callbacks,
+    counted by name.
 
     LostError, NotFoundError: see `open_stream`; PipeWire may open a missing device and end the
     stream later. UsageError: samplerate or channels is out of range.
@@ -188,10 +183,7 @@ class CaptureStream(_Stream):
     ) -> None:
         self._on_frames = on_frames
         self._order = order
-        sample_format = SampleFormat.FLOAT32
-        super().__init__(
-            pcm, samplerate, channels, block_frames, priority, sample_format, audible=audible
-        )
+        super().__init__(pcm, samplerate, channels, block_frames, priority, audible=audible)
 
     def _exchange(self, data: bytes | None, frames: int, now_s: float) -> None:
         if not self.audible:
@@ -204,16 +196,14 @@ class CaptureStream(_Stream):
 class PlaybackStream(_Stream):
     """Plays frames to a PCM's sink as it asks for them; silent until `audible` is set.
 
-    PortAudio's thread calls both functions: they must neither block nor close the stream. The other
-    parameters, attributes and errors are those of `CaptureStream`.
+    PortAudio's thread calls both functions: they must neither block nor close the stream.
 
-    pcm: its target is where the stream plays. samplerate, channels, block_frames, priority: as
-    there. fill: writes into every block, which is all 0, and must not keep it. If it raises, or
-    leaves a sample that is not finite, the block becomes silence and counts in `errors`. on_sent:
-    gets every block that was sent, silence included, read only, which it may keep. sample_format:
-    of the bytes for PortAudio; `Encoder` clamps and rounds to integers.
-
-    audible: any thread may set it; while False, silence is played from the next block on.
+    fill: writes into every block, which is all 0, and must not keep it. If it raises, or leaves a
+    sample that is not finite, the block becomes silence and counts in `errors`. on_sent: gets every
+    block that was sent, silence included, read only, which it may keep. sample_format: of the bytes
+    for PortAudio; `Encoder` clamps and rounds to integers.
+    pcm, samplerate, channels, block_frames, priority: these, all attributes and errors are those of
+    `CaptureStream`.
     """
 
     _output = True
@@ -257,9 +247,7 @@ class PlaybackStream(_Stream):
         self._used = False
 
     def _result(self, frames: int) -> bytes | None:
-        sound, self._sound = self._sound, None
-        if not self.audible:
-            sound = None
+        sound, self._sound = self._sound if self.audible else None, None
         if sound is None:
             self.silenced += 1
         if self._on_sent is not None:
