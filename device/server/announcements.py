@@ -10,6 +10,8 @@ import os
 import re
 from typing import Any
 
+from device.server.graph import LINK_ENDS
+
 READ_BYTES = 1 << 16
 LONGEST_LINE_BYTES = 1 << 14  # of a longer line the rest is dropped; names may have any length
 
@@ -17,6 +19,7 @@ _ADDED = re.compile(r"remote \d+ added global: \tid (\d+), type ([\w:]+)/\d+")
 _REMOVED = re.compile(r"remote \d+ removed global: \tid (\d+)")
 _PROPERTY = re.compile(r'\s*\*?\s*([\w.-]+) = "(.*)"')
 _KINDS = (":Core", ":Node", ":Port", ":Link")
+_ENDS = {"link." + end.removesuffix("-id").replace("-", "."): end for end in LINK_ENDS}
 
 
 class Announcements:
@@ -28,10 +31,10 @@ class Announcements:
         self._object: dict[str, Any] | None = None
 
     def read(self) -> list[dict[str, Any]]:
-        """Return objects in the form of `pw-dump`, without what only that knows, such as states.
+        """Return objects in the form of `pw-dump`, as far as known; one that is gone has no `info`.
 
-        One that is gone has no `info`. A link comes as soon as its ends are known, others with the
-        next line that is not theirs. Waits until something is there; raises nothing.
+        A link comes as soon as its ends are known, others with the next line that is not theirs.
+        Waits until something is there; raises nothing.
         """
         try:
             block = os.read(self.file, READ_BYTES)
@@ -49,8 +52,10 @@ class Announcements:
         if line.startswith("remote "):
             if item is not None and not item["type"].endswith(":Link"):
                 found.append(item)
-            self._object = _announced(line)
-            if removed := _REMOVED.match(line):
+            self._object = None
+            if (added := _ADDED.match(line)) and added[2].endswith(_KINDS):
+                self._object = {"id": int(added[1]), "type": added[2], "info": {"props": {}}}
+            elif removed := _REMOVED.match(line):
                 found.append({"id": int(removed[1]), "info": None})
         elif item is not None and (known := _PROPERTY.match(line)):
             name, value = known.groups()
@@ -58,26 +63,6 @@ class Announcements:
             info["props"][name] = value
             if name in _ENDS:
                 info[_ENDS[name]] = value
-                if info.keys() >= _WHOLE_LINK:
+                if info.keys() >= set(LINK_ENDS):
                     found.append(item)
                     self._object = None
-            elif name == "port.direction":
-                info["direction"] = _DIRECTIONS.get(value, value)
-
-
-_ENDS = {
-    "link.output.port": "output-port-id",
-    "link.input.port": "input-port-id",
-    "link.output.node": "output-node-id",
-    "link.input.node": "input-node-id",
-}
-_WHOLE_LINK = frozenset(_ENDS.values())
-_DIRECTIONS = {"in": "input", "out": "output"}
-
-
-def _announced(line: str) -> dict[str, Any] | None:
-    """Return a new object of a kind that counts, its properties still to come."""
-    added = _ADDED.match(line)
-    if added is None or not added[2].endswith(_KINDS):
-        return None
-    return {"id": int(added[1]), "type": added[2], "info": {"props": {}}}

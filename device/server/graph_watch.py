@@ -11,6 +11,7 @@ import fcntl
 import json
 import math
 import os
+import re
 import select
 import subprocess
 import threading
@@ -30,7 +31,6 @@ READER, EDITOR = "pw-dump", "pw-cli"  # programs of PipeWire that report and cha
 
 PIPE_BYTES, READ_BYTES = 1 << 20, 1 << 16
 GATHER_S = 0.2  # changes are reported at once, and again after so long
-
 DESCRIBED_S = 0.001  # time for more to arrive: `pw-dump` writes hundreds of lines for one change
 
 BUSY_READS, BUSY_S, BUSY_WAIT_S = 250, 5.0, 0.02
@@ -40,13 +40,13 @@ END_S = 0.5  # longest wait for the thread's end
 
 
 class GraphWatch:
-    """The present graph, and the wanted links in it.
+    """The present graph, and the wanted links in it. For one thread.
 
-    One thread makes it and calls the methods. Hold `lock` while `graph` or `keeper` is used.
+    Hold `lock` while `graph` or `keeper` is used.
 
     on_change: called by the thread of this object after changes, a few together; it must return at
     once. Links do not wait for it.
-    lost: whether the connection is gone; make another object to connect again.
+    lost: whether the connection is gone; make another object then.
     NotFoundError: a program of PipeWire is not installed.
     """
 
@@ -57,11 +57,8 @@ class GraphWatch:
         self._on_change = on_change
         self._editor = Editor()
         try:
-            self._process = _started(
-                [READER, "--monitor", "--no-colors"],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-            )
+            command = [READER, "--monitor", "--no-colors"]
+            self._process = _started(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE)
         except NotFoundError:
             self._editor.close()
             raise
@@ -106,12 +103,9 @@ class Arrivals:
 
     def __init__(self, described: int, announced: int) -> None:
         self._either, self._announced = select.poll(), select.poll()
-        for poll, file in (
-            (self._either, described),
-            (self._either, announced),
-            (self._announced, announced),
-        ):
-            poll.register(file, select.POLLIN)
+        self._either.register(described, select.POLLIN)
+        for poll in (self._either, self._announced):
+            poll.register(announced, select.POLLIN)
         self._reads_s = deque([-BUSY_S], maxlen=BUSY_READS)
 
     def wait(self, until_s: float) -> set[int]:
@@ -131,10 +125,7 @@ class Arrivals:
 
 
 class Editor:
-    """One running `pw-cli`, started again if it has ended.
-
-    printed: file that it prints announcements to, whichever process it is.
-    """
+    """One running `pw-cli`, started again if it has ended. printed: file of its announcements."""
 
     def __init__(self) -> None:
         self._process: subprocess.Popen[bytes] | None = None
@@ -142,7 +133,7 @@ class Editor:
         try:
             self._start()
         except NotFoundError:
-            self._close_pipe()
+            self.close()
             raise
 
     def send(self, command: str) -> None:
@@ -158,7 +149,10 @@ class Editor:
     def close(self) -> None:
         """End it, and with it all links that it made. May be repeated; raises nothing."""
         self._end()
-        self._close_pipe()
+        for file in (self.printed, self._output):
+            with suppress(OSError):
+                os.close(file)
+        self.printed = self._output = -1
 
     def _end(self) -> None:
         process, self._process = self._process, None
@@ -166,15 +160,10 @@ class Editor:
             end(process)
 
     def _start(self) -> None:
-        self._process = _started([EDITOR, "--monitor"], stdin=subprocess.PIPE, stdout=self._output)
+        command = [EDITOR, "--monitor"]
+        self._process = _started(command, stdin=subprocess.PIPE, stdout=self._output)
         assert self._process.stdin is not None
         os.set_blocking(self._process.stdin.fileno(), False)
-
-    def _close_pipe(self) -> None:
-        for file in (self.printed, self._output):
-            with suppress(OSError):
-                os.close(file)
-        self.printed = self._output = -1
 
 
 def _started(command: list[str], *, stdin: int, stdout: int) -> subprocess.Popen[bytes]:
@@ -187,10 +176,7 @@ def _started(command: list[str], *, stdin: int, stdout: int) -> subprocess.Popen
 
 
 class Documents:
-    """The JSON arrays that `pw-dump` writes to a file.
-
-    file: its number. ended: whether there are no more.
-    """
+    """The JSON arrays that `pw-dump` writes to the file. ended: whether there are no more."""
 
     def __init__(self, file: int) -> None:
         self.file = file
@@ -207,20 +193,8 @@ class Documents:
         block = os.read(self.file, READ_BYTES)
         self.ended = not block
         *whole, self._waiting = (self._waiting + block).split(b"\n]\n")
-        return [json.loads(_without_parameters(text) + b"\n]") for text in whole]
+        return [json.loads(_PARAMETERS.sub(b"", text) + b"\n]") for text in whole]
 
 
-_PARAMETERS, _END = b'\n      "params": {', b"\n      }"
-
-
-def _without_parameters(text: bytes) -> bytes:
-    """Return a document without formats and volumes of nodes: most of its text, and not used."""
-    parts, begin = [], 0
-    while (start := text.find(_PARAMETERS, begin)) >= 0:
-        end = text.find(_END, start)
-        if end < 0:
-            break
-        parts.append(text[begin : start + len(_PARAMETERS)])
-        begin = end
-    parts.append(text[begin:])
-    return b"".join(parts)
+_PARAMETERS = re.compile(rb'(?<=\n      "params": \{).*?(?=\n      \})', re.DOTALL)
+"""Formats and volumes of nodes: most of the text, and not used."""

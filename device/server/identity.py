@@ -32,9 +32,9 @@ def find_source(snapshot: ServerSnapshot, name: str) -> Source:
 
 def monitor_of(snapshot: ServerSnapshot, sink_name: str) -> Source:
     """Return the monitor of the sink with exactly this name; NotFoundError: one is missing."""
-    sink = find_sink(snapshot, sink_name)
+    find_sink(snapshot, sink_name)
     for source in snapshot.sources:
-        if source.monitor_of == sink.name:
+        if source.monitor_of == sink_name:
             return source
     raise NotFoundError(f"the sink {sink_name!r} has no monitor; tap another sink")
 
@@ -83,10 +83,10 @@ def find_tagged(streams: Iterable[Stream], tag: str) -> Stream | None:
 
 @dataclass(frozen=True)
 class DeviceIdentity:
-    """A text that identifies a device whenever it is plugged in; "" if unknown.
+    """What identifies a device whenever it is plugged in; "" if unknown.
 
-    vendor_id, product_id: four hexadecimal digits of a USB device. serial: the server's, which is
-    udev's VENDOR_MODEL_SERIAL. bus_path: its socket. alsa_card: ALSA's number, which may change.
+    vendor_id, product_id: four hexadecimal digits of a USB device. serial: udev's
+    VENDOR_MODEL_SERIAL. bus_path: its socket. alsa_card: ALSA's number, which may change.
     """
 
     bus: str

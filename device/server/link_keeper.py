@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Set
+from collections.abc import Callable, Collection, Mapping, Set
 from typing import Protocol
 
-from device.server.graph import Graph, LinkPair
+from device.server.graph import Graph, Link, LinkPair
 
 RETRY_S = 0.1  # time between two equal requests
 
-HOLDS_S = 0.2
-"""A link that lasts so long has been accepted; one that vanishes earlier counts as missing."""
+HOLDS_S = 0.2  # a link that vanishes earlier counts as missing
 
 PAUSED_S = 0.3
 """How long a link may be paused beside an active one of the same nodes.
@@ -42,13 +41,11 @@ class LinkKeeper:
     The graph's thread calls the methods after each change, and the supervising thread for requests
     without effect, both with the graph's lock held.
 
-    send: takes one command of `pw-cli`. wiring: the wanted links, None for any; set it and call
-    `update`.
+    send: takes one command of `pw-cli`. wiring: None for any links; set it and call `update`.
     """
 
     def __init__(self, graph: Graph, send: Callable[[str], None]) -> None:
-        self._graph = graph
-        self._send = send
+        self._graph, self._send = graph, send
         self._asked_s: dict[tuple[str, LinkPair | int | str], float] = {}
         self._made: set[str] = set()
         self._missing_s: dict[LinkPair, float] = {}
@@ -69,19 +66,19 @@ class LinkKeeper:
             if link.pair not in wanted:
                 self._ask("destroy", link.id, f"destroy {link.id}", now_s)
         for pair in wanted - present:
-            command = f"create-link -1 {pair[0]} -1 {pair[1]}"
             properties = "{ link.passive=true object.linger=false }"
-            self._ask("create", pair, f"{command} {properties}", now_s)
+            command = f"create-link -1 {pair[0]} -1 {pair[1]} {properties}"
+            self._ask("create", pair, command, now_s)
         self._make_nodes(self.wiring.made_nodes(), now_s)
         self._note_times(wanted, present, now_s)
-        self._renew_paused(links.keys(), now_s)
+        self._renew_paused(links.values(), now_s)
 
     def are_there(self, pairs: Set[LinkPair]) -> bool:
         """Whether all of these wanted links were there at the latest update."""
         return pairs <= self._present_s.keys()
 
     def missing_for_s(self, pairs: Set[LinkPair], now_s: float) -> float:
-        """Return how long the one of these links has been missing that has been so for longest."""
+        """Return the longest time for which one of these links has been missing."""
         return max((now_s - self._missing_s.get(pair, now_s) for pair in pairs), default=0.0)
 
     def _make_nodes(self, made: Mapping[str, str], now_s: float) -> None:
@@ -108,22 +105,19 @@ class LinkKeeper:
             and (pair not in present or pair in missing)
         }
 
-    def _renew_paused(self, link_ids: Set[int], now_s: float) -> None:
+    def _renew_paused(self, links: Collection[Link], now_s: float) -> None:
         """Remove links that the server has left paused; the next update makes them again.
 
         Those from nodes that were made here may stay paused: they carry nothing.
         """
         ours = {node.id for name in self._made for node in self._graph.nodes_named(name)}
         active = {
-            (link.output_node_id, link.input_node_id)
-            for link in map(self._graph.links.__getitem__, link_ids)
-            if link.state == "active"
+            (link.output_node_id, link.input_node_id) for link in links if link.state == "active"
         }
         before, self._paused_s = self._paused_s, {}
-        for link_id in link_ids:
-            link = self._graph.links[link_id]
+        for link in links:
             ends = link.output_node_id, link.input_node_id
             if link.state == "paused" and ends in active and link.output_node_id not in ours:
-                since_s = self._paused_s[link_id] = before.get(link_id, now_s)
+                since_s = self._paused_s[link.id] = before.get(link.id, now_s)
                 if now_s - since_s > PAUSED_S:
-                    self._ask("destroy", link_id, f"destroy {link_id}", now_s)
+                    self._ask("destroy", link.id, f"destroy {link.id}", now_s)

@@ -234,7 +234,8 @@ class PulseConnection(ConnectionThread):
             self._ask(lambda: self._reconnect(known))
 
     def _reconnect(self, known: Defaults) -> None:
-        if Defaults.of(self._refresh()) == known:
+        seen = self._refresh()
+        if (seen.default_sink, seen.default_source) == known:
             self._pulse.close()
             self._connect()
             self._refresh()
