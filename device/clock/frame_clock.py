@@ -81,7 +81,10 @@ class FrameClock:
         self._deviation = self._known_deviation = 0.0
         self._drift = _USUAL_DRIFT
         self._points: deque[tuple[float, float]] = deque()
-        self._forget(0.0, 0, _FIRST_SPREAD_S)
+        self._best: tuple[float, float] | None = None
+        self._time_s = self._offset_s = self._fallen_s = self._bucket_s = self._usual_s = 0.0
+        self._frames, self._spread_s = 0, _FIRST_SPREAD_S
+        self._astray_s = self._stranded_s = 0.0
         self._begun_s = self._age_s = self._alert_s = self._stepped_s = 0.0
         self._filling = True
         self.reading: ClockReading | None = None
@@ -154,7 +157,7 @@ class FrameClock:
         self._offset_s = self._fallen_s = self._usual_s = 0.0
         self._astray_s = self._stranded_s = self._bucket_s = 0.0
         self._points.clear()
-        self._best: tuple[float, float] | None = (0.0, 0.0)
+        self._best = (0.0, 0.0)
 
     def _fit(self, counted_s: float) -> None:
         """Fit the line to the earliest callbacks of the last minute."""

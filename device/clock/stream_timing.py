@@ -122,9 +122,9 @@ class Lateness:
     def __init__(self, limit_s: float) -> None:
         self._limit_s = limit_s
         self._counts = [0.0] * (max(1, round(limit_s / _BIN_S)) + 1)
-        self._unseen_s = 0.0
+        self._unseen_s = self._paused_s = 0.0
+        self._weight, self.estimate_s = 1.0, min(LEAST_S, limit_s)
         self.known = False
-        self.forget()
 
     def add(self, late_s: float, seconds: float, paused: bool) -> None:
         """Count one callback; paused: it is one of several after the same pause."""

@@ -18,7 +18,6 @@ from device.server.forwarding import (
     is_cushion_sink,
     loopback_arguments,
     loopbacks,
-    our_sink,
     real_sinks,
     round_delay_ms,
     sink_arguments,
@@ -41,8 +40,7 @@ class DropIn(Listener):
     """The virtual sink `cushion`, forwarded to a real sink and made the default, until `close`.
 
     A thread follows the user: another default sink becomes the target, and while the target is
-    missing, another sink replaces it. Volume keys change the virtual sink and with it the
-    vibration. Any thread but the connection's may use it.
+    missing, another sink replaces it. Any thread but the connection's may use it.
 
     connection: to the server. target: the real sink's name. None stands for the default sink, or
     for the target of a killed process, whose virtual sink is taken over without a gap. delay_s:
@@ -50,8 +48,7 @@ class DropIn(Listener):
     effect. None keeps the delay of a killed process. haptic_sink: the sink for vibration, which is
     never a target.
 
-    target_name: the present target, "" for none. reason: a problem for the user, in one line; ""
-    for none.
+    target_name, reason: the present target, and a problem for the user; "" for none.
 
     LostError: the connection is lost; later this ends the thread without an error. NotFoundError:
     the target is missing, the default sink cannot be one, or a module cannot be loaded. UsageError:
@@ -68,13 +65,11 @@ class DropIn(Listener):
     ) -> None:
         snapshot = connection.snapshot()
         left = next((one.route for one in reversed(loopbacks(snapshot)) if one.complete), None)
-        self.target_name = self.reason = ""
-        self._refusal = ""
-        self._connection = connection
-        self._haptic_sink = haptic_sink
-        self._delay_ms = round_delay_ms(
-            left.delay_ms / 1e3 if left and delay_s is None else delay_s
-        )
+        self.target_name = self.reason = self._refusal = ""
+        self._connection, self._haptic_sink = connection, haptic_sink
+        if left and delay_s is None:
+            delay_s = left.delay_ms / 1e3
+        self._delay_ms = round_delay_ms(delay_s)
         self._target, self._restore = self._first_route(snapshot, target, left)
         self._targets: list[str] = []  # targets so far, the latest last
         self._circular: set[str] = set()  # sinks that play to ours
@@ -191,10 +186,8 @@ class DropIn(Listener):
             self._circular.discard(choice)
             self._streams.forget()
         else:
-            self._refusal = (
-                f"the sound does not go to {choice!r}, the new default sink: "
-                f"{self._why_unfit(choice)}"
-            )
+            why = self._why_unfit(choice)
+            self._refusal = f"the sound does not go to {choice!r}, the new default sink: {why}"
 
     def _choose_target(self, snapshot: ServerSnapshot) -> str | None:
         """Return the sink to forward to: the chosen one, else an earlier one, else any."""
@@ -209,13 +202,13 @@ class DropIn(Listener):
 
     def _ensure_sink(self, snapshot: ServerSnapshot, target: str | None) -> ServerSnapshot:
         """Make the virtual sink if it is missing."""
-        if target is None or our_sink(snapshot) is not None:
+        if target is None or snapshot.sink(SINK) is not None:
             return snapshot
         arguments = sink_arguments(snapshot, find_sink(snapshot, target))
         self._connection.load_module("module-null-sink", arguments)
         self._streams.forget()
-        snapshot = self._await(lambda seen: our_sink(seen) is not None)
-        if our_sink(snapshot) is None:
+        snapshot = self._await(lambda seen: seen.sink(SINK) is not None)
+        if snapshot.sink(SINK) is None:
             raise NotFoundError(f"the sound server does not make the sink {SINK!r}; restart it")
         return snapshot
 
@@ -255,18 +248,16 @@ class DropIn(Listener):
 
     def _restore_all(self) -> None:
         snapshot = self._connection.snapshot()
-        names = [sink.name for sink in snapshot.sinks]
-        back = self._restore if self._restore in names else self._choose_target(snapshot)
+        back = self._restore if snapshot.sink(self._restore) else self._choose_target(snapshot)
         if back is not None:
             if snapshot.default_sink == SINK:
                 with suppress(NotFoundError):
                     self._connection.set_default_sink(back)
-            snapshot = self._await(is_unused, TAKES_S)
-            self._streams.restore(snapshot, back)
+            self._streams.restore(self._await(is_unused, TAKES_S), back)
             snapshot = self._await(is_unused, TAKES_S)
         for one in loopbacks(snapshot):
             self._unload(one.module)
-        sink = our_sink(snapshot)
+        sink = snapshot.sink(SINK)
         if sink is not None and sink.module is not None:
             self._unload(sink.module)
 
@@ -289,7 +280,7 @@ class DropIn(Listener):
         self, snapshot: ServerSnapshot, target: str | None, left: Route | None
     ) -> tuple[str, str]:
         """Return the target and the default sink to restore."""
-        sink = our_sink(snapshot)
+        sink = snapshot.sink(SINK)
         if sink is not None and not is_cushion_sink(sink):
             raise NotFoundError(f"there is a sink {SINK!r} that is not ours; rename or remove it")
         default = snapshot.default_sink

@@ -180,8 +180,9 @@ class Graph:
             port = Port(number, _number(known.get("node.id")), name, channel, is_monitor)
             self._put(self.ports, port)
         elif kind.endswith(":Link"):
-            ids = (_number(info.get(end)) for end in LINK_ENDS)
-            self._put(self.links, Link(number, *ids, str(info.get("state", ""))))
+            state = str(info.get("state", ""))
+            output, input_, from_node, to_node = (_number(info.get(end)) for end in LINK_ENDS)
+            self._put(self.links, Link(number, output, input_, from_node, to_node, state))
         elif kind.endswith(":Client"):
             if number not in self._clients:
                 self._forget(number)

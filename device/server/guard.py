@@ -119,12 +119,12 @@ class StreamPlacement:
 class StreamGuard(Listener):
     """Silences a stream unless it is known to be on its device.
 
-    It alone sets `stream.audible`, from the moment it is made. Any thread but the connection's
-    may use it; any thread may read `hold` and call `misplaced_s`.
+    It alone sets `stream.audible`. Any thread but the connection's may use it; any thread may read
+    `hold`, the present decision, and call `misplaced_s`.
 
     connection: reports where the stream is. stream: to silence. device_name: of the haptic sink
     for a `PlaybackStream`, of a monitor for a `CaptureStream`. any_source: whether device_name may
-    be any source, for measurements. hold: the present decision.
+    be any source, for measurements.
     """
 
     def __init__(
@@ -135,15 +135,13 @@ class StreamGuard(Listener):
         *,
         any_source: bool = False,
     ) -> None:
-        self._connection = connection
-        self._stream = stream
+        self._connection, self._stream = connection, stream
         self._lock = threading.Lock()
         self._released = False
         plays = isinstance(stream, PlaybackStream)
-        self._placement = StreamPlacement(stream.tag, device_name, plays, any_source=any_source)
-        self.hold = self._placement.hold
+        placement = StreamPlacement(stream.tag, device_name, plays, any_source=any_source)
         self._misplaced_at_s: float | None = None
-        self._judge(lambda placement: placement)
+        self._judge(lambda: placement)
         connection.add(self)
 
     def misplaced_s(self, now_s: float) -> float:
@@ -153,7 +151,7 @@ class StreamGuard(Listener):
 
     def retarget(self, device_name: str) -> None:
         """Change the stream's device; afterwards let the server move the stream."""
-        self._judge(lambda placement: replace(placement, name=device_name, device=None))
+        self._judge(lambda: replace(self._placement, name=device_name, device=None))
         self._connection.snapshot()
 
     def release(self) -> None:
@@ -165,21 +163,21 @@ class StreamGuard(Listener):
 
     def on_event(self, event: Event) -> bool:
         """Silence the stream at once if this event may have moved it."""
-        self._judge(lambda placement: placement.after_event(event))
+        self._judge(lambda: self._placement.after_event(event))
         placement = self._placement
         return placement.unsettled == event.number or placement.may_be_back(event)
 
     def on_snapshot(self, snapshot: ServerSnapshot) -> None:
         """Check where the stream is."""
-        self._judge(lambda placement: placement.after_snapshot(snapshot))
+        self._judge(lambda: self._placement.after_snapshot(snapshot))
 
     def on_lost(self, error: LostError) -> None:
         """Silence the stream, as its moves are not reported any more."""
-        self._judge(lambda placement: placement.after_loss())
+        self._judge(lambda: self._placement.after_loss())
 
-    def _judge(self, change: Callable[[StreamPlacement], StreamPlacement]) -> None:
+    def _judge(self, change: Callable[[], StreamPlacement]) -> None:
         with self._lock:
-            self._placement = change(self._placement)
+            self._placement = change()
             self.hold = self._placement.hold
             self._stream.audible = self.hold.audible and not self._released
             if not self.hold.misplaced:
@@ -191,8 +189,8 @@ class StreamGuard(Listener):
 class FallbackSink:
     """The silent sink that PulseAudio moves our stream to if its own sink vanishes.
 
-    Make it before the playback stream. One that an earlier process left is taken over. PipeWire
-    does not need it. Any thread but the connection's uses it.
+    Make it before the playback stream. One that an earlier process left is taken over. Any thread
+    but the connection's uses it.
 
     connection: to the server. active: whether the sink is ready. reason: why not, in one line.
     LostError: the connection is lost.
@@ -201,8 +199,7 @@ class FallbackSink:
     def __init__(self, connection: PulseConnection) -> None:
         self._connection = connection
         self._modules: list[int] = []
-        self.active = False
-        self.reason = ""
+        self.active, self.reason = False, ""
         snapshot = connection.snapshot()
         if snapshot.kind == "PipeWire":
             self.reason = "PipeWire ends the stream instead"
