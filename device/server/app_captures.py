@@ -10,6 +10,7 @@ import itertools
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 from device.errors import CushionError, LostError, NotFoundError
@@ -29,8 +30,8 @@ class AppCaptures(ConnectionThread):
 
     `close` ends all captures. Any thread but its own, which calls on_frames, may call the methods.
 
-    lost: why the connection and all captures were lost, or None. Make another object to connect
-    again. LostError: no server answers. NotFoundError: the library libpulse is not installed.
+    lost: why all captures were lost, or None; make another object then. LostError: no server
+    answers. NotFoundError: the library libpulse is not installed.
     """
 
     def __init__(self) -> None:
@@ -124,13 +125,12 @@ class AppCaptures(ConnectionThread):
                 self._give_up(capture)
 
     def _give_up(self, capture: AppCapture) -> None:
-        if capture in self._captures:
+        with suppress(ValueError):
             self._captures.remove(capture)
         capture.ended = capture.ended or EndReason.CLOSED
         self._drop_stream(capture)
 
     def _drop_stream(self, capture: AppCapture) -> None:
-        """End the stream of a capture, if it has one."""
         handle, capture._handle = capture._handle, None
         if handle is not None:
             self._dropped.append(handle)
@@ -194,7 +194,7 @@ class AppCaptures(ConnectionThread):
             self._close_left()
 
     def _wait_for(self, condition: Callable[[], bool], limit_s: float) -> bool:
-        """Wait until the condition holds, limit_s at most; whether it does. Streams continue."""
+        """Read streams until the condition holds, limit_s at most; whether it does."""
         deadline_s = time.monotonic() + limit_s
         while not condition():
             if self._stopping:
@@ -228,7 +228,7 @@ class AppCaptures(ConnectionThread):
         return self._answers.pop(number)
 
     def _send_query(self, stream_index: int) -> int:
-        """Query a playing stream; returns the key of the answer in `_answers`."""
+        """Query a playing stream; return the key of the answer in `_answers`."""
         number = next(self._numbers)
         operation = self._library.context_get_sink_input_info(
             self._context, stream_index, self._info_callback, number

@@ -1,7 +1,7 @@
 """The functions of libpulse that record a stream.
 
-pulsectl declares the structures, but its few record functions read a single peak value, and take
-sizes of 32 bits where libpulse writes 64.
+pulsectl declares the structures, but its record functions take sizes of 32 bits where libpulse
+writes 64.
 
 Functions that may wait release Python's lock; for the others that would cost more than the call.
 One thread at a time uses libpulse, except for `mainloop_wakeup`. Callbacks run within
@@ -31,7 +31,6 @@ SUBSCRIBE_SINK_INPUTS = 0x0004
 EVENT_MASK, EVENT_SINK_INPUT_REMOVED = 0x003F, 0x0022
 DEFAULT_MAP = 0
 
-
 _AT_ONCE: dict[str, tuple[Any, ...]] = {  # name: result, arguments
     "strerror": (c_char_p, c_int),
     "mainloop_new": (c_void_p,),
@@ -53,10 +52,7 @@ _AT_ONCE: dict[str, tuple[Any, ...]] = {  # name: result, arguments
     "context_get_sink_input_info": (c_void_p, c_void_p, c_uint32, c_void_p, c_void_p),
     "operation_unref": (None, c_void_p),
     "channel_map_init_extend": (c_void_p, c_void_p, c_uint32, c_int),
-    "stream_new_with_proplist": (
-        c_void_p,
-        *(c_void_p, c_char_p, c_void_p, c_void_p, c_void_p),
-    ),
+    "stream_new_with_proplist": (c_void_p, c_void_p, c_char_p, c_void_p, c_void_p, c_void_p),
     "stream_set_monitor_stream": (c_int, c_void_p, c_uint32),
     "stream_connect_record": (c_int, c_void_p, c_char_p, c_void_p, c_int),
     "stream_get_state": (c_int, c_void_p),
