@@ -215,7 +215,6 @@ class DelayLine:
     def _steer(
         self, written: Written, clock: ClockReading, now_s: float, frames: int, ahead: int
     ) -> None:
-        """Update state, position and step for a read of `frames`."""
         seconds = frames / self.samplerate_out
         early_s = clock.time_of(clock.frames + frames - ahead) - now_s - self._output_s
         self._reads.add_lateness(early_s, seconds, clock)
@@ -301,7 +300,6 @@ class DelayLine:
         return len(out)
 
     def _stop(self, state: DelayState) -> None:
-        """Fade to silence."""
         if self._state in _PLAYING:
             self._joint.begin()
         self._state = state

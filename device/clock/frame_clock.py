@@ -152,7 +152,6 @@ class FrameClock:
         return self._read(frames, now_s, another_line=True)
 
     def _forget(self, now_s: float, frames: int, spread_s: float) -> None:
-        """Start a line at this callback."""
         self._time_s, self._frames, self._spread_s = now_s, frames, spread_s
         self._offset_s = self._fallen_s = self._usual_s = 0.0
         self._astray_s = self._stranded_s = self._bucket_s = 0.0

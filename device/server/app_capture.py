@@ -152,7 +152,6 @@ class AppCapture(CallbackCounts):
         self._failed = True
 
     def _is_ready(self, library: libpulse.LibPulse) -> bool:
-        """Whether the stream has begun to run."""
         state = library.stream_get_state(self._handle)
         if state < libpulse.STREAM_READY:
             return False

@@ -116,7 +116,6 @@ class AppCaptures(ConnectionThread):
             raise
 
     def _maintain(self) -> None:
-        """End captures whose streams have ended."""
         for capture in tuple(self._captures):
             if capture._failed and capture.ended is None:
                 plays = self._find_playing(capture.stream_index) is not None
@@ -210,7 +209,6 @@ class AppCaptures(ConnectionThread):
             raise self._no_answer()
 
     def _check_silence(self, now_s: float) -> None:
-        """Query a silent server, as it may hang."""
         if self._query in self._answers:
             del self._answers[self._query]
             self._query = 0
@@ -222,7 +220,6 @@ class AppCaptures(ConnectionThread):
             raise self._no_answer()
 
     def _find_playing(self, stream_index: int) -> PlayingStream | None:
-        """Query the playing stream with this index; None if there is none."""
         number = self._send_query(stream_index)
         self._wait_for_answer(lambda: number in self._answers)
         return self._answers.pop(number)
@@ -257,7 +254,6 @@ class AppCaptures(ConnectionThread):
                     capture.ended = EndReason.GONE
 
     def _reason(self) -> str:
-        """Return why libpulse refused the latest call."""
         code = self._library.context_errno(self._context)
         return str(self._library.strerror(code).decode("utf-8", "replace"))
 

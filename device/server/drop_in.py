@@ -201,7 +201,6 @@ class DropIn(Listener):
         return [*before, *(name for name in names if name not in before)]
 
     def _ensure_sink(self, snapshot: ServerSnapshot, target: str | None) -> ServerSnapshot:
-        """Make the virtual sink if it is missing."""
         if target is None or snapshot.sink(SINK) is not None:
             return snapshot
         arguments = sink_arguments(snapshot, find_sink(snapshot, target))
@@ -228,7 +227,6 @@ class DropIn(Listener):
         return self._connection.latest
 
     def _load_loopback(self, snapshot: ServerSnapshot, route: Route, found: list[Loopback]) -> int:
-        """Load a loopback, and wait until it plays; returns its index."""
         arguments = loopback_arguments(snapshot, route, find_sink(snapshot, SINK))
         module = self._connection.load_module("module-loopback", arguments)
         sounds_s = time.monotonic() + route.delay_ms / 1e3
@@ -279,7 +277,6 @@ class DropIn(Listener):
     def _first_route(
         self, snapshot: ServerSnapshot, target: str | None, left: Route | None
     ) -> tuple[str, str]:
-        """Return the target and the default sink to restore."""
         sink = snapshot.sink(SINK)
         if sink is not None and not is_cushion_sink(sink):
             raise NotFoundError(f"there is a sink {SINK!r} that is not ours; rename or remove it")

@@ -23,13 +23,13 @@ from typing import Any
 
 from device.errors import NotFoundError
 from device.process import end, started
-from device.server.announcements import Announcements
-from device.server.graph import Graph
+from device.server.graph import LINK_ENDS, Graph
 from device.server.link_keeper import LinkKeeper
 
 READER, EDITOR = "pw-dump", "pw-cli"  # programs of PipeWire that report and change the graph
 
 PIPE_BYTES, READ_BYTES = 1 << 20, 1 << 16
+LONGEST_LINE_BYTES = 1 << 14  # of a longer line the rest is dropped; names may have any length
 GATHER_S = 0.2  # changes are reported at once, and again after so long
 DESCRIBED_S = 0.001  # time for more to arrive: `pw-dump` writes hundreds of lines for one change
 
@@ -198,3 +198,60 @@ class Documents:
 
 _PARAMETERS = re.compile(rb'(?<=\n      "params": \{).*?(?=\n      \})', re.DOTALL)
 """Formats and volumes of nodes: most of the text, and not used."""
+
+
+_ADDED = re.compile(r"remote \d+ added global: \tid (\d+), type ([\w:]+)/\d+")
+_REMOVED = re.compile(r"remote \d+ removed global: \tid (\d+)")
+_PROPERTY = re.compile(r'\s*\*?\s*([\w.-]+) = "(.*)"')
+_KINDS = (":Core", ":Node", ":Port", ":Link")
+_ENDS = {"link." + end.removesuffix("-id").replace("-", "."): end for end in LINK_ENDS}
+
+
+class Announcements:
+    """The objects that `pw-cli --monitor` prints to the file, milliseconds before `pw-dump`.
+
+    `pw-dump` describes an object once it knows all of it. The two ends of a link come at once here,
+    which is enough to mirror it before its first cycle.
+    """
+
+    def __init__(self, file: int) -> None:
+        self.file = file
+        self._line = b""
+        self._object: dict[str, Any] | None = None
+
+    def read(self) -> list[dict[str, Any]]:
+        """Return objects in the form of `pw-dump`, as far as known; one that is gone has no `info`.
+
+        A link comes as soon as its ends are known, others with the next line that is not theirs.
+        Waits until something is there; raises nothing.
+        """
+        try:
+            block = os.read(self.file, READ_BYTES)
+        except OSError:
+            return []
+        *lines, self._line = (self._line + block).split(b"\n")
+        self._line = self._line[:LONGEST_LINE_BYTES]
+        found: list[dict[str, Any]] = []
+        for line in lines:
+            self._take(line.decode(errors="replace"), found)
+        return found
+
+    def _take(self, line: str, found: list[dict[str, Any]]) -> None:
+        item = self._object
+        if line.startswith("remote "):
+            if item is not None and not item["type"].endswith(":Link"):
+                found.append(item)
+            self._object = None
+            if (added := _ADDED.match(line)) and added[2].endswith(_KINDS):
+                self._object = {"id": int(added[1]), "type": added[2], "info": {"props": {}}}
+            elif removed := _REMOVED.match(line):
+                found.append({"id": int(removed[1]), "info": None})
+        elif item is not None and (known := _PROPERTY.match(line)):
+            name, value = known.groups()
+            info = item["info"]
+            info["props"][name] = value
+            if name in _ENDS:
+                info[_ENDS[name]] = value
+                if info.keys() >= set(LINK_ENDS):
+                    found.append(item)
+                    self._object = None

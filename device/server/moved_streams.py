@@ -99,7 +99,6 @@ class MovedStreams:
                 self._move(snapshot, stream, home)
 
     def _move(self, snapshot: ServerSnapshot, stream: Stream, sink_name: str) -> bool:
-        """Move a stream; whether the server did it."""
         with suppress(NotFoundError):  # it has ended or may not move, or the sink is gone
             self._connection.move_sink_input(stream.index, find_sink(snapshot, sink_name).index)
             return True

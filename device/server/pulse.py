@@ -274,7 +274,6 @@ class PulseConnection(ConnectionThread):
 
     @contextmanager
     def _deadline(self) -> Iterator[None]:
-        """Limit the time of queries inside this context."""
         self._deadline_s = time.monotonic() + ANSWER_LIMIT_S
         try:
             yield

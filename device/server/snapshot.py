@@ -229,7 +229,6 @@ def _stream(item: Any, device: int, names: Mapping[int, str]) -> Stream:
 
 
 def _loudest(item: Any) -> float:
-    """Return the volume of the loudest channel, 1.0 for a stream without a volume."""
     return float(max(item.volume.values, default=1.0))
 
 

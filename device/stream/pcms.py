@@ -108,7 +108,6 @@ class PcmConfig:
         self._use(file)
 
     def _use(self, file: int) -> None:
-        """Close the file before this one."""
         before, self._file = self._file, file
         if before >= 0:
             os.close(before)

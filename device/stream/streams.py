@@ -2,8 +2,8 @@
 
 Capture and playback are separate, as a duplex stream would poll. A callback never raises and
 always delivers its full length, since an exception or a short block would end the stream silently.
-The age of the last callback shows whether a stream still runs: a server that dies or suspends its
-device raises nothing. Check `is_lost`, close the stream and open another one.
+A server that dies or suspends its device raises nothing: check `is_lost`, close the stream and open
+another one.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
@@ -39,7 +40,6 @@ first."""
 
 _CONTINUE = 0
 _XRUNS = 0b1111  # PortAudio's flags for underflow and overflow of input and output
-_ERROR_NAMES = 16
 
 OnBlock = Callable[[Float32Array, float], None]
 """Takes (frames, channels) float32 and the time of the callback, time.monotonic()."""
@@ -50,16 +50,12 @@ class CallbackCounts:
 
     def __init__(self, audible: bool) -> None:
         self.audible = audible
-        self.silenced = 0
         self.opened_s = self.last_callback_s = time.monotonic()
-        self.callbacks = self.frames = self.xruns = 0
-        self.errors: dict[str, int] = {}
+        self.callbacks = self.frames = self.xruns = self.silenced = 0
+        self.errors = Counter[str]()
 
     def _count(self, error: BaseException) -> None:
-        name = type(error).__name__
-        if name not in self.errors and len(self.errors) >= _ERROR_NAMES:
-            name = "others"
-        self.errors[name] = self.errors.get(name, 0) + 1
+        self.errors[type(error).__name__] += 1
 
 
 class _Stream(CallbackCounts):
@@ -181,8 +177,7 @@ class CaptureStream(_Stream):
         priority: AudioPriority | None = None,
         order: tuple[int, ...] | None = None,
     ) -> None:
-        self._on_frames = on_frames
-        self._order = order
+        self._on_frames, self._order = on_frames, order
         super().__init__(pcm, samplerate, channels, block_frames, priority, audible=audible)
 
     def _exchange(self, data: bytes | None, frames: int, now_s: float) -> None:
@@ -220,8 +215,7 @@ class PlaybackStream(_Stream):
         priority: AudioPriority | None = None,
         sample_format: SampleFormat = SampleFormat.FLOAT32,
     ) -> None:
-        self._fill = fill
-        self._on_sent = on_sent
+        self._fill, self._on_sent = fill, on_sent
         self._out = np.zeros((block_frames, channels), np.float32)
         self._used = False  # not all 0, because the last block failed
         is_float = sample_format is SampleFormat.FLOAT32
@@ -265,7 +259,6 @@ class PlaybackStream(_Stream):
 
 
 def _as_frames(data: bytes, channels: int) -> Float32Array:
-    """Return the bytes as float32 (frames, channels), read only."""
     return np.frombuffer(data, np.float32).reshape(-1, channels)
 
 
