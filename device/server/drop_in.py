@@ -11,17 +11,8 @@ from collections.abc import Callable
 from contextlib import suppress
 
 from device.errors import LostError, NotFoundError, UsageError
-from device.server.forwarding import (
-    SINK,
-    Loopback,
-    Route,
-    is_cushion_sink,
-    loopback_arguments,
-    loopbacks,
-    real_sinks,
-    round_delay_ms,
-    sink_arguments,
-)
+from device.server import forwarding
+from device.server.forwarding import SINK, Loopback, Route, loopbacks, round_delay_ms
 from device.server.identity import find_sink
 from device.server.moved_streams import TAKES_S, DefaultSinkClaim, MovedStreams, is_unused
 from device.server.pulse import PulseConnection
@@ -70,8 +61,8 @@ class DropIn(Listener):
         if left and delay_s is None:
             delay_s = left.delay_ms / 1e3
         self._delay_ms = round_delay_ms(delay_s)
-        self._target, self._restore = self._first_route(snapshot, target, left)
         self._targets: list[str] = []  # targets so far, the latest last
+        self._target, self._restore = self._first_route(snapshot, target, left)
         self._circular: set[str] = set()  # sinks that play to ours
         self._default = DefaultSinkClaim(connection, snapshot.default_sink)
         self._streams = MovedStreams(connection)
@@ -196,14 +187,14 @@ class DropIn(Listener):
 
     def _possible_targets(self, snapshot: ServerSnapshot) -> list[str]:
         """Return all possible targets, earlier ones first."""
-        names = real_sinks(snapshot, self._haptic_sink)
+        names = forwarding.real_sinks(snapshot, self._haptic_sink)
         before = [name for name in reversed(self._targets) if name in names]
         return [*before, *(name for name in names if name not in before)]
 
     def _ensure_sink(self, snapshot: ServerSnapshot, target: str | None) -> ServerSnapshot:
         if target is None or snapshot.sink(SINK) is not None:
             return snapshot
-        arguments = sink_arguments(snapshot, find_sink(snapshot, target))
+        arguments = forwarding.sink_arguments(snapshot, find_sink(snapshot, target))
         self._connection.load_module("module-null-sink", arguments)
         self._streams.forget()
         snapshot = self._await(lambda seen: seen.sink(SINK) is not None)
@@ -227,7 +218,7 @@ class DropIn(Listener):
         return self._connection.latest
 
     def _load_loopback(self, snapshot: ServerSnapshot, route: Route, found: list[Loopback]) -> int:
-        arguments = loopback_arguments(snapshot, route, find_sink(snapshot, SINK))
+        arguments = forwarding.loopback_arguments(snapshot, route, find_sink(snapshot, SINK))
         module = self._connection.load_module("module-loopback", arguments)
         sounds_s = time.monotonic() + route.delay_ms / 1e3
 
@@ -278,10 +269,10 @@ class DropIn(Listener):
         self, snapshot: ServerSnapshot, target: str | None, left: Route | None
     ) -> tuple[str, str]:
         sink = snapshot.sink(SINK)
-        if sink is not None and not is_cushion_sink(sink):
+        if sink is not None and not forwarding.is_cushion_sink(sink):
             raise NotFoundError(f"there is a sink {SINK!r} that is not ours; rename or remove it")
         default = snapshot.default_sink
-        names = real_sinks(snapshot, self._haptic_sink)
+        names = self._possible_targets(snapshot)
         if target is not None:
             find_sink(snapshot, target)
         elif default != SINK:

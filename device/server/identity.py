@@ -21,13 +21,12 @@ Device = TypeVar("Device", Sink, Source)
 
 def find_sink(snapshot: ServerSnapshot, name: str) -> Sink:
     """Return the sink with exactly this name; NotFoundError suggests the nearest names."""
-    names = (sink.name for sink in snapshot.sinks if sink.name != FALLBACK_SINK)
-    return _find("sink", name, snapshot.sinks, names)
+    return _find("sink", name, snapshot.sinks)
 
 
 def find_source(snapshot: ServerSnapshot, name: str) -> Source:
     """Return the monitor or input with exactly this name; NotFoundError suggests others."""
-    return _find("source", name, snapshot.sources, (source.name for source in snapshot.sources))
+    return _find("source", name, snapshot.sources)
 
 
 def monitor_of(snapshot: ServerSnapshot, sink_name: str) -> Source:
@@ -124,9 +123,10 @@ def _usb_id(text: str) -> str:
         return ""
 
 
-def _find(kind: str, name: str, devices: Iterable[Device], names: Iterable[str]) -> Device:
+def _find(kind: str, name: str, devices: tuple[Device, ...]) -> Device:
     for device in devices:
         if device.name == name:
             return device
+    names = [device.name for device in devices if device.name != FALLBACK_SINK]
     advice = "connect a sound card, or restart the sound server"
     raise NotFoundError(no_such(kind, name, names, advice))

@@ -15,6 +15,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from ctypes import c_char_p, c_int, c_uint32, c_void_p
 from functools import cache
+from types import SimpleNamespace
 from typing import Any
 
 from device.errors import NotFoundError
@@ -68,7 +69,7 @@ _WAITING: dict[str, tuple[Any, ...]] = {
 }
 
 
-class LibPulse:
+class LibPulse(SimpleNamespace):
     """The library's functions, without their prefix `pa_`. types: pulsectl's. Use `load`."""
 
     def __init__(self) -> None:
@@ -92,10 +93,6 @@ class LibPulse:
             yield properties
         finally:
             self.proplist_free(properties)
-
-    def __getattr__(self, name: str) -> Any:
-        # type checkers then accept any attribute
-        raise AttributeError(name)
 
 
 @cache

@@ -24,15 +24,12 @@ class Wiring(Protocol):
 
     def nodes(self, graph: Graph) -> Set[int]:
         """Return the ids of our nodes, which have no other links than the wanted ones."""
-        ...
 
     def links(self, graph: Graph) -> Set[LinkPair]:
         """Return the wanted links."""
-        ...
 
     def made_nodes(self) -> Mapping[str, str]:
         """Return the commands of `pw-cli` for nodes that are to be there, by their names."""
-        ...
 
 
 class LinkKeeper:
