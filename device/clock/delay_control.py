@@ -12,8 +12,7 @@ MAX_DEVIATION = 2_000e-6
 _DAMPING = 1.6
 _SMOOTHING = 20.0
 
-SLEW = 1_000e-6
-"""Greatest speed of the target, in seconds per second: an imperceptible change of pitch."""
+SLEW = 1_000e-6  # greatest speed of the target, in s/s: an imperceptible change of pitch
 NEAR_S = 1.0  # time constant of the approach, which slows small steps down
 
 

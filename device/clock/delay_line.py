@@ -16,8 +16,7 @@ from device.units import Float32Array, FloatArray, check_channels
 
 LATENESS_LIMIT_S = 0.03  # per side; later callbacks are underflows
 RESYNC_FRAMES = 256
-FAR_OFF_S = 0.1
-"""An error of the delay that is corrected at once, even before both clocks are settled."""
+FAR_OFF_S = 0.1  # an error of the delay that is corrected even before both clocks are settled
 LOCK_S = 0.00025
 UNLOCK_S = 0.001
 LOCK_AFTER_S = 1.0

@@ -11,15 +11,12 @@ WINDOW_S = 60.0  # how long callbacks are considered: several times the slowest 
 BUCKET_S = 0.5  # only the earliest callback of each such interval is kept
 SETTLED_S = 0.1
 PREFILL_S = 0.06  # a new stream fills its buffers at once: these early callbacks are no clock
-MAX_DEVIATION = 2_000e-6
-"""Greatest deviation of a sound card's rate from nominal; anything more is jitter."""
+MAX_DEVIATION = 2_000e-6  # of a sound card's rate from nominal; anything more is jitter
 STALLED_S = 0.25  # a callback later than this means lost frames: the line starts again
 EARLY_S = 0.03  # a callback earlier than this delivers a backlog: the line before it was wrong
 ASTRAY_S = 0.3  # callbacks that are outliers for this long mean a jump of the counter
-STRANDED_S = 2.0
-"""No callback near the line for this long: it lies under a single one that came too early."""
-STRANDED_BLOCKS = 1.5
-"""Distance from the line that is not near, in blocks; beats between blocks stay within one."""
+STRANDED_S = 2.0  # no callback near the line for this long: a single one came too early
+STRANDED_BLOCKS = 1.5  # what is not near, in blocks; beats between blocks stay within one
 ALERT_S = 0.5  # for this long after `expect_jump` a single outlier means a jump
 
 _OUTLIER = 6.0

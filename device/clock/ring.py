@@ -12,8 +12,7 @@ from device.units import Float32Array, FloatArray
 LARGEST = 1e6  # greater magnitudes are a mistake that arithmetic might turn into inf
 LOOKAHEAD = 2  # frames that interpolation needs after the one at the position
 FADE_S = 0.005
-STEEPEST_HZ = 250.0
-"""Top of the vibration band: extrapolated slopes are limited to that of a full-scale sine here."""
+STEEPEST_HZ = 250.0  # extrapolated slopes are limited to that of a full-scale sine here
 _SLOPE_S = 0.0005
 
 

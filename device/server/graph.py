@@ -1,8 +1,7 @@
 """PipeWire's graph: its nodes, ports and links, as `pw-dump` describes and `pw-cli` announces them.
 
-`pw-dump` prints the same JSON on every version from 0.3 to 1.6. Objects are known by their ids,
-since names need not be unique. The server uses an id again at once, so an object that has gone is
-forgotten at once.
+`pw-dump` prints the same JSON on every version from 0.3 to 1.6. Names need not be unique. The
+server uses an id again at once, so an object that has gone is forgotten at once.
 """
 
 from __future__ import annotations

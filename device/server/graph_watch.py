@@ -45,8 +45,7 @@ class GraphWatch:
     Hold `lock` while `graph` or `keeper` is used.
 
     on_change: called by the thread of this object after changes, a few together; it must return at
-    once. Links do not wait for it.
-    lost: whether the connection is gone; make another object then.
+    once. lost: whether the connection is gone; make another object then.
     NotFoundError: a program of PipeWire is not installed.
     """
 

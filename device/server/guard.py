@@ -1,10 +1,9 @@
 """Guards our streams: no vibration on another sink, and no microphone as input.
 
 A server that loses a device moves its streams to another one without notice. A guard silences its
-stream at the first event about it, and releases it when it is known to be on its own device. And
-on PulseAudio a fallback sink catches the output: queued frames (about 10 ms) move with the stream
-before the event arrives. PulseAudio prefers this silent sink for our role of stream. On PipeWire
-the output ends instead (see `pcms`).
+stream at the first event about it. On PulseAudio a fallback sink also catches the queued frames
+(about 10 ms), which move before the event arrives: PulseAudio prefers it for our role of stream. On
+PipeWire the output ends instead (see `pcms`).
 """
 
 from __future__ import annotations
@@ -49,9 +48,9 @@ class Hold(Enum):
 class StreamPlacement:
     """Knowledge of one stream; `after_...` returns updated knowledge, `hold` judges it.
 
-    name: of the device where it belongs, a sink if it plays, else a source, which must be a monitor
-    unless any_source. stream, device: their indexes. on: index of the stream's present device.
-    unsettled: number of the event that is not checked yet, or 0.
+    name: of the device where it belongs: a sink, a monitor or any source. stream, device: their
+    indexes. on: index of the stream's present device. unsettled: number of the event that is not
+    checked yet, or 0.
     """
 
     tag: str

@@ -46,7 +46,7 @@ class Sink:
 
     @property
     def weakened(self) -> str:
-        """What makes it softer, as text: "muted", or such as "volume 30 %"; "" for neither."""
+        """What makes it softer: "muted", or such as "volume 30 %"; "" for neither."""
         percent = round(100.0 * 10.0 ** (self.volume_db / 60.0))
         return "muted" if self.mute else f"volume {percent} %" if percent < 100 else ""
 
@@ -76,8 +76,8 @@ class Source:
 class Stream:
     """A sink input, which plays, or a source output, which records. Unknown text is "".
 
-    device_index, device_name: of its sink or source; None and "" while it has none. corked: paused
-    by the application. module: that made it; None for an application's. volume_db: 0 for 100 %.
+    device_index, device_name: None and "" while it has no device. corked: paused by the
+    application. module: that made it; None for an application's. volume_db: 0 for 100 %.
     """
 
     index: int
@@ -131,10 +131,9 @@ def patch_samplerates(pulsectl: Any) -> None:
 
 
 def take_snapshot(pulse: Any, events: int, known: ServerSnapshot | None = None) -> ServerSnapshot:
-    """Query a connected pulsectl.Pulse for everything, on its thread.
+    """Query a connected pulsectl.Pulse, on its thread; `known` if only streams have changed since.
 
     Streams come first: one that moves in the meantime then appears on a device that exists.
-    known: the latest snapshot, if only streams have changed since.
     """
     sink_inputs, source_outputs = pulse.sink_input_list(), pulse.source_output_list()
     info = pulse.server_info()

@@ -18,9 +18,7 @@ from collections import deque
 from contextlib import suppress
 from pathlib import Path
 
-PRIORITY, NICE = 10, -11
-"""Below sound servers (20 and above) and the kernel's threads (50); their nice level."""
-
+PRIORITY, NICE = 10, -11  # below sound servers (20 and above); their nice level
 SPIN_S, KILL_S = 0.2, 2.0  # a callback takes a hundredth of the first
 
 THREADS_MAX = 64  # that asked are remembered; older ones belong to closed streams
@@ -69,10 +67,7 @@ class AudioPriority:
         )
 
     def restore(self) -> None:
-        """Undo `revoke` once a vanished device's stream is closed. For the main thread.
-
-        PortAudio's thread spins from the moment that its card is pulled out.
-        """
+        """Undo `revoke` once the stream of a card that was pulled out, and spun, is closed."""
         if self._revoked:
             self.round += 1
             self.warning = ""

@@ -47,9 +47,9 @@ class PcmConfig:
 
     Make it before PortAudio and other threads start: it sets the environment of the process and
     its children. PULSE_LATENCY_MSEC is removed, as it would block the output, and no JACK server
-    is started. The user's PULSE_PROP stays, and ours follows it. One thread at a time uses it.
+    is started. The user's PULSE_PROP stays. One thread at a time uses it.
 
-    names: of the PCMs. pcms: the PCMs by name. LostError: the system has no memory for the file.
+    names, pcms: of the PCMs, and the PCMs by name. LostError: the system has no memory for the file.
     """
 
     def __init__(self, *names: str) -> None:
@@ -61,18 +61,15 @@ class PcmConfig:
         }
         os.environ.pop("PULSE_LATENCY_MSEC", None)
         os.environ["JACK_NO_START_SERVER"] = "1"
-        # Later changes only exchange values, which is safe while a library's thread reads them.
-        # A new variable would reallocate the whole environment.
+        # Later changes only exchange values: a new variable would reallocate the environment, which
+        # a library's thread may be reading.
         for name in _REWRITTEN:
             os.environ[name] = self._before[name] or ""
         self._write()
 
     @contextmanager
     def opening(self, pcm: Pcm, tag: str, *, output: bool) -> Iterator[None]:
-        """Let opening `pcm` open its target, with our properties and tag, inside this context.
-
-        output: whether it is opened for playback. One thread at a time may be in this context.
-        """
+        """Let opening `pcm` open its target, with our properties and tag, inside this context."""
         self._write()
         theirs = self._before["PULSE_PROP"] or ""
         # ALSA's plugin sets its own application name; only an override replaces it.
@@ -114,11 +111,8 @@ class PcmConfig:
 
 
 def _properties(tag: str, output: bool) -> str:
-    """Return our stream's properties in the form of PULSE_PROP.
-
-    node.dont-reconnect is PipeWire's: without it, an output that loses its sink would move to the
-    default sink; with it, the output ends. A tap does without, as it could not be moved any more.
-    """
+    # On PipeWire, an output that loses its sink ends, and does not move to the default sink.
+    # A tap does without, as it could not be moved any more.
     ending = " node.dont-reconnect=true" if output else ""
     return f"application.id={APPLICATION_ID} media.role={ROLE} {TAG}={tag}{ending}"
 
@@ -133,10 +127,6 @@ class Target:
 
     def __str__(self) -> str:
         return "nowhere"
-
-    def missing(self) -> str:
-        """Return what this machine lacks to open it, and how to get it; "" for nothing."""
-        return ""
 
     @property
     def definition(self) -> str:
@@ -159,10 +149,6 @@ class ServerDevice(Target):
     def __str__(self) -> str:
         return self.device
 
-    def missing(self) -> str:
-        """See `missing_plugin`."""
-        return missing_plugin()
-
     @property
     def definition(self) -> str:
         """For ALSA's plugin for sound servers."""
@@ -172,10 +158,7 @@ class ServerDevice(Target):
 
 @dataclass(frozen=True)
 class CardDevice(Target):
-    """A sound card without a server, by the numbers of card and device.
-
-    Without a plugin in between, rate, format and channels must be the card's own.
-    """
+    """A sound card without a server, by numbers; rate, format and channels must be its own."""
 
     card: int
     device: int = 0
@@ -197,7 +180,7 @@ class CardDevice(Target):
 def missing_plugin(library: str = "libasound.so.2") -> str:
     """Return that ALSA's plugin for sound servers is missing and how to get it; "" if it loads.
 
-    library: ALSA's; "" as well where that library itself cannot be asked. Any thread may call it.
+    Also "" where ALSA's library itself cannot be asked. Any thread may call it.
     """
     try:
         alsa = ctypes.CDLL(library)

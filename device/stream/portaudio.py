@@ -1,7 +1,6 @@
 """The process's one PyAudio instance: opens and closes streams within time limits.
 
-Each call that may wait for a sound server runs on a separate thread. A server that hangs blocks
-that thread and not the caller.
+A server that hangs blocks a separate thread and not the caller.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from typing import Any, TypeVar
 
 from device.errors import InternalError, LostError, NotFoundError
 from device.extras import not_installed
-from device.stream.pcms import Pcm
+from device.stream.pcms import Pcm, ServerDevice, missing_plugin
 from device.stream.sample_format import SampleFormat
 
 BLOCK_FRAMES = 256
@@ -75,9 +74,9 @@ class StreamSetup:
 def open_stream(pcm: Pcm, setup: StreamSetup, callback: Callback) -> OpenStream:
     """Return a running stream of the PCM's target; a thread of PortAudio calls `callback`.
 
-    Any thread but a callback's may call this; openings are serialised. LostError: no server
-    answers, the device is missing, ended or in use, or the time limit has passed. NotFoundError:
-    PyAudio, PortAudio or ALSA's plugin for sound servers is not installed.
+    Any thread but a callback's may call this. LostError: no server answers, the device is missing,
+    ended or in use, or the time limit has passed. NotFoundError: PyAudio, PortAudio or ALSA's
+    plugin for sound servers is not installed.
     """
     what = f"{pcm.target} for {'playback' if setup.output else 'capture'}"
     side = "output" if setup.output else "input"
@@ -128,7 +127,7 @@ def open_stream(pcm: Pcm, setup: StreamSetup, callback: Callback) -> OpenStream:
                 close_stream(opened)
                 raise
     except (OSError, ValueError) as error:
-        if missing := pcm.target.missing():
+        if isinstance(pcm.target, ServerDevice) and (missing := missing_plugin()):
             raise NotFoundError(missing) from None
         # PyAudio's text for an error, or its number
         reason = str(error.args[-1]) if error.args else type(error).__name__
