@@ -27,16 +27,11 @@ HOLD_OFF_S = 0.25  # silence after the second starvation within a second: regula
 class DelayState(enum.Enum):
     """The state of a delay line. Every recovery passes FILLING or STARVED."""
 
-    EMPTY = "empty"
-    """Nothing has been written since the start or the last flush; reads give silence."""
-    FILLING = "filling"
-    """Frames arrive, but there are too few for the target, or a clock is still unknown."""
-    SETTLING = "settling"
-    """Playing; the delay is being steered to the target."""
-    LOCKED = "locked"
-    """Playing; the delay has been on the target for a second."""
-    STARVED = "starved"
-    """The frames ran out; reads give silence until the target is filled again."""
+    EMPTY = "empty"  # nothing written since the start or the last flush; reads give silence
+    FILLING = "filling"  # too few frames for the target, or a clock is still unknown
+    SETTLING = "settling"  # playing; the delay is being steered to the target
+    LOCKED = "locked"  # playing; the delay has been on the target for a second
+    STARVED = "starved"  # the frames ran out; silence until the target is filled again
 
 
 _PLAYING = (DelayState.SETTLING, DelayState.LOCKED)
@@ -124,11 +119,10 @@ class DelayLine:
         self._delay_s = self._on_target_s = self._stepped_s = 0.0
         self._known = self._flushing = False
         self._starved_at_s = self._not_before_s = -math.inf
-        self._from_frame = 0
-        self._flushed: int | None = None
         self._resyncs = self._underflows = self._overflows = 0
+        self._from_frame = -1  # frames up to here were flushed
         # set by any thread
-        self._flush_wanted: int | None = None
+        self._flush_wanted = -1
         self._offset_s = 0.0
         self.offset_s = self._offset_in_force_s = offset_s
         self._target.set_goal(2.0 * LEAST_S, offset_s)
@@ -192,9 +186,8 @@ class DelayLine:
         now_s = float(now_s)
         written = self._writes.written
         clock = self._reads.update(now_s, self._read_frames)
-        if self._flush_wanted != self._flushed:
-            self._flushed = self._flush_wanted
-            self._from_frame = self._flushed or 0
+        if self._flush_wanted != self._from_frame:
+            self._from_frame = self._flush_wanted
             self._stop(DelayState.EMPTY)
             self._flushing = True
         played, filled = 0, frames - ahead

@@ -141,7 +141,7 @@ class AppCapture(CallbackCounts):
         while library.stream_peek(handle, byref(data), byref(size)) >= 0:
             if not size.value:
                 if pieces and self.ended is None:
-                    self._deliver(pieces[0] if len(pieces) == 1 else b"".join(pieces))
+                    self._deliver(b"".join(pieces))
                 return
             if data.value:
                 pieces.append(string_at(data.value, size.value))

@@ -36,16 +36,11 @@ class Rule:
         kind = kind.strip().casefold()
         if not colon:
             kind, name = "", text
-        elif kind not in ("application", "binary", "role"):
-            raise UsageError(
-                f"the rule {text!r} for applications is invalid: write application, binary or role "
-                "before the colon; for a name with a colon write application:NAME"
-            )
         name = name.strip().casefold()
-        if not name:
+        if not name or kind not in ("", "application", "binary", "role") or (colon and not kind):
             raise UsageError(
-                f"the rule {text!r} for applications has no name; write NAME, application:NAME, "
-                "binary:NAME or role:NAME"
+                f"the rule {text!r} for applications is invalid; write NAME, application:NAME, "
+                "binary:NAME or role:NAME, and the last three for a name with a colon"
             )
         return cls(kind, name)
 

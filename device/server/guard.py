@@ -209,7 +209,9 @@ class FallbackSink:
             modules = {sink.name: sink.module for sink in snapshot.sinks}
             left = modules.get(FALLBACK_SINK)
             if left is None:
-                left = connection.load_module("module-null-sink", _FALLBACK_ARGUMENTS)
+                known = f"device.description=Haptic-Cushion-(silent) device.intended_roles={ROLE}"
+                arguments = (f"sink_name={FALLBACK_SINK}", f'sink_properties="{known}"')
+                left = connection.load_module("module-null-sink", arguments)
             self._modules.append(left)
             self.active = True
         except NotFoundError as error:
@@ -224,9 +226,3 @@ class FallbackSink:
         while self._modules:
             with suppress(LostError, NotFoundError):  # it is gone already
                 self._connection.unload_module(self._modules.pop())
-
-
-_FALLBACK_ARGUMENTS = (
-    f"sink_name={FALLBACK_SINK}",
-    f'sink_properties="device.description=Haptic-Cushion-(silent) device.intended_roles={ROLE}"',
-)

@@ -83,9 +83,13 @@ class AudioPriority:
 
 def priority_advice() -> str:
     """Return advice for a user whose audio threads have no real-time priority."""
+    try:
+        user = getpass.getuser()
+    except (KeyError, OSError):  # a container's user without a name
+        user = str(os.getuid())
     return (
         "the audio threads have no real-time priority, so vibration may break up on a busy "
-        f"machine; put `{_user()} - rtprio {2 * PRIORITY}` into "
+        f"machine; put `{user} - rtprio {2 * PRIORITY}` into "
         "/etc/security/limits.d/cushion.conf and log in again, or set realtime = false"
     )
 
@@ -125,13 +129,6 @@ def _set_limits() -> None:
     most_us = kill_us if hard == resource.RLIM_INFINITY else min(hard, kill_us)
     with suppress(OSError, ValueError):
         resource.setrlimit(resource.RLIMIT_RTTIME, (min(int(SPIN_S * 1e6), most_us), most_us))
-
-
-def _user() -> str:
-    try:
-        return getpass.getuser()
-    except (KeyError, OSError):  # a container's user without a name
-        return str(os.getuid())
 
 
 RELEASE_LIMIT_S = 0.05  # several callbacks: if none comes in this time, the stream has stopped

@@ -49,7 +49,7 @@ class PcmConfig:
     its children. PULSE_LATENCY_MSEC is removed, as it would block the output, and no JACK server
     is started. The user's PULSE_PROP stays. One thread at a time uses it.
 
-    names, pcms: of the PCMs, and the PCMs by name. LostError: the system has no memory for the file.
+    names: of the PCMs. pcms: by name. LostError: the system has no memory for the file.
     """
 
     def __init__(self, *names: str) -> None:
