@@ -100,10 +100,6 @@ class TargetDelay:
         """Reach the goal at once."""
         self.current_s = self.wanted_s
 
-    def rebase(self, seconds: float) -> None:
-        """Follow a measurement that reads higher by this much without a change of the delay."""
-        self.current_s += seconds
-
     def move(self, seconds: float) -> float:
         """Move for `seconds`; return the speed, in seconds per second."""
         share = min(1.0, seconds / NEAR_S)

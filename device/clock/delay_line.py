@@ -214,7 +214,7 @@ class DelayLine:
         # A corrected clock changes the measured delay, but not the delay: do not steer.
         stepped_s = clock.stepped_s - written.clock.stepped_s
         if known and self._known:
-            self._target.rebase(stepped_s - self._stepped_s)
+            self._target.current_s += stepped_s - self._stepped_s
         self._known, self._stepped_s = known, stepped_s
         late_s = written.lateness_s + self._reads.lateness.estimate_s
         before_s, self._offset_in_force_s = self._offset_in_force_s, self._offset_s
@@ -239,7 +239,7 @@ class DelayLine:
         self, captured: float, seconds: float, slew: float, known: bool, by_user: bool
     ) -> None:
         """Steer, or stop for a jump; by_user: the user has just changed the delay."""
-        held = self._reader.behind(captured)
+        held = captured - self._reader.position - self._reader.fraction
         self._delay_s = held / self.samplerate_in
         error = held - self._target.current_s * self.samplerate_in
         off_s = abs(error / self.samplerate_in)

@@ -81,10 +81,6 @@ class CubicReader:
         self.position = position
         self.fraction = 0.0
 
-    def behind(self, frames: float) -> float:
-        """Return how far the position is behind that frame count."""
-        return frames - self.position - self.fraction
-
     def readable(self, written: int, step: float) -> int:
         """Return how many frames `read` can give at `step` after `written` frames."""
         reach = written - self.position - LOOKAHEAD - self.fraction

@@ -43,7 +43,7 @@ class StreamTiming:
     def add_lateness(self, late_s: float, seconds: float, clock: ClockReading) -> None:
         """Count a callback that was late_s late, `seconds` of its stream after the previous."""
         if not clock.settled:
-            self.lateness.forget_pause()
+            self.lateness.paused_s = 0.0  # the stream started again
         elif math.isfinite(late_s):
             self.lateness.add(late_s, seconds, clock.astray)
 
@@ -116,24 +116,25 @@ class Lateness:
 
     limit_s: the most to provide for; later callbacks cause an underflow. estimate_s: 0.5 ms to
     `limit_s`, which follows every rise, but a fall only if greater than 1 ms. known: whether it has
-    been evaluated. Any thread may read both; one thread calls the methods.
+    been evaluated. paused_s: greatest lateness of the present pause, 0 for none. Any thread may
+    read these; one thread calls the methods.
     """
 
     def __init__(self, limit_s: float) -> None:
         self._limit_s = limit_s
         self._counts = [0.0] * (max(1, round(limit_s / _BIN_S)) + 1)
-        self._unseen_s = self._paused_s = 0.0
+        self._unseen_s = self.paused_s = 0.0
         self._weight, self.estimate_s = 1.0, min(LEAST_S, limit_s)
         self.known = False
 
     def add(self, late_s: float, seconds: float, paused: bool) -> None:
         """Count one callback; paused: it is one of several after the same pause."""
         if paused:
-            self._paused_s = max(self._paused_s, late_s)
+            self.paused_s = max(self.paused_s, late_s)
             return
-        if self._paused_s:
-            self._count(self._paused_s)
-            self._paused_s = 0.0
+        if self.paused_s:
+            self._count(self.paused_s)
+            self.paused_s = 0.0
         self._count(late_s)
         # Newer entries gain weight instead of all older ones losing it.
         self._weight *= 2.0 ** min(1.0, seconds / _HALF_LIFE_S)
@@ -149,12 +150,8 @@ class Lateness:
         """Drop all entries, which were no lateness."""
         self._counts = [0.0] * len(self._counts)
         self._weight = 1.0
-        self._paused_s = 0.0
+        self.paused_s = 0.0
         self.estimate_s = min(LEAST_S, self._limit_s)
-
-    def forget_pause(self) -> None:
-        """Drop the last pause: the stream started again."""
-        self._paused_s = 0.0
 
     def _count(self, late_s: float) -> None:
         last = len(self._counts) - 1

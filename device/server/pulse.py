@@ -159,16 +159,15 @@ class PulseConnection(ConnectionThread):
     def _connect(self) -> None:
         pulsectl = load_pulsectl()
         patch_samplerates(pulsectl)
-        self._deadline_s = time.monotonic() + ANSWER_LIMIT_S
-        try:
-            self._pulse = pulsectl.Pulse("haptic-cushion", connect=False)
-            self._pulse.set_poll_func(self._poll, lambda *_: None)
-            self._pulse.connect()
-        except Exception:
-            raise no_server() from None
-        self._pulse.event_mask_set(*FACILITIES)
-        self._pulse.event_callback_set(self._on_event)
-        self._deadline_s = None
+        with self._deadline():
+            try:
+                self._pulse = pulsectl.Pulse("haptic-cushion", connect=False)
+                self._pulse.set_poll_func(self._poll, lambda *_: None)
+                self._pulse.connect()
+            except Exception:
+                raise no_server() from None
+            self._pulse.event_mask_set(*FACILITIES)
+            self._pulse.event_callback_set(self._on_event)
 
     def _serve(self) -> None:
         while not self._stopping:

@@ -109,15 +109,14 @@ def open_stream(pcm: Pcm, setup: StreamSetup, callback: Callback) -> OpenStream:
         opened.stream.start_stream()
         return opened
 
+    attempt = 0
     try:
-        attempt = 0
         while True:
             attempt += 1
             opened = _call_within(OPEN_LIMIT_S, f"open {what}", open_stopped, close_stream)
             try:
-                return _call_within(
-                    START_LIMIT_S, f"start {what}", partial(start, opened), close_stream
-                )
+                work = partial(start, opened)
+                return _call_within(START_LIMIT_S, f"start {what}", work, close_stream)
             except LostError:
                 # PortAudio 19.6 never returns if its thread fails to start, which happens
                 # occasionally on PipeWire. That stream cannot be closed: abandon it.
