@@ -42,8 +42,7 @@ class AppCaptures(ConnectionThread):
         self._context: Any = None
         self._numbers = itertools.count(1)
         self._answers: dict[int, PlayingStream | None] = {}
-        self._query = 0  # number of the query to a silent server, or 0
-        self._queried_s = self._heard_s = time.monotonic()
+        self._heard_s = time.monotonic()
         types = self._library.types
         self._info_callback = types.PA_SINK_INPUT_INFO_CB_T(self._take_info)
         self._event_callback = types.PA_SUBSCRIBE_CB_T(self._take_event)
@@ -172,7 +171,8 @@ class AppCaptures(ConnectionThread):
             self._step(_QUERY_AFTER_S / 2 if self._captures else None)
             self._do_requests()
             self._maintain()
-            self._check_silence(time.monotonic())
+            if self._captures and time.monotonic() - self._heard_s >= _QUERY_AFTER_S:
+                self._find_playing(0)  # raises LostError if the server hangs
 
     def _step(self, limit_s: float | None, for_requests: bool = True) -> None:
         """Wait for the server, and for requests if `for_requests`; then read the streams."""
@@ -208,24 +208,7 @@ class AppCaptures(ConnectionThread):
         if not self._wait_for(condition, ANSWER_LIMIT_S):
             raise self._no_answer()
 
-    def _check_silence(self, now_s: float) -> None:
-        if self._query in self._answers:
-            del self._answers[self._query]
-            self._query = 0
-        if not self._captures or now_s - self._heard_s < _QUERY_AFTER_S:
-            return
-        if not self._query:
-            self._queried_s, self._query = now_s, self._send_query(0)
-        elif now_s - self._queried_s > ANSWER_LIMIT_S:
-            raise self._no_answer()
-
     def _find_playing(self, stream_index: int) -> PlayingStream | None:
-        number = self._send_query(stream_index)
-        self._wait_for_answer(lambda: number in self._answers)
-        return self._answers.pop(number)
-
-    def _send_query(self, stream_index: int) -> int:
-        """Query a playing stream; return the key of the answer in `_answers`."""
         number = next(self._numbers)
         operation = self._library.context_get_sink_input_info(
             self._context, stream_index, self._info_callback, number
@@ -233,7 +216,8 @@ class AppCaptures(ConnectionThread):
         if not operation:
             raise self._loss()
         self._library.operation_unref(operation)
-        return number
+        self._wait_for_answer(lambda: number in self._answers)
+        return self._answers.pop(number)
 
     def _take_info(self, context: Any, info: Any, end: int, number: int) -> None:
         if end:

@@ -21,18 +21,13 @@ Index = dict[Any, set[int]]  # ids of objects by a name or by the id of their no
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """A node. media_class: such as "Audio/Sink"; "" for none. state: such as "running"."""
+    """A node. is_sink: it plays sound from other nodes. state: such as "running"."""
 
     id: int
     name: str
-    media_class: str
+    is_sink: bool
     state: str
     properties: Mapping[str, Any]
-
-    @property
-    def is_sink(self) -> bool:
-        """Whether it plays sound from other nodes."""
-        return self.media_class in ("Audio/Sink", "Audio/Duplex")
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,9 +165,9 @@ class Graph:
             return
         known = info.get("props") or {}
         if kind.endswith(":Node"):
-            name, media_class = str(known.get("node.name", "")), str(known.get("media.class", ""))
-            node = Node(number, name, media_class, str(info.get("state", "")), known)
-            self._put(self.nodes, node)
+            name, state = str(known.get("node.name", "")), str(info.get("state", ""))
+            is_sink = known.get("media.class") in ("Audio/Sink", "Audio/Duplex")
+            self._put(self.nodes, Node(number, name, is_sink, state, known))
         elif kind.endswith(":Port"):
             name, channel = str(known.get("port.name", "")), str(known.get("audio.channel", ""))
             is_monitor = str(known.get("port.monitor")).lower() == "true"

@@ -127,42 +127,39 @@ class Editor:
     """One running `pw-cli`, started again if it has ended. printed: file of its announcements."""
 
     def __init__(self) -> None:
-        self._process: subprocess.Popen[bytes] | None = None
         self.printed, self._output = os.pipe()
         try:
-            self._start()
+            self._process = self._start()
         except NotFoundError:
-            self.close()
+            self._close_pipe()
             raise
 
     def send(self, command: str) -> None:
         """Send one command. Never waits and raises nothing: a lost command is sent again later."""
-        if self._process is None or self._process.poll() is not None:
-            self._end()
+        if self._process.poll() is not None:
+            end(self._process)
             with suppress(NotFoundError):
-                self._start()
-        if self._process is not None and self._process.stdin is not None:
-            with suppress(OSError):
-                os.write(self._process.stdin.fileno(), f"{command}\n".encode())
+                self._process = self._start()
+        assert self._process.stdin is not None
+        with suppress(OSError, ValueError):  # it has ended
+            os.write(self._process.stdin.fileno(), f"{command}\n".encode())
 
     def close(self) -> None:
         """End it, and with it all links that it made. May be repeated; raises nothing."""
-        self._end()
+        end(self._process)
+        self._close_pipe()
+
+    def _close_pipe(self) -> None:
         for file in (self.printed, self._output):
             with suppress(OSError):
                 os.close(file)
         self.printed = self._output = -1
 
-    def _end(self) -> None:
-        process, self._process = self._process, None
-        if process is not None:
-            end(process)
-
-    def _start(self) -> None:
-        command = [EDITOR, "--monitor"]
-        self._process = _started(command, stdin=subprocess.PIPE, stdout=self._output)
-        assert self._process.stdin is not None
-        os.set_blocking(self._process.stdin.fileno(), False)
+    def _start(self) -> subprocess.Popen[bytes]:
+        process = _started([EDITOR, "--monitor"], stdin=subprocess.PIPE, stdout=self._output)
+        assert process.stdin is not None
+        os.set_blocking(process.stdin.fileno(), False)
+        return process
 
 
 def _started(command: list[str], *, stdin: int, stdout: int) -> subprocess.Popen[bytes]:
