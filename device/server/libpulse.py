@@ -32,7 +32,7 @@ SUBSCRIBE_SINK_INPUTS = 0x0004
 EVENT_MASK, EVENT_SINK_INPUT_REMOVED = 0x003F, 0x0022
 DEFAULT_MAP = 0
 
-_AT_ONCE: dict[str, tuple[Any, ...]] = {  # name: result, arguments
+_FUNCTIONS: dict[str, tuple[Any, ...]] = {  # name: result, arguments
     "strerror": (c_char_p, c_int),
     "mainloop_new": (c_void_p,),
     "mainloop_free": (None, c_void_p),
@@ -62,11 +62,10 @@ _AT_ONCE: dict[str, tuple[Any, ...]] = {  # name: result, arguments
     "stream_drop": (c_int, c_void_p),
     "stream_disconnect": (c_int, c_void_p),
     "stream_unref": (None, c_void_p),
-}
-_WAITING: dict[str, tuple[Any, ...]] = {
     "mainloop_poll": (c_int, c_void_p),
     "context_connect": (c_int, c_void_p, c_char_p, c_int, c_void_p),
 }
+_WAITING = ("mainloop_poll", "context_connect")
 
 
 class LibPulse(SimpleNamespace):
@@ -74,14 +73,11 @@ class LibPulse(SimpleNamespace):
 
     def __init__(self) -> None:
         self.types = load_pulsectl()._pulsectl
-        for library, functions in (
-            (ctypes.PyDLL("libpulse.so.0"), _AT_ONCE),
-            (ctypes.CDLL("libpulse.so.0"), _WAITING),
-        ):
-            for name, (result, *arguments) in functions.items():
-                function = getattr(library, f"pa_{name}")
-                function.restype, function.argtypes = result, arguments
-                setattr(self, name, function)
+        at_once, waiting = ctypes.PyDLL("libpulse.so.0"), ctypes.CDLL("libpulse.so.0")
+        for name, (result, *arguments) in _FUNCTIONS.items():
+            function = getattr(waiting if name in _WAITING else at_once, f"pa_{name}")
+            function.restype, function.argtypes = result, arguments
+            setattr(self, name, function)
 
     @contextmanager
     def properties(self, values: Mapping[str, str]) -> Iterator[Any]:

@@ -12,11 +12,8 @@ RETRY_S = 0.1  # time between two equal requests
 HOLDS_S = 0.2  # a link that vanishes earlier counts as missing
 
 PAUSED_S = 0.3
-"""How long a link may be paused beside an active one of the same nodes.
-
-PipeWire 0.3.65 resumes one of several links between two nodes and forgets the others, so their
-channels are silent until the links are made again.
-"""
+"""How long a link may be paused beside an active one of the same nodes: PipeWire 0.3.65 resumes one
+of several, and the others' channels are silent until the links are made again."""
 
 
 class Wiring(Protocol):

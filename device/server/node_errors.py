@@ -14,9 +14,7 @@ from typing import IO
 
 from device.process import end, memory_file, started
 
-COMMAND = ["pw-top", "--batch-mode", "--iterations=2"]
-"""The first listing has no counts yet. Two take a second."""
-
+COMMAND = ["pw-top", "--batch-mode", "--iterations=2"]  # the first listing has no counts yet
 INTERVAL_S = 10.0  # time from one look to the next
 ERRORS_COLUMN = 8  # of a listing: S ID QUANT RATE WAIT BUSY W/Q B/Q ERR FORMAT NAME
 

@@ -32,8 +32,6 @@ from device.server.snapshot import (
 from device.volume_limit import limit_volume_db
 
 FACILITIES = ("sink", "source", "sink_input", "source_output", "module", "card", "server")
-"""What is reported; clients come and go without a change for us."""
-
 _GATHER_S = 0.02  # events come in dozens: a snapshot is taken this long after the first of them
 _BUSY_POLLS, _BUSY_S = 50, 1.0  # after so many in so long, each event waits for more of them
 _REST_RATIO = 100.0  # on a server with hundreds of streams, snapshots take a hundredth of a core

@@ -13,9 +13,7 @@ from typing import Any
 from device.errors import LostError
 
 NOWHERE = 0xFFFF_FFFF  # the index that servers give for "none"
-STREAMS = frozenset({"sink_input", "source_output"})
-"""Facilities of events that change no sink and no source."""
-
+STREAMS = frozenset({"sink_input", "source_output"})  # events about them change no device
 HARDWARE_VOLUME, FLAT_VOLUMES = 0x01, 0x40  # flags of sinks, as in pulse/def.h
 DEFAULT_SETTLES_S = 0.2  # how long a new default sink must persist until it is reported
 

@@ -59,29 +59,19 @@ class CallbackCounts:
 
 
 class _Stream(CallbackCounts):
-    _output: bool
-
     def __init__(
-        self,
-        pcm: Pcm,
-        samplerate: int,
-        channels: int,
-        block_frames: int,
-        priority: AudioPriority | None,
-        sample_format: SampleFormat = SampleFormat.FLOAT32,
-        *,
-        audible: bool,
+        self, pcm: Pcm, setup: StreamSetup, priority: AudioPriority | None, audible: bool
     ) -> None:
-        check_format(samplerate, channels)
+        check_format(setup.samplerate, setup.channels)
         super().__init__(audible)
         self._priority, self._claimed = priority, -1
-        self.samplerate, self.channels = samplerate, channels
+        self.samplerate, self.channels = setup.samplerate, setup.channels
+        self._output = setup.output
         self._closing = False
         self._gil_state = GilState()
         self._close_lock = threading.Lock()
         self._on_server = isinstance(pcm.target, ServerDevice)
         self._open: OpenStream | None = None
-        setup = StreamSetup(self._output, samplerate, channels, block_frames, sample_format)
         self._open = open_stream(pcm, setup, self._callback)
         self.tag = self._open.tag
 
@@ -163,8 +153,6 @@ class CaptureStream(_Stream):
     stream later. UsageError: samplerate or channels is out of range.
     """
 
-    _output = False
-
     def __init__(
         self,
         pcm: Pcm,
@@ -178,7 +166,8 @@ class CaptureStream(_Stream):
         order: tuple[int, ...] | None = None,
     ) -> None:
         self._on_frames, self._order = on_frames, order
-        super().__init__(pcm, samplerate, channels, block_frames, priority, audible=audible)
+        setup = StreamSetup(False, samplerate, channels, block_frames, SampleFormat.FLOAT32)
+        super().__init__(pcm, setup, priority, audible)
 
     def _exchange(self, data: bytes | None, frames: int, now_s: float) -> None:
         if not self.audible:
@@ -201,8 +190,6 @@ class PlaybackStream(_Stream):
     `CaptureStream`.
     """
 
-    _output = True
-
     def __init__(
         self,
         pcm: Pcm,
@@ -222,9 +209,8 @@ class PlaybackStream(_Stream):
         self._encoder = None if is_float else Encoder(sample_format, channels, block_frames)
         self._bytes_per_frame = channels * sample_format.bytes_per_sample
         self._sound: bytes | None = None
-        super().__init__(
-            pcm, samplerate, channels, block_frames, priority, sample_format, audible=False
-        )
+        setup = StreamSetup(True, samplerate, channels, block_frames, sample_format)
+        super().__init__(pcm, setup, priority, audible=False)
 
     def _exchange(self, data: bytes | None, frames: int, now_s: float) -> None:
         if self._used or len(self._out) != frames:
