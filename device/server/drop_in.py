@@ -163,11 +163,11 @@ class DropIn(Listener):
             self._circular.add(target)
             self._refusal = f"the sink {target!r} plays to {SINK!r} itself; choose another one"
             return False
-        if not self._default.contested:
+        contested = self._default.contested
+        if not contested:
             self._streams.collect(snapshot, target, now_s)
-        self.reason = _CONTESTED if self._default.contested else self._refusal
-        settled = self._default.settled or self._default.contested
-        return settled and self._streams.all_here
+        self.reason = _CONTESTED if contested else self._refusal
+        return (contested or self._default.settled) and self._streams.all_here
 
     def _accept_choice(self, choice: str, snapshot: ServerSnapshot) -> None:
         """Make a new default sink the target, as the user wants to hear the sound there."""
@@ -286,9 +286,9 @@ class DropIn(Listener):
                 f"sound cannot be forwarded to the sink {target!r}: {self._why_unfit(target)}; "
                 "choose another default sink, or name a sink"
             )
-        if default not in ("", SINK):
-            return target, default
-        return target, left.restore if left is not None else target
+        if default in ("", SINK):
+            default = left.restore if left is not None else target
+        return target, default
 
     def _why_unfit(self, name: str) -> str:
         if not name:

@@ -40,7 +40,7 @@ class LinkKeeper:
 
     def __init__(self, graph: Graph, send: Callable[[str], None]) -> None:
         self._graph, self._send = graph, send
-        self._asked_s: dict[tuple[str, LinkPair | int | str], float] = {}
+        self._asked_s: dict[str, float] = {}  # by command
         self._made: set[str] = set()
         self._missing_s: dict[LinkPair, float] = {}
         self._present_s: dict[LinkPair, float] = {}
@@ -58,11 +58,10 @@ class LinkKeeper:
         self._asked_s = {what: s for what, s in self._asked_s.items() if now_s - s < RETRY_S}
         for link in links.values():
             if link.pair not in wanted:
-                self._ask("destroy", link.id, f"destroy {link.id}", now_s)
-        for pair in wanted - present:
-            properties = "{ link.passive=true object.linger=false }"
-            command = f"create-link -1 {pair[0]} -1 {pair[1]} {properties}"
-            self._ask("create", pair, command, now_s)
+                self._ask(f"destroy {link.id}", now_s)
+        properties = "{ link.passive=true object.linger=false }"
+        for output_id, input_id in wanted - present:
+            self._ask(f"create-link -1 {output_id} -1 {input_id} {properties}", now_s)
         self._make_nodes(self.wiring.made_nodes(), now_s)
         self._note_times(wanted, present, now_s)
         self._renew_paused(links.values(), now_s)
@@ -80,13 +79,13 @@ class LinkKeeper:
         for name in self._made:
             nodes = list(self._graph.nodes_named(name))
             if name in made and not nodes:
-                self._ask("create", name, made[name], now_s)
+                self._ask(made[name], now_s)
             for node in nodes[name in made :]:  # a busy server may have made two
-                self._ask("destroy", node.id, f"destroy {node.id}", now_s)
+                self._ask(f"destroy {node.id}", now_s)
 
-    def _ask(self, kind: str, what: LinkPair | int | str, command: str, now_s: float) -> None:
-        if (kind, what) not in self._asked_s:
-            self._asked_s[kind, what] = now_s
+    def _ask(self, command: str, now_s: float) -> None:
+        if command not in self._asked_s:
+            self._asked_s[command] = now_s
             self._send(command)
 
     def _note_times(self, wanted: Set[LinkPair], present: Set[LinkPair], now_s: float) -> None:
@@ -114,4 +113,4 @@ class LinkKeeper:
             if link.state == "paused" and ends in active and link.output_node_id not in ours:
                 since_s = self._paused_s[link.id] = before.get(link.id, now_s)
                 if now_s - since_s > PAUSED_S:
-                    self._ask("destroy", link.id, f"destroy {link.id}", now_s)
+                    self._ask(f"destroy {link.id}", now_s)

@@ -134,8 +134,8 @@ class DefaultSinkClaim:
         elif self.settled and default and (default == self.stable_name or default not in fit):
             self.settled = False
             self._choices.append(now_s)
-            often = len(self._choices) == _CONTESTS and now_s - self._choices[0] < _CONTEST_S
-            self.contested = often
+            full = len(self._choices) == _CONTESTS
+            self.contested = full and now_s - self._choices[0] < _CONTEST_S
             return default
         return None
 

@@ -72,8 +72,11 @@ class PcmConfig:
         """Let opening `pcm` open its target, with our properties and tag, inside this context."""
         self._write()
         theirs = self._before["PULSE_PROP"] or ""
+        ours = f"application.id={APPLICATION_ID} media.role={ROLE} {TAG}={tag}"
+        if output:  # on PipeWire it then ends with its sink, and does not move to the default one
+            ours += " node.dont-reconnect=true"  # a tap with it could not be moved any more
+        os.environ["PULSE_PROP"] = f"{theirs} {ours}".strip()
         # ALSA's plugin sets its own application name; only an override replaces it.
-        os.environ["PULSE_PROP"] = f"{theirs} {_properties(tag, output)}".strip()
         os.environ["PULSE_PROP_OVERRIDE"] = f'application.name="{APPLICATION_NAME}"'
         try:
             yield
@@ -108,13 +111,6 @@ class PcmConfig:
         before, self._file = self._file, file
         if before >= 0:
             os.close(before)
-
-
-def _properties(tag: str, output: bool) -> str:
-    # On PipeWire, an output that loses its sink ends, and does not move to the default sink.
-    # A tap does without, as it could not be moved any more.
-    ending = " node.dont-reconnect=true" if output else ""
-    return f"application.id={APPLICATION_ID} media.role={ROLE} {TAG}={tag}{ending}"
 
 
 class Target:
