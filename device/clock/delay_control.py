@@ -19,13 +19,6 @@ NEAR_S = 1.0  # time constant of the approach, which slows small steps down
 class RateLoop:
     """The third-order loop of zita-ajbridge, from a delay error to a read ratio.
 
-    With B the seconds since the last update, e the error in frames and w = 2 pi bandwidth:
-
-        z1 += (1 - exp(-20 w B)) (1.6 w e / samplerate - z1)
-        z2 += (1 - exp(-20 w B)) (z1 - z2)
-        z3 += w B / 1.6 z2
-        ratio = 1 + z2 + z3
-
     No error remains at a constant drift. The bandwidth is wide for 10 s after a restart, then
     narrow. F. Adriaensen, zita-ajbridge (there with the opposite signs of error and ratio).
 

@@ -5,7 +5,7 @@ made; PortAudio and ALSA cannot. The sound comes after the application's own vol
 before the sink's; at 100 % and equal rates the samples are bit-identical.
 
 PulseAudio also ends the capture when the application's stream moves to another sink. While the
-application pauses, it delivers silence, and PipeWire nothing.
+application pauses, PulseAudio delivers silence and PipeWire nothing.
 """
 
 from __future__ import annotations

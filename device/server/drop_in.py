@@ -269,7 +269,7 @@ class DropIn(Listener):
         self, snapshot: ServerSnapshot, target: str | None, left: Route | None
     ) -> tuple[str, str]:
         sink = snapshot.sink(SINK)
-        if sink is not None and not forwarding.is_cushion_sink(sink):
+        if sink is not None and (sink.module is None or forwarding.MARK not in sink.properties):
             raise NotFoundError(f"there is a sink {SINK!r} that is not ours; rename or remove it")
         default = snapshot.default_sink
         names = self._possible_targets(snapshot)

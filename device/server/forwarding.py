@@ -17,7 +17,7 @@ SINK = "cushion"  # name of the virtual sink
 
 MIN_DELAY_S, MAX_DELAY_S = 0.02, 0.5  # both servers play the least without gaps
 
-_MARK = "cushion.drop_in"
+MARK = "cushion.drop_in"  # property of the sink that this program makes
 _TARGET = "cushion.target"
 _RESTORE = "cushion.restore"
 _DELAY = "cushion.delay_ms"
@@ -69,11 +69,6 @@ def loopbacks(snapshot: ServerSnapshot) -> list[Loopback]:
     return found
 
 
-def is_cushion_sink(sink: Sink) -> bool:
-    """Whether this program made a sink of our name."""
-    return _MARK in sink.properties and sink.module is not None
-
-
 def is_application(stream: Stream) -> bool:
     """Whether a playing stream is neither vibration nor one of our loopbacks."""
     return _TARGET not in stream.properties and not is_ours(stream)
@@ -112,7 +107,7 @@ def sink_arguments(snapshot: ServerSnapshot, target: Sink) -> list[str]:
     Without norewinds an idle PulseAudio renders 2 s ahead, and a tap would be that late.
     """
     own = ["format=float32le", "norewinds=1"] if snapshot.kind == "PulseAudio" else []
-    properties = f"device.description='{APPLICATION_NAME}' {_MARK}=1"
+    properties = f"device.description='{APPLICATION_NAME}' {MARK}=1"
     return [f"sink_name={SINK}", *_format(target), *own, f'sink_properties="{properties}"']
 
 

@@ -136,7 +136,6 @@ RELEASE_LIMIT_S = 0.05  # several callbacks: if none comes in this time, the str
 _LOCKED = 0  # PyGILState_LOCKED of Python's C API: the caller holds the lock, as in a callback
 
 _ensure = ctypes.pythonapi.PyGILState_Ensure
-_ensure.restype = ctypes.c_int
 _release = ctypes.pythonapi.PyGILState_Release
 _release.argtypes = [ctypes.c_int]
 _release.restype = None

@@ -62,10 +62,16 @@ class _Stream(CallbackCounts):
     def __init__(
         self, pcm: Pcm, setup: StreamSetup, priority: AudioPriority | None, audible: bool
     ) -> None:
-        check_format(setup.samplerate, setup.channels)
+        samplerate, channels = setup.samplerate, setup.channels
+        if not 1_000 <= samplerate <= 768_000:
+            raise UsageError(
+                f"samplerate={samplerate} Hz is out of range; choose 1000 to 768000 Hz"
+            )
+        if not 1 <= channels <= 32:
+            raise UsageError(f"channels={channels} is out of range; choose 1 to 32")
         super().__init__(audible)
         self._priority, self._claimed = priority, -1
-        self.samplerate, self.channels = setup.samplerate, setup.channels
+        self.samplerate, self.channels = samplerate, channels
         self._output = setup.output
         self._closing = False
         self._gil_state = GilState()
@@ -246,11 +252,3 @@ class PlaybackStream(_Stream):
 
 def _as_frames(data: bytes, channels: int) -> Float32Array:
     return np.frombuffer(data, np.float32).reshape(-1, channels)
-
-
-def check_format(samplerate: int, channels: int) -> None:
-    """Raise UsageError if no stream can have this format. Any thread may call it."""
-    if not 1_000 <= samplerate <= 768_000:
-        raise UsageError(f"samplerate={samplerate} Hz is out of range; choose 1000 to 768000 Hz")
-    if not 1 <= channels <= 32:
-        raise UsageError(f"channels={channels} is out of range; choose 1 to 32")
