@@ -32,7 +32,7 @@ from device.drive import ActuatorSettings
 from device.errors import LostError, NotFoundError, UsageError
 from device.server import PulseConnection, ServerSnapshot
 from device.stream import PcmConfig, filter_stderr
-from device.stream.pulse_plugin import missing_plugin
+from device.stream.pcms import missing_plugin
 from device.usb import find_devices
 from device.values import nearest
 

@@ -32,7 +32,7 @@ from device.errors import CushionError, InternalError, UsageError
 from device.output import VibrationOutput
 from device.rig import rig_by_name
 from device.rig.simulated_rig import SimulatedRig
-from device.stream.cpu_time import cpu_time_s
+from device.stream.callback_thread import cpu_time_s
 
 HAL_FRAMES = 240
 """Frames that the output is assumed to take at once; a cycle is 20 ms of such frames."""

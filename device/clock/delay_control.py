@@ -12,28 +12,18 @@ MAX_DEVIATION = 2_000e-6
 _DAMPING = 1.6
 _SMOOTHING = 20.0
 
-SLEW = 1_000e-6
-"""Greatest speed of the target, in seconds per second: an imperceptible change of pitch."""
+SLEW = 1_000e-6  # greatest speed of the target, in s/s: an imperceptible change of pitch
 NEAR_S = 1.0  # time constant of the approach, which slows small steps down
 
 
 class RateLoop:
     """The third-order loop of zita-ajbridge, from a delay error to a read ratio.
 
-    samplerate: Hz, of the frames that the error counts. Called by the reading thread.
-
-    With B the seconds since the last update, e the error in frames and w = 2 pi bandwidth:
-
-        z1 += (1 - exp(-20 w B)) (1.6 w e / samplerate - z1)
-        z2 += (1 - exp(-20 w B)) (z1 - z2)
-        z3 += w B / 1.6 z2
-        ratio = 1 + z2 + z3
-
     No error remains at a constant drift. The bandwidth is wide for 10 s after a restart, then
     narrow. F. Adriaensen, zita-ajbridge (there with the opposite signs of error and ratio).
 
-    z1, z2: the smoothed error, as a relative rate. z3: the drift between the clocks.
-    ratio: frames to read for each nominal one, as of the last update.
+    samplerate: Hz, of the frames that the error counts. z3: the drift between the clocks.
+    ratio: frames to read for each nominal one. Called by the reading thread.
     """
 
     def __init__(self, samplerate: float) -> None:
@@ -53,13 +43,13 @@ class RateLoop:
         return self._age_s < WIDE_FOR_S
 
     def update(self, error_frames: float, seconds: float) -> float:
-        """Return the ratio for the next block; the error is delay minus target, in frames.
+        """Return the ratio for the next block, `seconds` after the last update.
 
-        seconds: since the last update. An error that is not finite changes nothing.
+        The error is delay minus target; one that is not finite changes nothing.
         """
         if not math.isfinite(error_frames):
             return self.ratio
-        omega = 2.0 * math.pi * (WIDE_HZ if self.wide else NARROW_HZ)
+        omega = math.tau * (WIDE_HZ if self.wide else NARROW_HZ)
         self._age_s += seconds
         gain = -math.expm1(-_SMOOTHING * omega * seconds)
         self.z1 += gain * (_DAMPING * omega * error_frames / self._samplerate - self.z1)
@@ -67,8 +57,7 @@ class RateLoop:
         # Integration against the limit would cause an overshoot later.
         deviation = self.z2 + self.z3
         if abs(deviation) < MAX_DEVIATION or deviation * self.z2 < 0.0:
-            self.z3 += min(1.0, omega * seconds / _DAMPING) * self.z2
-            self.z3 = _limited(self.z3)
+            self.z3 = _limited(self.z3 + min(1.0, omega * seconds / _DAMPING) * self.z2)
         self.ratio = 1.0 + _limited(self.z2 + self.z3)
         return self.ratio
 
@@ -82,15 +71,11 @@ class TargetDelay:
 
     least_s: 1.5 capture blocks and one output block; the half covers the worst phase between two
     unrelated clocks. most_s: what the buffer has room for. jump_s: a greater rise of the lateness
-    takes effect at once, or frames would run out first. Called by the reading thread.
-
-    current_s: the present target, least_s to most_s.
+    takes effect at once, or frames would run out first. current_s: the present target.
     """
 
     def __init__(self, least_s: float, most_s: float, jump_s: float) -> None:
-        self._jump_s = jump_s
-        self._least_s = least_s
-        self._most_s = most_s
+        self._least_s, self._most_s, self._jump_s = least_s, most_s, jump_s
         self._offset_s = 0.0
         self.wanted_s = self.current_s = least_s
 
@@ -108,15 +93,11 @@ class TargetDelay:
         """Reach the goal at once."""
         self.current_s = self.wanted_s
 
-    def rebase(self, seconds: float) -> None:
-        """Follow a measurement that reads higher by this much without a change of the delay."""
-        self.current_s += seconds
-
     def move(self, seconds: float) -> float:
         """Move for `seconds`; return the speed, in seconds per second."""
         share = min(1.0, seconds / NEAR_S)
-        step_s = share * (self.wanted_s - self.current_s)
-        step_s = max(-SLEW * seconds, min(SLEW * seconds, step_s))
+        most_s = SLEW * seconds
+        step_s = max(-most_s, min(most_s, share * (self.wanted_s - self.current_s)))
         self.current_s += step_s
         return step_s / seconds
 

@@ -16,8 +16,7 @@ from device.units import Float32Array, FloatArray, check_channels
 
 LATENESS_LIMIT_S = 0.03  # per side; later callbacks are underflows
 RESYNC_FRAMES = 256
-FAR_OFF_S = 0.1
-"""An error of the delay that is corrected at once, even before both clocks are settled."""
+FAR_OFF_S = 0.1  # an error of the delay that is corrected even before both clocks are settled
 LOCK_S = 0.00025
 UNLOCK_S = 0.001
 LOCK_AFTER_S = 1.0
@@ -28,16 +27,11 @@ HOLD_OFF_S = 0.25  # silence after the second starvation within a second: regula
 class DelayState(enum.Enum):
     """The state of a delay line. Every recovery passes FILLING or STARVED."""
 
-    EMPTY = "empty"
-    """Nothing has been written since the start or the last flush; reads give silence."""
-    FILLING = "filling"
-    """Frames arrive, but there are too few for the target, or a clock is still unknown."""
-    SETTLING = "settling"
-    """Playing; the delay is being steered to the target."""
-    LOCKED = "locked"
-    """Playing; the delay has been on the target for a second."""
-    STARVED = "starved"
-    """The frames ran out; reads give silence until the target is filled again."""
+    EMPTY = "empty"  # nothing written since the start or the last flush; reads give silence
+    FILLING = "filling"  # too few frames for the target, or a clock is still unknown
+    SETTLING = "settling"  # playing; the delay is being steered to the target
+    LOCKED = "locked"  # playing; the delay has been on the target for a second
+    STARVED = "starved"  # the frames ran out; silence until the target is filled again
 
 
 _PLAYING = (DelayState.SETTLING, DelayState.LOCKED)
@@ -46,11 +40,10 @@ _PLAYING = (DelayState.SETTLING, DelayState.LOCKED)
 class DelayStatus(NamedTuple):
     """A consistent report of a delay line, from the last read.
 
-    target_s: the delay that is aimed at. delay_s: time from the capture of a frame to its place in
-    the output, without the cards' latencies; 0 unless SETTLING or LOCKED. ratio_ppm:
-    how much faster than nominal frames are read, within ±2000, and 1000 more while the target
-    moves. resyncs: jumps because the delay was too far off, without those to a new offset.
-    underflows: how often frames ran out. overflows: how often frames were lost before their read.
+    delay_s: time from the capture of a frame to its place in the output, without the cards'
+    latencies; 0 unless SETTLING or LOCKED. ratio_ppm: how much faster than nominal frames are read,
+    within ±2000, and 1000 more while the target moves. resyncs: jumps because the delay was too far
+    off, without those to a new offset. overflows: how often frames were lost before their read.
     """
 
     target_s: float
@@ -72,14 +65,13 @@ class DelayLine:
 
     One thread at a time calls `write` and one calls `read`; any thread may call the rest, and
     none waits. Frames cross as in `NewestFrames`, all else as an immutable object in one attribute.
-    Times are seconds of one monotonic clock, taken when the callback began.
+    Times are taken when the callback began.
 
     channels: of every block. samplerate_in, samplerate_out: nominal, Hz; they may differ.
     capacity_s: of the memory, allocated at once; the target stays within three quarters of it.
     capture_block, output_block: frames of a usual `write` and `read`; others count as lateness.
     offset_s: delay added to the necessary one, 0 or more. lateness_least_s: the least lateness to
-    plan for, so that the first late callbacks do not move the delay.
-    status: after the last read.
+    plan for, so that the first late callbacks do not move the delay. status: after the last read.
 
     UsageError: offset_s or capacity_s is out of range. InternalError: a block has a wrong shape.
     Nothing else passed to `write` or `read` raises, and `read` still gives finite frames.
@@ -105,8 +97,7 @@ class DelayLine:
                 f"choose {needed_s:.3f} or more"
             )
         self.channels = channels
-        self.samplerate_in = float(samplerate_in)
-        self.samplerate_out = float(samplerate_out)
+        self.samplerate_in, self.samplerate_out = float(samplerate_in), float(samplerate_out)
         self._lateness_least_s = lateness_least_s
         self._most_offset_s = 0.75 * (capacity_s - needed_s)
         self._resync_frames = max(RESYNC_FRAMES, capture_block // 2)
@@ -125,18 +116,13 @@ class DelayLine:
         self._target = TargetDelay(least_s, 0.75 * capacity_s, jump_s)
         self._state = DelayState.EMPTY
         self._step = self._nominal_step = self.samplerate_in / self.samplerate_out
-        self._delay_s = 0.0
-        self._on_target_s = 0.0
-        self._known = False
-        self._stepped_s = 0.0
-        self._starved_at_s = -math.inf
-        self._not_before_s = -math.inf
-        self._from_frame = 0
-        self._flushing = False
-        self._flushed: int | None = None
+        self._delay_s = self._on_target_s = self._stepped_s = 0.0
+        self._known = self._flushing = False
+        self._starved_at_s = self._not_before_s = -math.inf
         self._resyncs = self._underflows = self._overflows = 0
+        self._from_frame = -1  # frames up to here were flushed
         # set by any thread
-        self._flush_wanted: int | None = None
+        self._flush_wanted = -1
         self._offset_s = 0.0
         self.offset_s = self._offset_in_force_s = offset_s
         self._target.set_goal(2.0 * LEAST_S, offset_s)
@@ -173,8 +159,7 @@ class DelayLine:
     ) -> None:
         """Store a copy of (frames, channels), any number of frames, captured until now_s.
 
-        earlier: if the frames were captured in parts, (time, frames until then) of each part except
-        the last, in order. Called by one thread at a time.
+        earlier: if they were captured in parts, (time, frames until then) of each except the last.
         """
         check_channels(frames, self.channels)
         if len(frames):
@@ -183,7 +168,7 @@ class DelayLine:
 
     @property
     def readable(self) -> int:
-        """Frames that a `read` would give now; 0 while not playing. For the reading thread."""
+        """Frames that a `read` gives now; 0 while not playing. For the reading thread."""
         written = self._writes.written
         if written is None or self._state not in _PLAYING:
             return 0
@@ -192,8 +177,7 @@ class DelayLine:
     def read(self, out: Float32Array, now_s: float, ahead: int = 0) -> int:
         """Fill (frames, channels), any number, to be played from now_s on; silence if missing.
 
-        ahead: how many of the last frames are optional (see `readable`). Returns how many frames
-        were filled. Called by the output's audio thread.
+        ahead: how many of the last frames are optional. Returns how many frames were filled.
         """
         check_channels(out, self.channels)
         frames = len(out)
@@ -202,9 +186,8 @@ class DelayLine:
         now_s = float(now_s)
         written = self._writes.written
         clock = self._reads.update(now_s, self._read_frames)
-        if self._flush_wanted != self._flushed:
-            self._flushed = self._flush_wanted
-            self._from_frame = self._flushed or 0
+        if self._flush_wanted != self._from_frame:
+            self._from_frame = self._flush_wanted
             self._stop(DelayState.EMPTY)
             self._flushing = True
         played, filled = 0, frames - ahead
@@ -224,7 +207,6 @@ class DelayLine:
     def _steer(
         self, written: Written, clock: ClockReading, now_s: float, frames: int, ahead: int
     ) -> None:
-        """Update state, position and step for a read of `frames`."""
         seconds = frames / self.samplerate_out
         early_s = clock.time_of(clock.frames + frames - ahead) - now_s - self._output_s
         self._reads.add_lateness(early_s, seconds, clock)
@@ -232,13 +214,12 @@ class DelayLine:
         # A corrected clock changes the measured delay, but not the delay: do not steer.
         stepped_s = clock.stepped_s - written.clock.stepped_s
         if known and self._known:
-            self._target.rebase(stepped_s - self._stepped_s)
+            self._target.current_s += stepped_s - self._stepped_s
         self._known, self._stepped_s = known, stepped_s
         late_s = written.lateness_s + self._reads.lateness.estimate_s
-        lateness_s = max(self._lateness_least_s, late_s)
-        wanted_s, self._offset_in_force_s = self._offset_in_force_s, self._offset_s
-        self._target.set_goal(lateness_s, self._offset_in_force_s)
-        by_user = wanted_s != self._offset_in_force_s
+        before_s, self._offset_in_force_s = self._offset_in_force_s, self._offset_s
+        by_user = before_s != self._offset_in_force_s
+        self._target.set_goal(max(self._lateness_least_s, late_s), self._offset_in_force_s)
         slew = self._target.move(seconds)
         captured = written.clock.frames_at(clock.time_s)
         if self._state in _PLAYING:
@@ -258,10 +239,10 @@ class DelayLine:
         self, captured: float, seconds: float, slew: float, known: bool, by_user: bool
     ) -> None:
         """Steer, or stop for a jump; by_user: the user has just changed the delay."""
-        held = self._reader.behind(captured)
+        held = captured - self._reader.position - self._reader.fraction
         self._delay_s = held / self.samplerate_in
         error = held - self._target.current_s * self.samplerate_in
-        error_s = error / self.samplerate_in
+        off_s = abs(error / self.samplerate_in)
         if self._reader.position - 1 < self._ring.oldest:
             self._overflows += 1
             self._stop(DelayState.FILLING)
@@ -271,10 +252,10 @@ class DelayLine:
         elif known:
             ratio = self._loop.update(error, seconds)
             self._step = self._nominal_step * (ratio - slew)
-            self._on_target_s = self._on_target_s + seconds if abs(error_s) < LOCK_S else 0.0
+            self._on_target_s = self._on_target_s + seconds if off_s < LOCK_S else 0.0
             if self._on_target_s >= LOCK_AFTER_S:
                 self._state = DelayState.LOCKED
-            elif abs(error_s) > UNLOCK_S:
+            elif off_s > UNLOCK_S:
                 self._state = DelayState.SETTLING
 
     def _start(self, written: Written, captured: float, frames: int) -> None:
@@ -311,7 +292,6 @@ class DelayLine:
         return len(out)
 
     def _stop(self, state: DelayState) -> None:
-        """Fade to silence."""
         if self._state in _PLAYING:
             self._joint.begin()
         self._state = state

@@ -12,22 +12,20 @@ from device.units import Float32Array, FloatArray
 LARGEST = 1e6  # greater magnitudes are a mistake that arithmetic might turn into inf
 LOOKAHEAD = 2  # frames that interpolation needs after the one at the position
 FADE_S = 0.005
-STEEPEST_HZ = 250.0
-"""Top of the vibration band: extrapolated slopes are limited to that of a full-scale sine here."""
+STEEPEST_HZ = 250.0  # extrapolated slopes are limited to that of a full-scale sine here
 _SLOPE_S = 0.0005
 
 
 class NewestFrames:
-    """A bounded ring that always holds the newest frames; the oldest are overwritten.
+    """A ring of the newest frames; the oldest are overwritten.
 
     One thread writes and one other reads, without locks. The writer sets `claimed`, stores the
     frames, and then publishes the new count elsewhere. The reader uses frames from `oldest` up to
-    the published count, and reads `oldest` again afterwards. If that is still behind them, all were
-    intact. This needs attributes that are loaded and stored atomically and in order, as CPython's
-    are.
+    that count; they were intact if `oldest` is still behind them afterwards. Attributes must be
+    loaded and stored atomically and in order, as CPython's are.
 
-    frames: float32 (capacity, channels); frame k is in row k % capacity. claimed: frames that
-    were or are being stored since the start.
+    frames: float32 (capacity, channels); frame k is in row k % capacity. claimed: count of frames
+    that were or are being stored.
     """
 
     def __init__(self, capacity: int, channels: int) -> None:
@@ -40,13 +38,12 @@ class NewestFrames:
         return self.claimed - len(self.frames)
 
     def store(self, block: Float32Array | FloatArray) -> int:
-        """Store (frames, channels), any number of frames, and return the new count of frames.
+        """Store any number of (frames, channels), and return the new count of frames.
 
         Samples that are not finite, or beyond LARGEST, become 0. Called by the writing thread.
         """
         capacity = len(self.frames)
-        end = self.claimed + len(block)
-        self.claimed = end
+        self.claimed = end = self.claimed + len(block)
         block = block[-capacity:]
         first = (end - len(block)) % capacity
         before_end = min(len(block), capacity - first)
@@ -67,14 +64,11 @@ def _copy(block: Float32Array | FloatArray, rows: Float32Array) -> None:
 class CubicReader:
     """Reads a ring of frames at any ratio, by the Lagrange cubic through the four nearest frames.
 
-    ring: float32 (capacity, channels), the frame `position` at row `position % capacity`; not
-    copied, and only read. Called by the reading thread.
-
     The error under a full-scale sine at 48 kHz is -130 dB at 500 Hz and -148 dB at 250 Hz.
-    NotFoundError: the compiled blocks are missing.
 
-    position, fraction: where the next frame is read, with `fraction` in 0 to 1. Their sum would
-    lose 20 bits of the fraction in a day.
+    ring: `NewestFrames.frames`. position, fraction: where the next frame is read, with `fraction`
+    in 0 to 1; their sum would lose 20 bits of the fraction in a day. Called by the reading thread.
+    NotFoundError: the compiled blocks are missing.
     """
 
     def __init__(self, ring: Float32Array) -> None:
@@ -87,28 +81,20 @@ class CubicReader:
         self.position = position
         self.fraction = 0.0
 
-    def behind(self, frames: float) -> float:
-        """Return how far the position is behind that frame count."""
-        return frames - self.position - self.fraction
-
     def readable(self, written: int, step: float) -> int:
-        """Return how many frames `read` can give at `step` after `written` frames; 0 or more."""
+        """Return how many frames `read` can give at `step` after `written` frames."""
         reach = written - self.position - LOOKAHEAD - self.fraction
         return max(0, math.ceil(reach / step))
 
     def read(self, out: Float32Array, step: float) -> None:
-        """Fill (frames, channels), any number of frames, and advance by `step` for each.
-
-        step: frames of the ring per frame of `out`, above 0.
-        """
+        """Fill any number of (frames, channels), and advance by `step`, above 0, for each."""
         frames = np.require(out, np.float32, ["C", "A", "W"])  # the array itself, unless strided
         self._cubic(self._ring, frames, (self.position - 1) % len(self._ring), self.fraction, step)
         if frames is not out:
             out[:] = frames
         end = self.fraction + len(out) * step
-        whole = math.floor(end)
-        self.position += whole
-        self.fraction = end - whole
+        self.position += math.floor(end)
+        self.fraction = end - math.floor(end)
 
 
 class Joint:

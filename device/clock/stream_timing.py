@@ -22,10 +22,9 @@ _HEAVIEST = 1e12
 
 
 class StreamTiming:
-    """A stream's clock, and the lateness measured against it.
+    """A stream's clock, and the lateness measured against it. For the stream's own thread.
 
-    samplerate: nominal, Hz. block_frames: of a usual callback. lateness_limit_s: see `Lateness`.
-    Called by the stream's own thread; other threads may use its results.
+    See `FrameClock` and `Lateness`.
     """
 
     def __init__(self, samplerate: float, block_frames: int, lateness_limit_s: float) -> None:
@@ -34,7 +33,7 @@ class StreamTiming:
         self.expect_jump = self._clock.expect_jump
 
     def update(self, now_s: float, frames: int) -> ClockReading | None:
-        """Update the clock; see `FrameClock`. Lateness against a stranded line is forgotten."""
+        """Update the clock; lateness against a stranded line is forgotten."""
         strandings = self._clock.strandings
         reading = self._clock.update(now_s, frames)
         if self._clock.strandings != strandings:
@@ -44,7 +43,7 @@ class StreamTiming:
     def add_lateness(self, late_s: float, seconds: float, clock: ClockReading) -> None:
         """Count a callback that was late_s late, `seconds` of its stream after the previous."""
         if not clock.settled:
-            self.lateness.forget_pause()
+            self.lateness.paused_s = 0.0  # the stream started again
         elif math.isfinite(late_s):
             self.lateness.add(late_s, seconds, clock.astray)
 
@@ -53,7 +52,7 @@ class Written(NamedTuple):
     """What the writing side publishes for the reading one.
 
     frames: count written so far, as of `clock`. run_start: the first frame after the last stall;
-    earlier ones are not played after it. lateness_s, lateness_known: see `Lateness`.
+    earlier ones are not played after it.
     """
 
     frames: int
@@ -66,8 +65,8 @@ class Written(NamedTuple):
 class WriteTiming:
     """The timing of the writing side, from the times of capture.
 
-    The parameters are those of `StreamTiming`. `add` is called by the writing thread; any thread
-    may call the rest. written: None until a frame's capture time is known.
+    The writing thread calls `add`; any thread may call the rest. written: None until a frame's
+    capture time is known.
     """
 
     def __init__(self, samplerate: float, block_frames: int, lateness_limit_s: float) -> None:
@@ -75,8 +74,7 @@ class WriteTiming:
         self._block_s = block_frames / samplerate
         self._timing = StreamTiming(samplerate, block_frames, lateness_limit_s)
         self._last_s = -math.inf
-        self._jump_wanted: object = None
-        self._jump_expected: object = None
+        self._jump_wanted = self._jump_expected = object()
         self.written: Written | None = None
 
     def expect_jump(self) -> None:
@@ -86,10 +84,7 @@ class WriteTiming:
     def add(
         self, frames: int, end: int, now_s: float, earlier: Sequence[tuple[float, int]]
     ) -> None:
-        """Take the times of the last `frames`, 1 or more, up to count `end`.
-
-        now_s, earlier: see `DelayLine.write`.
-        """
+        """Take the times of the last `frames`, up to count `end`; see `DelayLine.write`."""
         first_s = earlier[0][0] if earlier else now_s
         stalled = not first_s - self._last_s < STALLED_S
         if math.isfinite(now_s):
@@ -101,12 +96,10 @@ class WriteTiming:
         clock = None
         for part_s, frames_by_then in (*earlier, (now_s, frames)):
             part_end = start + frames_by_then
-            clock = self._timing.update(part_s, part_end)
-            if clock is not None:
+            if clock := self._timing.update(part_s, part_end):
                 # how far the captured frames lagged behind the clock just before these arrived
                 late_s = part_s - clock.time_of(part) - self._block_s
-                seconds = (part_end - part) / self._samplerate
-                self._timing.add_lateness(late_s, seconds, clock)
+                self._timing.add_lateness(late_s, (part_end - part) / self._samplerate, clock)
             part = part_end
         if clock is None:  # no time has been finite so far
             return
@@ -118,35 +111,30 @@ class WriteTiming:
 class Lateness:
     """The 99.9th percentile of lateness over the last minutes, in steps of 0.1 ms.
 
-    limit_s: the most to provide for; later callbacks are left to cause an underflow. Called by
-    the thread whose callbacks are measured.
-
     With fewer than 1000 callbacks it is the greatest lateness. All callbacks that one pause delays
     count as one, the latest. A pause that turns out to be a jump of the counter does not count.
 
-    estimate_s: 0.5 ms to `limit_s`. It follows every rise, but a fall only if greater than 1 ms,
-    so that it rests. known: whether it has been evaluated. Any thread may read both.
+    limit_s: the most to provide for; later callbacks cause an underflow. estimate_s: 0.5 ms to
+    `limit_s`, which follows every rise, but a fall only if greater than 1 ms. known: whether it has
+    been evaluated. paused_s: greatest lateness of the present pause, 0 for none. Any thread may
+    read these; one thread calls the methods.
     """
 
     def __init__(self, limit_s: float) -> None:
         self._limit_s = limit_s
         self._counts = [0.0] * (max(1, round(limit_s / _BIN_S)) + 1)
-        self._unseen_s = self._paused_s = 0.0
-        self._weight = 1.0
-        self.estimate_s = min(LEAST_S, limit_s)
+        self._unseen_s = self.paused_s = 0.0
+        self._weight, self.estimate_s = 1.0, min(LEAST_S, limit_s)
         self.known = False
 
     def add(self, late_s: float, seconds: float, paused: bool) -> None:
-        """Count a callback that was late_s late, `seconds` of its stream after the previous.
-
-        paused: it is one of several after the same pause, and more may come.
-        """
+        """Count one callback; paused: it is one of several after the same pause."""
         if paused:
-            self._paused_s = max(self._paused_s, late_s)
+            self.paused_s = max(self.paused_s, late_s)
             return
-        if self._paused_s:
-            self._count(self._paused_s)
-            self._paused_s = 0.0
+        if self.paused_s:
+            self._count(self.paused_s)
+            self.paused_s = 0.0
         self._count(late_s)
         # Newer entries gain weight instead of all older ones losing it.
         self._weight *= 2.0 ** min(1.0, seconds / _HALF_LIFE_S)
@@ -162,12 +150,8 @@ class Lateness:
         """Drop all entries, which were no lateness."""
         self._counts = [0.0] * len(self._counts)
         self._weight = 1.0
-        self._paused_s = 0.0
+        self.paused_s = 0.0
         self.estimate_s = min(LEAST_S, self._limit_s)
-
-    def forget_pause(self) -> None:
-        """Drop the last pause: the stream started again."""
-        self._paused_s = 0.0
 
     def _count(self, late_s: float) -> None:
         last = len(self._counts) - 1

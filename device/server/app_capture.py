@@ -4,8 +4,8 @@ A server records one playing stream (sink input) if the record stream asks for t
 made; PortAudio and ALSA cannot. The sound comes after the application's own volume and mute, and
 before the sink's; at 100 % and equal rates the samples are bit-identical.
 
-The server ends the capture with the application's stream. PulseAudio also ends it when that stream
-moves to another sink. While the application pauses, it delivers silence, and PipeWire nothing.
+PulseAudio also ends the capture when the application's stream moves to another sink. While the
+application pauses, PulseAudio delivers silence and PipeWire nothing.
 """
 
 from __future__ import annotations
@@ -28,10 +28,7 @@ from device.stream.pcms import APPLICATION_ID, APPLICATION_NAME, ROLE, TAG
 from device.stream.streams import CallbackCounts, OnBlock
 
 FRAGMENT_FRAMES = 256  # frames that the server gathers before it delivers: 5.3 ms at 48 kHz
-
-BACKLOG_S = 0.5
-"""Sound that the server keeps while the capturing thread is delayed; older sound is dropped."""
-
+BACKLOG_S = 0.5  # sound that the server keeps while the capturing thread is delayed
 _FLAGS = (
     libpulse.STREAM_DONT_MOVE
     | libpulse.STREAM_ADJUST_LATENCY
@@ -80,8 +77,7 @@ class AppCapture(CallbackCounts):
         self.tag = f"{os.getpid()}-app-{next(_numbers)}"
         self.ended: EndReason | None = None
         self._samplerate, self._channels = samplerate, channels
-        self._on_frames = on_frames
-        self._close = close
+        self._on_frames, self._close = on_frames, close
         self._handle: Any = None
         self._pending = True  # the server has not reported the stream as ready
         self._failed = False  # the server ended the stream; the reason is not known yet
@@ -132,8 +128,7 @@ class AppCapture(CallbackCounts):
         ):
             library.stream_unref(handle)
             return False
-        self._handle = handle
-        self._pending, self._failed = True, False
+        self._handle, self._pending, self._failed = handle, True, False
         self.opened_s = self.last_callback_s = time.monotonic()
         return True
 
@@ -146,7 +141,7 @@ class AppCapture(CallbackCounts):
         while library.stream_peek(handle, byref(data), byref(size)) >= 0:
             if not size.value:
                 if pieces and self.ended is None:
-                    self._deliver(pieces[0] if len(pieces) == 1 else b"".join(pieces))
+                    self._deliver(b"".join(pieces))
                 return
             if data.value:
                 pieces.append(string_at(data.value, size.value))
@@ -157,17 +152,14 @@ class AppCapture(CallbackCounts):
         self._failed = True
 
     def _is_ready(self, library: libpulse.LibPulse) -> bool:
-        """Whether the stream has begun to run."""
         state = library.stream_get_state(self._handle)
         if state < libpulse.STREAM_READY:
             return False
-        self._pending = False
+        self._pending, self._failed = False, True
         if state == libpulse.STREAM_READY:
             # only a monitor is valid, never a microphone
-            name: bytes | None = library.stream_get_device_name(self._handle)
-            self._failed = bool(name) and not (name or b"").endswith(b".monitor")
-        else:
-            self._failed = True
+            name: bytes = library.stream_get_device_name(self._handle) or b".monitor"
+            self._failed = not name.endswith(b".monitor")
         return not self._failed
 
     def _deliver(self, data: bytes) -> None:

@@ -10,6 +10,7 @@ import itertools
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 from device.errors import CushionError, LostError, NotFoundError
@@ -29,8 +30,8 @@ class AppCaptures(ConnectionThread):
 
     `close` ends all captures. Any thread but its own, which calls on_frames, may call the methods.
 
-    lost: why the connection and all captures were lost, or None. Make another object to connect
-    again. LostError: no server answers. NotFoundError: the library libpulse is not installed.
+    lost: why all captures were lost, or None; make another object then. LostError: no server
+    answers. NotFoundError: the library libpulse is not installed.
     """
 
     def __init__(self) -> None:
@@ -41,8 +42,7 @@ class AppCaptures(ConnectionThread):
         self._context: Any = None
         self._numbers = itertools.count(1)
         self._answers: dict[int, PlayingStream | None] = {}
-        self._query = 0  # number of the query to a silent server, or 0
-        self._queried_s = self._heard_s = time.monotonic()
+        self._heard_s = time.monotonic()
         types = self._library.types
         self._info_callback = types.PA_SINK_INPUT_INFO_CB_T(self._take_info)
         self._event_callback = types.PA_SUBSCRIBE_CB_T(self._take_event)
@@ -115,7 +115,6 @@ class AppCaptures(ConnectionThread):
             raise
 
     def _maintain(self) -> None:
-        """End captures whose streams have ended."""
         for capture in tuple(self._captures):
             if capture._failed and capture.ended is None:
                 plays = self._find_playing(capture.stream_index) is not None
@@ -124,13 +123,12 @@ class AppCaptures(ConnectionThread):
                 self._give_up(capture)
 
     def _give_up(self, capture: AppCapture) -> None:
-        if capture in self._captures:
+        with suppress(ValueError):
             self._captures.remove(capture)
         capture.ended = capture.ended or EndReason.CLOSED
         self._drop_stream(capture)
 
     def _drop_stream(self, capture: AppCapture) -> None:
-        """End the stream of a capture, if it has one."""
         handle, capture._handle = capture._handle, None
         if handle is not None:
             self._dropped.append(handle)
@@ -173,7 +171,8 @@ class AppCaptures(ConnectionThread):
             self._step(_QUERY_AFTER_S / 2 if self._captures else None)
             self._do_requests()
             self._maintain()
-            self._check_silence(time.monotonic())
+            if self._captures and time.monotonic() - self._heard_s >= _QUERY_AFTER_S:
+                self._find_playing(0)  # raises LostError if the server hangs
 
     def _step(self, limit_s: float | None, for_requests: bool = True) -> None:
         """Wait for the server, and for requests if `for_requests`; then read the streams."""
@@ -194,7 +193,7 @@ class AppCaptures(ConnectionThread):
             self._close_left()
 
     def _wait_for(self, condition: Callable[[], bool], limit_s: float) -> bool:
-        """Wait until the condition holds, limit_s at most; whether it does. Streams continue."""
+        """Read streams until the condition holds, limit_s at most; whether it does."""
         deadline_s = time.monotonic() + limit_s
         while not condition():
             if self._stopping:
@@ -209,26 +208,7 @@ class AppCaptures(ConnectionThread):
         if not self._wait_for(condition, ANSWER_LIMIT_S):
             raise self._no_answer()
 
-    def _check_silence(self, now_s: float) -> None:
-        """Query a silent server, as it may hang."""
-        if self._query in self._answers:
-            del self._answers[self._query]
-            self._query = 0
-        if not self._captures or now_s - self._heard_s < _QUERY_AFTER_S:
-            return
-        if not self._query:
-            self._queried_s, self._query = now_s, self._send_query(0)
-        elif now_s - self._queried_s > ANSWER_LIMIT_S:
-            raise self._no_answer()
-
     def _find_playing(self, stream_index: int) -> PlayingStream | None:
-        """Query the playing stream with this index; None if there is none."""
-        number = self._send_query(stream_index)
-        self._wait_for_answer(lambda: number in self._answers)
-        return self._answers.pop(number)
-
-    def _send_query(self, stream_index: int) -> int:
-        """Query a playing stream; returns the key of the answer in `_answers`."""
         number = next(self._numbers)
         operation = self._library.context_get_sink_input_info(
             self._context, stream_index, self._info_callback, number
@@ -236,7 +216,8 @@ class AppCaptures(ConnectionThread):
         if not operation:
             raise self._loss()
         self._library.operation_unref(operation)
-        return number
+        self._wait_for_answer(lambda: number in self._answers)
+        return self._answers.pop(number)
 
     def _take_info(self, context: Any, info: Any, end: int, number: int) -> None:
         if end:
@@ -257,7 +238,6 @@ class AppCaptures(ConnectionThread):
                     capture.ended = EndReason.GONE
 
     def _reason(self) -> str:
-        """Return why libpulse refused the latest call."""
         code = self._library.context_errno(self._context)
         return str(self._library.strerror(code).decode("utf-8", "replace"))
 

@@ -17,7 +17,6 @@ from device.errors import UsageError
 from device.server.identity import is_ours
 from device.server.snapshot import ServerSnapshot, Stream
 
-_KINDS = ("application", "binary", "role")
 # Loopbacks and virtual sinks have these roles on PulseAudio, these properties on PipeWire.
 _SERVER_ROLES = ("abstract", "filter")
 _SERVER_PROPERTIES = ("node.link-group", "pulse.module.id")
@@ -32,21 +31,16 @@ class Rule:
 
     @classmethod
     def parse(cls, text: str) -> Rule:
-        """Parse a user's rule; UsageError if it is empty or of an unknown kind."""
+        """Parse a user's rule; UsageError if it has no name or an unknown kind."""
         kind, colon, name = text.partition(":")
         kind = kind.strip().casefold()
         if not colon:
             kind, name = "", text
-        elif kind not in _KINDS:
-            raise UsageError(
-                f"the rule {text!r} for applications is invalid: write application, binary or role "
-                "before the colon; for a name with a colon write application:NAME"
-            )
         name = name.strip().casefold()
-        if not name:
+        if not name or kind not in ("", "application", "binary", "role") or (colon and not kind):
             raise UsageError(
-                f"the rule {text!r} for applications has no name; write NAME, application:NAME, "
-                "binary:NAME or role:NAME"
+                f"the rule {text!r} for applications is invalid; write NAME, application:NAME, "
+                "binary:NAME or role:NAME, and the last three for a name with a colon"
             )
         return cls(kind, name)
 
@@ -59,19 +53,15 @@ class Rule:
             "application": names,
             "": (stream.binary, *names),
         }
-        return any(
-            value.casefold() == self.name or fnmatchcase(value.casefold(), self.name)
-            for value in values[self.kind]
-            if value
-        )
+        known = [value.casefold() for value in values[self.kind] if value]
+        return any(value == self.name or fnmatchcase(value, self.name) for value in known)
 
 
 class AppRules:
     """Selects the applications to capture. Immutable: any thread may use it.
 
     include: a stream must match one of these rules; () selects all applications. exclude: a stream
-    must match none of these, whatever `include` says. UsageError: a rule is empty or of an unknown
-    kind.
+    must match none of these. UsageError: see `Rule.parse`.
     """
 
     def __init__(self, include: tuple[str, ...] = (), exclude: tuple[str, ...] = ()) -> None:
@@ -86,17 +76,16 @@ class AppRules:
     def select(
         self, snapshot: ServerSnapshot, haptic_sink: str | None = None
     ) -> tuple[Stream, ...]:
-        """Return the streams to capture, in the server's order, paused and muted ones included.
+        """Return the applications' streams to capture, paused and muted ones included.
 
-        Streams on the haptic sink, or without a device, are left out. So are our own, and the
-        server's loopbacks and virtual sinks.
+        Streams on the haptic sink, or without a device, are left out.
         """
         return tuple(
             stream
             for stream in snapshot.sink_inputs
             if is_application(stream)
             and stream.device_index is not None
-            and (haptic_sink is None or stream.device_name != haptic_sink)
+            and stream.device_name != haptic_sink
             and self.take(stream)
         )
 

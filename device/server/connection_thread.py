@@ -22,12 +22,11 @@ class ConnectionThread(ABC):
 
     The thread calls the methods that derived classes override, except `_wake_up`.
 
-    lost: why the connection was lost; None if it was not. Make another object to connect again.
+    lost: why the connection was lost, or None.
     """
 
     def __init__(self, name: str) -> None:
-        self._requests: queue.SimpleQueue[tuple[Future[Any], Callable[[], Any]]]
-        self._requests = queue.SimpleQueue()
+        self._requests = queue.SimpleQueue[tuple[Future[Any], Callable[[], Any]]]()
         self._gate = threading.Lock()  # a request is queued or refused, never forgotten
         self._ended = self._stopping = False
         self.lost: LostError | None = None
@@ -89,7 +88,6 @@ class ConnectionThread(ABC):
         """Report that an open connection was lost."""
 
     def _fail(self, future: Future[Any], error: Exception) -> None:
-        """Answer a request that raised."""
         future.set_exception(error)
 
     def _run(self, ready: Future[None]) -> None:
@@ -126,7 +124,6 @@ class ConnectionThread(ABC):
 
     @staticmethod
     def _reason_of(error: Exception) -> str:
-        """Return an exception's name and text."""
         return ": ".join(filter(None, (type(error).__name__, str(error))))
 
     def _no_answer(self) -> LostError:

@@ -15,11 +15,8 @@ from typing import NamedTuple
 from device.server.snapshot import ServerSnapshot, default_name
 
 AFTER_S = 1.0  # the check comes this long after the last change,
-
 AT_MOST_S = 5.0  # and this long after the first one, also while changes go on
-
 RENEW_AGAIN_S = 30.0  # least time between two detections
-
 AGAIN_S = 0.5  # time between two queries: a change in progress has reached both by then
 
 
@@ -28,11 +25,6 @@ class Defaults(NamedTuple):
 
     sink: str
     source: str
-
-    @classmethod
-    def of(cls, snapshot: ServerSnapshot) -> Defaults:
-        """Return the defaults of a snapshot."""
-        return cls(snapshot.default_sink, snapshot.default_source)
 
 
 class DefaultsCheck:
@@ -62,7 +54,7 @@ class DefaultsCheck:
         if self.due_s is None or now_s < self.due_s:
             return
         self.due_s = self._changed_s = None
-        known = Defaults.of(snapshot)
+        known = Defaults(snapshot.default_sink, snapshot.default_source)
 
         def check() -> None:
             first = fetch_defaults()

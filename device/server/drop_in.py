@@ -11,18 +11,8 @@ from collections.abc import Callable
 from contextlib import suppress
 
 from device.errors import LostError, NotFoundError, UsageError
-from device.server.forwarding import (
-    SINK,
-    Loopback,
-    Route,
-    is_cushion_sink,
-    loopback_arguments,
-    loopbacks,
-    our_sink,
-    real_sinks,
-    round_delay_ms,
-    sink_arguments,
-)
+from device.server import forwarding
+from device.server.forwarding import SINK, Loopback, Route, loopbacks, round_delay_ms
 from device.server.identity import find_sink
 from device.server.moved_streams import TAKES_S, DefaultSinkClaim, MovedStreams, is_unused
 from device.server.pulse import PulseConnection
@@ -41,8 +31,7 @@ class DropIn(Listener):
     """The virtual sink `cushion`, forwarded to a real sink and made the default, until `close`.
 
     A thread follows the user: another default sink becomes the target, and while the target is
-    missing, another sink replaces it. Volume keys change the virtual sink and with it the
-    vibration. Any thread but the connection's may use it.
+    missing, another sink replaces it. Any thread but the connection's may use it.
 
     connection: to the server. target: the real sink's name. None stands for the default sink, or
     for the target of a killed process, whose virtual sink is taken over without a gap. delay_s:
@@ -50,8 +39,7 @@ class DropIn(Listener):
     effect. None keeps the delay of a killed process. haptic_sink: the sink for vibration, which is
     never a target.
 
-    target_name: the present target, "" for none. reason: a problem for the user, in one line; ""
-    for none.
+    target_name, reason: the present target, and a problem for the user; "" for none.
 
     LostError: the connection is lost; later this ends the thread without an error. NotFoundError:
     the target is missing, the default sink cannot be one, or a module cannot be loaded. UsageError:
@@ -68,15 +56,13 @@ class DropIn(Listener):
     ) -> None:
         snapshot = connection.snapshot()
         left = next((one.route for one in reversed(loopbacks(snapshot)) if one.complete), None)
-        self.target_name = self.reason = ""
-        self._refusal = ""
-        self._connection = connection
-        self._haptic_sink = haptic_sink
-        self._delay_ms = round_delay_ms(
-            left.delay_ms / 1e3 if left and delay_s is None else delay_s
-        )
-        self._target, self._restore = self._first_route(snapshot, target, left)
+        self.target_name = self.reason = self._refusal = ""
+        self._connection, self._haptic_sink = connection, haptic_sink
+        if left and delay_s is None:
+            delay_s = left.delay_ms / 1e3
+        self._delay_ms = round_delay_ms(delay_s)
         self._targets: list[str] = []  # targets so far, the latest last
+        self._target, self._restore = self._first_route(snapshot, target, left)
         self._circular: set[str] = set()  # sinks that play to ours
         self._default = DefaultSinkClaim(connection, snapshot.default_sink)
         self._streams = MovedStreams(connection)
@@ -177,11 +163,11 @@ class DropIn(Listener):
             self._circular.add(target)
             self._refusal = f"the sink {target!r} plays to {SINK!r} itself; choose another one"
             return False
-        if not self._default.contested:
+        contested = self._default.contested
+        if not contested:
             self._streams.collect(snapshot, target, now_s)
-        self.reason = _CONTESTED if self._default.contested else self._refusal
-        settled = self._default.settled or self._default.contested
-        return settled and self._streams.all_here
+        self.reason = _CONTESTED if contested else self._refusal
+        return (contested or self._default.settled) and self._streams.all_here
 
     def _accept_choice(self, choice: str, snapshot: ServerSnapshot) -> None:
         """Make a new default sink the target, as the user wants to hear the sound there."""
@@ -191,10 +177,8 @@ class DropIn(Listener):
             self._circular.discard(choice)
             self._streams.forget()
         else:
-            self._refusal = (
-                f"the sound does not go to {choice!r}, the new default sink: "
-                f"{self._why_unfit(choice)}"
-            )
+            why = self._why_unfit(choice)
+            self._refusal = f"the sound does not go to {choice!r}, the new default sink: {why}"
 
     def _choose_target(self, snapshot: ServerSnapshot) -> str | None:
         """Return the sink to forward to: the chosen one, else an earlier one, else any."""
@@ -203,19 +187,18 @@ class DropIn(Listener):
 
     def _possible_targets(self, snapshot: ServerSnapshot) -> list[str]:
         """Return all possible targets, earlier ones first."""
-        names = real_sinks(snapshot, self._haptic_sink)
+        names = forwarding.real_sinks(snapshot, self._haptic_sink)
         before = [name for name in reversed(self._targets) if name in names]
         return [*before, *(name for name in names if name not in before)]
 
     def _ensure_sink(self, snapshot: ServerSnapshot, target: str | None) -> ServerSnapshot:
-        """Make the virtual sink if it is missing."""
-        if target is None or our_sink(snapshot) is not None:
+        if target is None or snapshot.sink(SINK) is not None:
             return snapshot
-        arguments = sink_arguments(snapshot, find_sink(snapshot, target))
+        arguments = forwarding.sink_arguments(snapshot, find_sink(snapshot, target))
         self._connection.load_module("module-null-sink", arguments)
         self._streams.forget()
-        snapshot = self._await(lambda seen: our_sink(seen) is not None)
-        if our_sink(snapshot) is None:
+        snapshot = self._await(lambda seen: seen.sink(SINK) is not None)
+        if snapshot.sink(SINK) is None:
             raise NotFoundError(f"the sound server does not make the sink {SINK!r}; restart it")
         return snapshot
 
@@ -235,8 +218,7 @@ class DropIn(Listener):
         return self._connection.latest
 
     def _load_loopback(self, snapshot: ServerSnapshot, route: Route, found: list[Loopback]) -> int:
-        """Load a loopback, and wait until it plays; returns its index."""
-        arguments = loopback_arguments(snapshot, route, find_sink(snapshot, SINK))
+        arguments = forwarding.loopback_arguments(snapshot, route, find_sink(snapshot, SINK))
         module = self._connection.load_module("module-loopback", arguments)
         sounds_s = time.monotonic() + route.delay_ms / 1e3
 
@@ -255,18 +237,16 @@ class DropIn(Listener):
 
     def _restore_all(self) -> None:
         snapshot = self._connection.snapshot()
-        names = [sink.name for sink in snapshot.sinks]
-        back = self._restore if self._restore in names else self._choose_target(snapshot)
+        back = self._restore if snapshot.sink(self._restore) else self._choose_target(snapshot)
         if back is not None:
             if snapshot.default_sink == SINK:
                 with suppress(NotFoundError):
                     self._connection.set_default_sink(back)
-            snapshot = self._await(is_unused, TAKES_S)
-            self._streams.restore(snapshot, back)
+            self._streams.restore(self._await(is_unused, TAKES_S), back)
             snapshot = self._await(is_unused, TAKES_S)
         for one in loopbacks(snapshot):
             self._unload(one.module)
-        sink = our_sink(snapshot)
+        sink = snapshot.sink(SINK)
         if sink is not None and sink.module is not None:
             self._unload(sink.module)
 
@@ -288,12 +268,11 @@ class DropIn(Listener):
     def _first_route(
         self, snapshot: ServerSnapshot, target: str | None, left: Route | None
     ) -> tuple[str, str]:
-        """Return the target and the default sink to restore."""
-        sink = our_sink(snapshot)
-        if sink is not None and not is_cushion_sink(sink):
+        sink = snapshot.sink(SINK)
+        if sink is not None and (sink.module is None or forwarding.MARK not in sink.properties):
             raise NotFoundError(f"there is a sink {SINK!r} that is not ours; rename or remove it")
         default = snapshot.default_sink
-        names = real_sinks(snapshot, self._haptic_sink)
+        names = self._possible_targets(snapshot)
         if target is not None:
             find_sink(snapshot, target)
         elif default != SINK:
@@ -307,9 +286,9 @@ class DropIn(Listener):
                 f"sound cannot be forwarded to the sink {target!r}: {self._why_unfit(target)}; "
                 "choose another default sink, or name a sink"
             )
-        if default not in ("", SINK):
-            return target, default
-        return target, left.restore if left is not None else target
+        if default in ("", SINK):
+            default = left.restore if left is not None else target
+        return target, default
 
     def _why_unfit(self, name: str) -> str:
         if not name:

@@ -5,7 +5,7 @@ Properties of the loopback's two streams hold all that a later process needs.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from dataclasses import dataclass
 
 from device.errors import UsageError
@@ -15,10 +15,9 @@ from device.stream.pcms import APPLICATION_NAME, FALLBACK_SINK
 
 SINK = "cushion"  # name of the virtual sink
 
-MIN_DELAY_S, MAX_DELAY_S = 0.02, 0.5
-"""The least is the shortest that both servers play without gaps, with the devices' latency."""
+MIN_DELAY_S, MAX_DELAY_S = 0.02, 0.5  # both servers play the least without gaps
 
-_MARK = "cushion.drop_in"
+MARK = "cushion.drop_in"  # property of the sink that this program makes
 _TARGET = "cushion.target"
 _RESTORE = "cushion.restore"
 _DELAY = "cushion.delay_ms"
@@ -35,7 +34,7 @@ class Route:
 
 @dataclass(frozen=True)
 class Loopback:
-    """Our loopback. module: its index. complete: both streams are on their devices."""
+    """Our loopback. complete: both streams are on their devices."""
 
     module: int
     route: Route
@@ -60,21 +59,14 @@ def loopbacks(snapshot: ServerSnapshot) -> list[Loopback]:
     found = []
     for module in sorted({*taps, *outs}):
         tap, out = taps.get(module), outs.get(module)
-        route = _route((out or taps[module]).properties)
+        known = (out or taps[module]).properties
+        delay = known.get(_DELAY, "")
+        delay_ms = int(delay) if delay.isdecimal() else 0
+        route = Route(known[_TARGET], known.get(_RESTORE, ""), delay_ms)
         taps_us = tap is not None and tap.device_index in monitors
         plays = out is not None and out.device_name == route.target
         found.append(Loopback(module, route, taps_us and plays))
     return found
-
-
-def our_sink(snapshot: ServerSnapshot) -> Sink | None:
-    """Return the virtual sink, of this process or an earlier one."""
-    return next((sink for sink in snapshot.sinks if sink.name == SINK), None)
-
-
-def is_cushion_sink(sink: Sink) -> bool:
-    """Whether this program made a sink of our name."""
-    return _MARK in sink.properties and sink.module is not None
 
 
 def is_application(stream: Stream) -> bool:
@@ -103,13 +95,10 @@ def reachable_sinks(snapshot: ServerSnapshot, target: str) -> set[str]:
 
 def carries_sound_of(snapshot: ServerSnapshot, stream: Stream, sinks: Collection[str]) -> bool:
     """Whether a playing stream belongs to a module that forwards one of these sinks."""
-    if any(sink.name in sinks and _belong_together(sink, stream) for sink in snapshot.sinks):
-        return True
     monitors = {source.index for source in snapshot.sources if source.monitor_of in sinks}
-    return any(
-        tap.device_index in monitors and _belong_together(tap, stream)
-        for tap in snapshot.source_outputs
-    )
+    inputs: list[Sink | Stream] = [sink for sink in snapshot.sinks if sink.name in sinks]
+    inputs += [tap for tap in snapshot.source_outputs if tap.device_index in monitors]
+    return any(_belong_together(one, stream) for one in inputs)
 
 
 def sink_arguments(snapshot: ServerSnapshot, target: Sink) -> list[str]:
@@ -118,17 +107,16 @@ def sink_arguments(snapshot: ServerSnapshot, target: Sink) -> list[str]:
     Without norewinds an idle PulseAudio renders 2 s ahead, and a tap would be that late.
     """
     own = ["format=float32le", "norewinds=1"] if snapshot.kind == "PulseAudio" else []
-    properties = f"device.description='{APPLICATION_NAME}' {_MARK}=1"
+    properties = f"device.description='{APPLICATION_NAME}' {MARK}=1"
     return [f"sink_name={SINK}", *_format(target), *own, f'sink_properties="{properties}"']
 
 
 def loopback_arguments(snapshot: ServerSnapshot, route: Route, sink: Sink) -> list[str]:
     """Return the arguments of module-loopback; sink: the virtual one.
 
-    Its streams must not move: both servers unload the whole loopback when its target vanishes,
-    where PipeWire would otherwise connect it to its own source. PulseAudio adds 5 ms after every
-    few underruns and keeps them; the bounds limit that to 20 ms. UsageError: no module accepts a
-    name.
+    Its streams must not move: both servers then unload the loopback when its target vanishes, where
+    PipeWire would connect it to its own source. PulseAudio adds 5 ms after every few underruns and
+    keeps them; the bounds limit that to 20 ms. UsageError: no module accepts a name.
     """
     for name in (route.target, route.restore):
         if not name.isprintable() or set(name) & set("\"'\\"):
@@ -157,15 +145,6 @@ def loopback_arguments(snapshot: ServerSnapshot, route: Route, sink: Sink) -> li
 def _format(sink: Sink) -> list[str]:
     names = [f"channel_map={sink.channel_map}"] if sink.channel_map else []
     return [f"rate={sink.samplerate}", f"channels={sink.channels}", *names]
-
-
-def _route(properties: Mapping[str, str]) -> Route:
-    delay = properties.get(_DELAY, "")
-    return Route(
-        target=properties[_TARGET],
-        restore=properties.get(_RESTORE, ""),
-        delay_ms=int(delay) if delay.isdecimal() else 0,
-    )
 
 
 def _belong_together(one: Sink | Stream, other: Stream) -> bool:

@@ -1,8 +1,7 @@
 """PipeWire's graph: its nodes, ports and links, as `pw-dump` describes and `pw-cli` announces them.
 
-`pw-dump` prints the same JSON on every version from 0.3 to 1.6. Objects are known by their ids,
-since names need not be unique. The server uses an id again at once, so an object that has gone is
-forgotten at once.
+`pw-dump` prints the same JSON on every version from 0.3 to 1.6. Names need not be unique. The
+server uses an id again at once, so an object that has gone is forgotten at once.
 """
 
 from __future__ import annotations
@@ -11,11 +10,9 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-SESSION_MANAGERS = ("WirePlumber", "pipewire-media-session")
-"""Names of the programs that link streams to sinks, as their clients give them."""
+SESSION_MANAGERS = ("WirePlumber", "pipewire-media-session")  # they link streams to sinks
 
-SINK_CLASSES = ("Audio/Sink", "Audio/Duplex")
-"""Media classes of nodes that play sound from other nodes."""
+LINK_ENDS = ("output-port-id", "input-port-id", "output-node-id", "input-node-id")
 
 LinkPair = tuple[int, int]  # ids of an output port and of the input port that it is linked to
 
@@ -24,18 +21,13 @@ Index = dict[Any, set[int]]  # ids of objects by a name or by the id of their no
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """A node. media_class: such as "Audio/Sink"; "" for none. state: such as "running"."""
+    """A node. is_sink: it plays sound from other nodes. state: such as "running"."""
 
     id: int
     name: str
-    media_class: str
+    is_sink: bool
     state: str
     properties: Mapping[str, Any]
-
-    @property
-    def is_sink(self) -> bool:
-        """Whether it plays sound from other nodes."""
-        return self.media_class in SINK_CLASSES
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +38,6 @@ class Port:
     node_id: int
     name: str
     channel: str
-    is_input: bool
     is_monitor: bool
 
 
@@ -71,7 +62,7 @@ class Graph:
     """The objects of one server. Not safe for several threads: `GraphWatch` holds its lock.
 
     nodes, ports, links: by id. version: of the server, "" while it is unknown. clock_hz: the rate
-    that the server prefers, 0 while it is unknown; a stream may have it choose another one.
+    that the server prefers, 0 while it is unknown.
     """
 
     def __init__(self) -> None:
@@ -104,10 +95,7 @@ class Graph:
         return self._changes != before
 
     def announce(self, objects: Iterable[Any]) -> bool:
-        """Take objects that `pw-dump` will describe later: those that are new or gone.
-
-        Return whether nodes, ports or links are others now; a new state alone does not count.
-        """
+        """Take objects that are new or gone, before `pw-dump` describes them; return as `apply`."""
         before = self._changes
         for item in objects:
             number, serial = item["id"], _serial(item)
@@ -125,7 +113,7 @@ class Graph:
         return node_id not in self._announced
 
     def sink(self, name: str) -> Node | None:
-        """Return the sink of this name, None if there is none."""
+        """Return the sink of this name, if there is one."""
         return next((node for node in self.nodes_named(name) if node.is_sink), None)
 
     def sinks(self) -> Iterator[Node]:
@@ -141,7 +129,7 @@ class Graph:
         return (self.nodes[node_id] for node_id in self._named.get(name, ()))
 
     def node_named(self, name: str) -> Node | None:
-        """Return the node of this name, None if there is none; for names that are our own."""
+        """Return the node of this name, if there is one; for names that are our own."""
         return next(self.nodes_named(name), None)
 
     def ports_of(self, node_id: int, prefix: str = "") -> dict[str, int]:
@@ -156,10 +144,7 @@ class Graph:
 
     @property
     def session_manager(self) -> int | None:
-        """The serial number of the client that links streams to sinks, None while none runs.
-
-        Its id may be that of the one before.
-        """
+        """The serial number of the client that links streams to sinks, None while none runs."""
         for client in self._clients.values():
             if client.get("application.name") in SESSION_MANAGERS:
                 return _number(client.get("object.serial"))
@@ -178,17 +163,24 @@ class Graph:
         if not isinstance(info, dict):
             self._forget(number)
             return
-        properties = info.get("props") or {}
+        known = info.get("props") or {}
         if kind.endswith(":Node"):
-            self._put(self.nodes, _node(number, info, properties))
+            name, state = str(known.get("node.name", "")), str(info.get("state", ""))
+            is_sink = known.get("media.class") in ("Audio/Sink", "Audio/Duplex")
+            self._put(self.nodes, Node(number, name, is_sink, state, known))
         elif kind.endswith(":Port"):
-            self._put(self.ports, _port(number, info, properties))
+            name, channel = str(known.get("port.name", "")), str(known.get("audio.channel", ""))
+            is_monitor = str(known.get("port.monitor")).lower() == "true"
+            port = Port(number, _number(known.get("node.id")), name, channel, is_monitor)
+            self._put(self.ports, port)
         elif kind.endswith(":Link"):
-            self._put(self.links, _link(number, info))
+            state = str(info.get("state", ""))
+            output, input_, from_node, to_node = (_number(info.get(end)) for end in LINK_ENDS)
+            self._put(self.links, Link(number, output, input_, from_node, to_node, state))
         elif kind.endswith(":Client"):
             if number not in self._clients:
                 self._forget(number)
-            self._clients[number] = properties
+            self._clients[number] = known
         elif kind.endswith(":Core"):
             self.version = str(info.get("version", self.version))
         self._serials[number] = _serial(item)
@@ -244,40 +236,8 @@ def _wiring(one: Node | Port | Link) -> object:
     return one.pair if isinstance(one, Link) else one
 
 
-def _node(number: int, info: Mapping[str, Any], properties: Mapping[str, Any]) -> Node:
-    return Node(
-        number,
-        str(properties.get("node.name", "")),
-        str(properties.get("media.class", "")),
-        str(info.get("state", "")),
-        properties,
-    )
-
-
-def _port(number: int, info: Mapping[str, Any], properties: Mapping[str, Any]) -> Port:
-    return Port(
-        number,
-        _number(properties.get("node.id")),
-        str(properties.get("port.name", "")),
-        str(properties.get("audio.channel", "")),
-        is_input=info.get("direction") == "input",
-        is_monitor=str(properties.get("port.monitor")).lower() == "true",
-    )
-
-
-def _link(number: int, info: Mapping[str, Any]) -> Link:
-    return Link(
-        number,
-        _number(info.get("output-port-id")),
-        _number(info.get("input-port-id")),
-        _number(info.get("output-node-id")),
-        _number(info.get("input-node-id")),
-        str(info.get("state", "")),
-    )
-
-
 def _serial(item: Mapping[str, Any]) -> int:
-    """Return the number of an object that no other one ever has; -1 for one that is gone."""
+    """Return the object's number, which is never used again; -1 for one that is gone."""
     return _number(((item.get("info") or {}).get("props") or {}).get("object.serial"))
 
 

@@ -11,6 +11,7 @@ import fcntl
 import json
 import math
 import os
+import re
 import select
 import subprocess
 import threading
@@ -22,15 +23,14 @@ from typing import Any
 
 from device.errors import NotFoundError
 from device.process import end, started
-from device.server.announcements import Announcements
-from device.server.graph import Graph
+from device.server.graph import LINK_ENDS, Graph
 from device.server.link_keeper import LinkKeeper
 
 READER, EDITOR = "pw-dump", "pw-cli"  # programs of PipeWire that report and change the graph
 
 PIPE_BYTES, READ_BYTES = 1 << 20, 1 << 16
+LONGEST_LINE_BYTES = 1 << 14  # of a longer line the rest is dropped; names may have any length
 GATHER_S = 0.2  # changes are reported at once, and again after so long
-
 DESCRIBED_S = 0.001  # time for more to arrive: `pw-dump` writes hundreds of lines for one change
 
 BUSY_READS, BUSY_S, BUSY_WAIT_S = 250, 5.0, 0.02
@@ -40,13 +40,12 @@ END_S = 0.5  # longest wait for the thread's end
 
 
 class GraphWatch:
-    """The present graph, and the wanted links in it.
+    """The present graph, and the wanted links in it. For one thread.
 
-    One thread makes it and calls the methods. Hold `lock` while `graph` or `keeper` is used.
+    Hold `lock` while `graph` or `keeper` is used.
 
     on_change: called by the thread of this object after changes, a few together; it must return at
-    once. Links do not wait for it.
-    lost: whether the connection is gone; make another object to connect again.
+    once. lost: whether the connection is gone; make another object then.
     NotFoundError: a program of PipeWire is not installed.
     """
 
@@ -57,11 +56,8 @@ class GraphWatch:
         self._on_change = on_change
         self._editor = Editor()
         try:
-            self._process = _started(
-                [READER, "--monitor", "--no-colors"],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-            )
+            command = [READER, "--monitor", "--no-colors"]
+            self._process = _started(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE)
         except NotFoundError:
             self._editor.close()
             raise
@@ -106,12 +102,9 @@ class Arrivals:
 
     def __init__(self, described: int, announced: int) -> None:
         self._either, self._announced = select.poll(), select.poll()
-        for poll, file in (
-            (self._either, described),
-            (self._either, announced),
-            (self._announced, announced),
-        ):
-            poll.register(file, select.POLLIN)
+        self._either.register(described, select.POLLIN)
+        for poll in (self._either, self._announced):
+            poll.register(announced, select.POLLIN)
         self._reads_s = deque([-BUSY_S], maxlen=BUSY_READS)
 
     def wait(self, until_s: float) -> set[int]:
@@ -131,50 +124,42 @@ class Arrivals:
 
 
 class Editor:
-    """One running `pw-cli`, started again if it has ended.
-
-    printed: file that it prints announcements to, whichever process it is.
-    """
+    """One running `pw-cli`, started again if it has ended. printed: file of its announcements."""
 
     def __init__(self) -> None:
-        self._process: subprocess.Popen[bytes] | None = None
         self.printed, self._output = os.pipe()
         try:
-            self._start()
+            self._process = self._start()
         except NotFoundError:
             self._close_pipe()
             raise
 
     def send(self, command: str) -> None:
         """Send one command. Never waits and raises nothing: a lost command is sent again later."""
-        if self._process is None or self._process.poll() is not None:
-            self._end()
+        if self._process.poll() is not None:
+            end(self._process)
             with suppress(NotFoundError):
-                self._start()
-        if self._process is not None and self._process.stdin is not None:
-            with suppress(OSError):
-                os.write(self._process.stdin.fileno(), f"{command}\n".encode())
+                self._process = self._start()
+        assert self._process.stdin is not None
+        with suppress(OSError, ValueError):  # it has ended
+            os.write(self._process.stdin.fileno(), f"{command}\n".encode())
 
     def close(self) -> None:
         """End it, and with it all links that it made. May be repeated; raises nothing."""
-        self._end()
+        end(self._process)
         self._close_pipe()
-
-    def _end(self) -> None:
-        process, self._process = self._process, None
-        if process is not None:
-            end(process)
-
-    def _start(self) -> None:
-        self._process = _started([EDITOR, "--monitor"], stdin=subprocess.PIPE, stdout=self._output)
-        assert self._process.stdin is not None
-        os.set_blocking(self._process.stdin.fileno(), False)
 
     def _close_pipe(self) -> None:
         for file in (self.printed, self._output):
             with suppress(OSError):
                 os.close(file)
         self.printed = self._output = -1
+
+    def _start(self) -> subprocess.Popen[bytes]:
+        process = _started([EDITOR, "--monitor"], stdin=subprocess.PIPE, stdout=self._output)
+        assert process.stdin is not None
+        os.set_blocking(process.stdin.fileno(), False)
+        return process
 
 
 def _started(command: list[str], *, stdin: int, stdout: int) -> subprocess.Popen[bytes]:
@@ -187,10 +172,7 @@ def _started(command: list[str], *, stdin: int, stdout: int) -> subprocess.Popen
 
 
 class Documents:
-    """The JSON arrays that `pw-dump` writes to a file.
-
-    file: its number. ended: whether there are no more.
-    """
+    """The JSON arrays that `pw-dump` writes to the file. ended: whether there are no more."""
 
     def __init__(self, file: int) -> None:
         self.file = file
@@ -207,20 +189,65 @@ class Documents:
         block = os.read(self.file, READ_BYTES)
         self.ended = not block
         *whole, self._waiting = (self._waiting + block).split(b"\n]\n")
-        return [json.loads(_without_parameters(text) + b"\n]") for text in whole]
+        return [json.loads(_PARAMETERS.sub(b"", text) + b"\n]") for text in whole]
 
 
-_PARAMETERS, _END = b'\n      "params": {', b"\n      }"
+_PARAMETERS = re.compile(rb'(?<=\n      "params": \{).*?(?=\n      \})', re.DOTALL)
+"""Formats and volumes of nodes: most of the text, and not used."""
 
 
-def _without_parameters(text: bytes) -> bytes:
-    """Return a document without formats and volumes of nodes: most of its text, and not used."""
-    parts, begin = [], 0
-    while (start := text.find(_PARAMETERS, begin)) >= 0:
-        end = text.find(_END, start)
-        if end < 0:
-            break
-        parts.append(text[begin : start + len(_PARAMETERS)])
-        begin = end
-    parts.append(text[begin:])
-    return b"".join(parts)
+_ADDED = re.compile(r"remote \d+ added global: \tid (\d+), type ([\w:]+)/\d+")
+_REMOVED = re.compile(r"remote \d+ removed global: \tid (\d+)")
+_PROPERTY = re.compile(r'\s*\*?\s*([\w.-]+) = "(.*)"')
+_KINDS = (":Core", ":Node", ":Port", ":Link")
+_ENDS = {"link." + end.removesuffix("-id").replace("-", "."): end for end in LINK_ENDS}
+
+
+class Announcements:
+    """The objects that `pw-cli --monitor` prints to the file, milliseconds before `pw-dump`.
+
+    `pw-dump` describes an object once it knows all of it. The two ends of a link come at once here,
+    which is enough to mirror it before its first cycle.
+    """
+
+    def __init__(self, file: int) -> None:
+        self.file = file
+        self._line = b""
+        self._object: dict[str, Any] | None = None
+
+    def read(self) -> list[dict[str, Any]]:
+        """Return objects in the form of `pw-dump`, as far as known; one that is gone has no `info`.
+
+        A link comes as soon as its ends are known, others with the next line that is not theirs.
+        Waits until something is there; raises nothing.
+        """
+        try:
+            block = os.read(self.file, READ_BYTES)
+        except OSError:
+            return []
+        *lines, self._line = (self._line + block).split(b"\n")
+        self._line = self._line[:LONGEST_LINE_BYTES]
+        found: list[dict[str, Any]] = []
+        for line in lines:
+            self._take(line.decode(errors="replace"), found)
+        return found
+
+    def _take(self, line: str, found: list[dict[str, Any]]) -> None:
+        item = self._object
+        if line.startswith("remote "):
+            if item is not None and not item["type"].endswith(":Link"):
+                found.append(item)
+            self._object = None
+            if (added := _ADDED.match(line)) and added[2].endswith(_KINDS):
+                self._object = {"id": int(added[1]), "type": added[2], "info": {"props": {}}}
+            elif removed := _REMOVED.match(line):
+                found.append({"id": int(removed[1]), "info": None})
+        elif item is not None and (known := _PROPERTY.match(line)):
+            name, value = known.groups()
+            info = item["info"]
+            info["props"][name] = value
+            if name in _ENDS:
+                info[_ENDS[name]] = value
+                if info.keys() >= set(LINK_ENDS):
+                    found.append(item)
+                    self._object = None

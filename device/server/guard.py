@@ -1,10 +1,9 @@
 """Guards our streams: no vibration on another sink, and no microphone as input.
 
 A server that loses a device moves its streams to another one without notice. A guard silences its
-stream at the first event about it, and releases it when it is known to be on its own device. And
-on PulseAudio a fallback sink catches the output: queued frames (about 10 ms) move with the stream
-before the event arrives. PulseAudio prefers this silent sink for our role of stream. On PipeWire
-the output ends instead (see `pcms`).
+stream at the first event about it. On PulseAudio a fallback sink also catches the queued frames
+(about 10 ms), which move before the event arrives: PulseAudio prefers it for our role of stream. On
+PipeWire the output ends instead (see `pcms`).
 """
 
 from __future__ import annotations
@@ -49,9 +48,9 @@ class Hold(Enum):
 class StreamPlacement:
     """Knowledge of one stream; `after_...` returns updated knowledge, `hold` judges it.
 
-    name: of the device where it belongs, a sink if it plays, else a source, which must be a monitor
-    unless any_source. stream, device: their indexes. on: index of the stream's present device.
-    unsettled: number of the event that is not checked yet, or 0.
+    name: of the device where it belongs: a sink, a monitor or any source. stream, device: their
+    indexes. on: index of the stream's present device. unsettled: number of the event that is not
+    checked yet, or 0.
     """
 
     tag: str
@@ -119,12 +118,12 @@ class StreamPlacement:
 class StreamGuard(Listener):
     """Silences a stream unless it is known to be on its device.
 
-    It alone sets `stream.audible`, from the moment it is made. Any thread but the connection's
-    may use it; any thread may read `hold` and call `misplaced_s`.
+    It alone sets `stream.audible`. Any thread but the connection's may use it; any thread may read
+    `hold`, the present decision, and call `misplaced_s`.
 
     connection: reports where the stream is. stream: to silence. device_name: of the haptic sink
     for a `PlaybackStream`, of a monitor for a `CaptureStream`. any_source: whether device_name may
-    be any source, for measurements. hold: the present decision.
+    be any source, for measurements.
     """
 
     def __init__(
@@ -135,15 +134,13 @@ class StreamGuard(Listener):
         *,
         any_source: bool = False,
     ) -> None:
-        self._connection = connection
-        self._stream = stream
+        self._connection, self._stream = connection, stream
         self._lock = threading.Lock()
         self._released = False
         plays = isinstance(stream, PlaybackStream)
-        self._placement = StreamPlacement(stream.tag, device_name, plays, any_source=any_source)
-        self.hold = self._placement.hold
+        placement = StreamPlacement(stream.tag, device_name, plays, any_source=any_source)
         self._misplaced_at_s: float | None = None
-        self._judge(lambda placement: placement)
+        self._judge(lambda: placement)
         connection.add(self)
 
     def misplaced_s(self, now_s: float) -> float:
@@ -153,7 +150,7 @@ class StreamGuard(Listener):
 
     def retarget(self, device_name: str) -> None:
         """Change the stream's device; afterwards let the server move the stream."""
-        self._judge(lambda placement: replace(placement, name=device_name, device=None))
+        self._judge(lambda: replace(self._placement, name=device_name, device=None))
         self._connection.snapshot()
 
     def release(self) -> None:
@@ -165,21 +162,21 @@ class StreamGuard(Listener):
 
     def on_event(self, event: Event) -> bool:
         """Silence the stream at once if this event may have moved it."""
-        self._judge(lambda placement: placement.after_event(event))
+        self._judge(lambda: self._placement.after_event(event))
         placement = self._placement
         return placement.unsettled == event.number or placement.may_be_back(event)
 
     def on_snapshot(self, snapshot: ServerSnapshot) -> None:
         """Check where the stream is."""
-        self._judge(lambda placement: placement.after_snapshot(snapshot))
+        self._judge(lambda: self._placement.after_snapshot(snapshot))
 
     def on_lost(self, error: LostError) -> None:
         """Silence the stream, as its moves are not reported any more."""
-        self._judge(lambda placement: placement.after_loss())
+        self._judge(lambda: self._placement.after_loss())
 
-    def _judge(self, change: Callable[[StreamPlacement], StreamPlacement]) -> None:
+    def _judge(self, change: Callable[[], StreamPlacement]) -> None:
         with self._lock:
-            self._placement = change(self._placement)
+            self._placement = change()
             self.hold = self._placement.hold
             self._stream.audible = self.hold.audible and not self._released
             if not self.hold.misplaced:
@@ -191,8 +188,8 @@ class StreamGuard(Listener):
 class FallbackSink:
     """The silent sink that PulseAudio moves our stream to if its own sink vanishes.
 
-    Make it before the playback stream. One that an earlier process left is taken over. PipeWire
-    does not need it. Any thread but the connection's uses it.
+    Make it before the playback stream. One that an earlier process left is taken over. Any thread
+    but the connection's uses it.
 
     connection: to the server. active: whether the sink is ready. reason: why not, in one line.
     LostError: the connection is lost.
@@ -201,8 +198,7 @@ class FallbackSink:
     def __init__(self, connection: PulseConnection) -> None:
         self._connection = connection
         self._modules: list[int] = []
-        self.active = False
-        self.reason = ""
+        self.active, self.reason = False, ""
         snapshot = connection.snapshot()
         if snapshot.kind == "PipeWire":
             self.reason = "PipeWire ends the stream instead"
@@ -213,7 +209,9 @@ class FallbackSink:
             modules = {sink.name: sink.module for sink in snapshot.sinks}
             left = modules.get(FALLBACK_SINK)
             if left is None:
-                left = connection.load_module("module-null-sink", _FALLBACK_ARGUMENTS)
+                known = f"device.description=Haptic-Cushion-(silent) device.intended_roles={ROLE}"
+                arguments = (f"sink_name={FALLBACK_SINK}", f'sink_properties="{known}"')
+                left = connection.load_module("module-null-sink", arguments)
             self._modules.append(left)
             self.active = True
         except NotFoundError as error:
@@ -228,9 +226,3 @@ class FallbackSink:
         while self._modules:
             with suppress(LostError, NotFoundError):  # it is gone already
                 self._connection.unload_module(self._modules.pop())
-
-
-_FALLBACK_ARGUMENTS = (
-    f"sink_name={FALLBACK_SINK}",
-    f'sink_properties="device.description=Haptic-Cushion-(silent) device.intended_roles={ROLE}"',
-)

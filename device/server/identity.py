@@ -21,20 +21,19 @@ Device = TypeVar("Device", Sink, Source)
 
 def find_sink(snapshot: ServerSnapshot, name: str) -> Sink:
     """Return the sink with exactly this name; NotFoundError suggests the nearest names."""
-    names = (sink.name for sink in snapshot.sinks if sink.name != FALLBACK_SINK)
-    return _find("sink", name, snapshot.sinks, names)
+    return _find("sink", name, snapshot.sinks)
 
 
 def find_source(snapshot: ServerSnapshot, name: str) -> Source:
     """Return the monitor or input with exactly this name; NotFoundError suggests others."""
-    return _find("source", name, snapshot.sources, (source.name for source in snapshot.sources))
+    return _find("source", name, snapshot.sources)
 
 
 def monitor_of(snapshot: ServerSnapshot, sink_name: str) -> Source:
     """Return the monitor of the sink with exactly this name; NotFoundError: one is missing."""
-    sink = find_sink(snapshot, sink_name)
+    find_sink(snapshot, sink_name)
     for source in snapshot.sources:
-        if source.monitor_of == sink.name:
+        if source.monitor_of == sink_name:
             return source
     raise NotFoundError(f"the sink {sink_name!r} has no monitor; tap another sink")
 
@@ -83,10 +82,10 @@ def find_tagged(streams: Iterable[Stream], tag: str) -> Stream | None:
 
 @dataclass(frozen=True)
 class DeviceIdentity:
-    """A text that identifies a device whenever it is plugged in; "" if unknown.
+    """What identifies a device whenever it is plugged in; "" if unknown.
 
-    vendor_id, product_id: four hexadecimal digits of a USB device. serial: the server's, which is
-    udev's VENDOR_MODEL_SERIAL. bus_path: its socket. alsa_card: ALSA's number, which may change.
+    vendor_id, product_id: four hexadecimal digits of a USB device. serial: udev's
+    VENDOR_MODEL_SERIAL. bus_path: its socket. alsa_card: ALSA's number, which may change.
     """
 
     bus: str
@@ -124,9 +123,10 @@ def _usb_id(text: str) -> str:
         return ""
 
 
-def _find(kind: str, name: str, devices: Iterable[Device], names: Iterable[str]) -> Device:
+def _find(kind: str, name: str, devices: tuple[Device, ...]) -> Device:
     for device in devices:
         if device.name == name:
             return device
+    names = [device.name for device in devices if device.name != FALLBACK_SINK]
     advice = "connect a sound card, or restart the sound server"
     raise NotFoundError(no_such(kind, name, names, advice))

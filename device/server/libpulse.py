@@ -1,7 +1,7 @@
 """The functions of libpulse that record a stream.
 
-pulsectl declares the structures, but its few record functions read a single peak value, and take
-sizes of 32 bits where libpulse writes 64.
+pulsectl declares the structures, but its record functions take sizes of 32 bits where libpulse
+writes 64.
 
 Functions that may wait release Python's lock; for the others that would cost more than the call.
 One thread at a time uses libpulse, except for `mainloop_wakeup`. Callbacks run within
@@ -15,6 +15,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from ctypes import c_char_p, c_int, c_uint32, c_void_p
 from functools import cache
+from types import SimpleNamespace
 from typing import Any
 
 from device.errors import NotFoundError, not_installed
@@ -30,8 +31,7 @@ SUBSCRIBE_SINK_INPUTS = 0x0004
 EVENT_MASK, EVENT_SINK_INPUT_REMOVED = 0x003F, 0x0022
 DEFAULT_MAP = 0
 
-
-_AT_ONCE: dict[str, tuple[Any, ...]] = {  # name: result, arguments
+_FUNCTIONS: dict[str, tuple[Any, ...]] = {  # name: result, arguments
     "strerror": (c_char_p, c_int),
     "mainloop_new": (c_void_p,),
     "mainloop_free": (None, c_void_p),
@@ -52,10 +52,7 @@ _AT_ONCE: dict[str, tuple[Any, ...]] = {  # name: result, arguments
     "context_get_sink_input_info": (c_void_p, c_void_p, c_uint32, c_void_p, c_void_p),
     "operation_unref": (None, c_void_p),
     "channel_map_init_extend": (c_void_p, c_void_p, c_uint32, c_int),
-    "stream_new_with_proplist": (
-        c_void_p,
-        *(c_void_p, c_char_p, c_void_p, c_void_p, c_void_p),
-    ),
+    "stream_new_with_proplist": (c_void_p, c_void_p, c_char_p, c_void_p, c_void_p, c_void_p),
     "stream_set_monitor_stream": (c_int, c_void_p, c_uint32),
     "stream_connect_record": (c_int, c_void_p, c_char_p, c_void_p, c_int),
     "stream_get_state": (c_int, c_void_p),
@@ -64,26 +61,22 @@ _AT_ONCE: dict[str, tuple[Any, ...]] = {  # name: result, arguments
     "stream_drop": (c_int, c_void_p),
     "stream_disconnect": (c_int, c_void_p),
     "stream_unref": (None, c_void_p),
-}
-_WAITING: dict[str, tuple[Any, ...]] = {
     "mainloop_poll": (c_int, c_void_p),
     "context_connect": (c_int, c_void_p, c_char_p, c_int, c_void_p),
 }
+_WAITING = ("mainloop_poll", "context_connect")
 
 
-class LibPulse:
+class LibPulse(SimpleNamespace):
     """The library's functions, without their prefix `pa_`. types: pulsectl's. Use `load`."""
 
     def __init__(self) -> None:
         self.types = load_pulsectl()._pulsectl
-        for library, functions in (
-            (ctypes.PyDLL("libpulse.so.0"), _AT_ONCE),
-            (ctypes.CDLL("libpulse.so.0"), _WAITING),
-        ):
-            for name, (result, *arguments) in functions.items():
-                function = getattr(library, f"pa_{name}")
-                function.restype, function.argtypes = result, arguments
-                setattr(self, name, function)
+        at_once, waiting = ctypes.PyDLL("libpulse.so.0"), ctypes.CDLL("libpulse.so.0")
+        for name, (result, *arguments) in _FUNCTIONS.items():
+            function = getattr(waiting if name in _WAITING else at_once, f"pa_{name}")
+            function.restype, function.argtypes = result, arguments
+            setattr(self, name, function)
 
     @contextmanager
     def properties(self, values: Mapping[str, str]) -> Iterator[Any]:
@@ -95,10 +88,6 @@ class LibPulse:
             yield properties
         finally:
             self.proplist_free(properties)
-
-    def __getattr__(self, name: str) -> Any:
-        # type checkers then accept any attribute
-        raise AttributeError(name)
 
 
 @cache

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Set
+from collections.abc import Callable, Collection, Mapping, Set
 from typing import Protocol
 
-from device.server.graph import Graph, LinkPair
+from device.server.graph import Graph, Link, LinkPair
 
 RETRY_S = 0.1  # time between two equal requests
 
-HOLDS_S = 0.2
-"""A link that lasts so long has been accepted; one that vanishes earlier counts as missing."""
+HOLDS_S = 0.2  # a link that vanishes earlier counts as missing
 
 PAUSED_S = 0.3
-"""How long a link may be paused beside an active one of the same nodes.
-
-PipeWire 0.3.65 resumes one of several links between two nodes and forgets the others, so their
-channels are silent until the links are made again.
-"""
+"""How long a link may be paused beside an active one of the same nodes: PipeWire 0.3.65 resumes one
+of several, and the others' channels are silent until the links are made again."""
 
 
 class Wiring(Protocol):
@@ -25,15 +21,12 @@ class Wiring(Protocol):
 
     def nodes(self, graph: Graph) -> Set[int]:
         """Return the ids of our nodes, which have no other links than the wanted ones."""
-        ...
 
     def links(self, graph: Graph) -> Set[LinkPair]:
         """Return the wanted links."""
-        ...
 
     def made_nodes(self) -> Mapping[str, str]:
         """Return the commands of `pw-cli` for nodes that are to be there, by their names."""
-        ...
 
 
 class LinkKeeper:
@@ -42,14 +35,12 @@ class LinkKeeper:
     The graph's thread calls the methods after each change, and the supervising thread for requests
     without effect, both with the graph's lock held.
 
-    send: takes one command of `pw-cli`. wiring: the wanted links, None for any; set it and call
-    `update`.
+    send: takes one command of `pw-cli`. wiring: None for any links; set it and call `update`.
     """
 
     def __init__(self, graph: Graph, send: Callable[[str], None]) -> None:
-        self._graph = graph
-        self._send = send
-        self._asked_s: dict[tuple[str, LinkPair | int | str], float] = {}
+        self._graph, self._send = graph, send
+        self._asked_s: dict[str, float] = {}  # by command
         self._made: set[str] = set()
         self._missing_s: dict[LinkPair, float] = {}
         self._present_s: dict[LinkPair, float] = {}
@@ -67,21 +58,20 @@ class LinkKeeper:
         self._asked_s = {what: s for what, s in self._asked_s.items() if now_s - s < RETRY_S}
         for link in links.values():
             if link.pair not in wanted:
-                self._ask("destroy", link.id, f"destroy {link.id}", now_s)
-        for pair in wanted - present:
-            command = f"create-link -1 {pair[0]} -1 {pair[1]}"
-            properties = "{ link.passive=true object.linger=false }"
-            self._ask("create", pair, f"{command} {properties}", now_s)
+                self._ask(f"destroy {link.id}", now_s)
+        properties = "{ link.passive=true object.linger=false }"
+        for output_id, input_id in wanted - present:
+            self._ask(f"create-link -1 {output_id} -1 {input_id} {properties}", now_s)
         self._make_nodes(self.wiring.made_nodes(), now_s)
         self._note_times(wanted, present, now_s)
-        self._renew_paused(links.keys(), now_s)
+        self._renew_paused(links.values(), now_s)
 
     def are_there(self, pairs: Set[LinkPair]) -> bool:
         """Whether all of these wanted links were there at the latest update."""
         return pairs <= self._present_s.keys()
 
     def missing_for_s(self, pairs: Set[LinkPair], now_s: float) -> float:
-        """Return how long the one of these links has been missing that has been so for longest."""
+        """Return the longest time for which one of these links has been missing."""
         return max((now_s - self._missing_s.get(pair, now_s) for pair in pairs), default=0.0)
 
     def _make_nodes(self, made: Mapping[str, str], now_s: float) -> None:
@@ -89,13 +79,13 @@ class LinkKeeper:
         for name in self._made:
             nodes = list(self._graph.nodes_named(name))
             if name in made and not nodes:
-                self._ask("create", name, made[name], now_s)
+                self._ask(made[name], now_s)
             for node in nodes[name in made :]:  # a busy server may have made two
-                self._ask("destroy", node.id, f"destroy {node.id}", now_s)
+                self._ask(f"destroy {node.id}", now_s)
 
-    def _ask(self, kind: str, what: LinkPair | int | str, command: str, now_s: float) -> None:
-        if (kind, what) not in self._asked_s:
-            self._asked_s[kind, what] = now_s
+    def _ask(self, command: str, now_s: float) -> None:
+        if command not in self._asked_s:
+            self._asked_s[command] = now_s
             self._send(command)
 
     def _note_times(self, wanted: Set[LinkPair], present: Set[LinkPair], now_s: float) -> None:
@@ -108,22 +98,19 @@ class LinkKeeper:
             and (pair not in present or pair in missing)
         }
 
-    def _renew_paused(self, link_ids: Set[int], now_s: float) -> None:
+    def _renew_paused(self, links: Collection[Link], now_s: float) -> None:
         """Remove links that the server has left paused; the next update makes them again.
 
         Those from nodes that were made here may stay paused: they carry nothing.
         """
         ours = {node.id for name in self._made for node in self._graph.nodes_named(name)}
         active = {
-            (link.output_node_id, link.input_node_id)
-            for link in map(self._graph.links.__getitem__, link_ids)
-            if link.state == "active"
+            (link.output_node_id, link.input_node_id) for link in links if link.state == "active"
         }
         before, self._paused_s = self._paused_s, {}
-        for link_id in link_ids:
-            link = self._graph.links[link_id]
+        for link in links:
             ends = link.output_node_id, link.input_node_id
             if link.state == "paused" and ends in active and link.output_node_id not in ours:
-                since_s = self._paused_s[link_id] = before.get(link_id, now_s)
+                since_s = self._paused_s[link.id] = before.get(link.id, now_s)
                 if now_s - since_s > PAUSED_S:
-                    self._ask("destroy", link_id, f"destroy {link_id}", now_s)
+                    self._ask(f"destroy {link.id}", now_s)

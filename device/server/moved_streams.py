@@ -11,23 +11,14 @@ from collections.abc import Collection, Sequence
 from contextlib import suppress
 
 from device.errors import NotFoundError
-from device.server.forwarding import (
-    SINK,
-    carries_sound_of,
-    is_application,
-    our_sink,
-    reachable_sinks,
-)
+from device.server.forwarding import SINK, carries_sound_of, is_application, reachable_sinks
 from device.server.identity import find_sink
 from device.server.pulse import PulseConnection
 from device.server.snapshot import ServerSnapshot, Stream
 from device.stream.pcms import ROLE
 
-TAKES_S = 0.3
-"""Servers and session managers follow a new default sink within this time; 50 ms are usual."""
-
-_CONTESTS, _CONTEST_S = 5, 10.0
-"""Only a program, not a user, changes the default sink so often in so short a time."""
+TAKES_S = 0.3  # until servers and session managers follow a new default sink; 50 ms are usual
+_CONTESTS, _CONTEST_S = 5, 10.0  # no user changes the default sink so often in so short a time
 
 
 def is_unused(snapshot: ServerSnapshot) -> bool:
@@ -90,13 +81,12 @@ class MovedStreams:
         places: dict[int, str] = {}
         broken = True
         for stream in snapshot.sink_inputs:
-            place = stream.device_name
-            if place == SINK and carries_sound_of(snapshot, stream, loop):
-                before = self._before.get(stream.index, "")
+            before = self._before.get(stream.index, "")
+            ours = stream.device_name == SINK
+            if ours and carries_sound_of(snapshot, stream, loop):
                 places_to_try = free if before in ("", *loop) else [before, *free]
-                if not any(self._move(snapshot, stream, name) for name in places_to_try):
-                    broken = False
-            places[stream.index] = self._before.get(stream.index, "") if place == SINK else place
+                broken &= any(self._move(snapshot, stream, name) for name in places_to_try)
+            places[stream.index] = before if ours else stream.device_name
         self._before = places
         return broken
 
@@ -109,7 +99,6 @@ class MovedStreams:
                 self._move(snapshot, stream, home)
 
     def _move(self, snapshot: ServerSnapshot, stream: Stream, sink_name: str) -> bool:
-        """Move a stream; whether the server did it."""
         with suppress(NotFoundError):  # it has ended or may not move, or the sink is gone
             self._connection.move_sink_input(stream.index, find_sink(snapshot, sink_name).index)
             return True
@@ -125,8 +114,7 @@ class DefaultSinkClaim:
 
     def __init__(self, connection: PulseConnection, stable_name: str) -> None:
         self.stable_name = stable_name
-        self.settled = False
-        self.contested = False
+        self.settled = self.contested = False
         self._connection = connection
         self._taken_s: float | None = None
         self._choices: deque[float] = deque(maxlen=_CONTESTS)
@@ -141,13 +129,13 @@ class DefaultSinkClaim:
         default = snapshot.default_sink
         if default == SINK:
             self.settled, self.contested = True, False
-        elif our_sink(snapshot) is None:
+        elif snapshot.sink(SINK) is None:
             self.settled = False  # the server chose it, as ours is gone
         elif self.settled and default and (default == self.stable_name or default not in fit):
             self.settled = False
             self._choices.append(now_s)
-            often = len(self._choices) == _CONTESTS and now_s - self._choices[0] < _CONTEST_S
-            self.contested = often
+            full = len(self._choices) == _CONTESTS
+            self.contested = full and now_s - self._choices[0] < _CONTEST_S
             return default
         return None
 

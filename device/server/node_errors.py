@@ -9,25 +9,26 @@ from __future__ import annotations
 import os
 import subprocess
 from collections.abc import Collection
-from contextlib import suppress
+from contextlib import ExitStack
+from typing import IO
 
-from device.process import end, started
+from device.process import end, memory_file, started
 
-PROGRAM = "pw-top"
-COMMAND = [PROGRAM, "--batch-mode", "--iterations=2"]
-"""The first listing has no counts yet. Two take a second."""
-
+COMMAND = ["pw-top", "--batch-mode", "--iterations=2"]  # the first listing has no counts yet
 INTERVAL_S = 10.0  # time from one look to the next
-
 ERRORS_COLUMN = 8  # of a listing: S ID QUANT RATE WAIT BUSY W/Q B/Q ERR FORMAT NAME
 
 
 class NodeErrors:
-    """The counts of some nodes, by name. One thread calls the methods; they raise nothing."""
+    """The counts of some nodes, by name. One thread calls the methods; they raise nothing.
+
+    process: the look that is under way, or None.
+    """
 
     def __init__(self) -> None:
-        self._process: subprocess.Popen[bytes] | None = None
-        self._printed = b""
+        self.process: subprocess.Popen[bytes] | None = None
+        self._printed: IO[bytes]
+        self._look = ExitStack()  # ends the process and closes its file
         self._due_s = -INTERVAL_S
         self._counts: dict[str, int] = {}
         self._may_ask = True
@@ -37,11 +38,16 @@ class NodeErrors:
 
         names: of the nodes to look for. The count of one that has gone is kept.
         """
-        if self._process is not None:
-            self._read(names)
-        elif self._may_ask and names and now_s - self._due_s >= INTERVAL_S:
-            self._due_s = now_s
-            self._ask()
+        if self.process is None:
+            if self._may_ask and names and now_s - self._due_s >= INTERVAL_S:
+                self._due_s = now_s
+                self._ask()
+        elif (code := self.process.poll()) is not None:
+            self._may_ask = code == 0
+            self._printed.seek(0)
+            listing = self._printed.read().decode(errors="replace")
+            self._counts.update(errors_in(listing, names))
+            self.close()
 
     def count(self, suffix: str) -> int | None:
         """Return the errors of all nodes whose names end so, None while no count is known."""
@@ -49,40 +55,19 @@ class NodeErrors:
             return None
         return sum(count for name, count in self._counts.items() if name.endswith(suffix))
 
-    @property
-    def is_looking(self) -> bool:
-        """Whether a look is under way."""
-        return self._process is not None
-
     def close(self) -> None:
         """End a look that is under way. May be repeated."""
-        process, self._process = self._process, None
-        self._printed = b""
-        if process is not None:
-            end(process)
+        self.process = None
+        self._look.close()
 
     def _ask(self) -> None:
         try:
-            self._process = started(COMMAND, stdout=subprocess.PIPE)
+            self._printed = self._look.enter_context(os.fdopen(memory_file("pw-top"), "r+b"))
+            self.process = started(COMMAND, stdout=self._printed.fileno())
+            self._look.callback(end, self.process)
         except OSError:
             self._may_ask = False
-            return
-        assert self._process.stdout is not None
-        os.set_blocking(self._process.stdout.fileno(), False)
-
-    def _read(self, names: Collection[str]) -> None:
-        process = self._process
-        assert process is not None
-        assert process.stdout is not None
-        code = process.poll()  # before reading, so that nothing can follow what is read
-        with suppress(BlockingIOError):
-            while block := os.read(process.stdout.fileno(), 1 << 16):
-                self._printed += block
-        if code is None:
-            return
-        self._counts.update(errors_in(self._printed.decode(errors="replace"), names))
-        self._may_ask = code == 0
-        self.close()
+            self.close()
 
 
 def errors_in(listing: str, names: Collection[str]) -> dict[str, int]:

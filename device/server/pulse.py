@@ -1,7 +1,7 @@
 """A control connection to PulseAudio or PipeWire: snapshots, events and changes.
 
-pulsectl belongs to one thread, which waits for events, takes a snapshot after them and does what
-others ask for. No function of pulsectl is called inside its event callback or by another thread.
+pulsectl belongs to one thread, which takes a snapshot after events and does what others ask for.
+No function of pulsectl is called inside its event callback or by another thread.
 """
 
 from __future__ import annotations
@@ -32,14 +32,10 @@ from device.server.snapshot import (
 from device.volume_limit import limit_volume_db
 
 FACILITIES = ("sink", "source", "sink_input", "source_output", "module", "card", "server")
-"""Facilities that are reported; clients come and go without a change for us."""
-
 _GATHER_S = 0.02  # events come in dozens: a snapshot is taken this long after the first of them
 _BUSY_POLLS, _BUSY_S = 50, 1.0  # after so many in so long, each event waits for more of them
 _REST_RATIO = 100.0  # on a server with hundreds of streams, snapshots take a hundredth of a core
 _REST_MAX_S = 2.0  # and only streams wait for it
-
-
 _VOLUME_LOOKS, _VOLUME_LOOK_S = 25, 0.02
 _VOLUME_ROUNDING = 1e-4  # seven of the 65 536 steps of a server's volume
 
@@ -49,9 +45,8 @@ class PulseConnection(ConnectionThread):
 
     Any thread but its own may call the methods. NotFoundError: the named object is gone.
 
-    listeners: receive events, snapshots and the loss of the server. latest: the latest snapshot;
-    any thread may read it. lost: why the connection was lost, or None. Make another object to
-    connect again.
+    listeners: see `Listener`. latest: the latest snapshot; any thread may read it. lost: why the
+    connection was lost, or None. Make another object to connect again.
 
     LostError: no server answers; every method raises it after the loss of the server.
     NotFoundError: the library libpulse is not installed.
@@ -89,23 +84,17 @@ class PulseConnection(ConnectionThread):
     def set_sink_volume_db(self, name: str, wanted_db: float) -> None:
         """Set all channels of a sink, 0 dB at most, and unmute it once they are so quiet.
 
-        The server's number for a volume is 1.0 at 0 dB; 60 log10 of it is the level.
         NotFoundError: the sink is gone or stays louder.
         """
-        volume = 10.0 ** (limit_volume_db(wanted_db, -math.inf, name) / 60.0)
+        volume = 10.0 ** (limit_volume_db(wanted_db, -math.inf, name) / 60.0)  # see `decibels`
 
-        def loudest() -> float:
-            return max(self._pulse.get_sink_by_name(name).volume.values, default=0.0)
+        def find() -> Any:
+            return self._pulse.get_sink_by_name(name)
 
-        def unmute() -> None:
-            self._pulse.sink_mute(self._pulse.get_sink_by_name(name).index, False)
-
-        self._ask(
-            lambda: self._pulse.volume_set_all_chans(self._pulse.get_sink_by_name(name), volume)
-        )
+        self._ask(lambda: self._pulse.volume_set_all_chans(find(), volume))
         for _ in range(_VOLUME_LOOKS):  # PipeWire answers before it has set the volume
-            if self._ask(loudest) <= volume + _VOLUME_ROUNDING:
-                self._ask(unmute)
+            if max(self._ask(find).volume.values, default=0.0) <= volume + _VOLUME_ROUNDING:
+                self._ask(lambda: self._pulse.sink_mute(find().index, False))
                 return
             time.sleep(_VOLUME_LOOK_S)
         raise NotFoundError(f"the sink {name!r} does not take the level {wanted_db:g} dB")
@@ -144,7 +133,7 @@ class PulseConnection(ConnectionThread):
 
     def remove(self, listener: Listener) -> None:
         """Remove a listener; it raises nothing, even if it is unknown or all is lost."""
-        if listener in self._listeners:
+        with suppress(ValueError):
             self._listeners.remove(listener)
 
     def _ask(self, work: Callable[[], Result]) -> Result:
@@ -168,16 +157,15 @@ class PulseConnection(ConnectionThread):
     def _connect(self) -> None:
         pulsectl = load_pulsectl()
         patch_samplerates(pulsectl)
-        self._deadline_s = time.monotonic() + ANSWER_LIMIT_S
-        try:
-            self._pulse = pulsectl.Pulse("haptic-cushion", connect=False)
-            self._pulse.set_poll_func(self._poll, lambda *_: None)
-            self._pulse.connect()
-        except Exception:
-            raise no_server() from None
-        self._pulse.event_mask_set(*FACILITIES)
-        self._pulse.event_callback_set(self._on_event)
-        self._deadline_s = None
+        with self._deadline():
+            try:
+                self._pulse = pulsectl.Pulse("haptic-cushion", connect=False)
+                self._pulse.set_poll_func(self._poll, lambda *_: None)
+                self._pulse.connect()
+            except Exception:
+                raise no_server() from None
+            self._pulse.event_mask_set(*FACILITIES)
+            self._pulse.event_callback_set(self._on_event)
 
     def _serve(self) -> None:
         while not self._stopping:
@@ -214,8 +202,7 @@ class PulseConnection(ConnectionThread):
         changed, self._changed = self._changed, set()
         known = self.latest if changed and changed <= STREAMS else None
         with self._deadline():
-            snapshot = take_snapshot(self._pulse, self._events, known)
-        self.latest = snapshot
+            self.latest = snapshot = take_snapshot(self._pulse, self._events, known)
         now_s = time.monotonic()
         self._rested_s = now_s + min(_REST_MAX_S, _REST_RATIO * (now_s - began_s))
         if self._due_s is not None and self._due_s > now_s and self._changed <= STREAMS:
@@ -230,14 +217,16 @@ class PulseConnection(ConnectionThread):
 
     def _on_outdated(self, known: Defaults) -> None:
         """Connect again unless the defaults have changed; listeners do not notice. Any thread."""
-        with suppress(CushionError):  # it has ended
-            self._ask(lambda: self._reconnect(known))
 
-    def _reconnect(self, known: Defaults) -> None:
-        if Defaults.of(self._refresh()) == known:
-            self._pulse.close()
-            self._connect()
-            self._refresh()
+        def reconnect() -> None:
+            seen = self._refresh()
+            if (seen.default_sink, seen.default_source) == known:
+                self._pulse.close()
+                self._connect()
+                self._refresh()
+
+        with suppress(CushionError):  # it has ended
+            self._ask(reconnect)
 
     def _on_event(self, info: Any) -> None:
         """Note an event and pass it on. Called inside libpulse: it must not call pulsectl."""
@@ -282,7 +271,6 @@ class PulseConnection(ConnectionThread):
 
     @contextmanager
     def _deadline(self) -> Iterator[None]:
-        """Limit the time of queries inside this context."""
         self._deadline_s = time.monotonic() + ANSWER_LIMIT_S
         try:
             yield

@@ -12,13 +12,10 @@ from typing import Any
 
 from device.errors import LostError
 
-NOWHERE = 0xFFFF_FFFF
-"""The index that servers give for "none"."""
-
-STREAMS = frozenset({"sink_input", "source_output"})
-"""Facilities of events that change no sink and no source."""
-
+NOWHERE = 0xFFFF_FFFF  # the index that servers give for "none"
+STREAMS = frozenset({"sink_input", "source_output"})  # events about them change no device
 HARDWARE_VOLUME, FLAT_VOLUMES = 0x01, 0x40  # flags of sinks, as in pulse/def.h
+DEFAULT_SETTLES_S = 0.2  # how long a new default sink must persist until it is reported
 
 
 @dataclass(frozen=True)
@@ -28,7 +25,7 @@ class Sink:
     index: the server's, never reused. module: index of the module that made it, or None.
     channel_map: such as "front-left,front-right". volume_db: 0 for 100 %. volume_in_monitor:
     whether its monitor carries this volume. flat_volumes: whether the volumes of streams that play
-    to it contain its own. mute: whether it is muted.
+    to it contain its own.
     """
 
     index: int
@@ -47,7 +44,7 @@ class Sink:
 
     @property
     def weakened(self) -> str:
-        """What makes it softer, as text: "muted", or such as "volume 30 %"; "" for neither."""
+        """What makes it softer: "muted", or such as "volume 30 %"; "" for neither."""
         percent = round(100.0 * 10.0 ** (self.volume_db / 60.0))
         return "muted" if self.mute else f"volume {percent} %" if percent < 100 else ""
 
@@ -77,9 +74,8 @@ class Source:
 class Stream:
     """A sink input, which plays, or a source output, which records. Unknown text is "".
 
-    device_index, device_name: of its sink or source; None and "" while it has none. corked: paused
-    by the application. module: index of the module that made it; None for an application's.
-    volume_db: 0 for 100 %.
+    device_index, device_name: None and "" while it has no device. corked: paused by the
+    application. module: that made it; None for an application's. volume_db: 0 for 100 %.
     """
 
     index: int
@@ -117,6 +113,10 @@ class ServerSnapshot:
     source_outputs: tuple[Stream, ...]
     events: int
 
+    def sink(self, name: str | None) -> Sink | None:
+        """Return the sink with exactly this name, or None."""
+        return next((sink for sink in self.sinks if sink.name == name), None)
+
 
 def patch_samplerates(pulsectl: Any) -> None:
     """Make pulsectl keep sample rates: its field for them points into memory that is freed."""
@@ -129,20 +129,15 @@ def patch_samplerates(pulsectl: Any) -> None:
 
 
 def take_snapshot(pulse: Any, events: int, known: ServerSnapshot | None = None) -> ServerSnapshot:
-    """Query a connected pulsectl.Pulse for everything, on its thread.
+    """Query a connected pulsectl.Pulse, on its thread; `known` if only streams have changed since.
 
     Streams come first: one that moves in the meantime then appears on a device that exists.
-    known: the latest snapshot, if only streams have changed since.
     """
     sink_inputs, source_outputs = pulse.sink_input_list(), pulse.source_output_list()
     info = pulse.server_info()
     kind, version = _kind(info.server_name or "", info.server_version or "")
-    default_sink = default_name(info.default_sink_name)
-    default_source = default_name(info.default_source_name)
-    if known is not None and (known.default_sink, known.default_source) == (
-        default_sink,
-        default_source,
-    ):
+    defaults = default_name(info.default_sink_name), default_name(info.default_source_name)
+    if known is not None and (known.default_sink, known.default_source) == defaults:
         sinks, sources = known.sinks, known.sources
     else:
         sinks = tuple(_sink(sink, kind) for sink in pulse.sink_list())
@@ -151,12 +146,11 @@ def take_snapshot(pulse: Any, events: int, known: ServerSnapshot | None = None) 
     sink_names = {sink.index: sink.name for sink in sinks}
     source_names = {source.index: source.name for source in sources}
     return ServerSnapshot(
-        kind=kind,
-        version=version,
-        default_sink=default_sink,
-        default_source=default_source,
-        sinks=sinks,
-        sources=sources,
+        kind,
+        version,
+        *defaults,
+        sinks,
+        sources,
         sink_inputs=tuple(_stream(item, item.sink, sink_names) for item in sink_inputs),
         source_outputs=tuple(_stream(item, item.source, source_names) for item in source_outputs),
         events=events,
@@ -166,9 +160,7 @@ def take_snapshot(pulse: Any, events: int, known: ServerSnapshot | None = None) 
 def _kind(name: str, version: str) -> tuple[str, str]:
     """Parse "pulseaudio" and "16.1", or "PulseAudio (on PipeWire 0.3.65)"."""
     _, on, pipewire = name.partition("(on PipeWire")
-    if on:
-        return "PipeWire", pipewire.strip(" )")
-    return "PulseAudio", version
+    return ("PipeWire", pipewire.strip(" )")) if on else ("PulseAudio", version)
 
 
 def default_name(name: str | None) -> str:
@@ -177,19 +169,16 @@ def default_name(name: str | None) -> str:
 
 
 def _sink(item: Any, kind: str) -> Sink:
-    """Return a sink. Its monitor carries its volume on PulseAudio, unless the card has a volume.
-
-    PipeWire says of each sink whether it does.
-    """
-    in_hardware = bool(item.flags & HARDWARE_VOLUME)
-    pipewire_says = item.proplist.get("monitor.channel-volumes") == "true"
+    if kind == "PipeWire":
+        volume_in_monitor = item.proplist.get("monitor.channel-volumes") == "true"
+    else:
+        volume_in_monitor = not item.flags & HARDWARE_VOLUME
     return Sink(
         monitor=item.monitor_source_name or "",
         module=_known(item.owner_module),
         volume_db=decibels(_loudest(item)),
-        volume_in_monitor=pipewire_says if kind == "PipeWire" else not in_hardware,
+        volume_in_monitor=volume_in_monitor,
         flat_volumes=bool(item.flags & FLAT_VOLUMES),
-        mute=bool(item.mute),
         **_device(item),
     )
 
@@ -198,7 +187,6 @@ def _source(item: Any, sink_names: Mapping[int, str]) -> Source:
     return Source(
         monitor_of=sink_names.get(item.monitor_of_sink),
         volume=_loudest(item),
-        mute=bool(item.mute),
         **_device(item),
     )
 
@@ -212,6 +200,7 @@ def _device(item: Any) -> dict[str, Any]:
         "channels": item.channel_count,
         "properties": dict(item.proplist),
         "channel_map": ",".join(item.channel_list),
+        "mute": bool(item.mute),
     }
 
 
@@ -237,7 +226,6 @@ def _stream(item: Any, device: int, names: Mapping[int, str]) -> Stream:
 
 
 def _loudest(item: Any) -> float:
-    """Return the volume of the loudest channel, 1.0 for a stream without a volume."""
     return float(max(item.volume.values, default=1.0))
 
 
@@ -250,15 +238,11 @@ def decibels(volume: float) -> float:
     return 60.0 * math.log10(volume) if volume > 0.0 else -math.inf
 
 
-DEFAULT_SETTLES_S = 0.2  # how long a new default sink must persist until it is reported
-
-
 @dataclass(frozen=True)
 class Event:
     """A change on the server. number: counts this connection's events, from 1.
 
-    facility: "sink", "source", "sink_input", "source_output", "server" or others. kind: "new",
-    "change" or "remove".
+    facility: such as "sink_input" or "server". kind: "new", "change" or "remove".
     """
 
     facility: str
@@ -288,10 +272,7 @@ class Listener:
 
 
 _BLOCKS = {"PulseAudio": (0.0, 1.0), "PipeWire": (1.0, 2.0)}
-"""Kind of server: blocks of latency in the tap and in the output, as measured.
-
-The server's own numbers are unusable: PipeWire reports 0.
-"""
+"""Kind of server: measured blocks of latency in tap and output. PipeWire itself reports 0."""
 
 
 def tap_latency_s(snapshot: ServerSnapshot, block_frames: int, samplerate: int) -> float:

@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Collection
 
-from device.server.snapshot import NOWHERE, ServerSnapshot, Sink, Source, decibels
+from device.server.snapshot import NOWHERE, ServerSnapshot, Source, decibels
 
-APART_DB = 20.0
-"""A stream that is turned up so much more than the one that counts would be far too strong."""
+APART_DB = 20.0  # a stream that is turned up so much more would be far too strong
 
 
 class TapVolume:
@@ -43,7 +42,7 @@ class TapVolume:
             if loudest.volume_db > stream.volume_db + APART_DB:
                 stream = loudest
             self._stream_db = stream.volume_db
-            sink = _sink(snapshot, stream.device_name)
+            sink = snapshot.sink(stream.device_name)
             if sink is not None and sink.flat_volumes:
                 self._stream_db -= sink.volume_db
         return self._stream_db + (monitor_volume_db(snapshot, monitor) if monitor else 0.0)
@@ -51,17 +50,12 @@ class TapVolume:
 
 def monitor_volume_db(snapshot: ServerSnapshot, monitor: Source) -> float:
     """Return the volume that a monitor's sound has beyond that of the streams, in dB."""
-    sink = _sink(snapshot, monitor.monitor_of)
+    sink = snapshot.sink(monitor.monitor_of)
     carried_db = sink.volume_db if sink is not None and sink.volume_in_monitor else 0.0
     return carried_db + decibels(monitor.volume)
 
 
 def muted_sink(snapshot: ServerSnapshot, sink_name: str | None) -> str:
     """Return the name of the sink if it is muted or at 0 %; "" for others."""
-    sink = _sink(snapshot, sink_name)
-    muted = sink is not None and (sink.mute or sink.volume_db == -math.inf)
-    return sink.name if sink is not None and muted else ""
-
-
-def _sink(snapshot: ServerSnapshot, name: str | None) -> Sink | None:
-    return next((sink for sink in snapshot.sinks if sink.name == name), None)
+    sink = snapshot.sink(sink_name)
+    return sink.name if sink and (sink.mute or sink.volume_db == -math.inf) else ""

@@ -5,9 +5,8 @@
 | `streams` | `CaptureStream`, `PlaybackStream`: one block per callback |
 | `portaudio` | the one PyAudio instance; opens and closes streams within a time limit, in silence |
 | `pcms` | `PcmConfig`: named ALSA devices, and the sinks, monitors and cards they open |
-| `pulse_plugin` | whether ALSA has its plugin for sound servers |
 | `sample_format` | `SampleFormat`, and the encoder from float frames to integers |
-| `callback_thread` | `AudioPriority`, and Python's state of a thread between callbacks |
+| `callback_thread` | `AudioPriority`, Python's state of a thread between callbacks, CPU time |
 
 PyAudio is loaded by the first opening.
 """

@@ -1,4 +1,4 @@
-"""A callback's thread: real-time priority, where the system grants it, and Python's state of it.
+"""A callback's thread: its real-time priority, Python's state of it, and its CPU time.
 
 Each thread asks for priority itself, since only PortAudio knows its threads. It gets a low
 real-time one, which its children do not inherit, else a better nice level, else nothing. The kernel
@@ -13,15 +13,13 @@ import getpass
 import os
 import resource
 import threading
+import time
 from collections import deque
 from contextlib import suppress
 from pathlib import Path
 
-PRIORITY, NICE = 10, -11
-"""Below sound servers (20 and above) and the kernel's threads (50); their nice level."""
-
-SPIN_S, KILL_S = 0.2, 2.0
-"""Limits of uninterrupted processor time. A callback takes a hundredth of the first."""
+PRIORITY, NICE = 10, -11  # below sound servers (20 and above); their nice level
+SPIN_S, KILL_S = 0.2, 2.0  # a callback takes a hundredth of the first
 
 THREADS_MAX = 64  # that asked are remembered; older ones belong to closed streams
 
@@ -29,16 +27,15 @@ THREADS_MAX = 64  # that asked are remembered; older ones belong to closed strea
 class AudioPriority:
     """Grants priority to the threads that call `claim`. One object serves a whole process.
 
-    wanted: whether threads ask for priority; set by `set_wanted`, cleared by `revoke`, set again
-    by `restore`. round: counts effective calls of `restore`; threads that claimed before claim
-    again. warning: the missing right and how to get it; "" unless a thread was refused.
+    wanted: whether threads ask for priority. round: counts effective calls of `restore`; threads
+    that claimed before claim again. warning: the missing right and how to get it; "" unless a
+    thread was refused.
     """
 
     def __init__(self, wanted: bool = True) -> None:
-        self.wanted = False
+        self.wanted = self._revoked = False
         self.round = 0
         self.warning = ""
-        self._revoked = False
         self._threads: deque[int] = deque(maxlen=THREADS_MAX)
         self.set_wanted(wanted)
 
@@ -70,10 +67,7 @@ class AudioPriority:
         )
 
     def restore(self) -> None:
-        """Undo `revoke` once a vanished device's stream is closed. For the main thread.
-
-        PortAudio's thread spins from the moment that its card is pulled out.
-        """
+        """Undo `revoke` once the stream of a card that was pulled out, and spun, is closed."""
         if self._revoked:
             self.round += 1
             self.warning = ""
@@ -89,19 +83,23 @@ class AudioPriority:
 
 def priority_advice() -> str:
     """Return advice for a user whose audio threads have no real-time priority."""
+    try:
+        user = getpass.getuser()
+    except (KeyError, OSError):  # a container's user without a name
+        user = str(os.getuid())
     return (
         "the audio threads have no real-time priority, so vibration may break up on a busy "
-        f"machine; put `{_user()} - rtprio {2 * PRIORITY}` into "
+        f"machine; put `{user} - rtprio {2 * PRIORITY}` into "
         "/etc/security/limits.d/cushion.conf and log in again, or set realtime = false"
     )
 
 
 def _real_time() -> bool:
     """Set the calling thread's real-time priority; a privileged process ignores the limit."""
+    policy = os.SCHED_RR | os.SCHED_RESET_ON_FORK
     allowed = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
     for priority in (PRIORITY, min(PRIORITY, allowed)):
         with suppress(OSError, ValueError):
-            policy = os.SCHED_RR | os.SCHED_RESET_ON_FORK
             os.sched_setscheduler(0, policy, os.sched_param(priority))
             return True
     return False
@@ -113,10 +111,9 @@ def _nicer() -> bool:
     lowest = -20 if limit == resource.RLIM_INFINITY else 20 - limit
     for level in (NICE, max(NICE, lowest)):
         with suppress(OSError):
-            if os.getpriority(os.PRIO_PROCESS, 0) <= level < 0:
-                return True
             if level < 0:
-                os.setpriority(os.PRIO_PROCESS, 0, level)
+                if os.getpriority(os.PRIO_PROCESS, 0) > level:
+                    os.setpriority(os.PRIO_PROCESS, 0, level)
                 return True
     return False
 
@@ -134,20 +131,11 @@ def _set_limits() -> None:
         resource.setrlimit(resource.RLIMIT_RTTIME, (min(int(SPIN_S * 1e6), most_us), most_us))
 
 
-def _user() -> str:
-    try:
-        return getpass.getuser()
-    except (KeyError, OSError):  # a container's user without a name
-        return str(os.getuid())
-
-
 RELEASE_LIMIT_S = 0.05  # several callbacks: if none comes in this time, the stream has stopped
 
-_LOCKED = 0
-"""PyGILState_LOCKED of Python's C API: the caller already holds the lock, as in a callback."""
+_LOCKED = 0  # PyGILState_LOCKED of Python's C API: the caller holds the lock, as in a callback
 
 _ensure = ctypes.pythonapi.PyGILState_Ensure
-_ensure.restype = ctypes.c_int
 _release = ctypes.pythonapi.PyGILState_Release
 _release.argtypes = [ctypes.c_int]
 _release.restype = None
@@ -164,24 +152,26 @@ class GilState:
     """
 
     def __init__(self) -> None:
-        self._kept = False
         self._released = threading.Event()
         self._released.set()
 
     def keep(self) -> None:
         """Keep the state after this callback returns. Further calls do nothing."""
-        if not self._kept:
-            self._kept = True
+        if self._released.is_set():
             self._released.clear()
             _ensure()
 
     def release(self) -> None:
         """Let Python free the state after this callback and every later one."""
-        if self._kept:
-            self._kept = False
+        if not self._released.is_set():
             _release(_LOCKED)
             self._released.set()
 
     def wait_released(self) -> bool:
         """Wait until released, RELEASE_LIMIT_S at most; whether it was. Any other thread."""
         return self._released.wait(RELEASE_LIMIT_S)
+
+
+def cpu_time_s() -> float:
+    """Return the CPU time of the calling thread; only differences have a meaning."""
+    return time.thread_time()

@@ -1,9 +1,8 @@
 """Named PCMs (ALSA devices), and the sinks, monitors and cards that they open.
 
 PortAudio lists ALSA's devices once, when it starts, by name. So a private ALSA configuration
-defines the names, in a file in memory, which ends with this process. ALSA reads it again when its
-path changes, so a PCM can open another device each time, also a card that returns under another
-number.
+defines the names, in a file in memory. ALSA reads it again when its path changes, so a PCM can
+open another device each time, also a card that returns under another number.
 
 At first every PCM opens ALSA's `null`, and `default`, which PortAudio 19.6 needs, always does. So
 PortAudio starts without a sound server, and no unnamed device can play or record.
@@ -11,6 +10,7 @@ PortAudio starts without a sound server, and no unnamed device can play or recor
 
 from __future__ import annotations
 
+import ctypes
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -18,15 +18,14 @@ from dataclasses import dataclass
 
 from device.errors import LostError
 from device.process import memory_file
-from device.stream.pulse_plugin import missing_plugin
 
 # media.role (no other program's), application.id and application.name of all our streams
 ROLE, APPLICATION_ID, APPLICATION_NAME = "haptic", "haptic-cushion", "Haptic Cushion"
 
-FALLBACK_SINK = "cushion_refuge"
-"""Name of the silent sink that catches our output: see `FallbackSink`."""
-
+FALLBACK_SINK = "cushion_refuge"  # name of the silent sink that catches our output
 TAG = "cushion.stream"  # property of a stream that identifies one opening of it
+
+PLUGIN = "libasound_module_pcm_pulse.so"  # ALSA's plugin for sound servers
 
 _REWRITTEN = ("ALSA_CONFIG_PATH", "PULSE_PROP", "PULSE_PROP_OVERRIDE")
 
@@ -48,9 +47,9 @@ class PcmConfig:
 
     Make it before PortAudio and other threads start: it sets the environment of the process and
     its children. PULSE_LATENCY_MSEC is removed, as it would block the output, and no JACK server
-    is started. The user's PULSE_PROP stays, and ours follows it. One thread at a time uses it.
+    is started. The user's PULSE_PROP stays. One thread at a time uses it.
 
-    names: of the PCMs. pcms: the PCMs by name. LostError: the system has no memory for the file.
+    names: of the PCMs. pcms: by name. LostError: the system has no memory for the file.
     """
 
     def __init__(self, *names: str) -> None:
@@ -62,22 +61,22 @@ class PcmConfig:
         }
         os.environ.pop("PULSE_LATENCY_MSEC", None)
         os.environ["JACK_NO_START_SERVER"] = "1"
-        # Later changes only exchange values, which is safe while a library's thread reads them.
-        # A new variable would reallocate the whole environment.
+        # Later changes only exchange values: a new variable would reallocate the environment, which
+        # a library's thread may be reading.
         for name in _REWRITTEN:
             os.environ[name] = self._before[name] or ""
         self._write()
 
     @contextmanager
     def opening(self, pcm: Pcm, tag: str, *, output: bool) -> Iterator[None]:
-        """Return a context in which opening `pcm` opens its target with our properties and tag.
-
-        output: whether it is opened for playback. One thread at a time may be in this context.
-        """
+        """Let opening `pcm` open its target, with our properties and tag, inside this context."""
         self._write()
         theirs = self._before["PULSE_PROP"] or ""
+        ours = f"application.id={APPLICATION_ID} media.role={ROLE} {TAG}={tag}"
+        if output:  # on PipeWire it then ends with its sink, and does not move to the default one
+            ours += " node.dont-reconnect=true"  # a tap with it could not be moved any more
+        os.environ["PULSE_PROP"] = f"{theirs} {ours}".strip()
         # ALSA's plugin sets its own application name; only an override replaces it.
-        os.environ["PULSE_PROP"] = f"{theirs} {_properties(tag, output)}".strip()
         os.environ["PULSE_PROP_OVERRIDE"] = f'application.name="{APPLICATION_NAME}"'
         try:
             yield
@@ -109,34 +108,21 @@ class PcmConfig:
         self._use(file)
 
     def _use(self, file: int) -> None:
-        """Close the file before this one."""
         before, self._file = self._file, file
         if before >= 0:
             os.close(before)
 
 
-def _properties(tag: str, output: bool) -> str:
-    """Return our stream's properties in the form of PULSE_PROP.
-
-    node.dont-reconnect is PipeWire's: without it, an output that loses its sink would move to the
-    default sink; with it, the output ends. A tap does without, as it could not be moved any more.
-    """
-    ending = " node.dont-reconnect=true" if output else ""
-    return f"application.id={APPLICATION_ID} media.role={ROLE} {TAG}={tag}{ending}"
-
-
 class Target:
-    """The device that a PCM opens, at first none; `str()` gives its name for messages."""
+    """The device that a PCM opens, at first none; `str()` gives its name for messages.
+
+    trouble: why opening it may fail, and what to do.
+    """
 
     trouble = "no device was set for this PCM"
-    """Why opening it may fail, and what to do."""
 
     def __str__(self) -> str:
         return "nowhere"
-
-    def missing(self) -> str:
-        """Return what this machine lacks to open it, and how to get it; "" for nothing."""
-        return ""
 
     @property
     def definition(self) -> str:
@@ -159,10 +145,6 @@ class ServerDevice(Target):
     def __str__(self) -> str:
         return self.device
 
-    def missing(self) -> str:
-        """Return that ALSA's plugin for sound servers is missing; "" if it is there."""
-        return missing_plugin()
-
     @property
     def definition(self) -> str:
         """For ALSA's plugin for sound servers."""
@@ -172,10 +154,7 @@ class ServerDevice(Target):
 
 @dataclass(frozen=True)
 class CardDevice(Target):
-    """A sound card without a server, by the numbers of card and device.
-
-    Without a plugin in between, rate, format and channels must be the card's own.
-    """
+    """A sound card without a server, by numbers; rate, format and channels must be its own."""
 
     card: int
     device: int = 0
@@ -192,6 +171,30 @@ class CardDevice(Target):
     def definition(self) -> str:
         """For ALSA's direct access to the kernel."""
         return f"type hw card {self.card} device {self.device}"
+
+
+def missing_plugin(library: str = "libasound.so.2") -> str:
+    """Return that ALSA's plugin for sound servers is missing and how to get it; "" if it loads.
+
+    Also "" where ALSA's library itself cannot be asked. Any thread may call it.
+    """
+    try:
+        alsa = ctypes.CDLL(library)
+        load, unload = alsa.snd_dlopen, alsa.snd_dlclose
+    except (OSError, AttributeError):
+        return ""
+    load.argtypes = (ctypes.c_char_p, ctypes.c_int, ctypes.c_char_p, ctypes.c_size_t)
+    load.restype = ctypes.c_void_p
+    unload.argtypes = (ctypes.c_void_p,)
+    why = ctypes.create_string_buffer(256)
+    if loaded := load(PLUGIN.encode(), os.RTLD_LAZY, why, len(why)):
+        unload(loaded)
+        return ""
+    return (
+        f"ALSA's plugin for sound servers, {PLUGIN}, is missing; install the package "
+        "libasound2-plugins (Debian, Ubuntu), alsa-plugins-pulseaudio (Fedora) or "
+        "alsa-plugins (Arch), and start again"
+    )
 
 
 def _quoted(text: str) -> str:

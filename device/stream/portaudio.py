@@ -1,7 +1,6 @@
 """The process's one PyAudio instance: opens and closes streams within time limits.
 
-Each call that may wait for a sound server runs on a separate thread. A server that hangs blocks
-that thread and not the caller.
+A server that hangs blocks a separate thread and not the caller.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from functools import partial
 from typing import Any, TypeVar
 
 from device.errors import InternalError, LostError, NotFoundError, not_installed
-from device.stream.pcms import Pcm
+from device.stream.pcms import Pcm, ServerDevice, missing_plugin
 from device.stream.sample_format import SampleFormat
 
 BLOCK_FRAMES = 256
@@ -46,13 +45,15 @@ _lock = threading.Lock()
 """Held while PortAudio starts, ends or opens a stream, and while stderr is replaced."""
 
 _pyaudio: Any = None
-_open: set[str] = set()  # tags of the streams that are open, being closed, or never started
+open_tags: set[str] = set()
+"""Tags of the streams that are open, being closed, or never started."""
+
 _numbers = itertools.count(1)
 
 
 @dataclass(frozen=True)
 class OpenStream:
-    """PyAudio's stream, and the tag that the server shows for it (`pcms.TAG`)."""
+    """PyAudio's stream, and the server's tag of it (`pcms.TAG`)."""
 
     stream: Any
     tag: str
@@ -72,9 +73,9 @@ class StreamSetup:
 def open_stream(pcm: Pcm, setup: StreamSetup, callback: Callback) -> OpenStream:
     """Return a running stream of the PCM's target; a thread of PortAudio calls `callback`.
 
-    Any thread but a callback's may call this; openings are serialised. LostError: no server
-    answers, the device is missing, ended or in use, or the time limit has passed. NotFoundError:
-    PyAudio, PortAudio or ALSA's plugin for sound servers is not installed.
+    Any thread but a callback's may call this. LostError: no server answers, the device is missing,
+    ended or in use, or the time limit has passed. NotFoundError: PyAudio, PortAudio or ALSA's
+    plugin for sound servers is not installed.
     """
     what = f"{pcm.target} for {'playback' if setup.output else 'capture'}"
     side = "output" if setup.output else "input"
@@ -98,7 +99,7 @@ def open_stream(pcm: Pcm, setup: StreamSetup, callback: Callback) -> OpenStream:
                     start=False,
                     **{side: True, f"{side}_device_index": index},
                 )
-            _open.add(tag)
+            open_tags.add(tag)
             return OpenStream(stream, tag)
         finally:
             _lock.release()
@@ -107,15 +108,14 @@ def open_stream(pcm: Pcm, setup: StreamSetup, callback: Callback) -> OpenStream:
         opened.stream.start_stream()
         return opened
 
+    attempt = 0
     try:
-        attempt = 0
         while True:
             attempt += 1
             opened = _call_within(OPEN_LIMIT_S, f"open {what}", open_stopped, close_stream)
             try:
-                return _call_within(
-                    START_LIMIT_S, f"start {what}", partial(start, opened), close_stream
-                )
+                work = partial(start, opened)
+                return _call_within(START_LIMIT_S, f"start {what}", work, close_stream)
             except LostError:
                 # PortAudio 19.6 never returns if its thread fails to start, which happens
                 # occasionally on PipeWire. That stream cannot be closed: abandon it.
@@ -125,12 +125,12 @@ def open_stream(pcm: Pcm, setup: StreamSetup, callback: Callback) -> OpenStream:
                 close_stream(opened)
                 raise
     except (OSError, ValueError) as error:
-        if missing := pcm.target.missing():
+        if isinstance(pcm.target, ServerDevice) and (missing := missing_plugin()):
             raise NotFoundError(missing) from None
         # PyAudio's text for an error, or its number
         reason = str(error.args[-1]) if error.args else type(error).__name__
-        name = setup.sample_format.value
-        in_format = "" if setup.sample_format is SampleFormat.FLOAT32 else f" in {name}"
+        format_ = setup.sample_format
+        in_format = "" if format_ is SampleFormat.FLOAT32 else f" in {format_.value}"
         raise LostError(
             f"cannot open {what} with {setup.channels} channels at {setup.samplerate} Hz"
             f"{in_format} ({reason}): {pcm.target.trouble}"
@@ -146,18 +146,13 @@ def close_stream(opened: OpenStream) -> bool:
     def work() -> None:
         with suppress(OSError, ValueError, SystemError):  # PortAudio has closed it already
             opened.stream.close()
-        _open.discard(opened.tag)
+        open_tags.discard(opened.tag)
 
     try:
         _call_within(CLOSE_LIMIT_S, "close a stream", work)
     except LostError:
         return False
     return True
-
-
-def count_open() -> int:
-    """Return how many streams are open, being closed, or never started."""
-    return len(_open)
 
 
 def _instance(pcm: Pcm) -> tuple[Any, int]:
@@ -172,7 +167,7 @@ def _instance(pcm: Pcm) -> tuple[Any, int]:
             f"PyAudio cannot be loaded ({error}); install PortAudio (libportaudio2) and PyAudio"
         ) from None
     index = None if _pyaudio is None else _index(_pyaudio, pcm)
-    if index is None and not _open:
+    if index is None and not open_tags:
         if _pyaudio is not None:  # its list is older than this PCM
             _pyaudio.terminate()
         _pyaudio = pyaudio.PyAudio()
@@ -183,10 +178,8 @@ def _instance(pcm: Pcm) -> tuple[Any, int]:
 
 
 def _index(instance: Any, pcm: Pcm) -> int | None:
-    for index in range(instance.get_device_count()):
-        if instance.get_device_info_by_index(index)["name"] == pcm.name:
-            return index
-    return None
+    devices = map(instance.get_device_info_by_index, range(instance.get_device_count()))
+    return next((index for index, known in enumerate(devices) if known["name"] == pcm.name), None)
 
 
 def _call_within(
@@ -229,10 +222,10 @@ _filtered = False
 
 
 def filter_stderr() -> bool:
-    """Stop C libraries from printing; whether this works here (it takes the GNU C library).
+    """Stop C libraries from printing in this process; whether that works (with the GNU C library).
 
-    It lasts for the whole process; further calls change nothing. It also hides failed C assertions
-    and fatal errors of the interpreter, so do not call it while debugging. Any thread may call it.
+    It also hides failed C assertions and fatal errors of the interpreter, so do not call it while
+    debugging. Any thread may call it, more than once.
     """
     global _filtered
     with _lock:

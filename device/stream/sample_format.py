@@ -15,8 +15,7 @@ class SampleFormat(Enum):
 
     FLOAT32 = "FLOAT_LE"
     S16 = "S16_LE"
-    S24_3 = "S24_3LE"
-    """24 bits in three bytes."""
+    S24_3 = "S24_3LE"  # 24 bits in three bytes
     S32 = "S32_LE"
 
     @property
@@ -36,8 +35,7 @@ class Encoder:
     Integers are round(clip(x 2^n, -2^n, 2^n - 1)) with n = 15, 23, 31, half away from zero, without
     dither. NaN becomes 0.
 
-    sample_format: format of the bytes, not FLOAT32. channels: per frame. block_frames: usual length
-    of a block. A block of usual length allocates only its result; another length allocates the
+    sample_format: not FLOAT32. block_frames: usual length of a block; another length allocates the
     scratch arrays again.
     """
 
@@ -65,9 +63,9 @@ class Encoder:
         return self._integers.tobytes()
 
     def decode_last(self) -> Float32Array:
-        """Return the last encoded block as float32 frames, read only; the caller may keep them.
+        """Return read-only float32 frames that encode to the last bytes; the caller may keep them.
 
-        These frames encode to the same bytes again. The highest step of 32 bits becomes 1.0.
+        The highest step of 32 bits becomes 1.0.
         """
         frames = np.empty(self._steps.shape, np.float32)
         # exact in float64, as the factor is a power of two; only the store can round

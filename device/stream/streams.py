@@ -2,8 +2,8 @@
 
 Capture and playback are separate, as a duplex stream would poll. A callback never raises and
 always delivers its full length, since an exception or a short block would end the stream silently.
-The age of the last callback shows whether a stream still runs: a server that dies or suspends its
-device raises nothing. Check `is_lost`, close the stream and open another one.
+A server that dies or suspends its device raises nothing: check `is_lost`, close the stream and open
+another one.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
@@ -30,8 +31,7 @@ from device.stream.portaudio import (
 from device.stream.sample_format import Encoder, SampleFormat
 from device.units import Float32Array
 
-LOST_AFTER_S = 0.5
-"""Callbacks are at most 20 ms apart on an idle machine, 25 ms if a thread holds the GIL."""
+LOST_AFTER_S = 0.5  # callbacks are at most 25 ms apart on an idle machine
 
 BEGUN_AFTER_S, BEGINS_WITHIN_S = 0.05, 2.5
 """An idle sink of PulseAudio without norewinds has rendered up to 2 s ahead. A new playback stream
@@ -40,7 +40,6 @@ first."""
 
 _CONTINUE = 0
 _XRUNS = 0b1111  # PortAudio's flags for underflow and overflow of input and output
-_ERROR_NAMES = 16
 
 OnBlock = Callable[[Float32Array, float], None]
 """Takes (frames, channels) float32 and the time of the callback, time.monotonic()."""
@@ -51,46 +50,34 @@ class CallbackCounts:
 
     def __init__(self, audible: bool) -> None:
         self.audible = audible
-        self.silenced = 0
         self.opened_s = self.last_callback_s = time.monotonic()
-        self.callbacks = self.frames = self.xruns = 0
-        self.errors: dict[str, int] = {}
+        self.callbacks = self.frames = self.xruns = self.silenced = 0
+        self.errors = Counter[str]()
 
     def _count(self, error: BaseException) -> None:
-        name = type(error).__name__
-        if name not in self.errors and len(self.errors) >= _ERROR_NAMES:
-            name = "others"
-        self.errors[name] = self.errors.get(name, 0) + 1
+        self.errors[type(error).__name__] += 1
 
 
 class _Stream(CallbackCounts):
-    """The common part of both streams."""
-
-    _output: bool
-
     def __init__(
-        self,
-        pcm: Pcm,
-        samplerate: int,
-        channels: int,
-        block_frames: int,
-        priority: AudioPriority | None,
-        sample_format: SampleFormat,
-        *,
-        audible: bool,
+        self, pcm: Pcm, setup: StreamSetup, priority: AudioPriority | None, audible: bool
     ) -> None:
-        check_format(samplerate, channels)
+        samplerate, channels = setup.samplerate, setup.channels
+        if not 1_000 <= samplerate <= 768_000:
+            raise UsageError(
+                f"samplerate={samplerate} Hz is out of range; choose 1000 to 768000 Hz"
+            )
+        if not 1 <= channels <= 32:
+            raise UsageError(f"channels={channels} is out of range; choose 1 to 32")
         super().__init__(audible)
-        self._priority = priority
-        self._claimed = -1
-        self.samplerate = samplerate
-        self.channels = channels
+        self._priority, self._claimed = priority, -1
+        self.samplerate, self.channels = samplerate, channels
+        self._output = setup.output
         self._closing = False
         self._gil_state = GilState()
         self._close_lock = threading.Lock()
         self._on_server = isinstance(pcm.target, ServerDevice)
         self._open: OpenStream | None = None
-        setup = StreamSetup(self._output, samplerate, channels, block_frames, sample_format)
         self._open = open_stream(pcm, setup, self._callback)
         self.tag = self._open.tag
 
@@ -99,11 +86,11 @@ class _Stream(CallbackCounts):
 
         A new stream on a server has BEGINS_WITHIN_S. now_s: time.monotonic(). For any thread.
         """
-        now = time.monotonic() if now_s is None else now_s
+        now_s = time.monotonic() if now_s is None else now_s
         young = self.last_callback_s - self.opened_s < BEGUN_AFTER_S
         begins = young and self._on_server and (self.callbacks > 0 or not self._output)
         limit_s = BEGINS_WITHIN_S if begins else LOST_AFTER_S
-        return now - self.last_callback_s > limit_s or not self.is_active()
+        return now_s - self.last_callback_s > limit_s or not self.is_active()
 
     def is_active(self) -> bool:
         """Whether PortAudio reports the stream as running, even if suspended."""
@@ -157,22 +144,20 @@ class _Stream(CallbackCounts):
 class CaptureStream(_Stream):
     """Delivers the frames of a PCM's source; runs from the moment it is made.
 
-    pcm: its target is captured. samplerate: Hz. on_frames: gets every block, read only, which it
-    may keep, and the time. PortAudio's thread calls it: it must neither block nor close the stream.
-    audible: any thread may set it; while False, the frames are 0 from the next block on.
-    block_frames: per callback. priority: what the callback's thread requests. order: the source's
-    channels in the order of delivery; None for their own.
+    pcm: its target is captured. samplerate: Hz. channels: per frame. on_frames: gets every block,
+    read only, which it may keep, and the time. PortAudio's thread calls it: it must neither block
+    nor close the stream. audible: any thread may set it; while False, the frames are 0 from the
+    next block on. block_frames: per callback. priority: what the callback's thread requests.
+    order: the source's channels in the order of delivery; None for their own.
 
     silenced: blocks that were. tag: value of the property `pcms.TAG`, by which the server shows
-    the stream. opened_s, last_callback_s: the same before the first callback. callbacks, frames:
-    counts. xruns: overflows and underflows that PortAudio reported, which are few of them. errors:
-    exceptions in callbacks, counted by name. channels: per frame.
+    the stream. opened_s, last_callback_s: the same before the first callback. xruns: overflows and
+    underflows that PortAudio reported, which are few of them. errors: exceptions in callbacks,
+    counted by name.
 
     LostError, NotFoundError: see `open_stream`; PipeWire may open a missing device and end the
     stream later. UsageError: samplerate or channels is out of range.
     """
-
-    _output = False
 
     def __init__(
         self,
@@ -186,12 +171,9 @@ class CaptureStream(_Stream):
         priority: AudioPriority | None = None,
         order: tuple[int, ...] | None = None,
     ) -> None:
-        self._on_frames = on_frames
-        self._order = order
-        sample_format = SampleFormat.FLOAT32
-        super().__init__(
-            pcm, samplerate, channels, block_frames, priority, sample_format, audible=audible
-        )
+        self._on_frames, self._order = on_frames, order
+        setup = StreamSetup(False, samplerate, channels, block_frames, SampleFormat.FLOAT32)
+        super().__init__(pcm, setup, priority, audible)
 
     def _exchange(self, data: bytes | None, frames: int, now_s: float) -> None:
         if not self.audible:
@@ -204,19 +186,15 @@ class CaptureStream(_Stream):
 class PlaybackStream(_Stream):
     """Plays frames to a PCM's sink as it asks for them; silent until `audible` is set.
 
-    PortAudio's thread calls both functions: they must neither block nor close the stream. The other
-    parameters, attributes and errors are those of `CaptureStream`.
+    PortAudio's thread calls both functions: they must neither block nor close the stream.
 
-    pcm: its target is where the stream plays. samplerate, channels, block_frames, priority: as
-    there. fill: writes into every block, which is all 0, and must not keep it. If it raises, or
-    leaves a sample that is not finite, the block becomes silence and counts in `errors`. on_sent:
-    gets every block that was sent, silence included, read only, which it may keep. sample_format:
-    of the bytes for PortAudio; `Encoder` clamps and rounds to integers.
-
-    audible: any thread may set it; while False, silence is played from the next block on.
+    fill: writes into every block, which is all 0, and must not keep it. If it raises, or leaves a
+    sample that is not finite, the block becomes silence and counts in `errors`. on_sent: gets every
+    block that was sent, silence included, read only, which it may keep. sample_format: of the bytes
+    for PortAudio; `Encoder` clamps and rounds to integers.
+    pcm, samplerate, channels, block_frames, priority: these, all attributes and errors are those of
+    `CaptureStream`.
     """
-
-    _output = True
 
     def __init__(
         self,
@@ -230,17 +208,15 @@ class PlaybackStream(_Stream):
         priority: AudioPriority | None = None,
         sample_format: SampleFormat = SampleFormat.FLOAT32,
     ) -> None:
-        self._fill = fill
-        self._on_sent = on_sent
+        self._fill, self._on_sent = fill, on_sent
         self._out = np.zeros((block_frames, channels), np.float32)
         self._used = False  # not all 0, because the last block failed
         is_float = sample_format is SampleFormat.FLOAT32
         self._encoder = None if is_float else Encoder(sample_format, channels, block_frames)
         self._bytes_per_frame = channels * sample_format.bytes_per_sample
         self._sound: bytes | None = None
-        super().__init__(
-            pcm, samplerate, channels, block_frames, priority, sample_format, audible=False
-        )
+        setup = StreamSetup(True, samplerate, channels, block_frames, sample_format)
+        super().__init__(pcm, setup, priority, audible=False)
 
     def _exchange(self, data: bytes | None, frames: int, now_s: float) -> None:
         if self._used or len(self._out) != frames:
@@ -257,9 +233,7 @@ class PlaybackStream(_Stream):
         self._used = False
 
     def _result(self, frames: int) -> bytes | None:
-        sound, self._sound = self._sound, None
-        if not self.audible:
-            sound = None
+        sound, self._sound = self._sound if self.audible else None, None
         if sound is None:
             self.silenced += 1
         if self._on_sent is not None:
@@ -277,13 +251,4 @@ class PlaybackStream(_Stream):
 
 
 def _as_frames(data: bytes, channels: int) -> Float32Array:
-    """Return the bytes as float32 (frames, channels), read only."""
     return np.frombuffer(data, np.float32).reshape(-1, channels)
-
-
-def check_format(samplerate: int, channels: int) -> None:
-    """Raise UsageError if no stream can have this format. Any thread may call it."""
-    if not 1_000 <= samplerate <= 768_000:
-        raise UsageError(f"samplerate={samplerate} Hz is out of range; choose 1000 to 768000 Hz")
-    if not 1 <= channels <= 32:
-        raise UsageError(f"channels={channels} is out of range; choose 1 to 32")

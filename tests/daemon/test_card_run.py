@@ -106,7 +106,7 @@ class Rig:
     def close(self) -> None:
         self.supervisor.close(time.monotonic())
         self.wake.__exit__(None, None, None)
-        assert portaudio.count_open() == 0
+        assert len(portaudio.open_tags) == 0
 
 
 @pytest.fixture

@@ -217,7 +217,7 @@ def test_a_server_that_hangs_costs_neither_the_caller_nor_the_process(
     with pytest.raises(LostError, match=r"not answered|not come back|does not answer"):
         output(pcms)
     server.resume()
-    wait_for(lambda: portaudio.count_open() == count_stuck(), "end of the streams")
+    wait_for(lambda: len(portaudio.open_tags) == count_stuck(), "end of the streams")
     stream = output(pcms)
     wait_for(lambda: stream.callbacks > 20, "callbacks")
     assert stream.close()

@@ -44,7 +44,7 @@ def portaudio_with(name: str) -> Iterator[PcmConfig]:
         yield config
     finally:
         config.close()
-    assert portaudio.count_open() == 0
+    assert len(portaudio.open_tags) == 0
 
 
 def until(condition, limit_s: float = 10.0) -> None:

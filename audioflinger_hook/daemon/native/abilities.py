@@ -14,7 +14,7 @@ from audioflinger_hook.plugin import plugin_path
 from device.errors import NotFoundError
 from device.server import ServerSnapshot
 from device.server.graph_watch import EDITOR, READER
-from device.stream.pulse_plugin import missing_plugin
+from device.stream.pcms import missing_plugin
 
 SERVER = "PipeWire"
 VERSION_MIN = (0, 3, 50)

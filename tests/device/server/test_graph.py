@@ -10,9 +10,8 @@ from typing import Any
 from hypothesis import given
 from hypothesis import strategies as st
 
-from device.server.announcements import Announcements
 from device.server.graph import Graph, LinkPair
-from device.server.graph_watch import Documents
+from device.server.graph_watch import Announcements, Documents
 from device.server.link_keeper import HOLDS_S, PAUSED_S, RETRY_S, LinkKeeper
 from tests.support.graphs import Item, desktop, gone, link, node, play, port
 

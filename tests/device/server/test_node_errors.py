@@ -40,7 +40,7 @@ def looked(errors: NodeErrors, *times_s: float, names: tuple[str, ...] = NAMES) 
     for now_s in times_s:
         errors.update(names, now_s)
         end_s = time.monotonic() + 10.0
-        while errors.is_looking and time.monotonic() < end_s:
+        while errors.process is not None and time.monotonic() < end_s:
             os.sched_yield()
             errors.update(names, now_s)
 

@@ -12,7 +12,8 @@ import pytest
 from audioflinger_hook.mixer.pcm import PcmFormat, decode
 from audioflinger_hook.mixer.pcm import encode as mixer_encode
 from device.errors import LostError, NotFoundError
-from device.stream.pcms import CardDevice, PcmConfig, ServerDevice, Target
+from device.stream import portaudio
+from device.stream.pcms import CardDevice, PcmConfig, ServerDevice
 from device.stream.sample_format import SampleFormat
 from device.stream.streams import PlaybackStream
 from device.units import Float32Array
@@ -106,19 +107,14 @@ def test_a_card_that_is_not_there_is_an_error_that_says_what_may_be_wrong(
     assert "the card was unplugged" in str(error.value)
 
 
-class WithoutPlugin(Target):
-    """A target of a plugin that ALSA lacks."""
-
-    definition = "type nobodys"
-
-    def missing(self) -> str:
-        return "its plugin is missing; install it"
-
-
-def test_what_is_missing_is_named_and_not_the_device_blamed(pcms: PcmConfig) -> None:
+def test_what_is_missing_is_named_and_not_the_device_blamed(
+    pcms: PcmConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
     pcm = pcms.pcms["cushion_card"]
-    pcm.target = WithoutPlugin()
-    with pytest.raises(NotFoundError, match=r"^its plugin is missing; install it$"):
+    pcm.target = ServerDevice("desktop", "unix:/nowhere")
+    advice = "its plugin is missing; install it"
+    monkeypatch.setattr(portaudio, "missing_plugin", lambda: advice)
+    with pytest.raises(NotFoundError, match=f"^{advice}$"):
         PlaybackStream(pcm, RATE, 2, lambda *_: None)
 
 

@@ -6,8 +6,7 @@ import ctypes
 
 import pytest
 
-from device.stream import pulse_plugin
-from device.stream.pcms import CardDevice, ServerDevice
+from device.stream import pcms
 
 
 def test_without_the_plugin_the_advice_names_the_package(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -15,10 +14,9 @@ def test_without_the_plugin_the_advice_names_the_package(monkeypatch: pytest.Mon
         ctypes.CDLL("libasound.so.2")
     except OSError:
         pytest.skip("ALSA's library is not installed")
-    monkeypatch.setattr(pulse_plugin, "PLUGIN", "libasound_module_pcm_nobodys.so")
-    assert "install the package libasound2-plugins" in ServerDevice("dac").missing()
-    assert CardDevice(0).missing() == ""
+    monkeypatch.setattr(pcms, "PLUGIN", "libasound_module_pcm_nobodys.so")
+    assert "install the package libasound2-plugins" in pcms.missing_plugin()
 
 
 def test_where_alsa_cannot_be_asked_nothing_is_called_missing() -> None:
-    assert pulse_plugin.missing_plugin("libnobodys.so.2") == ""
+    assert pcms.missing_plugin("libnobodys.so.2") == ""
