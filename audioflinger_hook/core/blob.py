@@ -31,8 +31,7 @@ from device.errors import UsageError
 from device.records import Record, Records
 
 MAGIC = b"CUSHLIVE"
-FORMAT_VERSION = 4
-"""To be raised whenever a name or the meaning of a value changes."""
+FORMAT_VERSION = 4  # to be raised whenever a name or the meaning of a value changes
 
 HEADER = struct.Struct("<8sIII4x")
 RECORD = struct.Struct("<36sIII")

@@ -15,8 +15,7 @@ from device.units import FloatArray
 if TYPE_CHECKING:
     from device.drive.design import DriveDesign
 
-EXACT_BITS = 44
-"""Significant bits of a filter's coefficient: fewer would move its poles."""
+EXACT_BITS = 44  # significant bits of a filter's coefficient: fewer would move its poles
 EXACT = ("sections", "_fir", "decimation")
 """Ends of the names of tables whose entries are rounded one by one."""
 

@@ -16,15 +16,12 @@ import numpy as np
 
 from device.units import FloatArray
 
-NUMBER_BITS = 40
-"""Significant bits of a number."""
-TABLE_BITS = 32
-"""Significant bits of an entry of a table, ..."""
+NUMBER_BITS = 40  # significant bits of a number
+TABLE_BITS = 32  # significant bits of an entry of a table, ...
 TABLE_FLOOR_BITS = 38
 """... whose last is not less than the table's largest entry by this many bits: an entry near 0 may
 be a difference of large numbers."""
-ROOT_BITS = 40
-"""Bits after the point of a pole or zero."""
+ROOT_BITS = 40  # bits after the point of a pole or zero
 
 
 def round_number(number: float, bits: int = NUMBER_BITS) -> float:

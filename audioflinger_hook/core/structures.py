@@ -7,7 +7,6 @@ from ctypes import c_double, c_int, c_ssize_t, c_uint32, c_uint64
 
 CHANNELS, ACTUATORS, PARTIALS = 8, 64, 16
 LIMITED_BY = ("", "excursion, current or level", "temperature", "outside")
-"""`limited_by` in words."""
 
 GLIDE_COLUMNS = (
     "frame",

@@ -8,8 +8,7 @@ from audioflinger_hook.service.status import Application
 from device.server import AppRules, ServerSnapshot
 from device.server.app_rules import app_name
 
-APPLICATIONS_MAX = 32
-"""Largest number of applications in the status."""
+APPLICATIONS_MAX = 32  # in the status
 
 
 def applications_in(

@@ -14,15 +14,9 @@ from audioflinger_hook.daemon.recording import RunRecording
 from audioflinger_hook.sources import PushTap, TapClient
 from device.units import Float32Array
 
-UNASKED_S = 0.05
-"""If the output has not called for this time, the capture's thread mixes."""
-
-
-UNDONE_MAX_DB = 40.0
-"""Largest volume that is undone: below it, a sink of 16 bits has mostly noise left."""
-
-PIPEWIRE_UNDONE_MAX_DB = 80.0
-"""The same on PipeWire, which mixes in floats: a volume of 5 %."""
+UNASKED_S = 0.05  # if the output has not called for this time, the capture's thread mixes
+UNDONE_MAX_DB = 40.0  # below this volume, a sink of 16 bits has mostly noise left
+PIPEWIRE_UNDONE_MAX_DB = 80.0  # the same on PipeWire, which mixes in floats: 5 %
 
 
 class FrameReceiver(Protocol):

@@ -24,14 +24,9 @@ LATENESS_LEAST_S = 0.0125
 """Even on an idle machine callbacks are sometimes late by some ms, and the delay must not follow
 such lateness. This time also lets the output usually read four blocks of 256 frames at once."""
 
-CYCLE_BLOCKS = 8
-"""Largest number of blocks mixed in one cycle."""
-
-READ_BLOCKS = 4
-"""Largest number of blocks read from the delay line at once."""
-
-FADED = 1e-6
-"""Vibration below this share of full scale (-120 dB) counts as silence."""
+CYCLE_BLOCKS = 8  # mixed at most in one cycle
+READ_BLOCKS = 4  # read from the delay line at most at once
+FADED = 1e-6  # vibration below this share of full scale (-120 dB) counts as silence
 
 
 @dataclass(frozen=True)

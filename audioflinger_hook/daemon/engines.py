@@ -28,17 +28,10 @@ from device.server import PulseConnection, ServerSnapshot
 from device.stream.callback_thread import priority_advice
 from device.units import db_to_amplitude
 
-CHANGE_TICK_S = 0.02
-"""Time between ticks during a change of engine."""
-
-PLAYED_S = 0.1
-"""From the end of a fade until the device has played it."""
-
-FADE_MAX_S = 0.5
-"""Longest wait for the end of a fade: on a busy machine, the output's thread is late."""
-
-NATIVE_TICK_S = 0.25
-"""Time between ticks while the native engine plays; what it waits for wakes the daemon."""
+CHANGE_TICK_S = 0.02  # between ticks during a change of engine
+PLAYED_S = 0.1  # from the end of a fade until the device has played it
+FADE_MAX_S = 0.5  # longest wait for a fade: on a busy machine, the output's thread is late
+NATIVE_TICK_S = 0.25  # between ticks while the native engine plays; events wake the daemon
 
 
 class Engines:

@@ -13,11 +13,8 @@ from device.server import PulseConnection
 from device.stream import PcmConfig
 from device.units import Float32Array
 
-TICK_S = 0.05
-"""Time between ticks, unless an event comes sooner."""
-
-LOST_LIMIT_S = 10.0
-"""Longest wait for a lost server or sink."""
+TICK_S = 0.05  # between ticks, unless an event comes sooner
+LOST_LIMIT_S = 10.0  # longest wait for a lost server or sink
 
 
 class LiveCapture:

@@ -33,20 +33,11 @@ from audioflinger_hook.service.one_line import one_line
 from device.errors import CushionError, UsageError
 from device.units import db_to_amplitude
 
-WAITING_MAX = 16
-"""Requests that may wait for the main thread."""
-
-ANSWER_S = 3.0
-"""Longest wait for an answer."""
-
-KEYS_MAX = 16
-"""Keys that one request may set."""
-
-TONE_S = 20.0
-"""A test tone ends by itself after this time: the page that started it may be gone."""
-
-TONE_END_S = 2.0
-"""Longest wait for a tone that is stopped; its fade takes 0.1 s."""
+WAITING_MAX = 16  # requests
+ANSWER_S = 3.0  # longest wait for an answer
+KEYS_MAX = 16  # of one request
+TONE_S = 20.0  # ends a test tone: the page that started it may be gone
+TONE_END_S = 2.0  # longest wait for a tone that is stopped; its fade takes 0.1 s
 
 
 @dataclass(eq=False)

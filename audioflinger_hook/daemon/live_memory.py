@@ -20,8 +20,7 @@ NAME = "python"
 _numbers = count()  # A reader must notice that a later engine has a file of its own.
 
 WRITES_PER_S = 60.0
-WRITES_LEFT = 60
-"""Writes after the latest `watch`: for a second, as watching clients ask four times in it."""
+WRITES_LEFT = 60  # after the latest `watch`: for a second, in which clients ask four times
 
 
 class LiveMemory:

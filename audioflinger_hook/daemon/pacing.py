@@ -6,14 +6,9 @@ import threading
 from collections.abc import Callable
 from typing import Protocol
 
-BURST = 64
-"""Largest number of late blocks done in a row, before other threads get a turn."""
-
-BREATH_S = 0.001
-"""Length of that turn."""
-
-LATE_MAX_S = 2.0
-"""Lateness above this counts as a pause and is not caught up."""
+BURST = 64  # late blocks at most in a row, before other threads get a turn
+BREATH_S = 0.001  # length of that turn
+LATE_MAX_S = 2.0  # lateness above this counts as a pause and is not caught up
 
 
 class PacedJob(Protocol):

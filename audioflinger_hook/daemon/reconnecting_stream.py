@@ -12,14 +12,9 @@ from device.server import PulseConnection, StreamGuard
 from device.server.guard import Hold
 from device.stream import CaptureStream, PlaybackStream
 
-SETTLES_S = 1.0
-"""Time after opening in which the server may still show the stream elsewhere."""
-
-ASTRAY_S = 0.4
-"""Time for another program to move a stream back."""
-
-GONE_S = 3.0
-"""A running stream may be missing from the server's list for this time, as in underruns."""
+SETTLES_S = 1.0  # after opening, the server may still show the stream elsewhere
+ASTRAY_S = 0.4  # for another program to move a stream back
+GONE_S = 3.0  # a running stream may be missing from the server's list, as in underruns
 
 StreamT = TypeVar("StreamT", CaptureStream, PlaybackStream)
 

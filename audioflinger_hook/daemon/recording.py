@@ -24,14 +24,9 @@ from device.rig.rig_file import SHIPPED
 from device.units import Float32Array
 from device.values import counted
 
-NESTED = "parameters"
-"""Field of `Settings` whose own fields are stored like the others."""
-
-SAID = "said"
-"""Field stored as names separated by commas, omitted if there are none."""
-
-ACTUATORS = "actuators"
-"""Field stored as JSON, a list of tables as in a config file."""
+NESTED = "parameters"  # field of `Settings` whose own fields are stored like the others
+SAID = "said"  # field stored as names separated by commas, omitted if there are none
+ACTUATORS = "actuators"  # field stored as JSON, a list of tables as in a config file
 
 
 def facts_of(settings: Settings) -> Facts:

@@ -26,18 +26,14 @@ VERSION = 1
 FILE, MARK = "actuators.json", "has-run"
 """The record, and an empty file that tells a first run from a record that was lost."""
 
-SAVE_S = 0.5
-"""Time between two writes while something is driven."""
+SAVE_S = 0.5  # between two writes while something is driven
 
 UNRECORDED_S = 1.5
 """What a killed process may have done after its last write: until the next one, which a busy
 machine delays, and the dose's last tenth of a second."""
 
-BEGIN_S = 0.3
-"""From the last look at what plays to the first block of what follows it."""
-
-UNSYNCED_S = 60.0
-"""The same after the machine itself has ended: the system writes files later than we do."""
+BEGIN_S = 0.3  # from the last look at what plays to the first block of what follows it
+UNSYNCED_S = 60.0  # of a machine that ended: the system writes files later than we do
 
 Rigs = Sequence[DrivenRig | None]
 

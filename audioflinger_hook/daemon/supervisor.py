@@ -26,11 +26,8 @@ from device.server import PulseConnection, ServerSnapshot
 from device.server.snapshot import tap_latency_s
 from device.stream import AudioPriority
 
-TICK_S = 0.1
-"""Time between ticks while streams run, unless an event comes sooner."""
-
-RESTING_TICK_S = 1.0
-"""Time between ticks while idle."""
+TICK_S = 0.1  # between ticks while streams run, unless an event comes sooner
+RESTING_TICK_S = 1.0  # between ticks while idle
 
 
 class Supervisor:

@@ -41,11 +41,8 @@ class Backoff:
         return min(self._longest_s, max(0.0, self._due_s - now_s))
 
 
-STALLED_S = 1.0
-"""Lateness of a tick that counts as a stall of the process."""
-
-SLEPT_S = 0.5
-"""Shortest suspend that counts."""
+STALLED_S = 1.0  # lateness of a tick that counts as a stall of the process
+SLEPT_S = 0.5  # shortest suspend that counts
 
 
 class StallDetector:
@@ -81,15 +78,13 @@ class StallDetector:
         self._resyncs = resyncs
 
 
-QUIET_S = 5.0
-"""Silence before resting if no application plays; a new application causes an event."""
+QUIET_S = 5.0  # silence before resting if no application plays
 
 SILENT_S = 10.0
 """Silence before resting although an application plays. Its sound may begin without an event;
 waking up then loses the first tenths of a second."""
 
-AWAKE_S = 8.0
-"""Shortest time awake, as applications may open a stream some time before they play."""
+AWAKE_S = 8.0  # at least, as applications may open a stream some time before they play
 
 
 class IdlePolicy:

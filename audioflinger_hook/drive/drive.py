@@ -15,8 +15,7 @@ from device.drive.settings import DELAY_MAX_MS, ActuatorSettings, sources_of
 from device.errors import InternalError, UsageError
 from device.units import Block, Float32Array, check_channels
 
-WHOLE_DEVICE = (ActuatorSettings((0,)),)
-"""Stands for all channels if no actuator is named."""
+WHOLE_DEVICE = (ActuatorSettings((0,)),)  # all channels, if no actuator is named
 
 
 class Drive:

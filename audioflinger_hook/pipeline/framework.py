@@ -34,11 +34,8 @@ from device.rig import rig_by_name
 from device.rig.simulated_rig import SimulatedRig
 from device.stream.cpu_time import cpu_time_s
 
-HAL_FRAMES = 240
-"""Frames that the output is assumed to take at once; a cycle is 20 ms of such frames."""
-
-OFFLINE_HAL_FRAMES = 32_768
-"""Offline, long cycles cost least."""
+HAL_FRAMES = 240  # taken at once by the assumed output; a cycle is 20 ms of such frames
+OFFLINE_HAL_FRAMES = 32_768  # offline, long cycles cost least
 
 
 class Framework:

@@ -19,8 +19,7 @@ from audioflinger_hook.transform.parameters import check_format
 from device.atomic_file import write_bytes_atomically
 from device.errors import NotFoundError, UsageError, WriteError
 
-CHANNELS = 2
-"""Channels of the plugins' sound; the plugin for one channel doubles it."""
+CHANNELS = 2  # of the plugins' sound; the plugin for one channel doubles it
 
 RATES_HZ = (44_100, 48_000, 88_200, 96_000, 176_400, 192_000)
 MARKER = "Written by `cushion plugin install`; `cushion plugin remove` removes it."

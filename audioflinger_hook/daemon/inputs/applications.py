@@ -24,8 +24,7 @@ from device.server.tap_volume import TapVolume, muted_sink
 from device.stream import AudioPriority
 from device.units import Float32Array
 
-CAPTURES_MAX = 32
-"""Largest number of captured applications, to limit the CPU load; more rarely play at once."""
+CAPTURES_MAX = 32  # limits the CPU load; more rarely play at once
 
 NO_APPLICATION = "no application plays"
 NONE_SUCH = "no application that the tap names plays; `cushion devices` lists those that do"

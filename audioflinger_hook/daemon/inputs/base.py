@@ -9,8 +9,7 @@ from typing import Protocol
 from audioflinger_hook.daemon.run_config import RunConfig
 from device.server import PulseConnection, ServerSnapshot
 
-NOTHING = "nothing plays"
-"""Why no sound arrives while nothing is wrong."""
+NOTHING = "nothing plays"  # why no sound arrives while nothing is wrong
 
 
 class AudioNode(Protocol):

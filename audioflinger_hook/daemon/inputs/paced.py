@@ -15,17 +15,10 @@ from device.clock import DelayState
 from device.server import PulseConnection, ServerSnapshot
 from device.units import Float32Array
 
-BLOCK_FRAMES = 256
-"""Buffer length for a file; a capture keeps its own buffers."""
-
-LEAD_IN_S = 0.2
-"""Silence before the sound until the delay line plays, so that the beginning is not lost."""
-
-LEAD_IN_MAX_S = 5.0
-"""Longest silence before the sound, even if nothing reads the delay line."""
-
-RUN_OUT_S = 0.3
-"""Silence after the last vibration, until a sound server has played its buffers."""
+BLOCK_FRAMES = 256  # buffer length for a file; a capture keeps its own buffers
+LEAD_IN_S = 0.2  # silence until the delay line plays, so that the beginning is not lost
+LEAD_IN_MAX_S = 5.0  # of silence, even if nothing reads the delay line
+RUN_OUT_S = 0.3  # silence after the vibration, until a server has played its buffers
 
 PLAYING = (DelayState.SETTLING, DelayState.LOCKED)
 

@@ -23,8 +23,7 @@ from device.stream.pcms import Pcm, ServerDevice
 from device.stream.portaudio import BLOCK_FRAMES
 from device.units import Float32Array
 
-LISTENING_FRAMES = 4_096
-"""Block length while only listening: at 48 kHz, sound is noticed within 85 ms."""
+LISTENING_FRAMES = 4_096  # at 48 kHz, sound is noticed within 85 ms
 
 
 class SinkInput(Input):

@@ -17,8 +17,7 @@ from device.server.graph_watch import EDITOR, READER
 from device.stream.pulse_plugin import missing_plugin
 
 SERVER = "PipeWire"
-VERSION_MIN = (0, 3, 50)
-"""Older versions of filter-chain read another syntax."""
+VERSION_MIN = (0, 3, 50)  # older versions of filter-chain read another syntax
 
 FILTER_CHAIN = "libpipewire-module-filter-chain.so"
 MODULE_FOLDERS = ("/usr/lib/*/pipewire-*", "/usr/lib/pipewire-*", "/usr/lib64/pipewire-*")

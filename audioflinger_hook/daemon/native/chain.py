@@ -21,20 +21,11 @@ from device.errors import InternalError, LostError, NotFoundError
 from device.process import ends_with_us
 from device.server.graph import Graph
 
-NAME = "haptic-cushion"
-"""Beginning of the names of all nodes and files."""
-
-END_S = 0.2
-"""Longest wait for the end of the process before it is killed."""
-
-POLICY_FIELD = 38
-"""Of /proc/PID/task/TID/stat after the program's name, see proc(5)."""
-
-PLUGIN = "haptic_cushion: "
-"""Beginning of the plugin's own messages."""
-
-LOG_BYTES = 2_000
-"""How much of the process's last messages is read."""
+NAME = "haptic-cushion"  # begins the names of all nodes and files
+END_S = 0.2  # longest wait for the end of the process before it is killed
+POLICY_FIELD = 38  # of /proc/PID/task/TID/stat after the program's name, see proc(5)
+PLUGIN = "haptic_cushion: "  # begins the plugin's own messages
+LOG_BYTES = 2_000  # read of the process's last messages
 
 _numbers = count(1)
 

@@ -17,17 +17,10 @@ from device.errors import LostError
 from device.server.graph import Graph
 from device.units import db_to_amplitude
 
-FADE_S = 0.4
-"""Longest wait for a chain to fade out. Its fade takes 40 ms; a graph that stands still, longer."""
-
-STUCK_S = 1.0
-"""A chain that processes nothing for so long although a stream plays is replaced."""
-
-START_S = 5.0
-"""Longest time from the start of a process to its ports."""
-
-START_WAIT_S = 1.0
-"""Longest time between two starts."""
+FADE_S = 0.4  # longest wait for a fade of 40 ms: the graph may stand still
+STUCK_S = 1.0  # without progress although a stream plays, a chain is replaced
+START_S = 5.0  # from the start of a process to its ports, at most
+START_WAIT_S = 1.0  # longest time between two starts
 
 Restore = Callable[[Sequence[DrivenRig | None], bool], None]
 """Sets what rigs begin with; the second argument tells the first call for them."""

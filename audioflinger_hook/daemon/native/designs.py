@@ -9,11 +9,8 @@ from device.call import Call
 from device.drive.design import DriveDesign, DrivePlan, designs_of
 from device.errors import CushionError
 
-LONGEST_WAIT_S = 60.0
-"""Longest time from one failure to the next attempt."""
-
-KEPT = 64
-"""Designs of at least the latest plans; one takes 0.3 MB."""
+LONGEST_WAIT_S = 60.0  # from one failure to the next attempt
+KEPT = 64  # designs, of at least the latest plans; one takes 0.3 MB
 
 
 class DriveDesigns:

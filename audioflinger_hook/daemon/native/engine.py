@@ -26,8 +26,7 @@ from device.server.graph_watch import GraphWatch
 from device.server.node_errors import NodeErrors
 from device.server.snapshot import Sink, Source
 
-REFUSED_S = 0.5
-"""A link that is missing for so long is refused. If it is from a stream, the monitor is tapped."""
+REFUSED_S = 0.5  # a link that is missing for so long is refused
 
 REFUSED_WAIT_S, REFUSED_WAIT_MAX_S = 5.0, 600.0
 """Links from streams are tried again after so long, twice as long each time; a busy machine may

@@ -20,11 +20,8 @@ from audioflinger_hook.core.structures import (
 )
 
 MAGIC = 0x3545474150485543
-ACTUATORS = 32
-"""Largest number of actuators of the plugin."""
-
-READ_TRIES = 4
-"""Attempts to read the partials while the plugin writes; writing takes less than 1 µs."""
+ACTUATORS = 32  # largest number of actuators of the plugin
+READ_TRIES = 4  # to read partials while the plugin writes them, which takes less than 1 µs
 
 
 class Layout(ctypes.Structure):

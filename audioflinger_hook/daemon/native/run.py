@@ -20,17 +20,10 @@ from device.errors import CushionError, LostError
 from device.server import PulseConnection
 from device.server.snapshot import Sink, Source
 
-FAILURES_MAX = 3
-"""Starts of the native engine that may fail in a row until `auto` takes the Python engine."""
-
-UNSEEN_S = 2.0
-"""How long tap or device may be missing in PipeWire's graph until `auto` gives up."""
-
-START_S = 5.0
-"""How long a start may take until another way is taken: the monitor's tap, then Python."""
-
-PROVEN_S = 5.0
-"""How long the native engine must play until earlier failures no longer count."""
+FAILURES_MAX = 3  # failed starts in a row, after which `auto` takes the Python engine
+UNSEEN_S = 2.0  # `auto` gives up if tap or device is missing in the graph for longer
+START_S = 5.0  # longest start until another way is taken: the monitor's tap, then Python
+PROVEN_S = 5.0  # of playing, after which earlier failures no longer count
 
 
 class NativeRun:

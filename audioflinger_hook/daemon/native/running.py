@@ -8,17 +8,10 @@ from dataclasses import dataclass
 from audioflinger_hook.daemon.native.chain import Chain, has_realtime
 from device.server.graph import Graph
 
-SETTLED_FRAMES = 9_600
-"""Sound that a new chain has heard before it is felt: its analysis looks 0.1 s back."""
-
-SETTLED_S = 0.3
-"""Longest wait for that sound: nothing may play."""
-
-PRIORITY_S = 1.0
-"""After so long the process has its priority, or is refused it."""
-
-LEAVE_S = 0.5
-"""Longest wait for the links of a chain to vanish before its process ends."""
+SETTLED_FRAMES = 9_600  # heard before a new chain is felt: its analysis looks 0.1 s back
+SETTLED_S = 0.3  # longest wait for that sound: nothing may play
+PRIORITY_S = 1.0  # after which the process has its priority, or is refused it
+LEAVE_S = 0.5  # longest wait for a chain's links to vanish before its process ends
 
 
 @dataclass

@@ -20,11 +20,8 @@ from device.server.snapshot import Source, Stream
 OUT, IN, PLAYBACK, MONITOR = "output_", "input_", "playback_", "monitor_"
 """Beginnings of the names of ports."""
 
-_REAR = {"BL": "RL", "BR": "RR", "BC": "RC"}
-"""PipeWire's names of Android's positions behind the listener."""
-
-_SIDE = {"BL": "SL", "BR": "SR", "BC": "RC"}
-"""The same of sinks whose only surrounds are at the sides."""
+_REAR = {"BL": "RL", "BR": "RR", "BC": "RC"}  # PipeWire's names of Android's rear positions
+_SIDE = {"BL": "SL", "BR": "SR", "BC": "RC"}  # if the only surrounds are at the sides
 
 
 @dataclass(frozen=True)

@@ -26,8 +26,7 @@ from device.rig.simulated_rig import SimulatedRig
 from device.server import PulseConnection, ServerSnapshot
 from device.wav_output import WavOutput
 
-BLOCK_FRAMES = 256
-"""Block length that a sound server would request."""
+BLOCK_FRAMES = 256  # as a sound server would request
 
 
 class PacedOutput(Output):
