@@ -44,9 +44,8 @@ def undone_db(volume_db: float, server: str) -> float:
 class SoundGain:
     """A factor on the frames of a tap, which changes over one buffer.
 
-    A factor above 1 brings no sample over full scale. A volume may rise before the server reports
-    it, and the factor of the old one would be far too large for a moment. The capture's thread
-    calls `apply`; any thread may set `wanted`.
+    A factor above 1 brings no sample over full scale: a volume may rise before the server reports
+    it. The capture's thread calls `apply`; any thread may set `wanted`.
     """
 
     def __init__(self) -> None:
@@ -72,12 +71,10 @@ class Feed:
     """Passes one tap's buffers to an engine at once, after a recording has taken them.
 
     The supervising thread calls `client` and `serve` before the first buffer, and `opened` while
-    no thread pushes. engine: None before `serve`. gain: of the frames before all else, so that a
-    recording has it as well.
+    no thread pushes. gain: of the frames before all else, so that a recording has it as well.
     """
 
-    records_mix = False
-    """Whether a recording takes the mix instead of the buffers."""
+    records_mix = False  # a recording takes the buffers
 
     def __init__(self, recording: RunRecording | None = None) -> None:
         self.engine: Engine | None = None

@@ -75,7 +75,7 @@ class Engines:
     def tick_s(self) -> float | None:
         """Longest time until the next tick, None for the usual one."""
         native = self.native.engine
-        if self._ends_s is not None or (native and (self.reason or native.is_designing)):
+        if self._ends_s is not None or (native and (self.reason or native.designs.is_busy)):
             return CHANGE_TICK_S
         return NATIVE_TICK_S if native is not None and native.is_steady else None
 
@@ -114,8 +114,8 @@ class Engines:
             return
         if native.monitor_reason:
             yield f"the sink's monitor is tapped, one cycle later: {native.monitor_reason}"
-        if native.problem:
-            yield native.problem
+        if native.chains.problem:
+            yield native.chains.problem
         if native.lacks_realtime:
             yield priority_advice()
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from audioflinger_hook.capture import CaptureRecorder
 from audioflinger_hook.daemon.inputs.sink import SinkInput
 from audioflinger_hook.daemon.server_link import ServerLink
-from audioflinger_hook.daemon.wake import Nudge, Wake
+from audioflinger_hook.daemon.wake import Wake
 from audioflinger_hook.service.state import StateKeeper
 from audioflinger_hook.sources import PushTap, TapAddress
 from device.errors import LostError, NotFoundError
@@ -35,7 +35,7 @@ class LiveCapture:
         self._recorder: CaptureRecorder | None = None
         self._pcms = PcmConfig("cushion_tap")
         self._input = SinkInput(address, self._pcms.pcms["cushion_tap"], StateKeeper(now_s), self)
-        self._link = ServerLink(Nudge(wake), fallback=False)
+        self._link = ServerLink(wake.ring, fallback=False)
         self._well_s, self._well_heard_s = now_s, 0.0
         self._reason = ""
 

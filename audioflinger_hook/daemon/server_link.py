@@ -2,25 +2,35 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from audioflinger_hook.daemon.timing import Backoff
-from device.errors import CushionError
-from device.server import FallbackSink, PulseConnection
+from device.errors import CushionError, LostError
+from device.server import FallbackSink, PulseConnection, ServerSnapshot
 from device.server.snapshot import Listener
 
 
-class ServerLink:
+class ServerLink(Listener):
     """Connection to the server and its silent fallback sink. For the supervising thread alone.
 
-    listener: is told by each connection of changes and of the loss of the connection. fallback:
-    whether to make the sink. connection: None if not connected; it may be lost, see `lost`.
+    ring: called by another thread when the server changes or is lost. fallback: whether to make the
+    sink. connection: None if not connected; it may be lost, see `lost`.
     """
 
-    def __init__(self, listener: Listener, *, fallback: bool = True) -> None:
+    def __init__(self, ring: Callable[[], None], *, fallback: bool = True) -> None:
         self.connection: PulseConnection | None = None
-        self._listener = listener
+        self._ring = ring
         self._has_fallback = fallback
         self._fallback: FallbackSink | None = None
         self._backoff = Backoff()
+
+    def on_snapshot(self, snapshot: ServerSnapshot) -> None:
+        """Wake the main thread for a change."""
+        self._ring()
+
+    def on_lost(self, error: LostError) -> None:
+        """Wake the main thread for the loss of the server."""
+        self._ring()
 
     @property
     def lost(self) -> str:
@@ -43,7 +53,7 @@ class ServerLink:
         if self.connection is not None or self._backoff.wait_s(now_s) > 0.0:
             return False
         try:
-            self.connection = PulseConnection(self._listener)
+            self.connection = PulseConnection(self)
             if self._has_fallback:
                 self._fallback = FallbackSink(self.connection)
         except CushionError:

@@ -17,7 +17,7 @@ from audioflinger_hook.daemon.run_config import ConfigDiff, RunConfig
 from audioflinger_hook.daemon.safety_keeper import SafetyKeeper
 from audioflinger_hook.daemon.server_link import ServerLink
 from audioflinger_hook.daemon.timing import IdlePolicy, StallDetector
-from audioflinger_hook.daemon.wake import Nudge, Wake
+from audioflinger_hook.daemon.wake import Wake
 from audioflinger_hook.pipeline.framework import Framework, drive_of
 from audioflinger_hook.service.state import Cause, DaemonState, StateKeeper
 from audioflinger_hook.service.status import Application
@@ -60,7 +60,7 @@ class Supervisor:
         self.config_error = ""
         self._endpoints = Endpoints(config, clocks, self.states, self.priority, wake.ring)
         self._drop_in = DropInControl(config)
-        self._link = ServerLink(Nudge(wake))
+        self._link = ServerLink(wake.ring)
         self._idle_policy = IdlePolicy(now_s)
         self._found: tuple[AudioNode | None, AudioNode | None] = (None, None)
         self.engines = Engines(

@@ -34,9 +34,9 @@ def made(designs: DriveDesigns, *plans: DrivePlan | None) -> list[DriveDesign | 
     deadline_s = time.monotonic() + 30.0
     while (found := designs.of(plans, time.monotonic())) is None:
         assert time.monotonic() < deadline_s
-        assert designs.are_under_way
+        assert designs.is_busy
         time.sleep(0.01)
-    assert not designs.are_under_way
+    assert not designs.is_busy
     return found
 
 

@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 
 from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.core.structures import PARTIALS
+from audioflinger_hook.daemon.engine import FADE_S, SoftFade
 from audioflinger_hook.daemon.native import abilities
 from audioflinger_hook.daemon.native import layout as layout_module
 from audioflinger_hook.daemon.native.abilities import (
@@ -32,7 +33,6 @@ from audioflinger_hook.daemon.native.run import NativeRun
 from audioflinger_hook.daemon.native.taps import in_mixing_order, port_names, tap_of
 from audioflinger_hook.daemon.outputs.base import DeviceVolume
 from audioflinger_hook.daemon.run_config import RunConfig
-from audioflinger_hook.daemon.soft_fade import FADE_S, SoftFade
 from audioflinger_hook.service.state import StateKeeper
 from audioflinger_hook.sources import parse_tap
 from device.address import parse_device

@@ -55,18 +55,17 @@ class Applications:
 
     @property
     def why_silent(self) -> str:
-        """Why no sound arrives while the daemon is idle, for the user."""
+        """Why no sound arrives while the daemon is idle."""
         return NOTHING if self.streams else NONE_SUCH
 
 
 class ApplicationsFeed:
     """Passes buffers of several applications to one engine, which mixes them.
 
-    The supervising thread calls `client` and `serve` before the first buffer. A recording gets the
-    mix instead of the buffers. priority: of the thread that captures. gain: of all frames.
+    See `Feed`. priority: of the thread that captures.
     """
 
-    records_mix = True
+    records_mix = True  # instead of the buffers
 
     def __init__(self, priority: AudioPriority | None = None) -> None:
         self._priority = priority
@@ -102,8 +101,7 @@ class ApplicationsFeed:
 class ApplicationsInput(Input):
     """Sound of the applications that the config's rules select; there may be none.
 
-    feed: takes their buffers on the thread that captures. The other methods are for the
-    supervising thread.
+    feed: takes their buffers on the thread that captures.
     """
 
     needs_server = True

@@ -16,7 +16,6 @@ from device.server import ServerSnapshot
 from device.server.graph_watch import EDITOR, READER
 from device.stream.pulse_plugin import missing_plugin
 
-SERVER = "PipeWire"
 VERSION_MIN = (0, 3, 50)  # older versions of filter-chain read another syntax
 
 FILTER_CHAIN = "libpipewire-module-filter-chain.so"
@@ -62,7 +61,7 @@ def missing_parts() -> str:
 
 def why_not_server(snapshot: ServerSnapshot) -> str:
     """Return why the native engine cannot work on a server, "" if it can."""
-    if snapshot.kind != SERVER:
+    if snapshot.kind != "PipeWire":
         return f"the sound server is {snapshot.kind}"
     found = re.match(r"(\d+)\.(\d+)\.(\d+)", snapshot.version)
     if found and tuple(map(int, found.groups())) < VERSION_MIN:
@@ -91,6 +90,4 @@ def _refusals(config: RunConfig) -> Iterator[str]:
 
 def why_not_tap(channels: int) -> str:
     """Return why the native engine cannot tap so many channels, "" if it can."""
-    if channels <= CHANNELS:
-        return ""
-    return f"the tap has {channels} channels, more than {CHANNELS}"
+    return "" if channels <= CHANNELS else f"the tap has {channels} channels, more than {CHANNELS}"

@@ -10,7 +10,6 @@ from contextlib import suppress
 from itertools import count
 from pathlib import Path
 
-from audioflinger_hook.core.structures import CHANNELS
 from audioflinger_hook.daemon.native.page import Page
 from audioflinger_hook.daemon.native.plan import ChainPlan
 from audioflinger_hook.daemon.native.taps import OUT
@@ -79,12 +78,8 @@ _REALTIME = (
 class Chain:
     """A running chain, which nothing is linked to yet.
 
-    The supervising thread calls the methods.
-
-    plan: what it does. drives: the designs of its `drive_plans`. folder: private, for its files.
-    prepare: called before the process starts, to set what it begins with. realtime: whether to ask
-    for real-time priority. tap, vibration: names of its nodes. page: shared with the plugin. rigs:
-    what is known of each driven rig.
+    For the supervising thread. prepare: called before the process starts, to set what it begins
+    with. tap, vibration: names of its nodes. page: shared with the plugin.
     InternalError: a file cannot be written. NotFoundError: PipeWire cannot be started.
     """
 
@@ -134,7 +129,7 @@ class Chain:
 
     @property
     def process_id(self) -> int:
-        """The process's number."""
+        """The process's number, 0 once closed."""
         return self._process.pid if self._process else 0
 
     def check(self) -> None:
@@ -194,11 +189,9 @@ class Chain:
 
     def _config(self, realtime: bool) -> str:
         plan, plugin = self.plan, json.dumps(str(plugin_path()))
-        node = f"{{ type = ladspa plugin = {plugin} name = core label = haptic_cushion_daemon }}"
-        assert plan.tap_channels <= CHANNELS
         return _CONFIG.format(
             realtime=_REALTIME if realtime else "",
-            node=node,
+            node=f"{{ type = ladspa plugin = {plugin} name = core label = haptic_cushion_daemon }}",
             inputs=" ".join(f'"core:In {n + 1}"' for n in range(plan.tap_channels)),
             outputs=" ".join(f'"core:Out {n + 1}"' for n in range(len(plan.actuators))),
             tap=json.dumps(self.tap),

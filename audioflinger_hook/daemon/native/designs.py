@@ -16,7 +16,7 @@ KEPT = 64  # designs, of at least the latest plans; one takes 0.3 MB
 class DriveDesigns:
     """Makes each design once. The supervising thread alone uses it.
 
-    are_under_way: whether a process makes some. failure: of the latest attempt, "" for none.
+    failure: of the latest attempt, "" for none.
     """
 
     def __init__(self) -> None:
@@ -27,7 +27,7 @@ class DriveDesigns:
         self.failure = ""
 
     @property
-    def are_under_way(self) -> bool:
+    def is_busy(self) -> bool:
         """Whether a process makes some."""
         return self._call is not None
 

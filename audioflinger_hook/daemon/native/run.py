@@ -148,7 +148,7 @@ class NativeRun:
         self._failures, self._failed_s = self._failures + 1, now_s
         if played:
             self._states.recover(Cause.ENGINE_LOST, now_s, str(error))
-        if self.engine is not None and self.engine.is_lost:
+        if self.engine is not None and self.engine.watch.lost:
             self.close()
         if not lost or self._failures >= FAILURES_MAX:
             self._give_up(f"the native engine failed: {error}", now_s)
@@ -178,7 +178,7 @@ class NativeRun:
 
     def _note_start(self, engine: NativeEngine, plays: bool, now_s: float) -> None:
         """Take another way if a start takes too long, and forget failures once it has played."""
-        if self._began_s is None or plays or engine.is_designing:
+        if self._began_s is None or plays or engine.designs.is_busy:
             self._began_s = now_s
         if plays:
             if now_s - self._failed_s > PROVEN_S:

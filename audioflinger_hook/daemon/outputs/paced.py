@@ -57,13 +57,9 @@ class PacedOutput(Output):
 
     @property
     def name(self) -> str | None:
-        """The address, while the output runs."""
-        return str(self) if self.is_open else None
-
-    @property
-    def is_open(self) -> bool:
-        """Whether it takes vibration."""
-        return self._job is not None and self._pacer.is_doing(self._job)
+        """The address, while the output takes vibration."""
+        runs = self._job is not None and self._pacer.is_doing(self._job)
+        return str(self) if runs else None
 
     @property
     def summary(self) -> str:
@@ -128,11 +124,10 @@ class PacedOutput(Output):
     def end(self, *, keep: bool) -> None:
         """Complete the file, or discard it."""
         self.close()
-        if self._job is not None:
-            if keep and self._job.error is None:
-                self._job.output.close()
-            else:
-                self._job.output.abort()
+        if self._job is not None and keep and self._job.error is None:
+            self._job.output.close()
+        elif self._job is not None:
+            self._job.output.abort()
 
 
 class _Writer:
