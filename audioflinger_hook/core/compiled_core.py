@@ -27,6 +27,19 @@ GLIDE_NUMBERS = len(GLIDE_COLUMNS)
 _address = ctypes.c_void_p
 _Nothing = ctypes.c_char * 0
 
+# What each function of core.h returns, and what it takes.
+_FUNCTIONS = {
+    "check": (c_char_p, (_address, c_size_t, POINTER(Info))),
+    "open": (_address, (_address, c_size_t, _address)),
+    "reset": (None, (_address, c_int)),
+    "process": (None, (_address, _address, Sound, _address, c_size_t, _address)),
+    "vibrate": (None, (_address, Sound, _address, c_size_t, _address)),
+    "state": (c_size_t, (_address, _address, c_size_t)),
+    "set_state": (c_int, (_address, _address, c_size_t)),
+    "glides_max": (c_size_t, (_address, c_size_t)),
+    "record": (c_size_t, (_address, _address, c_size_t)),
+}
+
 
 @lru_cache(maxsize=1)
 def library() -> ctypes.PyDLL:
@@ -42,7 +55,9 @@ def library() -> ctypes.PyDLL:
         refuse_cut_off(path)
         found = ctypes.PyDLL(str(path))
         sizes = tuple((c_uint64 * len(STRUCTURES)).in_dll(found, "core_sizes"))
-        _declare(found)
+        for name, (returned, taken) in _FUNCTIONS.items():
+            function = getattr(found, f"core_{name}")
+            function.restype, function.argtypes = returned, taken
     except (ImportError, OSError, ValueError) as error:
         raise NotFoundError(f"the compiled core cannot be loaded: {error}") from error
     except AttributeError:  # it lacks a function
@@ -52,30 +67,12 @@ def library() -> ctypes.PyDLL:
     return found
 
 
-def _declare(found: ctypes.PyDLL) -> None:
-    found.core_check.restype = c_char_p
-    found.core_check.argtypes = [_address, c_size_t, POINTER(Info)]
-    found.core_open.restype, found.core_open.argtypes = _address, [_address, c_size_t, _address]
-    found.core_reset.restype, found.core_reset.argtypes = None, [_address, c_int]
-    found.core_process.restype = None
-    found.core_process.argtypes = [_address, _address, Sound, _address, c_size_t, _address]
-    found.core_vibrate.restype = None
-    found.core_vibrate.argtypes = [_address, Sound, _address, c_size_t, _address]
-    found.core_state.restype, found.core_state.argtypes = c_size_t, [_address, _address, c_size_t]
-    found.core_set_state.restype = c_int
-    found.core_set_state.argtypes = [_address, _address, c_size_t]
-    found.core_glides_max.restype = c_size_t
-    found.core_glides_max.argtypes = [_address, c_size_t]
-    found.core_record.restype, found.core_record.argtypes = c_size_t, [_address, _address, c_size_t]
-
-
 class Core:
     """One stream: sound in, the signals of actuators out.
 
-    One thread calls `process` and `reset`; any thread may write `controls` and read `readings`.
+    One thread calls the methods; any thread may write `controls` and read `readings`.
 
-    design: bytes of `core_design`.
-    info: what the design is for. outputs: columns of what `process` returns.
+    design: bytes of `core_design`. outputs: columns of what `process` returns.
     InternalError: the design cannot be used. NotFoundError: the core is not built.
     """
 
@@ -116,17 +113,15 @@ class Core:
         return room.array[:frames].copy()
 
     def _samples(self, sound: Float32Array | FloatArray) -> Sound:
-        is_double = sound.dtype == np.float64
         if sound.ndim != 2 or sound.shape[1] != self.info.inputs:
             raise InternalError(
                 f"a block has shape {sound.shape}: (frames, {self.info.inputs}) was expected"
             )
-        if not (is_double or sound.dtype == np.float32) or not sound.flags.aligned:
+        if sound.dtype not in (np.float32, np.float64) or not sound.flags.aligned:
             raise InternalError(
                 f"a block has samples of {sound.dtype}; allowed: aligned float32, float64"
             )
-        strides = sound.strides
-        return Sound(_address_of(sound), strides[0], strides[1], is_double)
+        return Sound(_address_of(sound), *sound.strides, sound.dtype == np.float64)
 
     @property
     def state(self) -> bytes:
@@ -152,11 +147,9 @@ class Core:
 
     def record_glides(self, frames: int) -> FloatArray:
         """Return the glides since the last call, (glides, 9), and have room for more frames."""
-        kept, self._glides = (
-            self._glides,
-            np.empty((self._library.core_glides_max(self._core, frames), GLIDE_NUMBERS)),
-        )
-        written = self._library.core_record(self._core, self._glides.ctypes.data, len(self._glides))
+        kept, rows = self._glides, self._library.core_glides_max(self._core, frames)
+        self._glides = np.empty((rows, GLIDE_NUMBERS))
+        written = self._library.core_record(self._core, self._glides.ctypes.data, rows)
         return kept[:written]
 
     def reset(self, *, doses_too: bool = False) -> None:

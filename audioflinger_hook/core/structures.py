@@ -52,12 +52,13 @@ class Sound(ctypes.Structure):
     )
 
 
+_SAFETY = ("coil_c", "magnet_c", "time_s", "squares", "fourths", "above")
+
+
 class ActuatorSafety(ctypes.Structure):
     """What must outlive a process; temperatures in °C."""
 
-    _fields_ = tuple(
-        (name, c_double) for name in ("coil_c", "magnet_c", "time_s", "squares", "fourths", "above")
-    )
+    _fields_ = tuple((name, c_double) for name in _SAFETY)
 
 
 class ActuatorControls(ctypes.Structure):
@@ -89,22 +90,9 @@ class Level(ctypes.Structure):
     _fields_ = (("peak", c_double), ("mean_square", c_double))
 
 
-_ACTUATOR_NUMBERS = (
-    "audible",
-    "gain",
-    "least_gain",
-    "exposure_gain",
-    "excursion_m",
-    "coil_c",
-    "magnet_c",
-    "time_s",
-    "squares",
-    "fourths",
-    "above",
-    "running_m_s2",
-    "undamped_squares",
-)
-_ACTUATOR_COUNTS = ("blocks", "limited_blocks", "infeasible_blocks", "replaced", "limited_by")
+_GAINS = ("audible", "gain", "least_gain", "exposure_gain")
+_FELT = ("running_m_s2", "undamped_squares")
+_COUNTS = ("blocks", "limited_blocks", "infeasible_blocks", "replaced", "limited_by")
 
 
 class ActuatorReadings(ctypes.Structure):
@@ -112,8 +100,8 @@ class ActuatorReadings(ctypes.Structure):
 
     _fields_ = (
         ("level", Level),
-        *((name, c_double) for name in _ACTUATOR_NUMBERS),
-        *((name, c_uint64) for name in _ACTUATOR_COUNTS),
+        *((name, c_double) for name in (*_GAINS, "excursion_m", *_SAFETY, *_FELT)),
+        *((name, c_uint64) for name in _COUNTS),
     )
 
 

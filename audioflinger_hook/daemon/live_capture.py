@@ -21,11 +21,10 @@ class LiveCapture:
     """Records the monitor of one sink, or of the present default sink.
 
     Its thread calls `tick` whenever `wake` rings, and at least every TICK_S. The stream is guarded,
-    so that it never captures a microphone. If lost, it is reopened. After each reopening and each
-    move the capture has a discontinuity.
+    so that it never captures a microphone. A lost stream is reopened; after that, and after each
+    move, the capture has a discontinuity.
 
-    heard_s: seconds of sound so far. format: rate in Hz and channels of the latest buffer; zeros
-    before the first.
+    heard_s: seconds of sound so far. format: rate in Hz and channels of the latest buffer.
     """
 
     def __init__(self, address: TapAddress, wake: Wake, now_s: float) -> None:

@@ -36,15 +36,10 @@ def facts_of(settings: Settings) -> Facts:
     chosen[ACTUATORS] = _as_text(chosen[ACTUATORS])
     chosen[SAID] = ",".join(chosen[SAID]) or None
     chosen |= {field.name: getattr(parameters, field.name) for field in fields(parameters)}
-    facts: dict[str, str | int | float | bool] = {}
-    for name, value in chosen.items():
-        if isinstance(value, Path):
-            value = str(value.absolute())
-        if name == "rig":
-            value = _absolute(value)
-        if value is not None:
-            facts[name] = value
-    return facts
+    chosen["rig"] = _absolute(chosen["rig"])
+    if chosen["effects_file"] is not None:
+        chosen["effects_file"] = str(chosen["effects_file"].absolute())
+    return {name: value for name, value in chosen.items() if value is not None}
 
 
 def settings_from(facts: Facts) -> Settings | None:
@@ -74,10 +69,7 @@ def settings_from(facts: Facts) -> Settings | None:
 def _as_text(actuators: tuple[ActuatorSettings, ...]) -> str | None:
     if not actuators:
         return None
-    tables = [
-        asdict(replace(one, rig=None if one.rig is None else _absolute(one.rig)))
-        for one in actuators
-    ]
+    tables = [asdict(replace(one, rig=one.rig and _absolute(one.rig))) for one in actuators]
     said = [{key: value for key, value in one.items() if value is not None} for one in tables]
     return json.dumps(said)
 
@@ -109,9 +101,8 @@ class RunRecording:
         self, folder: str | os.PathLike[str], settings: Settings, tap: str, device: str
     ) -> None:
         self._mix: tuple[int, int] | None = None
-        self._begun = False
+        self._begun = self._device_begun = False
         self._broken = {"effect": False, "device": False}
-        self._device_begun = False
         self._ended = ""
         self._folder = folder
         self._facts = {"tap": tap, "device": device, **facts_of(settings)}
@@ -208,6 +199,5 @@ class RunRecording:
     def _offer(self, stream: str, frames: Float32Array, samplerate: int, now_s: float) -> None:
         if self._ended or self._recorder is None:
             return
-        broken = self._broken[stream]
-        self._broken[stream] = False
+        broken, self._broken[stream] = self._broken[stream], False
         self._recorder.offer(stream, frames, samplerate, now_s, discontinuity=broken)

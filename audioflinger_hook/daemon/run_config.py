@@ -12,25 +12,23 @@ from device.drive import ActuatorSettings
 from device.errors import UsageError
 from device.server import AppRules
 
+# Kinds of taps and devices; a thread of the daemon paces those that are not live.
 LIVE_TAPS = ("default", "sink", "app")
 PACED_TAPS = ("file", "capture", "scene")
 SERVER_DEVICES = ("sink", "usb")
 CARD_DEVICES = ("hw",)
-"""Kinds of taps and devices; a thread of the daemon paces those that are not live."""
 
+# Settings of the vibration whose change interrupts nothing.
 LEVELS = tuple(name for name, key in Settings.DESCRIPTIONS.items() if key.change == "nothing")
-"""Settings of the vibration whose change interrupts nothing."""
 
 
 @dataclass(frozen=True)
 class RunConfig:
     """Everything that the config file and the options request.
 
-    tap: where sound comes from. device: where vibration goes. settings: how vibration is made from
-    sound. live: all other settings; its device is not used here, and its tap only for applications.
-    recording: records the run; the code that made it begins and closes it. past_server: whether a
-    USB device is opened as a card, because no sound server answers. muted: whether no vibration is
-    played.
+    settings: how vibration is made from sound. live: all other settings; its device is not used
+    here, and its tap only for applications. recording: the code that made it begins and closes it.
+    past_server: whether a USB device is opened as a card, because no sound server answers.
     """
 
     tap: TapAddress
@@ -120,13 +118,8 @@ class ConfigDiff:
         # A running effect accepts another level and other parameters; a profile is a set of
         # parameters.
         levels = {name: getattr(before, name) for name in LEVELS}
-        unaffected = replace(
-            after,
-            **levels,
-            profile=before.profile,
-            parameters=before.parameters,
-            said=before.said,
-        )
+        kept = {name: getattr(before, name) for name in ("profile", "parameters", "said")}
+        unaffected = replace(after, **levels, **kept)
         actuators_change = _can_change(before, after)
         if actuators_change:
             unaffected = replace(unaffected, actuators=before.actuators)

@@ -23,29 +23,26 @@ from device.drive.safety import SafetyState
 from device.errors import CushionError
 
 VERSION = 1
-FILE, MARK = "actuators.json", "has-run"
-"""The record, and an empty file that tells a first run from a record that was lost."""
-
+FILE = "actuators.json"
+MARK = "has-run"  # an empty file, which tells a first run from a record that was lost
 SAVE_S = 0.5  # between two writes while something is driven
 
+# A killed process may have played for so long after its last write: a busy machine delays the next
+# one, and the dose's last tenth of a second is in none.
 UNRECORDED_S = 1.5
-"""What a killed process may have done after its last write: until the next one, which a busy
-machine delays, and the dose's last tenth of a second."""
-
 BEGIN_S = 0.3  # from the last look at what plays to the first block of what follows it
 UNSYNCED_S = 60.0  # of a machine that ended: the system writes files later than we do
 
-Rigs = Sequence[DrivenRig | None]
-
 _LONGEST_S = 10 * 365 * 86_400.0
+Rigs = Sequence[DrivenRig | None]
 
 
 @dataclass(frozen=True)
 class Moment:
     """A moment by all clocks.
 
-    boot: names the machine's start, "" if unknown. boot_s: since then, with sleep. local: local
-    time to the minute, such as "2026-05-01T09:30+02:00".
+    boot: names the machine's start, "" if unknown. boot_s: since then, with sleep. local: to the
+    minute, such as "2026-05-01T09:30+02:00".
     """
 
     boot: str = ""
@@ -83,20 +80,19 @@ class SafetyKeeper:
             return
         now, device = self._moment(), self._device
         known, trouble = self._read(now)
+        records = known.get("actuators", {})
         self._day = now.day
-        self.since = now.local
-        if known.get("day") == now.day:
-            self.since = str(known.get("since", self.since))
-        today = [one for one in known.get("actuators", {}).values() if one["day"] == now.day]
+        self.since = known["since"] if known.get("day") == now.day else now.local
+        today = [one for one in records.values() if one["day"] == now.day]
         dose = DoseSums()
         for one in today:
             dose = dose.at_least(DoseSums(**one["dose"]))
         for index, processor in enumerate(rigs):
             if processor is None:
                 continue
-            bounds, states = processor.bounds(), []
+            bounds, states = processor.design.bounds(), []
             for channel in range(processor.channels):
-                record = known.get("actuators", {}).get(_key(device, index, channel))
+                record = records.get(_key(device, index, channel))
                 if trouble:
                     state = bounds.warmest
                 elif record is None:
@@ -126,7 +122,7 @@ class SafetyKeeper:
             known = self._ended  # what is not on record has not cooled down for all we know
         for index, rig in enumerate(rigs):
             if rig is not None and known:
-                bounds, states = rig.bounds(), list(rig.safety_states())
+                bounds, states = rig.design.bounds(), list(rig.safety_states())
                 for channel in range(rig.channels):
                     if (state := known.get((index, channel))) is not None:
                         states[channel] = bounds.after_unrecorded(state, BEGIN_S)
@@ -229,7 +225,7 @@ def _continued(
     record: dict[str, Any], now: Moment, processor: DrivenRig
 ) -> tuple[SafetyState, str]:
     """Return the state of one actuator now, and what is wrong with its record."""
-    bounds = processor.bounds()
+    bounds = processor.design.bounds()
     same_boot = bool(now.boot) and record["boot"] == now.boot
     passed_s = now.boot_s - record["boot_s"] if same_boot else now.wall_s - record["wall_s"]
     dose = DoseSums(**record["dose"]) if record["day"] == now.day else DoseSums()

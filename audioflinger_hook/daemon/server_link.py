@@ -33,6 +33,11 @@ class ServerLink(Listener):
         self._ring()
 
     @property
+    def latest(self) -> ServerSnapshot | None:
+        """The server as last seen, None if not connected."""
+        return self.connection.latest if self.connection else None
+
+    @property
     def lost(self) -> str:
         """Why the connection was lost; "" if it works, or if there is none."""
         return str((self.connection and self.connection.lost) or "")

@@ -39,8 +39,7 @@ class Supervisor:
 
     clocks: `now_s` is time.monotonic() or a replacement. wake: rung when something changes. folder:
     private, for files of the native engine; None: only the Python engine. safety: what outlives the
-    process; None: nothing does. priority: of the audio threads. config_error: why the latest config
-    was not applied, "" if it was.
+    process; None: nothing does. config_error: why the latest config was not applied, "" if it was.
     UsageError, NotFoundError: a file to play or to write cannot be used.
     """
 
@@ -54,10 +53,9 @@ class Supervisor:
     ) -> None:
         now_s = clocks.now_s()
         self.states = StateKeeper(now_s)
-        self.config = config
+        self.config, self.config_error = config, ""
         self._folder = folder
         self.priority = AudioPriority(config.live.realtime)
-        self.config_error = ""
         self._endpoints = Endpoints(config, clocks, self.states, self.priority, wake.ring)
         self._drop_in = DropInControl(config)
         self._link = ServerLink(wake.ring)
@@ -104,16 +102,15 @@ class Supervisor:
     @property
     def server(self) -> str:
         """The sound server's name and version, "" without one."""
-        seen = self._link.connection.latest if self._link.connection else None
+        seen = self._link.latest
         return f"{seen.kind} {seen.version}" if seen else ""
 
     @property
     def applications(self) -> tuple[Application, ...]:
         """The applications that have a stream; any thread may ask."""
-        connection, (source, device) = self._link.connection, self._found
+        source, device = self._found
         haptic = device.name if device and self.output.needs_server else None
-        seen = connection.latest if connection else None
-        return applications_in(seen, self.config.rules, source, haptic)
+        return applications_in(self._link.latest, self.config.rules, source, haptic)
 
     @property
     def offset_s(self) -> float:
@@ -123,11 +120,9 @@ class Supervisor:
     @property
     def latencies_s(self) -> tuple[float, float]:
         """Latencies of tap and output in seconds."""
-        (source, device), connection = self._found, self._link.connection
+        (source, device), seen, tap_s = self._found, self._link.latest, 0.0
         if source is None or device is None:
             return 0.0, 0.0
-        seen = connection.latest if connection else None
-        tap_s = 0.0
         if seen and self.input.needs_server:
             tap_s = tap_latency_s(seen, self.config.live.block_frames, source.samplerate)
         return tap_s, self.output.delay_s(seen)
@@ -135,22 +130,17 @@ class Supervisor:
     @property
     def warnings(self) -> list[str]:
         """Problems to show the user, one line each."""
-        recording = self.config.recording
-        warnings = list(self.engines.python.framework.warnings) if self.engines.python else []
+        engine, recording = self.engines.python, self.config.recording
+        warnings = list(engine.framework.warnings) if engine else []
         for part in (self._drop_in, self.input, self.output):
             warnings += part.warnings
         if recording:
             warnings += recording.warnings
-            if self.engines.python and self.engines.python.framework.bypassed():
+            if engine and engine.framework.bypassed():
                 warnings.append("an effect was bypassed, so a replay will differ from it")
-        others = (
-            self._link.warning,
-            self.priority.warning,
-            self.config_error,
-            self.engines.safety.warning,
-            *self.engines.warnings,
-            self._limits.advice(self.config.settings),
-        )
+        others = [self._link.warning, self.priority.warning, self.config_error]
+        others += [self.engines.safety.warning, *self.engines.warnings]
+        others.append(self._limits.advice(self.config.settings))
         return [*warnings, *filter(None, others)]
 
     def look(self) -> None:

@@ -35,8 +35,7 @@ class HapticSink:
     def __init__(self, *outputs: VibrationOutput, clip: bool = True) -> None:
         self._outputs = outputs
         self._limit = 1.0 if clip else np.inf
-        self.sent = np.zeros((0, 0), np.float32)
-        """The frames sent last; they change with the next buffer."""
+        self.sent = np.zeros((0, 0), np.float32)  # last; they change with the next buffer
 
     def write(self, buffer: MixBuffer) -> None:
         """Send the vibration of one cycle."""
@@ -106,9 +105,9 @@ class Pipeline:
         return Step(audio, self._sink.sent.copy())
 
     def close(self) -> None:
-        """Close the client and finish every output, the first one last.
+        """Close the client and finish every output.
 
-        So if another output cannot be finished, the first output has not replaced its file yet.
+        The first one comes last: it has not replaced its file yet if another one fails.
         """
         self._client.close()
         for output in reversed(self._outputs):
