@@ -29,9 +29,6 @@ FILE_NAME = "haptic_cushion.so"
 
 
 def library_path() -> Path | None:
-    """Return the compiled core, which is also the plugin for other hosts; None if it is not built.
-
-    Any thread may call it.
-    """
+    """Return the compiled core, also the plugin for other hosts; None if not built. Any thread."""
     path = Path(__file__).with_name(FILE_NAME)
     return path if path.is_file() else None

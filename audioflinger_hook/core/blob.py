@@ -49,10 +49,7 @@ def pack(values: Records) -> bytes:
 
 
 def unpack(blob: bytes) -> Records:
-    """Return the named values of `pack`; arrays are read-only views.
-
-    UsageError: the bytes are cut, damaged, of another version or something else.
-    """
+    """Return the named values of `pack`; arrays are read-only. UsageError: no intact design."""
     if blob[: len(MAGIC)] != MAGIC:
         raise UsageError(f"not a design of the live form: does not begin with {MAGIC.decode()}")
     if len(blob) < HEADER.size + CHECKSUM.size:

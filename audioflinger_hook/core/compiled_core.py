@@ -43,9 +43,8 @@ _FUNCTIONS = {
 
 @lru_cache(maxsize=1)
 def library() -> ctypes.PyDLL:
-    """Return the compiled core.
+    """Return the compiled core, which keeps the interpreter's lock: waiting for it takes longer.
 
-    It keeps the interpreter's lock: a call is shorter than waiting for the lock would be.
     NotFoundError: it is not built, or damaged, or of another version.
     """
     path = library_path()
@@ -96,10 +95,7 @@ class Core:
         self._vibration = _Room(self.info.vibrations, np.dtype(np.float64))
 
     def process(self, sound: Float32Array | FloatArray) -> Float32Array:
-        """Return as many frames of each output, (frames, outputs), as of sound, (frames, inputs).
-
-        sound: float32 or float64, of any strides.
-        """
+        """Return the outputs, (frames, outputs), for float32 or float64 sound, (frames, inputs)."""
         samples, room, frames = self._samples(sound), self._signals, len(sound)
         out = room.address(frames)
         self._library.core_process(self._core, self._controls, samples, out, frames, self._readings)
@@ -125,10 +121,7 @@ class Core:
 
     @property
     def state(self) -> bytes:
-        """What changes as a stream goes on; may be set to that of a like core.
-
-        InternalError: it is set to what no core with this design can have; then it is reset.
-        """
+        """What changes as a stream goes on; may be set to that of a core of the same design."""
         size = self._library.core_state(self._core, None, 0)
         state = ctypes.create_string_buffer(size)
         self._library.core_state(self._core, state, size)

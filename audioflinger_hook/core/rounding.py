@@ -42,10 +42,7 @@ def round_table(table: FloatArray) -> FloatArray:
 
 
 def round_section(section: Any, exact: Sequence[str] = ()) -> Any:
-    """Return a section of a design, a dataclass, with its numbers and tables rounded.
-
-    exact: names of fields that stay as they are.
-    """
+    """Return a section of a design, a dataclass, rounded but for the fields named in `exact`."""
     changes: dict[str, Any] = {}
     for item in fields(section):
         value = getattr(section, item.name)
@@ -59,10 +56,7 @@ def round_section(section: Any, exact: Sequence[str] = ()) -> Any:
 def round_filter(
     zeros: Iterable[complex], poles: Iterable[complex], gain: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return b and a of a digital filter from its rounded zeros, poles and gain.
-
-    Complex zeros and poles come in conjugate pairs, as in `output="zpk"` of `scipy.signal`.
-    """
+    """Return b and a of a digital filter from rounded roots, in conjugate pairs, and a gain."""
     b = round_number(float(gain)) * np.array(_polynomial(zeros))
     return b, np.array(_polynomial(poles))
 

@@ -42,10 +42,7 @@ def applications_in(
 def choosing(
     name: str, is_felt: bool, include: tuple[str, ...], exclude: tuple[str, ...]
 ) -> dict[str, tuple[str, ...]]:
-    """Return the rules, by key of the config, that include or exclude one application.
-
-    include, exclude: the rules until now.
-    """
+    """Return the rules, by key of the config, that include or exclude one more application."""
     rule = f"application:{name}" if ":" in name else name
     own = {name.casefold(), rule.casefold()}
     excluded = tuple(one for one in exclude if one.casefold() not in own)

@@ -24,8 +24,6 @@ from device.stream import AudioPriority, PcmConfig
 class Endpoints:
     """Input and output of one run. For the supervising thread alone.
 
-    needs_server: whether input or output uses the sound server. feed: takes the input's buffers.
-
     UsageError, NotFoundError: a file cannot be used, or a rule for applications has a mistake.
     """
 

@@ -138,9 +138,9 @@ class Engine:
             self._drop_ahead()
 
     def follow(self, settings: Settings, offset_s: float) -> None:
-        """Change levels, parameters and offset while running; for the supervising thread.
+        """Change levels, parameters and offset while running, as `Drive.change` allows.
 
-        Actuators may change level, polarity, delay, and swap sources. UsageError: nothing changed.
+        For the supervising thread. UsageError: nothing has changed.
         """
         before_s = self.delay_line.offset_s
         self.delay_line.offset_s = offset_s
@@ -181,10 +181,7 @@ class Engine:
         return True
 
     def finish(self, now_s: float) -> Float32Array:
-        """Play the client to its end; return the last vibration, for the delay line.
-
-        For the thread of `advance`, which must not be called again.
-        """
+        """Play the client to its end; return the last vibration. For the thread of `advance`."""
         held = self._drive_output.held = []
         while self.advance(now_s):
             pass
@@ -272,8 +269,7 @@ class SoftFade:
 class _DriveOutput:
     """The drive and the delay line as an output of the chain.
 
-    now_s, earlier: arrival times of this cycle's frames. held: if not None, collects the blocks
-    instead of the delay line.
+    now_s, earlier: arrival times of this cycle's frames. held: collects blocks instead.
     """
 
     def __init__(self, engine: Engine) -> None:

@@ -38,11 +38,9 @@ class Engines:
     """The engines of one run; one of them plays. For the supervising thread alone.
 
     folder: private, for files of the native engine and of a live page; None: only the Python
-    engine, and no such file. on_change: called by another thread when PipeWire's graph changes.
-    safety: what the driven rigs must not forget. volume_db: the listener's volume that is undone, 0
-    dB for 100 %. python: what the audio threads run; None before the first sound, and while the
-    native engine plays. native: the native engine and its failures. reason: why the Python engine
-    computes, "" while the native one does.
+    engine, and no such file. safety: what the driven rigs must not forget. volume_db: the volume
+    that is undone, 0 dB for 100 %. python: None before the first sound, and while the native
+    engine plays. reason: why the Python engine computes, "" while the native one does.
     """
 
     def __init__(
@@ -81,10 +79,7 @@ class Engines:
 
     @property
     def playing(self) -> tuple[str, str]:
-        """The engine that plays, "native", "python" or "", and why it is not the native one.
-
-        "" as well where files alone leave no choice.
-        """
+        """The engine that plays, "native", "python" or "", and why it is not the native one."""
         native = self.native.engine
         if not self._endpoints.needs_server:
             return "", ""
@@ -172,10 +167,7 @@ class Engines:
         device: AudioNode,
         now_s: float,
     ) -> bool:
-        """Choose the engine, let the other one end, and keep the native one if it is chosen.
-
-        Returns False while the Python engine is to play.
-        """
+        """Choose the engine, let the other one end; return False while Python is to play."""
         seen = connection.latest if connection else None
         self._undo_volume(seen)
         self._choose(connection, source)

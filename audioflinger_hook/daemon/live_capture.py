@@ -49,10 +49,7 @@ class LiveCapture:
         self._recorder = recorder
 
     def tick(self, now_s: float) -> None:
-        """Open, check or reopen the tap, as needed.
-
-        LostError: server or tap were lost, and no sound arrived for LOST_LIMIT_S.
-        """
+        """Open, check or reopen the tap. LostError: it stayed lost for LOST_LIMIT_S."""
         if self.heard_s > self._well_heard_s:
             self._well_heard_s, self._well_s, self._reason = self.heard_s, now_s, ""
         try:

@@ -26,8 +26,7 @@ WRITES_LEFT = 60  # after the latest `watch`: for a second, in which clients ask
 class LiveMemory:
     """A file that a live page reads, written only while somebody watches.
 
-    folder: the daemon's, private; files of earlier engines are removed. channels: of the sound,
-    1 to 8. actuators: 1 to 32. page: what is shared. OSError: the file cannot be made.
+    folder: private; files of earlier engines are removed. OSError: the file cannot be made.
     """
 
     def __init__(self, folder: Path, samplerate: int, channels: int, actuators: int) -> None:
@@ -54,10 +53,7 @@ class LiveMemory:
         actuators: Sequence[LevelMeter],
         partials: Sequence[tuple[float, float, float]],
     ) -> None:
-        """Write what a page shows. For the audio thread.
-
-        frames: processed so far. partials: as `HapticTransform.principal` returns them.
-        """
+        """Write what a page shows; frames: processed so far. For the audio thread."""
         self._writes_left -= 1
         self._due_frames = frames + self._least_frames
         levels = [meter.reading() for meter in actuators]

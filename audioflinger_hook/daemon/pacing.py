@@ -52,9 +52,9 @@ class Pacer:
     """Does jobs at their due times, earliest first, on a thread that the first job starts.
 
     Due times are absolute, so nothing drifts. After a stall, late blocks are done in bursts; after
-    a longer stall, all jobs are shifted by the same time. An exception ends its job and stays in
-    `error`. The supervising thread begins and ends jobs. exact: whether to pass jobs their due
-    times instead of the present time, for jobs that depend only on each other.
+    a longer stall, all jobs are shifted by the same time. An exception ends its job. The
+    supervising thread begins and ends jobs. exact: whether jobs get their due times instead of the
+    present time, as they depend only on each other.
     """
 
     def __init__(self, now_s: Callable[[], float], *, exact: bool = False) -> None:

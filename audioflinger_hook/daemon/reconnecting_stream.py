@@ -22,8 +22,8 @@ StreamT = TypeVar("StreamT", CaptureStream, PlaybackStream)
 class ReconnectingStream(Generic[StreamT]):
     """One stream, its guard, and the time to reopen it. For the supervising thread alone.
 
-    what: subject of messages, as in "the output". lost, moved: causes to count if the stream stops
-    or is moved. stream: None while closed. guard: None on a card, where nothing moves streams.
+    what: subject of messages, as in "the output". lost, moved: causes to count. stream: None while
+    closed. guard: None on a card, where nothing moves streams.
     """
 
     def __init__(self, what: str, states: StateKeeper, lost: Cause, moved: Cause) -> None:
@@ -65,8 +65,7 @@ class ReconnectingStream(Generic[StreamT]):
     ) -> bool:
         """Open a closed stream if an attempt is due; return whether it was opened.
 
-        connection: to the device's server; None for a card, whose stream is audible at once. Errors
-        of `make` and of the guard are raised and delay the next attempt.
+        connection: None for a card, whose stream is audible at once. Errors delay the next attempt.
         """
         if self.stream is not None or self._backoff.wait_s(now_s) > 0.0:
             return False

@@ -134,10 +134,9 @@ class RunRecording:
         ]
 
     def hooks(self, samplerate: int, channels: int, *, of_mix: bool) -> tuple[OnStep, OnMix | None]:
-        """Return functions for the engine's `on_step` and `on_mix`, for a mix of this format.
+        """Return the engine's `on_step` and `on_mix` for a mix of this format, before any buffer.
 
-        samplerate: Hz. of_mix: whether to record the mix instead of buffers, since a replay could
-        not repeat the mixing of several sounds. Call it before the first buffer.
+        of_mix: record the mix instead of buffers, as a replay could not mix several sounds again.
         """
         self._mix = (samplerate, channels)
 
@@ -179,10 +178,7 @@ class RunRecording:
         self._ended = self._ended or f"the recording {self._folder} has ended: {why}"
 
     def close(self) -> None:
-        """Complete the capture, or raise the error that ended it. Waits for the disk.
-
-        Call it when no thread records any more. May be repeated.
-        """
+        """Complete the capture once no thread records; raise the error that ended it."""
         if self._recorder:
             self._recorder.close()
 

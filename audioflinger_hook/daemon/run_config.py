@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import astuple, dataclass, replace
+from operator import attrgetter
 
 from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.daemon.recording import RunRecording
 from audioflinger_hook.sources import TapAddress, parse_tap
 from device.address import DeviceAddress
-from device.drive import ActuatorSettings
 from device.errors import UsageError
 from device.server import AppRules
 
@@ -70,10 +70,7 @@ class RunConfig:
 
     @property
     def rules(self) -> AppRules | None:
-        """Return the rules that select single applications, None if a sink's mix is captured.
-
-        UsageError: a rule is invalid, or applications cannot be chosen from the tap.
-        """
+        """The rules that select single applications, None for all. UsageError: they are invalid."""
         include, exclude = self.live.include, self.live.exclude
         if self.tap.kind == "app":
             return AppRules((*(parse_tap(tap).name for tap in self.live.tap), *include), exclude)
@@ -172,15 +169,9 @@ class ConfigDiff:
 
 def _can_change(before: Settings, after: Settings) -> bool:
     """Whether the actuators can change while they play: equal number, rigs and sources."""
-    were, are = before.actuators, after.actuators
-    return before.sources == after.sources and [_fixed_settings(a) for a in were] == [
-        _fixed_settings(a) for a in are
-    ]
-
-
-def _fixed_settings(actuator: ActuatorSettings) -> tuple[str | None, ...]:
-    """Return what cannot change while an actuator plays."""
-    return actuator.rig, actuator.damping, actuator.protection, actuator.exposure_cap
+    fixed = attrgetter("rig", "damping", "protection", "exposure_cap")
+    were, are = map(fixed, before.actuators), map(fixed, after.actuators)
+    return before.sources == after.sources and [*were] == [*are]
 
 
 def _selected_sound(config: RunConfig) -> tuple[object, ...]:

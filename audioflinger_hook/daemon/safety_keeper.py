@@ -59,9 +59,8 @@ class Moment:
 class SafetyKeeper:
     """Restores and records the state of a device's rigs. For the supervising thread alone.
 
-    folder: where the file is, made if missing; None: nothing outlives the process. moment: tells
-    the present. warning: what the user should know, "" for nothing. since: local time since when
-    the dose counts, "" before the first restore.
+    folder: where the file is, made if missing; None: nothing outlives the process. warning: what
+    the user should know, or "". since: local time since when the dose counts.
     """
 
     def __init__(self, folder: Path | None = None, moment: Callable[[], Moment] = Moment) -> None:
@@ -129,10 +128,7 @@ class SafetyKeeper:
                 rig.restore(states)
 
     def update(self, rigs: Rigs, now_s: float) -> None:
-        """Record what has changed, if it is time, and begin a new dose with a new day.
-
-        now_s: of time.monotonic(). Raises nothing.
-        """
+        """Record what has changed, if it is time, and begin a new day's dose. Raises nothing."""
         if self._folder is None or not self._day or not any(rigs) or now_s - self._saved_s < SAVE_S:
             return
         now = self._moment()

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 from audioflinger_hook.daemon.applications import applications_in
-from audioflinger_hook.daemon.drop_in_control import DropInControl
 from audioflinger_hook.daemon.endpoints import Endpoints
 from audioflinger_hook.daemon.engine import Clocks
 from audioflinger_hook.daemon.engines import Engines
@@ -15,7 +14,7 @@ from audioflinger_hook.daemon.native.abilities import check_engine
 from audioflinger_hook.daemon.outputs.base import Output
 from audioflinger_hook.daemon.run_config import ConfigDiff, RunConfig
 from audioflinger_hook.daemon.safety_keeper import SafetyKeeper
-from audioflinger_hook.daemon.server_link import ServerLink
+from audioflinger_hook.daemon.server_link import DropInControl, ServerLink
 from audioflinger_hook.daemon.timing import IdlePolicy, StallDetector
 from audioflinger_hook.daemon.wake import Wake
 from audioflinger_hook.pipeline.framework import Framework, drive_of
@@ -144,10 +143,7 @@ class Supervisor:
         return [*warnings, *filter(None, others)]
 
     def look(self) -> None:
-        """Check once that server, device and tap are available and the device's volume can be set.
-
-        LostError, NotFoundError: the first missing item, with advice.
-        """
+        """Check once that all is available. LostError, NotFoundError: the first missing item."""
         if not self.output.needs_server:
             self.output.locate(None)
             self.output.set_volume(None)
@@ -215,9 +211,7 @@ class Supervisor:
             self.states.enter(DaemonState.RUNNING, now_s)
 
     def follow(self, config: RunConfig, now_s: float) -> ConfigDiff:
-        """Apply another config and return the difference.
-
-        Only the affected parts are closed, and the next `tick` reopens them; see `ConfigDiff`.
+        """Apply another config and return the difference; the next `tick` reopens what was closed.
 
         UsageError: the config cannot be applied while the daemon runs; nothing has changed.
         """
@@ -253,10 +247,7 @@ class Supervisor:
         return changes
 
     def close(self, now_s: float, *, keep: bool = True) -> None:
-        """Close everything; keep: whether a written file stays.
-
-        WriteError: the file cannot be kept; everything else is closed by then.
-        """
+        """Close everything. WriteError: a file that is to be kept cannot be; all else is closed."""
         self.states.enter(DaemonState.STOPPING, now_s)
         self.engines.close()
         self._endpoints.close()

@@ -56,10 +56,7 @@ class StallDetector:
         self._resyncs = 0
 
     def woke(self, now_s: float, rest_s: float) -> bool:
-        """Return whether the machine was suspended since the last tick; count a stall.
-
-        rest_s: longest time between ticks.
-        """
+        """Return whether the machine was suspended since the last tick; count a stall."""
         slept_s = self._slept()
         suspended_s, self._slept_s = slept_s - self._slept_s, slept_s
         before_s, self._ticked_s = self._ticked_s, now_s

@@ -91,10 +91,7 @@ class Drive:
         return min((one for one in found if one is not None), default=None)
 
     def change(self, settings: Sequence[ActuatorSettings]) -> None:
-        """Fade to other levels, polarities, delays and sources, starting with the next block.
-
-        InternalError: the number of actuators differs, or a source is new.
-        """
+        """Fade to other levels, polarities, delays and known sources from the next block on."""
         named = len(self._settings)
         if len(settings) != named or not {*sources_of(settings)} <= {*self.sources}:
             raise InternalError("the number of actuators, or their sources, cannot change")

@@ -13,10 +13,7 @@ from device.units import amplitude_to_db
 
 
 class DrivenRig:
-    """Readings of the core's actuators that drive one rig, one for each channel. Any thread.
-
-    slots: the core's actuators for this rig.
-    """
+    """Readings of the core's actuators in `slots`, which drive one rig. Any thread."""
 
     def __init__(
         self, design: DriveDesign, controls: Controls, readings: Readings, slots: range

@@ -238,10 +238,7 @@ def drive_of(settings: Settings, samplerate: int, haptic_channels: int) -> Drive
 
 
 def channel_map_of(settings: Settings, haptic_channels: int) -> ChannelMap:
-    """Return which actuator each channel of a file or simulated rig plays.
-
-    UsageError: an actuator's channel is named by a position, and files have no positions.
-    """
+    """Return which actuator each channel of a file or rig plays; UsageError: one has no number."""
     if settings.actuators:
         return settings.numbered_channels
     return ChannelMap.repeated(haptic_channels, haptic_channels)
@@ -253,10 +250,7 @@ def simulated_rig_of(
     channel_map: ChannelMap,
     recorder: VibrationOutput | None = None,
 ) -> SimulatedRig:
-    """Return the simulated rig that each channel of the map plays to, with the chosen model.
-
-    UsageError: a rig lacks what that model needs.
-    """
+    """Return the simulated rig that the map's channels play to; UsageError: a rig lacks figures."""
     names = [actuator.rig or settings.rig for actuator in settings.actuators]
     rigs = [rig_by_name(name) for name in names or [settings.rig] * channel_map.actuators]
     connected = [None if source is None else rigs[source] for source in channel_map.sources]

@@ -16,10 +16,7 @@ from device.output import VibrationOutput
 
 
 class Step(NamedTuple):
-    """The sound as mixed and the vibration as sent in one step, float32; maybe empty.
-
-    The last step has no sound, only the vibration that was held back.
-    """
+    """The sound as mixed and the vibration as sent in one step, float32; either may be empty."""
 
     audio: NDArray[np.float32]
     vibration: NDArray[np.float32]
@@ -70,10 +67,7 @@ class RealTimePace:
 
 
 class Pipeline:
-    """Moves sound from a client through mixer and effect to every output, from one thread.
-
-    Live sound, a replay and a rendering differ only in who calls `step` and when.
-    """
+    """Moves sound from a client through mixer and effect to every output, from one thread."""
 
     def __init__(
         self, client: Client, framework: Framework, outputs: Sequence[VibrationOutput]
@@ -87,10 +81,7 @@ class Pipeline:
         client.connect(framework.mixer)
 
     def step(self, now_s: float = 0.0) -> Step | None:
-        """Do one cycle and return its sound and vibration; None once everything has been sent.
-
-        now_s: seconds of any monotonic clock.
-        """
+        """Do one cycle at `now_s` of any clock; return its sound and vibration, None at the end."""
         if self._ended:
             return None
         frames, mixer = self._client.play(), self._framework.mixer

@@ -16,9 +16,8 @@ from audioflinger_hook.daemon.engine import Clocks
 from audioflinger_hook.daemon.engines import Engines
 from audioflinger_hook.daemon.native import chains as chains_module
 from audioflinger_hook.daemon.native.chains import STUCK_S, Chains, RunningChain
-from audioflinger_hook.daemon.native.designs import DriveDesigns
 from audioflinger_hook.daemon.native.engine import NativeEngine
-from audioflinger_hook.daemon.native.plan import ChainPlan
+from audioflinger_hook.daemon.native.plan import ChainPlan, DriveDesigns
 from audioflinger_hook.daemon.native.run import FAILURES_MAX, START_S, NativeRun
 from audioflinger_hook.daemon.native.taps import Tap
 from audioflinger_hook.daemon.outputs.base import DeviceVolume

@@ -60,10 +60,7 @@ class Applications:
 
 
 class ApplicationsFeed:
-    """Passes buffers of several applications to one engine, which mixes them.
-
-    See `Feed`. priority: of the thread that captures.
-    """
+    """Passes buffers of several applications to one engine, which mixes them; see `Feed`."""
 
     records_mix = True  # instead of the buffers
 
@@ -99,10 +96,7 @@ class ApplicationsFeed:
 
 
 class ApplicationsInput(Input):
-    """Sound of the applications that the config's rules select; there may be none.
-
-    feed: takes their buffers on the thread that captures.
-    """
+    """Sound of the applications that the config's rules select; there may be none."""
 
     needs_server = True
 
@@ -195,10 +189,7 @@ class ApplicationsInput(Input):
         return bool(muted_sink(snapshot, self._found.sink))
 
     def maintain(self, connection: PulseConnection | None, now_s: float) -> None:
-        """Capture exactly the located applications.
-
-        LostError, NotFoundError: libpulse provides no second connection.
-        """
+        """Capture exactly the located applications. LostError, NotFoundError: libpulse fails."""
         captures = self._captures
         if captures is not None and captures.lost is not None:
             self._states.recover(Cause.TAP_LOST, now_s, str(captures.lost))

@@ -41,10 +41,7 @@ class FixedNode:
 
 
 class Endpoint(ABC):
-    """An input or an output. For the supervising thread alone.
-
-    address: the address as the user wrote it.
-    """
+    """An input or an output, with its address. For the supervising thread alone."""
 
     needs_server = False
     """Whether the endpoint belongs to the sound server."""
@@ -99,10 +96,7 @@ class Input(Endpoint):
 
     @abstractmethod
     def locate(self, snapshot: ServerSnapshot | None, device: str | None) -> AudioNode:
-        """Find the node to capture. device: the sink that vibration goes to, which is never tapped.
-
-        NotFoundError: the node is not available, or must not be tapped.
-        """
+        """Find the node to capture, which is never on `device`. NotFoundError: it is not there."""
 
     def players(self, snapshot: ServerSnapshot | None) -> frozenset[int]:
         """Return the streams that may play into the located node."""
@@ -126,10 +120,7 @@ class Input(Endpoint):
         return False
 
     def listen(self, connection: PulseConnection | None, now_s: float) -> bool:
-        """Return whether sound arrived while the input is closed; raises nothing.
-
-        The supervisor calls it regularly while nothing plays.
-        """
+        """Return whether sound arrived while closed; called while nothing plays. Raises nothing."""
         return False
 
     @abstractmethod

@@ -29,8 +29,8 @@ LISTENING_FRAMES = 4_096  # at 48 kHz, sound is noticed within 85 ms
 class SinkInput(Input):
     """Sound of one sink of the server: the default sink or a named sink.
 
-    receiver: takes its buffers, on PortAudio's thread. block_frames, priority: of streams that are
-    opened later. on_heard: called by PortAudio's thread if the listening input gets sound.
+    receiver: takes its buffers, on PortAudio's thread, which calls `on_heard` if a listening input
+    gets sound.
     """
 
     needs_server = may_rest = True  # while closed, the input listens
@@ -142,10 +142,7 @@ class SinkInput(Input):
         return bool(self._found and muted_sink(snapshot, self._found.monitor_of))
 
     def listen(self, connection: PulseConnection | None, now_s: float) -> bool:
-        """Return whether sound arrived; listens while applications may play.
-
-        The long blocks cost almost no CPU time.
-        """
+        """Return whether sound arrived; listens while applications may play, in long blocks."""
         source = self._found
         if connection is None or source is None or not self.players(connection.latest):
             self._listener.close()

@@ -34,10 +34,7 @@ def check_engine(config: RunConfig, snapshot: ServerSnapshot | None) -> None:
 
 
 def why_python(config: RunConfig, snapshot: ServerSnapshot | None) -> str:
-    """Return why the Python engine must compute, "" if the native one can.
-
-    snapshot: of the sound server, None without one.
-    """
+    """Return why the Python engine must compute, as without a server; "" if the native one can."""
     if config.live.engine == "python":
         return "engine = 'python'"
     reason = next(_refusals(config), "")

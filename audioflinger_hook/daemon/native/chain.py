@@ -12,8 +12,7 @@ from pathlib import Path
 
 from audioflinger_hook.daemon.native.page import Page
 from audioflinger_hook.daemon.native.plan import ChainPlan
-from audioflinger_hook.daemon.native.taps import OUT
-from audioflinger_hook.daemon.native.wiring import ChainEnds
+from audioflinger_hook.daemon.native.taps import OUT, ChainEnds
 from audioflinger_hook.plugin import plugin_path
 from device.drive.design import DriveDesign
 from device.errors import InternalError, LostError, NotFoundError

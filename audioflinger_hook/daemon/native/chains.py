@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from audioflinger_hook.daemon.native.chain import NAME, Chain, has_realtime
-from audioflinger_hook.daemon.native.designs import DriveDesigns
-from audioflinger_hook.daemon.native.plan import ChainPlan
+from audioflinger_hook.daemon.native.plan import ChainPlan, DriveDesigns
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.daemon.timing import Backoff
 from audioflinger_hook.drive.driven_rig import DrivenRig
@@ -35,9 +34,8 @@ Restore = Callable[[Sequence[DrivenRig | None], bool], None]
 class RunningChain:
     """A chain and its times in seconds. For the supervising thread alone.
 
-    began_s: its start. linked_s: since when it has all its links. frames, moved_s: what it has
-    processed, and when that last changed. left_s: when its links were first removed. has_realtime:
-    whether its process has real-time priority, None before that is known.
+    linked_s: since when it has all its links. frames, moved_s: what it has processed, and when that
+    last changed. left_s: when its links were first removed.
     """
 
     chain: Chain
@@ -93,10 +91,9 @@ class RunningChain:
 class Chains:
     """All chains of one engine. For the supervising thread alone; attributes are for any thread.
 
-    folder: private, for files. restore: sets what the rigs of a new chain begin with. designs: of
-    drives. current: the chain that plays, or would. following: the one that is to replace it.
-    leaving: those that are being unlinked. backoff: delays starts after failures. problem: why no
-    chain follows although the settings have changed, "" for nothing.
+    current: the chain that plays, or would. following: the one that is to replace it. leaving:
+    those that are being unlinked. backoff: delays starts after failures. problem: why no chain
+    follows although the settings have changed, "" for nothing.
     """
 
     def __init__(
@@ -133,10 +130,7 @@ class Chains:
             running.chain.page.set_sound_gain(gain)
 
     def check(self, graph: Graph, now_s: float, *, is_fed: bool) -> None:
-        """Drop chains that have ended or hang, and raise LostError for them.
-
-        is_fed: whether a stream plays that is tapped, so that frames must be processed.
-        """
+        """Drop chains that have ended, or hang although fed, and raise LostError for them."""
         for running in (self.following, self.current):
             if running is None:
                 continue

@@ -14,10 +14,15 @@ from pathlib import Path
 from audioflinger_hook.daemon.inputs.applications import Applications
 from audioflinger_hook.daemon.native.chain import NAME, Chain
 from audioflinger_hook.daemon.native.chains import FADE_S, Chains, Restore, RunningChain
-from audioflinger_hook.daemon.native.designs import DriveDesigns
-from audioflinger_hook.daemon.native.plan import ChainPlan, device_map
-from audioflinger_hook.daemon.native.taps import Tap, port_names, tap_of
-from audioflinger_hook.daemon.native.wiring import ChainEnds, ChainWiring, why_unlinkable
+from audioflinger_hook.daemon.native.plan import ChainPlan, DriveDesigns, device_map
+from audioflinger_hook.daemon.native.taps import (
+    ChainEnds,
+    ChainWiring,
+    Tap,
+    port_names,
+    tap_of,
+    why_unlinkable,
+)
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.service.state import Cause, StateKeeper
 from device.errors import LostError, NotFoundError, UsageError
@@ -115,9 +120,8 @@ class NativeEngine:
     def maintain(self, found: Source | Applications, device: Sink, now_s: float) -> bool:
         """Start, link and check the chain; return whether it plays.
 
-        LostError: the chain or the graph is gone; the next call starts again.
-        NotFoundError: the server refuses links from the applications that are to be tapped.
-        UsageError: the device lacks a channel.
+        LostError: chain or graph is gone; call it again. NotFoundError: links from applications are
+        refused. UsageError: the device lacks a channel.
         """
         self._faded_s = math.inf
         tap = tap_of(found, self._config.rules)
@@ -170,10 +174,7 @@ class NativeEngine:
         return self.chains.silence() or now_s - self._faded_s > FADE_S
 
     def leave(self, now_s: float) -> bool:
-        """Take the chains out of the graph; return whether they are out. Repeat it until then.
-
-        Only after `fade_out`.
-        """
+        """Take faded chains out of the graph; return whether they are out. Repeat it until then."""
         chains, graph = self.chains, self.watch.graph
         chains.leaving += chains.running
         chains.current = chains.following = None

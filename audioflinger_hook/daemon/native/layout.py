@@ -53,10 +53,7 @@ channel and each actuator; Hz of the sound, Hz of vibration and amplitude of eac
 
 
 class ShownReader:
-    """Reads what a live page shows; any thread may call it.
-
-    memory: the shared page. channels: of the tap, 1 to CHANNELS. actuators: 1 to ACTUATORS.
-    """
+    """Reads what a live page shows of a shared page; any thread may call it."""
 
     def __init__(self, memory: mmap.mmap, channels: int, actuators: int) -> None:
         self._memory = memory

@@ -18,11 +18,10 @@ DELAY_MAX_S = 2.0
 
 
 class Page:
-    """The shared page in a separate file, which `close` removes.
+    """The shared page in a new file at `path`, which `close` removes.
 
     The supervising thread calls the methods; any thread may read levels and counts.
 
-    path: of the file; it must not exist. channels: of the tap. vibrations: of the transform.
     sources: for each actuator, the number of its vibration. reader: of what a live page shows.
     """
 
@@ -51,10 +50,9 @@ class Page:
         actuators: Sequence[Reading],
         partials: Sequence[tuple[float, float, float]],
     ) -> None:
-        """Write what a live page shows, as the plugin does; for an engine without a plugin.
+        """Write what a live page shows, for an engine without a plugin.
 
-        frames: processed so far. channels, actuators: their peaks and mean squares. partials: at
-        most PARTIALS of them count.
+        frames: processed so far. channels, actuators: their peaks and mean squares.
         """
         readings = self._page.readings
         for place, reading in zip(readings.sound, channels[: self._channels], strict=False):

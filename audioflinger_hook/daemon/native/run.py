@@ -9,8 +9,8 @@ from pathlib import Path
 from audioflinger_hook.daemon.inputs.applications import Applications
 from audioflinger_hook.daemon.inputs.base import NOTHING, AudioNode
 from audioflinger_hook.daemon.native.chains import Restore
-from audioflinger_hook.daemon.native.designs import DriveDesigns
 from audioflinger_hook.daemon.native.engine import NativeEngine
+from audioflinger_hook.daemon.native.plan import DriveDesigns
 from audioflinger_hook.daemon.native.taps import Tap, tap_of
 from audioflinger_hook.daemon.outputs.base import DeviceVolume
 from audioflinger_hook.daemon.run_config import RunConfig
@@ -29,9 +29,9 @@ PROVEN_S = 5.0  # of playing, after which earlier failures no longer count
 class NativeRun:
     """Runs the native engine, once it is chosen. For the supervising thread alone.
 
-    config: what to do. folder: private, for files of the engine. states: the daemon's state.
-    on_change: called by another thread when the graph changes. restore: sets what the rigs of a new
-    chain begin with. engine: None until `maintain`. problem: why it gave up, "" if it has not.
+    folder: private, for files. on_change: called by another thread when the graph changes. restore:
+    sets what the rigs of a new chain begin with. engine: None until `maintain`. problem: why it
+    gave up, "" if it has not.
     """
 
     def __init__(
@@ -76,10 +76,9 @@ class NativeRun:
         sound_gains: tuple[float, float],
         now_s: float,
     ) -> None:
-        """Keep the engine running.
+        """Keep the engine running; sound_gains: on the sound of the streams, and of a monitor.
 
         Raises nothing: a lost engine starts again, and `auto` gives up after some failures.
-        sound_gains: factors on the sound of the streams, and of a monitor.
         """
         assert isinstance(source, (Source, Applications))
         assert isinstance(device, Sink)

@@ -79,8 +79,7 @@ class Output(Endpoint):
     def set_actuators(self, actuators: Sequence[ActuatorSettings]) -> None:
         """Take actuators that `check_actuators` accepted.
 
-        Playing continues if their number and the open channels stay the same; otherwise it stops
-        until the next `maintain`.
+        Playing stops until the next `maintain` if their number or the open channels change.
         """
 
     @abstractmethod
@@ -96,10 +95,9 @@ class Output(Endpoint):
 
 
 class StreamOutput(Output, Generic[NodeT]):
-    """An output with a PortAudio stream, on a sink or a card.
+    """An output with a PortAudio stream, on a sink or a card; a recording receives the frames."""
 
-    block_frames, priority: of streams that are opened later. recording: receives the frames played.
-    """
+    is_card = False
 
     def __init__(
         self,
@@ -147,6 +145,14 @@ class StreamOutput(Output, Generic[NodeT]):
         self.block_frames = config.live.block_frames
         self.volume.request(config)
         super().configure(config)
+
+    def retarget(self, config: RunConfig) -> bool:
+        """Play to another sink, or to another card."""
+        if config.device_is_a_card != self.is_card:
+            return False
+        self.close()
+        self.address = config.device
+        return True
 
     def set_format(self, samplerate: int, channels: int) -> None:
         """Set the channels of the vibration; a device has its own rate."""
@@ -226,8 +232,7 @@ class DeviceVolume:
     """
 
     def __init__(self, wanted_db: float | None = None, limit_db: float = 0.0) -> None:
-        self.wanted_db = wanted_db
-        self.limit_db = limit_db
+        self.wanted_db, self.limit_db = wanted_db, limit_db
         self.warning = ""
         self._last: tuple[float | None, float] | None = None, limit_db
 
@@ -240,10 +245,7 @@ class DeviceVolume:
         self.limit_db = min(rig_by_name(rig).dac.volume_limit_db for rig in rigs)
 
     def set(self, set_volume: SetVolume) -> None:
-        """Set the volume before the device plays.
-
-        NotFoundError: it cannot be set, so the device must not play. LostError: the server is lost.
-        """
+        """Set the volume before the device plays. NotFoundError: it cannot be; play nothing."""
         self._last, self.warning = None, ""
         wanted_db = self.wanted_db
         if wanted_db is not None and wanted_db > self.limit_db:

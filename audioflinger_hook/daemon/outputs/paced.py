@@ -32,8 +32,7 @@ BLOCK_FRAMES = 256  # as a sound server would request
 class PacedOutput(Output):
     """A WAV file or the simulated rig; the pacer's thread writes each block when it is due.
 
-    `end(keep=True)` completes the file, which contains silences at full length. `close` pauses. All
-    methods are for the supervising thread.
+    The file contains silences at full length. All methods are for the supervising thread.
 
     UsageError: the file cannot be written, or there is no such rig.
     """
