@@ -24,15 +24,12 @@ class FrameReceiver(Protocol):
 
     def opened(self, samplerate: int, channels: int) -> bool:
         """Prepare for a new stream (Hz, channels); return whether the format has changed."""
-        ...
 
     def moved(self) -> None:
         """Prepare for the stream to move to another source. Any thread."""
-        ...
 
     def push(self, frames: Float32Array, now_s: float) -> None:
         """Take (frames, channels) that arrived at `now_s`; on the capture's thread."""
-        ...
 
 
 def undone_db(volume_db: float, server: str) -> float:
@@ -176,15 +173,11 @@ class CaptureQueue(Feed):
 
     def pull(self) -> None:
         """Mix all queued buffers, unless the other thread is mixing."""
-        engine = self.engine
-        if not self._arrived or engine is None:
-            return
-        if not self._mixing.acquire(blocking=False):
-            return
-        try:
-            self._mix()
-        finally:
-            self._mixing.release()
+        if self._arrived and self.engine and self._mixing.acquire(blocking=False):
+            try:
+                self._mix()
+            finally:
+                self._mixing.release()
 
     def _mix(self) -> None:
         arrived, engine = self._arrived, self.engine

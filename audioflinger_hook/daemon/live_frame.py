@@ -26,13 +26,10 @@ def frame_of(
 ) -> tuple[bytes, bool]:
     """Return `{"frame": ...}` with a line break, and whether the next one may come later.
 
-    Any thread may call it; audio threads do not wait for it. sound, vibration: peak and mean square
-    of each channel and of each actuator. partials: Hz of the sound, Hz of the vibration, and
-    amplitude before the level. memory, instead of these: the page of the engine that plays, a file
-    of the daemon's folder that `ShownReader` reads.
+    Any thread may call it; audio threads do not wait for it. The frame has the numbers of `Shown`,
+    or for a client that reads them in memory the file of the engine that plays.
 
     level: factor on the vibration, 0 while it is muted. missed: frames that were not sent.
-    in_memory: whether the client reads that file.
     """
     state = supervisor.states.state
     plays = state is DaemonState.RUNNING

@@ -1,7 +1,7 @@
 """The Python engine's levels and partials, in a file that a live page reads.
 
-The plugin of the native engine writes the same layout. So a page reads both engines alike, and no
-thread of the daemon wakes for it: the audio thread writes while its caches are warm.
+The plugin of the native engine writes the same layout. No thread of the daemon wakes for a page:
+the audio thread writes while its caches are warm.
 """
 
 from __future__ import annotations

@@ -19,11 +19,9 @@ class PacedJob(Protocol):
     @property
     def due_s(self) -> float:
         """Time of the next block, in seconds from the job's start."""
-        ...
 
     def run(self, now_s: float) -> bool:
         """Do the next block; return False if it was the last."""
-        ...
 
 
 class FrameTime:
@@ -114,8 +112,7 @@ class Pacer:
         try:
             goes_on = job.run(now_s)
         except Exception as error:
-            job.error = error
-            goes_on = False
+            job.error, goes_on = error, False
         if not goes_on:
             del self._jobs[job]
 

@@ -1,9 +1,8 @@
 """Keeps temperatures and the day's dose in a file, so that a new process knows what went before.
 
 A coil cools with a time constant of half a minute, and a dose counts for a day: both outlive the
-process that caused them. The file is written while something is driven, so a killed process leaves
-at most the last moment unrecorded. For that moment the next one takes the worst that protection
-allows, and lets the model cool down for the time that has passed.
+process that caused them. A killed process leaves at most the last moment unrecorded. For that
+moment the next one takes the worst that protection allows, and then lets the model cool down.
 """
 
 from __future__ import annotations

@@ -18,17 +18,14 @@ class AudioNode(Protocol):
     @property
     def name(self) -> str:
         """The node's name in messages."""
-        ...
 
     @property
     def samplerate(self) -> int:
         """Hz; 0 if it takes the rate of the mix."""
-        ...
 
     @property
     def channels(self) -> int:
         """Count; 0 if it takes the channels of the vibration."""
-        ...
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from pathlib import Path
 from audioflinger_hook.daemon.native.page import Page
 from audioflinger_hook.daemon.native.plan import ChainPlan
 from audioflinger_hook.daemon.native.taps import OUT, ChainEnds
+from audioflinger_hook.drive.driven_rig import driven_rigs
 from audioflinger_hook.plugin import plugin_path
 from device.drive.design import DriveDesign
 from device.errors import InternalError, LostError, NotFoundError
@@ -101,7 +102,8 @@ class Chain:
             files["design"].write_bytes(plan.design(drives))
             files["conf"].write_text(self._config(realtime), "utf-8")
             self.page = Page(files["page"], plan.tap_channels, plan.outputs, plan.actuators)
-            self.rigs = self.page.rigs(drives, plan.columns)
+            controls, readings = self.page.controls, self.page.readings
+            self.rigs = driven_rigs(drives, controls, readings, plan.columns)
             prepare(self)
             with files["log"].open("wb") as log:
                 self._process = subprocess.Popen(

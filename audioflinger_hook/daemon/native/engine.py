@@ -14,7 +14,7 @@ from pathlib import Path
 from audioflinger_hook.daemon.inputs.applications import Applications
 from audioflinger_hook.daemon.native.chain import NAME, Chain
 from audioflinger_hook.daemon.native.chains import FADE_S, Chains, Restore, RunningChain
-from audioflinger_hook.daemon.native.plan import ChainPlan, DriveDesigns, device_map
+from audioflinger_hook.daemon.native.plan import ChainPlan, DriveDesigns
 from audioflinger_hook.daemon.native.taps import (
     ChainEnds,
     ChainWiring,
@@ -25,6 +25,7 @@ from audioflinger_hook.daemon.native.taps import (
 )
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.service.state import Cause, StateKeeper
+from device.drive.channel_positions import actuators_of_channels
 from device.errors import LostError, NotFoundError, UsageError
 from device.server.graph_watch import GraphWatch
 from device.server.node_errors import NodeErrors
@@ -32,9 +33,8 @@ from device.server.snapshot import Sink, Source
 
 REFUSED_S = 0.5  # a link that is missing for so long is refused
 
+# A busy machine may have been late: links from streams are tried again, after ever longer waits.
 REFUSED_WAIT_S, REFUSED_WAIT_MAX_S = 5.0, 600.0
-"""Links from streams are tried again after so long, twice as long each time; a busy machine may
-have been late."""
 
 
 class NativeEngine:
@@ -204,8 +204,7 @@ class NativeEngine:
     def _has_session(self, now_s: float) -> bool:
         """Whether the session manager runs; end the chains of before when it has gone.
 
-        WirePlumber 0.4 never stops waiting for nodes that played before it started. Until then it
-        links no program.
+        WirePlumber 0.4 waits for nodes that played before it started, and links no program.
         """
         known, seen = self._session_manager, self.watch.graph.session_manager
         if known is not None and seen != known and not self.waits_for:
@@ -239,7 +238,8 @@ class NativeEngine:
         if tap is None or device is None or plan.tap_channels != tap.channels:
             return running.chain.ends()
         try:
-            played = device_map(self._config.settings, plan, device).sources
+            actuators = self._config.settings.actuators
+            played = actuators_of_channels(device, actuators, plan.outputs).sources
         except UsageError:
             if running is self.chains.following or self.chains.following is None:
                 raise

@@ -16,11 +16,8 @@ from audioflinger_hook.transform import TransformParameters
 from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.downmix import source_mixes
 from device.call import Call
-from device.drive import ChannelMap
-from device.drive.channel_positions import actuators_of_channels
 from device.drive.design import DriveDesign, DrivePlan, designs_of
 from device.errors import CushionError
-from device.server.snapshot import Sink
 from device.units import FloatArray
 
 
@@ -54,8 +51,7 @@ class ChainPlan:
     def of(cls, settings: Settings, tap: Tap, samplerate: int) -> ChainPlan:
         """Return the plan for the settings, a tap and the graph's rate."""
         sources = settings.sources
-        each = settings.channels == "each"
-        outputs = len(sources) or (tap.channels if each else 1)
+        outputs = len(sources) or (tap.channels if settings.channels == "each" else 1)
         if settings.actuators:
             routed = tuple(sources.index(actuator.source) for actuator in settings.actuators)
         else:
@@ -107,11 +103,6 @@ class ChainPlan:
             drives=[drive for drive in drives for _ in range(self.columns)],
             delay_frames_max=round(DELAY_MAX_S * self.samplerate),
         )
-
-
-def device_map(settings: Settings, plan: ChainPlan, sink: Sink) -> ChannelMap:
-    """Return which actuator each channel plays. UsageError: one wants a channel that is missing."""
-    return actuators_of_channels(sink, settings.actuators, plan.outputs)
 
 
 LONGEST_WAIT_S = 60.0  # from one failure to the next attempt
