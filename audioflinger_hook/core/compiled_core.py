@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 from ctypes import POINTER, c_char_p, c_int, c_size_t, c_uint64
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 
@@ -91,22 +90,22 @@ class Core:
         self._core = self._library.core_open(place, len(design), self._memory.ctypes.data)
         self._controls = ctypes.addressof(self.controls)
         self._readings = ctypes.addressof(self.readings)
-        self._signals = _Room(self.outputs, np.dtype(np.float32))
-        self._vibration = _Room(self.info.vibrations, np.dtype(np.float64))
 
     def process(self, sound: Float32Array | FloatArray) -> Float32Array:
         """Return the outputs, (frames, outputs), for float32 or float64 sound, (frames, inputs)."""
-        samples, room, frames = self._samples(sound), self._signals, len(sound)
-        out = room.address(frames)
-        self._library.core_process(self._core, self._controls, samples, out, frames, self._readings)
-        return room.array[:frames].copy()
+        samples, out = self._samples(sound), np.empty((len(sound), self.outputs), np.float32)
+        self._library.core_process(
+            self._core, self._controls, samples, _address_of(out), len(sound), self._readings
+        )
+        return out
 
     def vibrate(self, sound: Float32Array | FloatArray) -> FloatArray:
         """Return what the transform alone makes of sound, (frames, vibrations), float64."""
-        samples, room, frames = self._samples(sound), self._vibration, len(sound)
-        out = room.address(frames)
-        self._library.core_vibrate(self._core, samples, out, frames, self._readings)
-        return room.array[:frames].copy()
+        samples, out = self._samples(sound), np.empty((len(sound), self.info.vibrations))
+        self._library.core_vibrate(
+            self._core, samples, _address_of(out), len(sound), self._readings
+        )
+        return out
 
     def _samples(self, sound: Float32Array | FloatArray) -> Sound:
         if sound.ndim != 2 or sound.shape[1] != self.info.inputs:
@@ -149,21 +148,6 @@ class Core:
         """Return to rest; temperatures and doses stay unless asked."""
         self._library.core_reset(self._core, doses_too)
         self.readings.partials_count = 0
-
-
-class _Room:
-    """Memory for what a call writes, which grows with the largest block. array: all of it."""
-
-    def __init__(self, columns: int, dtype: np.dtype[Any]) -> None:
-        self.array = np.empty((0, columns), dtype)
-        self._at = 0
-
-    def address(self, frames: int) -> int:
-        """Return where so many frames fit."""
-        if frames > len(self.array) or not self._at:
-            self.array = np.empty((max(frames, 1), self.array.shape[1]), self.array.dtype)
-            self._at = self.array.ctypes.data
-        return self._at
 
 
 def _address_of(samples: Float32Array | FloatArray) -> int:

@@ -29,13 +29,8 @@ class Info(ctypes.Structure):
     """What a design is for."""
 
     _fields_ = (
-        ("samplerate", c_uint32),
-        ("inputs", c_uint32),
-        ("vibrations", c_uint32),
-        ("actuators", c_uint32),
-        ("latency_frames", c_uint32),
-        ("tonal_latency_frames", c_uint32),
-        ("drive_latency_frames", c_uint32),
+        *((name, c_uint32) for name in ("samplerate", "inputs", "vibrations", "actuators")),
+        *((f"{name}latency_frames", c_uint32) for name in ("", "tonal_", "drive_")),
         ("delay_frames_max", c_uint32),
         ("memory_bytes", c_uint64),
     )

@@ -16,8 +16,8 @@ def applications_in(
 ) -> tuple[Application, ...]:
     """Return the applications in a snapshot, in the server's order; () without a server.
 
-    rules: what selects them; None: those that play to the sink whose monitor is `source`.
-    haptic_sink: the vibration's, which nothing is captured from. Any thread.
+    rules: what selects them; None: those that play to the sink whose monitor is `source`. Nothing
+    is captured from `haptic_sink`. Any thread.
     """
     if snapshot is None:
         return ()

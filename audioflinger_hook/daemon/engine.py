@@ -95,11 +95,9 @@ class Engine:
         self.drive = drive_of(chosen, self.samplerate, self.framework.haptic_channels)
         self.driven = [BufferedLevelMeter(self.samplerate) for _ in chosen.actuators]
         self.delay_line = self._line(output_samplerate, offset_s)
-        self.sound = BufferedLevelMeter(self.samplerate)
-        self.vibration = BufferedLevelMeter(self.samplerate)
+        self.sound, self.vibration = (BufferedLevelMeter(self.samplerate) for _ in range(2))
         self.buffer_times = BufferClock()
-        self.buffers = 0
-        self.frames = 0
+        self.buffers = self.frames = 0
         self.frames_max = self.framework.mixer.frames
         self.before_fill: Callable[[], None] = lambda: None
         self.mute = SoftFade(output_samplerate)
@@ -246,9 +244,8 @@ class SoftFade:
     read position: 0 while silent, 1 at full level.
     """
 
-    def __init__(self, samplerate: int, *, audible: bool = True) -> None:
-        self.audible = audible
-        self.position = 1.0 if audible else 0.0
+    def __init__(self, samplerate: int) -> None:
+        self.audible, self.position = True, 1.0
         self._step = 1.0 / (FADE_S * samplerate)
 
     def apply(self, out: Float32Array) -> None:
@@ -267,10 +264,7 @@ class SoftFade:
 
 
 class _DriveOutput:
-    """The drive and the delay line as an output of the chain.
-
-    now_s, earlier: arrival times of this cycle's frames. held: collects blocks instead.
-    """
+    """The drive and the delay line as an output of the chain; `held` collects blocks instead."""
 
     def __init__(self, engine: Engine) -> None:
         self._engine = engine
@@ -281,7 +275,6 @@ class _DriveOutput:
         self.channels = engine.framework.haptic_channels
 
     def write(self, vibration: FloatArray | Float32Array) -> None:
-        """Drive one block, and write it to the delay line."""
         engine = self._engine
         vibration = engine.drive.process(np.asarray(vibration, np.float32))
         for index, gathered in enumerate(engine.driven):
@@ -295,5 +288,4 @@ class _DriveOutput:
         """Do nothing, as no resource is held."""
 
     def abort(self) -> None:
-        """Drop what is waiting."""
         self._engine.delay_line.flush()

@@ -60,11 +60,9 @@ class Engines:
         self._endpoints = endpoints
         self._folder = folder
         self._ends_s: float | None = None
-        self._played_s = 0.0
         self._chosen_for: tuple[object, ...] = ()
         self._streams_gain = 1.0
-        self._heard_before_s = 0.0
-        self.volume_db = 0.0
+        self._played_s = self._heard_before_s = self.volume_db = 0.0
         self.python: Engine | None = None
         self.native = NativeRun(config, folder, states, on_change, self._restore)
         self.reason = "nothing has played yet"

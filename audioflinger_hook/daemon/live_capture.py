@@ -9,7 +9,6 @@ from audioflinger_hook.daemon.wake import Wake
 from audioflinger_hook.service.state import StateKeeper
 from audioflinger_hook.sources import PushTap, TapAddress
 from device.errors import LostError, NotFoundError
-from device.server import PulseConnection
 from device.stream import PcmConfig
 from device.units import Float32Array
 
@@ -21,10 +20,8 @@ class LiveCapture:
     """Records the monitor of one sink, or of the present default sink.
 
     Its thread calls `tick` whenever `wake` rings, and at least every TICK_S. The stream is guarded,
-    so that it never captures a microphone. A lost stream is reopened; after that, and after each
-    move, the capture has a discontinuity.
-
-    heard_s: seconds of sound so far. format: rate in Hz and channels of the latest buffer.
+    so that it never captures a microphone. After it was lost or moved, the capture has a
+    discontinuity. heard_s: so far. format: rate in Hz and channels of the latest buffer.
     """
 
     def __init__(self, address: TapAddress, wake: Wake, now_s: float) -> None:
@@ -41,8 +38,7 @@ class LiveCapture:
     def look(self) -> None:
         """Raise LostError or NotFoundError if the server or the tap is not available."""
         self._link.open(self._well_s)
-        assert self._link.connection is not None
-        self._input.locate(self._link.connection.latest, None)
+        self._input.locate(self._link.latest, None)
 
     def begin(self, recorder: CaptureRecorder) -> None:
         """Record stream `tap` from now on; call it before the first `tick`."""
@@ -53,10 +49,13 @@ class LiveCapture:
         if self.heard_s > self._well_heard_s:
             self._well_heard_s, self._well_s, self._reason = self.heard_s, now_s, ""
         try:
-            connection = self._connected(now_s)
-            if connection is not None:
-                self._input.locate(connection.latest, None)
-                self._input.maintain(connection, now_s)
+            if self._link.lost:
+                self._input.close()
+                self._link.close()
+            self._link.open(now_s)
+            if self._link.connection is not None:
+                self._input.locate(self._link.connection.latest, None)
+                self._input.maintain(self._link.connection, now_s)
         except (LostError, NotFoundError) as error:
             self._input.close()
             self._reason = f" ({error})"
@@ -91,10 +90,3 @@ class LiveCapture:
         self.format = (tap.samplerate, tap.channels)
         recorder.offer("tap", frames, tap.samplerate, now_s, discontinuity=discontinuity)
         self.heard_s += len(frames) / tap.samplerate
-
-    def _connected(self, now_s: float) -> PulseConnection | None:
-        if self._link.lost:
-            self._input.close()
-            self._link.close()
-        self._link.open(now_s)
-        return self._link.connection

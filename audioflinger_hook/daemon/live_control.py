@@ -25,7 +25,7 @@ from audioflinger_hook.config.profiles import LIVE_DEFAULT
 from audioflinger_hook.config.schema import CHANGES, Key
 from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.daemon.applications import choosing
-from audioflinger_hook.daemon.live_frame import frame_of
+from audioflinger_hook.daemon.live_memory import frame_of
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.daemon.supervisor import Supervisor
 from audioflinger_hook.service.install import own_command
@@ -67,11 +67,8 @@ class LiveControl:
         ring: Callable[[], None],
         config: RunConfig,
     ) -> None:
-        self._supervisor = supervisor
-        self._edits = edits
-        self._follow = follow
-        self._ring = ring
-        self._config = config
+        self._supervisor, self._config, self._edits = supervisor, config, edits
+        self._follow, self._ring = follow, ring
         self.page = ""
         self.settings: dict[str, Any] = {}
         self._tone: subprocess.Popen[bytes] | None = None

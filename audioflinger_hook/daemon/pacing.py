@@ -49,10 +49,9 @@ class FrameTime:
 class Pacer:
     """Does jobs at their due times, earliest first, on a thread that the first job starts.
 
-    Due times are absolute, so nothing drifts. After a stall, late blocks are done in bursts; after
-    a longer stall, all jobs are shifted by the same time. An exception ends its job. The
-    supervising thread begins and ends jobs. exact: whether jobs get their due times instead of the
-    present time, as they depend only on each other.
+    Due times are absolute, so nothing drifts. Late blocks are done in bursts; after a long stall,
+    all jobs are shifted. An exception ends its job. The supervising thread begins and ends jobs.
+    exact: whether jobs get their due times instead of the present time.
     """
 
     def __init__(self, now_s: Callable[[], float], *, exact: bool = False) -> None:

@@ -27,10 +27,8 @@ class ReconnectingStream(Generic[StreamT]):
     """
 
     def __init__(self, what: str, states: StateKeeper, lost: Cause, moved: Cause) -> None:
-        self._what = what
-        self._states = states
-        self._lost = lost
-        self._moved = moved
+        self._what, self._states = what, states
+        self._lost, self._moved = lost, moved
         self._backoff = Backoff()
         self._xruns_before = 0
         self.stream: StreamT | None = None
@@ -48,13 +46,12 @@ class ReconnectingStream(Generic[StreamT]):
             return
         if stream.is_lost(now_s):
             self._states.recover(self._lost, now_s, f"{self._what} stopped")
-        elif guard is None:
-            return
-        elif now_s - stream.opened_s > SETTLES_S and _is_misplaced(guard, now_s):
-            self._states.recover(self._moved, now_s, guard.hold.value)
-        else:
-            return
-        self.close()
+            self.close()
+        elif guard is not None and now_s - stream.opened_s > SETTLES_S:
+            limit_s = GONE_S if guard.hold is Hold.NO_STREAM else ASTRAY_S
+            if guard.misplaced_s(now_s) > limit_s:
+                self._states.recover(self._moved, now_s, guard.hold.value)
+                self.close()
 
     def open(
         self,
@@ -91,8 +88,3 @@ class ReconnectingStream(Generic[StreamT]):
             stream.close()
             self._xruns_before += stream.xruns
         self.guard = self.stream = None
-
-
-def _is_misplaced(guard: StreamGuard, now_s: float) -> bool:
-    """Return whether the stream has been on another device for too long."""
-    return guard.misplaced_s(now_s) > (GONE_S if guard.hold is Hold.NO_STREAM else ASTRAY_S)

@@ -87,14 +87,11 @@ def _named(kind: type[Any], facts: Mapping[str, Any]) -> dict[str, Any]:
 class RunRecording:
     """A capture of one run with streams `tap`, `effect` and `device`, from the first buffer on.
 
-    A replay of `tap` gives `effect` bit for bit. If writing fails, the capture ends, the run goes
-    on, and `close` raises the error.
+    A replay of `tap` gives `effect` bit for bit; the capture holds the settings. If writing fails,
+    the run goes on, and `close` raises the error.
 
     The thread that mixes calls `delivered` and the `hooks`, the output's thread `sent`, and the
     supervising thread `reopened` while the output rests. None of them waits or raises.
-
-    folder: new or empty; `begin` makes it. settings: stored in the capture, so that a replay needs
-    no other file. tap, device: addresses of the run.
     """
 
     def __init__(
@@ -103,8 +100,7 @@ class RunRecording:
         self._mix: tuple[int, int] | None = None
         self._begun = self._device_begun = False
         self._broken = {"effect": False, "device": False}
-        self._ended = ""
-        self._folder = folder
+        self._folder, self._ended = folder, ""
         self._facts = {"tap": tap, "device": device, **facts_of(settings)}
         self._recorder: CaptureRecorder | None = None
 
@@ -168,7 +164,7 @@ class RunRecording:
         """Mark that the device's stream was reopened."""
         self._broken["device"] = self._device_begun
 
-    def sent(self, frames: Float32Array, samplerate: int, now_s: float) -> None:
+    def sent(self, frames: Float32Array, now_s: float, samplerate: int) -> None:
         """Record what was sent to the device."""
         self._device_begun = True
         self._offer("device", frames, samplerate, now_s)

@@ -88,11 +88,10 @@ class RunConfig:
 class ConfigDiff:
     """The differences of two configs, grouped by what the change interrupts.
 
-    These changes interrupt nothing: level and mute, volume (of the device), priority (used for
-    streams opened later), actuators (faded) and offset (the delay jumps, faded over 5 ms). A
-    change of transform fades out and restarts after the transform's latency. tap and device reopen
-    one stream, drop_in the virtual sink, blocks both streams, engine everything except the
-    connection. way is the choice of the native or the Python engine.
+    These interrupt nothing: level (and mute), volume (of the device), priority (of later streams),
+    actuators (faded) and offset (the delay jumps, faded over 5 ms). transform fades out and
+    restarts after its latency. tap and device reopen one stream, drop_in the virtual sink, blocks
+    both streams, engine everything but the connection. way: the native or the Python engine.
     """
 
     level: bool = False

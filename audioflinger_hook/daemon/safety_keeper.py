@@ -63,14 +63,11 @@ class SafetyKeeper:
     """
 
     def __init__(self, folder: Path | None = None, moment: Callable[[], Moment] = Moment) -> None:
-        self._folder = folder
-        self._moment = moment
+        self._folder, self._moment = folder, moment
         self._saved_s = -math.inf
         self._saved: list[SafetyState] = []
         self._ended: dict[tuple[int, int], SafetyState] = {}
-        self._day = self._device = ""
-        self.since = ""
-        self.warning = ""
+        self._day = self._device = self.since = self.warning = ""
 
     def restore(self, rigs: Rigs) -> None:
         """Let rigs continue where the last ones on the device ended; before their first block."""
@@ -110,8 +107,7 @@ class SafetyKeeper:
     def note_device(self, device: str) -> None:
         """Record under this device from now on: the vibration goes there."""
         if device != self._device:
-            self._device = device
-            self._saved_s = -math.inf
+            self._device, self._saved_s = device, -math.inf
 
     def carry_over(self, playing: Rigs, rigs: Rigs) -> None:
         """Let rigs continue where those are that play; before their first block."""

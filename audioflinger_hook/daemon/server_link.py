@@ -35,8 +35,9 @@ class ServerLink(Listener):
 
     @property
     def latest(self) -> ServerSnapshot | None:
-        """The server as last seen, None if not connected."""
-        return self.connection.latest if self.connection else None
+        """The server as last seen, None if not connected. Any thread."""
+        connection = self.connection  # the main thread may close it meanwhile
+        return connection.latest if connection else None
 
     @property
     def lost(self) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from pathlib import Path
 
 from audioflinger_hook.daemon.applications import applications_in
@@ -149,14 +150,11 @@ class Supervisor:
             self.output.set_volume(None)
         if not self._endpoints.needs_server:
             return
-        connection = PulseConnection()
-        try:
+        with closing(PulseConnection()) as connection:
             self._locate_tap(connection.latest, self.output.locate(connection.latest))
             check_engine(self.config, connection.latest if self._folder else None)
             if self.output.needs_server:
                 self.output.set_volume(connection)
-        finally:
-            connection.close()
 
     def tick(self, now_s: float) -> None:
         """Do what is due: connect, locate, open, check, recover or rest."""
@@ -238,9 +236,9 @@ class Supervisor:
         self._drop_in.follow(config)
         if restarts or changes.blocks:
             self._endpoints.close()
-        if restarts and config.recording:
-            config.recording.end("another tap needs a new mix, which a replay cannot repeat")
         if restarts:
+            if config.recording:
+                config.recording.end("another tap needs a new mix, which a replay cannot repeat")
             self.engines.drop()
         if changes.any:
             self._idle_policy.wake(now_s)

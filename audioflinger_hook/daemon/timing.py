@@ -6,15 +6,11 @@ from collections.abc import Callable
 
 from audioflinger_hook.service.state import Cause, StateKeeper
 
-FIRST_S, LONGEST_S = 0.05, 0.5
-"""First and longest wait between attempts at a server or a stream, which cost almost nothing."""
+FIRST_S, LONGEST_S = 0.05, 0.5  # between attempts, which cost almost nothing
 
 
 class Backoff:
-    """Waits between attempts: FIRST_S, doubled after every failure, at most `longest_s`.
-
-    Times are seconds of one clock of any kind. Use from one thread at a time.
-    """
+    """Waits between attempts: FIRST_S, doubled after every failure, at most `longest_s`."""
 
     def __init__(self, longest_s: float = LONGEST_S) -> None:
         self._longest_s = longest_s
@@ -76,11 +72,9 @@ class StallDetector:
 
 
 QUIET_S = 5.0  # silence before resting if no application plays
-
+# Although an application plays: its sound may begin without an event, and waking up then loses the
+# first tenths of a second.
 SILENT_S = 10.0
-"""Silence before resting although an application plays. Its sound may begin without an event;
-waking up then loses the first tenths of a second."""
-
 AWAKE_S = 8.0  # at least, as applications may open a stream some time before they play
 
 

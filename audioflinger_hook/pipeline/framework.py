@@ -96,7 +96,7 @@ class Framework:
 
     @property
     def latency_s(self) -> float:
-        """Seconds by which the vibration comes after its sound."""
+        """The same in seconds."""
         return self.latency_frames / self.samplerate
 
     @property
@@ -123,9 +123,7 @@ class Framework:
         """Use other parameters and another gain from the next cycle on; nothing else may differ.
 
         A new gain is reached within one buffer. With other parameters the vibration fades out
-        within one buffer and restarts `latency_frames` later.
-
-        UsageError: the settings cannot be used with this mix; nothing has changed.
+        within one buffer and restarts `latency_frames` later. UsageError: nothing has changed.
         """
         if settings.transform_parameters != self.settings.transform_parameters:
             self._try(settings)
@@ -153,10 +151,7 @@ class Framework:
         return [f"effect bypassed: {reason}" for reason in self.bypassed()]
 
     def look_for_blocked(self, now_s: float) -> None:
-        """Bypass other effects that keep the audio thread; call it at least every 0.1 s.
-
-        For one other thread, and only while sound that is also played elsewhere is processed.
-        """
+        """Bypass other effects that keep the audio thread; for one other thread, every 0.1 s."""
         others = [effect for effect in self._chains.effects() if effect is not self.haptic]
         self._block_watch.look(others, now_s)
 

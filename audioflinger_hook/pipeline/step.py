@@ -96,10 +96,7 @@ class Pipeline:
         return Step(audio, self._sink.sent.copy())
 
     def close(self) -> None:
-        """Close the client and finish every output.
-
-        The first one comes last: it has not replaced its file yet if another one fails.
-        """
+        """Close the client and finish every output, the first one last, in case another fails."""
         self._client.close()
         for output in reversed(self._outputs):
             output.close()

@@ -106,13 +106,8 @@ def install(places: Places, profile: str, device: str | None, rates_hz: tuple[in
         for name, made in texts.items():
             write_bytes_atomically(places.bundle / name, made(variants, MARKER).encode())
         if device is not None:
-            chain = _filled(
-                "chain.conf",
-                profile=profile,
-                plugin=json.dumps(str(places.plugin)),
-                device=json.dumps(device),
-            )
-            write_bytes_atomically(places.chain, chain)
+            names = {"plugin": json.dumps(str(places.plugin)), "device": json.dumps(device)}
+            write_bytes_atomically(places.chain, _filled("chain.conf", profile=profile, **names))
             if not any((folder / HOST).exists() for folder in (places.host.parent, *HOST_FOLDERS)):
                 write_bytes_atomically(places.host, _filled("host.conf"))
     except OSError as error:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -14,7 +14,7 @@ from device.errors import NotFoundError
 
 INPUT, OUTPUT, CONTROL, AUDIO = 1, 2, 4, 8
 TOGGLED = 0x4
-OF_THE_DAEMON = ("haptic_cushion_daemon",)
+OF_THE_DAEMON = "haptic_cushion_daemon"
 
 
 class _Range(ctypes.Structure):
@@ -65,33 +65,21 @@ class PluginVariant:
 
 def public_variants(plugin: Path) -> tuple[PluginVariant, ...]:
     """Return the variants that any host may use. NotFoundError: the file cannot be loaded."""
-    return tuple(variant for variant in _variants(plugin) if variant.label not in OF_THE_DAEMON)
-
-
-def _variants(plugin: Path) -> Iterator[PluginVariant]:
     try:
         describe = ctypes.CDLL(str(plugin)).ladspa_descriptor
     except (OSError, AttributeError) as error:
         raise NotFoundError(f"the plugin cannot be loaded: {error}; run `make run`") from None
     describe.argtypes, describe.restype = [ctypes.c_ulong], ctypes.POINTER(VariantDescriptor)
-    index = 0
-    while found := describe(index):
-        index += 1
-        shown = found.contents
-        yield PluginVariant(
-            shown.label.decode(),
-            shown.name.decode(),
-            tuple(
-                Port(
-                    shown.port_names[port].decode(),
-                    shown.port_descriptors[port],
-                    bool(shown.port_ranges[port].hint & TOGGLED),
-                    shown.port_ranges[port].lower,
-                    shown.port_ranges[port].upper,
-                )
-                for port in range(shown.port_count)
-            ),
-        )
+    variants: list[PluginVariant] = []
+    while found := describe(len(variants)):
+        shown, ports = found.contents, []
+        for port in range(shown.port_count):
+            name, kind = shown.port_names[port].decode(), shown.port_descriptors[port]
+            limits = shown.port_ranges[port]
+            toggled = bool(limits.hint & TOGGLED)
+            ports.append(Port(name, kind, toggled, limits.lower, limits.upper))
+        variants.append(PluginVariant(shown.label.decode(), shown.name.decode(), tuple(ports)))
+    return tuple(variant for variant in variants if variant.label != OF_THE_DAEMON)
 
 
 DESCRIPTION = "haptic_cushion.ttl"

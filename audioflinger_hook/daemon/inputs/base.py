@@ -40,8 +40,7 @@ class FixedNode:
 class Endpoint(ABC):
     """An input or an output, with its address. For the supervising thread alone."""
 
-    needs_server = False
-    """Whether the endpoint belongs to the sound server."""
+    needs_server = False  # whether it belongs to the sound server
 
     def __init__(self, address: object) -> None:
         self.address = address

@@ -48,22 +48,17 @@ class SinkInput(Input):
     ) -> None:
         super().__init__(str(address))
         self.block_frames = block_frames
-        self._on_heard = on_heard
-        self._heard = False
-        self._priority = priority
-        self._retargeted = False
-        self._tap = address
-        self._pcm = pcm
-        self._states = states
-        self._receiver = receiver
+        self._tap, self._pcm, self._states, self._receiver = address, pcm, states, receiver
+        self._priority, self._on_heard = priority, on_heard
+        self._heard = self._retargeted = False
         self._capture, self._listener = (
             ReconnectingStream[CaptureStream]("the tap", states, Cause.TAP_LOST, Cause.TAP_MOVED)
             for _ in range(2)
         )
         self._volume = TapVolume()
         self._found: Source | None = None
-        self._muted = ""
         self._source: Source | None = None
+        self._muted = ""
 
     @property
     def name(self) -> str | None:
@@ -217,7 +212,6 @@ class SinkInput(Input):
         )
 
     def _notice(self, frames: Float32Array, now_s: float) -> None:
-        """Notice sound while listening; on PortAudio's thread."""
         if frames.any():
             self._heard = True
             self._on_heard()

@@ -95,8 +95,8 @@ class Chain:
         self.plan = plan
         self.name = f"{NAME}-{os.getpid()}-{next(_numbers)}"
         self.tap, self.vibration = f"{self.name}.tap", f"{self.name}.vibration"
-        files = {end: folder / f"{self.name}.{end}" for end in ("conf", "design", "page", "log")}
-        self._files = files
+        ends = ("conf", "design", "page", "log")
+        self._files = files = {end: folder / f"{self.name}.{end}" for end in ends}
         self._process: subprocess.Popen[bytes] | None = None
         try:
             files["design"].write_bytes(plan.design(drives))

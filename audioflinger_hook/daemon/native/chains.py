@@ -26,8 +26,8 @@ SETTLED_S = 0.3  # longest wait for that sound: nothing may play
 PRIORITY_S = 1.0  # after which the process has its priority, or is refused it
 LEAVE_S = 0.5  # longest wait for a chain's links to vanish before its process ends
 
+# Sets what rigs begin with; the second argument tells the first call for them.
 Restore = Callable[[Sequence[DrivenRig | None], bool], None]
-"""Sets what rigs begin with; the second argument tells the first call for them."""
 
 
 @dataclass
@@ -79,8 +79,7 @@ class RunningChain:
     def has_left(self, graph: Graph, now_s: float) -> bool:
         """Whether the links are gone that are not wanted any more.
 
-        A process that ends while its nodes are linked keeps the cycle waiting, which costs all
-        other streams of the device a cycle: a click.
+        A process that ends while linked costs all other streams of the device a cycle: a click.
         """
         self.left_s = min(self.left_s, now_s)
         nodes = [graph.node_named(name) for name in (self.chain.tap, self.chain.vibration)]
@@ -99,12 +98,10 @@ class Chains:
     def __init__(
         self, config: RunConfig, folder: Path, restore: Restore, designs: DriveDesigns
     ) -> None:
-        self._config = config
-        self._restore = restore
-        self._designs = designs
-        self.problem = ""
-        self._folder = folder
+        self._config, self._folder = config, folder
+        self._restore, self._designs = restore, designs
         self._sound_gain = 1.0
+        self.problem = ""
         self.backoff = Backoff(longest_s=START_WAIT_S)
         self.current: RunningChain | None = None
         self.following: RunningChain | None = None
@@ -131,9 +128,7 @@ class Chains:
 
     def check(self, graph: Graph, now_s: float, *, is_fed: bool) -> None:
         """Drop chains that have ended, or hang although fed, and raise LostError for them."""
-        for running in (self.following, self.current):
-            if running is None:
-                continue
+        for running in reversed(self.running):
             try:
                 running.chain.check()
                 if running.chain.is_stopped:

@@ -69,11 +69,10 @@ class NativeEngine:
         self._wiring = ChainWiring()
         self._has_played = False
         self._faded_s = math.inf
-        self._must_use_monitor = bool(monitor_reason)
+        self.monitor_reason, self._must_use_monitor = monitor_reason, bool(monitor_reason)
         self._refused_until_s, self._refused_wait_s = -math.inf, REFUSED_WAIT_S
         self._session_manager: int | None = None
         self.waits_for = ""
-        self.monitor_reason = monitor_reason
         self.audible = self.is_fed = False
 
     @property
@@ -98,11 +97,6 @@ class NativeEngine:
         """Whether it was to have real-time priority and has none."""
         current = self.chains.current
         return self._config.live.realtime and current is not None and current.has_realtime is False
-
-    @property
-    def server(self) -> str:
-        """The server's name and version, such as "PipeWire 1.4.2"."""
-        return f"PipeWire {self.watch.graph.version}".rstrip()
 
     def follow(self, config: RunConfig) -> None:
         """Use another config; what the plugin cannot change itself needs a new chain."""
@@ -204,7 +198,7 @@ class NativeEngine:
     def _has_session(self, now_s: float) -> bool:
         """Whether the session manager runs; end the chains of before when it has gone.
 
-        WirePlumber 0.4 waits for nodes that played before it started, and links no program.
+        WirePlumber 0.4 would wait for nodes that played before it started, and link no program.
         """
         known, seen = self._session_manager, self.watch.graph.session_manager
         if known is not None and seen != known and not self.waits_for:
@@ -278,10 +272,8 @@ class NativeEngine:
             if may_try and not any(tap.tapped_links(graph, self._wiring.device)):
                 self.monitor_reason = ""
             return
-        wanted: set[tuple[int, int]] = set()
-        for chain in self._wiring.chains:
-            if chain.linked:
-                wanted |= self._wiring.tap_links(graph, chain)
+        chains = [chain for chain in self._wiring.chains if chain.linked]
+        wanted = {link for chain in chains for link in self._wiring.tap_links(graph, chain)}
         if self.watch.keeper.missing_for_s(wanted, now_s) <= REFUSED_S:
             return
         refused = "PipeWire does not make the links from the streams that play"

@@ -47,9 +47,9 @@ _LEVEL_BYTES = ctypes.sizeof(Level)
 _AFTER_LEVEL = ctypes.sizeof(ActuatorReadings) - _LEVEL_BYTES
 
 
+# Counts of channels, actuators and partials, and their numbers: peak and mean square of each
+# channel and each actuator; Hz of the sound, Hz of vibration and amplitude of each partial.
 Shown = tuple[tuple[int, int, int], tuple[float, ...]]
-"""Counts of channels, actuators and partials, and their numbers: peak and mean square of each
-channel and each actuator; Hz of the sound, Hz of vibration and amplitude of each partial."""
 
 
 class ShownReader:
@@ -91,9 +91,5 @@ class ShownReader:
                 break
         else:
             count = 0
-        numbers = (
-            *found[:first],
-            *found[partials + 3 * PARTIALS :],
-            *found[partials : partials + 3 * count],
-        )
-        return (self.channels, self.actuators, count), numbers
+        actuators, shown = found[partials + 3 * PARTIALS :], found[partials : partials + 3 * count]
+        return (self.channels, self.actuators, count), (*found[:first], *actuators, *shown)

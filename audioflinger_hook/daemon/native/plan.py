@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.core.design import core_design
@@ -21,22 +20,13 @@ from device.errors import CushionError
 from device.units import FloatArray
 
 
-class DriveChoice(NamedTuple):
-    """What is chosen for an actuator's rig, as in the config."""
-
-    rig: str = "paper"
-    damping: str = "off"
-    protection: str = "off"
-    exposure_cap: str = "off"
-
-
 @dataclass(frozen=True)
 class ChainPlan:
     """The fixed part of a chain; another plan needs another chain.
 
     sources: of vibrations, empty for one of the mono mix, or one for each channel. outputs: count
     of vibrations. actuators: for each, the number of its vibration. drives: of each named
-    actuator, or one for all.
+    actuator, or one for all: rig, damping, protection and exposure cap as in the config.
     """
 
     samplerate: int
@@ -45,7 +35,7 @@ class ChainPlan:
     outputs: int
     actuators: tuple[int, ...]
     parameters: TransformParameters
-    drives: tuple[DriveChoice, ...] = (DriveChoice(),)
+    drives: tuple[tuple[str, str, str, str], ...]
 
     @classmethod
     def of(cls, settings: Settings, tap: Tap, samplerate: int) -> ChainPlan:
@@ -59,7 +49,7 @@ class ChainPlan:
         # As in the Python engine, the mix alone needs no weights.
         mixed = () if sources in ((), ("mix",)) else sources
         drives = tuple(
-            DriveChoice(
+            (
                 one.rig or settings.rig,
                 one.damping or settings.damping,
                 one.protection or settings.protection,
@@ -88,8 +78,8 @@ class ChainPlan:
     def drive_plans(self) -> list[DrivePlan | None]:
         """Return the plan of each of `drives`. UsageError: there is no such rig."""
         return [
-            DrivePlan.of(one.rig, self.samplerate, one.damping, one.protection, one.exposure_cap)
-            for one in self.drives
+            DrivePlan.of(rig, self.samplerate, damping, protection, exposure_cap)
+            for rig, damping, protection, exposure_cap in self.drives
         ]
 
     def design(self, drives: Sequence[DriveDesign | None]) -> bytes:

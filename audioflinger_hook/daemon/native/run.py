@@ -42,12 +42,9 @@ class NativeRun:
         on_change: Callable[[], None],
         restore: Restore,
     ) -> None:
-        self._restore = restore
+        self._config, self._folder, self._states = config, folder, states
+        self._on_change, self._restore = on_change, restore
         self._designs = DriveDesigns()
-        self._config = config
-        self._folder = folder
-        self._states = states
-        self._on_change = on_change
         self._played_s = -QUIET_S
         self._volume_of: tuple[PulseConnection, int] | None = None
         self.engine: NativeEngine | None = None
@@ -85,8 +82,7 @@ class NativeRun:
         try:
             engine = self._opened()
             self._set_volume(device, connection, volume)
-            streams_gain, monitor_gain = sound_gains
-            engine.set_sound_gains(streams=streams_gain, monitor=monitor_gain)
+            engine.set_sound_gains(streams=sound_gains[0], monitor=sound_gains[1])
             plays = engine.maintain(source, device, now_s)
         except CushionError as error:
             self._fail(error, now_s)
@@ -143,10 +139,9 @@ class NativeRun:
 
     def _fail(self, error: CushionError, now_s: float) -> None:
         lost = isinstance(error, LostError)
-        played = self.engine is not None and self._failures == 0 and lost
-        self._failures, self._failed_s = self._failures + 1, now_s
-        if played:
+        if self.engine is not None and self._failures == 0 and lost:
             self._states.recover(Cause.ENGINE_LOST, now_s, str(error))
+        self._failures, self._failed_s = self._failures + 1, now_s
         if self.engine is not None and self.engine.watch.lost:
             self.close()
         if not lost or self._failures >= FAILURES_MAX:

@@ -17,8 +17,8 @@ from device.server import AppRules
 from device.server.graph import Graph, Link, LinkPair, Node
 from device.server.snapshot import Source, Stream
 
+# Beginnings of the names of ports.
 OUT, IN, PLAYBACK, MONITOR = "output_", "input_", "playback_", "monitor_"
-"""Beginnings of the names of ports."""
 
 _REAR = {"BL": "RL", "BR": "RR", "BC": "RC"}  # PipeWire's names of Android's rear positions
 _SIDE = {"BL": "SL", "BR": "SR", "BC": "RC"}  # if the only surrounds are at the sides
@@ -113,26 +113,16 @@ def stream_of(graph: Graph, node: Node) -> Stream:
 
 @lru_cache(maxsize=256)
 def channels_of(position: str, positions: tuple[str, ...]) -> tuple[int, ...]:
-    """Return the channels of the tap that a port of the sink goes to.
-
-    A position that the tap lacks goes to its side, one without a side to all channels.
-    """
+    """Return the tap's channels for a port of the sink: its position, else its side, else all."""
     if position in positions:
         return (positions.index(position),)
     side = position[-1:]
-    same = tuple(
-        channel
-        for channel, name in enumerate(positions)
-        if name[-1:] == side and side in ("L", "R")
-    )
-    return same or tuple(range(len(positions)))
+    same = [n for n, name in enumerate(positions) if side in ("L", "R") and name[-1:] == side]
+    return tuple(same or range(len(positions)))
 
 
 def port_names(channel_map: str, channels: int) -> tuple[str, ...]:
-    """Return the end of each channel's port name, such as "FL"; AUX0, AUX1, ... if unknown.
-
-    channel_map: positions in order, such as "front-left,front-right".
-    """
+    """Return the ends of the ports' names, such as FL for "front-left"; AUX0, ... if unknown."""
     positions = channel_map.split(",") if channel_map else []
     names = tuple(map(_port_name, positions))
     if len(names) == channels and len(set(names)) == channels:
@@ -147,7 +137,7 @@ def _port_name(position: str) -> str:
 
 
 def in_mixing_order(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the ends of port names in the order of the mixer's layout, if they are its positions.
+    """Return the ends of ports' names in the order of the mixer's layout, if they are its own.
 
     The transform adds channels in this order, and its sources go by it.
     """

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from functools import partial
 from typing import Generic, TypeVar
 
 from audioflinger_hook.daemon.inputs.base import AudioNode, Endpoint
@@ -113,10 +114,8 @@ class StreamOutput(Output, Generic[NodeT]):
         super().__init__(address)
         self.block_frames = block_frames
         self.volume = DeviceVolume()
-        self._priority = priority
-        self._pcm = pcm
-        self._states = states
-        self._recording = recording
+        self._pcm, self._priority = pcm, priority
+        self._states, self._recording = states, recording
         self._router = ChannelRouter(actuators)
         self._stream = ReconnectingStream[PlaybackStream](
             "the output", states, Cause.DEVICE_LOST, Cause.DEVICE_MOVED
@@ -203,18 +202,14 @@ class StreamOutput(Output, Generic[NodeT]):
     ) -> PlaybackStream:
         """Return a new stream to this device; the device's volume is set first."""
         self.volume.set(set_volume)
-        recording, samplerate = self._recording, node.samplerate
         sent = None
-        if recording is not None:
-            recording.reopened()
-
-            def sent(frames: Float32Array, now_s: float) -> None:
-                recording.sent(frames, samplerate, now_s)
-
+        if self._recording is not None:
+            self._recording.reopened()
+            sent = partial(self._recording.sent, samplerate=node.samplerate)
         channel_map = self._channel_map(node, self._router.actuators)
         return PlaybackStream(
             self._pcm,
-            samplerate,
+            node.samplerate,
             node.channels,
             self._router.connect(fill, channel_map, self.block_frames),
             sent,
@@ -227,8 +222,8 @@ class StreamOutput(Output, Generic[NodeT]):
 class DeviceVolume:
     """The device's own volume, set when the device is opened. For the supervising thread alone.
 
-    wanted_db: 0 or less, None to leave the volume unchanged. limit_db: the rig's limit, which
-    replaces a higher volume. warning: why the volume is below `wanted_db`, else "".
+    wanted_db: 0 or less, None for no change. limit_db: of the rig. warning: why the volume is below
+    `wanted_db`, or "".
     """
 
     def __init__(self, wanted_db: float | None = None, limit_db: float = 0.0) -> None:

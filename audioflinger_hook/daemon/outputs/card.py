@@ -67,9 +67,7 @@ class CardOutput(StreamOutput[CardNode]):
         **options: Any,
     ) -> None:
         super().__init__(*arguments, **options)
-        self._root = root
-        self._usb_root = usb_root
-        self._target = target
+        self._root, self._usb_root, self._target = root, usb_root, target
         self._mix: tuple[int, int] | None = None
         self._delay_s = 0.0
         self._failed_formats: set[SampleFormat] = set()

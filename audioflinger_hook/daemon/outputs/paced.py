@@ -46,8 +46,7 @@ class PacedOutput(Output):
     ) -> None:
         super().__init__(address)
         self.may_rest = address.kind != "wav"  # a file is as long as the run
-        self._pacer = pacer
-        self._recording = recording
+        self._pacer, self._recording = pacer, recording
         self._job: _Writer | None = None
         self._settings = settings or Settings()
         self._router = ChannelRouter(self._settings.actuators)
@@ -142,17 +141,15 @@ class _Writer:
 
     @property
     def due_s(self) -> float:
-        """End of what was written, in seconds from the start."""
         return self._written.after(0, self.output.samplerate)
 
     def run(self, now_s: float) -> bool:
-        """Write the next block."""
         block, output = self._block, self.output
         self.fill(block, now_s)
         output.write(block)
         self._written.add(len(block), output.samplerate)
         if self._recording:
-            self._recording.sent(block, output.samplerate, now_s)
+            self._recording.sent(block, now_s, output.samplerate)
         return True
 
 
