@@ -71,9 +71,9 @@ def _refusal(config: RunConfig) -> str:
         (not config.tap_is_live, f"the tap {config.tap} is not on the sound server"),
         (not is_server, f"the device {config.device} is not on the sound server"),
         (config.live.drop_in, "drop_in is on"),
-        (config.recording, "the run is recorded"),
+        (config.recording is not None, "the run is recorded"),
         (settings.form != "live", f"transform = {settings.form!r}"),
-        (settings.effects_file, "effects_file is set"),
+        (settings.effects_file is not None, "effects_file is set"),
         (len(settings.actuators) > ACTUATORS, f"there are more than {ACTUATORS} actuators"),
     )
     return next((text for applies, text in reasons if applies), "")

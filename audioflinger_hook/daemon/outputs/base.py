@@ -202,7 +202,7 @@ class StreamOutput(Output, Generic[NodeT]):
     ) -> PlaybackStream:
         """Return a new stream to this device; the device's volume is set first."""
         self.volume.set(set_volume)
-        sent = None
+        sent: Callable[[Float32Array, float], None] | None = None
         if self._recording is not None:
             self._recording.reopened()
             sent = partial(self._recording.sent, samplerate=node.samplerate)
