@@ -31,8 +31,7 @@ from device.errors import UsageError
 from device.units import Record, Records
 
 MAGIC = b"CUSHLIVE"
-FORMAT_VERSION = 4
-"""To be raised whenever a name or the meaning of a value changes."""
+FORMAT_VERSION = 4  # to be raised whenever a name or the meaning of a value changes
 
 HEADER = struct.Struct("<8sIII4x")
 RECORD = struct.Struct("<36sIII")
@@ -50,10 +49,7 @@ def pack(values: Records) -> bytes:
 
 
 def unpack(blob: bytes) -> Records:
-    """Return the named values of `pack`; arrays are read-only views.
-
-    UsageError: the bytes are cut, damaged, of another version or something else.
-    """
+    """Return the named values of `pack`; arrays are read-only. UsageError: no intact design."""
     if blob[: len(MAGIC)] != MAGIC:
         raise UsageError(f"not a design of the live form: does not begin with {MAGIC.decode()}")
     if len(blob) < HEADER.size + CHECKSUM.size:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 from ctypes import POINTER, c_char_p, c_int, c_size_t, c_uint64
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 
@@ -27,12 +26,24 @@ GLIDE_NUMBERS = len(GLIDE_COLUMNS)
 _address = ctypes.c_void_p
 _Nothing = ctypes.c_char * 0
 
+# What each function of core.h returns, and what it takes.
+_FUNCTIONS = {
+    "check": (c_char_p, (_address, c_size_t, POINTER(Info))),
+    "open": (_address, (_address, c_size_t, _address)),
+    "reset": (None, (_address, c_int)),
+    "process": (None, (_address, _address, Sound, _address, c_size_t, _address)),
+    "vibrate": (None, (_address, Sound, _address, c_size_t, _address)),
+    "state": (c_size_t, (_address, _address, c_size_t)),
+    "set_state": (c_int, (_address, _address, c_size_t)),
+    "glides_max": (c_size_t, (_address, c_size_t)),
+    "record": (c_size_t, (_address, _address, c_size_t)),
+}
+
 
 @lru_cache(maxsize=1)
 def library() -> ctypes.PyDLL:
-    """Return the compiled core.
+    """Return the compiled core, which keeps the interpreter's lock: waiting for it takes longer.
 
-    It keeps the interpreter's lock: a call is shorter than waiting for the lock would be.
     NotFoundError: it is not built, or damaged, or of another version.
     """
     path = library_path()
@@ -42,7 +53,9 @@ def library() -> ctypes.PyDLL:
         refuse_cut_off(path)
         found = ctypes.PyDLL(str(path))
         sizes = tuple((c_uint64 * len(STRUCTURES)).in_dll(found, "core_sizes"))
-        _declare(found)
+        for name, (returned, taken) in _FUNCTIONS.items():
+            function = getattr(found, f"core_{name}")
+            function.restype, function.argtypes = returned, taken
     except (ImportError, OSError, ValueError) as error:
         raise NotFoundError(f"the compiled core cannot be loaded: {error}") from error
     except AttributeError:  # it lacks a function
@@ -52,30 +65,12 @@ def library() -> ctypes.PyDLL:
     return found
 
 
-def _declare(found: ctypes.PyDLL) -> None:
-    found.core_check.restype = c_char_p
-    found.core_check.argtypes = [_address, c_size_t, POINTER(Info)]
-    found.core_open.restype, found.core_open.argtypes = _address, [_address, c_size_t, _address]
-    found.core_reset.restype, found.core_reset.argtypes = None, [_address, c_int]
-    found.core_process.restype = None
-    found.core_process.argtypes = [_address, _address, Sound, _address, c_size_t, _address]
-    found.core_vibrate.restype = None
-    found.core_vibrate.argtypes = [_address, Sound, _address, c_size_t, _address]
-    found.core_state.restype, found.core_state.argtypes = c_size_t, [_address, _address, c_size_t]
-    found.core_set_state.restype = c_int
-    found.core_set_state.argtypes = [_address, _address, c_size_t]
-    found.core_glides_max.restype = c_size_t
-    found.core_glides_max.argtypes = [_address, c_size_t]
-    found.core_record.restype, found.core_record.argtypes = c_size_t, [_address, _address, c_size_t]
-
-
 class Core:
     """One stream: sound in, the signals of actuators out.
 
-    One thread calls `process` and `reset`; any thread may write `controls` and read `readings`.
+    One thread calls the methods; any thread may write `controls` and read `readings`.
 
-    design: bytes of `core_design`.
-    info: what the design is for. outputs: columns of what `process` returns.
+    design: bytes of `core_design`. outputs: columns of what `process` returns.
     InternalError: the design cannot be used. NotFoundError: the core is not built.
     """
 
@@ -95,45 +90,37 @@ class Core:
         self._core = self._library.core_open(place, len(design), self._memory.ctypes.data)
         self._controls = ctypes.addressof(self.controls)
         self._readings = ctypes.addressof(self.readings)
-        self._signals = _Room(self.outputs, np.dtype(np.float32))
-        self._vibration = _Room(self.info.vibrations, np.dtype(np.float64))
 
     def process(self, sound: Float32Array | FloatArray) -> Float32Array:
-        """Return as many frames of each output, (frames, outputs), as of sound, (frames, inputs).
-
-        sound: float32 or float64, of any strides.
-        """
-        samples, room, frames = self._samples(sound), self._signals, len(sound)
-        out = room.address(frames)
-        self._library.core_process(self._core, self._controls, samples, out, frames, self._readings)
-        return room.array[:frames].copy()
+        """Return the outputs, (frames, outputs), for float32 or float64 sound, (frames, inputs)."""
+        samples, out = self._samples(sound), np.empty((len(sound), self.outputs), np.float32)
+        self._library.core_process(
+            self._core, self._controls, samples, _address_of(out), len(sound), self._readings
+        )
+        return out
 
     def vibrate(self, sound: Float32Array | FloatArray) -> FloatArray:
         """Return what the transform alone makes of sound, (frames, vibrations), float64."""
-        samples, room, frames = self._samples(sound), self._vibration, len(sound)
-        out = room.address(frames)
-        self._library.core_vibrate(self._core, samples, out, frames, self._readings)
-        return room.array[:frames].copy()
+        samples, out = self._samples(sound), np.empty((len(sound), self.info.vibrations))
+        self._library.core_vibrate(
+            self._core, samples, _address_of(out), len(sound), self._readings
+        )
+        return out
 
     def _samples(self, sound: Float32Array | FloatArray) -> Sound:
-        is_double = sound.dtype == np.float64
         if sound.ndim != 2 or sound.shape[1] != self.info.inputs:
             raise InternalError(
                 f"a block has shape {sound.shape}: (frames, {self.info.inputs}) was expected"
             )
-        if not (is_double or sound.dtype == np.float32) or not sound.flags.aligned:
+        if sound.dtype not in (np.float32, np.float64) or not sound.flags.aligned:
             raise InternalError(
                 f"a block has samples of {sound.dtype}; allowed: aligned float32, float64"
             )
-        strides = sound.strides
-        return Sound(_address_of(sound), strides[0], strides[1], is_double)
+        return Sound(_address_of(sound), *sound.strides, sound.dtype == np.float64)
 
     @property
     def state(self) -> bytes:
-        """What changes as a stream goes on; may be set to that of a like core.
-
-        InternalError: it is set to what no core with this design can have; then it is reset.
-        """
+        """What changes as a stream goes on; may be set to that of a core of the same design."""
         size = self._library.core_state(self._core, None, 0)
         state = ctypes.create_string_buffer(size)
         self._library.core_state(self._core, state, size)
@@ -152,32 +139,15 @@ class Core:
 
     def record_glides(self, frames: int) -> FloatArray:
         """Return the glides since the last call, (glides, 9), and have room for more frames."""
-        kept, self._glides = (
-            self._glides,
-            np.empty((self._library.core_glides_max(self._core, frames), GLIDE_NUMBERS)),
-        )
-        written = self._library.core_record(self._core, self._glides.ctypes.data, len(self._glides))
+        kept, rows = self._glides, self._library.core_glides_max(self._core, frames)
+        self._glides = np.empty((rows, GLIDE_NUMBERS))
+        written = self._library.core_record(self._core, self._glides.ctypes.data, rows)
         return kept[:written]
 
     def reset(self, *, doses_too: bool = False) -> None:
         """Return to rest; temperatures and doses stay unless asked."""
         self._library.core_reset(self._core, doses_too)
         self.readings.partials_count = 0
-
-
-class _Room:
-    """Memory for what a call writes, which grows with the largest block. array: all of it."""
-
-    def __init__(self, columns: int, dtype: np.dtype[Any]) -> None:
-        self.array = np.empty((0, columns), dtype)
-        self._at = 0
-
-    def address(self, frames: int) -> int:
-        """Return where so many frames fit."""
-        if frames > len(self.array) or not self._at:
-            self.array = np.empty((max(frames, 1), self.array.shape[1]), self.array.dtype)
-            self._at = self.array.ctypes.data
-        return self._at
 
 
 def _address_of(samples: Float32Array | FloatArray) -> int:

@@ -16,15 +16,12 @@ import numpy as np
 
 from device.units import FloatArray
 
-NUMBER_BITS = 40
-"""Significant bits of a number."""
-TABLE_BITS = 32
-"""Significant bits of an entry of a table, ..."""
+NUMBER_BITS = 40  # significant bits of a number
+TABLE_BITS = 32  # significant bits of an entry of a table
+# An entry near 0 may be a difference of large numbers, so its last bit is at most this far below
+# the table's largest entry.
 TABLE_FLOOR_BITS = 38
-"""... whose last is not less than the table's largest entry by this many bits: an entry near 0 may
-be a difference of large numbers."""
-ROOT_BITS = 40
-"""Bits after the point of a pole or zero."""
+ROOT_BITS = 40  # bits after the point of a pole or zero
 
 
 def round_number(number: float, bits: int = NUMBER_BITS) -> float:
@@ -36,10 +33,7 @@ def round_number(number: float, bits: int = NUMBER_BITS) -> float:
 
 
 def round_table(table: FloatArray) -> FloatArray:
-    """Return a table of the same shape whose entries have `TABLE_BITS` significant bits or less.
-
-    table: finite.
-    """
+    """Return a finite table with at most `TABLE_BITS` significant bits in each entry."""
     _, exponents = np.frexp(table)
     largest = int(exponents.max(initial=-1000, where=table != 0.0))
     last = np.maximum(exponents - TABLE_BITS, largest - TABLE_FLOOR_BITS)
@@ -48,32 +42,23 @@ def round_table(table: FloatArray) -> FloatArray:
 
 
 def round_section(section: Any, exact: Sequence[str] = ()) -> Any:
-    """Return a section of a design, a dataclass, with its numbers and tables rounded.
-
-    exact: names of fields that stay as they are.
-    """
+    """Return a section of a design, a dataclass, rounded but for the fields named in `exact`."""
     changes: dict[str, Any] = {}
     for item in fields(section):
         value = getattr(section, item.name)
-        if item.name in exact or item.type not in ("float", "FloatArray"):
-            continue
-        changes[item.name] = (
-            round_number(float(value)) if item.type == "float" else round_table(value)
-        )
+        if item.type == "float" and item.name not in exact:
+            changes[item.name] = round_number(float(value))
+        elif item.type == "FloatArray" and item.name not in exact:
+            changes[item.name] = round_table(value)
     return replace(section, **changes)
 
 
 def round_filter(
     zeros: Iterable[complex], poles: Iterable[complex], gain: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return b and a of a digital filter from its rounded zeros, poles and gain.
-
-    Complex zeros and poles come in conjugate pairs, as `scipy.signal` returns them with
-    `output="zpk"`.
-    """
-    scale = round_number(float(gain))
-    b = [scale * entry for entry in _polynomial(zeros)]
-    return np.array(b), np.array(_polynomial(poles))
+    """Return b and a of a digital filter from rounded roots, in conjugate pairs, and a gain."""
+    b = round_number(float(gain)) * np.array(_polynomial(zeros))
+    return b, np.array(_polynomial(poles))
 
 
 def round_sections(zeros: Iterable[complex], poles: Iterable[complex], gain: float) -> FloatArray:
@@ -109,10 +94,9 @@ def _polynomial(roots: Iterable[complex]) -> list[float]:
 
     NumPy's products of arrays may join a product and a sum in one rounding on some processors.
     """
-    found = [1.0]
+    found, scale = [1.0], 2.0**ROOT_BITS
     for root in sorted((complex(one) for one in roots), key=lambda one: (one.real, abs(one.imag))):
-        real, imaginary = (round(part * 2.0**ROOT_BITS) / 2.0**ROOT_BITS
-                           for part in (root.real, abs(root.imag)))  # fmt: skip
+        real, imaginary = (round(part * scale) / scale for part in (root.real, abs(root.imag)))
         if imaginary == 0.0:
             found = _product(found, [1.0, -real])
         elif root.imag > 0.0:
@@ -124,5 +108,5 @@ def _product(one: list[float], other: list[float]) -> list[float]:
     found = [0.0] * (len(one) + len(other) - 1)
     for at, left in enumerate(one):
         for shift, right in enumerate(other):
-            found[at + shift] = found[at + shift] + left * right
+            found[at + shift] += left * right
     return found

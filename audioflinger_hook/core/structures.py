@@ -7,7 +7,6 @@ from ctypes import c_double, c_int, c_ssize_t, c_uint32, c_uint64
 
 CHANNELS, ACTUATORS, PARTIALS = 8, 64, 16
 LIMITED_BY = ("", "excursion, current or level", "temperature", "outside")
-"""`limited_by` in words."""
 
 GLIDE_COLUMNS = (
     "frame",
@@ -30,13 +29,8 @@ class Info(ctypes.Structure):
     """What a design is for."""
 
     _fields_ = (
-        ("samplerate", c_uint32),
-        ("inputs", c_uint32),
-        ("vibrations", c_uint32),
-        ("actuators", c_uint32),
-        ("latency_frames", c_uint32),
-        ("tonal_latency_frames", c_uint32),
-        ("drive_latency_frames", c_uint32),
+        *((name, c_uint32) for name in ("samplerate", "inputs", "vibrations", "actuators")),
+        *((f"{name}latency_frames", c_uint32) for name in ("", "tonal_", "drive_")),
         ("delay_frames_max", c_uint32),
         ("memory_bytes", c_uint64),
     )
@@ -53,12 +47,13 @@ class Sound(ctypes.Structure):
     )
 
 
+_SAFETY = ("coil_c", "magnet_c", "time_s", "squares", "fourths", "above")
+
+
 class ActuatorSafety(ctypes.Structure):
     """What must outlive a process; temperatures in °C."""
 
-    _fields_ = tuple(
-        (name, c_double) for name in ("coil_c", "magnet_c", "time_s", "squares", "fourths", "above")
-    )
+    _fields_ = tuple((name, c_double) for name in _SAFETY)
 
 
 class ActuatorControls(ctypes.Structure):
@@ -90,22 +85,9 @@ class Level(ctypes.Structure):
     _fields_ = (("peak", c_double), ("mean_square", c_double))
 
 
-_ACTUATOR_NUMBERS = (
-    "audible",
-    "gain",
-    "least_gain",
-    "exposure_gain",
-    "excursion_m",
-    "coil_c",
-    "magnet_c",
-    "time_s",
-    "squares",
-    "fourths",
-    "above",
-    "running_m_s2",
-    "undamped_squares",
-)
-_ACTUATOR_COUNTS = ("blocks", "limited_blocks", "infeasible_blocks", "replaced", "limited_by")
+_GAINS = ("audible", "gain", "least_gain", "exposure_gain")
+_FELT = ("running_m_s2", "undamped_squares")
+_COUNTS = ("blocks", "limited_blocks", "infeasible_blocks", "replaced", "limited_by")
 
 
 class ActuatorReadings(ctypes.Structure):
@@ -113,8 +95,8 @@ class ActuatorReadings(ctypes.Structure):
 
     _fields_ = (
         ("level", Level),
-        *((name, c_double) for name in _ACTUATOR_NUMBERS),
-        *((name, c_uint64) for name in _ACTUATOR_COUNTS),
+        *((name, c_double) for name in (*_GAINS, "excursion_m", *_SAFETY, *_FELT)),
+        *((name, c_uint64) for name in _COUNTS),
     )
 
 

@@ -8,8 +8,7 @@ from audioflinger_hook.service.status import Application
 from device.server import AppRules, ServerSnapshot
 from device.server.app_rules import app_name
 
-APPLICATIONS_MAX = 32
-"""Largest number of applications in the status."""
+APPLICATIONS_MAX = 32  # in the status
 
 
 def applications_in(
@@ -17,8 +16,8 @@ def applications_in(
 ) -> tuple[Application, ...]:
     """Return the applications in a snapshot, in the server's order; () without a server.
 
-    rules: what selects them; None: those that play to the sink whose monitor is `source`.
-    haptic_sink: the vibration's, which nothing is captured from. Any thread.
+    rules: what selects them; None: those that play to the sink whose monitor is `source`. Nothing
+    is captured from `haptic_sink`. Any thread.
     """
     if snapshot is None:
         return ()
@@ -43,10 +42,7 @@ def applications_in(
 def choosing(
     name: str, is_felt: bool, include: tuple[str, ...], exclude: tuple[str, ...]
 ) -> dict[str, tuple[str, ...]]:
-    """Return the rules, by key of the config, that include or exclude one application.
-
-    include, exclude: the rules until now.
-    """
+    """Return the rules, by key of the config, that include or exclude one more application."""
     rule = f"application:{name}" if ":" in name else name
     own = {name.casefold(), rule.casefold()}
     excluded = tuple(one for one in exclude if one.casefold() not in own)

@@ -14,15 +14,9 @@ from audioflinger_hook.daemon.recording import RunRecording
 from audioflinger_hook.sources import PushTap, TapClient
 from device.units import Float32Array
 
-UNASKED_S = 0.05
-"""If the output has not called for this time, the capture's thread mixes."""
-
-
-UNDONE_MAX_DB = 40.0
-"""Largest volume that is undone: below it, a sink of 16 bits has mostly noise left."""
-
-PIPEWIRE_UNDONE_MAX_DB = 80.0
-"""The same on PipeWire, which mixes in floats: a volume of 5 %."""
+UNASKED_S = 0.05  # if the output has not called for this time, the capture's thread mixes
+UNDONE_MAX_DB = 40.0  # below this volume, a sink of 16 bits has mostly noise left
+PIPEWIRE_UNDONE_MAX_DB = 80.0  # the same on PipeWire, which mixes in floats: 5 %
 
 
 class FrameReceiver(Protocol):
@@ -30,15 +24,12 @@ class FrameReceiver(Protocol):
 
     def opened(self, samplerate: int, channels: int) -> bool:
         """Prepare for a new stream (Hz, channels); return whether the format has changed."""
-        ...
 
     def moved(self) -> None:
         """Prepare for the stream to move to another source. Any thread."""
-        ...
 
     def push(self, frames: Float32Array, now_s: float) -> None:
         """Take (frames, channels) that arrived at `now_s`; on the capture's thread."""
-        ...
 
 
 def undone_db(volume_db: float, server: str) -> float:
@@ -50,9 +41,8 @@ def undone_db(volume_db: float, server: str) -> float:
 class SoundGain:
     """A factor on the frames of a tap, which changes over one buffer.
 
-    A factor above 1 brings no sample over full scale. A volume may rise before the server reports
-    it, and the factor of the old one would be far too large for a moment. The capture's thread
-    calls `apply`; any thread may set `wanted`.
+    A factor above 1 brings no sample over full scale: a volume may rise before the server reports
+    it. The capture's thread calls `apply`; any thread may set `wanted`.
     """
 
     def __init__(self) -> None:
@@ -78,12 +68,10 @@ class Feed:
     """Passes one tap's buffers to an engine at once, after a recording has taken them.
 
     The supervising thread calls `client` and `serve` before the first buffer, and `opened` while
-    no thread pushes. engine: None before `serve`. gain: of the frames before all else, so that a
-    recording has it as well.
+    no thread pushes. gain: of the frames before all else, so that a recording has it as well.
     """
 
-    records_mix = False
-    """Whether a recording takes the mix instead of the buffers."""
+    records_mix = False  # a recording takes the buffers
 
     def __init__(self, recording: RunRecording | None = None) -> None:
         self.engine: Engine | None = None
@@ -185,15 +173,11 @@ class CaptureQueue(Feed):
 
     def pull(self) -> None:
         """Mix all queued buffers, unless the other thread is mixing."""
-        engine = self.engine
-        if not self._arrived or engine is None:
-            return
-        if not self._mixing.acquire(blocking=False):
-            return
-        try:
-            self._mix()
-        finally:
-            self._mixing.release()
+        if self._arrived and self.engine and self._mixing.acquire(blocking=False):
+            try:
+                self._mix()
+            finally:
+                self._mixing.release()
 
     def _mix(self) -> None:
         arrived, engine = self._arrived, self.engine

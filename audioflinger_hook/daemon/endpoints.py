@@ -24,8 +24,6 @@ from device.stream import AudioPriority, PcmConfig
 class Endpoints:
     """Input and output of one run. For the supervising thread alone.
 
-    needs_server: whether input or output uses the sound server. feed: takes the input's buffers.
-
     UsageError, NotFoundError: a file cannot be used, or a rule for applications has a mistake.
     """
 
@@ -38,9 +36,7 @@ class Endpoints:
         on_heard: Callable[[], None],
     ) -> None:
         self.needs_server = config.needs_server
-        self._states = states
-        self._priority = priority
-        self._on_heard = on_heard
+        self._states, self._priority, self._on_heard = states, priority, on_heard
         is_live = config.tap_is_live or config.device_is_live
         self._pacer = Pacer(clocks.now_s, exact=not is_live)
         self._pcms: PcmConfig | None = None

@@ -10,7 +10,6 @@ import numpy as np
 
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.daemon.live_memory import LiveMemory
-from audioflinger_hook.daemon.soft_fade import SoftFade
 from audioflinger_hook.pipeline.framework import Framework, drive_of
 from audioflinger_hook.pipeline.step import Pipeline
 from audioflinger_hook.service.meters import BufferClock, BufferedLevelMeter, LevelMeter
@@ -20,18 +19,14 @@ from device.clock.frame_clock import STALLED_S
 from device.errors import UsageError
 from device.units import Float32Array, FloatArray
 
+# Even on an idle machine callbacks are sometimes late by some ms, and the delay must not follow
+# such lateness. This time also lets the output usually read four blocks of 256 frames at once.
 LATENESS_LEAST_S = 0.0125
-"""Even on an idle machine callbacks are sometimes late by some ms, and the delay must not follow
-such lateness. This time also lets the output usually read four blocks of 256 frames at once."""
+CYCLE_BLOCKS = 8  # mixed at most in one cycle
+READ_BLOCKS = 4  # read from the delay line at most at once
+FADED = 1e-6  # vibration below this share of full scale (-120 dB) counts as silence
 
-CYCLE_BLOCKS = 8
-"""Largest number of blocks mixed in one cycle."""
-
-READ_BLOCKS = 4
-"""Largest number of blocks read from the delay line at once."""
-
-FADED = 1e-6
-"""Vibration below this share of full scale (-120 dB) counts as silence."""
+FADE_S = 0.04  # as in the plugin; at full scale it leaves -59 dB above 250 Hz of 50 Hz
 
 
 @dataclass(frozen=True)
@@ -46,11 +41,10 @@ class Clocks:
     slept_s: Callable[[], float] = float
 
 
+# Called with (sound as mixed, vibration as sent, time) of one cycle.
 OnStep = Callable[[Float32Array, Float32Array, float], None]
-"""Called with (sound as mixed, vibration as sent, time) of one cycle."""
-
+# Called with (sound before all effects, time).
 OnMix = Callable[[Float32Array, float], None]
-"""Called with (sound before all effects, time)."""
 
 
 class Engine:
@@ -60,15 +54,13 @@ class Engine:
     calls `fill`. No thread waits for the other. Any thread may read the attributes.
 
     client: plays into the mix, which has its sample rate and channels. offset_s: the user's
-    addition to the delay. block_frames: block length of the input and output streams. bypass_late:
-    whether to bypass an effect that takes too long; for sound that is also played elsewhere.
-    on_step: receives each cycle's sound and vibration, which it may keep. on_mix: receives the mix
-    before all effects, which it must copy. last_sound_s: when the latest frames that were not
-    silent arrived. faded: whether the latest measured vibration is below FADED. sound, vibration:
-    levels of the mix, and of the vibration before the drive. driven: level of each named actuator.
-    before_fill: called by `fill` before it reads; set it before the first `fill`. mute: fade of
-    what `fill` writes.
-    live: what a live page reads, None for nothing; set it before the first `advance`.
+    addition to the delay. block_frames: of the input and output streams. bypass_late: whether to
+    bypass an effect that takes too long; for sound that is also played elsewhere. on_step may keep
+    what it receives; on_mix must copy it. last_sound_s: when sound that was not silent last
+    arrived. faded: whether the vibration is below FADED. sound, vibration: levels of the mix, and
+    of the vibration before the drive. driven: level of each named actuator. mute: fade of what
+    `fill` writes. before_fill: called by `fill` before it reads. live: what a live page reads. Set
+    these two before the first `fill` and `advance`.
     """
 
     def __init__(
@@ -103,11 +95,9 @@ class Engine:
         self.drive = drive_of(chosen, self.samplerate, self.framework.haptic_channels)
         self.driven = [BufferedLevelMeter(self.samplerate) for _ in chosen.actuators]
         self.delay_line = self._line(output_samplerate, offset_s)
-        self.sound = BufferedLevelMeter(self.samplerate)
-        self.vibration = BufferedLevelMeter(self.samplerate)
+        self.sound, self.vibration = (BufferedLevelMeter(self.samplerate) for _ in range(2))
         self.buffer_times = BufferClock()
-        self.buffers = 0
-        self.frames = 0
+        self.buffers = self.frames = 0
         self.frames_max = self.framework.mixer.frames
         self.before_fill: Callable[[], None] = lambda: None
         self.mute = SoftFade(output_samplerate)
@@ -146,9 +136,9 @@ class Engine:
             self._drop_ahead()
 
     def follow(self, settings: Settings, offset_s: float) -> None:
-        """Change levels, parameters and offset while running; for the supervising thread.
+        """Change levels, parameters and offset while running, as `Drive.change` allows.
 
-        Actuators may change level, polarity, delay, and swap sources. UsageError: nothing changed.
+        For the supervising thread. UsageError: nothing has changed.
         """
         before_s = self.delay_line.offset_s
         self.delay_line.offset_s = offset_s
@@ -165,8 +155,7 @@ class Engine:
         now_s: when the sound arrived; earlier: arrival of earlier parts, see `DelayLine.write`.
         """
         began_s = self._clocks.used_s()
-        self._drive_output.now_s = now_s
-        self._drive_output.earlier = earlier
+        self._drive_output.now_s, self._drive_output.earlier = now_s, earlier
         step = self._chain.step(now_s)
         if step is None:
             return False
@@ -190,10 +179,7 @@ class Engine:
         return True
 
     def finish(self, now_s: float) -> Float32Array:
-        """Play the client to its end; return the last vibration, for the delay line.
-
-        For the thread of `advance`, which must not be called again.
-        """
+        """Play the client to its end; return the last vibration. For the thread of `advance`."""
         held = self._drive_output.held = []
         while self.advance(now_s):
             pass
@@ -204,11 +190,9 @@ class Engine:
         """Clear the delay line, the drive and all levels; call it while no stream runs."""
         self.delay_line.flush()
         self.drive.flush()
-        for gathered in self.driven:
-            gathered.reset()
         self._drop_ahead()
-        self.sound.reset()
-        self.vibration.reset()
+        for gathered in (self.sound, self.vibration, *self.driven):
+            gathered.reset()
 
     @property
     def driven_meters(self) -> list[LevelMeter]:
@@ -236,13 +220,11 @@ class Engine:
 
     def _read_on(self, frames: int, now_s: float) -> None:
         """Read `frames` frames from the delay line, and more if they are already available."""
-        kept = self.read_ahead
+        kept, line = self.read_ahead, self.delay_line
         held = len(kept)
-        missing = frames - held
         self.before_fill()
-        line = self.delay_line
-        ahead = (line.readable - missing) // frames
-        ahead = frames * max(0, min(READ_BLOCKS - 1, ahead))
+        blocks = (line.readable - (frames - held)) // frames
+        ahead = frames * max(0, min(READ_BLOCKS - 1, blocks))
         needed = frames + ahead
         if len(self._read) < needed:
             self._read = np.zeros((frames * READ_BLOCKS, kept.shape[1]), np.float32)
@@ -255,12 +237,34 @@ class Engine:
         self._start = self._end = 0
 
 
-class _DriveOutput:
-    """The drive and the delay line as an output of the chain.
+class SoftFade:
+    """A factor for the output, which moves to 0 or 1 without a bend at either end.
 
-    now_s, earlier: arrival times of this cycle's frames. held: if not None, collects the blocks
-    instead of the delay line.
+    The output's thread calls `apply`; any thread may set `audible`, which the factor moves to, and
+    read position: 0 while silent, 1 at full level.
     """
+
+    def __init__(self, samplerate: int) -> None:
+        self.audible, self.position = True, 1.0
+        self._step = 1.0 / (FADE_S * samplerate)
+
+    def apply(self, out: Float32Array) -> None:
+        """Multiply the next frames; at full level they stay the same, bit for bit."""
+        wanted = 1.0 if self.audible else 0.0
+        if self.position == wanted:
+            if not wanted:
+                out[:] = 0.0
+            return
+        step = self._step if wanted else -self._step
+        places = self.position + step * np.arange(1, len(out) + 1)
+        places = np.clip(places, 0.0, 1.0, out=places)
+        out *= (places * places * (3.0 - 2.0 * places))[:, None]
+        if len(out):
+            self.position = float(places[-1])
+
+
+class _DriveOutput:
+    """The drive and the delay line as an output of the chain; `held` collects blocks instead."""
 
     def __init__(self, engine: Engine) -> None:
         self._engine = engine
@@ -271,19 +275,17 @@ class _DriveOutput:
         self.channels = engine.framework.haptic_channels
 
     def write(self, vibration: FloatArray | Float32Array) -> None:
-        """Drive one block, and write it to the delay line."""
         engine = self._engine
         vibration = engine.drive.process(np.asarray(vibration, np.float32))
         for index, gathered in enumerate(engine.driven):
             gathered.add(vibration[:, index : index + 1])
         if self.held is not None:
             self.held.append(np.array(vibration, np.float32))
-            return
-        engine.delay_line.write(vibration, self.now_s, self.earlier)
+        else:
+            engine.delay_line.write(vibration, self.now_s, self.earlier)
 
     def close(self) -> None:
         """Do nothing, as no resource is held."""
 
     def abort(self) -> None:
-        """Drop what is waiting."""
         self._engine.delay_line.flush()

@@ -28,28 +28,19 @@ from device.server import PulseConnection, ServerSnapshot
 from device.stream.callback_thread import priority_advice
 from device.units import db_to_amplitude
 
-CHANGE_TICK_S = 0.02
-"""Time between ticks during a change of engine."""
-
-PLAYED_S = 0.1
-"""From the end of a fade until the device has played it."""
-
-FADE_MAX_S = 0.5
-"""Longest wait for the end of a fade: on a busy machine, the output's thread is late."""
-
-NATIVE_TICK_S = 0.25
-"""Time between ticks while the native engine plays; what it waits for wakes the daemon."""
+CHANGE_TICK_S = 0.02  # between ticks during a change of engine
+PLAYED_S = 0.1  # from the end of a fade until the device has played it
+FADE_MAX_S = 0.5  # longest wait for a fade: on a busy machine, the output's thread is late
+NATIVE_TICK_S = 0.25  # between ticks while the native engine plays; events wake the daemon
 
 
 class Engines:
     """The engines of one run; one of them plays. For the supervising thread alone.
 
     folder: private, for files of the native engine and of a live page; None: only the Python
-    engine, and no such file. on_change: called by another thread when PipeWire's graph changes.
-    safety: what the driven rigs must not forget. volume_db: the listener's volume that is undone, 0
-    dB for 100 %. python: what the audio threads run; None before the first sound, and while the
-    native engine plays. native: the native engine and its failures. reason: why the Python engine
-    computes, "" while the native one does.
+    engine, and no such file. safety: what the driven rigs must not forget. volume_db: the volume
+    that is undone, 0 dB for 100 %. python: None before the first sound, and while the native
+    engine plays. reason: why the Python engine computes, "" while the native one does.
     """
 
     def __init__(
@@ -69,11 +60,9 @@ class Engines:
         self._endpoints = endpoints
         self._folder = folder
         self._ends_s: float | None = None
-        self._played_s = 0.0
         self._chosen_for: tuple[object, ...] = ()
         self._streams_gain = 1.0
-        self._heard_before_s = 0.0
-        self.volume_db = 0.0
+        self._played_s = self._heard_before_s = self.volume_db = 0.0
         self.python: Engine | None = None
         self.native = NativeRun(config, folder, states, on_change, self._restore)
         self.reason = "nothing has played yet"
@@ -82,16 +71,13 @@ class Engines:
     def tick_s(self) -> float | None:
         """Longest time until the next tick, None for the usual one."""
         native = self.native.engine
-        if self._ends_s is not None or (native and (self.reason or native.is_designing)):
+        if self._ends_s is not None or (native and (self.reason or native.designs.is_busy)):
             return CHANGE_TICK_S
         return NATIVE_TICK_S if native is not None and native.is_steady else None
 
     @property
     def playing(self) -> tuple[str, str]:
-        """The engine that plays, "native", "python" or "", and why it is not the native one.
-
-        "" as well where files alone leave no choice.
-        """
+        """The engine that plays, "native", "python" or "", and why it is not the native one."""
         native = self.native.engine
         if not self._endpoints.needs_server:
             return "", ""
@@ -121,8 +107,8 @@ class Engines:
             return
         if native.monitor_reason:
             yield f"the sink's monitor is tapped, one cycle later: {native.monitor_reason}"
-        if native.problem:
-            yield native.problem
+        if native.chains.problem:
+            yield native.chains.problem
         if native.lacks_realtime:
             yield priority_advice()
 
@@ -179,10 +165,7 @@ class Engines:
         device: AudioNode,
         now_s: float,
     ) -> bool:
-        """Choose the engine, let the other one end, and keep the native one if it is chosen.
-
-        Returns False while the Python engine is to play.
-        """
+        """Choose the engine, let the other one end; return False while Python is to play."""
         seen = connection.latest if connection else None
         self._undo_volume(seen)
         self._choose(connection, source)

@@ -7,14 +7,9 @@ from collections import deque
 from audioflinger_hook.config.settings import Settings
 
 WINDOW_S = 60.0
-STEP_S = 5.0
-"""What is counted, and how often."""
-
-KNOWN_S = 20.0
-"""A share of less time says nothing of the setting."""
-
-SHARE = 0.01
-"""Share of the samples from which limiting is felt as flat peaks."""
+STEP_S = 5.0  # between counts
+KNOWN_S = 20.0  # a share of less time says nothing of the setting
+SHARE = 0.01  # of the samples, from which limiting is felt as flat peaks
 
 
 class LimitAdvice:

@@ -5,30 +5,23 @@ from __future__ import annotations
 from audioflinger_hook.capture import CaptureRecorder
 from audioflinger_hook.daemon.inputs.sink import SinkInput
 from audioflinger_hook.daemon.server_link import ServerLink
-from audioflinger_hook.daemon.wake import Nudge, Wake
+from audioflinger_hook.daemon.wake import Wake
 from audioflinger_hook.service.state import StateKeeper
 from audioflinger_hook.sources import PushTap, TapAddress
 from device.errors import LostError, NotFoundError
-from device.server import PulseConnection
 from device.stream import PcmConfig
 from device.units import Float32Array
 
-TICK_S = 0.05
-"""Time between ticks, unless an event comes sooner."""
-
-LOST_LIMIT_S = 10.0
-"""Longest wait for a lost server or sink."""
+TICK_S = 0.05  # between ticks, unless an event comes sooner
+LOST_LIMIT_S = 10.0  # longest wait for a lost server or sink
 
 
 class LiveCapture:
     """Records the monitor of one sink, or of the present default sink.
 
     Its thread calls `tick` whenever `wake` rings, and at least every TICK_S. The stream is guarded,
-    so that it never captures a microphone. If lost, it is reopened. After each reopening and each
-    move the capture has a discontinuity.
-
-    heard_s: seconds of sound so far. format: rate in Hz and channels of the latest buffer; zeros
-    before the first.
+    so that it never captures a microphone. After it was lost or moved, the capture has a
+    discontinuity. heard_s: so far. format: rate in Hz and channels of the latest buffer.
     """
 
     def __init__(self, address: TapAddress, wake: Wake, now_s: float) -> None:
@@ -38,32 +31,31 @@ class LiveCapture:
         self._recorder: CaptureRecorder | None = None
         self._pcms = PcmConfig("cushion_tap")
         self._input = SinkInput(address, self._pcms.pcms["cushion_tap"], StateKeeper(now_s), self)
-        self._link = ServerLink(Nudge(wake), fallback=False)
+        self._link = ServerLink(wake.ring, fallback=False)
         self._well_s, self._well_heard_s = now_s, 0.0
         self._reason = ""
 
     def look(self) -> None:
         """Raise LostError or NotFoundError if the server or the tap is not available."""
         self._link.open(self._well_s)
-        assert self._link.connection is not None
-        self._input.locate(self._link.connection.latest, None)
+        self._input.locate(self._link.latest, None)
 
     def begin(self, recorder: CaptureRecorder) -> None:
         """Record stream `tap` from now on; call it before the first `tick`."""
         self._recorder = recorder
 
     def tick(self, now_s: float) -> None:
-        """Open, check or reopen the tap, as needed.
-
-        LostError: server or tap were lost, and no sound arrived for LOST_LIMIT_S.
-        """
+        """Open, check or reopen the tap. LostError: it stayed lost for LOST_LIMIT_S."""
         if self.heard_s > self._well_heard_s:
             self._well_heard_s, self._well_s, self._reason = self.heard_s, now_s, ""
         try:
-            connection = self._connected(now_s)
-            if connection is not None:
-                self._input.locate(connection.latest, None)
-                self._input.maintain(connection, now_s)
+            if self._link.lost:
+                self._input.close()
+                self._link.close()
+            self._link.open(now_s)
+            if self._link.connection is not None:
+                self._input.locate(self._link.connection.latest, None)
+                self._input.maintain(self._link.connection, now_s)
         except (LostError, NotFoundError) as error:
             self._input.close()
             self._reason = f" ({error})"
@@ -98,10 +90,3 @@ class LiveCapture:
         self.format = (tap.samplerate, tap.channels)
         recorder.offer("tap", frames, tap.samplerate, now_s, discontinuity=discontinuity)
         self.heard_s += len(frames) / tap.samplerate
-
-    def _connected(self, now_s: float) -> PulseConnection | None:
-        if self._link.lost:
-            self._input.close()
-            self._link.close()
-        self._link.open(now_s)
-        return self._link.connection

@@ -25,7 +25,7 @@ from audioflinger_hook.config.profiles import LIVE_DEFAULT
 from audioflinger_hook.config.schema import CHANGES, Key
 from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.daemon.applications import choosing
-from audioflinger_hook.daemon.live_frame import frame_of
+from audioflinger_hook.daemon.live_memory import frame_of
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.daemon.supervisor import Supervisor
 from audioflinger_hook.service.install import own_command
@@ -33,20 +33,11 @@ from audioflinger_hook.service.one_line import one_line
 from device.errors import CushionError, UsageError
 from device.units import db_to_amplitude
 
-WAITING_MAX = 16
-"""Requests that may wait for the main thread."""
-
-ANSWER_S = 3.0
-"""Longest wait for an answer."""
-
-KEYS_MAX = 16
-"""Keys that one request may set."""
-
-TONE_S = 20.0
-"""A test tone ends by itself after this time: the page that started it may be gone."""
-
-TONE_END_S = 2.0
-"""Longest wait for a tone that is stopped; its fade takes 0.1 s."""
+WAITING_MAX = 16  # requests
+ANSWER_S = 3.0  # longest wait for an answer
+KEYS_MAX = 16  # of one request
+TONE_S = 20.0  # ends a test tone: the page that started it may be gone
+TONE_END_S = 2.0  # longest wait for a tone that is stopped; its fade takes 0.1 s
 
 
 @dataclass(eq=False)
@@ -60,12 +51,12 @@ class _Request:
 class LiveControl:
     """Requests of pages, carried out by the main thread; a `Live` of the status server.
 
-    supervisor: whose state is shown. edits: changes to its config. follow: applies edits, or
-    another mute alone, and returns the new config; it raises a CushionError and changes nothing
-    where it cannot. ring: wakes the main thread. config: that applies. page: address of a page that
-    watches, "" for none. settings: what pages show of the config.
-
     The server's threads call `frame` and `control`, the main thread `work` and `close`.
+
+    edits: changes to the supervisor's config. follow: applies edits, or another mute alone, and
+    returns the new config; it raises a CushionError and changes nothing where it cannot. ring:
+    wakes the main thread. config: that applies. page: address of a page that watches, "" for none.
+    settings: what pages show of the config.
     """
 
     def __init__(
@@ -76,11 +67,8 @@ class LiveControl:
         ring: Callable[[], None],
         config: RunConfig,
     ) -> None:
-        self._supervisor = supervisor
-        self._edits = edits
-        self._follow = follow
-        self._ring = ring
-        self._config = config
+        self._supervisor, self._config, self._edits = supervisor, config, edits
+        self._follow, self._ring = follow, ring
         self.page = ""
         self.settings: dict[str, Any] = {}
         self._tone: subprocess.Popen[bytes] | None = None
@@ -171,12 +159,11 @@ class LiveControl:
             if refusal:
                 raise _Refused(name, f"{one_line(str(value), 60)} {refusal}")
             typed[name] = None if value is None else described.typed(value)
-        changes = typed
         try:
-            self._apply(self._edits.with_changes(changes), self._config.muted)
+            self._apply(self._edits.with_changes(typed), self._config.muted)
         except CushionError as error:
-            raise _Refused(next(iter(changes)), one_line(str(error), 400)) from error
-        self._edits.accept(changes)
+            raise _Refused(next(iter(typed)), one_line(str(error), 400)) from error
+        self._edits.accept(typed)
 
     def _choose(self, name: object, is_felt: object) -> None:
         if not isinstance(name, str) or not name.strip() or not isinstance(is_felt, bool):
@@ -206,9 +193,8 @@ class LiveControl:
         chosen = wanted if isinstance(wanted, dict) else {}
         hz, level = chosen.get("hz", 60.0), chosen.get("level", 0.2)
         if type(hz) not in (int, float) or not 20.0 <= hz <= 220.0:
-            raise _Refused(
-                "tone", f"{one_line(str(hz), 60)} is out of range; allowed: 20 to 220 Hz"
-            )
+            problem = f"{one_line(str(hz), 60)} is out of range; allowed: 20 to 220 Hz"
+            raise _Refused("tone", problem)
         if type(level) not in (int, float) or not 0.0 < level <= 0.5:
             raise _Refused("tone", "the level is out of range; allowed: above 0, up to 0.5")
         _, (address, name) = self._supervisor.endpoints
@@ -219,20 +205,11 @@ class LiveControl:
                 "the sound server that is there",
             )
         self.close()
+        options = {"device": f"sink:{name}", "hz": hz, "level": level, "seconds": TONE_S}
+        command = [*own_command(), "test-tone", *(f"--{key}={v}" for key, v in options.items())]
         # A process of its own, as for any application: nothing of the audio threads changes.
-        self._tone = subprocess.Popen(
-            [
-                *own_command(),
-                "test-tone",
-                f"--device=sink:{name}",
-                f"--hz={hz}",
-                f"--level={level}",
-                f"--seconds={TONE_S}",
-            ],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )
+        nothing = subprocess.DEVNULL
+        self._tone = subprocess.Popen(command, stdin=nothing, stdout=nothing, stderr=nothing)
 
     def _tell(self) -> None:
         """Make the settings that pages show; a new object, by which readers know of the change."""

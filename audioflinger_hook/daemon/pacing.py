@@ -6,14 +6,9 @@ import threading
 from collections.abc import Callable
 from typing import Protocol
 
-BURST = 64
-"""Largest number of late blocks done in a row, before other threads get a turn."""
-
-BREATH_S = 0.001
-"""Length of that turn."""
-
-LATE_MAX_S = 2.0
-"""Lateness above this counts as a pause and is not caught up."""
+BURST = 64  # late blocks at most in a row, before other threads get a turn
+BREATH_S = 0.001  # length of that turn
+LATE_MAX_S = 2.0  # lateness above this counts as a pause and is not caught up
 
 
 class PacedJob(Protocol):
@@ -24,11 +19,9 @@ class PacedJob(Protocol):
     @property
     def due_s(self) -> float:
         """Time of the next block, in seconds from the job's start."""
-        ...
 
     def run(self, now_s: float) -> bool:
         """Do the next block; return False if it was the last."""
-        ...
 
 
 class FrameTime:
@@ -56,10 +49,9 @@ class FrameTime:
 class Pacer:
     """Does jobs at their due times, earliest first, on a thread that the first job starts.
 
-    Due times are absolute, so nothing drifts. After a stall, late blocks are done in bursts; after
-    a longer stall, all jobs are shifted by the same time. An exception ends its job and stays in
-    `error`. The supervising thread begins and ends jobs. exact: whether to pass jobs their due
-    times instead of the present time, for jobs that depend only on each other.
+    Due times are absolute, so nothing drifts. Late blocks are done in bursts; after a long stall,
+    all jobs are shifted. An exception ends its job. The supervising thread begins and ends jobs.
+    exact: whether jobs get their due times instead of the present time.
     """
 
     def __init__(self, now_s: Callable[[], float], *, exact: bool = False) -> None:
@@ -119,8 +111,7 @@ class Pacer:
         try:
             goes_on = job.run(now_s)
         except Exception as error:
-            job.error = error
-            goes_on = False
+            job.error, goes_on = error, False
         if not goes_on:
             del self._jobs[job]
 

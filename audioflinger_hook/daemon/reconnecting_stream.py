@@ -12,14 +12,9 @@ from device.server import PulseConnection, StreamGuard
 from device.server.guard import Hold
 from device.stream import CaptureStream, PlaybackStream
 
-SETTLES_S = 1.0
-"""Time after opening in which the server may still show the stream elsewhere."""
-
-ASTRAY_S = 0.4
-"""Time for another program to move a stream back."""
-
-GONE_S = 3.0
-"""A running stream may be missing from the server's list for this time, as in underruns."""
+SETTLES_S = 1.0  # after opening, the server may still show the stream elsewhere
+ASTRAY_S = 0.4  # for another program to move a stream back
+GONE_S = 3.0  # a running stream may be missing from the server's list, as in underruns
 
 StreamT = TypeVar("StreamT", CaptureStream, PlaybackStream)
 
@@ -27,15 +22,13 @@ StreamT = TypeVar("StreamT", CaptureStream, PlaybackStream)
 class ReconnectingStream(Generic[StreamT]):
     """One stream, its guard, and the time to reopen it. For the supervising thread alone.
 
-    what: subject of messages, as in "the output". lost, moved: causes to count if the stream stops
-    or is moved. stream: None while closed. guard: None on a card, where nothing moves streams.
+    what: subject of messages, as in "the output". lost, moved: causes to count. stream: None while
+    closed. guard: None on a card, where nothing moves streams.
     """
 
     def __init__(self, what: str, states: StateKeeper, lost: Cause, moved: Cause) -> None:
-        self._what = what
-        self._states = states
-        self._lost = lost
-        self._moved = moved
+        self._what, self._states = what, states
+        self._lost, self._moved = lost, moved
         self._backoff = Backoff()
         self._xruns_before = 0
         self.stream: StreamT | None = None
@@ -53,13 +46,12 @@ class ReconnectingStream(Generic[StreamT]):
             return
         if stream.is_lost(now_s):
             self._states.recover(self._lost, now_s, f"{self._what} stopped")
-        elif guard is None:
-            return
-        elif now_s - stream.opened_s > SETTLES_S and _is_misplaced(guard, now_s):
-            self._states.recover(self._moved, now_s, guard.hold.value)
-        else:
-            return
-        self.close()
+            self.close()
+        elif guard is not None and now_s - stream.opened_s > SETTLES_S:
+            limit_s = GONE_S if guard.hold is Hold.NO_STREAM else ASTRAY_S
+            if guard.misplaced_s(now_s) > limit_s:
+                self._states.recover(self._moved, now_s, guard.hold.value)
+                self.close()
 
     def open(
         self,
@@ -70,8 +62,7 @@ class ReconnectingStream(Generic[StreamT]):
     ) -> bool:
         """Open a closed stream if an attempt is due; return whether it was opened.
 
-        connection: to the device's server; None for a card, whose stream is audible at once. Errors
-        of `make` and of the guard are raised and delay the next attempt.
+        connection: None for a card, whose stream is audible at once. Errors delay the next attempt.
         """
         if self.stream is not None or self._backoff.wait_s(now_s) > 0.0:
             return False
@@ -97,8 +88,3 @@ class ReconnectingStream(Generic[StreamT]):
             stream.close()
             self._xruns_before += stream.xruns
         self.guard = self.stream = None
-
-
-def _is_misplaced(guard: StreamGuard, now_s: float) -> bool:
-    """Return whether the stream has been on another device for too long."""
-    return guard.misplaced_s(now_s) > (GONE_S if guard.hold is Hold.NO_STREAM else ASTRAY_S)

@@ -24,14 +24,9 @@ from device.rig.rig_file import SHIPPED
 from device.units import Float32Array
 from device.values import counted
 
-NESTED = "parameters"
-"""Field of `Settings` whose own fields are stored like the others."""
-
-SAID = "said"
-"""Field stored as names separated by commas, omitted if there are none."""
-
-ACTUATORS = "actuators"
-"""Field stored as JSON, a list of tables as in a config file."""
+NESTED = "parameters"  # field of `Settings` whose own fields are stored like the others
+SAID = "said"  # field stored as names separated by commas, omitted if there are none
+ACTUATORS = "actuators"  # field stored as JSON, a list of tables as in a config file
 
 
 def facts_of(settings: Settings) -> Facts:
@@ -41,15 +36,10 @@ def facts_of(settings: Settings) -> Facts:
     chosen[ACTUATORS] = _as_text(chosen[ACTUATORS])
     chosen[SAID] = ",".join(chosen[SAID]) or None
     chosen |= {field.name: getattr(parameters, field.name) for field in fields(parameters)}
-    facts: dict[str, str | int | float | bool] = {}
-    for name, value in chosen.items():
-        if isinstance(value, Path):
-            value = str(value.absolute())
-        if name == "rig":
-            value = _absolute(value)
-        if value is not None:
-            facts[name] = value
-    return facts
+    chosen["rig"] = _absolute(chosen["rig"])
+    if chosen["effects_file"] is not None:
+        chosen["effects_file"] = str(chosen["effects_file"].absolute())
+    return {name: value for name, value in chosen.items() if value is not None}
 
 
 def settings_from(facts: Facts) -> Settings | None:
@@ -79,10 +69,7 @@ def settings_from(facts: Facts) -> Settings | None:
 def _as_text(actuators: tuple[ActuatorSettings, ...]) -> str | None:
     if not actuators:
         return None
-    tables = [
-        asdict(replace(one, rig=None if one.rig is None else _absolute(one.rig)))
-        for one in actuators
-    ]
+    tables = [asdict(replace(one, rig=one.rig and _absolute(one.rig))) for one in actuators]
     said = [{key: value for key, value in one.items() if value is not None} for one in tables]
     return json.dumps(said)
 
@@ -100,25 +87,20 @@ def _named(kind: type[Any], facts: Mapping[str, Any]) -> dict[str, Any]:
 class RunRecording:
     """A capture of one run with streams `tap`, `effect` and `device`, from the first buffer on.
 
-    A replay of `tap` gives `effect` bit for bit. If writing fails, the capture ends, the run goes
-    on, and `close` raises the error.
+    A replay of `tap` gives `effect` bit for bit; the capture holds the settings. If writing fails,
+    the run goes on, and `close` raises the error.
 
     The thread that mixes calls `delivered` and the `hooks`, the output's thread `sent`, and the
     supervising thread `reopened` while the output rests. None of them waits or raises.
-
-    folder: new or empty; `begin` makes it. settings: stored in the capture, so that a replay needs
-    no other file. tap, device: addresses of the run.
     """
 
     def __init__(
         self, folder: str | os.PathLike[str], settings: Settings, tap: str, device: str
     ) -> None:
         self._mix: tuple[int, int] | None = None
-        self._begun = False
+        self._begun = self._device_begun = False
         self._broken = {"effect": False, "device": False}
-        self._device_begun = False
-        self._ended = ""
-        self._folder = folder
+        self._folder, self._ended = folder, ""
         self._facts = {"tap": tap, "device": device, **facts_of(settings)}
         self._recorder: CaptureRecorder | None = None
 
@@ -148,10 +130,9 @@ class RunRecording:
         ]
 
     def hooks(self, samplerate: int, channels: int, *, of_mix: bool) -> tuple[OnStep, OnMix | None]:
-        """Return functions for the engine's `on_step` and `on_mix`, for a mix of this format.
+        """Return the engine's `on_step` and `on_mix` for a mix of this format, before any buffer.
 
-        samplerate: Hz. of_mix: whether to record the mix instead of buffers, since a replay could
-        not repeat the mixing of several sounds. Call it before the first buffer.
+        of_mix: record the mix instead of buffers, as a replay could not mix several sounds again.
         """
         self._mix = (samplerate, channels)
 
@@ -183,7 +164,7 @@ class RunRecording:
         """Mark that the device's stream was reopened."""
         self._broken["device"] = self._device_begun
 
-    def sent(self, frames: Float32Array, samplerate: int, now_s: float) -> None:
+    def sent(self, frames: Float32Array, now_s: float, samplerate: int) -> None:
         """Record what was sent to the device."""
         self._device_begun = True
         self._offer("device", frames, samplerate, now_s)
@@ -193,10 +174,7 @@ class RunRecording:
         self._ended = self._ended or f"the recording {self._folder} has ended: {why}"
 
     def close(self) -> None:
-        """Complete the capture, or raise the error that ended it. Waits for the disk.
-
-        Call it when no thread records any more. May be repeated.
-        """
+        """Complete the capture once no thread records; raise the error that ended it."""
         if self._recorder:
             self._recorder.close()
 
@@ -213,6 +191,5 @@ class RunRecording:
     def _offer(self, stream: str, frames: Float32Array, samplerate: int, now_s: float) -> None:
         if self._ended or self._recorder is None:
             return
-        broken = self._broken[stream]
-        self._broken[stream] = False
+        broken, self._broken[stream] = self._broken[stream], False
         self._recorder.offer(stream, frames, samplerate, now_s, discontinuity=broken)

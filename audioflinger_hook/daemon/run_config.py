@@ -3,34 +3,32 @@
 from __future__ import annotations
 
 from dataclasses import astuple, dataclass, replace
+from operator import attrgetter
 
 from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.daemon.recording import RunRecording
 from audioflinger_hook.sources import TapAddress, parse_tap
 from device.address import DeviceAddress
-from device.drive import ActuatorSettings
 from device.errors import UsageError
 from device.server import AppRules
 
+# Kinds of taps and devices; a thread of the daemon paces those that are not live.
 LIVE_TAPS = ("default", "sink", "app")
 PACED_TAPS = ("file", "capture", "scene")
 SERVER_DEVICES = ("sink", "usb")
 CARD_DEVICES = ("hw",)
-"""Kinds of taps and devices; a thread of the daemon paces those that are not live."""
 
+# Settings of the vibration whose change interrupts nothing.
 LEVELS = tuple(name for name, key in Settings.DESCRIPTIONS.items() if key.change == "nothing")
-"""Settings of the vibration whose change interrupts nothing."""
 
 
 @dataclass(frozen=True)
 class RunConfig:
     """Everything that the config file and the options request.
 
-    tap: where sound comes from. device: where vibration goes. settings: how vibration is made from
-    sound. live: all other settings; its device is not used here, and its tap only for applications.
-    recording: records the run; the code that made it begins and closes it. past_server: whether a
-    USB device is opened as a card, because no sound server answers. muted: whether no vibration is
-    played.
+    settings: how vibration is made from sound. live: all other settings; its device is not used
+    here, and its tap only for applications. recording: the code that made it begins and closes it.
+    past_server: whether a USB device is opened as a card, because no sound server answers.
     """
 
     tap: TapAddress
@@ -72,10 +70,7 @@ class RunConfig:
 
     @property
     def rules(self) -> AppRules | None:
-        """Return the rules that select single applications, None if a sink's mix is captured.
-
-        UsageError: a rule is invalid, or applications cannot be chosen from the tap.
-        """
+        """The rules that select single applications, None for all. UsageError: they are invalid."""
         include, exclude = self.live.include, self.live.exclude
         if self.tap.kind == "app":
             return AppRules((*(parse_tap(tap).name for tap in self.live.tap), *include), exclude)
@@ -93,11 +88,10 @@ class RunConfig:
 class ConfigDiff:
     """The differences of two configs, grouped by what the change interrupts.
 
-    These changes interrupt nothing: level and mute, volume (of the device), priority (used for
-    streams opened later), actuators (faded) and offset (the delay jumps, faded over 5 ms). A
-    change of transform fades out and restarts after the transform's latency. tap and device reopen
-    one stream, drop_in the virtual sink, blocks both streams, engine everything except the
-    connection. way is the choice of the native or the Python engine.
+    These interrupt nothing: level (and mute), volume (of the device), priority (of later streams),
+    actuators (faded) and offset (the delay jumps, faded over 5 ms). transform fades out and
+    restarts after its latency. tap and device reopen one stream, drop_in the virtual sink, blocks
+    both streams, engine everything but the connection. way: the native or the Python engine.
     """
 
     level: bool = False
@@ -120,13 +114,8 @@ class ConfigDiff:
         # A running effect accepts another level and other parameters; a profile is a set of
         # parameters.
         levels = {name: getattr(before, name) for name in LEVELS}
-        unaffected = replace(
-            after,
-            **levels,
-            profile=before.profile,
-            parameters=before.parameters,
-            said=before.said,
-        )
+        kept = {name: getattr(before, name) for name in ("profile", "parameters", "said")}
+        unaffected = replace(after, **levels, **kept)
         actuators_change = _can_change(before, after)
         if actuators_change:
             unaffected = replace(unaffected, actuators=before.actuators)
@@ -179,15 +168,9 @@ class ConfigDiff:
 
 def _can_change(before: Settings, after: Settings) -> bool:
     """Whether the actuators can change while they play: equal number, rigs and sources."""
-    were, are = before.actuators, after.actuators
-    return before.sources == after.sources and [_fixed_settings(a) for a in were] == [
-        _fixed_settings(a) for a in are
-    ]
-
-
-def _fixed_settings(actuator: ActuatorSettings) -> tuple[str | None, ...]:
-    """Return what cannot change while an actuator plays."""
-    return actuator.rig, actuator.damping, actuator.protection, actuator.exposure_cap
+    fixed = attrgetter("rig", "damping", "protection", "exposure_cap")
+    were, are = map(fixed, before.actuators), map(fixed, after.actuators)
+    return before.sources == after.sources and [*were] == [*are]
 
 
 def _selected_sound(config: RunConfig) -> tuple[object, ...]:

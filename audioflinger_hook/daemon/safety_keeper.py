@@ -1,9 +1,8 @@
 """Keeps temperatures and the day's dose in a file, so that a new process knows what went before.
 
 A coil cools with a time constant of half a minute, and a dose counts for a day: both outlive the
-process that caused them. The file is written while something is driven, so a killed process leaves
-at most the last moment unrecorded. For that moment the next one takes the worst that protection
-allows, and lets the model cool down for the time that has passed.
+process that caused them. A killed process leaves at most the last moment unrecorded. For that
+moment the next one takes the worst that protection allows, and then lets the model cool down.
 """
 
 from __future__ import annotations
@@ -23,33 +22,26 @@ from device.drive.safety import SafetyState
 from device.errors import CushionError
 
 VERSION = 1
-FILE, MARK = "actuators.json", "has-run"
-"""The record, and an empty file that tells a first run from a record that was lost."""
+FILE = "actuators.json"
+MARK = "has-run"  # an empty file, which tells a first run from a record that was lost
+SAVE_S = 0.5  # between two writes while something is driven
 
-SAVE_S = 0.5
-"""Time between two writes while something is driven."""
-
+# A killed process may have played for so long after its last write: a busy machine delays the next
+# one, and the dose's last tenth of a second is in none.
 UNRECORDED_S = 1.5
-"""What a killed process may have done after its last write: until the next one, which a busy
-machine delays, and the dose's last tenth of a second."""
-
-BEGIN_S = 0.3
-"""From the last look at what plays to the first block of what follows it."""
-
-UNSYNCED_S = 60.0
-"""The same after the machine itself has ended: the system writes files later than we do."""
-
-Rigs = Sequence[DrivenRig | None]
+BEGIN_S = 0.3  # from the last look at what plays to the first block of what follows it
+UNSYNCED_S = 60.0  # of a machine that ended: the system writes files later than we do
 
 _LONGEST_S = 10 * 365 * 86_400.0
+Rigs = Sequence[DrivenRig | None]
 
 
 @dataclass(frozen=True)
 class Moment:
     """A moment by all clocks.
 
-    boot: names the machine's start, "" if unknown. boot_s: since then, with sleep. local: local
-    time to the minute, such as "2026-05-01T09:30+02:00".
+    boot: names the machine's start, "" if unknown. boot_s: since then, with sleep. local: to the
+    minute, such as "2026-05-01T09:30+02:00".
     """
 
     boot: str = ""
@@ -66,20 +58,16 @@ class Moment:
 class SafetyKeeper:
     """Restores and records the state of a device's rigs. For the supervising thread alone.
 
-    folder: where the file is, made if missing; None: nothing outlives the process. moment: tells
-    the present. warning: what the user should know, "" for nothing. since: local time since when
-    the dose counts, "" before the first restore.
+    folder: where the file is, made if missing; None: nothing outlives the process. warning: what
+    the user should know, or "". since: local time since when the dose counts.
     """
 
     def __init__(self, folder: Path | None = None, moment: Callable[[], Moment] = Moment) -> None:
-        self._folder = folder
-        self._moment = moment
+        self._folder, self._moment = folder, moment
         self._saved_s = -math.inf
         self._saved: list[SafetyState] = []
         self._ended: dict[tuple[int, int], SafetyState] = {}
-        self._day = self._device = ""
-        self.since = ""
-        self.warning = ""
+        self._day = self._device = self.since = self.warning = ""
 
     def restore(self, rigs: Rigs) -> None:
         """Let rigs continue where the last ones on the device ended; before their first block."""
@@ -87,20 +75,19 @@ class SafetyKeeper:
             return
         now, device = self._moment(), self._device
         known, trouble = self._read(now)
+        records = known.get("actuators", {})
         self._day = now.day
-        self.since = now.local
-        if known.get("day") == now.day:
-            self.since = str(known.get("since", self.since))
-        today = [one for one in known.get("actuators", {}).values() if one["day"] == now.day]
+        self.since = known["since"] if known.get("day") == now.day else now.local
+        today = [one for one in records.values() if one["day"] == now.day]
         dose = DoseSums()
         for one in today:
             dose = dose.at_least(DoseSums(**one["dose"]))
         for index, processor in enumerate(rigs):
             if processor is None:
                 continue
-            bounds, states = processor.bounds(), []
+            bounds, states = processor.design.bounds(), []
             for channel in range(processor.channels):
-                record = known.get("actuators", {}).get(_key(device, index, channel))
+                record = records.get(_key(device, index, channel))
                 if trouble:
                     state = bounds.warmest
                 elif record is None:
@@ -120,8 +107,7 @@ class SafetyKeeper:
     def note_device(self, device: str) -> None:
         """Record under this device from now on: the vibration goes there."""
         if device != self._device:
-            self._device = device
-            self._saved_s = -math.inf
+            self._device, self._saved_s = device, -math.inf
 
     def carry_over(self, playing: Rigs, rigs: Rigs) -> None:
         """Let rigs continue where those are that play; before their first block."""
@@ -130,17 +116,14 @@ class SafetyKeeper:
             known = self._ended  # what is not on record has not cooled down for all we know
         for index, rig in enumerate(rigs):
             if rig is not None and known:
-                bounds, states = rig.bounds(), list(rig.safety_states())
+                bounds, states = rig.design.bounds(), list(rig.safety_states())
                 for channel in range(rig.channels):
                     if (state := known.get((index, channel))) is not None:
                         states[channel] = bounds.after_unrecorded(state, BEGIN_S)
                 rig.restore(states)
 
     def update(self, rigs: Rigs, now_s: float) -> None:
-        """Record what has changed, if it is time, and begin a new dose with a new day.
-
-        now_s: of time.monotonic(). Raises nothing.
-        """
+        """Record what has changed, if it is time, and begin a new day's dose. Raises nothing."""
         if self._folder is None or not self._day or not any(rigs) or now_s - self._saved_s < SAVE_S:
             return
         now = self._moment()
@@ -233,7 +216,7 @@ def _continued(
     record: dict[str, Any], now: Moment, processor: DrivenRig
 ) -> tuple[SafetyState, str]:
     """Return the state of one actuator now, and what is wrong with its record."""
-    bounds = processor.bounds()
+    bounds = processor.design.bounds()
     same_boot = bool(now.boot) and record["boot"] == now.boot
     passed_s = now.boot_s - record["boot_s"] if same_boot else now.wall_s - record["wall_s"]
     dose = DoseSums(**record["dose"]) if record["day"] == now.day else DoseSums()

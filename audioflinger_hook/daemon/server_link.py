@@ -1,26 +1,43 @@
-"""The supervisor's connection to the sound server, made again after each loss."""
+"""The connection to the sound server, made again after each loss, and the sinks made there."""
 
 from __future__ import annotations
 
-from audioflinger_hook.daemon.timing import Backoff
-from device.errors import CushionError
-from device.server import FallbackSink, PulseConnection
+from collections.abc import Callable
+
+from audioflinger_hook.daemon.run_config import RunConfig
+from audioflinger_hook.daemon.timing import LONGEST_S, Backoff
+from device.errors import CushionError, LostError
+from device.server import DropIn, FallbackSink, PulseConnection, ServerSnapshot
 from device.server.snapshot import Listener
 
 
-class ServerLink:
+class ServerLink(Listener):
     """Connection to the server and its silent fallback sink. For the supervising thread alone.
 
-    listener: is told by each connection of changes and of the loss of the connection. fallback:
-    whether to make the sink. connection: None if not connected; it may be lost, see `lost`.
+    ring: called by another thread when the server changes or is lost. fallback: whether to make the
+    sink. connection: None if not connected; it may be lost, see `lost`.
     """
 
-    def __init__(self, listener: Listener, *, fallback: bool = True) -> None:
+    def __init__(self, ring: Callable[[], None], *, fallback: bool = True) -> None:
         self.connection: PulseConnection | None = None
-        self._listener = listener
+        self._ring = ring
         self._has_fallback = fallback
         self._fallback: FallbackSink | None = None
         self._backoff = Backoff()
+
+    def on_snapshot(self, snapshot: ServerSnapshot) -> None:
+        """Wake the main thread for a change."""
+        self._ring()
+
+    def on_lost(self, error: LostError) -> None:
+        """Wake the main thread for the loss of the server."""
+        self._ring()
+
+    @property
+    def latest(self) -> ServerSnapshot | None:
+        """The server as last seen, None if not connected. Any thread."""
+        connection = self.connection  # the main thread may close it meanwhile
+        return connection.latest if connection else None
 
     @property
     def lost(self) -> str:
@@ -36,14 +53,11 @@ class ServerLink:
         return "" if connection.latest.kind == "PipeWire" else fallback.reason
 
     def open(self, now_s: float) -> bool:
-        """Connect if not connected and an attempt is due; return whether a connection was made.
-
-        CushionError: the server cannot be reached.
-        """
+        """Connect if an attempt is due; return whether it did. CushionError: it is unreachable."""
         if self.connection is not None or self._backoff.wait_s(now_s) > 0.0:
             return False
         try:
-            self.connection = PulseConnection(self._listener)
+            self.connection = PulseConnection(self)
             if self._has_fallback:
                 self._fallback = FallbackSink(self.connection)
         except CushionError:
@@ -59,3 +73,69 @@ class ServerLink:
         if self.connection:
             self.connection.close()
         self.connection = self._fallback = None
+
+
+class DropInControl:
+    """The virtual sink that applications play to, in drop-in mode. For the supervising thread."""
+
+    def __init__(self, config: RunConfig) -> None:
+        self._drop_in: DropIn | None = None
+        self._restart(config)
+
+    def _restart(self, config: RunConfig) -> None:
+        self._config = config
+        self._backoff = Backoff(longest_s=10.0 * LONGEST_S)
+        self._target: str | None = None
+        self._refusal = ""
+
+    def follow(self, config: RunConfig) -> None:
+        """Apply another config."""
+        if config.live.drop_in != self._config.live.drop_in:
+            self.close()
+            self._restart(config)
+        self._config = config
+        if self._drop_in is not None:
+            self._drop_in.delay_s = self._wanted_delay_s
+
+    @property
+    def delay_s(self) -> float:
+        """Delay of the sound in seconds, 0 while there is no virtual sink."""
+        return self._drop_in.delay_s if self._drop_in else 0.0
+
+    @property
+    def warnings(self) -> list[str]:
+        """Why the sound is not forwarded as configured; at most one line."""
+        reason = self._drop_in.reason if self._drop_in else self._refusal
+        return [f"drop-in: {reason}"] if reason else []
+
+    def maintain(self, connection: PulseConnection, haptic_sink: str | None, now_s: float) -> None:
+        """Make the sink if it is wanted, and forward nothing to `haptic_sink`; raises nothing."""
+        if not self._config.live.drop_in:
+            return
+        if self._drop_in is not None:
+            self._drop_in.spare(haptic_sink)
+            self._target = self._drop_in.target_name or self._target
+            return
+        if self._backoff.wait_s(now_s) > 0.0:
+            return
+        try:
+            names = [sink.name for sink in connection.latest.sinks]
+            target = self._target if self._target in names else None  # the former one
+            delay_s = self._wanted_delay_s
+            self._drop_in = DropIn(connection, target, delay_s, haptic_sink=haptic_sink)
+        except CushionError as error:
+            self._refusal = str(error)
+            self._backoff.failed(now_s)
+        else:
+            self._refusal = ""
+            self._backoff.succeeded()
+
+    def close(self) -> None:
+        """Remove the sink; the sound continues without it. May be repeated; raises nothing."""
+        drop_in, self._drop_in = self._drop_in, None
+        if drop_in is not None:
+            drop_in.close()
+
+    @property
+    def _wanted_delay_s(self) -> float:
+        return max(0.0, -self._config.live.offset_s)

@@ -1,7 +1,4 @@
-"""The status of a running daemon: the values of the table in `service/status.py`.
-
-Any thread may ask for it; audio threads do not wait for it.
-"""
+"""The status of a running daemon: the values of the table in `service/status.py`."""
 
 from __future__ import annotations
 
@@ -39,7 +36,7 @@ from device.units import db_to_amplitude
 
 
 def status_of(supervisor: Supervisor, now_s: float) -> Status:
-    """Return the status at `now_s`."""
+    """Return the status at `now_s`. Any thread may ask; audio threads do not wait for it."""
     engines, states, rate = supervisor.engines, supervisor.states, supervisor.output.measure_rate()
     python, native = engines.python, engines.native.engine
     chain = native.chain if native is not None else None
@@ -105,11 +102,8 @@ def _of_python(engine: Engine, supervisor: Supervisor) -> dict[str, Any]:
 
 
 def _of_native(native: NativeEngine, chain: Chain, supervisor: Supervisor) -> dict[str, Any]:
-    """Return what the native engine tells.
-
-    Tap and device belong to one cycle of the graph, so only transform and protection delay the
-    vibration, and a monitor that is tapped.
-    """
+    # Tap and device belong to one cycle of the graph, so only transform, protection and a monitor
+    # that is tapped delay the vibration.
     settings, resting = supervisor.config.settings, supervisor.states.state is DaemonState.IDLE
     plan, page = chain.plan, chain.page
     latency_frames = max((rig.latency_frames for rig in chain.rigs if rig), default=0)
@@ -129,7 +123,7 @@ def _of_native(native: NativeEngine, chain: Chain, supervisor: Supervisor) -> di
             driving_ms=1e3 * latency_frames / plan.samplerate,
             delay_ms=max((actuator.delay_ms for actuator in settings.actuators), default=0.0),
         ),
-        "server": native.server,
+        "server": f"PipeWire {native.watch.graph.version}".rstrip(),
         "graph": gathered(
             GraphFigures,
             page,
@@ -194,7 +188,6 @@ def worst_exposure(found: Sequence[ExposureFigures]) -> ExposureFigures | None:
 def _as_played(
     partials: Sequence[tuple[float, float, float]], state: DaemonState, config: RunConfig
 ) -> tuple[Partial, ...]:
-    """Return partials at the level that is played; none while nothing runs."""
     if state is not DaemonState.RUNNING:
         return ()
     level = 0.0 if config.muted else db_to_amplitude(config.settings.gain_db)

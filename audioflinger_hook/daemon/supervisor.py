@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from pathlib import Path
 
 from audioflinger_hook.daemon.applications import applications_in
-from audioflinger_hook.daemon.drop_in_control import DropInControl
 from audioflinger_hook.daemon.endpoints import Endpoints
 from audioflinger_hook.daemon.engine import Clocks
 from audioflinger_hook.daemon.engines import Engines
@@ -15,9 +15,9 @@ from audioflinger_hook.daemon.native.abilities import check_engine
 from audioflinger_hook.daemon.outputs.base import Output
 from audioflinger_hook.daemon.run_config import ConfigDiff, RunConfig
 from audioflinger_hook.daemon.safety_keeper import SafetyKeeper
-from audioflinger_hook.daemon.server_link import ServerLink
+from audioflinger_hook.daemon.server_link import DropInControl, ServerLink
 from audioflinger_hook.daemon.timing import IdlePolicy, StallDetector
-from audioflinger_hook.daemon.wake import Nudge, Wake
+from audioflinger_hook.daemon.wake import Wake
 from audioflinger_hook.pipeline.framework import Framework, drive_of
 from audioflinger_hook.service.state import Cause, DaemonState, StateKeeper
 from audioflinger_hook.service.status import Application
@@ -26,11 +26,8 @@ from device.server import PulseConnection, ServerSnapshot
 from device.server.snapshot import tap_latency_s
 from device.stream import AudioPriority
 
-TICK_S = 0.1
-"""Time between ticks while streams run, unless an event comes sooner."""
-
-RESTING_TICK_S = 1.0
-"""Time between ticks while idle."""
+TICK_S = 0.1  # between ticks while streams run, unless an event comes sooner
+RESTING_TICK_S = 1.0  # between ticks while idle
 
 
 class Supervisor:
@@ -42,8 +39,7 @@ class Supervisor:
 
     clocks: `now_s` is time.monotonic() or a replacement. wake: rung when something changes. folder:
     private, for files of the native engine; None: only the Python engine. safety: what outlives the
-    process; None: nothing does. priority: of the audio threads. config_error: why the latest config
-    was not applied, "" if it was.
+    process; None: nothing does. config_error: why the latest config was not applied, "" if it was.
     UsageError, NotFoundError: a file to play or to write cannot be used.
     """
 
@@ -57,13 +53,12 @@ class Supervisor:
     ) -> None:
         now_s = clocks.now_s()
         self.states = StateKeeper(now_s)
-        self.config = config
+        self.config, self.config_error = config, ""
         self._folder = folder
         self.priority = AudioPriority(config.live.realtime)
-        self.config_error = ""
         self._endpoints = Endpoints(config, clocks, self.states, self.priority, wake.ring)
         self._drop_in = DropInControl(config)
-        self._link = ServerLink(Nudge(wake))
+        self._link = ServerLink(wake.ring)
         self._idle_policy = IdlePolicy(now_s)
         self._found: tuple[AudioNode | None, AudioNode | None] = (None, None)
         self.engines = Engines(
@@ -107,16 +102,15 @@ class Supervisor:
     @property
     def server(self) -> str:
         """The sound server's name and version, "" without one."""
-        seen = self._link.connection.latest if self._link.connection else None
+        seen = self._link.latest
         return f"{seen.kind} {seen.version}" if seen else ""
 
     @property
     def applications(self) -> tuple[Application, ...]:
         """The applications that have a stream; any thread may ask."""
-        connection, (source, device) = self._link.connection, self._found
+        source, device = self._found
         haptic = device.name if device and self.output.needs_server else None
-        seen = connection.latest if connection else None
-        return applications_in(seen, self.config.rules, source, haptic)
+        return applications_in(self._link.latest, self.config.rules, source, haptic)
 
     @property
     def offset_s(self) -> float:
@@ -126,11 +120,9 @@ class Supervisor:
     @property
     def latencies_s(self) -> tuple[float, float]:
         """Latencies of tap and output in seconds."""
-        (source, device), connection = self._found, self._link.connection
+        (source, device), seen, tap_s = self._found, self._link.latest, 0.0
         if source is None or device is None:
             return 0.0, 0.0
-        seen = connection.latest if connection else None
-        tap_s = 0.0
         if seen and self.input.needs_server:
             tap_s = tap_latency_s(seen, self.config.live.block_frames, source.samplerate)
         return tap_s, self.output.delay_s(seen)
@@ -138,42 +130,31 @@ class Supervisor:
     @property
     def warnings(self) -> list[str]:
         """Problems to show the user, one line each."""
-        recording = self.config.recording
-        warnings = list(self.engines.python.framework.warnings) if self.engines.python else []
+        engine, recording = self.engines.python, self.config.recording
+        warnings = list(engine.framework.warnings) if engine else []
         for part in (self._drop_in, self.input, self.output):
             warnings += part.warnings
         if recording:
             warnings += recording.warnings
-            if self.engines.python and self.engines.python.framework.bypassed():
+            if engine and engine.framework.bypassed():
                 warnings.append("an effect was bypassed, so a replay will differ from it")
-        others = (
-            self._link.warning,
-            self.priority.warning,
-            self.config_error,
-            self.engines.safety.warning,
-            *self.engines.warnings,
-            self._limits.advice(self.config.settings),
-        )
+        others = [self._link.warning, self.priority.warning, self.config_error]
+        others += [self.engines.safety.warning, *self.engines.warnings]
+        others.append(self._limits.advice(self.config.settings))
         return [*warnings, *filter(None, others)]
 
     def look(self) -> None:
-        """Check once that server, device and tap are available and the device's volume can be set.
-
-        LostError, NotFoundError: the first missing item, with advice.
-        """
+        """Check once that all is available. LostError, NotFoundError: the first missing item."""
         if not self.output.needs_server:
             self.output.locate(None)
             self.output.set_volume(None)
         if not self._endpoints.needs_server:
             return
-        connection = PulseConnection()
-        try:
+        with closing(PulseConnection()) as connection:
             self._locate_tap(connection.latest, self.output.locate(connection.latest))
             check_engine(self.config, connection.latest if self._folder else None)
             if self.output.needs_server:
                 self.output.set_volume(connection)
-        finally:
-            connection.close()
 
     def tick(self, now_s: float) -> None:
         """Do what is due: connect, locate, open, check, recover or rest."""
@@ -228,9 +209,7 @@ class Supervisor:
             self.states.enter(DaemonState.RUNNING, now_s)
 
     def follow(self, config: RunConfig, now_s: float) -> ConfigDiff:
-        """Apply another config and return the difference.
-
-        Only the affected parts are closed, and the next `tick` reopens them; see `ConfigDiff`.
+        """Apply another config and return the difference; the next `tick` reopens what was closed.
 
         UsageError: the config cannot be applied while the daemon runs; nothing has changed.
         """
@@ -257,19 +236,16 @@ class Supervisor:
         self._drop_in.follow(config)
         if restarts or changes.blocks:
             self._endpoints.close()
-        if restarts and config.recording:
-            config.recording.end("another tap needs a new mix, which a replay cannot repeat")
         if restarts:
+            if config.recording:
+                config.recording.end("another tap needs a new mix, which a replay cannot repeat")
             self.engines.drop()
         if changes.any:
             self._idle_policy.wake(now_s)
         return changes
 
     def close(self, now_s: float, *, keep: bool = True) -> None:
-        """Close everything; keep: whether a written file stays.
-
-        WriteError: the file cannot be kept; everything else is closed by then.
-        """
+        """Close everything. WriteError: a file that is to be kept cannot be; all else is closed."""
         self.states.enter(DaemonState.STOPPING, now_s)
         self.engines.close()
         self._endpoints.close()

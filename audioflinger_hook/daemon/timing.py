@@ -6,15 +6,11 @@ from collections.abc import Callable
 
 from audioflinger_hook.service.state import Cause, StateKeeper
 
-FIRST_S, LONGEST_S = 0.05, 0.5
-"""First and longest wait between attempts at a server or a stream, which cost almost nothing."""
+FIRST_S, LONGEST_S = 0.05, 0.5  # between attempts, which cost almost nothing
 
 
 class Backoff:
-    """Waits between attempts: FIRST_S, doubled after every failure, at most `longest_s`.
-
-    Times are seconds of one clock of any kind. Use from one thread at a time.
-    """
+    """Waits between attempts: FIRST_S, doubled after every failure, at most `longest_s`."""
 
     def __init__(self, longest_s: float = LONGEST_S) -> None:
         self._longest_s = longest_s
@@ -41,11 +37,8 @@ class Backoff:
         return min(self._longest_s, max(0.0, self._due_s - now_s))
 
 
-STALLED_S = 1.0
-"""Lateness of a tick that counts as a stall of the process."""
-
-SLEPT_S = 0.5
-"""Shortest suspend that counts."""
+STALLED_S = 1.0  # lateness of a tick that counts as a stall of the process
+SLEPT_S = 0.5  # shortest suspend that counts
 
 
 class StallDetector:
@@ -59,10 +52,7 @@ class StallDetector:
         self._resyncs = 0
 
     def woke(self, now_s: float, rest_s: float) -> bool:
-        """Return whether the machine was suspended since the last tick; count a stall.
-
-        rest_s: longest time between ticks.
-        """
+        """Return whether the machine was suspended since the last tick; count a stall."""
         slept_s = self._slept()
         suspended_s, self._slept_s = slept_s - self._slept_s, slept_s
         before_s, self._ticked_s = self._ticked_s, now_s
@@ -81,15 +71,11 @@ class StallDetector:
         self._resyncs = resyncs
 
 
-QUIET_S = 5.0
-"""Silence before resting if no application plays; a new application causes an event."""
-
+QUIET_S = 5.0  # silence before resting if no application plays
+# Although an application plays: its sound may begin without an event, and waking up then loses the
+# first tenths of a second.
 SILENT_S = 10.0
-"""Silence before resting although an application plays. Its sound may begin without an event;
-waking up then loses the first tenths of a second."""
-
-AWAKE_S = 8.0
-"""Shortest time awake, as applications may open a stream some time before they play."""
+AWAKE_S = 8.0  # at least, as applications may open a stream some time before they play
 
 
 class IdlePolicy:

@@ -5,10 +5,6 @@ from __future__ import annotations
 import os
 import select
 
-from device.errors import LostError
-from device.server import ServerSnapshot
-from device.server.snapshot import Listener
-
 
 class Wake:
     """`ring`, from any thread or signal handler, ends the current or next `wait`.
@@ -44,18 +40,3 @@ class Wake:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-
-class Nudge(Listener):
-    """Wakes the main thread when the server has changed."""
-
-    def __init__(self, wake: Wake) -> None:
-        self._wake = wake
-
-    def on_snapshot(self, snapshot: ServerSnapshot) -> None:
-        """Wake for a change."""
-        self._wake.ring()
-
-    def on_lost(self, error: LostError) -> None:
-        """Wake for the loss of the server."""
-        self._wake.ring()

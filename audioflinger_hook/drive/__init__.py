@@ -1,9 +1,1 @@
-"""Vibration to actuators: the core's drives for Python.
-
-| module        | holds                                                                          |
-| ------------- | ------------------------------------------------------------------------------ |
-| drive.py      | `Drive`: the drives of one device's actuators                                  |
-| driven_rig.py | `DrivenRig`: what the core says of the actuators that drive one rig            |
-
-device/drive designs the processing of a rig; core/drive computes it.
-"""
+"""Vibration to actuators: `device.drive` designs the processing, and core/drive computes it."""

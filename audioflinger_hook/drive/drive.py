@@ -15,27 +15,22 @@ from device.drive.settings import DELAY_MAX_MS, ActuatorSettings, sources_of
 from device.errors import InternalError, UsageError
 from device.units import Block, Float32Array, check_channels
 
-WHOLE_DEVICE = (ActuatorSettings((0,)),)
-"""Stands for all channels if no actuator is named."""
+WHOLE_DEVICE = (ActuatorSettings((0,)),)  # all channels, if no actuator is named
 
 
 class Drive:
     """Routes, delays, scales and protects the signals of one device's actuators.
 
-    Blocks come as (frames, inputs) and leave as (frames, outputs). Apart from `delay_ms`, all
-    actuators have the same latency: one whose rig needs less waits for the others. Without named
-    actuators, each channel of the vibration has one. If those need no processing either, `process`
-    returns the same block object.
-
-    One thread calls `process`, `drain` and `flush`; any thread may call the rest.
+    Apart from `delay_ms`, all actuators have the same latency, `latency_frames`: one whose rig
+    needs less waits for the others. One thread calls `process`, `drain` and `flush`; any thread may
+    call the rest.
 
     actuators: what each actuator plays; empty for one on each channel of the vibration. samplerate:
-    Hz. channels: number of channels of the vibration; used only if no actuators are named.
+    Hz. channels: of the vibration; used only if no actuators are named.
     rig, damping, protection, exposure_cap: values for actuators that do not set their own.
     sources: names of the input columns; empty if no actuators are named. inputs, outputs: columns
     of the blocks that come and leave. processors: readings of each actuator's rig, None if its
-    settings are all "off"; one for all channels, if no actuators are named. latency_frames: latency
-    of all actuators in frames, without their `delay_ms`.
+    settings are all "off"; one for all channels, if no actuators are named.
     UsageError: there is no such rig, the sample rate is too low for its processing, or there are
         more than 64 actuators.
     """
@@ -75,10 +70,9 @@ class Drive:
             raise UsageError(f"{self.outputs} actuators are too many; at most {ACTUATORS} play")
         delay_frames_max = round(1e-3 * DELAY_MAX_MS * samplerate) if actuators else 0
         columns = 1 if actuators else channels
+        drives = designs * columns
         self._core = core = Core(
-            core_design(
-                samplerate, self.inputs, drives=designs * columns, delay_frames_max=delay_frames_max
-            )
+            core_design(samplerate, self.inputs, drives=drives, delay_frames_max=delay_frames_max)
         )
         self.processors = driven_rigs(designs, core.controls, core.readings, columns)
         for index in range(self.outputs):
@@ -97,10 +91,7 @@ class Drive:
         return min((one for one in found if one is not None), default=None)
 
     def change(self, settings: Sequence[ActuatorSettings]) -> None:
-        """Fade to other levels, polarities, delays and sources, starting with the next block.
-
-        InternalError: the number of actuators differs, or a source is new.
-        """
+        """Fade to other levels, polarities, delays and known sources from the next block on."""
         named = len(self._settings)
         if len(settings) != named or not {*sources_of(settings)} <= {*self.sources}:
             raise InternalError("the number of actuators, or their sources, cannot change")

@@ -8,16 +8,12 @@ from audioflinger_hook.core.structures import LIMITED_BY, Controls, Readings
 from device.drive.design import DriveDesign
 from device.drive.exposure import DoseSums, Exposure
 from device.drive.protection import ProtectionStatus
-from device.drive.safety import SafetyBounds, SafetyState
+from device.drive.safety import SafetyState
 from device.units import amplitude_to_db
 
 
 class DrivenRig:
-    """Readings of the core's actuators that drive one rig, one for each channel. Any thread.
-
-    controls, readings, slots: of the core, and its actuators for this rig.
-    rig, exposure_cap, knows_seat, makeup_db, latency_frames: see `DriveDesign`.
-    """
+    """Readings of the core's actuators in `slots`, which drive one rig. Any thread."""
 
     def __init__(
         self, design: DriveDesign, controls: Controls, readings: Readings, slots: range
@@ -104,10 +100,6 @@ class DrivenRig:
         for controls in self._controls:  # those of a core that has not run yet
             safety = controls.safety
             safety.time_s = safety.squares = safety.fourths = safety.above = 0.0
-
-    def bounds(self) -> SafetyBounds:
-        """Return the worst that one channel can have done unrecorded."""
-        return self.design.bounds()
 
     def _safety(self, channel: int) -> SafetyState:
         controls, thermal = self._controls[channel], self.rig.thermal

@@ -34,11 +34,8 @@ from device.rig import rig_by_name
 from device.rig.simulated_rig import SimulatedRig
 from device.stream.callback_thread import cpu_time_s
 
-HAL_FRAMES = 240
-"""Frames that the output is assumed to take at once; a cycle is 20 ms of such frames."""
-
-OFFLINE_HAL_FRAMES = 32_768
-"""Offline, long cycles cost least."""
+HAL_FRAMES = 240  # taken at once by the assumed output; a cycle is 20 ms of such frames
+OFFLINE_HAL_FRAMES = 32_768  # offline, long cycles cost least
 
 
 class Framework:
@@ -47,9 +44,8 @@ class Framework:
     The thread that steps the mix calls all methods but `change` and `look_for_blocked`, which
     another thread calls; any thread may call `dump`, `bypassed` and the properties.
 
-    samplerate, channels: of the mix; the rate in Hz.
-    haptic_channels: one; with `settings.channels` = "each", one for each channel of the mix; with
-        named actuators, one for each of their sources.
+    samplerate, channels: of the mix; the rate in Hz. haptic_channels: one; or one for each channel
+    of the mix, or for each source of the named actuators.
     hal_frames, standby_delay_s: see `Mixer`; files keep their silence, so inf.
     clock: seconds; an effect that takes too long is bypassed. None for files: time has no effect.
     warnings: effects that were left out.
@@ -87,7 +83,9 @@ class Framework:
             standby_delay_s=standby_delay_s,
         )
         if self.haptic.set_parameters(self._taken) != OK or self.haptic.bypassed:
-            self._explain()
+            self._try(self.settings)  # finds the mistake in the format or the settings
+            problem = self.haptic.bypassed or "refused its parameters"
+            raise UsageError(f"the haptic effect {problem}")
         # Applied now, not a cycle later, so that the first buffer has them.
         self._chains.end_of_cycle(0.0)
 
@@ -98,7 +96,7 @@ class Framework:
 
     @property
     def latency_s(self) -> float:
-        """Seconds by which the vibration comes after its sound."""
+        """The same in seconds."""
         return self.latency_frames / self.samplerate
 
     @property
@@ -118,22 +116,17 @@ class Framework:
         return partials if status == OK and isinstance(partials, tuple) else ()
 
     def take_glides(self) -> NDArray[np.float64]:
-        """Return what the partials did since the last call; see `HapticTransform.take_glides`.
-
-        The first call starts the recording, which is for files only.
-        """
+        """Return what the partials did since the last call; see `HapticTransform.take_glides`."""
         return self._array(GLIDES)
 
     def change(self, settings: Settings) -> None:
         """Use other parameters and another gain from the next cycle on; nothing else may differ.
 
         A new gain is reached within one buffer. With other parameters the vibration fades out
-        within one buffer and restarts `latency_frames` later.
-
-        UsageError: the settings cannot be used with this mix; nothing has changed.
+        within one buffer and restarts `latency_frames` later. UsageError: nothing has changed.
         """
         if settings.transform_parameters != self.settings.transform_parameters:
-            self._try(self.mixer.samplerate, self.mixer.channels, settings)
+            self._try(settings)
         if settings == self.settings:
             return
         self.settings = settings
@@ -141,17 +134,11 @@ class Framework:
         self.mixer.post(self._take_wanted)
 
     def drain(self) -> NDArray[np.float32]:
-        """Return the vibration held back after the last sound, (frames, haptic_channels).
-
-        Raises InternalError as `check_haptics` does.
-        """
+        """Return the vibration held back after the last sound; raises as `check_haptics`."""
         return self._array(DRAIN)
 
     def check_haptics(self) -> None:
-        """Raise InternalError with the reason if the haptic effect is bypassed.
-
-        A file must be complete; a device continues with silence.
-        """
+        """Raise InternalError if the haptic effect is bypassed: a file must be complete."""
         if self.haptic.bypassed:
             raise InternalError(f"the haptic effect failed: {self.haptic.bypassed}")
 
@@ -164,10 +151,7 @@ class Framework:
         return [f"effect bypassed: {reason}" for reason in self.bypassed()]
 
     def look_for_blocked(self, now_s: float) -> None:
-        """Bypass other effects that keep the audio thread; call it at least every 0.1 s.
-
-        For one other thread, and only while sound that is also played elsewhere is processed.
-        """
+        """Bypass other effects that keep the audio thread; for one other thread, every 0.1 s."""
         others = [effect for effect in self._chains.effects() if effect is not self.haptic]
         self._block_watch.look(others, now_s)
 
@@ -209,24 +193,18 @@ class Framework:
 
     def _take_wanted(self) -> None:
         """Give the effect the latest settings, on the thread that steps the mixer."""
-        wanted = self._wanted
-        if wanted is not self._taken:
-            self._taken = wanted
+        if self._wanted is not self._taken:
+            self._taken = self._wanted
             # It was checked: only a bypassed effect refuses it, which `bypassed` reports.
-            self.haptic.set_parameters(wanted)
+            self.haptic.set_parameters(self._taken)
 
-    @staticmethod
-    def _try(samplerate: int, channels: int, settings: Settings) -> None:
+    def _try(self, settings: Settings) -> None:
         """Raise UsageError if no transform can have these settings."""
+        rate_hz, channels = self.samplerate, self.mixer.channels
         try:
-            HapticTransform(samplerate, channels, settings.transform_parameters, form=settings.form)
+            HapticTransform(rate_hz, channels, settings.transform_parameters, form=settings.form)
         except ValueError as error:  # the band does not fit the sample rate
-            raise UsageError(f"no transform can be made at {samplerate} Hz: {error}") from error
-
-    def _explain(self) -> None:
-        """Raise UsageError with the mistake in the format or the settings."""
-        self._try(self.mixer.samplerate, self.mixer.channels, self.settings)
-        raise UsageError(f"the haptic effect {self.haptic.bypassed or 'refused its parameters'}")
+            raise UsageError(f"no transform can be made at {rate_hz} Hz: {error}") from error
 
     def _array(self, code: int) -> NDArray[Any]:
         """Return the haptic effect's reply to a vendor command."""
@@ -242,10 +220,7 @@ class Framework:
 
 
 def drive_of(settings: Settings, samplerate: int, haptic_channels: int) -> Drive:
-    """Return the drive for a mix with this sample rate in Hz and this many channels of vibration.
-
-    UsageError: there is no such rig, or the sample rate is too low for its processing.
-    """
+    """Return the drive of a mix with so many channels of vibration; UsageError: see `Drive`."""
     return Drive(
         settings.actuators,
         samplerate,
@@ -258,14 +233,10 @@ def drive_of(settings: Settings, samplerate: int, haptic_channels: int) -> Drive
 
 
 def channel_map_of(settings: Settings, haptic_channels: int) -> ChannelMap:
-    """Return which actuator each channel of a file or simulated rig plays.
-
-    If no actuators are named, each channel of the vibration has its own. UsageError: an actuator's
-    channel is named by a position, and files have no positions.
-    """
-    if not settings.actuators:
-        return ChannelMap.repeated(haptic_channels, haptic_channels)
-    return settings.numbered_channels
+    """Return which actuator each channel of a file or rig plays; UsageError: one has no number."""
+    if settings.actuators:
+        return settings.numbered_channels
+    return ChannelMap.repeated(haptic_channels, haptic_channels)
 
 
 def simulated_rig_of(
@@ -274,10 +245,7 @@ def simulated_rig_of(
     channel_map: ChannelMap,
     recorder: VibrationOutput | None = None,
 ) -> SimulatedRig:
-    """Return the simulated rig that each channel of the map plays to, with the chosen model.
-
-    UsageError: a rig lacks what that model needs.
-    """
+    """Return the simulated rig that the map's channels play to; UsageError: a rig lacks figures."""
     names = [actuator.rig or settings.rig for actuator in settings.actuators]
     rigs = [rig_by_name(name) for name in names or [settings.rig] * channel_map.actuators]
     connected = [None if source is None else rigs[source] for source in channel_map.sources]

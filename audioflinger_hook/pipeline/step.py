@@ -16,10 +16,7 @@ from device.output import VibrationOutput
 
 
 class Step(NamedTuple):
-    """The sound as mixed and the vibration as sent in one step, float32; maybe empty.
-
-    The last step has no sound, only the vibration that was held back.
-    """
+    """The sound as mixed and the vibration as sent in one step, float32; either may be empty."""
 
     audio: NDArray[np.float32]
     vibration: NDArray[np.float32]
@@ -35,8 +32,7 @@ class HapticSink:
     def __init__(self, *outputs: VibrationOutput, clip: bool = True) -> None:
         self._outputs = outputs
         self._limit = 1.0 if clip else np.inf
-        self.sent = np.zeros((0, 0), np.float32)
-        """The frames sent last; they change with the next buffer."""
+        self.sent = np.zeros((0, 0), np.float32)  # last; they change with the next buffer
 
     def write(self, buffer: MixBuffer) -> None:
         """Send the vibration of one cycle."""
@@ -71,10 +67,7 @@ class RealTimePace:
 
 
 class Pipeline:
-    """Moves sound from a client through mixer and effect to every output, from one thread.
-
-    Live sound, a replay and a rendering differ only in who calls `step` and when.
-    """
+    """Moves sound from a client through mixer and effect to every output, from one thread."""
 
     def __init__(
         self, client: Client, framework: Framework, outputs: Sequence[VibrationOutput]
@@ -88,10 +81,7 @@ class Pipeline:
         client.connect(framework.mixer)
 
     def step(self, now_s: float = 0.0) -> Step | None:
-        """Do one cycle and return its sound and vibration; None once everything has been sent.
-
-        now_s: seconds of any monotonic clock.
-        """
+        """Do one cycle at `now_s` of any clock; return its sound and vibration, None at the end."""
         if self._ended:
             return None
         frames, mixer = self._client.play(), self._framework.mixer
@@ -106,10 +96,7 @@ class Pipeline:
         return Step(audio, self._sink.sent.copy())
 
     def close(self) -> None:
-        """Close the client and finish every output, the first one last.
-
-        So if another output cannot be finished, the first output has not replaced its file yet.
-        """
+        """Close the client and finish every output, the first one last, in case another fails."""
         self._client.close()
         for output in reversed(self._outputs):
             output.close()

@@ -12,15 +12,14 @@ from string import Template
 
 from audioflinger_hook.config.profiles import PROFILES, parameters_of
 from audioflinger_hook.core.design import core_design
-from audioflinger_hook.plugin import FILE_NAME, plugin_path, turtle
-from audioflinger_hook.plugin.variants import public_variants
+from audioflinger_hook.plugin import FILE_NAME, plugin_path
+from audioflinger_hook.plugin.variants import DESCRIPTION, description, manifest, public_variants
 from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.parameters import check_format
 from device.atomic_file import write_bytes_atomically
 from device.errors import NotFoundError, UsageError, WriteError
 
-CHANNELS = 2
-"""Channels of the plugins' sound; the plugin for one channel doubles it."""
+CHANNELS = 2  # of the plugins' sound; the plugin for one channel doubles it
 
 RATES_HZ = (44_100, 48_000, 88_200, 96_000, 176_400, 192_000)
 MARKER = "Written by `cushion plugin install`; `cushion plugin remove` removes it."
@@ -103,17 +102,12 @@ def install(places: Places, profile: str, device: str | None, rates_hz: tuple[in
         for folder in (places.data, places.bundle):
             # A host may have the old file mapped: it keeps it, since the new one takes its name.
             write_bytes_atomically(folder / FILE_NAME, content)
-        texts = {"manifest.ttl": turtle.manifest, turtle.DESCRIPTION: turtle.description}
+        texts = {"manifest.ttl": manifest, DESCRIPTION: description}
         for name, made in texts.items():
             write_bytes_atomically(places.bundle / name, made(variants, MARKER).encode())
         if device is not None:
-            chain = _filled(
-                "chain.conf",
-                profile=profile,
-                plugin=json.dumps(str(places.plugin)),
-                device=json.dumps(device),
-            )
-            write_bytes_atomically(places.chain, chain)
+            names = {"plugin": json.dumps(str(places.plugin)), "device": json.dumps(device)}
+            write_bytes_atomically(places.chain, _filled("chain.conf", profile=profile, **names))
             if not any((folder / HOST).exists() for folder in (places.host.parent, *HOST_FOLDERS)):
                 write_bytes_atomically(places.host, _filled("host.conf"))
     except OSError as error:
@@ -121,15 +115,12 @@ def install(places: Places, profile: str, device: str | None, rates_hz: tuple[in
 
 
 def remove(places: Places) -> list[Path]:
-    """Remove the files that `install` wrote, and return their paths. May be repeated.
-
-    UsageError: a foreign file is where ours belongs; nothing was removed.
-    """
+    """Remove what `install` wrote, and return it. UsageError: a foreign file is in its place."""
     _refuse_foreign(places)
     found = [places.plugin, *sorted(places.designs.glob("*.design")), places.chain]
     if places.host.exists() and _is_ours(places.host):
         found.append(places.host)
-    found += [places.bundle / name for name in (FILE_NAME, "manifest.ttl", turtle.DESCRIPTION)]
+    found += [places.bundle / name for name in (FILE_NAME, "manifest.ttl", DESCRIPTION)]
     removed = [path for path in found if path.exists()]
     for path in removed:
         path.unlink()

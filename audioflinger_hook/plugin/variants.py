@@ -1,18 +1,20 @@
-"""The plugin's variants as hosts see them: labels, ports and ranges, from the compiled file."""
+"""The plugin's variants as hosts see them, and the Turtle files that describe them for LV2."""
 
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Iterator, Sequence
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
+from audioflinger_hook.core import FILE_NAME
 from device.errors import NotFoundError
 
 INPUT, OUTPUT, CONTROL, AUDIO = 1, 2, 4, 8
 TOGGLED = 0x4
-OF_THE_DAEMON = ("haptic_cushion_daemon",)
+OF_THE_DAEMON = "haptic_cushion_daemon"
 
 
 class _Range(ctypes.Structure):
@@ -62,34 +64,92 @@ class PluginVariant:
 
 
 def public_variants(plugin: Path) -> tuple[PluginVariant, ...]:
-    """Return the variants that any host may use, from the compiled plugin.
-
-    NotFoundError: the file cannot be loaded.
-    """
-    return tuple(variant for variant in _variants(plugin) if variant.label not in OF_THE_DAEMON)
-
-
-def _variants(plugin: Path) -> Iterator[PluginVariant]:
+    """Return the variants that any host may use. NotFoundError: the file cannot be loaded."""
     try:
         describe = ctypes.CDLL(str(plugin)).ladspa_descriptor
     except (OSError, AttributeError) as error:
         raise NotFoundError(f"the plugin cannot be loaded: {error}; run `make run`") from None
     describe.argtypes, describe.restype = [ctypes.c_ulong], ctypes.POINTER(VariantDescriptor)
-    index = 0
-    while found := describe(index):
-        index += 1
-        shown = found.contents
-        yield PluginVariant(
-            shown.label.decode(),
-            shown.name.decode(),
-            tuple(
-                Port(
-                    shown.port_names[port].decode(),
-                    shown.port_descriptors[port],
-                    bool(shown.port_ranges[port].hint & TOGGLED),
-                    shown.port_ranges[port].lower,
-                    shown.port_ranges[port].upper,
-                )
-                for port in range(shown.port_count)
-            ),
-        )
+    variants: list[PluginVariant] = []
+    while found := describe(len(variants)):
+        shown, ports = found.contents, []
+        for port in range(shown.port_count):
+            name, kind = shown.port_names[port].decode(), shown.port_descriptors[port]
+            limits = shown.port_ranges[port]
+            toggled = bool(limits.hint & TOGGLED)
+            ports.append(Port(name, kind, toggled, limits.lower, limits.upper))
+        variants.append(PluginVariant(shown.label.decode(), shown.name.decode(), tuple(ports)))
+    return tuple(variant for variant in variants if variant.label != OF_THE_DAEMON)
+
+
+DESCRIPTION = "haptic_cushion.ttl"
+PREFIX = "urn:haptic-cushion:"
+LATENCY = "latency"
+
+_PREFIXES = """\
+@prefix doap:  <http://usefulinc.com/ns/doap#> .
+@prefix lv2:   <http://lv2plug.in/ns/lv2core#> .
+@prefix rdfs:  <http://www.w3.org/2000/01/rdf-schema#> .
+@prefix units: <http://lv2plug.in/ns/extensions/units#> .
+"""
+
+_UNITS = {"dB": "units:db", "ms": "units:ms", "dBFS": "units:db"}
+
+
+def manifest(variants: Sequence[PluginVariant], marker: str) -> str:
+    """Return manifest.ttl: which plugins there are, and where. marker: a comment's text."""
+    entries = [
+        f"<{PREFIX}{variant.profile}>\n    a lv2:Plugin ;\n    lv2:binary <{FILE_NAME}> ;\n"
+        f"    rdfs:seeAlso <{DESCRIPTION}> .\n"
+        for variant in variants
+    ]
+    return "\n".join((f"# {marker}\n{_PREFIXES}", *entries))
+
+
+def description(variants: Sequence[PluginVariant], marker: str) -> str:
+    """Return the file that describes the plugins and their ports. marker: a comment's text."""
+    return "\n".join((f"# {marker}\n{_PREFIXES}", *map(_plugin, variants)))
+
+
+def _plugin(variant: PluginVariant) -> str:
+    ports = " , ".join(_port(index, port) for index, port in enumerate(variant.ports))
+    return (
+        f"<{PREFIX}{variant.profile}>\n"
+        "    a lv2:Plugin , lv2:ConverterPlugin ;\n"
+        f'    doap:name "{variant.name}" ;\n'
+        "    doap:license <https://www.apache.org/licenses/LICENSE-2.0> ;\n"
+        '    rdfs:comment "Turns sound into vibration for a cushion or seat." ;\n'
+        "    lv2:minorVersion 2 ;\n"
+        "    lv2:microVersion 0 ;\n"
+        "    lv2:optionalFeature lv2:hardRTCapable ;\n"
+        f"    lv2:port {ports} .\n"
+    )
+
+
+def _port(index: int, port: Port) -> str:
+    direction = "lv2:InputPort" if port.kind & INPUT else "lv2:OutputPort"
+    kind = "lv2:AudioPort" if port.kind & AUDIO else "lv2:ControlPort"
+    lines = [
+        f"a {direction} , {kind}",
+        f"lv2:index {index}",
+        f'lv2:symbol "{symbol(port.name)}"',
+        f'lv2:name "{port.name}"',
+    ]
+    if port.kind & CONTROL and port.kind & INPUT:
+        lines += ["lv2:default 0.0", f"lv2:minimum {port.lower:.1f}"]
+        lines.append(f"lv2:maximum {port.upper:.1f}")
+    if port.toggled:
+        lines.append("lv2:portProperty lv2:toggled")
+    if port.name == LATENCY:
+        lines += ["lv2:portProperty lv2:reportsLatency", "lv2:designation lv2:latency"]
+        lines.append("units:unit units:frame")
+    unit = re.search(r"\((\w+)\)", port.name)
+    if unit:
+        lines.append(f"units:unit {_UNITS[unit[1]]}")
+    body = " ;\n        ".join(lines)
+    return f"[\n        {body}\n    ]"
+
+
+def symbol(name: str) -> str:
+    """Return a port's name as a symbol, such as "gain" for "Gain (dB)"."""
+    return re.sub(r"\W+", "_", name.partition(" (")[0].lower())

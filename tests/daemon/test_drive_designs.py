@@ -13,10 +13,9 @@ import numpy as np
 import pytest
 
 from audioflinger_hook.config.settings import LiveSettings, Settings
-from audioflinger_hook.daemon.native import designs as module
+from audioflinger_hook.daemon.native import plan as module
 from audioflinger_hook.daemon.native.chains import Chains
-from audioflinger_hook.daemon.native.designs import LONGEST_WAIT_S, DriveDesigns
-from audioflinger_hook.daemon.native.plan import ChainPlan
+from audioflinger_hook.daemon.native.plan import LONGEST_WAIT_S, ChainPlan, DriveDesigns
 from audioflinger_hook.daemon.native.taps import Tap
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.sources import parse_tap
@@ -34,9 +33,9 @@ def made(designs: DriveDesigns, *plans: DrivePlan | None) -> list[DriveDesign | 
     deadline_s = time.monotonic() + 30.0
     while (found := designs.of(plans, time.monotonic())) is None:
         assert time.monotonic() < deadline_s
-        assert designs.are_under_way
+        assert designs.is_busy
         time.sleep(0.01)
-    assert not designs.are_under_way
+    assert not designs.is_busy
     return found
 
 

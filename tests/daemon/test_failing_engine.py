@@ -15,12 +15,10 @@ from audioflinger_hook.daemon import engines as engines_module
 from audioflinger_hook.daemon.engine import Clocks
 from audioflinger_hook.daemon.engines import Engines
 from audioflinger_hook.daemon.native import chains as chains_module
-from audioflinger_hook.daemon.native.chains import STUCK_S, Chains
-from audioflinger_hook.daemon.native.designs import DriveDesigns
+from audioflinger_hook.daemon.native.chains import STUCK_S, Chains, RunningChain
 from audioflinger_hook.daemon.native.engine import NativeEngine
-from audioflinger_hook.daemon.native.plan import ChainPlan
+from audioflinger_hook.daemon.native.plan import ChainPlan, DriveDesigns
 from audioflinger_hook.daemon.native.run import FAILURES_MAX, START_S, NativeRun
-from audioflinger_hook.daemon.native.running import RunningChain
 from audioflinger_hook.daemon.native.taps import Tap
 from audioflinger_hook.daemon.outputs.base import DeviceVolume
 from audioflinger_hook.daemon.run_config import ConfigDiff, RunConfig
@@ -52,7 +50,7 @@ class Engine:
         self.monitor_reason = ""
         self.waits_for = ""
         self.is_fed = True
-        self.is_lost = self.is_designing = False
+        self.watch, self.designs = SimpleNamespace(lost=False), SimpleNamespace(is_busy=False)
 
     def use_monitor(self, reason: str) -> None:
         self.monitor_reason = reason

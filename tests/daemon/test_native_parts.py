@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 
 from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.core.structures import PARTIALS
+from audioflinger_hook.daemon.engine import FADE_S, SoftFade
 from audioflinger_hook.daemon.native import abilities
 from audioflinger_hook.daemon.native import layout as layout_module
 from audioflinger_hook.daemon.native.abilities import (
@@ -27,16 +28,16 @@ from audioflinger_hook.daemon.native.abilities import (
     why_python,
 )
 from audioflinger_hook.daemon.native.page import Page
-from audioflinger_hook.daemon.native.plan import ChainPlan, device_map
+from audioflinger_hook.daemon.native.plan import ChainPlan
 from audioflinger_hook.daemon.native.run import NativeRun
 from audioflinger_hook.daemon.native.taps import in_mixing_order, port_names, tap_of
 from audioflinger_hook.daemon.outputs.base import DeviceVolume
 from audioflinger_hook.daemon.run_config import RunConfig
-from audioflinger_hook.daemon.soft_fade import FADE_S, SoftFade
 from audioflinger_hook.service.state import StateKeeper
 from audioflinger_hook.sources import parse_tap
 from device.address import parse_device
 from device.drive import ActuatorSettings
+from device.drive.channel_positions import actuators_of_channels
 from device.errors import NotFoundError, UsageError
 from device.layouts import layout
 from device.server import PulseConnection
@@ -150,15 +151,16 @@ def test_a_plan_routes_each_actuator_to_its_source() -> None:
     assert weights is not None
     assert weights.shape == (6, 2, 2)
     assert np.allclose(weights.sum(axis=0), 1.0)
-    assert device_map(settings, plan, sink(SURROUND)).sources[:3] == (0, 1, 2)
+    played = actuators_of_channels(sink(SURROUND), settings.actuators, plan.outputs)
+    assert played.sources[:3] == (0, 1, 2)
     with pytest.raises(UsageError, match="no such channel"):
-        device_map(settings, plan, sink())
+        actuators_of_channels(sink(), settings.actuators, plan.outputs)
 
 
 def test_without_actuators_every_channel_of_the_device_plays() -> None:
     plan = ChainPlan.of(Settings(), tap_of(monitor(), None), 48_000)
     assert (plan.outputs, plan.actuators, plan.weights) == (1, (0,), None)
-    assert device_map(Settings(), plan, sink(SURROUND)).sources == (0,) * 6
+    assert actuators_of_channels(sink(SURROUND), (), plan.outputs).sources == (0,) * 6
     each = ChainPlan.of(Settings(channels="each"), tap_of(monitor(), None), 48_000)
     assert (each.outputs, each.actuators) == (2, (0, 1))
 

@@ -5,8 +5,14 @@ from __future__ import annotations
 import pytest
 
 from audioflinger_hook.daemon.inputs.applications import Applications
-from audioflinger_hook.daemon.native.taps import Tap, channels_of, tap_of
-from audioflinger_hook.daemon.native.wiring import ChainEnds, ChainWiring, why_unlinkable
+from audioflinger_hook.daemon.native.taps import (
+    ChainEnds,
+    ChainWiring,
+    Tap,
+    channels_of,
+    tap_of,
+    why_unlinkable,
+)
 from device.server import AppRules
 from device.server.snapshot import Source
 from tests.support.graphs import desktop, gone, link, node, play, port

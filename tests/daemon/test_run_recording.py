@@ -144,7 +144,7 @@ def test_discontinuities_are_marked_on_the_first_buffer_after_them(tmp_path):
     for number in range(6):
         if number in (0, 4):
             run.recording.reopened()
-        run.recording.sent(buffers[number], 48_000, float(number))
+        run.recording.sent(buffers[number], float(number), 48_000)
     run.recording.close()
     capture = Capture(tmp_path / "cap")
     assert [b.discontinuity for b in capture.buffers("tap")].count(True) == 2

@@ -22,6 +22,7 @@ from audioflinger_hook.core.compiled_core import Core
 from audioflinger_hook.core.design import core_design
 from audioflinger_hook.core.structures import Controls
 from audioflinger_hook.daemon.native.page import Page
+from audioflinger_hook.drive.driven_rig import driven_rigs
 from audioflinger_hook.mixer.layouts import source_weights
 from audioflinger_hook.transform import HapticTransform
 from audioflinger_hook.transform.design import LiveDesign
@@ -319,7 +320,7 @@ def test_a_hot_coil_stays_hot_in_another_process_and_a_new_day_begins_while_it_r
 ) -> None:
     design = driven_design(2, (), DRIVES)
     page = Page(tmp_path / "page", 2, 1, [0, 0, 0])
-    rig = page.rigs(DRIVES, 1)[1]
+    rig = driven_rigs(DRIVES, page.controls, page.readings, 1)[1]
     assert rig
     rig.restore([SafetyState(90.0, 50.0, DoseSums(60.0, 5.0, 25.0))])
     instance = daemon_instance(tmp_path, monkeypatch, design, page)

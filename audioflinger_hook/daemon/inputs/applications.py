@@ -19,18 +19,15 @@ from device.server import AppCaptures, PulseConnection, ServerSnapshot
 from device.server.app_capture import AppCapture, EndReason
 from device.server.app_rules import app_name
 from device.server.identity import default_monitor
-from device.server.snapshot import Stream
+from device.server.snapshot import Sink, Stream
 from device.server.tap_volume import TapVolume, muted_sink
 from device.stream import AudioPriority
 from device.units import Float32Array
 
-CAPTURES_MAX = 32
-"""Largest number of captured applications, to limit the CPU load; more rarely play at once."""
+CAPTURES_MAX = 32  # limits the CPU load; more rarely play at once
 
 NO_APPLICATION = "no application plays"
 NONE_SUCH = "no application that the tap names plays; `cushion devices` lists those that do"
-
-DEFAULT_SAMPLERATE, DEFAULT_CHANNELS = 48_000, 2
 
 
 @dataclass(frozen=True)
@@ -41,11 +38,11 @@ class Applications:
     sink: the sink that they play to; "" if they may play to any.
     """
 
-    streams: tuple[Stream, ...]
-    samplerate: int
-    channels: int
+    streams: tuple[Stream, ...] = ()
+    samplerate: int = 48_000
+    channels: int = 2
     left_out: int = 0
-    channel_map: str = ""
+    channel_map: str = "front-left,front-right"
     sink: str = ""
 
     @property
@@ -56,18 +53,14 @@ class Applications:
 
     @property
     def why_silent(self) -> str:
-        """Why no sound arrives while the daemon is idle, for the user."""
+        """Why no sound arrives while the daemon is idle."""
         return NOTHING if self.streams else NONE_SUCH
 
 
 class ApplicationsFeed:
-    """Passes buffers of several applications to one engine, which mixes them.
+    """Passes buffers of several applications to one engine, which mixes them; see `Feed`."""
 
-    The supervising thread calls `client` and `serve` before the first buffer. A recording gets the
-    mix instead of the buffers. priority: of the thread that captures. gain: of all frames.
-    """
-
-    records_mix = True
+    records_mix = True  # instead of the buffers
 
     def __init__(self, priority: AudioPriority | None = None) -> None:
         self._priority = priority
@@ -101,26 +94,19 @@ class ApplicationsFeed:
 
 
 class ApplicationsInput(Input):
-    """Sound of the applications that the config's rules select; there may be none.
-
-    feed: takes their buffers on the thread that captures. The other methods are for the
-    supervising thread.
-    """
+    """Sound of the applications that the config's rules select; there may be none."""
 
     needs_server = True
 
     def __init__(self, config: RunConfig, states: StateKeeper, feed: ApplicationsFeed) -> None:
         super().__init__(_address(config))
-        rules = config.rules
-        assert rules is not None
-        self._rules = rules
-        self._of_default_sink = config.tap.kind == "default"
+        self.retarget(config)
         self._states = states
         self._feed = feed
         self._captures: AppCaptures | None = None
         self._open: dict[int, tuple[AppCapture, Voice]] = {}
         self._backoff = Backoff()
-        self._found = Applications((), DEFAULT_SAMPLERATE, DEFAULT_CHANNELS)
+        self._found = Applications()
         self._volume = TapVolume()
         self._xruns_before = 0
 
@@ -174,13 +160,14 @@ class ApplicationsInput(Input):
         if self._of_default_sink:
             sink = default_monitor(snapshot, device).monitor_of or ""
             streams = tuple(stream for stream in streams if stream.device_name == sink)
-        default = next((s for s in snapshot.sinks if s.name == snapshot.default_sink), None)
+        sinks = (one for one in snapshot.sinks if one.name == snapshot.default_sink)
+        form: Sink | Applications = next(sinks, Applications())
         self._found = Applications(
             streams[:CAPTURES_MAX],
-            default.samplerate if default else DEFAULT_SAMPLERATE,
-            default.channels if default else DEFAULT_CHANNELS,
+            form.samplerate,
+            form.channels,
             max(0, len(streams) - CAPTURES_MAX),
-            default.channel_map if default else "front-left,front-right",
+            form.channel_map,
             sink,
         )
         return self._found
@@ -198,10 +185,7 @@ class ApplicationsInput(Input):
         return bool(muted_sink(snapshot, self._found.sink))
 
     def maintain(self, connection: PulseConnection | None, now_s: float) -> None:
-        """Capture exactly the located applications.
-
-        LostError, NotFoundError: libpulse provides no second connection.
-        """
+        """Capture exactly the located applications. LostError, NotFoundError: libpulse fails."""
         captures = self._captures
         if captures is not None and captures.lost is not None:
             self._states.recover(Cause.TAP_LOST, now_s, str(captures.lost))

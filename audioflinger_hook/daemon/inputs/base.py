@@ -9,8 +9,7 @@ from typing import Protocol
 from audioflinger_hook.daemon.run_config import RunConfig
 from device.server import PulseConnection, ServerSnapshot
 
-NOTHING = "nothing plays"
-"""Why no sound arrives while nothing is wrong."""
+NOTHING = "nothing plays"  # why no sound arrives while nothing is wrong
 
 
 class AudioNode(Protocol):
@@ -19,17 +18,14 @@ class AudioNode(Protocol):
     @property
     def name(self) -> str:
         """The node's name in messages."""
-        ...
 
     @property
     def samplerate(self) -> int:
         """Hz; 0 if it takes the rate of the mix."""
-        ...
 
     @property
     def channels(self) -> int:
         """Count; 0 if it takes the channels of the vibration."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -42,13 +38,9 @@ class FixedNode:
 
 
 class Endpoint(ABC):
-    """An input or an output. For the supervising thread alone.
+    """An input or an output, with its address. For the supervising thread alone."""
 
-    address: the address as the user wrote it.
-    """
-
-    needs_server = False
-    """Whether the endpoint belongs to the sound server."""
+    needs_server = False  # whether it belongs to the sound server
 
     def __init__(self, address: object) -> None:
         self.address = address
@@ -100,10 +92,7 @@ class Input(Endpoint):
 
     @abstractmethod
     def locate(self, snapshot: ServerSnapshot | None, device: str | None) -> AudioNode:
-        """Find the node to capture. device: the sink that vibration goes to, which is never tapped.
-
-        NotFoundError: the node is not available, or must not be tapped.
-        """
+        """Find the node to capture, which is never on `device`. NotFoundError: it is not there."""
 
     def players(self, snapshot: ServerSnapshot | None) -> frozenset[int]:
         """Return the streams that may play into the located node."""
@@ -127,10 +116,7 @@ class Input(Endpoint):
         return False
 
     def listen(self, connection: PulseConnection | None, now_s: float) -> bool:
-        """Return whether sound arrived while the input is closed; raises nothing.
-
-        The supervisor calls it regularly while nothing plays.
-        """
+        """Return whether sound arrived while closed; called while nothing plays. Raises nothing."""
         return False
 
     @abstractmethod

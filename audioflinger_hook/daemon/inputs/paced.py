@@ -15,17 +15,10 @@ from device.clock import DelayState
 from device.server import PulseConnection, ServerSnapshot
 from device.units import Float32Array
 
-BLOCK_FRAMES = 256
-"""Buffer length for a file; a capture keeps its own buffers."""
-
-LEAD_IN_S = 0.2
-"""Silence before the sound until the delay line plays, so that the beginning is not lost."""
-
-LEAD_IN_MAX_S = 5.0
-"""Longest silence before the sound, even if nothing reads the delay line."""
-
-RUN_OUT_S = 0.3
-"""Silence after the last vibration, until a sound server has played its buffers."""
+BLOCK_FRAMES = 256  # buffer length for a file; a capture keeps its own buffers
+LEAD_IN_S = 0.2  # silence until the delay line plays, so that the beginning is not lost
+LEAD_IN_MAX_S = 5.0  # of silence, even if nothing reads the delay line
+RUN_OUT_S = 0.3  # silence after the vibration, until a server has played its buffers
 
 PLAYING = (DelayState.SETTLING, DelayState.LOCKED)
 
@@ -41,14 +34,10 @@ class PacedInput(Input):
 
     def __init__(self, address: TapAddress, pacer: Pacer, feed: Feed) -> None:
         super().__init__(str(address))
-        self._pacer = pacer
-        self._feed = feed
+        self._pacer, self._feed = pacer, feed
         self._player: _Player | None = None
-        self._tap = (
-            FileTap(Path(address.name), BLOCK_FRAMES)
-            if address.kind == "file"
-            else open_tap(address)
-        )
+        is_file = address.kind == "file"
+        self._tap = FileTap(Path(address.name), BLOCK_FRAMES) if is_file else open_tap(address)
         self._node = FixedNode(str(address), self._tap.samplerate, self._tap.channels)
 
     @property
@@ -100,20 +89,16 @@ class _Player:
     def __init__(self, tap: Tap, feed: Feed, engine: Engine) -> None:
         self.error: Exception | None = None
         self.ended = False
-        self._tap = tap
-        self._feed = feed
-        self._engine = engine
+        self._tap, self._feed, self._engine = tap, feed, engine
         self._played = FrameTime(engine.samplerate)
         self._silence = np.zeros((BLOCK_FRAMES, engine.drive.outputs), np.float32)
         self._tail: Float32Array | None = None
-        self._led_in_s = 0.0
         self._in_lead_in = True
-        self._run_out_s = 0.0
+        self._led_in_s = self._run_out_s = 0.0
         self._next = tap.read()
 
     @property
     def due_s(self) -> float:
-        """End of the next block, in seconds from the start."""
         if self._in_lead_in or self._next is None:
             return self._played.after(BLOCK_FRAMES, self._engine.samplerate)
         return self._played.after(len(self._next), self._tap.samplerate)
@@ -124,7 +109,6 @@ class _Player:
         self._led_in_s = 0.0
 
     def run(self, now_s: float) -> bool:
-        """Deliver the next block."""
         if self._in_lead_in:
             self._send(self._silence, now_s)
             self._led_in_s += BLOCK_FRAMES / self._engine.samplerate
@@ -148,12 +132,10 @@ class _Player:
         self._next = tap.read()
 
     def _send_tail(self, now_s: float) -> None:
-        """Send one block of the vibration that is left after the sound."""
         tail = self._feed.finish(now_s) if self._tail is None else self._tail
+        part, self._tail = tail[:BLOCK_FRAMES], tail[BLOCK_FRAMES:]
         block = self._silence.copy()
-        part = tail[:BLOCK_FRAMES]
         block[: len(part)] = part
-        self._tail = tail[BLOCK_FRAMES:]
         self._run_out_s = self._engine.delay_line.status.delay_s + RUN_OUT_S
         self._send(block, now_s)
 

@@ -23,15 +23,14 @@ from device.stream.pcms import Pcm, ServerDevice
 from device.stream.portaudio import BLOCK_FRAMES
 from device.units import Float32Array
 
-LISTENING_FRAMES = 4_096
-"""Block length while only listening: at 48 kHz, sound is noticed within 85 ms."""
+LISTENING_FRAMES = 4_096  # at 48 kHz, sound is noticed within 85 ms
 
 
 class SinkInput(Input):
     """Sound of one sink of the server: the default sink or a named sink.
 
-    receiver: takes its buffers, on PortAudio's thread. block_frames, priority: of streams that are
-    opened later. on_heard: called by PortAudio's thread if the listening input gets sound.
+    receiver: takes its buffers, on PortAudio's thread, which calls `on_heard` if a listening input
+    gets sound.
     """
 
     needs_server = may_rest = True  # while closed, the input listens
@@ -49,22 +48,17 @@ class SinkInput(Input):
     ) -> None:
         super().__init__(str(address))
         self.block_frames = block_frames
-        self._on_heard = on_heard
-        self._heard = False
-        self._priority = priority
-        self._retargeted = False
-        self._tap = address
-        self._pcm = pcm
-        self._states = states
-        self._receiver = receiver
+        self._tap, self._pcm, self._states, self._receiver = address, pcm, states, receiver
+        self._priority, self._on_heard = priority, on_heard
+        self._heard = self._retargeted = False
         self._capture, self._listener = (
             ReconnectingStream[CaptureStream]("the tap", states, Cause.TAP_LOST, Cause.TAP_MOVED)
             for _ in range(2)
         )
         self._volume = TapVolume()
         self._found: Source | None = None
-        self._muted = ""
         self._source: Source | None = None
+        self._muted = ""
 
     @property
     def name(self) -> str | None:
@@ -143,10 +137,7 @@ class SinkInput(Input):
         return bool(self._found and muted_sink(snapshot, self._found.monitor_of))
 
     def listen(self, connection: PulseConnection | None, now_s: float) -> bool:
-        """Return whether sound arrived; listens while applications may play.
-
-        The long blocks cost almost no CPU time.
-        """
+        """Return whether sound arrived; listens while applications may play, in long blocks."""
         source = self._found
         if connection is None or source is None or not self.players(connection.latest):
             self._listener.close()
@@ -221,7 +212,6 @@ class SinkInput(Input):
         )
 
     def _notice(self, frames: Float32Array, now_s: float) -> None:
-        """Notice sound while listening; on PortAudio's thread."""
         if frames.any():
             self._heard = True
             self._on_heard()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 
 from audioflinger_hook.core.structures import CHANNELS
@@ -16,9 +15,7 @@ from device.server import ServerSnapshot
 from device.server.graph_watch import EDITOR, READER
 from device.stream.pcms import missing_plugin
 
-SERVER = "PipeWire"
-VERSION_MIN = (0, 3, 50)
-"""Older versions of filter-chain read another syntax."""
+VERSION_MIN = (0, 3, 50)  # older versions of filter-chain read another syntax
 
 FILTER_CHAIN = "libpipewire-module-filter-chain.so"
 MODULE_FOLDERS = ("/usr/lib/*/pipewire-*", "/usr/lib/pipewire-*", "/usr/lib64/pipewire-*")
@@ -36,16 +33,12 @@ def check_engine(config: RunConfig, snapshot: ServerSnapshot | None) -> None:
 
 
 def why_python(config: RunConfig, snapshot: ServerSnapshot | None) -> str:
-    """Return why the Python engine must compute, "" if the native one can.
-
-    snapshot: of the sound server, None without one.
-    """
+    """Return why the Python engine must compute, as without a server; "" if the native one can."""
     if config.live.engine == "python":
         return "engine = 'python'"
-    reason = next(_refusals(config), "")
-    if snapshot is None:
+    if (reason := _refusal(config)) or snapshot is None:
         return reason or "there is no sound server"
-    return reason or missing_parts() or why_not_server(snapshot)
+    return missing_parts() or why_not_server(snapshot)
 
 
 def missing_parts() -> str:
@@ -63,7 +56,7 @@ def missing_parts() -> str:
 
 def why_not_server(snapshot: ServerSnapshot) -> str:
     """Return why the native engine cannot work on a server, "" if it can."""
-    if snapshot.kind != SERVER:
+    if snapshot.kind != "PipeWire":
         return f"the sound server is {snapshot.kind}"
     found = re.match(r"(\d+)\.(\d+)\.(\d+)", snapshot.version)
     if found and tuple(map(int, found.groups())) < VERSION_MIN:
@@ -72,26 +65,20 @@ def why_not_server(snapshot: ServerSnapshot) -> str:
     return ""
 
 
-def _refusals(config: RunConfig) -> Iterator[str]:
-    settings, live = config.settings, config.live
-    if not config.tap_is_live:
-        yield f"the tap {config.tap} is not on the sound server"
-    if not config.device_is_live or config.device_is_a_card:
-        yield f"the device {config.device} is not on the sound server"
-    if live.drop_in:
-        yield "drop_in is on"
-    if config.recording:
-        yield "the run is recorded"
-    if settings.form != "live":
-        yield f"transform = {settings.form!r}"
-    if settings.effects_file is not None:
-        yield "effects_file is set"
-    if len(settings.actuators) > ACTUATORS:
-        yield f"there are more than {ACTUATORS} actuators"
+def _refusal(config: RunConfig) -> str:
+    settings, is_server = config.settings, config.device_is_live and not config.device_is_a_card
+    reasons = (
+        (not config.tap_is_live, f"the tap {config.tap} is not on the sound server"),
+        (not is_server, f"the device {config.device} is not on the sound server"),
+        (config.live.drop_in, "drop_in is on"),
+        (config.recording is not None, "the run is recorded"),
+        (settings.form != "live", f"transform = {settings.form!r}"),
+        (settings.effects_file is not None, "effects_file is set"),
+        (len(settings.actuators) > ACTUATORS, f"there are more than {ACTUATORS} actuators"),
+    )
+    return next((text for applies, text in reasons if applies), "")
 
 
 def why_not_tap(channels: int) -> str:
     """Return why the native engine cannot tap so many channels, "" if it can."""
-    if channels <= CHANNELS:
-        return ""
-    return f"the tap has {channels} channels, more than {CHANNELS}"
+    return "" if channels <= CHANNELS else f"the tap has {channels} channels, more than {CHANNELS}"

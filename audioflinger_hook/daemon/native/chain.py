@@ -10,31 +10,21 @@ from contextlib import suppress
 from itertools import count
 from pathlib import Path
 
-from audioflinger_hook.core.structures import CHANNELS
 from audioflinger_hook.daemon.native.page import Page
 from audioflinger_hook.daemon.native.plan import ChainPlan
-from audioflinger_hook.daemon.native.taps import OUT
-from audioflinger_hook.daemon.native.wiring import ChainEnds
+from audioflinger_hook.daemon.native.taps import OUT, ChainEnds
+from audioflinger_hook.drive.driven_rig import driven_rigs
 from audioflinger_hook.plugin import plugin_path
 from device.drive.design import DriveDesign
 from device.errors import InternalError, LostError, NotFoundError
 from device.process import ends_with_us
 from device.server.graph import Graph
 
-NAME = "haptic-cushion"
-"""Beginning of the names of all nodes and files."""
-
-END_S = 0.2
-"""Longest wait for the end of the process before it is killed."""
-
-POLICY_FIELD = 38
-"""Of /proc/PID/task/TID/stat after the program's name, see proc(5)."""
-
-PLUGIN = "haptic_cushion: "
-"""Beginning of the plugin's own messages."""
-
-LOG_BYTES = 2_000
-"""How much of the process's last messages is read."""
+NAME = "haptic-cushion"  # begins the names of all nodes and files
+END_S = 0.2  # longest wait for the end of the process before it is killed
+POLICY_FIELD = 38  # of /proc/PID/task/TID/stat after the program's name, see proc(5)
+PLUGIN = "haptic_cushion: "  # begins the plugin's own messages
+LOG_BYTES = 2_000  # read of the process's last messages
 
 _numbers = count(1)
 
@@ -88,12 +78,8 @@ _REALTIME = (
 class Chain:
     """A running chain, which nothing is linked to yet.
 
-    The supervising thread calls the methods.
-
-    plan: what it does. drives: the designs of its `drive_plans`. folder: private, for its files.
-    prepare: called before the process starts, to set what it begins with. realtime: whether to ask
-    for real-time priority. tap, vibration: names of its nodes. page: shared with the plugin. rigs:
-    what is known of each driven rig.
+    For the supervising thread. prepare: called before the process starts, to set what it begins
+    with. tap, vibration: names of its nodes. page: shared with the plugin.
     InternalError: a file cannot be written. NotFoundError: PipeWire cannot be started.
     """
 
@@ -109,14 +95,15 @@ class Chain:
         self.plan = plan
         self.name = f"{NAME}-{os.getpid()}-{next(_numbers)}"
         self.tap, self.vibration = f"{self.name}.tap", f"{self.name}.vibration"
-        files = {end: folder / f"{self.name}.{end}" for end in ("conf", "design", "page", "log")}
-        self._files = files
+        ends = ("conf", "design", "page", "log")
+        self._files = files = {end: folder / f"{self.name}.{end}" for end in ends}
         self._process: subprocess.Popen[bytes] | None = None
         try:
             files["design"].write_bytes(plan.design(drives))
             files["conf"].write_text(self._config(realtime), "utf-8")
             self.page = Page(files["page"], plan.tap_channels, plan.outputs, plan.actuators)
-            self.rigs = self.page.rigs(drives, plan.columns)
+            controls, readings = self.page.controls, self.page.readings
+            self.rigs = driven_rigs(drives, controls, readings, plan.columns)
             prepare(self)
             with files["log"].open("wb") as log:
                 self._process = subprocess.Popen(
@@ -143,7 +130,7 @@ class Chain:
 
     @property
     def process_id(self) -> int:
-        """The process's number."""
+        """The process's number, 0 once closed."""
         return self._process.pid if self._process else 0
 
     def check(self) -> None:
@@ -203,11 +190,9 @@ class Chain:
 
     def _config(self, realtime: bool) -> str:
         plan, plugin = self.plan, json.dumps(str(plugin_path()))
-        node = f"{{ type = ladspa plugin = {plugin} name = core label = haptic_cushion_daemon }}"
-        assert plan.tap_channels <= CHANNELS
         return _CONFIG.format(
             realtime=_REALTIME if realtime else "",
-            node=node,
+            node=f"{{ type = ladspa plugin = {plugin} name = core label = haptic_cushion_daemon }}",
             inputs=" ".join(f'"core:In {n + 1}"' for n in range(plan.tap_channels)),
             outputs=" ".join(f'"core:Out {n + 1}"' for n in range(len(plan.actuators))),
             tap=json.dumps(self.tap),

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
-from audioflinger_hook.daemon.native.chain import NAME, Chain
-from audioflinger_hook.daemon.native.designs import DriveDesigns
-from audioflinger_hook.daemon.native.plan import ChainPlan
-from audioflinger_hook.daemon.native.running import RunningChain
+from audioflinger_hook.daemon.native.chain import NAME, Chain, has_realtime
+from audioflinger_hook.daemon.native.plan import ChainPlan, DriveDesigns
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.daemon.timing import Backoff
 from audioflinger_hook.drive.driven_rig import DrivenRig
@@ -17,40 +17,91 @@ from device.errors import LostError
 from device.server.graph import Graph
 from device.units import db_to_amplitude
 
-FADE_S = 0.4
-"""Longest wait for a chain to fade out. Its fade takes 40 ms; a graph that stands still, longer."""
+FADE_S = 0.4  # longest wait for a fade of 40 ms: the graph may stand still
+STUCK_S = 1.0  # without progress although a stream plays, a chain is replaced
+START_S = 5.0  # from the start of a process to its ports, at most
+START_WAIT_S = 1.0  # longest time between two starts
+SETTLED_FRAMES = 9_600  # heard before a new chain is felt: its analysis looks 0.1 s back
+SETTLED_S = 0.3  # longest wait for that sound: nothing may play
+PRIORITY_S = 1.0  # after which the process has its priority, or is refused it
+LEAVE_S = 0.5  # longest wait for a chain's links to vanish before its process ends
 
-STUCK_S = 1.0
-"""A chain that processes nothing for so long although a stream plays is replaced."""
-
-START_S = 5.0
-"""Longest time from the start of a process to its ports."""
-
-START_WAIT_S = 1.0
-"""Longest time between two starts."""
-
+# Sets what rigs begin with; the second argument tells the first call for them.
 Restore = Callable[[Sequence[DrivenRig | None], bool], None]
-"""Sets what rigs begin with; the second argument tells the first call for them."""
+
+
+@dataclass
+class RunningChain:
+    """A chain and its times in seconds. For the supervising thread alone.
+
+    linked_s: since when it has all its links. frames, moved_s: what it has processed, and when that
+    last changed. left_s: when its links were first removed.
+    """
+
+    chain: Chain
+    began_s: float
+    linked_s: float = math.inf
+    frames: int = 0
+    moved_s: float = 0.0
+    left_s: float = math.inf
+    has_realtime: bool | None = None
+
+    @property
+    def is_silent(self) -> bool:
+        """Whether it has faded out."""
+        return self.chain.page.faded_out(len(self.chain.plan.actuators))
+
+    def look_for_priority(self, now_s: float) -> None:
+        """Find out once, when it has played for a while, whether it has real-time priority."""
+        if self.has_realtime is None and now_s - self.linked_s > PRIORITY_S:
+            self.has_realtime = has_realtime(self.chain.process_id)
+
+    @property
+    def is_linked(self) -> bool:
+        """Whether it has all its links."""
+        return self.linked_s < math.inf
+
+    def note_frames(self, now_s: float, *, is_fed: bool) -> None:
+        """Note whether it has processed something; is_fed: whether it has something to."""
+        frames = self.chain.page.frames
+        if frames != self.frames or not is_fed or not self.is_linked:
+            self.frames, self.moved_s = frames, now_s
+
+    def stands_s(self, now_s: float) -> float:
+        """Return how long it has processed nothing although it should."""
+        return now_s - self.moved_s
+
+    def is_settled(self, now_s: float) -> bool:
+        """Whether its vibration is that of a chain that has always run."""
+        heard = self.chain.page.frames >= SETTLED_FRAMES
+        return self.linked_s < math.inf and (heard or now_s - self.linked_s > SETTLED_S)
+
+    def has_left(self, graph: Graph, now_s: float) -> bool:
+        """Whether the links are gone that are not wanted any more.
+
+        A process that ends while linked costs all other streams of the device a cycle: a click.
+        """
+        self.left_s = min(self.left_s, now_s)
+        nodes = [graph.node_named(name) for name in (self.chain.tap, self.chain.vibration)]
+        linked = any(node and any(graph.links_of(node.id)) for node in nodes)
+        return not linked or now_s - self.left_s > LEAVE_S
 
 
 class Chains:
     """All chains of one engine. For the supervising thread alone; attributes are for any thread.
 
-    folder: private, for files. restore: sets what the rigs of a new chain begin with. designs: of
-    drives. current: the chain that plays, or would. following: the one that is to replace it.
-    leaving: those that are being unlinked. backoff: delays starts after failures. problem: why no
-    chain follows although the settings have changed, "" for nothing.
+    current: the chain that plays, or would. following: the one that is to replace it. leaving:
+    those that are being unlinked. backoff: delays starts after failures. problem: why no chain
+    follows although the settings have changed, "" for nothing.
     """
 
     def __init__(
         self, config: RunConfig, folder: Path, restore: Restore, designs: DriveDesigns
     ) -> None:
-        self._config = config
-        self._restore = restore
-        self._designs = designs
-        self.problem = ""
-        self._folder = folder
+        self._config, self._folder = config, folder
+        self._restore, self._designs = restore, designs
         self._sound_gain = 1.0
+        self.problem = ""
         self.backoff = Backoff(longest_s=START_WAIT_S)
         self.current: RunningChain | None = None
         self.following: RunningChain | None = None
@@ -76,13 +127,8 @@ class Chains:
             running.chain.page.set_sound_gain(gain)
 
     def check(self, graph: Graph, now_s: float, *, is_fed: bool) -> None:
-        """Drop chains that have ended or hang, and raise LostError for them.
-
-        is_fed: whether a stream plays that is tapped, so that frames must be processed.
-        """
-        for running in (self.following, self.current):
-            if running is None:
-                continue
+        """Drop chains that have ended, or hang although fed, and raise LostError for them."""
+        for running in reversed(self.running):
             try:
                 running.chain.check()
                 if running.chain.is_stopped:

@@ -13,25 +13,28 @@ from pathlib import Path
 
 from audioflinger_hook.daemon.inputs.applications import Applications
 from audioflinger_hook.daemon.native.chain import NAME, Chain
-from audioflinger_hook.daemon.native.chains import FADE_S, Chains, Restore
-from audioflinger_hook.daemon.native.designs import DriveDesigns
-from audioflinger_hook.daemon.native.plan import ChainPlan, device_map
-from audioflinger_hook.daemon.native.running import RunningChain
-from audioflinger_hook.daemon.native.taps import Tap, port_names, tap_of
-from audioflinger_hook.daemon.native.wiring import ChainEnds, ChainWiring, why_unlinkable
+from audioflinger_hook.daemon.native.chains import FADE_S, Chains, Restore, RunningChain
+from audioflinger_hook.daemon.native.plan import ChainPlan, DriveDesigns
+from audioflinger_hook.daemon.native.taps import (
+    ChainEnds,
+    ChainWiring,
+    Tap,
+    port_names,
+    tap_of,
+    why_unlinkable,
+)
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.service.state import Cause, StateKeeper
+from device.drive.channel_positions import actuators_of_channels
 from device.errors import LostError, NotFoundError, UsageError
 from device.server.graph_watch import GraphWatch
 from device.server.node_errors import NodeErrors
 from device.server.snapshot import Sink, Source
 
-REFUSED_S = 0.5
-"""A link that is missing for so long is refused. If it is from a stream, the monitor is tapped."""
+REFUSED_S = 0.5  # a link that is missing for so long is refused
 
+# A busy machine may have been late: links from streams are tried again, after ever longer waits.
 REFUSED_WAIT_S, REFUSED_WAIT_MAX_S = 5.0, 600.0
-"""Links from streams are tried again after so long, twice as long each time; a busy machine may
-have been late."""
 
 
 class NativeEngine:
@@ -39,10 +42,10 @@ class NativeEngine:
 
     The supervising thread calls the methods; any thread may read the attributes.
 
-    folder, on_change, restore: see `NativeRun`. designs: of drives. monitor_reason: why the sink's
-    monitor is tapped instead of the streams that play to it; "" for the streams. audible: whether
-    the chain is linked and plays. is_fed: whether a stream plays that is tapped. errors: the
-    server's counts of its nodes. waits_for: what must come back before it can play, "" for nothing.
+    folder, on_change, restore: see `NativeRun`. monitor_reason: why the sink's monitor is tapped,
+    "" while its streams are. audible: whether the chain is linked and plays. is_fed: whether a
+    stream plays that is tapped. errors: the server's counts of its nodes. waits_for: what must
+    come back before it can play, "" for nothing.
     NotFoundError: a program of PipeWire is missing.
     """
 
@@ -58,72 +61,51 @@ class NativeEngine:
     ) -> None:
         self._config = config
         self._states = states
-        self._watch = GraphWatch(on_change)
+        self.watch = GraphWatch(on_change)
         self.errors = NodeErrors()
-        self._chains = Chains(config, folder, restore, designs)
-        self._designs = designs
+        self.chains = Chains(config, folder, restore, designs)
+        self.designs = designs
         self._tap: Tap | None = None
         self._wiring = ChainWiring()
         self._has_played = False
         self._faded_s = math.inf
-        self._must_use_monitor = bool(monitor_reason)
+        self.monitor_reason, self._must_use_monitor = monitor_reason, bool(monitor_reason)
         self._refused_until_s, self._refused_wait_s = -math.inf, REFUSED_WAIT_S
         self._session_manager: int | None = None
         self.waits_for = ""
-        self.monitor_reason = monitor_reason
         self.audible = self.is_fed = False
 
     @property
     def chain(self) -> Chain | None:
         """The chain that plays, or would; None before the first one."""
-        current = self._chains.current  # another thread may ask
+        current = self.chains.current  # another thread may ask
         return current.chain if current else None
 
     @property
     def is_steady(self) -> bool:
         """Whether it plays, and no other chain is about to."""
-        chains = self._chains
+        chains = self.chains
         return self.audible and chains.following is None and not chains.leaving
-
-    @property
-    def is_designing(self) -> bool:
-        """Whether the next chain waits for its design."""
-        return self._designs.are_under_way
-
-    @property
-    def problem(self) -> str:
-        """Why changed settings are not played, "" for nothing."""
-        return self._chains.problem
-
-    @property
-    def is_lost(self) -> bool:
-        """Whether the graph is gone, so that another engine must be made."""
-        return self._watch.lost
 
     def unseen(self, tap: Tap, device: Sink) -> str:
         """Return why tap or device cannot be linked in the graph, "" if both can."""
-        with self._watch.lock:
-            return why_unlinkable(self._watch.graph, tap, device.name)
+        with self.watch.lock:
+            return why_unlinkable(self.watch.graph, tap, device.name)
 
     @property
     def lacks_realtime(self) -> bool:
         """Whether it was to have real-time priority and has none."""
-        current = self._chains.current
+        current = self.chains.current
         return self._config.live.realtime and current is not None and current.has_realtime is False
-
-    @property
-    def server(self) -> str:
-        """The server's name and version, such as "PipeWire 1.4.2"."""
-        return f"PipeWire {self._watch.graph.version}".rstrip()
 
     def follow(self, config: RunConfig) -> None:
         """Use another config; what the plugin cannot change itself needs a new chain."""
         self._config = config
-        self._chains.follow(config)
+        self.chains.follow(config)
 
     def set_sound_gains(self, *, streams: float, monitor: float) -> None:
         """Set the factors on the sound of streams and of a monitor; the tap's is used."""
-        self._chains.set_sound_gain(monitor if self.monitor_reason else streams)
+        self.chains.set_sound_gain(monitor if self.monitor_reason else streams)
 
     def use_monitor(self, reason: str) -> None:
         """Tap the sink's monitor from now on, for this reason."""
@@ -132,20 +114,19 @@ class NativeEngine:
     def maintain(self, found: Source | Applications, device: Sink, now_s: float) -> bool:
         """Start, link and check the chain; return whether it plays.
 
-        LostError: the chain or the graph is gone; the next call starts again.
-        NotFoundError: the server refuses links from the applications that are to be tapped.
-        UsageError: the device lacks a channel.
+        LostError: chain or graph is gone; call it again. NotFoundError: links from applications are
+        refused. UsageError: the device lacks a channel.
         """
         self._faded_s = math.inf
         tap = tap_of(found, self._config.rules)
         self._note_moves(tap)
-        if self._watch.lost:
+        if self.watch.lost:
             raise LostError("the connection to PipeWire's graph was lost")
-        with self._watch.lock:
-            graph, chains = self._watch.graph, self._chains
+        with self.watch.lock:
+            graph, chains = self.watch.graph, self.chains
             chains.end_leaving(graph, now_s)
             if not self._has_session(now_s):
-                self._designs.end()
+                self.designs.end()
                 return False
             try:
                 chains.check(graph, now_s, is_fed=self.is_fed)
@@ -169,14 +150,14 @@ class NativeEngine:
     def lose_links(self, now_s: float) -> bool:
         """Remove all links, as tap or device is away; return whether the engine had played."""
         played, self._has_played = self._has_played, False
-        self._chains.silence()
-        self._designs.end()
-        for running in self._chains.running:
+        self.chains.silence()
+        self.designs.end()
+        for running in self.chains.running:
             running.linked_s = math.inf
         self.audible = False
-        with self._watch.lock:
+        with self.watch.lock:
             self._has_session(now_s)
-            self._chains.end_leaving(self._watch.graph, now_s)
+            self.chains.end_leaving(self.watch.graph, now_s)
             self._wire(None, None, now_s)
         return played
 
@@ -184,27 +165,24 @@ class NativeEngine:
         """Let the vibration end softly; return whether it has ended. Repeat it until then."""
         self.audible = False
         self._faded_s = min(self._faded_s, now_s)
-        return self._chains.silence() or now_s - self._faded_s > FADE_S
+        return self.chains.silence() or now_s - self._faded_s > FADE_S
 
     def leave(self, now_s: float) -> bool:
-        """Take the chains out of the graph; return whether they are out. Repeat it until then.
-
-        Only after `fade_out`.
-        """
-        chains, graph = self._chains, self._watch.graph
+        """Take faded chains out of the graph; return whether they are out. Repeat it until then."""
+        chains, graph = self.chains, self.watch.graph
         chains.leaving += chains.running
         chains.current = chains.following = None
-        with self._watch.lock:
+        with self.watch.lock:
             self._wire(None, None, now_s)
             have_left = [one.has_left(graph, now_s) for one in chains.leaving]
         return all(have_left)
 
     def close(self) -> None:
         """End everything. May be repeated; raises nothing."""
-        self._chains.close()
+        self.chains.close()
         self.audible = False
         self.errors.close()
-        self._watch.close()
+        self.watch.close()
 
     def _note_moves(self, tap: Tap) -> None:
         before, self._tap = self._tap, tap
@@ -220,13 +198,12 @@ class NativeEngine:
     def _has_session(self, now_s: float) -> bool:
         """Whether the session manager runs; end the chains of before when it has gone.
 
-        WirePlumber 0.4 never stops waiting for nodes that played before it started. Until then it
-        links no program.
+        WirePlumber 0.4 would wait for nodes that played before it started, and link no program.
         """
-        known, seen = self._session_manager, self._watch.graph.session_manager
+        known, seen = self._session_manager, self.watch.graph.session_manager
         if known is not None and seen != known and not self.waits_for:
             self._states.count(Cause.SERVER_LOST, "PipeWire's session manager has ended")
-            self._chains.close()
+            self.chains.close()
             self._wire(None, None, now_s)
             self.audible = self.is_fed = False
         self._session_manager = seen if seen is not None else known
@@ -236,8 +213,8 @@ class NativeEngine:
 
     def _wire(self, tap: Tap | None, device: Sink | None, now_s: float) -> None:
         """Have the chains linked to tap and device, or to nothing without a device."""
-        ends = [one.chain.ends() for one in self._chains.leaving]
-        ends += [self._ends(running, tap, device) for running in self._chains.running]
+        ends = [one.chain.ends() for one in self.chains.leaving]
+        ends += [self._ends(running, tap, device) for running in self.chains.running]
         self._wiring = ChainWiring(
             chains=tuple(ends),
             tap=tap,
@@ -246,27 +223,28 @@ class NativeEngine:
             by_monitor=bool(self.monitor_reason),
             silence=f"{NAME}-{os.getpid()}-silence",
         )
-        self._watch.keeper.wiring = self._wiring
-        self._watch.keeper.update(now_s)
-        self.is_fed = self._wiring.is_fed(self._watch.graph)
+        self.watch.keeper.wiring = self._wiring
+        self.watch.keeper.update(now_s)
+        self.is_fed = self._wiring.is_fed(self.watch.graph)
 
     def _ends(self, running: RunningChain, tap: Tap | None, device: Sink | None) -> ChainEnds:
         plan = running.chain.plan
         if tap is None or device is None or plan.tap_channels != tap.channels:
             return running.chain.ends()
         try:
-            played = device_map(self._config.settings, plan, device).sources
+            actuators = self._config.settings.actuators
+            played = actuators_of_channels(device, actuators, plan.outputs).sources
         except UsageError:
-            if running is self._chains.following or self._chains.following is None:
+            if running is self.chains.following or self.chains.following is None:
                 raise
             return running.chain.ends()
         return running.chain.ends(played, linked=True)
 
     def _note_links(self, now_s: float) -> None:
         """Note since when each chain is linked. Streams come and go; the device must be there."""
-        graph, keeper = self._watch.graph, self._watch.keeper
+        graph, keeper = self.watch.graph, self.watch.keeper
         ends = {chain.tap: chain for chain in self._wiring.chains}
-        for running in self._chains.running:
+        for running in self.chains.running:
             chain = ends[running.chain.tap]
             wanted = self._wiring.device_links(graph, chain) if chain.linked else set()
             if len(wanted) < sum(actuator is not None for actuator in chain.played):
@@ -281,24 +259,22 @@ class NativeEngine:
             if wanted and chain.tap_ports(graph) and keeper.are_there(wanted):
                 if not running.is_linked:
                     running.linked_s = running.moved_s = now_s
-                    self._chains.backoff.succeeded()
+                    self.chains.backoff.succeeded()
             else:
                 running.linked_s = math.inf
 
     def _choose_way(self, now_s: float) -> None:
         """Tap the monitor where links from streams are refused, until nothing plays."""
-        tap, graph = self._wiring.tap, self._watch.graph
+        tap, graph = self._wiring.tap, self.watch.graph
         assert tap is not None
         if self.monitor_reason:
             may_try = not self._must_use_monitor and now_s > self._refused_until_s
             if may_try and not any(tap.tapped_links(graph, self._wiring.device)):
                 self.monitor_reason = ""
             return
-        wanted: set[tuple[int, int]] = set()
-        for chain in self._wiring.chains:
-            if chain.linked:
-                wanted |= self._wiring.tap_links(graph, chain)
-        if self._watch.keeper.missing_for_s(wanted, now_s) <= REFUSED_S:
+        chains = [chain for chain in self._wiring.chains if chain.linked]
+        wanted = {link for chain in chains for link in self._wiring.tap_links(graph, chain)}
+        if self.watch.keeper.missing_for_s(wanted, now_s) <= REFUSED_S:
             return
         refused = "PipeWire does not make the links from the streams that play"
         if not tap.has_monitor:

@@ -20,11 +20,8 @@ from audioflinger_hook.core.structures import (
 )
 
 MAGIC = 0x3545474150485543
-ACTUATORS = 32
-"""Largest number of actuators of the plugin."""
-
-READ_TRIES = 4
-"""Attempts to read the partials while the plugin writes; writing takes less than 1 µs."""
+ACTUATORS = 32  # largest number of actuators of the plugin
+READ_TRIES = 4  # to read partials while the plugin writes them, which takes less than 1 µs
 
 
 class Layout(ctypes.Structure):
@@ -50,16 +47,13 @@ _LEVEL_BYTES = ctypes.sizeof(Level)
 _AFTER_LEVEL = ctypes.sizeof(ActuatorReadings) - _LEVEL_BYTES
 
 
+# Counts of channels, actuators and partials, and their numbers: peak and mean square of each
+# channel and each actuator; Hz of the sound, Hz of vibration and amplitude of each partial.
 Shown = tuple[tuple[int, int, int], tuple[float, ...]]
-"""Counts of channels, actuators and partials, and their numbers: peak and mean square of each
-channel and each actuator; Hz of the sound, Hz of vibration and amplitude of each partial."""
 
 
 class ShownReader:
-    """Reads what a live page shows; any thread may call it.
-
-    memory: the shared page. channels: of the tap, 1 to CHANNELS. actuators: 1 to ACTUATORS.
-    """
+    """Reads what a live page shows of a shared page; any thread may call it."""
 
     def __init__(self, memory: mmap.mmap, channels: int, actuators: int) -> None:
         self._memory = memory
@@ -97,9 +91,5 @@ class ShownReader:
                 break
         else:
             count = 0
-        numbers = (
-            *found[:first],
-            *found[partials + 3 * PARTIALS :],
-            *found[partials : partials + 3 * count],
-        )
-        return (self.channels, self.actuators, count), numbers
+        actuators, shown = found[partials + 3 * PARTIALS :], found[partials : partials + 3 * count]
+        return (self.channels, self.actuators, count), (*found[:first], *actuators, *shown)

@@ -10,19 +10,16 @@ from pathlib import Path
 from audioflinger_hook.core import structures
 from audioflinger_hook.core.structures import PARTIALS
 from audioflinger_hook.daemon.native.layout import ACTUATORS, MAGIC, SIZE, Layout, ShownReader
-from audioflinger_hook.drive.driven_rig import DrivenRig, driven_rigs
 from audioflinger_hook.service.meters import Level, Reading, level_of
-from device.drive.design import DriveDesign
 
 DELAY_MAX_S = 2.0
 
 
 class Page:
-    """The shared page in a separate file, which `close` removes.
+    """The shared page in a new file at `path`, which `close` removes.
 
     The supervising thread calls the methods; any thread may read levels and counts.
 
-    path: of the file; it must not exist. channels: of the tap. vibrations: of the transform.
     sources: for each actuator, the number of its vibration. reader: of what a live page shows.
     """
 
@@ -38,6 +35,7 @@ class Page:
         finally:
             os.close(file)
         self._page = page = Layout.from_buffer(memory)
+        self.controls, self.readings = page.controls, page.readings
         self.reader = ShownReader(memory, channels, len(sources))
         page.controls.sound_gain = 1.0
         for controls, source in zip(page.controls.actuators, sources, strict=False):
@@ -51,12 +49,11 @@ class Page:
         actuators: Sequence[Reading],
         partials: Sequence[tuple[float, float, float]],
     ) -> None:
-        """Write what a live page shows, as the plugin does; for an engine without a plugin.
+        """Write what a live page shows, for an engine without a plugin.
 
-        frames: processed so far. channels, actuators: their peaks and mean squares. partials: at
-        most PARTIALS of them count.
+        frames: processed so far. channels, actuators: their peaks and mean squares.
         """
-        readings = self._page.readings
+        readings = self.readings
         for place, reading in zip(readings.sound, channels[: self._channels], strict=False):
             place.peak, place.mean_square = reading
         for place, reading in zip(readings.actuators, actuators[:ACTUATORS], strict=False):
@@ -70,28 +67,22 @@ class Page:
 
     def set_sound_gain(self, gain: float) -> None:
         """Set the factor on the tap's samples, 0 to 100; it changes over one buffer."""
-        self._page.controls.sound_gain = gain
+        self.controls.sound_gain = gain
 
     def set_actuator(self, slot: int, gain: float, delay_frames: float) -> None:
         """Set an actuator's factor, -1 to 1, and its delay."""
-        controls = self._page.controls.actuators[slot]
+        controls = self.controls.actuators[slot]
         controls.gain, controls.delay_frames = gain, max(0.0, delay_frames)
 
     def set_audible(self, audible: bool) -> None:
         """Fade all actuators in or out, within 40 ms."""
-        for controls in self._page.controls.actuators:
+        for controls in self.controls.actuators:
             controls.audible = int(audible)
-
-    def rigs(
-        self, designs: Sequence[DriveDesign | None], columns: int
-    ) -> tuple[DrivenRig | None, ...]:
-        """Return what drives each rig; see `driven_rigs`."""
-        return driven_rigs(designs, self._page.controls, self._page.readings, columns)
 
     @property
     def frames(self) -> int:
         """Frames that the transform has processed."""
-        return int(self._page.readings.frames)
+        return int(self.readings.frames)
 
     @property
     def samplerate(self) -> int:
@@ -100,7 +91,7 @@ class Page:
 
     def faded_out(self, actuators: int) -> bool:
         """Whether the first actuators are all silent."""
-        return all(one.audible == 0.0 for one in self._page.readings.actuators[:actuators])
+        return all(one.audible == 0.0 for one in self.readings.actuators[:actuators])
 
     @property
     def cycle_frames(self) -> int:
@@ -110,28 +101,28 @@ class Page:
     @property
     def replaced_samples(self) -> int:
         """Unusable samples of the tap, which count as 0."""
-        return int(self._page.readings.replaced)
+        return int(self.readings.replaced)
 
     @property
     def limited_samples(self) -> int:
         """Samples of vibration that were limited at full scale."""
-        return int(self._page.readings.limited)
+        return int(self.readings.limited)
 
     @property
     def levels(self) -> tuple[Level, Level]:
         """Levels of the sound and of the vibration."""
-        found = self._page.readings
+        found = self.readings
         sound, vibration = found.sound[: self._channels], found.vibration[: self._vibrations]
         return _loudest(sound), _loudest(vibration)
 
     def level(self, slot: int) -> Level:
         """Return the level of an actuator."""
-        found = self._page.readings.actuators[slot].level
+        found = self.readings.actuators[slot].level
         return level_of(found.peak, found.mean_square)
 
     def channel_readings(self) -> list[Reading]:
         """Return peak and mean square of each channel of the tap."""
-        found = self._page.readings.sound[: self._channels]
+        found = self.readings.sound[: self._channels]
         return [(level.peak, level.mean_square) for level in found]
 
     def principal(self) -> list[tuple[float, float, float]]:

@@ -1,42 +1,32 @@
-"""What one chain in PipeWire's graph is to do: from the config, the tap and the device."""
+"""What one chain in PipeWire's graph is to do, and the designs of its rigs."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.core.design import core_design
 from audioflinger_hook.daemon.native.page import DELAY_MAX_S
 from audioflinger_hook.daemon.native.taps import Tap
+from audioflinger_hook.daemon.timing import Backoff
 from audioflinger_hook.mixer.layouts import source_weights
 from audioflinger_hook.transform import TransformParameters
 from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.downmix import source_mixes
-from device.drive import ChannelMap
-from device.drive.channel_positions import actuators_of_channels
-from device.drive.design import DriveDesign, DrivePlan
-from device.server.snapshot import Sink
+from device.drive.design import DriveDesign, DrivePlan, designs_of
+from device.errors import CushionError
+from device.process import Call
 from device.units import FloatArray
-
-
-class DriveChoice(NamedTuple):
-    """What is chosen for an actuator's rig, as in the config."""
-
-    rig: str = "paper"
-    damping: str = "off"
-    protection: str = "off"
-    exposure_cap: str = "off"
 
 
 @dataclass(frozen=True)
 class ChainPlan:
     """The fixed part of a chain; another plan needs another chain.
 
-    samplerate: of the graph in Hz. sources: of vibrations, empty for one of the mono mix, or one
-    for each channel. outputs: count of vibrations. actuators: for each, the number of its
-    vibration. parameters: of the transform. drives: of each named actuator, or one for all.
+    sources: of vibrations, empty for one of the mono mix, or one for each channel. outputs: count
+    of vibrations. actuators: for each, the number of its vibration. drives: of each named
+    actuator, or one for all: rig, damping, protection and exposure cap as in the config.
     """
 
     samplerate: int
@@ -45,14 +35,13 @@ class ChainPlan:
     outputs: int
     actuators: tuple[int, ...]
     parameters: TransformParameters
-    drives: tuple[DriveChoice, ...] = (DriveChoice(),)
+    drives: tuple[tuple[str, str, str, str], ...]
 
     @classmethod
     def of(cls, settings: Settings, tap: Tap, samplerate: int) -> ChainPlan:
         """Return the plan for the settings, a tap and the graph's rate."""
         sources = settings.sources
-        each = settings.channels == "each"
-        outputs = len(sources) or (tap.channels if each else 1)
+        outputs = len(sources) or (tap.channels if settings.channels == "each" else 1)
         if settings.actuators:
             routed = tuple(sources.index(actuator.source) for actuator in settings.actuators)
         else:
@@ -60,7 +49,7 @@ class ChainPlan:
         # As in the Python engine, the mix alone needs no weights.
         mixed = () if sources in ((), ("mix",)) else sources
         drives = tuple(
-            DriveChoice(
+            (
                 one.rig or settings.rig,
                 one.damping or settings.damping,
                 one.protection or settings.protection,
@@ -89,8 +78,8 @@ class ChainPlan:
     def drive_plans(self) -> list[DrivePlan | None]:
         """Return the plan of each of `drives`. UsageError: there is no such rig."""
         return [
-            DrivePlan.of(one.rig, self.samplerate, one.damping, one.protection, one.exposure_cap)
-            for one in self.drives
+            DrivePlan.of(rig, self.samplerate, damping, protection, exposure_cap)
+            for rig, damping, protection, exposure_cap in self.drives
         ]
 
     def design(self, drives: Sequence[DriveDesign | None]) -> bytes:
@@ -106,6 +95,65 @@ class ChainPlan:
         )
 
 
-def device_map(settings: Settings, plan: ChainPlan, sink: Sink) -> ChannelMap:
-    """Return which actuator each channel plays. UsageError: one wants a channel that is missing."""
-    return actuators_of_channels(sink, settings.actuators, plan.outputs)
+LONGEST_WAIT_S = 60.0  # from one failure to the next attempt
+KEPT = 64  # designs, of at least the latest plans; one takes 0.3 MB
+
+
+class DriveDesigns:
+    """Makes each design once, for the supervising thread. failure: of the latest attempt, or ""."""
+
+    def __init__(self) -> None:
+        self._known: dict[DrivePlan, DriveDesign] = {}
+        self._call: Call[list[DriveDesign]] | None = None
+        self._asked: list[DrivePlan] = []
+        self._backoff = Backoff(longest_s=LONGEST_WAIT_S)
+        self.failure = ""
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether a process makes some."""
+        return self._call is not None
+
+    def of(
+        self, plans: Sequence[DrivePlan | None], now_s: float
+    ) -> list[DriveDesign | None] | None:
+        """Return the designs, None for None; or None until they are made: ask again soon.
+
+        LostError: an attempt has failed; the next one comes by itself, later each time.
+        UsageError: the sample rate is too low for one.
+        """
+        asked = [plan for plan in dict.fromkeys(plans) if plan is not None]
+        missing = [plan for plan in asked if plan not in self._known]
+        if missing and not self._has_made(missing, now_s):
+            return None
+        if len(self._known) > KEPT:
+            self._known = {plan: self._known[plan] for plan in asked}
+        return [None if plan is None else self._known[plan] for plan in plans]
+
+    def end(self) -> None:
+        """End what is under way. May be repeated."""
+        if self._call is not None:
+            self._call.close()
+        self._call = None
+
+    def _has_made(self, missing: list[DrivePlan], now_s: float) -> bool:
+        if missing != self._asked:
+            self.end()
+            self._asked, self.failure = missing, ""
+            self._backoff.succeeded()
+        try:
+            if self._call is None:
+                if self._backoff.wait_s(now_s) > 0.0:
+                    return False
+                self._call = Call("damping and protection", now_s, designs_of, missing)
+            if not self._call.is_over(now_s):
+                return False
+            call, self._call = self._call, None
+            made = call.result()
+        except CushionError as error:
+            self.failure = str(error)
+            self._backoff.failed(now_s)
+            raise
+        self.failure = ""
+        self._known |= zip(missing, made, strict=True)
+        return True

@@ -9,8 +9,8 @@ from pathlib import Path
 from audioflinger_hook.daemon.inputs.applications import Applications
 from audioflinger_hook.daemon.inputs.base import NOTHING, AudioNode
 from audioflinger_hook.daemon.native.chains import Restore
-from audioflinger_hook.daemon.native.designs import DriveDesigns
 from audioflinger_hook.daemon.native.engine import NativeEngine
+from audioflinger_hook.daemon.native.plan import DriveDesigns
 from audioflinger_hook.daemon.native.taps import Tap, tap_of
 from audioflinger_hook.daemon.outputs.base import DeviceVolume
 from audioflinger_hook.daemon.run_config import RunConfig
@@ -20,25 +20,18 @@ from device.errors import CushionError, LostError
 from device.server import PulseConnection
 from device.server.snapshot import Sink, Source
 
-FAILURES_MAX = 3
-"""Starts of the native engine that may fail in a row until `auto` takes the Python engine."""
-
-UNSEEN_S = 2.0
-"""How long tap or device may be missing in PipeWire's graph until `auto` gives up."""
-
-START_S = 5.0
-"""How long a start may take until another way is taken: the monitor's tap, then Python."""
-
-PROVEN_S = 5.0
-"""How long the native engine must play until earlier failures no longer count."""
+FAILURES_MAX = 3  # failed starts in a row, after which `auto` takes the Python engine
+UNSEEN_S = 2.0  # `auto` gives up if tap or device is missing in the graph for longer
+START_S = 5.0  # longest start until another way is taken: the monitor's tap, then Python
+PROVEN_S = 5.0  # of playing, after which earlier failures no longer count
 
 
 class NativeRun:
     """Runs the native engine, once it is chosen. For the supervising thread alone.
 
-    config: what to do. folder: private, for files of the engine. states: the daemon's state.
-    on_change: called by another thread when the graph changes. restore: sets what the rigs of a new
-    chain begin with. engine: None until `maintain`. problem: why it gave up, "" if it has not.
+    folder: private, for files. on_change: called by another thread when the graph changes. restore:
+    sets what the rigs of a new chain begin with. engine: None until `maintain`. problem: why it
+    gave up, "" if it has not.
     """
 
     def __init__(
@@ -49,12 +42,9 @@ class NativeRun:
         on_change: Callable[[], None],
         restore: Restore,
     ) -> None:
-        self._restore = restore
+        self._config, self._folder, self._states = config, folder, states
+        self._on_change, self._restore = on_change, restore
         self._designs = DriveDesigns()
-        self._config = config
-        self._folder = folder
-        self._states = states
-        self._on_change = on_change
         self._played_s = -QUIET_S
         self._volume_of: tuple[PulseConnection, int] | None = None
         self.engine: NativeEngine | None = None
@@ -83,18 +73,16 @@ class NativeRun:
         sound_gains: tuple[float, float],
         now_s: float,
     ) -> None:
-        """Keep the engine running.
+        """Keep the engine running; sound_gains: on the sound of the streams, and of a monitor.
 
         Raises nothing: a lost engine starts again, and `auto` gives up after some failures.
-        sound_gains: factors on the sound of the streams, and of a monitor.
         """
         assert isinstance(source, (Source, Applications))
         assert isinstance(device, Sink)
         try:
             engine = self._opened()
             self._set_volume(device, connection, volume)
-            streams_gain, monitor_gain = sound_gains
-            engine.set_sound_gains(streams=streams_gain, monitor=monitor_gain)
+            engine.set_sound_gains(streams=sound_gains[0], monitor=sound_gains[1])
             plays = engine.maintain(source, device, now_s)
         except CushionError as error:
             self._fail(error, now_s)
@@ -151,11 +139,10 @@ class NativeRun:
 
     def _fail(self, error: CushionError, now_s: float) -> None:
         lost = isinstance(error, LostError)
-        played = self.engine is not None and self._failures == 0 and lost
-        self._failures, self._failed_s = self._failures + 1, now_s
-        if played:
+        if self.engine is not None and self._failures == 0 and lost:
             self._states.recover(Cause.ENGINE_LOST, now_s, str(error))
-        if self.engine is not None and self.engine.is_lost:
+        self._failures, self._failed_s = self._failures + 1, now_s
+        if self.engine is not None and self.engine.watch.lost:
             self.close()
         if not lost or self._failures >= FAILURES_MAX:
             self._give_up(f"the native engine failed: {error}", now_s)
@@ -185,7 +172,7 @@ class NativeRun:
 
     def _note_start(self, engine: NativeEngine, plays: bool, now_s: float) -> None:
         """Take another way if a start takes too long, and forget failures once it has played."""
-        if self._began_s is None or plays or engine.is_designing:
+        if self._began_s is None or plays or engine.designs.is_busy:
             self._began_s = now_s
         if plays:
             if now_s - self._failed_s > PROVEN_S:

@@ -1,4 +1,4 @@
-"""What a chain taps, as links of the graph: the streams that play to a sink, or its monitor.
+"""Which links of the graph the chains have: from what they tap, and to the device.
 
 Streams are tapped by mirroring: for each link from X to the sink there is one from X to the tap. So
 what is mixed at the sink is mixed at the tap, whoever linked it. The monitor of a sink that drives
@@ -7,7 +7,7 @@ the graph is read one cycle later, and cannot leave applications out.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Set
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -17,14 +17,11 @@ from device.server import AppRules
 from device.server.graph import Graph, Link, LinkPair, Node
 from device.server.snapshot import Source, Stream
 
+# Beginnings of the names of ports.
 OUT, IN, PLAYBACK, MONITOR = "output_", "input_", "playback_", "monitor_"
-"""Beginnings of the names of ports."""
 
-_REAR = {"BL": "RL", "BR": "RR", "BC": "RC"}
-"""PipeWire's names of Android's positions behind the listener."""
-
-_SIDE = {"BL": "SL", "BR": "SR", "BC": "RC"}
-"""The same of sinks whose only surrounds are at the sides."""
+_REAR = {"BL": "RL", "BR": "RR", "BC": "RC"}  # PipeWire's names of Android's rear positions
+_SIDE = {"BL": "SL", "BR": "SR", "BC": "RC"}  # if the only surrounds are at the sides
 
 
 @dataclass(frozen=True)
@@ -52,10 +49,7 @@ class Tap:
         return bool(self.sink) and self.rules is None
 
     def mirrored(self, graph: Graph, device: str, inputs: tuple[int, ...]) -> Iterator[LinkPair]:
-        """Return the links that mirror those to the sink.
-
-        device: node of the sink that the vibration goes to. inputs: ids of the tap's ports.
-        """
+        """Return the links to the tap's ports that mirror those to the sink."""
         for link in self.tapped_links(graph, device):
             for channel in channels_of(graph.ports[link.input_id].channel, self.positions):
                 yield link.output_id, inputs[channel]
@@ -119,26 +113,16 @@ def stream_of(graph: Graph, node: Node) -> Stream:
 
 @lru_cache(maxsize=256)
 def channels_of(position: str, positions: tuple[str, ...]) -> tuple[int, ...]:
-    """Return the channels of the tap that a port of the sink goes to.
-
-    A position that the tap lacks goes to its side, one without a side to all channels.
-    """
+    """Return the tap's channels for a port of the sink: its position, else its side, else all."""
     if position in positions:
         return (positions.index(position),)
     side = position[-1:]
-    same = tuple(
-        channel
-        for channel, name in enumerate(positions)
-        if name[-1:] == side and side in ("L", "R")
-    )
-    return same or tuple(range(len(positions)))
+    same = [n for n, name in enumerate(positions) if side in ("L", "R") and name[-1:] == side]
+    return tuple(same or range(len(positions)))
 
 
 def port_names(channel_map: str, channels: int) -> tuple[str, ...]:
-    """Return the end of each channel's port name, such as "FL"; AUX0, AUX1, ... if unknown.
-
-    channel_map: positions in order, such as "front-left,front-right".
-    """
+    """Return the ends of the ports' names, such as FL for "front-left"; AUX0, ... if unknown."""
     positions = channel_map.split(",") if channel_map else []
     names = tuple(map(_port_name, positions))
     if len(names) == channels and len(set(names)) == channels:
@@ -153,7 +137,7 @@ def _port_name(position: str) -> str:
 
 
 def in_mixing_order(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the ends of port names in the order of the mixer's layout, if they are its positions.
+    """Return the ends of ports' names in the order of the mixer's layout, if they are its own.
 
     The transform adds channels in this order, and its sources go by it.
     """
@@ -162,3 +146,121 @@ def in_mixing_order(names: tuple[str, ...]) -> tuple[str, ...]:
         if sorted(wanted) == sorted(names):
             return wanted
     return names
+
+
+SILENT_NODE = (
+    "create-node adapter {{ factory.name=support.null-audio-sink node.name={name} "
+    'node.description="Haptic Cushion (silence)" audio.position=[MONO] node.passive=true '
+    "object.linger=false }}"
+)
+"""A sink without a media class: no program offers it, and nothing is played to it."""
+
+
+@dataclass(frozen=True)
+class ChainEnds:
+    """The names of one chain's nodes, the channels of its tap, and whether it is to be linked.
+
+    played: for each channel of the device, the actuator that it plays, None for none.
+    """
+
+    tap: str
+    vibration: str
+    channels: int
+    played: tuple[int | None, ...] = ()
+    linked: bool = False
+
+    def tap_ports(self, graph: Graph) -> tuple[int, ...]:
+        """Return the ids of the tap's ports in order; () until all are there."""
+        node = graph.node_named(self.tap)
+        ports = graph.ports_of(node.id, IN) if node else {}
+        names = [f"AUX{channel}" for channel in range(self.channels)]
+        return tuple(ports[name] for name in names) if ports.keys() >= set(names) else ()
+
+
+@dataclass(frozen=True)
+class ChainWiring:
+    """What is to be linked: all chains that run, to one tap and to one device.
+
+    device: node of the sink that the vibration goes to. device_positions: its channels, such as
+    ("FL", "FR"). by_monitor: whether the sink's monitor is tapped, else its streams. silence: node
+    that is made while there are chains. Its monitor, nothing but zeros, is linked to chains that
+    tap streams: a linked port keeps its format, so a new stream's link has less to negotiate.
+    """
+
+    chains: tuple[ChainEnds, ...] = ()
+    tap: Tap | None = None
+    device: str = ""
+    device_positions: tuple[str, ...] = ()
+    by_monitor: bool = False
+    silence: str = ""
+
+    def nodes(self, graph: Graph) -> Set[int]:
+        """Return the ids of the chains' nodes."""
+        names = (name for chain in self.chains for name in (chain.tap, chain.vibration))
+        return {node.id for name in names for node in graph.nodes_named(name)}
+
+    def made_nodes(self) -> Mapping[str, str]:
+        """Return the command that makes the silence, by its name.
+
+        It is there before a chain plays, and as long: a node that joins costs the others a cycle.
+        """
+        used = self.silence and self.chains
+        return {self.silence: SILENT_NODE.format(name=self.silence)} if used else {}
+
+    def links(self, graph: Graph) -> Set[LinkPair]:
+        """Return the links of all chains."""
+        found: set[LinkPair] = set()
+        for chain in self.chains:
+            if chain.linked:
+                found |= self.tap_links(graph, chain) | self.device_links(graph, chain)
+                found |= self.silent_links(graph, chain)
+        return found
+
+    def tap_links(self, graph: Graph, chain: ChainEnds) -> set[LinkPair]:
+        """Return the links to a chain's tap."""
+        inputs = chain.tap_ports(graph)
+        if self.tap is None or not inputs or chain.channels != self.tap.channels:
+            return set()
+        if self.by_monitor:
+            return set(self.tap.monitored(graph, inputs))
+        return set(self.tap.mirrored(graph, self.device, inputs))
+
+    def silent_links(self, graph: Graph, chain: ChainEnds) -> set[LinkPair]:
+        """Return the links from the silence to a chain's tap; none until it is there."""
+        node = graph.node_named(self.silence)
+        if node is None or self.by_monitor:
+            return set()
+        outputs = graph.ports_of(node.id, MONITOR).values()
+        return {(output, port) for output in outputs for port in chain.tap_ports(graph)}
+
+    def device_links(self, graph: Graph, chain: ChainEnds) -> set[LinkPair]:
+        """Return the links from a chain to the device."""
+        node, sink = graph.node_named(chain.vibration), graph.sink(self.device)
+        if node is None or sink is None:
+            return set()
+        outputs, inputs = graph.ports_of(node.id, OUT), graph.ports_of(sink.id, PLAYBACK)
+        return {
+            (outputs[f"AUX{actuator}"], inputs[position])
+            for position, actuator in zip(self.device_positions, chain.played, strict=True)
+            if actuator is not None and f"AUX{actuator}" in outputs and position in inputs
+        }
+
+    def is_fed(self, graph: Graph) -> bool:
+        """Whether a stream plays that is tapped, as far as the graph shows."""
+        tap = self.tap
+        return tap is not None and any(
+            link.state == "active" for link in tap.tapped_links(graph, self.device)
+        )
+
+
+def why_unlinkable(graph: Graph, tap: Tap, device: str) -> str:
+    """Return why a tap or a device cannot be linked in the graph, "" if both can."""
+    if not graph.ports:
+        return ""  # it is still being read
+    for name, prefixes in ((tap.sink, (PLAYBACK, MONITOR)), (device, (PLAYBACK,))):
+        sink = graph.sink(name) if name else None
+        if name and sink is None:
+            return f"PipeWire's graph has no node {name!r}: it is of another server"
+        if sink is not None and not any(graph.ports_of(sink.id, prefix) for prefix in prefixes):
+            return f"the sink {name!r} has no ports; choose a profile of its card that has some"
+    return ""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from functools import partial
 from typing import Generic, TypeVar
 
 from audioflinger_hook.daemon.inputs.base import AudioNode, Endpoint
@@ -25,12 +26,10 @@ from device.stream.portaudio import BLOCK_FRAMES
 from device.stream.sample_format import SampleFormat
 from device.units import Float32Array
 
+# Called with (out, now_s); writes the frames to play next into `out`.
 Fill = Callable[[Float32Array, float], None]
-"""Called with (out, now_s); writes the frames to play next into `out`."""
-
+# Sets a device to a level in dB and unmutes it; raises CushionError, still muted, if not.
 SetVolume = Callable[[float], object]
-"""Sets a device to a level in dB and unmutes it; raises CushionError, still muted, if not."""
-
 NodeT = TypeVar("NodeT", bound=AudioNode)
 
 
@@ -41,9 +40,9 @@ class Output(Endpoint):
     may_rest = True
 
     @property
-    @abstractmethod
     def is_open(self) -> bool:
         """Whether the output plays, or did until a moment ago."""
+        return self.name is not None
 
     @property
     def summary(self) -> str:
@@ -81,8 +80,7 @@ class Output(Endpoint):
     def set_actuators(self, actuators: Sequence[ActuatorSettings]) -> None:
         """Take actuators that `check_actuators` accepted.
 
-        Playing continues if their number and the open channels stay the same; otherwise it stops
-        until the next `maintain`.
+        Playing stops until the next `maintain` if their number or the open channels change.
         """
 
     @abstractmethod
@@ -98,10 +96,9 @@ class Output(Endpoint):
 
 
 class StreamOutput(Output, Generic[NodeT]):
-    """An output with a PortAudio stream, on a sink or a card.
+    """An output with a PortAudio stream, on a sink or a card; a recording receives the frames."""
 
-    block_frames, priority: of streams that are opened later. recording: receives the frames played.
-    """
+    is_card = False
 
     def __init__(
         self,
@@ -117,10 +114,8 @@ class StreamOutput(Output, Generic[NodeT]):
         super().__init__(address)
         self.block_frames = block_frames
         self.volume = DeviceVolume()
-        self._priority = priority
-        self._pcm = pcm
-        self._states = states
-        self._recording = recording
+        self._pcm, self._priority = pcm, priority
+        self._states, self._recording = states, recording
         self._router = ChannelRouter(actuators)
         self._stream = ReconnectingStream[PlaybackStream](
             "the output", states, Cause.DEVICE_LOST, Cause.DEVICE_MOVED
@@ -133,11 +128,6 @@ class StreamOutput(Output, Generic[NodeT]):
     def name(self) -> str | None:
         """Name of the open device."""
         return self._playing.name if self._playing and self._stream.stream else None
-
-    @property
-    def is_open(self) -> bool:
-        """Whether the output plays, or did until a moment ago."""
-        return self._stream.stream is not None
 
     @property
     def xruns(self) -> int:
@@ -154,6 +144,14 @@ class StreamOutput(Output, Generic[NodeT]):
         self.block_frames = config.live.block_frames
         self.volume.request(config)
         super().configure(config)
+
+    def retarget(self, config: RunConfig) -> bool:
+        """Play to another sink, or to another card."""
+        if config.device_is_a_card != self.is_card:
+            return False
+        self.close()
+        self.address = config.device
+        return True
 
     def set_format(self, samplerate: int, channels: int) -> None:
         """Set the channels of the vibration; a device has its own rate."""
@@ -204,18 +202,14 @@ class StreamOutput(Output, Generic[NodeT]):
     ) -> PlaybackStream:
         """Return a new stream to this device; the device's volume is set first."""
         self.volume.set(set_volume)
-        recording, samplerate = self._recording, node.samplerate
-        sent = None
-        if recording is not None:
-            recording.reopened()
-
-            def sent(frames: Float32Array, now_s: float) -> None:
-                recording.sent(frames, samplerate, now_s)
-
+        sent: Callable[[Float32Array, float], None] | None = None
+        if self._recording is not None:
+            self._recording.reopened()
+            sent = partial(self._recording.sent, samplerate=node.samplerate)
         channel_map = self._channel_map(node, self._router.actuators)
         return PlaybackStream(
             self._pcm,
-            samplerate,
+            node.samplerate,
             node.channels,
             self._router.connect(fill, channel_map, self.block_frames),
             sent,
@@ -228,13 +222,12 @@ class StreamOutput(Output, Generic[NodeT]):
 class DeviceVolume:
     """The device's own volume, set when the device is opened. For the supervising thread alone.
 
-    wanted_db: 0 or less, None to leave the volume unchanged. limit_db: the rig's limit, which
-    replaces a higher volume. warning: why the volume is below `wanted_db`, else "".
+    wanted_db: 0 or less, None for no change. limit_db: of the rig. warning: why the volume is below
+    `wanted_db`, or "".
     """
 
     def __init__(self, wanted_db: float | None = None, limit_db: float = 0.0) -> None:
-        self.wanted_db = wanted_db
-        self.limit_db = limit_db
+        self.wanted_db, self.limit_db = wanted_db, limit_db
         self.warning = ""
         self._last: tuple[float | None, float] | None = None, limit_db
 
@@ -247,10 +240,7 @@ class DeviceVolume:
         self.limit_db = min(rig_by_name(rig).dac.volume_limit_db for rig in rigs)
 
     def set(self, set_volume: SetVolume) -> None:
-        """Set the volume before the device plays.
-
-        NotFoundError: it cannot be set, so the device must not play. LostError: the server is lost.
-        """
+        """Set the volume before the device plays. NotFoundError: it cannot be; play nothing."""
         self._last, self.warning = None, ""
         wanted_db = self.wanted_db
         if wanted_db is not None and wanted_db > self.limit_db:

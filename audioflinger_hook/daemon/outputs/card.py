@@ -48,11 +48,13 @@ class CardNode:
 
 
 class CardOutput(StreamOutput[CardNode]):
-    """A sound card as the haptic device, opened exclusively. For the supervising thread alone.
+    """A sound card as the haptic device, opened exclusively; no server can move its stream.
 
-    The stream needs no guard, as no server can move it. root, usb_root: folders that list cards
-    and USB devices; target: makes the PCM's target from card and device numbers.
+    root, usb_root: folders that list cards and USB devices; target: makes the PCM's target from
+    card and device numbers.
     """
+
+    is_card = True
 
     def __init__(
         self,
@@ -63,21 +65,15 @@ class CardOutput(StreamOutput[CardNode]):
         **options: Any,
     ) -> None:
         super().__init__(*arguments, **options)
-        self._root = root
-        self._usb_root = usb_root
-        self._target = target
+        self._root, self._usb_root, self._target = root, usb_root, target
         self._mix: tuple[int, int] | None = None
         self._delay_s = 0.0
         self._failed_formats: set[SampleFormat] = set()
 
     def retarget(self, config: RunConfig) -> bool:
         """Play to another card."""
-        if not config.device_is_a_card:
-            return False
-        self.close()
-        self.address = config.device
         self._failed_formats.clear()
-        return True
+        return super().retarget(config)
 
     def check_actuators(self, actuators: Sequence[ActuatorSettings]) -> None:
         """Raise UsageError if the card lacks channels for these actuators."""
@@ -103,10 +99,7 @@ class CardOutput(StreamOutput[CardNode]):
         return measure_rate(playing.playback) if playing else None
 
     def locate(self, snapshot: ServerSnapshot | None) -> CardNode:
-        """Find the card and a setup to open it with.
-
-        NotFoundError: it is missing, in use, or offers no suitable format.
-        """
+        """Find the card and a setup. NotFoundError: it is missing or in use, or none fits."""
         playback = self._find()
         playing = self._playing
         if self.is_open and playing is not None and playing.playback == playback:
@@ -171,10 +164,7 @@ class CardOutput(StreamOutput[CardNode]):
         )
 
     def _setup(self, playback: AlsaDevice, actuators: Sequence[ActuatorSettings]) -> CardSetup:
-        """Return the setup to open the card with; raises NotFoundError if none is suitable.
-
-        Until the mix is known, this checks only whether any mix would be playable.
-        """
+        """Return the setup to open the card with, for any mix until the mix is known."""
         samplerate, channels = self._mix or (48_000, 1)
         channels = max(channels, *(1 + coil for coil in _coils(playback)), 1)
         if actuators:

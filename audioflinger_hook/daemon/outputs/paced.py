@@ -26,15 +26,13 @@ from device.rig.simulated_rig import SimulatedRig
 from device.server import PulseConnection, ServerSnapshot
 from device.wav_output import WavOutput
 
-BLOCK_FRAMES = 256
-"""Block length that a sound server would request."""
+BLOCK_FRAMES = 256  # as a sound server would request
 
 
 class PacedOutput(Output):
     """A WAV file or the simulated rig; the pacer's thread writes each block when it is due.
 
-    `end(keep=True)` completes the file, which contains silences at full length. `close` pauses. All
-    methods are for the supervising thread.
+    The file contains silences at full length. All methods are for the supervising thread.
 
     UsageError: the file cannot be written, or there is no such rig.
     """
@@ -48,8 +46,7 @@ class PacedOutput(Output):
     ) -> None:
         super().__init__(address)
         self.may_rest = address.kind != "wav"  # a file is as long as the run
-        self._pacer = pacer
-        self._recording = recording
+        self._pacer, self._recording = pacer, recording
         self._job: _Writer | None = None
         self._settings = settings or Settings()
         self._router = ChannelRouter(self._settings.actuators)
@@ -58,13 +55,9 @@ class PacedOutput(Output):
 
     @property
     def name(self) -> str | None:
-        """The address, while the output runs."""
-        return str(self) if self.is_open else None
-
-    @property
-    def is_open(self) -> bool:
-        """Whether it takes vibration."""
-        return self._job is not None and self._pacer.is_doing(self._job)
+        """The address, while the output takes vibration."""
+        runs = self._job is not None and self._pacer.is_doing(self._job)
+        return str(self) if runs else None
 
     @property
     def summary(self) -> str:
@@ -129,11 +122,10 @@ class PacedOutput(Output):
     def end(self, *, keep: bool) -> None:
         """Complete the file, or discard it."""
         self.close()
-        if self._job is not None:
-            if keep and self._job.error is None:
-                self._job.output.close()
-            else:
-                self._job.output.abort()
+        if self._job is not None and keep and self._job.error is None:
+            self._job.output.close()
+        elif self._job is not None:
+            self._job.output.abort()
 
 
 class _Writer:
@@ -149,17 +141,15 @@ class _Writer:
 
     @property
     def due_s(self) -> float:
-        """End of what was written, in seconds from the start."""
         return self._written.after(0, self.output.samplerate)
 
     def run(self, now_s: float) -> bool:
-        """Write the next block."""
         block, output = self._block, self.output
         self.fill(block, now_s)
         output.write(block)
         self._written.add(len(block), output.samplerate)
         if self._recording:
-            self._recording.sent(block, output.samplerate, now_s)
+            self._recording.sent(block, now_s, output.samplerate)
         return True
 
 

@@ -8,7 +8,6 @@ from contextlib import suppress
 from functools import partial
 
 from audioflinger_hook.daemon.outputs.base import Fill, SetVolume, StreamOutput
-from audioflinger_hook.daemon.run_config import RunConfig
 from device.alsa import find_playback
 from device.alsa.offers import MeasuredRate, measure_rate
 from device.drive import ActuatorSettings, ChannelMap
@@ -31,7 +30,7 @@ def muted(name: str) -> str:
 
 
 class SinkOutput(StreamOutput[Sink]):
-    """A sink of the server as the haptic device. For the supervising thread alone."""
+    """A sink of the server as the haptic device."""
 
     needs_server = True
 
@@ -40,14 +39,6 @@ class SinkOutput(StreamOutput[Sink]):
         """Why the volume differs from the configured one, and whether the sink is muted."""
         found = self._found
         return super().warnings + ([muted(found.name)] if found and found.mute else [])
-
-    def retarget(self, config: RunConfig) -> bool:
-        """Play to another sink."""
-        if config.device_is_a_card:
-            return False
-        self.close()
-        self.address = config.device
-        return True
 
     def check_actuators(self, actuators: Sequence[ActuatorSettings]) -> None:
         """Raise UsageError if the sink lacks channels for these actuators."""
@@ -61,10 +52,7 @@ class SinkOutput(StreamOutput[Sink]):
         return output_latency_s(snapshot, self.block_frames, self._found.samplerate)
 
     def measure_rate(self) -> MeasuredRate | None:
-        """Return the rate of the device behind the sink; None if unknown. Any thread may call it.
-
-        Takes some ms.
-        """
+        """Return the rate of the device behind the sink; see `Output`. Takes some ms."""
         sink = self._found
         if sink is None or identity_of(sink).bus != "usb":
             return None

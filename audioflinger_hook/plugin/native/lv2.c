@@ -1,6 +1,6 @@
 /* The plugin for LV2 hosts: the public LADSPA plugins with the same ports, under URIs.
  *
- * plugin/turtle.py writes the bundle's Turtle files from the LADSPA descriptors. */
+ * plugin/variants.py writes the bundle's Turtle files from the LADSPA descriptors. */
 
 #include "lv2_abi.h"
 
