@@ -6,10 +6,12 @@ import argparse
 import math
 import sys
 from collections.abc import Callable, Sequence
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeVar
 
 from device.errors import UsageError
 from device.values import nearest
+
+T = TypeVar("T")
 
 
 class Parser(argparse.ArgumentParser):
@@ -27,7 +29,7 @@ class Parser(argparse.ArgumentParser):
     def parse_known_args(  # type: ignore[override]
         self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
     ) -> tuple[argparse.Namespace, list[str]]:
-        """Return the parsed options and the arguments left over."""
+        """Return the parsed options and the arguments left over; see `any_order`."""
         if self.add_options:
             add_options, self.add_options = self.add_options, None
             add_options(self)
@@ -70,30 +72,30 @@ def join_lists(arguments: Sequence[str]) -> list[str]:
     return joined
 
 
+def _read(kind: Callable[[str], T], text: str, problem: str) -> T:
+    """Return `kind(text)`, whose ValueError becomes an error that names the text."""
+    try:
+        return kind(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is {problem}") from None
+
+
 def count(text: str) -> int:
     """Return a whole number."""
-    try:
-        return int(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number") from None
+    return _read(int, text, "not a whole number")
 
 
 def number_or_off(text: str) -> float | str:
     """Return a number, or "off"."""
-    try:
-        return text if text == "off" else float(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is neither a number nor off") from None
+    return text if text == "off" else _read(float, text, "neither a number nor off")
 
 
 def seconds(text: str) -> float:
     """Return a time of 0 seconds or more."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
+    problem = "not a time; allowed: 0 seconds or more"
+    value = _read(float, text, problem)
     if not 0.0 <= value < math.inf:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a time; allowed: 0 seconds or more")
+        raise argparse.ArgumentTypeError(f"{text!r} is {problem}")
     return value
 
 
@@ -107,12 +109,6 @@ def duration(text: str) -> float:
 
 def band_hz(text: str) -> tuple[float, float]:
     """Return a band in Hz from LOW:HIGH."""
-    low, colon, high = text.partition(":")
-    try:
-        if not colon:
-            raise ValueError
-        return float(low), float(high)
-    except ValueError:
-        raise argparse.ArgumentTypeError(
-            f"{text!r} is not a band; allowed: LOW:HIGH in Hz, such as 55:200"
-        ) from None
+    low, _, high = text.partition(":")
+    problem = "not a band; allowed: LOW:HIGH in Hz, such as 55:200"
+    return _read(lambda _: (float(low), float(high)), text, problem)

@@ -13,7 +13,8 @@ import numpy as np
 
 from device.address import DeviceAddress
 from device.alsa import choose_setup, find_playback
-from device.alsa.negotiation import list_offers
+from device.alsa.cards import PlaybackDevice
+from device.alsa.negotiation import CardSetup, list_offers
 from device.alsa.usb_stream import read_usb_stream
 from device.alsa.use import why_blocked
 from device.drive import ActuatorSettings, ChannelMap, channels_needed, wiring_of
@@ -23,12 +24,11 @@ from device.server import FallbackSink, PulseConnection, StreamGuard
 from device.server.guard import Hold
 from device.stream import PlaybackStream
 from device.stream.pcms import CardDevice, Pcm, ServerDevice
-from device.stream.sample_format import SampleFormat
 from device.units import Float32Array
 from device.usb.coils import coil_channels
 
 PCM = "cushion_output"
-"""The PCM that the caller configures, before it connects to the server."""
+"""The PCM that the caller of `open_tone` must configure before it connects to the server."""
 
 FADE_S = 0.1
 """How long a tone takes to fade out."""
@@ -163,28 +163,37 @@ def _on_card(
     stack: ExitStack,
 ) -> TonePlayer:
     playback = find_playback(device.name)
-    if refused := why_blocked(playback):
-        raise NotFoundError(refused)
     coils = coil_channels(*playback.card.usb_id)
     wiring = wiring_of(actuators)
     needed = max(1, channels_needed(wiring), *(1 + coil for coil in coils))
-    setup = choose_setup(list_offers(read_usb_stream(playback)), CARD_RATE_HZ, needed)
+    pcm.target, setup = free_card(playback, CARD_RATE_HZ, needed)
     channel_map = (
         ChannelMap.of(wiring, setup.channels, device=str(playback))
         if actuators
         else ChannelMap.on_coils(1, setup.channels, coils, str(playback))
     )
-    pcm.target = CardDevice(playback.card.number, playback.device)
     tone = Tone(hz, setup.samplerate, _playing(channel_map))
-    sample_format: SampleFormat = setup.sample_format
     stream = PlaybackStream(
-        pcm, setup.samplerate, setup.channels, tone.fill, sample_format=sample_format
+        pcm, setup.samplerate, setup.channels, tone.fill, sample_format=setup.sample_format
     )
     stack.callback(stream.close)
     player = TonePlayer(f"{playback} ({playback.name})", tone, stream, None)
     stack.callback(player.fade_out)
     stream.audible = True
     return player
+
+
+def free_card(
+    device: PlaybackDevice, rate_hz: int, needed: int, least: int | None = None
+) -> tuple[CardDevice, CardSetup]:
+    """Return a card as target, and its best setup for so many channels, at least `least`.
+
+    NotFoundError: it is in use.
+    """
+    if refused := why_blocked(device):
+        raise NotFoundError(refused)
+    setup = choose_setup(list_offers(read_usb_stream(device)), rate_hz, needed, least)
+    return CardDevice(device.card.number, device.device), setup
 
 
 def _playing(channel_map: ChannelMap) -> list[int]:
