@@ -8,7 +8,7 @@ from contextlib import closing
 from pathlib import Path
 
 from audioflinger_hook.capture import CaptureRecorder, CaptureWriter
-from audioflinger_hook.cli.signals import Signals, freeze_loaded_objects
+from audioflinger_hook.cli.process import Signals, freeze_loaded_objects
 from audioflinger_hook.cli.terminal import progress_bar, warn
 from audioflinger_hook.daemon.live_capture import TICK_S, LiveCapture
 from audioflinger_hook.daemon.wake import Wake

@@ -6,7 +6,7 @@ import argparse
 import dataclasses
 import json
 
-from audioflinger_hook.cli.render import chosen_settings
+from audioflinger_hook.cli.render import chosen_settings, sample_counts
 from audioflinger_hook.cli.terminal import level_text, progress_bar, warn
 from audioflinger_hook.exports.export import ExportOptions, ExportReport, export, format_of
 from audioflinger_hook.offline.render import refuse_same_file
@@ -34,21 +34,17 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         print(json.dumps(dataclasses.asdict(report), indent=2))
     else:
-        print(f"{options.output}: {summary(report)}")
+        print(f"{options.output}: {_summary(report)}")
     return 0
 
 
-def summary(report: ExportReport) -> str:
-    """Return the report as one line."""
+def _summary(report: ExportReport) -> str:
     parts = [
         f"{report.duration_s:.2f} s of vibration as {report.format}",
         f"{counted(report.channels, 'channels')} at {report.samplerate} Hz",
-        f"{counted(report.bytes, 'bytes')}",
+        counted(report.bytes, "bytes"),
         f"peak {level_text(report.peak)}",
+        *sample_counts(report),
     ]
-    if report.limited_samples:
-        parts.append(f"{counted(report.limited_samples, 'samples')} limited")
-    if report.replaced_samples:
-        parts.append(f"{counted(report.replaced_samples, 'unusable samples')} set to 0")
     parts += [f"{name.replace('_', ' ')} {value:.3g}" for name, value in report.error.items()]
     return ", ".join(parts)

@@ -10,27 +10,18 @@ from typing import Any
 from audioflinger_hook.cli.arguments import Parser, band_hz, count, number_or_off
 
 CONFIG_HELP = "take the settings from this file"
-ACCELERATION_HELP = "also write the simulated acceleration; its full scale is 100 m/s²"
 
 
 def add_exporting(command: Parser, default: str, format_name: str | None) -> None:
     """Add the options that `export` and `catalogue` share."""
     from audioflinger_hook.exports.options import FORMATS
 
-    command.add_argument(
-        "--format",
-        default=format_name,
-        metavar="NAME",
-        help=f"{', '.join(FORMATS)}; default: {default}",
-    )
+    formats = f"{', '.join(FORMATS)}; default: {default}"
+    command.add_argument("--format", default=format_name, metavar="NAME", help=formats)
     add_value(command, "--output-rate", count, "HZ", "rate of a waveform; default: the sound's")
     band = "band of the target's actuator, such as 55:200; 20-220 Hz is mapped to it"
     add_value(command, "--device-band", band_hz, "LOW:HIGH", band)
-    add_keys(command, "form", "channels")
-    add_profile(command, live=False)
-    add_keys(command, "rig", "damping", "protection", "model", "tolerance")
-    add_value(command, "--config", Path, "FILE", CONFIG_HELP)
-    add_json(command)
+    _add_offline(command)
 
 
 def add_json(command: Parser) -> None:
@@ -40,10 +31,15 @@ def add_json(command: Parser) -> None:
 
 def add_rendering(command: Parser) -> None:
     """Add the options that `render` and `replay` share."""
+    acceleration = "also write the simulated acceleration; its full scale is 100 m/s²"
+    _add_offline(command, lambda: add_value(command, "--acceleration", Path, "FILE", acceleration))
+
+
+def _add_offline(command: Parser, add_more: Callable[[], None] = lambda: None) -> None:
     add_keys(command, "form", "channels")
     add_profile(command, live=False)
     add_keys(command, "rig", "damping", "protection", "model", "tolerance")
-    add_value(command, "--acceleration", Path, "FILE", ACCELERATION_HELP)
+    add_more()
     add_value(command, "--config", Path, "FILE", CONFIG_HELP)
     add_json(command)
 
@@ -74,12 +70,7 @@ def add_keys(command: Parser, *fields: str, **more: Any) -> None:
 
 
 def add_value(
-    command: Parser,
-    flag: str,
-    kind: Callable[[str], Any],
-    metavar: str,
-    meaning: str,
-    default: object = None,
+    command: Parser, flag: str, kind: Any, metavar: str, meaning: str, default: object = None
 ) -> None:
     """Add an option with a value. Its help shows the default, unless the default is None."""
     shown = f"{default:g}" if isinstance(default, float) else default

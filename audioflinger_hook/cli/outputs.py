@@ -25,28 +25,14 @@ server uses, and the sink that plays the sound."""
 
 @dataclass(frozen=True)
 class Output:
-    """One output. address: for `--device`; rank: a likely one first; note: why it is likely or not.
+    """One output."""
 
-    positions: of its channels, empty if unknown. has_coils: whether its channels with coils are
-    known.
-    """
-
-    address: str
+    address: str  # for `--device`
     description: str
-    rank: int
-    note: str
-    positions: tuple[str, ...] = ()
-    has_coils: bool = False
-
-    @property
-    def is_likely(self) -> bool:
-        """Whether it has what drives a shaker."""
-        return self.rank <= SURROUND
-
-    @property
-    def plays_the_sound(self) -> bool:
-        """Whether the computer's sound plays there, so that vibration would be heard."""
-        return self.rank == SOUND
+    rank: int  # a likely one first; up to SURROUND they have what drives a shaker
+    note: str  # why it is likely or not
+    positions: tuple[str, ...] = ()  # of its channels, empty if unknown
+    has_coils: bool = False  # whether its channels with coils are known
 
 
 def list_outputs(
@@ -54,10 +40,7 @@ def list_outputs(
     devices: Sequence[UsbAudioDevice],
     playbacks: Iterable[PlaybackDevice],
 ) -> list[Output]:
-    """Return every output but our own sinks.
-
-    devices: the present USB devices. playbacks: of all sound cards; those of the server are sinks.
-    """
+    """Return every output but our own sinks, from sinks, USB devices and all sound cards."""
     sinks = [sink for sink in snapshot.sinks if sink.name not in OWN_SINKS]
     found = [_of_sink(sink, snapshot, devices) for sink in sinks]
     served = {identity_of(sink).alsa_card for sink in sinks}

@@ -11,15 +11,11 @@ from device.errors import CushionError
 CHECK_S = 0.1
 
 
-def _nothing() -> None:
-    pass
-
-
 def choose(
     question: str,
     answers: Mapping[str, str],
     default: str = "",
-    meanwhile: Callable[[], None] = _nothing,
+    meanwhile: Callable[[], None] | None = None,
 ) -> str:
     """Ask until one of the answers is given, and return it.
 
@@ -28,15 +24,12 @@ def choose(
     what it raises ends the question.
     KeyboardInterrupt: the terminal was closed, or Ctrl+D typed.
     """
-    by_letter = {answer[0]: answer for answer in answers if answer.isalpha()}
+    words = {answer[0]: answer for answer in answers} | {answer: answer for answer in answers}
+    prompt = f"{question} [{default}] " if default else f"{question} "
     while True:
-        prompt = f"{question} [{default}] " if default else f"{question} "
-        given = _read(prompt, meanwhile).strip().lower()
-        given = given or default
-        if given in answers:
-            return given
-        if len(given) == 1 and given in by_letter:
-            return by_letter[given]
+        given = _read(prompt, meanwhile).strip().lower() or default
+        if given in words:
+            return words[given]
         if given not in ("", "?"):
             print(f"{given[:60]!r} is no answer.")
         print("Please type one of these:")
@@ -68,20 +61,21 @@ def name_some(question: str, names: Sequence[str]) -> tuple[str, ...]:
     """
     while True:
         given = _read(f"{question} [all] ").strip()
-        chosen = tuple(name.strip() for name in given.split(","))
         if given in ("", "all"):
             return ()
+        chosen = tuple(name.strip() for name in given.split(","))
         if set(chosen) <= set(names) and len(set(chosen)) == len(chosen):
             return chosen
         print(f"Please type all, or some of: {', '.join(names)}.")
 
 
-def _read(prompt: str, meanwhile: Callable[[], None] = _nothing) -> str:
+def _read(prompt: str, meanwhile: Callable[[], None] | None = None) -> str:
     # `input` would print it through C's stderr, which a command with audio streams silences.
     print(prompt, end="", flush=True)
     try:
         while not select.select([sys.stdin], [], [], CHECK_S)[0]:
-            meanwhile()
+            if meanwhile:
+                meanwhile()
         return input()
     except EOFError:
         print()

@@ -5,12 +5,14 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 from audioflinger_hook.cli.terminal import complain, level_text, progress_bar, warn
 from audioflinger_hook.config import file as config
 from audioflinger_hook.config.settings import Settings
+from audioflinger_hook.exports.export import ExportReport
 from audioflinger_hook.offline.batch import Rendered, render_files, targets_in
 from audioflinger_hook.offline.pool import WORKERS_MAX, usable_cores
 from audioflinger_hook.offline.render import RenderReport, render_file
@@ -18,8 +20,6 @@ from device.errors import UsageError
 from device.values import counted
 
 WAV_SUFFIXES = (".wav", ".wave", ".rf64")
-"""Endings of the names of files that are written as WAV."""
-
 SEE_HELP = "see `cushion render --help`"
 
 
@@ -28,15 +28,12 @@ def run(options: argparse.Namespace) -> int:
     workers = chosen_workers(options.workers)
     if options.out_dir is not None:
         return _run_several(options, workers)
-    options.input, options.output = _one_each(options.files)
+    _check_files(options.files)
+    options.input, options.output = options.files
     settings = chosen_settings(options)
     with progress_bar(options.input.name) as progress:
         report = render_file(
-            options.input,
-            options.output,
-            settings,
-            acceleration=options.acceleration,
-            progress=progress,
+            *options.files, settings, acceleration=options.acceleration, progress=progress
         )
     show_report(report, options)
     return 0
@@ -72,15 +69,14 @@ def _run_several(options: argparse.Namespace, workers: int) -> int:
 
 
 def _entry(rendered: Rendered) -> dict[str, object]:
-    """Return the report of one of several files."""
     head = {"input": str(rendered.source), "output": str(rendered.target)}
     if rendered.report is None:
         return {**head, "error": rendered.error, "exit_code": rendered.exit_code}
     return {**head, **dataclasses.asdict(rendered.report)}
 
 
-def _one_each(files: list[Path]) -> tuple[Path, Path]:
-    """Return IN and OUT."""
+def _check_files(files: list[Path]) -> None:
+    """Raise UsageError unless the files are IN and OUT."""
     if len(files) < 2:
         missing = ", ".join(("IN", "OUT")[len(files) :])
         raise UsageError(f"the following arguments are required: {missing}; {SEE_HELP}")
@@ -90,20 +86,12 @@ def _one_each(files: list[Path]) -> tuple[Path, Path]:
             f"unrecognized arguments: {more}; allowed: IN OUT, or any number of IN with "
             f"--out-dir DIR; {SEE_HELP}"
         )
-    check_output(files[1])
-    return files[0], files[1]
-
-
-def check_output(path: Path) -> None:
-    """Raise UsageError for a name that a WAV must not have."""
-    if str(path) == "-":
+    out = files[1]
+    if str(out) == "-":
+        raise UsageError("OUT = '-': standard output cannot take a WAV; name a file")
+    if out.suffix.lower() not in (*WAV_SUFFIXES, ""):
         raise UsageError(
-            "OUT = '-': standard output cannot take a WAV, whose header needs its length; name a "
-            "file"
-        )
-    if path.suffix.lower() not in (*WAV_SUFFIXES, ""):
-        raise UsageError(
-            f"OUT = '{path}': the vibration is written as WAV; allowed: a name that ends in "
+            f"OUT = '{out}': the vibration is written as WAV; allowed: a name that ends in "
             f"{', '.join(WAV_SUFFIXES)}, or without an ending"
         )
 
@@ -127,21 +115,14 @@ def chosen_settings(options: argparse.Namespace, recorded: Settings | None = Non
         settings = config.load(options.config, default).settings
     else:
         settings = recorded or Settings(profile=default)
-    given = {
-        name: getattr(options, name)
-        for name in (
-            "form",
-            "channels",
-            "profile",
-            "damping",
-            "protection",
-            "rig",
-            "model",
-            "tolerance",
-        )
-        if getattr(options, name) is not None
-    }
-    return settings.choosing(**given)
+    names = ("form", "channels", "profile", "damping", "protection", "rig", "model", "tolerance")
+    return settings.choosing(**given_values(options, names))
+
+
+def given_values(options: argparse.Namespace, names: Iterable[str]) -> dict[str, Any]:
+    """Return those of the options that are given."""
+    values = {name: getattr(options, name) for name in names}
+    return {name: value for name, value in values.items() if value is not None}
 
 
 def show_report(
@@ -160,16 +141,21 @@ def show_report(
             print(f"  {line}")
 
 
+def sample_counts(report: RenderReport | ExportReport) -> Iterator[str]:
+    """Yield how many samples were changed."""
+    if report.limited_samples:
+        yield f"{counted(report.limited_samples, 'samples')} limited"
+    if report.replaced_samples:
+        yield f"{counted(report.replaced_samples, 'unusable samples')} set to 0"
+
+
 def _summary(report: RenderReport, output: Path) -> str:
     parts = [
         f"{output}: {report.frames / report.samplerate:.2f} s of vibration",
         f"{counted(report.channels, 'channels')} at {report.samplerate} Hz",
         f"peak {level_text(report.peak)}",
+        *sample_counts(report),
     ]
-    if report.limited_samples:
-        parts.append(f"{counted(report.limited_samples, 'samples')} limited")
-    if report.replaced_samples:
-        parts.append(f"{counted(report.replaced_samples, 'unusable samples')} set to 0")
     if report.peak_acceleration_m_s2 is not None:
         parts.append(f"peak acceleration {report.peak_acceleration_m_s2:.1f} m/s²")
     if report.strength_db is not None:

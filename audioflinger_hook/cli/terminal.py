@@ -52,31 +52,28 @@ class LineConsole(Console):
 
 
 class Advance(Protocol):
-    """Takes the finished and the total amount (None: unknown), and a note to show."""
+    """Shows progress."""
 
     def __call__(self, done: float, total: float | None, note: str = "") -> None:
-        """Draw the progress."""
-        ...
+        """Draw the finished and the total amount (None: unknown), and a note."""
 
 
 @contextmanager
 def progress_bar(label: str) -> Iterator[Advance]:
-    """Yield a function that takes the finished and the total amount, and a note.
+    """Yield a function that shows progress.
 
     The bar is drawn on stderr if that is a terminal, and removed at the end.
     """
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    console = LineConsole(stderr=True)
     columns = (
         TextColumn("{task.description}", markup=False),
         BarColumn(),
         TextColumn("{task.percentage:>3.0f} %"),
         TimeRemainingColumn(compact=True),
     )
-    with Progress(
-        *columns, console=console, transient=True, disable=not sys.stderr.isatty()
-    ) as bar:
+    console, off = LineConsole(stderr=True), not sys.stderr.isatty()
+    with Progress(*columns, console=console, transient=True, disable=off) as bar:
         task = bar.add_task(label, total=None)
 
         def advance(done: float, total: float | None, note: str = "") -> None:

@@ -17,8 +17,7 @@ def run(options: argparse.Namespace) -> int:
         raise UsageError("usb set goes with neither --hex, --take-over nor --json")
     if options.device is None:
         raise UsageError("usb set needs a device; `cushion devices` lists them")
-    asked = (options.samplerate, options.volume_db, options.mute)
-    if asked == (None, None, None):
+    if (options.samplerate, options.volume_db, options.mute) == (None, None, None):
         raise UsageError("usb set needs --volume-db, --samplerate or --mute")
     device = find_one(UsbIdentity.parse(options.device), find_devices())
     with closing(open_control(device)) as control:

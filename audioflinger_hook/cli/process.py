@@ -1,17 +1,24 @@
-"""The signals that a running daemon handles: none interrupts the opening or closing of streams."""
+"""What a long command asks of its process: signals, open files and collections."""
 
 from __future__ import annotations
 
 import gc
 import os
+import resource
 import signal
 from collections.abc import Callable
 
 from audioflinger_hook.daemon.wake import Wake
+from device.errors import UsageError
+
+NEEDED, WANTED = 64, 512
+"""A daemon with a sound server, eight pages and a recording has about fifty files open."""
 
 
 class Signals:
     """What signals have requested, for the main thread to read; each signal wakes it by `wake`.
+
+    None interrupts the opening or closing of streams.
 
     end: whether to end, after SIGINT, SIGTERM, or if the terminal was closed. reload: whether to
     read the config again, after SIGHUP. on_spinning: called at once after SIGXCPU, which means that
@@ -27,15 +34,13 @@ class Signals:
         self._terminals = [descriptor for descriptor in (0, 1, 2) if os.isatty(descriptor)]
         # With `nohup` a program goes on without its terminal.
         self._goes_on = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
-        self._before = {
-            number: signal.signal(number, take)
-            for number, take in (
-                (signal.SIGINT, self._end),
-                (signal.SIGTERM, self._end),
-                (signal.SIGHUP, self._hang_up),
-                (signal.SIGXCPU, self._spinning),
-            )
+        handlers = {
+            signal.SIGINT: self._end,
+            signal.SIGTERM: self._end,
+            signal.SIGHUP: self._hang_up,
+            signal.SIGXCPU: self._spinning,
         }
+        self._before = {number: signal.signal(number, take) for number, take in handlers.items()}
 
     def __enter__(self) -> Signals:
         return self
@@ -70,3 +75,20 @@ def freeze_loaded_objects() -> None:
     """
     gc.collect()
     gc.freeze()
+
+
+def allow_open_files() -> None:
+    """Raise this process's limit of open files to what a daemon may need. Main thread only.
+
+    UsageError: the limit cannot be raised far enough.
+    """
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if soft == resource.RLIM_INFINITY or soft >= WANTED:
+        return
+    allowed = WANTED if hard == resource.RLIM_INFINITY else min(WANTED, hard)
+    if allowed < NEEDED:
+        raise UsageError(
+            f"only {allowed} files may be open at once (ulimit -n); cushion run needs {NEEDED}: "
+            "raise the limit and start it again"
+        )
+    resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, allowed), hard))
