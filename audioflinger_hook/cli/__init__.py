@@ -10,6 +10,7 @@ import signal
 import sys
 import traceback
 from collections.abc import Sequence
+from importlib import import_module
 from types import FrameType
 from typing import TextIO
 
@@ -70,7 +71,9 @@ def _run(arguments: Sequence[str]) -> int:
         parser.print_help()
         print(f"\n{NEXT}")
         return 0
-    return int(options.run(options))
+    # Imported only now: some imports take a second.
+    module = import_module(f"audioflinger_hook.cli.{options.command.replace('-', '_')}")
+    return int(module.run(options))
 
 
 def _prepare_streams() -> None:

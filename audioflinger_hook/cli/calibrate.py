@@ -79,7 +79,6 @@ class Progress:
 
 
 def _check_out(path: Path | None) -> None:
-    """Refuse a file that cannot be written, before anything is played."""
     if path and path.suffix != ".toml":
         raise UsageError(f"out={path}: a rig's file ends in .toml, so that --rig accepts it")
     if path and not (path.parent.is_dir() and os.access(path.parent, os.W_OK)):

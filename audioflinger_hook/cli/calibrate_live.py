@@ -34,9 +34,7 @@ USUAL_LEVEL, MOST_LEVEL = 0.05, 0.25
 """Parts of full scale: the default level, and the highest level without --loud."""
 
 RATE_HZ = 48_000
-WEIGHED_SHARE = 0.02
-"""Half-width of the interval of a weighed mass."""
-
+WEIGHED_SHARE = 0.02  # half-width of the interval of a weighed mass
 INPUT_GRAMMAR = "source:NAME or hw:CARD[,DEVICE]"
 
 _QUAD = "front-left,front-right,rear-left,rear-right"

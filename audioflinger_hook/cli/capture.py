@@ -16,8 +16,7 @@ from audioflinger_hook.sources import TapAddress, open_tap, parse_tap
 from device.stream import filter_stderr
 from device.values import counted
 
-LIVE_TAPS = ("default", "sink")
-"""Taps of live sound."""
+LIVE_TAPS = ("default", "sink")  # taps of live sound
 
 
 def run(options: argparse.Namespace) -> int:
@@ -48,7 +47,6 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _print_summary(writer: CaptureWriter, heard_s: float, samplerate: int, channels: int) -> None:
-    """Print what a capture contains; samplerate (Hz), channels: of its last buffer."""
     buffers, of = counted(writer.buffers("tap"), "buffers"), counted(channels, "channels")
     print(f"{writer.folder}: {heard_s:.2f} s in {buffers}, {of} at {samplerate} Hz")
 
@@ -56,7 +54,6 @@ def _print_summary(writer: CaptureWriter, heard_s: float, samplerate: int, chann
 def _record_live(
     address: TapAddress, folder: Path, seconds: float, *, debug: bool
 ) -> tuple[CaptureWriter, LiveCapture]:
-    """Record for a duration or until a signal; return the writer and the capture."""
     if not debug:
         filter_stderr()
     with (

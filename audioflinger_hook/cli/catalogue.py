@@ -156,7 +156,6 @@ def _place(options: argparse.Namespace, total: int) -> Place:
 
 
 def _reason_to_stop(batch: list[Outcome], summary: Summary, most: int | None) -> str:
-    """Return why the run must end now, "" if it goes on."""
     for outcome in batch:
         if outcome.stops:
             return f"stopped, because every item would fail like {outcome.item.id}"

@@ -38,9 +38,7 @@ from device.wav_output import WavOutput
 BLOCKSIZE_FRAMES = 256
 """Frames that a sound server delivers at a time; computing times are given for this block."""
 
-FAINTEST_DB = -45.0
-"""Principal frequencies this far below full scale are drawn as the smallest dot."""
-
+FAINTEST_DB = -45.0  # principal frequencies this far below full scale are drawn as the smallest dot
 REFRESH_S = 1 / 15
 BAR_CELLS = 40
 BAR_RANGE_DB = 60.0
@@ -146,7 +144,6 @@ def _picture(
     framework: Framework,
     values: Mapping[str, str],
 ) -> bytes:
-    """Return the picture with the main values as text; needs matplotlib."""
     from audioflinger_hook.figures.report import report_png
 
     settings = framework.settings

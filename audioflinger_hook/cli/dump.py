@@ -14,8 +14,7 @@ from audioflinger_hook.pipeline.step import Pipeline
 from audioflinger_hook.sources import open_client, parse_tap
 from device.errors import UsageError
 
-DEFAULT_S = 1.0
-"""How much sound is played if none is asked for; a shorter sound is played whole."""
+DEFAULT_S = 1.0  # how much sound is played if none is asked for; a shorter sound is played whole
 
 
 def run(options: argparse.Namespace) -> int:

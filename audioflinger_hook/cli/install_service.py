@@ -7,8 +7,7 @@ import sys
 
 from audioflinger_hook.config import file as config
 from audioflinger_hook.config.profiles import LIVE_DEFAULT
-from audioflinger_hook.service.install import install, remove, systemd_version
-from audioflinger_hook.service.unit import UDEV_COMMAND
+from audioflinger_hook.service.install import UDEV_COMMAND, install, remove, systemd_version
 from audioflinger_hook.sources import parse_tap
 from device.address import parse_device
 from device.errors import UsageError
@@ -51,7 +50,6 @@ def _config_names_a_device() -> bool:
 
 
 def _refuse_without_device() -> None:
-    """Raise UsageError if the config names no device, or has mistakes."""
     if not _config_names_a_device():
         raise UsageError(
             "no device given; name it with --device, or with the key device in "

@@ -22,8 +22,7 @@ from device.stream.streams import CaptureStream, PlaybackStream
 OUTPUT, INPUT = "cushion_output", "cushion_input"
 """Names of the two PCMs that the caller must configure."""
 
-SETTLE_S = 5.0
-"""Time until both streams must run on their devices."""
+SETTLE_S = 5.0  # time until both streams must run on their devices
 
 BLOCK_FRAMES = 1024
 """Four times the default: latency does not matter, but a late block would be lost."""
@@ -98,8 +97,6 @@ class MeasurementStreams:
 
 @dataclass
 class _Watch:
-    """Watches both streams for the waiting thread."""
-
     streams: tuple[PlaybackStream, CaptureStream]
     guards: list[StreamGuard]
     names: tuple[str, str]

@@ -15,8 +15,7 @@ from device.usb import UsbAudioDevice, identify
 from device.usb.coils import coil_channels
 from device.usb.mapping import device_of_sink
 
-OWN_SINKS = (SINK, FALLBACK_SINK)
-"""Sinks that this program makes."""
+OWN_SINKS = (SINK, FALLBACK_SINK)  # sinks that this program makes
 
 COILS, USB, SURROUND, OTHER, CARD, SOUND = range(6)
 """Ranks of outputs: voice coils, a USB card, four or more channels, another sink, a card that no

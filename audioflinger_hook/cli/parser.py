@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import argparse
 import math
 from collections.abc import Callable
-from functools import partial
-from importlib import import_module
 from pathlib import Path
 
 from audioflinger_hook import __version__
-from audioflinger_hook.cli.arguments import Parser, count, duration, seconds
-from audioflinger_hook.cli.options import (
+from audioflinger_hook.cli.arguments import (
     CONFIG_HELP,
+    Parser,
     add_exporting,
     add_json,
     add_keys,
@@ -20,6 +17,9 @@ from audioflinger_hook.cli.options import (
     add_rendering,
     add_switch,
     add_value,
+    count,
+    duration,
+    seconds,
 )
 
 NEXT = (
@@ -44,7 +44,7 @@ COMMANDS: dict[str, tuple[AddOptions, str, str]] = {}
 
 
 def build_parser() -> Parser:
-    """Return the parser; in the parsed options, `run` is the function of the command."""
+    """Return the parser; in the parsed options, `command` is the command's name."""
     parser = Parser(prog="cushion", description=DESCRIPTION, epilog=EXIT_CODES)
     add_switch(parser, "--debug", "show tracebacks")
     parser.add_argument("--version", action="version", version=f"cushion {__version__}")
@@ -54,14 +54,7 @@ def build_parser() -> Parser:
         command = commands.add_parser(name, help=does, description=does, epilog=shown)
         command.add_options = add_options
         add_switch(command, "--debug", "show tracebacks")
-        command.set_defaults(run=partial(_run_module, name))
     return parser
-
-
-def _run_module(name: str, options: argparse.Namespace) -> int:
-    """Run a command. Its module is imported only now: some imports take a second."""
-    module = import_module(f"audioflinger_hook.cli.{name.replace('-', '_')}")
-    return int(module.run(options))
 
 
 def _command(name: str, does: str, example: str = "") -> Callable[[AddOptions], AddOptions]:

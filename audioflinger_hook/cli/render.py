@@ -40,7 +40,6 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _run_several(options: argparse.Namespace, workers: int) -> int:
-    """Render all files that can be rendered; return 0 or the exit code of the worst error."""
     if not options.files:
         raise UsageError(f"the following arguments are required: IN; {SEE_HELP}")
     if options.acceleration is not None:
@@ -76,7 +75,6 @@ def _entry(rendered: Rendered) -> dict[str, object]:
 
 
 def _check_files(files: list[Path]) -> None:
-    """Raise UsageError unless the files are IN and OUT."""
     if len(files) < 2:
         missing = ", ".join(("IN", "OUT")[len(files) :])
         raise UsageError(f"the following arguments are required: {missing}; {SEE_HELP}")

@@ -153,7 +153,6 @@ def _server_answers() -> bool:
 
 
 def _check_config(run_config: RunConfig) -> None:
-    """Raise UsageError or NotFoundError for a config that cannot work."""
     if run_config.tap.kind not in LIVE_TAPS + PACED_TAPS:
         raise NotFoundError(f"tap {str(run_config.tap)!r}: `cushion run` cannot listen to it")
     _ = run_config.rules
@@ -169,7 +168,6 @@ def _check_config(run_config: RunConfig) -> None:
 
 
 def _check_overwriting(tap: TapAddress, device: DeviceAddress) -> None:
-    """Raise UsageError if the file to write is also the file to play."""
     if device.kind == "wav":
         played = {"file": [Path(tap.name)], "capture": capture_files(Path(tap.name))}
         for source in played.get(tap.kind, []):
@@ -217,7 +215,6 @@ def _keep_on(
 
 
 def _warnings(supervisor: Supervisor) -> list[str]:
-    """Return what the terminal is to show, also which effects are bypassed."""
     engine = supervisor.engines.python
     return [*(engine.framework.bypass_warnings() if engine else ()), *supervisor.warnings]
 

@@ -15,14 +15,9 @@ from audioflinger_hook.service.status_view import meter_line
 from audioflinger_hook.service.systemd import Notifier
 from device.errors import CushionError
 
-AT_ONCE, EVERY_S = 5, 10.0
-"""Messages of one kind without a pause, and average time between them."""
-
-KINDS_MAX = 100
-"""Largest number of kinds; all further kinds count as one."""
-
-METER_S = 0.1
-"""Time between two drawings of the meter."""
+AT_ONCE, EVERY_S = 5, 10.0  # messages of one kind without a pause, and average time between them
+KINDS_MAX = 100  # largest number of kinds; all further kinds count as one
+METER_S = 0.1  # time between two drawings of the meter
 
 
 class RunReporter:

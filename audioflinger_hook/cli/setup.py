@@ -23,9 +23,8 @@ from audioflinger_hook.cli.outputs import (
     list_outputs,
     shaker_pair,
 )
-from audioflinger_hook.cli.questions import agree, name_some, pick
 from audioflinger_hook.cli.setup_tone import Felt, try_output
-from audioflinger_hook.cli.terminal import as_typed, warn
+from audioflinger_hook.cli.terminal import agree, as_typed, name_some, pick, warn
 from audioflinger_hook.cli.tone import PCM
 from audioflinger_hook.config import file as config
 from audioflinger_hook.config.commented import actuator_text, commented_text
@@ -168,7 +167,6 @@ def _choose_output(
 
 
 def _named(device: DeviceAddress, outputs: list[Output], snapshot: ServerSnapshot) -> Output:
-    """Return the output of a name. NotFoundError: there is none of this name."""
     if device.kind not in ("sink", "usb", "hw"):
         raise UsageError(
             f"device {str(device)!r} is no output for a first run; allowed: sink:NAME, "
@@ -293,7 +291,6 @@ def _difference(before: str | None, text: str) -> str:
 
 
 def _tell(path: Path, text: str, has_service: bool) -> None:
-    """Say what happens now, and what to type next."""
     found = config.check_text(text, path.parent, LIVE_DEFAULT)[0]
     assert found is not None
     settings = found.settings

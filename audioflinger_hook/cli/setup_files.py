@@ -20,8 +20,7 @@ from device.atomic_file import make_private_folder, write_bytes_atomically
 from device.errors import CushionError, UsageError
 
 RECORDS_NAME = "setup-undo.json"
-RECORDS_MAX = 20
-"""Set-ups that can be undone; older ones cannot."""
+RECORDS_MAX = 20  # set-ups that can be undone; older ones cannot
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from enum import Enum, auto
 
-from audioflinger_hook.cli.questions import choose
+from audioflinger_hook.cli.terminal import choose
 from audioflinger_hook.cli.tone import TonePlayer, open_tone
 from device.address import DeviceAddress
 from device.drive import ActuatorSettings
@@ -17,9 +17,7 @@ from device.units import db_to_amplitude
 TONE_HZ = 60.0
 FIRST_DB, STEP_DB = -24.0, 6.0
 FADE_IN_S = 2.0
-LONGEST_S = 30.0
-"""A tone without an answer fades out: a coil gets warm."""
-
+LONGEST_S = 30.0  # a tone without an answer fades out: a coil gets warm
 UNASKED_S = 4.0
 
 ANSWERS = {

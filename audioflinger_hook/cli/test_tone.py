@@ -44,7 +44,6 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _warnings(sink: Sink, snapshot: ServerSnapshot) -> Iterator[str]:
-    """Yield why the tone may not be felt."""
     if sink.mute:
         yield muted(sink.name)
     elif sink.weakened:

@@ -30,12 +30,8 @@ from device.usb.coils import coil_channels
 PCM = "cushion_output"
 """The PCM that the caller of `open_tone` must configure before it connects to the server."""
 
-FADE_S = 0.1
-"""How long a tone takes to fade out."""
-
-SETTLE_S = 5.0
-"""Time until a new stream must run on its device."""
-
+FADE_S = 0.1  # how long a tone takes to fade out
+SETTLE_S = 5.0  # time until a new stream must run on its device
 CARD_RATE_HZ = 48_000
 
 

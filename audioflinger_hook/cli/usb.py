@@ -1,4 +1,4 @@
-"""`cushion usb`: what a USB audio device, or a dump of one, plays and where it is damaged."""
+"""`cushion usb`: what a USB audio device, or a dump of one, plays; and setting such a device."""
 
 from __future__ import annotations
 
@@ -11,11 +11,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from audioflinger_hook.cli import usb_set
 from audioflinger_hook.cli.terminal import warn
 from audioflinger_hook.cli.usb_formats import format_text, formats_of, joined, samplerates_text
 from device.alsa.mixer import CardMixer
-from device.errors import CushionError, NoUsbDeviceError, UsageError
+from device.errors import CushionError, NotFoundError, NoUsbDeviceError, UsageError
 from device.usb import UsbAudioDevice, UsbIdentity, find_devices, find_one, identify
 from device.usb.control import UsbControl, held_by, open_control
 from device.usb.descriptors import (
@@ -36,7 +35,7 @@ DUMP_BYTES_MAX = 4 << 20
 def run(options: argparse.Namespace) -> int:
     """Decode a dump, one device or, without a name, all connected devices; or set a device."""
     if options.does == "set":
-        return usb_set.run(options)
+        return _set(options)
     if (options.volume_db, options.samplerate, options.mute) != (None, None, None):
         raise UsageError("usb describe sets nothing; --volume-db and so on go with `usb set`")
     if options.hex is not None and (options.device or options.take_over):
@@ -74,7 +73,6 @@ def _dumped(path: Path) -> list[WholeDevice]:
 
 
 def _read(path: Path) -> bytes:
-    """Return a dump; "-" is standard input."""
     try:
         if str(path) == "-":
             raw = sys.stdin.buffer.read(DUMP_BYTES_MAX + 1)
@@ -292,3 +290,46 @@ def _finite(level_db: float) -> float | None:
 
 def _level(level_db: float | None) -> str:
     return "silence" if level_db is None else f"{level_db:+.2f} dB"
+
+
+def _set(options: argparse.Namespace) -> int:
+    """Set the options' values, read them back and print them; a mute is lifted last."""
+    if options.hex is not None or options.take_over or options.json:
+        raise UsageError("usb set goes with neither --hex, --take-over nor --json")
+    if options.device is None:
+        raise UsageError("usb set needs a device; `cushion devices` lists them")
+    if (options.samplerate, options.volume_db, options.mute) == (None, None, None):
+        raise UsageError("usb set needs --volume-db, --samplerate or --mute")
+    device = find_one(UsbIdentity.parse(options.device), find_devices())
+    with closing(open_control(device)) as control:
+        if options.mute == "on":
+            _set_mute(control, True)
+        if options.samplerate is not None:
+            control.set_samplerate(options.samplerate)
+            print(f"samplerate: {control.samplerate()} Hz")
+        if options.volume_db is not None:
+            _set_volume(control, options.volume_db)
+        if options.mute == "off":
+            _set_mute(control, False)
+    return 0
+
+
+def _set_volume(control: UsbControl, wanted_db: float) -> None:
+    if not control.volume_channels:
+        raise NotFoundError("the device has no volume that can be set; set the level elsewhere")
+    for channel in control.volume_channels:
+        found_db = control.set_volume_db(channel, wanted_db)
+        print(f"volume of channel {channel}: {_level(_finite(found_db))}")
+        if found_db > wanted_db:
+            raise NotFoundError(
+                f"the lowest volume of channel {channel} is {found_db:g} dB, above the wanted "
+                f"{wanted_db:g} dB; it is set to that"
+            )
+
+
+def _set_mute(control: UsbControl, muted: bool) -> None:
+    if not control.mute_channels:
+        raise NotFoundError("the device has no mute that can be set")
+    for channel in control.mute_channels:
+        control.set_muted(channel, muted)
+        print(f"mute of channel {channel}: {'on' if muted else 'off'}")

@@ -81,8 +81,7 @@ def samplerates_text(rates: Samplerates, units: str = "Hz") -> str:
     return f"{', '.join(f'{rate / per_unit:.10g}' for rate in rates)} {units}"
 
 
-_DSD = {"raw data", "DSD"}
-"""Raw data of class 2 is native DSD on all devices that have it."""
+_DSD = {"raw data", "DSD"}  # raw data of class 2 is native DSD on all devices that have it
 
 
 def _decoded(

@@ -42,7 +42,7 @@ def from_json(kind: type[T], text: str | bytes) -> T:
 
 
 def from_document(kind: type[T], document: object) -> T:
-    """Return the dataclass in a document that is parsed already; UsageError as for `from_json`."""
+    """Return the dataclass in a parsed document; UsageError as for `from_json`."""
     return _typed(kind, document, "")  # type: ignore[no-any-return]
 
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-SHOWN_MAX = 200
-"""Largest length of a foreign text, such as a reason or a name."""
+SHOWN_MAX = 200  # largest length of a foreign text, such as a reason or a name
 
 
 def one_line(text: str, limit: int = SHOWN_MAX) -> str:

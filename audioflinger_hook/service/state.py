@@ -50,14 +50,12 @@ class Cause(Enum):
     """The machine was suspended."""
 
 
-READY = frozenset((DaemonState.RUNNING, DaemonState.IDLE))
-"""Tap and device are there."""
+READY = frozenset((DaemonState.RUNNING, DaemonState.IDLE))  # tap and device are there
 
 PLAYED = frozenset((DaemonState.RUNNING, DaemonState.IDLE, DaemonState.RECOVERING))
 """Only a daemon that played can recover."""
 
-NOTES_MAX = 32
-"""Notes kept until they are read; older ones are dropped."""
+NOTES_MAX = 32  # notes kept until they are read; older ones are dropped
 
 
 @dataclass(frozen=True)
@@ -83,7 +81,6 @@ class StateKeeper:
 
     One thread changes it and takes the notes; any thread may call `report`. Times are seconds of
     one clock; a clock that runs backwards counts as standing still. The object's size is constant.
-
     ready_s: when it was first READY, None before.
     """
 
@@ -125,9 +122,8 @@ class StateKeeper:
 
     def notes(self) -> list[Note]:
         """Return the recoveries since the last call, at most the latest NOTES_MAX."""
-        notes = list(self._notes)
-        self._notes.clear()
-        return notes
+        notes, self._notes = self._notes, deque(maxlen=NOTES_MAX)
+        return list(notes)
 
     def report(self, now_s: float) -> StateReport:
         """Return the report at `now_s`."""

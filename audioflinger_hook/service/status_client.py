@@ -7,6 +7,7 @@ import os
 import socket
 import struct
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 
 from audioflinger_hook.service.json_codec import from_json
 from audioflinger_hook.service.one_line import one_line
@@ -34,9 +35,8 @@ def ask_status(
         with RuntimeFolder(environ, create=False) as folder:
             line = _exchange(folder, end_s, clock)
     except TimeoutError as error:
-        raise InternalError(
-            f"the daemon has not answered within {timeout_s:g} s; try again, or restart it"
-        ) from error
+        late = f"the daemon has not answered within {timeout_s:g} s; try again, or restart it"
+        raise InternalError(late) from error
     except (NotFoundError, FileNotFoundError, ConnectionRefusedError) as error:
         raise NotFoundError(NO_DAEMON) from error
     except OSError as error:
@@ -87,9 +87,8 @@ def _set_timeout(client: socket.socket, option: int, left_s: float) -> None:
 
 def _error_in(line: bytes) -> str:
     """Return the text of a line `{"error": ...}`, "" for any other line."""
-    try:
-        answer = json.loads(line)
-    except (ValueError, RecursionError):
-        return ""
-    error = answer.get("error") if isinstance(answer, dict) else None
-    return one_line(error) if isinstance(error, str) else ""
+    with suppress(ValueError, RecursionError):
+        match json.loads(line):
+            case {"error": str(error)}:
+                return one_line(error)
+    return ""
