@@ -128,17 +128,13 @@ class _Watch:
                 return LostError(
                     f"the measurement has ended: {guard.hold.value}; plug it in again, and repeat"
                 )
-        counts = self._counts()
-        for stream, name, before, now in zip(
-            self.streams, self.names, self._before, counts, strict=True
-        ):
+        each = zip(self.streams, self.names, self._before, self._counts(), strict=True)
+        for stream, name, before, now in each:
             if stream.is_lost(now_s):
                 return LostError(f"{name} went away during the sweep; plug it in again, and repeat")
             if now[0] > before[0] or now[1] > before[1]:
-                return LostError(
-                    f"{name}: a block came too late during the sweep; close other programs, and "
-                    "repeat"
-                )
+                late = "a block came too late during the sweep"
+                return LostError(f"{name}: {late}; close other programs, and repeat")
             if now[2] > before[2]:
                 kinds = ", ".join(stream.errors)
                 return InternalError(f"{name}: {kinds} in a callback; please report it")

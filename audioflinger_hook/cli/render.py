@@ -31,10 +31,9 @@ def run(options: argparse.Namespace) -> int:
     _check_files(options.files)
     options.input, options.output = options.files
     settings = chosen_settings(options)
-    with progress_bar(options.input.name) as progress:
-        report = render_file(
-            *options.files, settings, acceleration=options.acceleration, progress=progress
-        )
+    source, target, acceleration = options.input, options.output, options.acceleration
+    with progress_bar(source.name) as progress:
+        report = render_file(source, target, settings, acceleration=acceleration, progress=progress)
     show_report(report, options)
     return 0
 

@@ -32,7 +32,7 @@ def metrics_text(source: Clients) -> bytes:
     return generate_latest(registry)
 
 
-@dataclass
+@dataclass(eq=False)
 class _Collector:
     source: Clients
 

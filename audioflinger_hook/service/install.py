@@ -204,9 +204,9 @@ def install(
     was not written by this program.
     WriteError: the disk is full or failed.
     """
+    installed_text(environ)  # refuses a unit of another program before a folder is made
     state = state_folder(environ)
     text = unit_text([*(command or own_command()), "run", *arguments], state, systemd)
-    installed_text(environ)  # refuses a unit of another program before a folder is made
     make_private_folder(state)
     return restore(text, environ)
 
