@@ -64,10 +64,8 @@ def calibrate_live(
 ) -> tuple[Calibration, Devices]:
     """Calibrate the rig on this device; record only from the named input."""
     if device.kind not in ("sink", "usb", "hw"):
-        raise NotFoundError(
-            f"device {str(device)!r} cannot be calibrated; allowed: sink:NAME, usb:VID:PID, "
-            "hw:CARD, twin"
-        )
+        allowed = "sink:NAME, usb:VID:PID, hw:CARD, twin"
+        raise NotFoundError(f"device {str(device)!r} cannot be calibrated; allowed: {allowed}")
     if options.share is not None or options.seat:
         raise UsageError("--share and --seat are only for twin; choose --level of full scale")
     inputs = _inputs(options)
@@ -89,9 +87,7 @@ def calibrate_live(
         heard, rate = _input(source, snapshot, len(inputs.names), output, rate)
         channel = options.output_channel
         if not 1 <= channel <= output.channels:
-            raise UsageError(
-                f"output-channel={channel}: {output.name} has 1 to {output.channels}; name one"
-            )
+            raise UsageError(f"output-channel={channel}: {output.name} has 1 to {output.channels}")
         unused = [UNUSED] * (heard.channels - len(inputs.names))
         inputs = replace(inputs, names=(*inputs.names, *unused))
         transport = MeasurementStreams(pcms, output, heard, rate, connection, progress.within)
@@ -167,9 +163,7 @@ def _output(device: DeviceAddress, snapshot: ServerSnapshot | None) -> tuple[Str
         if stream.device_name == sink.name and not stream.corked
     ]
     if others:
-        raise UsageError(
-            f"something else plays to {sink.name!r} ({', '.join(others)}); end it first"
-        )
+        raise UsageError(f"{', '.join(others)} plays to {sink.name!r}; end it first")
     return StreamEndpoint(ServerDevice(sink.name), sink.name, sink.channels), RATE_HZ
 
 
@@ -187,9 +181,7 @@ def _input(
                 "name the input that the accelerometer or the shunt is connected to"
             )
         if needed > found.channels:
-            raise UsageError(
-                f"channels: {needed} are named, input {source!r} has {found.channels}; name no more"
-            )
+            raise UsageError(f"{needed} channels are named, input {source!r} has {found.channels}")
         if found.mute:
             raise UsageError(f"input {source!r} is muted; unmute it")
         if abs(found.volume - 1.0) > 0.005:
@@ -197,12 +189,10 @@ def _input(
                 f"the volume of input {source!r} is {100 * found.volume:.0f} %: volts and what "
                 "follows from them are right only if its full scale was found at that volume"
             )
-        plain = PLAIN_MAPS.get(found.channels)
-        if found.channel_map != plain:
+        if found.channel_map != PLAIN_MAPS.get(found.channels):
             raise UsageError(
-                f"input {source!r} has the channels {found.channel_map}, which the sound server "
-                f"would mix before recording ({plain or 'no such number'} it leaves alone); "
-                "name the card itself, as hw:CARD, or another profile of it"
+                f"the sound server mixes the channels {found.channel_map} of input {source!r}; "
+                "name the card itself, as hw:CARD, or choose another profile of it"
             )
         return StreamEndpoint(ServerDevice(found.name), found.name, found.channels), rate
     capture = find_capture(name)

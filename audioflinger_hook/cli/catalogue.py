@@ -81,9 +81,7 @@ def _job(options: argparse.Namespace, manifest: str) -> _Job:
     if options.workers is not None and options.dask not in (None, LOCAL_CLUSTER):
         raise UsageError("--workers counts processes of this machine; leave it out with --dask")
     if not 0 <= options.retries <= RETRIES_MAX:
-        raise UsageError(
-            f"--retries={options.retries} is out of range; allowed: 0 to {RETRIES_MAX}"
-        )
+        raise UsageError(f"--retries={options.retries}: allowed are 0 to {RETRIES_MAX}")
     if options.max_failures is not None and options.max_failures < 0:
         raise UsageError(f"--max-failures={options.max_failures} is below 0; allowed: 0 or more")
     out = parse_address(options.out, "--out")

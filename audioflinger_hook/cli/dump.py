@@ -33,10 +33,8 @@ def run(options: argparse.Namespace) -> int:
             if step is None and options.at is None:
                 break
             if step is None:
-                raise UsageError(
-                    f"time {options.at:g} s is after the end of the sound; allowed: 0 to "
-                    f"{frames / framework.samplerate:.3f} s"
-                )
+                late = f"time {options.at:g} s is after the end of the sound"
+                raise UsageError(f"{late}; allowed: 0 to {frames / framework.samplerate:.3f} s")
             cycle_times_s.append(time.thread_time() - began_s)
             frames += len(step.audio)
     for warning in framework.warnings:

@@ -126,7 +126,7 @@ class _Watch:
         for guard in self.guards:
             if not guard.hold.audible:
                 return LostError(
-                    f"the measurement has ended: {guard.hold.value}; plug it in again, and repeat"
+                    f"the measurement ended: {guard.hold.value}; plug it in, and repeat"
                 )
         each = zip(self.streams, self.names, self._before, self._counts(), strict=True)
         for stream, name, before, now in each:

@@ -87,8 +87,6 @@ def allow_open_files() -> None:
         return
     allowed = WANTED if hard == resource.RLIM_INFINITY else min(WANTED, hard)
     if allowed < NEEDED:
-        raise UsageError(
-            f"only {allowed} files may be open at once (ulimit -n); cushion run needs {NEEDED}: "
-            "raise the limit and start it again"
-        )
+        few = f"only {allowed} files may be open at once (ulimit -n)"
+        raise UsageError(f"{few}; cushion run needs {NEEDED}: raise the limit and start it again")
     resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, allowed), hard))

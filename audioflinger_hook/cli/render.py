@@ -79,18 +79,13 @@ def _check_files(files: list[Path]) -> None:
         raise UsageError(f"the following arguments are required: {missing}; {SEE_HELP}")
     if len(files) > 2:
         more = " ".join(str(file) for file in files[2:])
-        raise UsageError(
-            f"unrecognized arguments: {more}; allowed: IN OUT, or any number of IN with "
-            f"--out-dir DIR; {SEE_HELP}"
-        )
+        raise UsageError(f"unrecognized arguments: {more}; to render several, give --out-dir DIR")
     out = files[1]
     if str(out) == "-":
         raise UsageError("OUT = '-': standard output cannot take a WAV; name a file")
     if out.suffix.lower() not in (*WAV_SUFFIXES, ""):
-        raise UsageError(
-            f"OUT = '{out}': the vibration is written as WAV; allowed: a name that ends in "
-            f"{', '.join(WAV_SUFFIXES)}, or without an ending"
-        )
+        allowed = f"a name that ends in {', '.join(WAV_SUFFIXES)}, or without an ending"
+        raise UsageError(f"OUT = '{out}': the vibration is written as WAV; allowed: {allowed}")
 
 
 def chosen_workers(wanted: int | None) -> int:

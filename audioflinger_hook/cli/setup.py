@@ -168,10 +168,8 @@ def _choose_output(
 
 def _named(device: DeviceAddress, outputs: list[Output], snapshot: ServerSnapshot) -> Output:
     if device.kind not in ("sink", "usb", "hw"):
-        raise UsageError(
-            f"device {str(device)!r} is no output for a first run; allowed: sink:NAME, "
-            "usb:VID:PID, hw:CARD"
-        )
+        allowed = "sink:NAME, usb:VID:PID, hw:CARD"
+        raise UsageError(f"device {str(device)!r} is no output for setup; allowed: {allowed}")
     if device.kind == "hw":
         find_playback(device.name)
     else:

@@ -120,9 +120,8 @@ def _restore_config(record: Record) -> list[str]:
         try:
             before = Path(record.backup).read_bytes()
         except OSError as error:
-            raise UsageError(
-                f"{record.backup} cannot be read ({error.strerror}), so {path} is left alone"
-            ) from error
+            why = f"{record.backup} cannot be read ({error.strerror})"
+            raise UsageError(f"{why}, so {path} is left alone") from error
     done = []
     now = None
     try:
@@ -163,9 +162,7 @@ def _records() -> list[Record]:
     except FileNotFoundError:
         return []
     except (OSError, ValueError, TypeError) as error:
-        raise UsageError(
-            f"{path} cannot be read ({error}); move it away, then run setup again"
-        ) from error
+        raise UsageError(f"{path} cannot be read ({error}); move it away first") from error
 
 
 def _save(records: list[Record]) -> None:

@@ -26,9 +26,8 @@ def run(options: argparse.Namespace) -> int:
         raise UsageError(f"seconds={options.seconds:.12g} is out of range; allowed: 0.2 to 60 s")
     device = parse_device(options.device)
     if device.kind not in ("sink", "usb"):
-        raise UsageError(
-            f"device {str(device)!r} cannot play a test tone; allowed: sink:NAME, usb:VID:PID"
-        )
+        allowed = "sink:NAME, usb:VID:PID"
+        raise UsageError(f"device {str(device)!r} cannot play a test tone; allowed: {allowed}")
     filter_stderr()
     with ExitStack() as stack:
         pcms = stack.enter_context(closing(PcmConfig(PCM)))

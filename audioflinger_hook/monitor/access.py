@@ -38,10 +38,8 @@ class Listen:
         host, colon, port = text.rpartition(":")
         good = re.fullmatch(r"[\w.-]+|\[[0-9A-Fa-f:.]+\]", host) and re.fullmatch(r"\d{1,5}", port)
         if not colon or not good or int(port) > 65_535:
-            raise UsageError(
-                f"--listen {text[:60]!r} is no address; allowed: HOST:PORT, such as "
-                "127.0.0.1:8765 or [::1]:8765"
-            )
+            allowed = "HOST:PORT, such as 127.0.0.1:8765 or [::1]:8765"
+            raise UsageError(f"--listen {text[:60]!r} is no address; allowed: {allowed}")
         return cls(host.lower(), int(port))
 
     @property

@@ -223,11 +223,10 @@ def _bound(listen: Listen) -> socket.socket:
                 f"{where} is in use, perhaps by another page; open that one, or give another port "
                 f"with --listen {listen.host}:{listen.port + 1}"
             ) from error
+        problem = f"cannot listen on {where}: {error.strerror}"
         if error.errno in (errno.EMFILE, errno.ENFILE):
-            raise InternalError(f"cannot listen on {where}: {error.strerror}") from error
-        raise UsageError(
-            f"cannot listen on {where}: {error.strerror}; give an address of this computer"
-        ) from error
+            raise InternalError(problem) from error
+        raise UsageError(f"{problem}; give an address of this computer") from error
 
 
 def _response(status: HTTPStatus, body: bytes, kind: str) -> Response:

@@ -35,9 +35,7 @@ def from_json(kind: type[T], text: str | bytes) -> T:
     try:
         document = json.loads(text, object_pairs_hook=_unique, parse_constant=_refuse_constant)
     except (ValueError, RecursionError) as error:  # RecursionError: thousands of brackets
-        raise UsageError(
-            f"the document is not JSON: {one_line(str(error))}; give one JSON document"
-        ) from error
+        raise UsageError(f"the document is not JSON: {one_line(str(error))}") from error
     return from_document(kind, document)
 
 
@@ -93,10 +91,8 @@ def _typed_items(kinds: dict[str, Any], value: Any, where: str) -> dict[str, Any
     if missing := [name for name in kinds if name not in value]:
         raise UsageError(f"the document has no {path}{missing[0]}; give every key")
     if unknown := [name for name in value if name not in kinds]:
-        raise UsageError(
-            f"the document has the unknown key {one_line(path + unknown[0], 60)}; "
-            f"allowed: {', '.join(kinds)}"
-        )
+        key = one_line(path + unknown[0], 60)
+        raise UsageError(f"the document has the unknown key {key}; allowed: {', '.join(kinds)}")
     return {name: _typed(kinds[name], value[name], path + name) for name in kinds}
 
 

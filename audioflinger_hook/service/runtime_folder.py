@@ -18,6 +18,7 @@ from device.errors import InternalError, NotFoundError, UsageError, WriteError
 VARIABLE = "XDG_RUNTIME_DIR"
 FOLDER_NAME = "cushion"
 LOCK_NAME = "daemon.lock"
+ONE_DAEMON = "allowed: one per user; ask it with `cushion status`, or stop it first"
 HOLDER_BYTES_MAX = 4096
 
 _OPEN_FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
@@ -62,9 +63,7 @@ class RuntimeFolder:
             return
         self.close()
         if found.st_uid == os.geteuid():
-            raise UsageError(
-                f"{self.path} is open to others (mode {mode:04o}); allowed: 0700; remove it"
-            )
+            raise UsageError(f"{self.path} is open to others (mode {mode:04o}); allowed: 0700")
         raise UsageError(
             f"{self.path} belongs to user {found.st_uid}, not to {os.geteuid()}; run as that user, "
             f"or set {VARIABLE} to a folder of your own"
@@ -200,7 +199,4 @@ def _held(fd: int) -> UsageError:
         os.kill(max(1, holder.pid), 0)
         started, device = one_line(holder.started, 40), one_line(holder.device, 80)
         who = f" (process {holder.pid}, started {started}, device {device})"
-    return UsageError(
-        f"another cushion daemon is running{who}; allowed: one per user; "
-        "ask it with `cushion status`, or stop it first"
-    )
+    return UsageError(f"another cushion daemon is running{who}; {ONE_DAEMON}")

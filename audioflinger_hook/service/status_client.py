@@ -45,9 +45,8 @@ def ask_status(
         return from_json(Status, line)
     except CushionError as error:
         reason = _error_in(line) or f"its answer is not understood ({error})"
-        raise InternalError(
-            f"the daemon does not report its status: {reason}; restart it with this version"
-        ) from error
+        missing = f"the daemon does not report its status: {reason}"
+        raise InternalError(f"{missing}; restart it with this version") from error
 
 
 def _exchange(folder: RuntimeFolder, end_s: float, clock: Callable[[], float]) -> bytes:
@@ -71,9 +70,8 @@ def _exchange(folder: RuntimeFolder, end_s: float, clock: Callable[[], float]) -
         except BlockingIOError as error:
             raise TimeoutError from error
         except PermissionError as error:
-            raise UsageError(
-                f"no permission to connect to {folder.path / NAME}; run as the daemon's user"
-            ) from error
+            refused = f"no permission to connect to {folder.path / NAME}"
+            raise UsageError(f"{refused}; run as the daemon's user") from error
     return bytes(answer)
 
 
