@@ -16,15 +16,12 @@ from audioflinger_hook.sources import TapAddress, open_tap, parse_tap
 from device.stream import filter_stderr
 from device.values import counted
 
-LIVE_TAPS = ("default", "sink")  # taps of live sound
-
 
 def run(options: argparse.Namespace) -> int:
     """Record until the tap ends, or for `--seconds` of sound, and print a summary."""
     address = parse_tap(options.tap)
-    if address.kind in LIVE_TAPS:
-        writer, live = _record_live(address, options.folder, options.seconds, debug=options.debug)
-        _print_summary(writer, live.heard_s, *live.format)
+    if address.kind in ("default", "sink"):  # live sound
+        _record_live(address, options.folder, options.seconds, debug=options.debug)
         return 0
     tap = open_tap(address)
     heard_s = 0.0
@@ -35,9 +32,8 @@ def run(options: argparse.Namespace) -> int:
     ):
         while heard_s < options.seconds and (buffer := tap.read()) is not None:
             now_s = time.monotonic()
-            writer.write_buffer(
-                "tap", buffer, tap.samplerate, now_s, discontinuity=tap.discontinuity
-            )
+            gap = tap.discontinuity
+            writer.write_buffer("tap", buffer, tap.samplerate, now_s, discontinuity=gap)
             heard_s += len(buffer) / tap.samplerate
             progress(writer.frames("tap"), tap.frames_expected)
     for warning in getattr(tap, "warnings", ()):
@@ -51,9 +47,7 @@ def _print_summary(writer: CaptureWriter, heard_s: float, samplerate: int, chann
     print(f"{writer.folder}: {heard_s:.2f} s in {buffers}, {of} at {samplerate} Hz")
 
 
-def _record_live(
-    address: TapAddress, folder: Path, seconds: float, *, debug: bool
-) -> tuple[CaptureWriter, LiveCapture]:
+def _record_live(address: TapAddress, folder: Path, seconds: float, *, debug: bool) -> None:
     if not debug:
         filter_stderr()
     with (
@@ -78,6 +72,6 @@ def _record_live(
             raise KeyboardInterrupt
     dropped, frames = recorder.dropped("tap")
     if dropped:
-        lost = counted(dropped, "buffers")
-        warn(f"not recorded: {lost} ({frames} frames): the disk was too slow")
-    return writer, live
+        lost = f"{counted(dropped, 'buffers')} ({frames} frames)"
+        warn(f"not recorded: {lost}: the disk was too slow")
+    _print_summary(writer, live.heard_s, *live.format)

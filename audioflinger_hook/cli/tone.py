@@ -43,8 +43,7 @@ class Tone:
 
     def __init__(self, hz: float, samplerate: int, channels: Sequence[int]) -> None:
         self._turn = 2.0 * math.pi * hz / samplerate  # radians per frame
-        self._samplerate = samplerate
-        self._channels = list(channels)
+        self._samplerate, self._channels = samplerate, list(channels)
         self._phase = self._amplitude = self._aim = 0.0
         self._rise = self._fall = 1.0  # change of the amplitude per frame
         self._frames_left = 0

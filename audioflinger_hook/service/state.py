@@ -52,9 +52,6 @@ class Cause(Enum):
 
 READY = frozenset((DaemonState.RUNNING, DaemonState.IDLE))  # tap and device are there
 
-PLAYED = frozenset((DaemonState.RUNNING, DaemonState.IDLE, DaemonState.RECOVERING))
-"""Only a daemon that played can recover."""
-
 NOTES_MAX = 32  # notes kept until they are read; older ones are dropped
 
 
@@ -105,15 +102,11 @@ class StateKeeper:
             self.ready_s = now_s
         return is_new
 
-    def recover(self, cause: Cause, now_s: float, reason: str = "") -> bool:
-        """Count a cause and enter or keep RECOVERING; return whether the state is new.
-
-        A daemon that does not play yet, or is stopping, only counts.
-        """
+    def recover(self, cause: Cause, now_s: float, reason: str = "") -> None:
+        """Count a cause, and enter or keep RECOVERING if the daemon plays."""
         self.count(cause, reason)
-        if self.state not in PLAYED:
-            return False
-        return self.enter(DaemonState.RECOVERING, now_s, reason or cause.value)
+        if self.state in READY or self.state is DaemonState.RECOVERING:
+            self.enter(DaemonState.RECOVERING, now_s, reason or cause.value)
 
     def count(self, cause: Cause, text: str = "") -> None:
         """Count a recovery that is complete already; text: what happened."""
