@@ -229,10 +229,7 @@ def _print_table(
 
 
 class Meter:
-    """Draws a meter if the console is a terminal, else does nothing.
-
-    Called by the thread that steps the chain, which has time to spare in a demo.
-    """
+    """Draws a meter if the console is a terminal; for the thread that steps the chain."""
 
     def __init__(self, scene: Scene, console: Console) -> None:
         self._scene = scene

@@ -16,14 +16,11 @@ NEEDED, WANTED = 64, 512
 
 
 class Signals:
-    """What signals have requested, for the main thread to read; each signal wakes it by `wake`.
+    """What signals have requested, for the main thread; each signal wakes it by `wake`.
 
-    None interrupts the opening or closing of streams.
-
-    end: whether to end, after SIGINT, SIGTERM, or if the terminal was closed. reload: whether to
-    read the config again, after SIGHUP. on_spinning: called at once after SIGXCPU, which means that
-    a real-time thread has run for too long. Use as a context manager; leaving it restores the
-    former signal handlers.
+    None interrupts the opening or closing of streams. As a context manager it restores the former
+    handlers in the end. end: after SIGINT, SIGTERM, or if the terminal was closed. reload: after
+    SIGHUP. on_spinning: called at once after SIGXCPU: a real-time thread has run for too long.
     """
 
     def __init__(self, wake: Wake) -> None:
@@ -67,21 +64,17 @@ class Signals:
 
 
 def freeze_loaded_objects() -> None:
-    """Exempt all present objects from later collections. Any thread.
+    """Exempt all present objects from later collections. Any thread, before sound plays.
 
-    A full collection visits every object and stops all threads for about 50 ms; a collection of
-    only new objects takes 0.1 ms. This call takes as long as a full collection, so call it before
-    sound plays.
+    A full collection, which this call makes, stops all threads for about 50 ms; one of only new
+    objects takes 0.1 ms.
     """
     gc.collect()
     gc.freeze()
 
 
 def allow_open_files() -> None:
-    """Raise this process's limit of open files to what a daemon may need. Main thread only.
-
-    UsageError: the limit cannot be raised far enough.
-    """
+    """Raise the limit of open files. Main thread only. UsageError: too few are allowed."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     if soft == resource.RLIM_INFINITY or soft >= WANTED:
         return

@@ -98,10 +98,7 @@ def chosen_workers(wanted: int | None) -> int:
 
 
 def chosen_settings(options: argparse.Namespace, recorded: Settings | None = None) -> Settings:
-    """Return the settings of the config file, if one is named, overridden by the options.
-
-    recorded: settings to use if no file is named.
-    """
+    """Return the config file's settings, else those recorded, overridden by the options."""
     default = options.default_profile
     if options.config:
         settings = config.load(options.config, default).settings

@@ -62,20 +62,14 @@ class RunReporter:
             self._warnings[kind] = told.get(kind, warning)
 
     def tell_engine(self, engine: str, reason: str) -> None:
-        """Report which engine plays, "native" or "python", once after each change.
-
-        reason: why it is not the native one; "" if it is. An empty name reports nothing.
-        """
+        """Report a change of the playing engine, "" for none, and why it is not the native one."""
         text = f"the {engine} engine plays{': ' if reason else ''}{reason}"
         if engine and text != self._engine:
             self._engine = text
             self._print(text)
 
     def tell_page(self, address: str) -> None:
-        """Report the address of a page that serves, once; "" for none.
-
-        The part after `#` opens it, so only a terminal shows that part.
-        """
+        """Report a page's address once; the part after `#`, which opens it, only to a terminal."""
         shown = address if sys.stderr.isatty() else address.partition("#")[0]
         if shown and shown != self._page:
             self._print(f"the live page: {shown}")
@@ -114,10 +108,7 @@ class RunReporter:
         self._write(f"cushion: {text}\n")
 
     def _write(self, text: str) -> None:
-        """Write in place of the meter.
-
-        A terminal that was closed ends the run by its signal alone, not by a failed write.
-        """
+        """Write in place of the meter. A closed terminal ends the run by its signal alone."""
         clear = "\r\x1b[K" if self._has_meter else ""
         try:
             print(f"{clear}{text}", end="", file=sys.stderr, flush=True)

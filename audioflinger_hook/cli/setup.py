@@ -23,9 +23,8 @@ from audioflinger_hook.cli.outputs import (
     list_outputs,
     shaker_pair,
 )
-from audioflinger_hook.cli.setup_tone import Felt, try_output
 from audioflinger_hook.cli.terminal import agree, as_typed, name_some, pick, warn
-from audioflinger_hook.cli.tone import PCM
+from audioflinger_hook.cli.tone import PCM, Felt, try_output
 from audioflinger_hook.config import file as config
 from audioflinger_hook.config.commented import actuator_text, commented_text
 from audioflinger_hook.config.edits import edited_text

@@ -29,10 +29,7 @@ def complain(message: str) -> None:
 
 
 def as_typed(command: str) -> str:
-    """Return a command of ours, such as "setup", as this user can type it.
-
-    `cushion setup` where the shell finds cushion, else with the path that it was started by.
-    """
+    """Return a command such as "setup" as this user can type it: with a path if need be."""
     started = Path(sys.argv[0])
     known = started.name != "cushion" or shutil.which("cushion")
     return f"{'cushion' if known else shlex.quote(str(started))} {command}"
@@ -62,10 +59,7 @@ class Advance(Protocol):
 
 @contextmanager
 def progress_bar(label: str) -> Iterator[Advance]:
-    """Yield a function that shows progress.
-
-    The bar is drawn on stderr if that is a terminal, and removed at the end.
-    """
+    """Yield a function that shows progress on stderr if that is a terminal."""
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
     columns = (
@@ -99,7 +93,7 @@ def choose(
     answers: what may be typed, with its meaning; a first letter stands for its word. default: the
     answer to an empty line, "" for none. meanwhile: called again and again until a line is typed;
     what it raises ends the question.
-    KeyboardInterrupt: the terminal was closed, or Ctrl+D typed.
+    KeyboardInterrupt, of every question: the terminal was closed, or Ctrl+D typed.
     """
     words = {answer[0]: answer for answer in answers} | {answer: answer for answer in answers}
     prompt = f"{question} [{default}] " if default else f"{question} "
@@ -121,10 +115,7 @@ def agree(question: str, *, default: bool) -> bool:
 
 
 def pick(question: str, items: Sequence[str], default: int | None) -> int:
-    """List items, and return the index of the one that is chosen by its number.
-
-    default: index of the answer to an empty line. KeyboardInterrupt: as for `choose`.
-    """
+    """List items, and return the index of the chosen one; an empty line means the default."""
     for number, item in enumerate(items, 1):
         print(f"  {number}  {item}")
     answers = {str(number): item for number, item in enumerate(items, 1)}
@@ -132,10 +123,7 @@ def pick(question: str, items: Sequence[str], default: int | None) -> int:
 
 
 def name_some(question: str, names: Sequence[str]) -> tuple[str, ...]:
-    """Return some of the names, in the order given; empty for all. They are split at commas.
-
-    KeyboardInterrupt: as for `choose`.
-    """
+    """Return some of the names, given with commas and in this order; empty for all."""
     while True:
         given = _read(f"{question} [all] ").strip()
         if given in ("", "all"):

@@ -1,4 +1,4 @@
-"""A tone on one device and on no other: what `test-tone` and `setup` play."""
+"""A tone on one device and on no other: what `test-tone` plays, and what `setup` asks about."""
 
 from __future__ import annotations
 
@@ -8,9 +8,11 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from enum import Enum, auto
 
 import numpy as np
 
+from audioflinger_hook.cli.terminal import choose
 from device.address import DeviceAddress
 from device.alsa import choose_setup, find_playback
 from device.alsa.cards import PlaybackDevice
@@ -24,7 +26,7 @@ from device.server import FallbackSink, PulseConnection, StreamGuard
 from device.server.guard import Hold
 from device.stream import PlaybackStream
 from device.stream.pcms import CardDevice, Pcm, ServerDevice
-from device.units import Float32Array
+from device.units import Float32Array, db_to_amplitude
 from device.usb.coils import coil_channels
 
 PCM = "cushion_output"
@@ -36,10 +38,7 @@ CARD_RATE_HZ = 48_000
 
 
 class Tone:
-    """A sine on some channels, silent until `play`; `ended` is set once it is over.
-
-    Any thread may call `play` and `stop`.
-    """
+    """A sine on some channels, silent until `play`; `ended` is set once it is over. Any thread."""
 
     def __init__(self, hz: float, samplerate: int, channels: Sequence[int]) -> None:
         self._turn = 2.0 * math.pi * hz / samplerate  # radians per frame
@@ -181,10 +180,7 @@ def _on_card(
 def free_card(
     device: PlaybackDevice, rate_hz: int, needed: int, least: int | None = None
 ) -> tuple[CardDevice, CardSetup]:
-    """Return a card as target, and its best setup for so many channels, at least `least`.
-
-    NotFoundError: it is in use.
-    """
+    """Return a card as target, and its best setup. NotFoundError: it is in use."""
     if refused := why_blocked(device):
         raise NotFoundError(refused)
     setup = choose_setup(list_offers(read_usb_stream(device)), rate_hz, needed, least)
@@ -193,3 +189,69 @@ def free_card(
 
 def _playing(channel_map: ChannelMap) -> list[int]:
     return [channel for channel, source in enumerate(channel_map.sources) if source is not None]
+
+
+TONE_HZ = 60.0
+FIRST_DB, STEP_DB = -24.0, 6.0
+FADE_IN_S = 2.0
+LONGEST_S = 30.0  # a tone without an answer fades out: a coil gets warm
+UNASKED_S = 4.0
+
+ANSWERS = {
+    "yes": "it vibrates, and strongly enough",
+    "louder": "6 dB more",
+    "no": "it does not vibrate",
+    "stop": "stop the tone and end",
+}
+
+
+class Felt(Enum):
+    """What was answered."""
+
+    YES = auto()
+    NO = auto()
+    STOPPED = auto()
+
+
+def try_output(
+    device: DeviceAddress,
+    pcm: Pcm,
+    connection: PulseConnection,
+    actuators: Sequence[ActuatorSettings],
+    *,
+    ask: bool,
+) -> tuple[Felt, float | None]:
+    """Play the tone on a device and on no other; return the answer, and the level.
+
+    actuators: whose channels play it; without, those with coils.
+    ask: False plays the softest tone for a moment and returns `Felt.YES` without a level.
+    KeyboardInterrupt: as for `choose`; the tone is stopped.
+    LostError: the device does not play, or was lost. NotFoundError: there is no such device.
+    """
+    with open_tone(device, pcm, connection, TONE_HZ, actuators) as player:
+        player.wait_audible()
+        print(f"\n{player.name} vibrates softly at {TONE_HZ:g} Hz. Ctrl+C stops it.", flush=True)
+        if not ask:
+            player.tone.play(db_to_amplitude(FIRST_DB), UNASKED_S, FADE_IN_S)
+            player.wait_ended()
+            return Felt.YES, None
+        print("The strongest moments will be as strong as the tone.")
+        return _ask(player)
+
+
+def _ask(player: TonePlayer) -> tuple[Felt, float | None]:
+    level_db = FIRST_DB
+    while True:
+        player.tone.play(db_to_amplitude(level_db), LONGEST_S, FADE_IN_S)
+        question = f"{level_db:g} dB. Felt it? yes, louder, no, stop:"
+        answer = choose(question, ANSWERS, meanwhile=player.check)
+        if answer == "stop":
+            return Felt.STOPPED, None
+        player.check()
+        if answer == "yes":
+            return Felt.YES, level_db
+        if answer == "no":
+            return Felt.NO, None
+        if math.isclose(level_db, 0.0):
+            print("This is full scale: turn the amplifier up, or check the cables.")
+        level_db = min(level_db + STEP_DB, 0.0)

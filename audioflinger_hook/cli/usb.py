@@ -230,8 +230,7 @@ def _settings_lines(settings: dict[str, Any] | None) -> list[str]:
 def mixer_of(device: UsbAudioDevice) -> dict[str, Any]:
     """Return the controls of a device's cards, for JSON.
 
-    Levels are in dB, by channel, None for silence; they are missing if the volume's steps are not
-    known in dB. problem: why a control could not be read, else None.
+    Levels are in dB by channel, None for silence; missing if the steps are not known in dB.
     """
     volumes: list[dict[str, Any]] = []
     mutes: list[dict[str, Any]] = []

@@ -30,10 +30,9 @@ def formats_of(
     asked: Sequence[RateRange] = (),
     root: Path = PROC,
 ) -> list[dict[str, Any]]:
-    """Return the formats for JSON, in the order of the descriptors.
+    """Return the formats of a configuration for JSON, in the order of the descriptors.
 
-    configuration: the active one. device: None for a dump, which has no driver. asked: rates that
-    the device's clock reported.
+    device: None for a dump, which has no driver. asked: rates that the device's clock reported.
     """
     listed = by_setting(device, root) if device else {}
     decoded = playback_formats(configuration) if configuration else ()

@@ -54,10 +54,7 @@ class Listen:
 
 
 def load_token(folder: RuntimeFolder) -> str:
-    """Return the token in the daemon's folder; a new one, mode 0600, where there is none.
-
-    WriteError: it cannot be written.
-    """
+    """Return the token in the daemon's folder, or a new one. WriteError: it cannot be written."""
     path = folder.path / TOKEN_NAME
     try:
         try:
@@ -96,10 +93,7 @@ class Access:
         self._port = listen.port
 
     def refuse_host(self, hosts: list[str], own_address: str) -> str:
-        """Return why a Host header is refused, "" if it names this server.
-
-        hosts: all Host headers. own_address: this end of the connection, as an IP address.
-        """
+        """Return why the Host headers are refused, "" if they name this server's address."""
         own_address = own_address.removeprefix("::ffff:")  # IPv4 that came by an IPv6 socket
         own = f"[{own_address}]" if ":" in own_address else own_address
         known = self._hosts | {f"{own}:{self._port}"}
@@ -108,7 +102,7 @@ class Access:
         return "the host is not this server; open the address that `cushion monitor` prints"
 
     def refuse_origin(self, origins: list[str], host: str, *, needed: bool) -> str:
-        """Return why an Origin header is refused, "" if it is the page's own.
+        """Return why the Origin headers are refused, "" for the page's own.
 
         needed: whether a request without an origin is refused.
         """

@@ -28,9 +28,9 @@ LINE_SHARE = 0.2
 class DaemonLink:
     """Watches the daemon and passes requests on. For one thread, its event loop.
 
-    tell: called with each message of the daemon, (kind, content, its text): "hello", "frame",
-    "status", "settings"; and with ("link", ...) when the connection changes, whose content is
-    {"connected": ..., "text": ...}. page: address that the daemon shows its user.
+    tell: called with each message of the daemon, (kind, content): "hello", "frame", "status",
+    "settings"; and with ("link", {"connected": ..., "text": ...}) when the connection changes.
+    page: address that the daemon shows its user.
     """
 
     def __init__(

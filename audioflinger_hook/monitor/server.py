@@ -80,10 +80,7 @@ class PageServer:
         }
 
     async def run(self, on_ready: Callable[[str], None]) -> None:
-        """Serve; on_ready is called with the address, which holds the token.
-
-        UsageError: the address is in use, or not one of this computer.
-        """
+        """Serve; on_ready is called with the address and its token. UsageError: it is not free."""
         bound = _bound(self._listen)
         listen = Listen(self._listen.host, bound.getsockname()[1])
         self._access = Access(listen, self._token)

@@ -156,10 +156,9 @@ def metrics(group: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[Entry, Any
 
 
 def gathered(kind: type[T], *sources: object, **given: Any) -> T:
-    """Return a dataclass of figures: those given, the others from where the table says.
+    """Return a dataclass of figures: those given, each other one from the first source that has it.
 
-    Each is read from the first source that has it; where none has it, it has its default.
-    TypeError: it has none.
+    TypeError: a figure has neither a source nor a default.
     """
     for name, known, _ in table(kind):
         read = known.read or name

@@ -230,10 +230,7 @@ def installed_text(environ: Mapping[str, str] = os.environ) -> str | None:
 
 
 def restore(text: str | None, environ: Mapping[str, str] = os.environ) -> Installed:
-    """Write or remove the unit, so that it is again what `installed_text` returned.
-
-    UsageError, WriteError: as for `install`.
-    """
+    """Write or remove the unit, as `installed_text` returned it. Errors: as for `install`."""
     if text is None:
         return remove(environ)
     path = _unit_path(environ)

@@ -19,10 +19,7 @@ _SCALARS = {str: "a text", int: "a whole number", float: "a number", bool: "true
 
 
 def to_json(document: Any) -> str:
-    """Return a dataclass as one line of JSON, with enums as their values.
-
-    ValueError: a number is not finite, which JSON cannot express.
-    """
+    """Return a dataclass as one line of JSON. ValueError: a number is not finite."""
     return json.dumps(document, allow_nan=False, default=_plain)
 
 

@@ -169,10 +169,7 @@ class BufferTimes:
 
 
 class BufferClock:
-    """A histogram of computing times, of constant size.
-
-    One thread calls `add`, any thread may call `times`.
-    """
+    """A histogram of computing times. One thread calls `add`, any thread `times`."""
 
     def __init__(self) -> None:
         self._counts = [0] * BINS

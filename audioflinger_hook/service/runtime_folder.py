@@ -70,10 +70,7 @@ class RuntimeFolder:
         )
 
     def address(self, name: str) -> str:
-        """Return a short address of a socket in the folder, for bind and connect.
-
-        A socket's address has at most 108 bytes, which the folder's own path may exceed.
-        """
+        """Return a short address of a socket in the folder: the kernel takes 108 bytes."""
         return f"/proc/self/fd/{self.fd}/{name}"
 
     def entry(self, name: str) -> os.stat_result | None:

@@ -77,8 +77,7 @@ class Live(Protocol):
     def frame(self, missed: int, *, in_memory: bool) -> tuple[bytes, bool]:
         """Return a frame as a line of JSON, and whether the next one may come after SELDOM_S.
 
-        missed: frames that were not sent. in_memory: whether the client reads the engine's figures
-        directly.
+        missed: frames that were not sent. in_memory: whether the client reads the figures itself.
         """
         ...
 

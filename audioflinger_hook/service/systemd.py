@@ -30,10 +30,7 @@ class Notifier:
         self._address = b"\0" + address[1:] if name.startswith("@") else address
 
     def send(self, *assignments: str, status: str = "") -> bool:
-        """Send assignments such as READY=1; return whether they were sent. Raises nothing.
-
-        status: what the daemon does, in one line that `systemctl status` shows.
-        """
+        """Send assignments and a status; return whether they were sent. Raises nothing."""
         if not self._enabled:
             return False
         if status:
@@ -52,8 +49,7 @@ class Notifier:
 class Watchdog:
     """Decides when to feed systemd's watchdog: while sound flows, or has a reason not to flow.
 
-    period_s: from `watchdog_period_s`; with None, never feed. check_s: longest time between calls
-    of `due`. Use from one thread at a time.
+    period_s: None for never. check_s: longest time between calls of `due`. One thread at a time.
     """
 
     def __init__(self, period_s: float | None) -> None:
@@ -62,9 +58,9 @@ class Watchdog:
         self._buffers = -1
 
     def due(self, buffers: int, state: DaemonState, now_s: float) -> bool:
-        """Return whether to feed now, which the caller then does.
+        """Return whether to feed now, which the caller then does. buffers: count since the start.
 
-        buffers: count since the start; if it stays unchanged in state RUNNING, the daemon hangs.
+        If it stays unchanged in state RUNNING, the daemon hangs.
         """
         if self.check_s is None or now_s - self._fed_s < self.check_s:
             return False
