@@ -72,6 +72,6 @@ def _record_live(address: TapAddress, folder: Path, seconds: float, *, debug: bo
             raise KeyboardInterrupt
     dropped, frames = recorder.dropped("tap")
     if dropped:
-        lost = f"{counted(dropped, 'buffers')} ({frames} frames)"
-        warn(f"not recorded: {lost}: the disk was too slow")
+        lost = counted(dropped, "buffers")
+        warn(f"not recorded: {lost} ({frames} frames): the disk was too slow")
     _print_summary(writer, live.heard_s, *live.format)

@@ -28,10 +28,20 @@ class Output:
 
     address: str  # for `--device`
     description: str
-    rank: int  # a likely one first; up to SURROUND they have what drives a shaker
+    rank: int  # a likely one first
     note: str  # why it is likely or not
     positions: tuple[str, ...] = ()  # of its channels, empty if unknown
     has_coils: bool = False  # whether its channels with coils are known
+
+    @property
+    def is_likely(self) -> bool:
+        """Whether it has what drives a shaker."""
+        return self.rank <= SURROUND
+
+    @property
+    def plays_the_sound(self) -> bool:
+        """Whether the computer's sound plays there, so that vibration would be heard."""
+        return self.rank == SOUND
 
 
 def list_outputs(

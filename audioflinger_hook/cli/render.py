@@ -79,7 +79,10 @@ def _check_files(files: list[Path]) -> None:
         raise UsageError(f"the following arguments are required: {missing}; {SEE_HELP}")
     if len(files) > 2:
         more = " ".join(str(file) for file in files[2:])
-        raise UsageError(f"unrecognized arguments: {more}; to render several, give --out-dir DIR")
+        raise UsageError(
+            f"unrecognized arguments: {more}; allowed: IN OUT, or any number of IN with "
+            f"--out-dir DIR; {SEE_HELP}"
+        )
     out = files[1]
     if str(out) == "-":
         raise UsageError("OUT = '-': standard output cannot take a WAV; name a file")

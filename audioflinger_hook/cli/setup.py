@@ -15,14 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from audioflinger_hook.cli import setup_files
-from audioflinger_hook.cli.outputs import (
-    COILS,
-    SOUND,
-    SURROUND,
-    Output,
-    list_outputs,
-    shaker_pair,
-)
+from audioflinger_hook.cli.outputs import COILS, Output, list_outputs, shaker_pair
 from audioflinger_hook.cli.terminal import agree, as_typed, name_some, pick, warn
 from audioflinger_hook.cli.tone import PCM, Felt, try_output
 from audioflinger_hook.config import file as config
@@ -197,7 +190,7 @@ def _ask_output(outputs: list[Output]) -> Output:
         raise NotFoundError("there is no output; connect a sound card, then run setup again")
     print("Where is the shaker, exciter or controller connected?")
     items = [f"{o.description or o.address}\n     {o.address}: {o.note}" for o in outputs]
-    return outputs[pick("Output:", items, 0 if outputs[0].rank <= SURROUND else None)]
+    return outputs[pick("Output:", items, 0 if outputs[0].is_likely else None)]
 
 
 def _ask_channels(output: Output) -> tuple[str, ...]:
@@ -211,7 +204,7 @@ def _ask_channels(output: Output) -> tuple[str, ...]:
 
 def _warn_of_sound(output: Output, yes: bool, named: bool) -> None:
     """Say that vibration would be heard. NotFoundError: that is not wanted."""
-    if output.rank != SOUND:
+    if not output.plays_the_sound:
         return
     heard = (
         f"{output.address} plays the computer's sound, so vibration would be heard there; "

@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum
 
-from prometheus_client import CollectorRegistry, generate_latest
+from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, generate_latest
 from prometheus_client.core import (
     CounterMetricFamily,
     GaugeMetricFamily,
@@ -23,6 +23,8 @@ from audioflinger_hook.service.json_codec import from_document
 from audioflinger_hook.service.meters import TIME_BOUNDS_S, BufferTimes
 from audioflinger_hook.service.status import Status
 from device.errors import UsageError
+
+CONTENT_TYPE = CONTENT_TYPE_LATEST
 
 
 def metrics_text(source: Clients) -> bytes:

@@ -18,7 +18,6 @@ from device.errors import InternalError, NotFoundError, UsageError, WriteError
 VARIABLE = "XDG_RUNTIME_DIR"
 FOLDER_NAME = "cushion"
 LOCK_NAME = "daemon.lock"
-ONE_DAEMON = "allowed: one per user; ask it with `cushion status`, or stop it first"
 HOLDER_BYTES_MAX = 4096
 
 _OPEN_FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
@@ -196,4 +195,7 @@ def _held(fd: int) -> UsageError:
         os.kill(max(1, holder.pid), 0)
         started, device = one_line(holder.started, 40), one_line(holder.device, 80)
         who = f" (process {holder.pid}, started {started}, device {device})"
-    return UsageError(f"another cushion daemon is running{who}; {ONE_DAEMON}")
+    return UsageError(
+        f"another cushion daemon is running{who}; allowed: one per user; "
+        "ask it with `cushion status`, or stop it first"
+    )

@@ -21,7 +21,7 @@ from typing import Any, Protocol
 from audioflinger_hook import __version__
 from audioflinger_hook.service.json_codec import to_json
 from audioflinger_hook.service.one_line import one_line
-from audioflinger_hook.service.runtime_folder import ONE_DAEMON, RuntimeFolder
+from audioflinger_hook.service.runtime_folder import RuntimeFolder
 from audioflinger_hook.service.status import Status
 from device.errors import InternalError, UsageError
 
@@ -312,4 +312,7 @@ def _remove_dead(folder: RuntimeFolder) -> None:
             return
         except BlockingIOError:  # a running daemon whose queue is full
             pass
-    raise UsageError(f"another cushion daemon answers at {path}; {ONE_DAEMON}")
+    raise UsageError(
+        f"another cushion daemon answers at {path}; allowed: one per user; "
+        "ask it with `cushion status`, or stop it first"
+    )
