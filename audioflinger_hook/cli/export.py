@@ -6,7 +6,7 @@ import argparse
 import dataclasses
 import json
 
-from audioflinger_hook.cli.render import chosen_settings, sample_counts
+from audioflinger_hook.cli.render import chosen_settings
 from audioflinger_hook.cli.terminal import level_text, progress_bar, warn
 from audioflinger_hook.exports.export import ExportOptions, ExportReport, export, format_of
 from audioflinger_hook.offline.render import refuse_same_file
@@ -44,7 +44,10 @@ def _summary(report: ExportReport) -> str:
         f"{counted(report.channels, 'channels')} at {report.samplerate} Hz",
         counted(report.bytes, "bytes"),
         f"peak {level_text(report.peak)}",
-        *sample_counts(report),
     ]
+    if report.limited_samples:
+        parts.append(f"{counted(report.limited_samples, 'samples')} limited")
+    if report.replaced_samples:
+        parts.append(f"{counted(report.replaced_samples, 'unusable samples')} set to 0")
     parts += [f"{name.replace('_', ' ')} {value:.3g}" for name, value in report.error.items()]
     return ", ".join(parts)

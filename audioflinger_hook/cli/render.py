@@ -5,14 +5,13 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 from audioflinger_hook.cli.terminal import complain, level_text, progress_bar, warn
 from audioflinger_hook.config import file as config
 from audioflinger_hook.config.settings import Settings
-from audioflinger_hook.exports.export import ExportReport
 from audioflinger_hook.offline.batch import Rendered, render_files, targets_in
 from audioflinger_hook.offline.pool import WORKERS_MAX, usable_cores
 from audioflinger_hook.offline.render import RenderReport, render_file
@@ -133,21 +132,16 @@ def show_report(
             print(f"  {line}")
 
 
-def sample_counts(report: RenderReport | ExportReport) -> Iterator[str]:
-    """Yield how many samples were changed."""
-    if report.limited_samples:
-        yield f"{counted(report.limited_samples, 'samples')} limited"
-    if report.replaced_samples:
-        yield f"{counted(report.replaced_samples, 'unusable samples')} set to 0"
-
-
 def _summary(report: RenderReport, output: Path) -> str:
     parts = [
         f"{output}: {report.frames / report.samplerate:.2f} s of vibration",
         f"{counted(report.channels, 'channels')} at {report.samplerate} Hz",
         f"peak {level_text(report.peak)}",
-        *sample_counts(report),
     ]
+    if report.limited_samples:
+        parts.append(f"{counted(report.limited_samples, 'samples')} limited")
+    if report.replaced_samples:
+        parts.append(f"{counted(report.replaced_samples, 'unusable samples')} set to 0")
     if report.peak_acceleration_m_s2 is not None:
         parts.append(f"peak acceleration {report.peak_acceleration_m_s2:.1f} m/s²")
     if report.strength_db is not None:
