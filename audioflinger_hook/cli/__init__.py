@@ -10,6 +10,7 @@ import signal
 import sys
 import traceback
 from collections.abc import Sequence
+from importlib import import_module
 from types import FrameType
 from typing import TextIO
 
@@ -42,13 +43,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print("cushion: interrupted", file=sys.stderr)
             sys.stdout.flush()
         except OSError:  # the terminal was closed
-            _discard(sys.stdout, sys.stderr)
+            _discard(sys.stdout)
+            _discard(sys.stderr)
         # Where an `exec` in a module's import was interrupted, `python -m` would kill itself by the
         # signal at its end; another one makes it forget that.
         exec("")
         return EXIT_INTERRUPTED
-    except BrokenPipeError:
-        # The reader of our output is gone, so nothing more can be printed.
+    except BrokenPipeError:  # the reader of our output is gone
         _discard(sys.stdout)
         return 0
     except Exception as error:
@@ -70,7 +71,9 @@ def _run(arguments: Sequence[str]) -> int:
         parser.print_help()
         print(f"\n{NEXT}")
         return 0
-    return int(options.run(options))
+    # Imported only now: some imports take a second.
+    module = import_module(f"audioflinger_hook.cli.{options.command.replace('-', '_')}")
+    return int(module.run(options))
 
 
 def _prepare_streams() -> None:
@@ -83,15 +86,13 @@ def _prepare_streams() -> None:
     sys.stdout = sys.stdout or io.StringIO()
     sys.stderr = sys.stderr or io.StringIO()
     for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):
-            # A file's name may contain bytes that are not valid text.
+        if isinstance(stream, io.TextIOWrapper):  # a file's name may be no valid text
             stream.reconfigure(errors="backslashreplace")
 
 
-def _discard(*streams: TextIO) -> None:
+def _discard(stream: TextIO) -> None:
     """Drop buffered output, so that the interpreter does not try to write it at its end."""
-    for stream in streams:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def _report(error: CushionError, debug: bool) -> int:

@@ -22,9 +22,7 @@ from device.identification.sweep import Sweep
 from device.identification.transfer import LOW_COHERENCE, Quality
 from device.rig import Rig, rig_by_name
 
-SUFFIX = ".toml"
 NOT_FOR_TWIN = ("input", "channels", "shunt_ohm", "moving_mass_kg", "level", "loud")
-
 
 _CLOSEST = "the file has the closest L1 + (L2 || R2) in the swept band"
 COILS = {
@@ -34,7 +32,6 @@ COILS = {
     "double": f"coil with eddy currents: R + L1 + (L2 || R2) + (L3 || R3); {_CLOSEST}",
     "mixed": f"coil with eddy currents: R + L + K (jw)^n; {_CLOSEST}",
 }
-"""The law of the coil in words, by its name."""
 
 
 def run(options: argparse.Namespace) -> int:
@@ -71,7 +68,7 @@ class Progress:
     def __init__(self, show: Callable[[float, float | None], None]) -> None:
         self._show, self._begun = show, 0
 
-    def begin(self, level: float) -> None:
+    def begin(self, _level: float) -> None:
         """Begin the next sweep."""
         self._begun += 1
         self.within(0.0)
@@ -82,12 +79,9 @@ class Progress:
 
 
 def _check_out(path: Path | None) -> None:
-    """Refuse a file that cannot be written, before anything is played."""
-    if path is None:
-        return
-    if path.suffix != SUFFIX:
-        raise UsageError(f"out={path}: a rig's file ends in {SUFFIX}, so that --rig accepts it")
-    if not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
+    if path and path.suffix != ".toml":
+        raise UsageError(f"out={path}: a rig's file ends in .toml, so that --rig accepts it")
+    if path and not (path.parent.is_dir() and os.access(path.parent, os.W_OK)):
         raise UsageError(f"out={path}: the folder {path.parent} cannot be written; choose another")
 
 
@@ -127,9 +121,9 @@ def document(found: Calibration, rig: Rig, devices: Devices | None) -> dict[str,
         "level_of_x_max": found.level_of_x_max,
         "on_seat": found.on_seat,
         "driven_f0_hz": driven and driven.f0_hz.value,
-        "driven_f0_interval_hz": driven and list(driven.f0_hz.interval),
+        "driven_f0_interval_hz": driven and driven.f0_hz.interval,
         "driven_q": driven and driven.q.value,
-        "driven_q_interval": driven and list(driven.q.interval),
+        "driven_q_interval": driven and driven.q.interval,
         "driven_sensitivity": _estimate(driven.sensitivity) if driven and scaled else None,
         "values": {parameter: _estimate(estimate) for parameter, estimate in found.values.items()},
         "coil_law": found.impedance and found.impedance.law.name,
@@ -141,7 +135,7 @@ def document(found: Calibration, rig: Rig, devices: Devices | None) -> dict[str,
 
 
 def _estimate(estimate: Estimate) -> dict[str, object]:
-    return {"value": estimate.value, "interval": list(estimate.interval)}
+    return {"value": estimate.value, "interval": estimate.interval}
 
 
 def _quality(one: Quality) -> dict[str, object]:
@@ -149,14 +143,9 @@ def _quality(one: Quality) -> dict[str, object]:
         "reference": one.names[0],
         "response": one.names[1],
         "coherence": one.coherence,
-        "low_coherence_hz": [list(ends) for ends in one.low_hz],
+        "low_coherence_hz": one.low_hz,
         "distortion": [
-            {
-                "order": h.order,
-                "largest_share": h.largest_share,
-                "at_hz": h.at_hz if h.largest_share else None,
-            }
-            for h in one.harmonics
+            asdict(h) | ({} if h.largest_share else {"at_hz": None}) for h in one.harmonics
         ],
     }
 
@@ -171,13 +160,11 @@ def table(found: Calibration, devices: Devices | None) -> str:
         rows.append(COILS[found.impedance.law.name])
     if found.drive:
         volts = found.drive.volts
-        rows.append(
-            f"full scale gives {volts.value:.4g} V without a load ({volts.low:.4g} to "
-            f"{volts.high:.4g})"
-        )
+        limits = f"({volts.low:.4g} to {volts.high:.4g})"
+        rows.append(f"full scale gives {volts.value:.4g} V without a load {limits}")
     if found.driven:
         rows += _mode(found.driven, found)
-    rows += [_line(one) for one in found.qualities]
+    rows += map(_line, found.qualities)
     if found.level_of_x_max is not None:
         rows.append(f"swept at {found.level_of_x_max:.3f} Xmax; intervals are of 95 %")
     else:
@@ -195,24 +182,20 @@ def table(found: Calibration, devices: Devices | None) -> str:
 
 def _mode(mode: Mode, found: Calibration) -> list[str]:
     f0, q, s = mode.f0_hz, mode.q, mode.sensitivity
-    rows = [f"driven by its amplifier: {f0.value:.2f} Hz, Q {q.value:.2f}"]
-    if found.mode is None and found.impedance is None:
-        rows[0] += f" ({f0.low:.3f} to {f0.high:.3f} Hz, Q {q.low:.3f} to {q.high:.3f})"
-        if found.level_of_x_max is not None:
-            measured = {one.names for one in found.qualities}
-            unit = "V" if ("voltage", "acceleration") in measured else "full scale"
-            rows.append(
-                f"sensitivity above the resonance: {s.value:.4g} m/s² per {unit} "
-                f"({s.low:.4g} to {s.high:.4g})"
-            )
-        else:
-            rows.append("no sensitivity: the accelerometer's own was not given")
-    return rows
+    row = f"driven by its amplifier: {f0.value:.2f} Hz, Q {q.value:.2f}"
+    if found.mode or found.impedance:
+        return [row]
+    row += f" ({f0.low:.3f} to {f0.high:.3f} Hz, Q {q.low:.3f} to {q.high:.3f})"
+    if found.level_of_x_max is None:
+        return [row, "no sensitivity: the accelerometer's own was not given"]
+    measured = {one.names for one in found.qualities}
+    unit = "V" if ("voltage", "acceleration") in measured else "full scale"
+    limits = f"({s.low:.4g} to {s.high:.4g})"
+    return [row, f"sensitivity above the resonance: {s.value:.4g} m/s² per {unit} {limits}"]
 
 
 def _line(one: Quality) -> str:
-    what = f"{one.names[1]} for {one.names[0]}"
-    line = f"{what}: coherence {one.coherence:.4f}"
+    line = f"{one.names[1]} for {one.names[0]}: coherence {one.coherence:.4f}"
     if one.low_hz:
         ends = ", ".join(f"{low:.0f}-{high:.0f}" for low, high in one.low_hz[:4])
         more = " and more" if len(one.low_hz) > 4 else ""

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import argparse
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from dataclasses import replace
-from typing import Protocol
 
+from audioflinger_hook.cli.calibrate import Progress
 from audioflinger_hook.cli.measurement_streams import (
     INPUT,
     OUTPUT,
@@ -14,10 +14,9 @@ from audioflinger_hook.cli.measurement_streams import (
     StreamEndpoint,
 )
 from audioflinger_hook.cli.terminal import warn
+from audioflinger_hook.cli.tone import free_card
 from device.address import DeviceAddress
-from device.alsa import choose_setup, find_capture, find_playback
-from device.alsa.cards import why_blocked
-from device.alsa.offers import CardSetup, list_offers
+from device.alsa import find_capture, find_playback
 from device.errors import NotFoundError, UsageError
 from device.identification.calibration import Calibration, calibrate
 from device.identification.live.laboratory import UNUSED, Devices, Inputs, LiveLaboratory
@@ -28,16 +27,14 @@ from device.rig import Rig
 from device.server import PulseConnection, ServerSnapshot
 from device.server.identity import find_source, is_cushion_stream
 from device.stream import PcmConfig, filter_stderr
-from device.stream.pcms import CardDevice, ServerDevice
+from device.stream.pcms import ServerDevice
 from device.values import counted
 
 USUAL_LEVEL, MOST_LEVEL = 0.05, 0.25
 """Parts of full scale: the default level, and the highest level without --loud."""
 
 RATE_HZ = 48_000
-WEIGHED_SHARE = 0.02
-"""Half-width of the interval of a weighed mass."""
-
+WEIGHED_SHARE = 0.02  # half-width of the interval of a weighed mass
 INPUT_GRAMMAR = "source:NAME or hw:CARD[,DEVICE]"
 
 _QUAD = "front-left,front-right,rear-left,rear-right"
@@ -62,29 +59,13 @@ _HAS_TO_BE_KNOWN = (
 )
 
 
-class Progress(Protocol):
-    """Shows how far the sweeps are."""
-
-    def begin(self, level: float) -> None:
-        """Begin the next sweep."""
-
-    def within(self, share: float) -> None:
-        """Show which share of the sweep is over."""
-
-
 def calibrate_live(
-    device: DeviceAddress,
-    rig: Rig,
-    sweep: Sweep,
-    options: argparse.Namespace,
-    progress: Progress,
+    device: DeviceAddress, rig: Rig, sweep: Sweep, options: argparse.Namespace, progress: Progress
 ) -> tuple[Calibration, Devices]:
     """Calibrate the rig on this device; record only from the named input."""
     if device.kind not in ("sink", "usb", "hw"):
-        raise NotFoundError(
-            f"device {str(device)!r} cannot be calibrated; allowed: sink:NAME, usb:VID:PID, "
-            "hw:CARD, twin"
-        )
+        allowed = "sink:NAME, usb:VID:PID, hw:CARD, twin"
+        raise NotFoundError(f"device {str(device)!r} cannot be calibrated; allowed: {allowed}")
     if options.share is not None or options.seat:
         raise UsageError("--share and --seat are only for twin; choose --level of full scale")
     inputs = _inputs(options)
@@ -93,28 +74,22 @@ def calibrate_live(
     if mass is not None:
         if not 0.0 < mass < 1e3:
             raise UsageError(f"moving-mass-kg={mass!r} must be above 0; weigh the moving part")
-        reach = WEIGHED_SHARE * mass
-        weighed = Estimate(mass, mass - reach, mass + reach)
+        weighed = Estimate(mass, mass, mass).widen(WEIGHED_SHARE)
     source = options.input
     with ExitStack() as stack:
         filter_stderr()
-        pcms = PcmConfig(OUTPUT, INPUT)
-        stack.callback(pcms.close)
+        pcms = stack.enter_context(closing(PcmConfig(OUTPUT, INPUT)))
         connection = None
         if device.kind != "hw" or source.startswith("source:"):
-            connection = PulseConnection()
-            stack.callback(connection.close)
+            connection = stack.enter_context(closing(PulseConnection()))
         snapshot = connection.latest if connection else None
         output, rate = _output(device, snapshot)
         heard, rate = _input(source, snapshot, len(inputs.names), output, rate)
         channel = options.output_channel
         if not 1 <= channel <= output.channels:
-            raise UsageError(
-                f"output-channel={channel}: {output.name} has 1 to {output.channels}; name one"
-            )
-        inputs = replace(
-            inputs, names=(*inputs.names, *[UNUSED] * (heard.channels - len(inputs.names)))
-        )
+            raise UsageError(f"output-channel={channel}: {output.name} has 1 to {output.channels}")
+        unused = [UNUSED] * (heard.channels - len(inputs.names))
+        inputs = replace(inputs, names=(*inputs.names, *unused))
         transport = MeasurementStreams(pcms, output, heard, rate, connection, progress.within)
         laboratory = LiveLaboratory(transport, inputs, channel - 1, rig.amplifier)
         found = calibrate(
@@ -177,10 +152,7 @@ def _output(device: DeviceAddress, snapshot: ServerSnapshot | None) -> tuple[Str
     """Return the endpoint that plays the sweep, and its sample rate."""
     if device.kind == "hw":
         playback = find_playback(device.name)
-        if refused := why_blocked(playback):
-            raise NotFoundError(refused)
-        choice: CardSetup = choose_setup(list_offers(playback), RATE_HZ, 1)
-        card = CardDevice(playback.card.number, playback.device)
+        card, choice = free_card(playback, RATE_HZ, 1)
         output = StreamEndpoint(card, str(playback), choice.channels, choice.sample_format)
         return output, choice.samplerate
     assert snapshot is not None
@@ -191,8 +163,7 @@ def _output(device: DeviceAddress, snapshot: ServerSnapshot | None) -> tuple[Str
         if stream.device_name == sink.name and not stream.corked
     ]
     if others:
-        what = ", ".join(others)
-        raise UsageError(f"something else plays to {sink.name!r} ({what}); end it first")
+        raise UsageError(f"{', '.join(others)} plays to {sink.name!r}; end it first")
     return StreamEndpoint(ServerDevice(sink.name), sink.name, sink.channels), RATE_HZ
 
 
@@ -210,10 +181,7 @@ def _input(
                 "name the input that the accelerometer or the shunt is connected to"
             )
         if needed > found.channels:
-            raise UsageError(
-                f"channels: {needed} are named, input {source!r} has {found.channels}; name no "
-                "more than those"
-            )
+            raise UsageError(f"{needed} channels are named, input {source!r} has {found.channels}")
         if found.mute:
             raise UsageError(f"input {source!r} is muted; unmute it")
         if abs(found.volume - 1.0) > 0.005:
@@ -221,22 +189,17 @@ def _input(
                 f"the volume of input {source!r} is {100 * found.volume:.0f} %: volts and what "
                 "follows from them are right only if its full scale was found at that volume"
             )
-        plain = PLAIN_MAPS.get(found.channels)
-        if found.channel_map != plain:
+        if found.channel_map != PLAIN_MAPS.get(found.channels):
             raise UsageError(
-                f"input {source!r} has the channels {found.channel_map}, which the sound server "
-                f"would mix before recording ({plain or 'no such number'} it leaves alone); "
-                "name the card itself, as hw:CARD, or another profile of it"
+                f"the sound server mixes the channels {found.channel_map} of input {source!r}; "
+                "name the card itself, as hw:CARD, or choose another profile of it"
             )
         return StreamEndpoint(ServerDevice(found.name), found.name, found.channels), rate
     capture = find_capture(name)
-    if refused := why_blocked(capture):
-        raise NotFoundError(refused)
-    choice = choose_setup(list_offers(capture), rate, needed, needed)
+    card, choice = free_card(capture, rate, needed, needed)
     if choice.samplerate != rate and not output.guarded:
         raise UsageError(
             f"{output.name} plays at {rate} Hz and {capture} records at {choice.samplerate} Hz; "
             "name the sound server's sink or source for one of them"
         )
-    card = CardDevice(capture.card.number, capture.device)
     return StreamEndpoint(card, str(capture), choice.channels), choice.samplerate

@@ -24,7 +24,7 @@ from audioflinger_hook.catalogue.summary import Failures, Summary
 from audioflinger_hook.catalogue.timing import Timing
 from audioflinger_hook.catalogue.work import Outcome, do_batch, status_of
 from audioflinger_hook.cli.render import chosen_settings, chosen_workers
-from audioflinger_hook.cli.terminal import complain, progress_bar, warn
+from audioflinger_hook.cli.terminal import Advance, complain, progress_bar, warn
 from audioflinger_hook.exports.options import ExportOptions
 from audioflinger_hook.offline.pool import LocalWorkers, Place, ThisProcess
 from device.errors import CushionError, InternalError, UsageError
@@ -40,7 +40,7 @@ RECIPE = "catalogue.json"
 
 @dataclass(frozen=True)
 class _Job:
-    """What the options ask for: the items of this shard, and how they are made."""
+    """The items of this shard, and how they are made."""
 
     manifest: Manifest
     recipe: Recipe
@@ -81,21 +81,13 @@ def _job(options: argparse.Namespace, manifest: str) -> _Job:
     if options.workers is not None and options.dask not in (None, LOCAL_CLUSTER):
         raise UsageError("--workers counts processes of this machine; leave it out with --dask")
     if not 0 <= options.retries <= RETRIES_MAX:
-        raise UsageError(
-            f"--retries={options.retries} is out of range; allowed: 0 to {RETRIES_MAX}"
-        )
+        raise UsageError(f"--retries={options.retries}: allowed are 0 to {RETRIES_MAX}")
     if options.max_failures is not None and options.max_failures < 0:
         raise UsageError(f"--max-failures={options.max_failures} is below 0; allowed: 0 or more")
     out = parse_address(options.out, "--out")
     wanted = ExportOptions(options.format, options.output_rate, options.device_band)
-    recipe = Recipe(
-        out,
-        chosen_settings(options),
-        wanted,
-        track=options.track,
-        language=options.language,
-        verify=options.verify,
-    )
+    sounds = {"track": options.track, "language": options.language, "verify": options.verify}
+    recipe = Recipe(out, chosen_settings(options), wanted, **sounds)
     timing = Timing(time.perf_counter, time.sleep, options.retries)
     return _Job(Manifest(manifest, out), recipe, timing, _shard(options.shard))
 
@@ -124,7 +116,8 @@ def _work(job: _Job, total: int, options: argparse.Namespace) -> int:
     with ExitStack() as stack:
         failures = stack.enter_context(Failures())
         page = stack.enter_context(Page()) if options.report else None
-        console = stack.enter_context(_Console(total))
+        progress = stack.enter_context(progress_bar(counted(total, "items")))
+        console = _Console(total, progress)
         try:
             with _place(options, total) as place:
                 for batch in Run(job.recipe, job.items(), place, job.timing).outcomes():
@@ -161,7 +154,6 @@ def _place(options: argparse.Namespace, total: int) -> Place:
 
 
 def _reason_to_stop(batch: list[Outcome], summary: Summary, most: int | None) -> str:
-    """Return why the run must end now, "" if it goes on."""
     for outcome in batch:
         if outcome.stops:
             return f"stopped, because every item would fail like {outcome.item.id}"
@@ -173,19 +165,11 @@ def _reason_to_stop(batch: list[Outcome], summary: Summary, most: int | None) ->
 class _Console:
     """Progress, and the first failures and warnings, on stderr."""
 
-    def __init__(self, total: int) -> None:
-        self._total = total
+    def __init__(self, total: int, progress: Advance) -> None:
+        self._total, self._progress = total, progress
+        self._begin_s = time.monotonic()
         self._printed = 0
         self._warned: set[str] = set()
-        self._stack = ExitStack()
-
-    def __enter__(self) -> _Console:
-        self._begin_s = time.monotonic()
-        self._progress = self._stack.enter_context(progress_bar(counted(self._total, "items")))
-        return self
-
-    def __exit__(self, *_error: object) -> None:
-        self._stack.close()
 
     def show(self, batch: list[Outcome], summary: Summary) -> None:
         """Show the outcomes of a batch."""
@@ -194,9 +178,8 @@ class _Console:
                 self._printed += 1
                 complain(str(CushionError(outcome.error)))
             # Records of skipped items repeat what an earlier run has printed.
-            for warning in (
-                outcome.record.get("warnings", ()) if outcome.state == "rendered" else ()
-            ):
+            is_new = outcome.state == "rendered"
+            for warning in outcome.record.get("warnings", ()) if is_new else ():
                 if warning not in self._warned and len(self._warned) < PRINTED_MAX:
                     self._warned.add(warning)
                     warn(scrubbed(warning))

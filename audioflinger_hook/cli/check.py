@@ -16,8 +16,7 @@ from audioflinger_hook.config.toml_text import Mistake
 from audioflinger_hook.pipeline.framework import Framework
 from device.errors import UsageError
 
-SAMPLERATE = 48_000
-"""Of the mix with which an effects file is tried."""
+SAMPLERATE = 48_000  # of the mix with which an effects file is tried
 
 
 def run(options: argparse.Namespace) -> int:
@@ -47,7 +46,6 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _problems_of_effects(settings: Settings) -> tuple[list[str], list[Mistake]]:
-    """Return warnings and mistakes of the effects file, if the settings name one."""
     path = settings.effects_file
     if path is None:
         return [], []

@@ -17,6 +17,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
+from audioflinger_hook.cli.render import given_values
 from audioflinger_hook.cli.terminal import LineConsole, as_typed, level_text, warn
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.offline.inspection import inspect_tap
@@ -37,8 +38,16 @@ from device.wav_output import WavOutput
 BLOCKSIZE_FRAMES = 256
 """Frames that a sound server delivers at a time; computing times are given for this block."""
 
-FAINTEST_DB = -45.0
-"""Principal frequencies this far below full scale are drawn as the smallest dot."""
+FAINTEST_DB = -45.0  # principal frequencies this far below full scale are drawn as the smallest dot
+REFRESH_S = 1 / 15
+BAR_CELLS = 40
+BAR_RANGE_DB = 60.0
+SILENCE_DB = -70.0
+SPECTRUM_WINDOW_S = 0.1
+SPECTRUM_BANDS_HZ = np.arange(20, 221, 5)
+STEPS = " ▁▂▃▄▅▆▇█"
+
+Block = NDArray[np.floating[Any]]
 
 
 @dataclass
@@ -53,8 +62,7 @@ class Played:
 def run(options: argparse.Namespace) -> int:
     """Play the scene, write vibration.wav, acceleration.wav, scene.wav and report.png to `out`."""
     out: Path = options.out
-    names = ("model", "tolerance")
-    given = {name: getattr(options, name) for name in names if getattr(options, name) is not None}
+    given = given_values(options, ("model", "tolerance"))
     settings = Settings().choosing(profile=options.profile or options.default_profile, **given)
     if settings.parameters.strength == "felt":
         # The demo knows its cushion, whose resonance would hide the explosion.
@@ -90,7 +98,7 @@ def run(options: argparse.Namespace) -> int:
     values = _main_values(framework, rig, played)
     drawn = True
     try:
-        _draw(picture, scene, sound, played, framework, values)
+        write_bytes_atomically(picture, _picture(scene, sound, played, framework, values))
     except ImportError:
         warn("no report.png: matplotlib is not installed; `pip install matplotlib` brings it")
         drawn = False
@@ -102,12 +110,11 @@ def run(options: argparse.Namespace) -> int:
 def _make_folder(out: Path) -> None:
     try:
         out.mkdir(exist_ok=True)
-    except FileExistsError:
-        raise UsageError(f"{out} is not a folder; name another with --out") from None
     except OSError as error:
-        raise UsageError(
-            f"the folder {out} cannot be made ({error.strerror}); name another with --out"
-        ) from None
+        what = f"the folder {out} cannot be made ({error.strerror})"
+        if isinstance(error, FileExistsError):
+            what = f"{out} is not a folder"
+        raise UsageError(f"{what}; name another with --out") from None
 
 
 def _play(chain: Pipeline, scene: Scene, rig: SimulatedRig, *, fast: bool) -> Played:
@@ -116,11 +123,8 @@ def _play(chain: Pipeline, scene: Scene, rig: SimulatedRig, *, fast: bool) -> Pl
     pace = RealTimePace(scene.samplerate, time.monotonic())
     frames = 0
     with Meter(scene, LineConsole(stderr=True)) as meter:
-        while True:
-            began = time.thread_time()
-            step = chain.step(time.monotonic())
-            if step is None:
-                break
+        began = time.thread_time()
+        while step := chain.step(time.monotonic()):
             if len(step.audio):
                 played.buffer_s.append(time.thread_time() - began)
             played.vibration.append(step.vibration)
@@ -129,18 +133,17 @@ def _play(chain: Pipeline, scene: Scene, rig: SimulatedRig, *, fast: bool) -> Pl
             meter.show(frames, step.audio, step.vibration, rig.acceleration_m_s2)
             if not fast:
                 time.sleep(pace.wait_s(frames, time.monotonic()))
+            began = time.thread_time()
     return played
 
 
-def _draw(
-    path: Path,
+def _picture(
     scene: Scene,
     sound: NDArray[np.float32],
     played: Played,
     framework: Framework,
     values: Mapping[str, str],
-) -> None:
-    """Write the picture with the main values as text; needs matplotlib."""
+) -> bytes:
     from audioflinger_hook.figures.report import report_png
 
     settings = framework.settings
@@ -157,7 +160,7 @@ def _draw(
             principals.append((middle_s, p.audio_hz, p.vibration_hz, strength))
     vibration = np.concatenate(played.vibration)[latency : latency + frames]
     acceleration = np.concatenate(played.acceleration)[:frames]
-    picture = report_png(
+    return report_png(
         title="Haptic Cushion: sound and vibration",
         samplerate=scene.samplerate,
         audio=sound,
@@ -172,7 +175,6 @@ def _draw(
         ),
         description="; ".join(f"{name}: {value}" for name, value in values.items()),
     )
-    write_bytes_atomically(path, picture)
 
 
 def _main_values(framework: Framework, rig: SimulatedRig, played: Played) -> dict[str, str]:
@@ -202,8 +204,8 @@ def _print_table(
     formats = ", ".join(f"{t.name} {t.format.value} {t.samplerate / 1e3:g} kHz" for t in tracks)
     table.add_row(f"{len(tracks)} tracks mixed", formats)
     table.add_row("sound", f"{len(buffer_ms)} buffers of {BLOCKSIZE_FRAMES} frames")
-    for name, value in values.items():
-        table.add_row(name, value)
+    for row in values.items():
+        table.add_row(*row)
     table.add_row("samples limited", str(framework.limited_samples))
     table.add_row("unusable samples in the sound", str(framework.replaced_samples))
     table.add_row("excursion, peak", f"{rig.peak_displacement_m * 1e3:.2f} mm (predicted)")
@@ -221,29 +223,13 @@ def _print_table(
         "report.png": "all of it as a picture" if drawn else "not drawn",
     }
     for name, what in written.items():
-        table.add_row(
-            f"{name}: {what}", escape(str(out / name)) if name != "report.png" or drawn else ""
-        )
+        path = "" if what == "not drawn" else escape(str(out / name))
+        table.add_row(f"{name}: {what}", path)
     LineConsole().print(table)
 
 
-REFRESH_S = 1 / 15
-BAR_CELLS = 40
-BAR_RANGE_DB = 60.0
-SILENCE_DB = -70.0
-"""Peaks below this level are shown as silence."""
-SPECTRUM_WINDOW_S = 0.1
-SPECTRUM_BANDS_HZ = np.arange(20, 221, 5)
-STEPS = " ▁▂▃▄▅▆▇█"
-
-Block = NDArray[np.floating[Any]]
-
-
 class Meter:
-    """Draws a meter if the console is a terminal, else does nothing.
-
-    Called by the thread that steps the chain, which has time to spare in a demo.
-    """
+    """Draws a meter if the console is a terminal; for the thread that steps the chain."""
 
     def __init__(self, scene: Scene, console: Console) -> None:
         self._scene = scene
@@ -270,8 +256,7 @@ class Meter:
         """Add one step and redraw when due; `frames`: frames of the scene so far."""
         if not self._on:
             return
-        peaks = [float(np.abs(block).max(initial=0.0)) for block in (audio, vibration)]
-        peaks.append(float(np.abs(acceleration).max(initial=0.0)))
+        peaks = [np.abs(block).max(initial=0.0) for block in (audio, vibration, acceleration)]
         self._peaks = np.maximum(self._peaks, peaks)
         newest = vibration[-self._recent.size :, 0]
         self._recent = np.concatenate((self._recent[newest.size :], newest))

@@ -14,8 +14,7 @@ from audioflinger_hook.pipeline.step import Pipeline
 from audioflinger_hook.sources import open_client, parse_tap
 from device.errors import UsageError
 
-DEFAULT_S = 1.0
-"""How much sound is played if none is asked for; a shorter sound is played whole."""
+DEFAULT_S = 1.0  # how much sound is played if none is asked for; a shorter sound is played whole
 
 
 def run(options: argparse.Namespace) -> int:
@@ -34,10 +33,8 @@ def run(options: argparse.Namespace) -> int:
             if step is None and options.at is None:
                 break
             if step is None:
-                raise UsageError(
-                    f"time {options.at:g} s is after the end of the sound; allowed: 0 to "
-                    f"{frames / framework.samplerate:.3f} s"
-                )
+                late = f"time {options.at:g} s is after the end of the sound"
+                raise UsageError(f"{late}; allowed: 0 to {frames / framework.samplerate:.3f} s")
             cycle_times_s.append(time.thread_time() - began_s)
             frames += len(step.audio)
     for warning in framework.warnings:

@@ -34,16 +34,15 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         print(json.dumps(dataclasses.asdict(report), indent=2))
     else:
-        print(f"{options.output}: {summary(report)}")
+        print(f"{options.output}: {_summary(report)}")
     return 0
 
 
-def summary(report: ExportReport) -> str:
-    """Return the report as one line."""
+def _summary(report: ExportReport) -> str:
     parts = [
         f"{report.duration_s:.2f} s of vibration as {report.format}",
         f"{counted(report.channels, 'channels')} at {report.samplerate} Hz",
-        f"{counted(report.bytes, 'bytes')}",
+        counted(report.bytes, "bytes"),
         f"peak {level_text(report.peak)}",
     ]
     if report.limited_samples:

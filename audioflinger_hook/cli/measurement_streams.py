@@ -22,8 +22,7 @@ from device.stream.streams import CaptureStream, PlaybackStream
 OUTPUT, INPUT = "cushion_output", "cushion_input"
 """Names of the two PCMs that the caller must configure."""
 
-SETTLE_S = 5.0
-"""Time until both streams must run on their devices."""
+SETTLE_S = 5.0  # time until both streams must run on their devices
 
 BLOCK_FRAMES = 1024
 """Four times the default: latency does not matter, but a late block would be lost."""
@@ -98,8 +97,6 @@ class MeasurementStreams:
 
 @dataclass
 class _Watch:
-    """Watches both streams for the waiting thread."""
-
     streams: tuple[PlaybackStream, CaptureStream]
     guards: list[StreamGuard]
     names: tuple[str, str]
@@ -129,19 +126,15 @@ class _Watch:
         for guard in self.guards:
             if not guard.hold.audible:
                 return LostError(
-                    f"the measurement has ended: {guard.hold.value}; plug it in again, and repeat"
+                    f"the measurement ended: {guard.hold.value}; plug it in, and repeat"
                 )
-        counts = self._counts()
-        for stream, name, before, now in zip(
-            self.streams, self.names, self._before, counts, strict=True
-        ):
+        each = zip(self.streams, self.names, self._before, self._counts(), strict=True)
+        for stream, name, before, now in each:
             if stream.is_lost(now_s):
                 return LostError(f"{name} went away during the sweep; plug it in again, and repeat")
             if now[0] > before[0] or now[1] > before[1]:
-                return LostError(
-                    f"{name}: a block came too late during the sweep; close other programs, and "
-                    "repeat"
-                )
+                late = "a block came too late during the sweep"
+                return LostError(f"{name}: {late}; close other programs, and repeat")
             if now[2] > before[2]:
                 kinds = ", ".join(stream.errors)
                 return InternalError(f"{name}: {kinds} in a callback; please report it")

@@ -9,7 +9,9 @@ import os
 import signal
 import sys
 import webbrowser
+from collections.abc import Coroutine
 from contextlib import suppress
+from typing import Any
 
 from audioflinger_hook.cli.terminal import warn
 from audioflinger_hook.service.runtime_folder import RuntimeFolder
@@ -52,19 +54,11 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-async def _until_signal(serving: object) -> None:
+async def _until_signal(serving: Coroutine[Any, Any, None]) -> None:
     """Serve until SIGINT or SIGTERM, which ends as an interruption."""
-    task = asyncio.ensure_future(serving)  # type: ignore[call-overload]
-    stopped = False
-
-    def stop() -> None:
-        nonlocal stopped
-        stopped = True
-        task.cancel()
-
+    task = asyncio.ensure_future(serving)
     for number in (signal.SIGINT, signal.SIGTERM):
-        asyncio.get_running_loop().add_signal_handler(number, stop)
+        asyncio.get_running_loop().add_signal_handler(number, task.cancel)
     with suppress(asyncio.CancelledError):
         await task
-    if stopped:
-        raise KeyboardInterrupt
+    raise KeyboardInterrupt

@@ -15,8 +15,7 @@ from device.usb import UsbAudioDevice, identify
 from device.usb.identity import coil_channels
 from device.usb.mapping import device_of_sink
 
-OWN_SINKS = (SINK, FALLBACK_SINK)
-"""Sinks that this program makes."""
+OWN_SINKS = (SINK, FALLBACK_SINK)  # sinks that this program makes
 
 COILS, USB, SURROUND, OTHER, CARD, SOUND = range(6)
 """Ranks of outputs: voice coils, a USB card, four or more channels, another sink, a card that no
@@ -25,18 +24,14 @@ server uses, and the sink that plays the sound."""
 
 @dataclass(frozen=True)
 class Output:
-    """One output. address: for `--device`; rank: a likely one first; note: why it is likely or not.
+    """One output."""
 
-    positions: of its channels, empty if unknown. has_coils: whether its channels with coils are
-    known.
-    """
-
-    address: str
+    address: str  # for `--device`
     description: str
-    rank: int
-    note: str
-    positions: tuple[str, ...] = ()
-    has_coils: bool = False
+    rank: int  # a likely one first
+    note: str  # why it is likely or not
+    positions: tuple[str, ...] = ()  # of its channels, empty if unknown
+    has_coils: bool = False  # whether its channels with coils are known
 
     @property
     def is_likely(self) -> bool:
@@ -54,10 +49,7 @@ def list_outputs(
     devices: Sequence[UsbAudioDevice],
     playbacks: Iterable[AlsaDevice],
 ) -> list[Output]:
-    """Return every output but our own sinks.
-
-    devices: the present USB devices. playbacks: of all sound cards; those of the server are sinks.
-    """
+    """Return every output but our own sinks, from sinks, USB devices and all sound cards."""
     sinks = [sink for sink in snapshot.sinks if sink.name not in OWN_SINKS]
     found = [_of_sink(sink, snapshot, devices) for sink in sinks]
     served = {identity_of(sink).alsa_card for sink in sinks}

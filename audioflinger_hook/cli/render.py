@@ -5,8 +5,9 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 from audioflinger_hook.cli.terminal import complain, level_text, progress_bar, warn
 from audioflinger_hook.config import file as config
@@ -18,8 +19,6 @@ from device.errors import UsageError
 from device.values import counted
 
 WAV_SUFFIXES = (".wav", ".wave", ".rf64")
-"""Endings of the names of files that are written as WAV."""
-
 SEE_HELP = "see `cushion render --help`"
 
 
@@ -28,22 +27,17 @@ def run(options: argparse.Namespace) -> int:
     workers = chosen_workers(options.workers)
     if options.out_dir is not None:
         return _run_several(options, workers)
-    options.input, options.output = _one_each(options.files)
+    _check_files(options.files)
+    options.input, options.output = options.files
     settings = chosen_settings(options)
-    with progress_bar(options.input.name) as progress:
-        report = render_file(
-            options.input,
-            options.output,
-            settings,
-            acceleration=options.acceleration,
-            progress=progress,
-        )
+    source, target, acceleration = options.input, options.output, options.acceleration
+    with progress_bar(source.name) as progress:
+        report = render_file(source, target, settings, acceleration=acceleration, progress=progress)
     show_report(report, options)
     return 0
 
 
 def _run_several(options: argparse.Namespace, workers: int) -> int:
-    """Render all files that can be rendered; return 0 or the exit code of the worst error."""
     if not options.files:
         raise UsageError(f"the following arguments are required: IN; {SEE_HELP}")
     if options.acceleration is not None:
@@ -72,15 +66,13 @@ def _run_several(options: argparse.Namespace, workers: int) -> int:
 
 
 def _entry(rendered: Rendered) -> dict[str, object]:
-    """Return the report of one of several files."""
     head = {"input": str(rendered.source), "output": str(rendered.target)}
     if rendered.report is None:
         return {**head, "error": rendered.error, "exit_code": rendered.exit_code}
     return {**head, **dataclasses.asdict(rendered.report)}
 
 
-def _one_each(files: list[Path]) -> tuple[Path, Path]:
-    """Return IN and OUT."""
+def _check_files(files: list[Path]) -> None:
     if len(files) < 2:
         missing = ", ".join(("IN", "OUT")[len(files) :])
         raise UsageError(f"the following arguments are required: {missing}; {SEE_HELP}")
@@ -90,22 +82,12 @@ def _one_each(files: list[Path]) -> tuple[Path, Path]:
             f"unrecognized arguments: {more}; allowed: IN OUT, or any number of IN with "
             f"--out-dir DIR; {SEE_HELP}"
         )
-    check_output(files[1])
-    return files[0], files[1]
-
-
-def check_output(path: Path) -> None:
-    """Raise UsageError for a name that a WAV must not have."""
-    if str(path) == "-":
-        raise UsageError(
-            "OUT = '-': standard output cannot take a WAV, whose header needs its length; name a "
-            "file"
-        )
-    if path.suffix.lower() not in (*WAV_SUFFIXES, ""):
-        raise UsageError(
-            f"OUT = '{path}': the vibration is written as WAV; allowed: a name that ends in "
-            f"{', '.join(WAV_SUFFIXES)}, or without an ending"
-        )
+    out = files[1]
+    if str(out) == "-":
+        raise UsageError("OUT = '-': standard output cannot take a WAV; name a file")
+    if out.suffix.lower() not in (*WAV_SUFFIXES, ""):
+        allowed = f"a name that ends in {', '.join(WAV_SUFFIXES)}, or without an ending"
+        raise UsageError(f"OUT = '{out}': the vibration is written as WAV; allowed: {allowed}")
 
 
 def chosen_workers(wanted: int | None) -> int:
@@ -118,30 +100,20 @@ def chosen_workers(wanted: int | None) -> int:
 
 
 def chosen_settings(options: argparse.Namespace, recorded: Settings | None = None) -> Settings:
-    """Return the settings of the config file, if one is named, overridden by the options.
-
-    recorded: settings to use if no file is named.
-    """
+    """Return the config file's settings, else those recorded, overridden by the options."""
     default = options.default_profile
     if options.config:
         settings = config.load(options.config, default).settings
     else:
         settings = recorded or Settings(profile=default)
-    given = {
-        name: getattr(options, name)
-        for name in (
-            "form",
-            "channels",
-            "profile",
-            "damping",
-            "protection",
-            "rig",
-            "model",
-            "tolerance",
-        )
-        if getattr(options, name) is not None
-    }
-    return settings.choosing(**given)
+    names = ("form", "channels", "profile", "damping", "protection", "rig", "model", "tolerance")
+    return settings.choosing(**given_values(options, names))
+
+
+def given_values(options: argparse.Namespace, names: Iterable[str]) -> dict[str, Any]:
+    """Return those of the options that are given."""
+    values = {name: getattr(options, name) for name in names}
+    return {name: value for name, value in values.items() if value is not None}
 
 
 def show_report(

@@ -57,6 +57,5 @@ def capture_files(folder: Path) -> list[Path]:
 
 
 def _in_real_time(samplerate: int) -> Wait:
-    """Return a function that waits until frames would have been played in real time."""
     pace = RealTimePace(samplerate, time.monotonic())
     return lambda frames: time.sleep(pace.wait_s(frames, time.monotonic()))

@@ -7,15 +7,13 @@ import dataclasses
 import os
 import time
 from collections.abc import Callable
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from datetime import datetime
 from pathlib import Path
 
-from audioflinger_hook.cli.moment import present_moment
-from audioflinger_hook.cli.open_files import allow_open_files
+from audioflinger_hook.cli.process import Signals, allow_open_files, freeze_loaded_objects
 from audioflinger_hook.cli.replay import capture_files
 from audioflinger_hook.cli.run_reporter import RunReporter
-from audioflinger_hook.cli.signals import Signals, freeze_loaded_objects
 from audioflinger_hook.config import file as config
 from audioflinger_hook.config.edits import Edits, LiveEdits
 from audioflinger_hook.config.settings import Settings
@@ -23,7 +21,7 @@ from audioflinger_hook.daemon.engine import Clocks
 from audioflinger_hook.daemon.live_control import LiveControl
 from audioflinger_hook.daemon.recording import RunRecording
 from audioflinger_hook.daemon.run_config import LIVE_TAPS, PACED_TAPS, ConfigDiff, RunConfig
-from audioflinger_hook.daemon.safety_keeper import SafetyKeeper
+from audioflinger_hook.daemon.safety_keeper import Moment, SafetyKeeper
 from audioflinger_hook.daemon.status_report import status_of
 from audioflinger_hook.daemon.supervisor import Supervisor
 from audioflinger_hook.daemon.wake import Wake
@@ -78,7 +76,7 @@ def run(options: argparse.Namespace) -> int:
             supervisor.follow(again, time.monotonic())
             return again
 
-        def follow_config(_now_s: float) -> str:
+        def follow_config() -> str:
             """Reload the config and return the changes."""
             again, changes = follow(edits.values, supervisor.config.muted)
             control.reloaded(again)
@@ -109,19 +107,14 @@ def run(options: argparse.Namespace) -> int:
 
 def _safety(run_config: RunConfig) -> SafetyKeeper | None:
     """Return the keeper of temperatures and dose; None for no real device, or without a home."""
-    if not run_config.device_is_live:
-        return None
-    try:
-        return SafetyKeeper(state_folder(), present_moment)
-    except UsageError:
-        return None
+    if run_config.device_is_live:
+        with suppress(UsageError):
+            return SafetyKeeper(state_folder(), _present_moment)
+    return None
 
 
 def _run_config(options: argparse.Namespace, edits: Edits | None = None) -> RunConfig:
-    """Return the run's configuration from config and options; options take precedence.
-
-    edits: values that take precedence over both.
-    """
+    """Return the run's configuration from config, options and edits; the later take precedence."""
     path = options.config or config.default_path()
     edits = edits or {}
     if options.config or path.exists() or edits:
@@ -156,15 +149,13 @@ def _run_config(options: argparse.Namespace, edits: Edits | None = None) -> RunC
 
 
 def _server_answers() -> bool:
-    try:
+    with suppress(LostError):
         PulseConnection().close()
-    except LostError:
-        return False
-    return True
+        return True
+    return False
 
 
 def _check_config(run_config: RunConfig) -> None:
-    """Raise UsageError or NotFoundError for a config that cannot work."""
     if run_config.tap.kind not in LIVE_TAPS + PACED_TAPS:
         raise NotFoundError(f"tap {str(run_config.tap)!r}: `cushion run` cannot listen to it")
     _ = run_config.rules
@@ -180,7 +171,6 @@ def _check_config(run_config: RunConfig) -> None:
 
 
 def _check_overwriting(tap: TapAddress, device: DeviceAddress) -> None:
-    """Raise UsageError if the file to write is also the file to play."""
     if device.kind == "wav":
         played = {"file": [Path(tap.name)], "capture": capture_files(Path(tap.name))}
         for source in played.get(tap.kind, []):
@@ -193,7 +183,7 @@ def _keep_on(
     seconds: float,
     wake: Wake,
     signals: Signals,
-    follow_config: Callable[[float], str],
+    follow_config: Callable[[], str],
 ) -> None:
     """Tick until enough sound has passed or a signal arrives; report to user and systemd."""
     reporter = RunReporter()
@@ -228,9 +218,17 @@ def _keep_on(
 
 
 def _warnings(supervisor: Supervisor) -> list[str]:
-    """Return what the terminal is to show, also which effects are bypassed."""
     engine = supervisor.engines.python
     return [*(engine.framework.bypass_warnings() if engine else ()), *supervisor.warnings]
+
+
+def _present_moment() -> Moment:
+    """Return the present by all clocks of the machine; `boot` is "" where it is not known."""
+    boot = ""
+    with suppress(OSError):
+        boot = Path("/proc/sys/kernel/random/boot_id").read_text("ascii").strip()
+    local = datetime.now().astimezone().isoformat(timespec="minutes")
+    return Moment(boot, time.clock_gettime(time.CLOCK_BOOTTIME), time.time(), local)
 
 
 def _slept_s() -> float:

@@ -7,27 +7,17 @@ import os
 import re
 import shutil
 import sys
-from collections.abc import Callable, Hashable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Hashable
 
-from audioflinger_hook.cli.terminal import warn
 from audioflinger_hook.service.state import Note, StateReport
 from audioflinger_hook.service.status import Status
 from audioflinger_hook.service.status_view import meter_line
 from audioflinger_hook.service.systemd import Notifier
 from device.errors import CushionError
 
-AT_ONCE = 5
-"""Number of messages of one kind that may follow each other without a pause."""
-
-EVERY_S = 10.0
-"""Average time between messages of one kind."""
-
-METER_S = 0.1
-"""Time between two drawings of the meter."""
-
-KINDS_MAX = 100
-"""Largest number of kinds; all further kinds count as one."""
+AT_ONCE, EVERY_S = 5, 10.0  # messages of one kind without a pause, and average time between them
+KINDS_MAX = 100  # largest number of kinds; all further kinds count as one
+METER_S = 0.1  # time between two drawings of the meter
 
 
 class RunReporter:
@@ -35,9 +25,7 @@ class RunReporter:
 
     def __init__(self) -> None:
         self.notifier = Notifier()
-        self._state = ""
-        self._engine = ""
-        self._page = ""
+        self._state = self._engine = self._page = ""
         self._has_meter = sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
         self._drawn_s = -math.inf
         self._warnings: dict[str, str] = {}
@@ -70,26 +58,18 @@ class RunReporter:
         for warning in warnings:
             kind = re.sub(r"\d+", "0", warning)
             if kind not in told:
-                self._clear_meter()
-                with self._closed_unnoticed():
-                    warn(warning)
+                self._print(f"warning: {warning}")
             self._warnings[kind] = told.get(kind, warning)
 
     def tell_engine(self, engine: str, reason: str) -> None:
-        """Report which engine plays, "native" or "python", once after each change.
-
-        reason: why it is not the native one; "" if it is. An empty name reports nothing.
-        """
+        """Report a change of the playing engine, "" for none, and why it is not the native one."""
         text = f"the {engine} engine plays{': ' if reason else ''}{reason}"
         if engine and text != self._engine:
             self._engine = text
             self._print(text)
 
     def tell_page(self, address: str) -> None:
-        """Report the address of a page that serves, once; "" for none.
-
-        The part after `#` opens it, so only a terminal shows that part.
-        """
+        """Report a page's address once; the part after `#`, which opens it, only to a terminal."""
         shown = address if sys.stderr.isatty() else address.partition("#")[0]
         if shown and shown != self._page:
             self._print(f"the live page: {shown}")
@@ -100,16 +80,14 @@ class RunReporter:
         if self._has_meter and now_s - self._drawn_s >= METER_S:
             self._drawn_s = now_s
             width = shutil.get_terminal_size().columns - 1
-            with self._closed_unnoticed():
-                sys.stderr.write(f"\r\x1b[K{meter_line(status(), width)}")
-                sys.stderr.flush()
+            self._write(meter_line(status(), width))
 
-    def reload(self, follow_config: Callable[[float], str], now_s: float) -> str:
+    def reload(self, follow_config: Callable[[], str], now_s: float) -> str:
         """Reload the config and report the changes; return why it failed, or ""."""
         self.notifier.send("RELOADING=1", f"MONOTONIC_USEC={int(now_s * 1e6)}")
         config_error = ""
         try:
-            self._print(f"config reloaded; changed: {follow_config(now_s)}")
+            self._print(f"config reloaded; changed: {follow_config()}")
         except CushionError as error:
             config_error = f"the config was not applied: {error}"
             # Reported as a warning, even if an equal warning was reported before.
@@ -120,42 +98,29 @@ class RunReporter:
     def end(self, warnings: list[str]) -> None:
         """Report new warnings, and notify systemd of the end."""
         self.notifier.send("STOPPING=1")
-        self._clear_meter()
-        self._has_meter = False
         for warning in warnings:
             if warning not in self._warnings.values():
-                with self._closed_unnoticed():
-                    warn(warning)
-
-    def _clear_meter(self) -> None:
-        if self._has_meter:
-            with self._closed_unnoticed():
-                sys.stderr.write("\r\x1b[K")
-                sys.stderr.flush()
+                self._print(f"warning: {warning}")
+        self._write("")
+        self._has_meter = False
 
     def _print(self, text: str) -> None:
-        self._clear_meter()
-        with self._closed_unnoticed():
-            print(f"cushion: {text}", file=sys.stderr, flush=True)
+        self._write(f"cushion: {text}\n")
 
-    @contextmanager
-    def _closed_unnoticed(self) -> Iterator[None]:
-        """Let a terminal that was closed end the run by its signal alone, not by a failed write."""
+    def _write(self, text: str) -> None:
+        """Write in place of the meter. A closed terminal ends the run by its signal alone."""
+        clear = "\r\x1b[K" if self._has_meter else ""
         try:
-            yield
+            print(f"{clear}{text}", end="", file=sys.stderr, flush=True)
         except OSError:
             self._has_meter = False
 
 
 class RateLimit:
-    """Limits how often messages of one kind are printed. Use from one thread at a time.
+    """Limits how often messages of one kind are printed. Its size is bounded. One thread."""
 
-    Times are seconds of one clock. Its size is bounded.
-    """
-
-    def __init__(self, at_once: int = AT_ONCE, every_s: float = EVERY_S) -> None:
+    def __init__(self, at_once: float = AT_ONCE) -> None:
         self._at_once = at_once
-        self._every_s = every_s
         # Allowance, time of the last request, and messages left out since the last printed one.
         self._kinds: dict[Hashable, tuple[float, float, int]] = {}
 
@@ -163,9 +128,8 @@ class RateLimit:
         """Return how many messages were left out before this one; None if this one is left out."""
         if kind not in self._kinds and len(self._kinds) >= KINDS_MAX:
             kind = None
-        allowance, asked_s, missed = self._kinds.get(kind, (float(self._at_once), now_s, 0))
-        gained = max(0.0, now_s - asked_s) / self._every_s
-        allowance = min(float(self._at_once), allowance + gained)
+        allowance, asked_s, missed = self._kinds.get(kind, (self._at_once, now_s, 0))
+        allowance = min(self._at_once, allowance + max(0.0, now_s - asked_s) / EVERY_S)
         if allowance < 1.0:
             self._kinds[kind] = (allowance, now_s, missed + 1)
             return None

@@ -16,10 +16,8 @@ from typing import Any
 
 from audioflinger_hook.cli import setup_files
 from audioflinger_hook.cli.outputs import COILS, Output, list_outputs, shaker_pair
-from audioflinger_hook.cli.questions import agree, name_some, pick
-from audioflinger_hook.cli.setup_tone import Felt, try_output
-from audioflinger_hook.cli.terminal import as_typed, warn
-from audioflinger_hook.cli.tone import PCM
+from audioflinger_hook.cli.terminal import agree, as_typed, name_some, pick, warn
+from audioflinger_hook.cli.tone import PCM, Felt, try_output
 from audioflinger_hook.config import file as config
 from audioflinger_hook.config.commented import actuator_text, commented_text
 from audioflinger_hook.config.edits import edited_text
@@ -53,7 +51,11 @@ NOTHING_WRITTEN = "nothing was written"
 def run(options: argparse.Namespace) -> int:
     """Ask, write the config and print the next commands; or undo the last set-up."""
     if options.undo:
-        return _undo()
+        done, commands = setup_files.undo()
+        print(*done, sep="\n")
+        if commands:
+            print("next, type:", *commands, sep="\n    ")
+        return 0
     if not options.yes and not sys.stdin.isatty():
         raise UsageError(
             "setup asks questions, but its input is not a terminal; give the answers: "
@@ -64,7 +66,7 @@ def run(options: argparse.Namespace) -> int:
     wired: tuple[ActuatorSettings, ...] = ()
     if before is not None:  # one with mistakes is for its owner to repair
         wired = config.load(path, LIVE_DEFAULT).settings.actuators
-    profile = _known_profile(options.profile)
+    _check_profile(options.profile)
     has_service = not options.no_service and service.installed_text() is not None
     choice = _choose_output(options, wired)
     if choice is None:
@@ -73,7 +75,7 @@ def run(options: argparse.Namespace) -> int:
     values: dict[str, Any] = {"device": choice.output.address}
     if choice.level_db is not None:
         values["gain_db"] = choice.level_db
-    values |= _profile_values(profile or _ask_profile(options.yes, before), before)
+    values |= _profile_values(options.profile or _ask_profile(options.yes, before), before)
     text = _new_text(path, before, values, choice.channels)
     if text == before:
         print(f"\n{path} says this already.")
@@ -93,34 +95,21 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _undo() -> int:
-    done, commands = setup_files.undo()
-    print(*done, sep="\n")
-    if commands:
-        print("next, type:", *commands, sep="\n    ")
-    return 0
-
-
-def _known_profile(name: str | None) -> str | None:
+def _check_profile(name: str | None) -> None:
     known = (*PROFILES, SPEECH_FREE)
     if name is not None and name not in known:
         guess = nearest(name, known)
         offer = f"; did you mean {guess}?" if guess else ""
         raise UsageError(f"profile={name!r} is not known; allowed: {', '.join(known)}{offer}")
-    return name
 
 
 @dataclass(frozen=True)
 class Choice:
-    """The output, and what was found out about it.
-
-    level_db: the level at which the user felt the tone, None without a question. channels: of its
-    shakers, empty for all, or those of the config.
-    """
+    """The output, and what was found out about it."""
 
     output: Output
-    level_db: float | None
-    channels: tuple[str, ...]
+    level_db: float | None  # at which the user felt the tone, None without a question
+    channels: tuple[str, ...]  # of its shakers, empty for all, or those of the config
 
 
 def _choose_output(
@@ -136,7 +125,8 @@ def _choose_output(
         if on_server and not options.no_test and (missing := missing_plugin()):
             raise NotFoundError(missing)
         while True:
-            outputs = _outputs(connection)
+            playbacks = [each for card in list_cards() for each in list_devices(card)]
+            outputs = list_outputs(connection.latest, find_devices().devices, playbacks)
             if named is not None:
                 output = _named(named, outputs, connection.latest)
             else:
@@ -168,18 +158,10 @@ def _choose_output(
             connection.snapshot()
 
 
-def _outputs(connection: PulseConnection) -> list[Output]:
-    playbacks = [each for card in list_cards() for each in list_devices(card)]
-    return list_outputs(connection.latest, find_devices().devices, playbacks)
-
-
 def _named(device: DeviceAddress, outputs: list[Output], snapshot: ServerSnapshot) -> Output:
-    """Return the output of a name. NotFoundError: there is none of this name."""
     if device.kind not in ("sink", "usb", "hw"):
-        raise UsageError(
-            f"device {str(device)!r} is no output for a first run; allowed: sink:NAME, "
-            "usb:VID:PID, hw:CARD"
-        )
+        allowed = "sink:NAME, usb:VID:PID, hw:CARD"
+        raise UsageError(f"device {str(device)!r} is no output for setup; allowed: {allowed}")
     if device.kind == "hw":
         find_playback(device.name)
     else:
@@ -192,7 +174,7 @@ def _named(device: DeviceAddress, outputs: list[Output], snapshot: ServerSnapsho
 
 
 def _first(outputs: list[Output]) -> Output:
-    """Return the only output that surely has coils. UsageError: there is none, or more than one."""
+    """Return the only output that surely has coils. UsageError: there is not exactly one."""
     sure = [output for output in outputs if output.rank == COILS]
     if len(sure) == 1:
         return sure[0]
@@ -207,9 +189,7 @@ def _ask_output(outputs: list[Output]) -> Output:
     if not outputs:
         raise NotFoundError("there is no output; connect a sound card, then run setup again")
     print("Where is the shaker, exciter or controller connected?")
-    items = [
-        f"{each.description or each.address}\n     {each.address}: {each.note}" for each in outputs
-    ]
+    items = [f"{o.description or o.address}\n     {o.address}: {o.note}" for o in outputs]
     return outputs[pick("Output:", items, 0 if outputs[0].is_likely else None)]
 
 
@@ -286,21 +266,21 @@ def _document(text: str) -> dict[str, Any]:
 
 def _of(document: dict[str, Any], name: str) -> Any:
     section, _, key = name.rpartition(".")
-    table = document.get(section, {}) if section else document
-    return table.get(key)
+    return (document.get(section, {}) if section else document).get(key)
 
 
 def _difference(before: str | None, text: str) -> str:
     """Return a new file's keys without comments, or the lines that change."""
     if before is None:
         lines = [line for line in text.splitlines() if line and not line.startswith("#")]
-        return "".join(f"  {line}\n" for line in lines)
-    compared = difflib.unified_diff(before.splitlines(), text.splitlines(), lineterm="", n=1)
-    return "".join(f"  {line}\n" for line in list(compared)[2:])
+    else:
+        lines = [*difflib.unified_diff(before.splitlines(), text.splitlines(), lineterm="", n=1)][
+            2:
+        ]
+    return "".join(f"  {line}\n" for line in lines)
 
 
 def _tell(path: Path, text: str, has_service: bool) -> None:
-    """Say what happens now, and what to type next."""
     found = config.check_text(text, path.parent, LIVE_DEFAULT)[0]
     assert found is not None
     settings = found.settings
@@ -309,10 +289,9 @@ def _tell(path: Path, text: str, has_service: bool) -> None:
         f"{settings.profile} at {settings.gain_db:g} dB."
     )
     print("next, type:")
-    begin = [(f"{command}", "") for command in service.START]
-    rows = begin if has_service else [(as_typed("run"), "plays it; Ctrl+C ends it")]
+    begin = [(command, "") for command in service.START]
     rows = [
-        *rows,
+        *(begin if has_service else [(as_typed("run"), "plays it; Ctrl+C ends it")]),
         (as_typed("monitor --open"), "shows it, and changes it while it plays"),
         (as_typed("status"), "shows what it does"),
         (as_typed("setup --undo"), "restores what was before"),

@@ -7,7 +7,9 @@ beside it, and so does one that was edited after the set-up that is undone.
 
 from __future__ import annotations
 
+import itertools
 import json
+import os
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -17,23 +19,19 @@ from audioflinger_hook.service import install as service
 from device.atomic_file import make_private_folder, write_bytes_atomically
 from device.errors import CushionError, UsageError
 
-RECORDS_MAX = 20
-"""Set-ups that can be undone; older ones cannot."""
+RECORDS_NAME = "setup-undo.json"
+RECORDS_MAX = 20  # set-ups that can be undone; older ones cannot
 
 
 @dataclass(frozen=True)
 class Record:
-    """One set-up. config: the file; written: the text that it got, None if it stayed as it was.
-
-    backup: where the earlier text is, None if there was none. unit_changed: whether the service was
-    installed; unit: its text before, None if there was none.
-    """
+    """One set-up, with paths as text."""
 
     config: str
-    written: str | None
-    backup: str | None
-    unit_changed: bool
-    unit: str | None
+    written: str | None  # the config's new text, None if it stayed as it was
+    backup: str | None  # where the earlier text is, None if there was none
+    unit_changed: bool  # whether the service was installed
+    unit: str | None  # its text before, None if there was none
 
 
 def write(path: Path, before: str | None, text: str, *, with_service: bool) -> str:
@@ -53,12 +51,11 @@ def write(path: Path, before: str | None, text: str, *, with_service: bool) -> s
     if changes:
         make_private_folder(path.parent)
         if before is not None:
-            backup = _free_name(path, "before-setup")
-            write_bytes_atomically(backup, path.read_bytes())
+            backup = _copy(path.read_bytes(), path, "before-setup")
     record = Record(
         config=str(path.absolute()),
         written=text if changes else None,
-        backup=None if backup is None else str(backup.absolute()),
+        backup=str(backup.absolute()) if backup else None,
         unit_changed=with_service,
         unit=service.installed_text() if with_service else None,
     )
@@ -123,16 +120,19 @@ def _restore_config(record: Record) -> list[str]:
         try:
             before = Path(record.backup).read_bytes()
         except OSError as error:
-            raise UsageError(
-                f"{record.backup} cannot be read ({error.strerror}), so {path} is left alone"
-            ) from error
+            why = f"{record.backup} cannot be read ({error.strerror})"
+            raise UsageError(f"{why}, so {path} is left alone") from error
     done = []
-    now = _bytes_of(path)
+    now = None
+    try:
+        with suppress(FileNotFoundError):
+            now = path.read_bytes()
+    except OSError as error:
+        raise UsageError(f"cannot read {path}: {error.strerror}; move it away first") from error
     if now == before:
         return [f"{path}: as it was before"]
     if now not in ((record.written or "").encode(), None):
-        kept = _free_name(path, "undone")
-        write_bytes_atomically(kept, now or b"")
+        kept = _copy(now or b"", path, "undone")
         done.append(f"{kept}: your later changes")
     if before is None:
         try:
@@ -145,44 +145,28 @@ def _restore_config(record: Record) -> list[str]:
     return [*done, f"{path}: as it was before"]
 
 
-def _bytes_of(path: Path) -> bytes | None:
-    """Return a file's content, None if there is none. UsageError: it cannot be read."""
-    try:
-        return path.read_bytes()
-    except FileNotFoundError:
-        return None
-    except OSError as error:
-        raise UsageError(f"cannot read {path}: {error.strerror}; move it away first") from error
-
-
-def _free_name(path: Path, word: str) -> Path:
-    """Return a path beside another that is free."""
-    number = 1
-    while True:
+def _copy(content: bytes, path: Path, word: str) -> Path:
+    """Write a copy of a file beside it, under a free name, and return its path."""
+    for number in itertools.count(1):
         found = path.with_name(f"{path.name}.{word}{f'-{number}' if number > 1 else ''}")
-        if not found.exists() and not found.is_symlink():
-            return found
-        number += 1
-
-
-def _records_path() -> Path:
-    return service.state_folder() / "setup-undo.json"
+        if not os.path.lexists(found):
+            break
+    write_bytes_atomically(found, content)
+    return found
 
 
 def _records() -> list[Record]:
-    path = _records_path()
+    path = service.state_folder() / RECORDS_NAME
     try:
         return [Record(**found) for found in json.loads(path.read_text(encoding="utf-8"))]
     except FileNotFoundError:
         return []
     except (OSError, ValueError, TypeError) as error:
-        raise UsageError(
-            f"{path} cannot be read ({error}); move it away, then run setup again"
-        ) from error
+        raise UsageError(f"{path} cannot be read ({error}); move it away first") from error
 
 
 def _save(records: list[Record]) -> None:
-    path = _records_path()
+    path = service.state_folder() / RECORDS_NAME
     if not records:
         with suppress(OSError):  # else what follows says why
             path.unlink(missing_ok=True)

@@ -27,7 +27,6 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _watch() -> int:
-    """Show the status until the user or the daemon ends."""
     from rich.live import Live
 
     with Live(status_view(ask_status(ANSWER_S, time.monotonic)), auto_refresh=False) as live:

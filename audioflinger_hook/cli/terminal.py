@@ -1,18 +1,20 @@
-"""Output of the commands: warnings, progress, and levels as text."""
+"""The terminal: warnings, progress, levels as text, and questions."""
 
 from __future__ import annotations
 
 import math
+import select
 import shlex
 import shutil
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Protocol
 
 from rich.console import Console
 
+from device.errors import CushionError
 from device.units import amplitude_to_db
 
 
@@ -27,10 +29,7 @@ def complain(message: str) -> None:
 
 
 def as_typed(command: str) -> str:
-    """Return a command of ours, such as "setup", as this user can type it.
-
-    `cushion setup` where the shell finds cushion, else with the path that it was started by.
-    """
+    """Return a command such as "setup" as this user can type it: with a path if need be."""
     started = Path(sys.argv[0])
     known = started.name != "cushion" or shutil.which("cushion")
     return f"{'cushion' if known else shlex.quote(str(started))} {command}"
@@ -52,31 +51,25 @@ class LineConsole(Console):
 
 
 class Advance(Protocol):
-    """Takes the finished and the total amount (None: unknown), and a note to show."""
+    """Shows progress."""
 
     def __call__(self, done: float, total: float | None, note: str = "") -> None:
-        """Draw the progress."""
-        ...
+        """Draw the finished and the total amount (None: unknown), and a note."""
 
 
 @contextmanager
 def progress_bar(label: str) -> Iterator[Advance]:
-    """Yield a function that takes the finished and the total amount, and a note.
-
-    The bar is drawn on stderr if that is a terminal, and removed at the end.
-    """
+    """Yield a function that shows progress on stderr if that is a terminal."""
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    console = LineConsole(stderr=True)
     columns = (
         TextColumn("{task.description}", markup=False),
         BarColumn(),
         TextColumn("{task.percentage:>3.0f} %"),
         TimeRemainingColumn(compact=True),
     )
-    with Progress(
-        *columns, console=console, transient=True, disable=not sys.stderr.isatty()
-    ) as bar:
+    console, off = LineConsole(stderr=True), not sys.stderr.isatty()
+    with Progress(*columns, console=console, transient=True, disable=off) as bar:
         task = bar.add_task(label, total=None)
 
         def advance(done: float, total: float | None, note: str = "") -> None:
@@ -84,3 +77,75 @@ def progress_bar(label: str) -> Iterator[Advance]:
             bar.update(task, completed=done, total=total, description=text)
 
         yield advance
+
+
+CHECK_S = 0.1
+
+
+def choose(
+    question: str,
+    answers: Mapping[str, str],
+    default: str = "",
+    meanwhile: Callable[[], None] | None = None,
+) -> str:
+    """Ask until one of the answers is given, and return it.
+
+    answers: what may be typed, with its meaning; a first letter stands for its word. default: the
+    answer to an empty line, "" for none. meanwhile: called again and again until a line is typed;
+    what it raises ends the question.
+    KeyboardInterrupt, of every question: the terminal was closed, or Ctrl+D typed.
+    """
+    words = {answer[0]: answer for answer in answers} | {answer: answer for answer in answers}
+    prompt = f"{question} [{default}] " if default else f"{question} "
+    while True:
+        given = _read(prompt, meanwhile).strip().lower() or default
+        if given in words:
+            return words[given]
+        if given not in ("", "?"):
+            print(f"{given[:60]!r} is no answer.")
+        print("Please type one of these:")
+        for answer, meaning in answers.items():
+            print(f"  {answer}: {meaning}")
+
+
+def agree(question: str, *, default: bool) -> bool:
+    """Ask for yes or no. KeyboardInterrupt: as for `choose`."""
+    answers = {"yes": "do it", "no": "leave it"}
+    return choose(question, answers, "yes" if default else "no") == "yes"
+
+
+def pick(question: str, items: Sequence[str], default: int | None) -> int:
+    """List items, and return the index of the chosen one; an empty line means the default."""
+    for number, item in enumerate(items, 1):
+        print(f"  {number}  {item}")
+    answers = {str(number): item for number, item in enumerate(items, 1)}
+    return int(choose(question, answers, "" if default is None else str(default + 1))) - 1
+
+
+def name_some(question: str, names: Sequence[str]) -> tuple[str, ...]:
+    """Return some of the names, given with commas and in this order; empty for all."""
+    while True:
+        given = _read(f"{question} [all] ").strip()
+        if given in ("", "all"):
+            return ()
+        chosen = tuple(name.strip() for name in given.split(","))
+        if set(chosen) <= set(names) and len(set(chosen)) == len(chosen):
+            return chosen
+        print(f"Please type all, or some of: {', '.join(names)}.")
+
+
+def _read(prompt: str, meanwhile: Callable[[], None] | None = None) -> str:
+    # `input` would print it through C's stderr, which a command with audio streams silences.
+    print(prompt, end="", flush=True)
+    try:
+        while not select.select([sys.stdin], [], [], CHECK_S)[0]:
+            if meanwhile:
+                meanwhile()
+        return input()
+    except EOFError:
+        print()
+        sys.stdout.flush()
+        raise KeyboardInterrupt from None
+    except CushionError:
+        print(flush=True)
+        raise

@@ -15,23 +15,19 @@ from device.server import PulseConnection, ServerSnapshot
 from device.server.snapshot import Sink
 from device.stream import PcmConfig, filter_stderr
 
-LIMIT_HZ = (20.0, 220.0)
-
 
 def run(options: argparse.Namespace) -> int:
     """Play the tone on this device and on no other."""
-    low, high = LIMIT_HZ
-    if not low <= options.hz <= high:
-        raise UsageError(f"hz={options.hz:.12g} is out of range; allowed: {low:g} to {high:g} Hz")
+    if not 20.0 <= options.hz <= 220.0:
+        raise UsageError(f"hz={options.hz:.12g} is out of range; allowed: 20 to 220 Hz")
     if not 0.0 < options.level <= 1.0:
         raise UsageError(f"level={options.level:.12g} is out of range; allowed: above 0, up to 1")
     if not FADE_S * 2 < options.seconds <= 60.0:
         raise UsageError(f"seconds={options.seconds:.12g} is out of range; allowed: 0.2 to 60 s")
     device = parse_device(options.device)
     if device.kind not in ("sink", "usb"):
-        raise UsageError(
-            f"device {str(device)!r} cannot play a test tone; allowed: sink:NAME, usb:VID:PID"
-        )
+        allowed = "sink:NAME, usb:VID:PID"
+        raise UsageError(f"device {str(device)!r} cannot play a test tone; allowed: {allowed}")
     filter_stderr()
     with ExitStack() as stack:
         pcms = stack.enter_context(closing(PcmConfig(PCM)))
@@ -47,7 +43,6 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _warnings(sink: Sink, snapshot: ServerSnapshot) -> Iterator[str]:
-    """Yield why the tone may not be felt."""
     if sink.mute:
         yield muted(sink.name)
     elif sink.weakened:

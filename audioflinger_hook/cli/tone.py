@@ -1,4 +1,4 @@
-"""A tone on one device and on no other: what `test-tone` and `setup` play."""
+"""A tone on one device and on no other: what `test-tone` plays, and what `setup` asks about."""
 
 from __future__ import annotations
 
@@ -8,13 +8,16 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from enum import Enum, auto
 
 import numpy as np
 
+from audioflinger_hook.cli.terminal import choose
 from device.address import DeviceAddress
 from device.alsa import choose_setup, find_playback
+from device.alsa.cards import AlsaDevice
+from device.alsa.offers import CardSetup, list_offers
 from device.alsa.cards import why_blocked
-from device.alsa.offers import list_offers
 from device.drive import ActuatorSettings, ChannelMap, channels_needed, wiring_of
 from device.drive.channel_positions import sink_channel_map
 from device.errors import LostError, NotFoundError
@@ -22,32 +25,23 @@ from device.server import FallbackSink, PulseConnection, StreamGuard
 from device.server.guard import Hold
 from device.stream import PlaybackStream
 from device.stream.pcms import CardDevice, Pcm, ServerDevice
-from device.stream.sample_format import SampleFormat
-from device.units import Float32Array
+from device.units import Float32Array, db_to_amplitude
 from device.usb.identity import coil_channels
 
 PCM = "cushion_output"
-"""The PCM that the caller configures, before it connects to the server."""
+"""The PCM that the caller of `open_tone` must configure before it connects to the server."""
 
-FADE_S = 0.1
-"""How long a tone takes to fade out."""
-
-SETTLE_S = 5.0
-"""Time until a new stream must run on its device."""
-
+FADE_S = 0.1  # how long a tone takes to fade out
+SETTLE_S = 5.0  # time until a new stream must run on its device
 CARD_RATE_HZ = 48_000
 
 
 class Tone:
-    """A sine on some channels, silent until `play`; `ended` is set once it is over.
-
-    Any thread may call `play` and `stop`.
-    """
+    """A sine on some channels, silent until `play`; `ended` is set once it is over. Any thread."""
 
     def __init__(self, hz: float, samplerate: int, channels: Sequence[int]) -> None:
         self._turn = 2.0 * math.pi * hz / samplerate  # radians per frame
-        self._samplerate = samplerate
-        self._channels = list(channels)
+        self._samplerate, self._channels = samplerate, list(channels)
         self._phase = self._amplitude = self._aim = 0.0
         self._rise = self._fall = 1.0  # change of the amplitude per frame
         self._frames_left = 0
@@ -162,22 +156,18 @@ def _on_card(
     stack: ExitStack,
 ) -> TonePlayer:
     playback = find_playback(device.name)
-    if refused := why_blocked(playback):
-        raise NotFoundError(refused)
     coils = coil_channels(*playback.card.usb_id)
     wiring = wiring_of(actuators)
     needed = max(1, channels_needed(wiring), *(1 + coil for coil in coils))
-    setup = choose_setup(list_offers(playback), CARD_RATE_HZ, needed)
+    pcm.target, setup = free_card(playback, CARD_RATE_HZ, needed)
     channel_map = (
         ChannelMap.of(wiring, setup.channels, device=str(playback))
         if actuators
         else ChannelMap.on_coils(1, setup.channels, coils, str(playback))
     )
-    pcm.target = CardDevice(playback.card.number, playback.device)
     tone = Tone(hz, setup.samplerate, _playing(channel_map))
-    sample_format: SampleFormat = setup.sample_format
     stream = PlaybackStream(
-        pcm, setup.samplerate, setup.channels, tone.fill, sample_format=sample_format
+        pcm, setup.samplerate, setup.channels, tone.fill, sample_format=setup.sample_format
     )
     stack.callback(stream.close)
     player = TonePlayer(f"{playback} ({playback.name})", tone, stream, None)
@@ -186,5 +176,81 @@ def _on_card(
     return player
 
 
+def free_card(
+    device: AlsaDevice, rate_hz: int, needed: int, least: int | None = None
+) -> tuple[CardDevice, CardSetup]:
+    """Return a card as target, and its best setup. NotFoundError: it is in use."""
+    if refused := why_blocked(device):
+        raise NotFoundError(refused)
+    setup = choose_setup(list_offers(device), rate_hz, needed, least)
+    return CardDevice(device.card.number, device.device), setup
+
+
 def _playing(channel_map: ChannelMap) -> list[int]:
     return [channel for channel, source in enumerate(channel_map.sources) if source is not None]
+
+
+TONE_HZ = 60.0
+FIRST_DB, STEP_DB = -24.0, 6.0
+FADE_IN_S = 2.0
+LONGEST_S = 30.0  # a tone without an answer fades out: a coil gets warm
+UNASKED_S = 4.0
+
+ANSWERS = {
+    "yes": "it vibrates, and strongly enough",
+    "louder": "6 dB more",
+    "no": "it does not vibrate",
+    "stop": "stop the tone and end",
+}
+
+
+class Felt(Enum):
+    """What was answered."""
+
+    YES = auto()
+    NO = auto()
+    STOPPED = auto()
+
+
+def try_output(
+    device: DeviceAddress,
+    pcm: Pcm,
+    connection: PulseConnection,
+    actuators: Sequence[ActuatorSettings],
+    *,
+    ask: bool,
+) -> tuple[Felt, float | None]:
+    """Play the tone on a device and on no other; return the answer, and the level.
+
+    actuators: whose channels play it; without, those with coils.
+    ask: False plays the softest tone for a moment and returns `Felt.YES` without a level.
+    KeyboardInterrupt: as for `choose`; the tone is stopped.
+    LostError: the device does not play, or was lost. NotFoundError: there is no such device.
+    """
+    with open_tone(device, pcm, connection, TONE_HZ, actuators) as player:
+        player.wait_audible()
+        print(f"\n{player.name} vibrates softly at {TONE_HZ:g} Hz. Ctrl+C stops it.", flush=True)
+        if not ask:
+            player.tone.play(db_to_amplitude(FIRST_DB), UNASKED_S, FADE_IN_S)
+            player.wait_ended()
+            return Felt.YES, None
+        print("The strongest moments will be as strong as the tone.")
+        return _ask(player)
+
+
+def _ask(player: TonePlayer) -> tuple[Felt, float | None]:
+    level_db = FIRST_DB
+    while True:
+        player.tone.play(db_to_amplitude(level_db), LONGEST_S, FADE_IN_S)
+        question = f"{level_db:g} dB. Felt it? yes, louder, no, stop:"
+        answer = choose(question, ANSWERS, meanwhile=player.check)
+        if answer == "stop":
+            return Felt.STOPPED, None
+        player.check()
+        if answer == "yes":
+            return Felt.YES, level_db
+        if answer == "no":
+            return Felt.NO, None
+        if math.isclose(level_db, 0.0):
+            print("This is full scale: turn the amplifier up, or check the cables.")
+        level_db = min(level_db + STEP_DB, 0.0)

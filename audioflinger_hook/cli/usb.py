@@ -1,4 +1,4 @@
-"""`cushion usb`: what a USB audio device, or a dump of one, plays and where it is damaged."""
+"""`cushion usb`: what a USB audio device, or a dump of one, plays; and setting such a device."""
 
 from __future__ import annotations
 
@@ -11,15 +11,13 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from audioflinger_hook.cli import usb_set
 from audioflinger_hook.cli.terminal import warn
 from audioflinger_hook.cli.usb_formats import format_text, formats_of, joined, samplerates_text
 from device.alsa.mixer import CardMixer
-from device.errors import CushionError, NoUsbDeviceError, UsageError
+from device.errors import CushionError, NotFoundError, NoUsbDeviceError, UsageError
 from device.usb import UsbAudioDevice, UsbIdentity, find_devices, find_one, identify
 from device.usb.control import UsbControl, held_by, open_control, read_descriptors
 from device.usb.descriptors import (
-    PlaybackFormat,
     RateRange,
     WholeDevice,
     hex_lines,
@@ -32,27 +30,24 @@ from device.usb.take_over import take_over
 DUMP_BYTES_MAX = 4 << 20
 """Largest size of a dump as text; a device has at most 64 kB of descriptors."""
 
-Found = tuple[UsbAudioDevice | None, WholeDevice, dict[str, Any] | None]
-"""A device, None for a dump; its descriptors; its settings, None where it was not asked."""
-
 
 def run(options: argparse.Namespace) -> int:
     """Decode a dump, one device or, without a name, all connected devices; or set a device."""
     if options.does == "set":
-        return usb_set.run(options)
+        return _set(options)
     if (options.volume_db, options.samplerate, options.mute) != (None, None, None):
         raise UsageError("usb describe sets nothing; --volume-db and so on go with `usb set`")
     if options.hex is not None and (options.device or options.take_over):
         raise UsageError("--hex decodes a file; it goes with neither DEVICE nor --take-over")
-    found: list[Found]
     if options.hex is not None:
-        found = [(None, whole, None) for whole in _dumped(options.hex)]
+        documents = [_document(whole) for whole in _dumped(options.hex)]
     else:
-        found = [
-            (device, parse_whole(read_descriptors(device)), _settings(device, options.take_over))
+        documents = [
+            _document(
+                parse_whole(read_descriptors(device)), device, _settings(device, options.take_over)
+            )
             for device in _devices(options.device)
         ]
-    documents = [_document(*each) for each in found]
     if options.json:
         single = options.device or (options.hex is not None and len(documents) == 1)
         print(json.dumps(documents[0] if single else documents, indent=2))
@@ -73,12 +68,10 @@ def _devices(name: str | None) -> tuple[UsbAudioDevice, ...]:
 def _dumped(path: Path) -> list[WholeDevice]:
     """Return the devices with audio in a dump, or all devices if none has audio."""
     devices = [parse_whole(raw) for raw in parse_dump(_read(path))]
-    with_audio = [one for one in devices if any(each.uac for each in one.configurations)]
-    return with_audio or devices
+    return [one for one in devices if any(each.uac for each in one.configurations)] or devices
 
 
 def _read(path: Path) -> bytes:
-    """Return a dump; "-" is standard input."""
     try:
         if str(path) == "-":
             raw = sys.stdin.buffer.read(DUMP_BYTES_MAX + 1)
@@ -119,15 +112,7 @@ def _asked(control: UsbControl) -> dict[str, Any]:
         except CushionError as error:
             warn(f"volume of channel {channel}: {error}")
             continue
-        volumes.append(
-            {
-                "channel": channel,
-                "db": None if volume_db == -math.inf else volume_db,
-                "lowest_db": offered.lowest_db,
-                "highest_db": offered.highest_db,
-                "step_db": offered.step_db,
-            }
-        )
+        volumes.append({"channel": channel, "db": _finite(volume_db), **asdict(offered)})
     mutes = [{"channel": number, "muted": muted} for number, muted in control.state().mutes]
     settings: dict[str, Any] = {"volumes": volumes, "mutes": mutes}
     with suppress(CushionError):
@@ -138,9 +123,11 @@ def _asked(control: UsbControl) -> dict[str, Any]:
 
 
 def _document(
-    device: UsbAudioDevice | None, whole: WholeDevice, settings: dict[str, Any] | None
+    whole: WholeDevice,
+    device: UsbAudioDevice | None = None,
+    settings: dict[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """Return all that is known of a device, as --json prints it."""
+    """Return all that is known of a device, or of one in a dump, as --json prints it."""
     document: dict[str, Any] = {}
     if device is not None:
         name = str(identify(device, find_devices().devices))
@@ -148,21 +135,22 @@ def _document(
         document |= {"cards": [asdict(card) for card in device.cards], "mixer": mixer_of(device)}
     active = whole.active(device.configuration) if device else None
     asked = [RateRange(**each) for each in (settings or {}).get("samplerates", [])]
-    configurations = []
-    for each in whole.configurations:
-        # Driver and device report the formats of the active configuration alone.
-        formats = formats_of(each, device, asked) if each is active else formats_of(each)
-        configurations.append(
-            {
-                "value": each.value,
-                "audio_class": each.uac,
-                "active": each is active if device else None,
-                "problems": list(each.problems),
-                "playback": [_playback(playback) for playback in playback_formats(each)],
-                "formats": formats,
-                "bytes": each.raw.hex(),
-            }
-        )
+    configurations = [
+        {
+            "value": each.value,
+            "audio_class": each.uac,
+            "active": each is active if device else None,
+            "problems": each.problems,
+            "playback": [
+                asdict(playback) | {"synchronisation": playback.synchronisation.name.lower()}
+                for playback in playback_formats(each)
+            ],
+            # Driver and device report the formats of the active configuration alone.
+            "formats": formats_of(each, device, asked) if each is active else formats_of(each),
+            "bytes": each.raw.hex(),
+        }
+        for each in whole.configurations
+    ]
     return document | {
         "device": asdict(whole.device) if whole.device else None,
         "configurations": configurations,
@@ -173,24 +161,17 @@ def _document(
     }
 
 
-def _playback(playback: PlaybackFormat) -> dict[str, Any]:
-    return asdict(playback) | {"synchronisation": playback.synchronisation.name.lower()}
-
-
 def _text(document: dict[str, Any]) -> str:
     """Return a document in words. Its bytes come last, as a dump that --hex can read."""
     lines = []
     if "name" in document:
         cards = ", ".join(f"card {card['number']} ({card['id']})" for card in document["cards"])
-        lines.append(
-            f"{document['label']} ({document['name']}), port {document['port']}, "
-            f"{cards or 'no card'}"
-        )
+        what = f"{document['label']} ({document['name']})"
+        lines.append(f"{what}, port {document['port']}, {cards or 'no card'}")
     if device := document["device"]:
-        lines.append(
-            f"device {device['vendor_id']:04x}:{device['product_id']:04x}, release "
-            f"{_version(device['release'])}, USB {_version(device['usb'])}"
-        )
+        what = f"device {device['vendor_id']:04x}:{device['product_id']:04x}"
+        release, usb = _version(device["release"]), _version(device["usb"])
+        lines.append(f"{what}, release {release}, USB {usb}")
     for configuration in document["configurations"]:
         lines += _configuration_lines(configuration, len(document["configurations"]) > 1)
     if "mixer" in document:
@@ -213,17 +194,12 @@ def _configuration_lines(configuration: dict[str, Any], is_one_of_several: bool)
     ]
     if uac and not configuration["formats"]:
         lines.append("plays: nothing")
-    settable = {
-        f"{control} can be set on channels {', '.join(map(_channel, channels))}"
-        for each in configuration["playback"]
-        for control in ("volume", "mute")
-        if (channels := each[f"{control}_channels"])
-    }
-    return lines + sorted(settable, reverse=True)
-
-
-def _channel(number: int) -> str:
-    return str(number) if number else "0 (all)"
+    for control in ("volume", "mute"):
+        found = {tuple(each[f"{control}_channels"]) for each in configuration["playback"]} - {()}
+        for channels in sorted(found, reverse=True):
+            shown = ", ".join(str(number) if number else "0 (all)" for number in channels)
+            lines.append(f"{control} can be set on channels {shown}")
+    return lines
 
 
 def _version(number: int) -> str:
@@ -253,8 +229,7 @@ def _settings_lines(settings: dict[str, Any] | None) -> list[str]:
 def mixer_of(device: UsbAudioDevice) -> dict[str, Any]:
     """Return the controls of a device's cards, for JSON.
 
-    Levels are in dB, by channel, None for silence; they are missing if the volume's steps are not
-    known in dB. problem: why a control could not be read, else None.
+    Levels are in dB by channel, None for silence; missing if the steps are not known in dB.
     """
     volumes: list[dict[str, Any]] = []
     mutes: list[dict[str, Any]] = []
@@ -313,3 +288,46 @@ def _finite(level_db: float) -> float | None:
 
 def _level(level_db: float | None) -> str:
     return "silence" if level_db is None else f"{level_db:+.2f} dB"
+
+
+def _set(options: argparse.Namespace) -> int:
+    """Set the options' values, read them back and print them; a mute is lifted last."""
+    if options.hex is not None or options.take_over or options.json:
+        raise UsageError("usb set goes with neither --hex, --take-over nor --json")
+    if options.device is None:
+        raise UsageError("usb set needs a device; `cushion devices` lists them")
+    if (options.samplerate, options.volume_db, options.mute) == (None, None, None):
+        raise UsageError("usb set needs --volume-db, --samplerate or --mute")
+    device = find_one(UsbIdentity.parse(options.device), find_devices())
+    with closing(open_control(device)) as control:
+        if options.mute == "on":
+            _set_mute(control, True)
+        if options.samplerate is not None:
+            control.set_samplerate(options.samplerate)
+            print(f"samplerate: {control.samplerate()} Hz")
+        if options.volume_db is not None:
+            _set_volume(control, options.volume_db)
+        if options.mute == "off":
+            _set_mute(control, False)
+    return 0
+
+
+def _set_volume(control: UsbControl, wanted_db: float) -> None:
+    if not control.volume_channels:
+        raise NotFoundError("the device has no volume that can be set; set the level elsewhere")
+    for channel in control.volume_channels:
+        found_db = control.set_volume_db(channel, wanted_db)
+        print(f"volume of channel {channel}: {_level(_finite(found_db))}")
+        if found_db > wanted_db:
+            raise NotFoundError(
+                f"the lowest volume of channel {channel} is {found_db:g} dB, above the wanted "
+                f"{wanted_db:g} dB; it is set to that"
+            )
+
+
+def _set_mute(control: UsbControl, muted: bool) -> None:
+    if not control.mute_channels:
+        raise NotFoundError("the device has no mute that can be set")
+    for channel in control.mute_channels:
+        control.set_muted(channel, muted)
+        print(f"mute of channel {channel}: {'on' if muted else 'off'}")

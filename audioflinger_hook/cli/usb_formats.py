@@ -7,6 +7,8 @@ device has read both from the device and lists them.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -28,10 +30,9 @@ def formats_of(
     asked: Sequence[RateRange] = (),
     root: Path = PROC,
 ) -> list[dict[str, Any]]:
-    """Return the formats for JSON, in the order of the descriptors.
+    """Return the formats of a configuration for JSON, in the order of the descriptors.
 
-    configuration: the active one. device: None for a dump, which has no driver. asked: rates that
-    the device's clock reported.
+    device: None for a dump, which has no driver. asked: rates that the device's clock reported.
     """
     listed = by_setting(device, root) if device else {}
     decoded = playback_formats(configuration) if configuration else ()
@@ -47,13 +48,10 @@ def by_setting(device: UsbAudioDevice, root: Path = PROC) -> dict[tuple[int, int
     """Return a device's formats as the driver lists them, by interface and alternate setting."""
     found: dict[tuple[int, int], UsbFormat] = {}
     for name in hw_names(device):
-        try:
-            playback = find_playback(name.removeprefix("hw:"), root)
-        except NotFoundError:
-            continue  # the device was unplugged in the meantime
-        stream = read_usb_stream(playback)
-        for each in stream.formats if stream else ():
-            found[each.interface, each.altsetting] = each
+        with suppress(NotFoundError):  # the device was unplugged in the meantime
+            stream = read_usb_stream(find_playback(name.removeprefix("hw:"), root))
+            for each in stream.formats if stream else ():
+                found[each.interface, each.altsetting] = each
     return found
 
 
@@ -82,24 +80,26 @@ def samplerates_text(rates: Samplerates, units: str = "Hz") -> str:
     return f"{', '.join(f'{rate / per_unit:.10g}' for rate in rates)} {units}"
 
 
-_DSD = {"raw data", "DSD"}
-"""Raw data of class 2 is native DSD on all devices that have it."""
+_DSD = {"raw data", "DSD"}  # raw data of class 2 is native DSD on all devices that have it
 
 
 def _decoded(
     each: PlaybackFormat, listed: UsbFormat | None, asked: Sequence[RateRange]
 ) -> dict[str, Any]:
-    rates = _single_or_range(each.samplerates)
-    if rates is None and listed is not None:
+    rates: Samplerates = None
+    if isinstance(each.samplerates, RateRange):
+        rates = asdict(each.samplerates)
+    elif each.samplerates is not None:
+        rates = list(each.samplerates)
+    elif listed is not None:
         rates = _of_driver(listed.rates)
-    if rates is None and asked:
+    elif asked:
         rates = joined(asked)
-    is_dsd = listed is not None and any(name.startswith("DSD_") for name in listed.formats)
     return {
         "interface": each.interface,
         "alternate": each.alternate,
         "audio_class": each.uac,
-        "encodings": ["DSD"] if is_dsd else list(each.encodings),
+        "encodings": ["DSD"] if listed and _is_dsd(listed) else list(each.encodings),
         "bits": each.bits,
         "subslot_bytes": each.subslot_bytes,
         "channels": each.channels or (listed.channels if listed else 0),
@@ -112,12 +112,11 @@ def _decoded(
 
 def _listed(setting: tuple[int, int], each: UsbFormat, uac: int | None) -> dict[str, Any]:
     """Return a format that the driver lists and the descriptors do not contain."""
-    is_dsd = any(name.startswith("DSD_") for name in each.formats)
     return {
         "interface": setting[0],
         "alternate": setting[1],
         "audio_class": uac,
-        "encodings": ["DSD"] if is_dsd else list(each.formats),
+        "encodings": ["DSD"] if _is_dsd(each) else list(each.formats),
         "bits": each.bits,
         "subslot_bytes": 0,
         "channels": each.channels,
@@ -131,10 +130,8 @@ def _listed(setting: tuple[int, int], each: UsbFormat, uac: int | None) -> dict[
 _SYNCHRONISATIONS = {"ASYNC": "asynchronous", "ADAPTIVE": "adaptive", "SYNC": "synchronous"}
 
 
-def _single_or_range(rates: tuple[int, ...] | RateRange | None) -> Samplerates:
-    if isinstance(rates, RateRange):
-        return {"lowest": rates.lowest, "highest": rates.highest}
-    return None if rates is None else list(rates)
+def _is_dsd(listed: UsbFormat) -> bool:
+    return any(name.startswith("DSD_") for name in listed.formats)
 
 
 def _of_driver(rates: Rates) -> Samplerates:

@@ -19,8 +19,6 @@ from device.errors import UsageError, WriteError
 
 TOKEN_NAME = "page.token"
 TOKEN_BYTES = 16
-PORT = 8765
-LISTEN = f"127.0.0.1:{PORT}"
 LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
 WILDCARDS = ("0.0.0.0", "[::]")
 
@@ -40,10 +38,8 @@ class Listen:
         host, colon, port = text.rpartition(":")
         good = re.fullmatch(r"[\w.-]+|\[[0-9A-Fa-f:.]+\]", host) and re.fullmatch(r"\d{1,5}", port)
         if not colon or not good or int(port) > 65_535:
-            raise UsageError(
-                f"--listen {text[:60]!r} is no address; allowed: HOST:PORT, such as {LISTEN} or "
-                "[::1]:8765"
-            )
+            allowed = "HOST:PORT, such as 127.0.0.1:8765 or [::1]:8765"
+            raise UsageError(f"--listen {text[:60]!r} is no address; allowed: {allowed}")
         return cls(host.lower(), int(port))
 
     @property
@@ -52,21 +48,13 @@ class Listen:
         return self.host in LOOPBACK
 
     @property
-    def bind_host(self) -> str:
-        """The host as sockets take it."""
-        return self.host.strip("[]")
-
-    @property
     def shown_host(self) -> str:
         """The host of the address that is printed."""
         return socket.gethostname().lower() if self.host in WILDCARDS else self.host
 
 
 def load_token(folder: RuntimeFolder) -> str:
-    """Return the token in the daemon's folder; a new one, mode 0600, where there is none.
-
-    WriteError: it cannot be written.
-    """
+    """Return the token in the daemon's folder, or a new one. WriteError: it cannot be written."""
     path = folder.path / TOKEN_NAME
     try:
         try:
@@ -92,21 +80,20 @@ def load_token(folder: RuntimeFolder) -> str:
 class Access:
     """Checks requests. Any thread.
 
-    listen: where the page is served, with the true port. token: that opens it.
+    listen: where the page is served, with the true port. token: that opens it. cookie: the
+    Set-Cookie header for a browser that has shown the token.
     """
 
     def __init__(self, listen: Listen, token: str) -> None:
         self._token = token.encode()
         self.cookie_name = f"cushion_{listen.port}"
+        self.cookie = f"{self.cookie_name}={token}; Path=/; HttpOnly; SameSite=Strict"
         names = {*LOOPBACK, listen.host, listen.shown_host}
         self._hosts = {f"{name}:{listen.port}" for name in names}
         self._port = listen.port
 
     def refuse_host(self, hosts: list[str], own_address: str) -> str:
-        """Return why a Host header is refused, "" if it names this server.
-
-        hosts: all Host headers. own_address: this end of the connection, as an IP address.
-        """
+        """Return why the Host headers are refused, "" if they name this server's address."""
         own_address = own_address.removeprefix("::ffff:")  # IPv4 that came by an IPv6 socket
         own = f"[{own_address}]" if ":" in own_address else own_address
         known = self._hosts | {f"{own}:{self._port}"}
@@ -115,7 +102,7 @@ class Access:
         return "the host is not this server; open the address that `cushion monitor` prints"
 
     def refuse_origin(self, origins: list[str], host: str, *, needed: bool) -> str:
-        """Return why an Origin header is refused, "" if it is the page's own.
+        """Return why the Origin headers are refused, "" for the page's own.
 
         needed: whether a request without an origin is refused.
         """
@@ -126,7 +113,7 @@ class Access:
         return "the request comes from another page; only this server's own page may connect"
 
     def is_token(self, given: str) -> bool:
-        """Whether this is the token; takes equally long whatever it is."""
+        """Whether this is the token; takes equally long for any text."""
         return hmac.compare_digest(given.encode("utf-8", "replace"), self._token)
 
     def has_cookie(self, header: str) -> bool:
@@ -139,9 +126,3 @@ class Access:
         """Whether the only Authorization header holds the token."""
         scheme, _, given = headers[0].partition(" ") if len(headers) == 1 else ("", "", "")
         return scheme.lower() == "bearer" and self.is_token(given.strip())
-
-    @property
-    def cookie(self) -> str:
-        """The Set-Cookie header for a browser that has shown the token."""
-        value = self._token.decode()
-        return f"{self.cookie_name}={value}; Path=/; HttpOnly; SameSite=Strict"

@@ -20,13 +20,10 @@ ANSWERS_MAX = 8
 
 
 class Client:
-    """One browser. For the event loop's thread.
-
-    overwritten: frames that it never got, as newer ones came first.
-    """
+    """One browser. For the event loop's thread."""
 
     def __init__(self) -> None:
-        self.overwritten = 0
+        self.overwritten = 0  # frames that it never got, as newer ones came first
         self._newest: dict[str, str] = {}
         self._frame: str | None = None
         self._answers: deque[str] = deque(maxlen=ANSWERS_MAX)
@@ -69,13 +66,10 @@ class Client:
 
 
 class Clients:
-    """All browsers, and the latest message of each kind for those that come later.
-
-    latest: contents by kind. overwritten: frames that were not sent, of all browsers so far.
-    """
+    """All browsers, and the latest message of each kind for those that come later."""
 
     def __init__(self) -> None:
-        self.latest: dict[str, dict[str, Any]] = {}
+        self.latest: dict[str, dict[str, Any]] = {}  # contents by kind
         self._all: set[Client] = set()
         self._overwritten_before = 0
 
@@ -84,7 +78,7 @@ class Clients:
 
     @property
     def overwritten(self) -> int:
-        """Frames that were not sent, as newer ones came first."""
+        """Frames that browsers so far never got, as newer ones came first."""
         return self._overwritten_before + sum(client.overwritten for client in self._all)
 
     def tell(self, kind: str, content: dict[str, Any]) -> None:

@@ -19,8 +19,7 @@ RETRY_S = 0.5
 SILENT_S = 5.0
 """A daemon that sends nothing for so long is taken for lost: it sends 30 frames a second."""
 
-LINE_BYTES_MAX = 1 << 18
-"""Longest line of the daemon; its status has 4 kB, its settings 9 kB."""
+LINE_BYTES_MAX = 1 << 18  # longest line of the daemon; its status has 4 kB, its settings 9 kB
 
 LINE_SHARE = 0.2
 """Pause after each line, as a share of a frame's time: a daemon that floods is read no faster."""
@@ -29,9 +28,9 @@ LINE_SHARE = 0.2
 class DaemonLink:
     """Watches the daemon and passes requests on. For one thread, its event loop.
 
-    tell: called with each message of the daemon, (kind, content, its text): "hello", "frame",
-    "status", "settings"; and with ("link", ...) when the connection changes, whose content is
-    {"connected": ..., "text": ...}. page: address that the daemon shows its user.
+    tell: called with each message of the daemon, (kind, content): "hello", "frame", "status",
+    "settings"; and with ("link", {"connected": ..., "text": ...}) when the connection changes.
+    page: address that the daemon shows its user.
     """
 
     def __init__(
@@ -43,12 +42,7 @@ class DaemonLink:
     ) -> None:
         self._tell = tell
         self._pause_s = LINE_SHARE / rate_hz
-        self._watch_request = {
-            "ask": "watch",
-            "rate_hz": rate_hz,
-            "memory": True,
-            "page": page,
-        }
+        self._watch_request = {"ask": "watch", "rate_hz": rate_hz, "memory": True, "page": page}
         self._environ = environ
         self._control = asyncio.Lock()
         self._told = ""
@@ -56,8 +50,7 @@ class DaemonLink:
     async def run(self) -> None:
         """Watch until cancelled."""
         while True:
-            problem = await self._attempt(self._watch())
-            self._note(problem, connected=False)
+            self._note(await self._attempt(self._watch()), connected=False)
             await asyncio.sleep(RETRY_S)
 
     async def control(self, request: Mapping[str, Any]) -> dict[str, Any]:
@@ -104,7 +97,6 @@ class DaemonLink:
         return reader, writer
 
     async def _attempt(self, what: Awaitable[None]) -> str:
-        """Do something with the daemon; return what went wrong, in words."""
         try:
             await what
         except TimeoutError:
@@ -138,9 +130,8 @@ async def _message(reader: asyncio.StreamReader) -> dict[str, Any]:
         with suppress(ValueError, RecursionError):
             message = json.loads(line)
     except ValueError as error:  # the line is too long
-        raise InternalError(
-            f"the daemon sends lines over {LINE_BYTES_MAX} bytes; restart it"
-        ) from error
+        long = f"the daemon sends lines over {LINE_BYTES_MAX} bytes; restart it"
+        raise InternalError(long) from error
     if not isinstance(message, dict):
         raise InternalError("the daemon sends what is not understood; restart it")
     return message

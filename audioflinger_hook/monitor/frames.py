@@ -39,10 +39,8 @@ class Frames:
         has_readers: Callable[[], bool],
         environ: Mapping[str, str] = os.environ,
     ) -> None:
-        self._tell = tell
-        self._period_s = 1.0 / rate_hz
-        self._has_readers = has_readers
-        self._environ = environ
+        self._tell, self._has_readers = tell, has_readers
+        self._period_s, self._environ = 1.0 / rate_hz, environ
         self._frame: dict[str, Any] | None = None
         self._sent_s = -math.inf
         self._where: object = None

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from enum import Enum
-from typing import Any, Protocol
 
 from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, generate_latest
 from prometheus_client.core import (
@@ -17,6 +17,7 @@ from prometheus_client.core import (
 )
 
 from audioflinger_hook import __version__
+from audioflinger_hook.monitor.clients import Clients
 from audioflinger_hook.service.figure import Entry, metrics
 from audioflinger_hook.service.json_codec import from_document
 from audioflinger_hook.service.meters import TIME_BOUNDS_S, BufferTimes
@@ -26,32 +27,19 @@ from device.errors import UsageError
 CONTENT_TYPE = CONTENT_TYPE_LATEST
 
 
-class Source(Protocol):
-    """What the page knows: the daemon's latest messages by kind, and its own counts."""
-
-    latest: dict[str, dict[str, Any]]
-
-    def __len__(self) -> int: ...
-
-    @property
-    def overwritten(self) -> int:
-        """Frames that slow browsers did not get."""
-        ...
-
-
-def metrics_text(source: Source) -> bytes:
+def metrics_text(source: Clients) -> bytes:
     """Return all metrics; without a daemon's status, `cushion_up` is 0 and the rest left out."""
     registry = CollectorRegistry()
     registry.register(_Collector(source))
     return generate_latest(registry)
 
 
+@dataclass(eq=False)
 class _Collector:
-    def __init__(self, source: Source) -> None:
-        self._source = source
+    source: Clients
 
     def collect(self) -> Iterator[Metric]:
-        source, status = self._source, None
+        source, status = self.source, None
         document = source.latest.get("status", {})
         is_up = "version" in document  # else it says why there is no status
         with suppress(UsageError):  # of a daemon of another version

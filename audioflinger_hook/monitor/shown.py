@@ -12,8 +12,7 @@ from device.errors import UsageError
 
 OTHER = "The page shows figures of a daemon of its own version only."
 
-TONES = ("bad", "wait", "good")
-"""The first that a piece of a row has is the row's."""
+TONES = ("bad", "wait", "good")  # the first that a piece of a row has is the row's
 
 
 def figures_of(document: dict[str, Any]) -> dict[str, Any]:

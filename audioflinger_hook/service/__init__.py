@@ -9,6 +9,6 @@
 | `runtime_folder` | the private folder, and the lock for one daemon per user |
 | `status_server`, `status_client` | the status socket and its client |
 | `systemd` | notifications and the watchdog |
-| `unit`, `install` | the systemd unit and the udev rule; installing the unit |
+| `install` | the systemd unit and the udev rule |
 | `one_line` | foreign text as one line |
 """

@@ -44,37 +44,31 @@ BASE: dict[str, Callable[[Any], float]] = {
 
 KINDS = {bool: "flag", int: "count", float: "gauge", str: "text"}
 
-LINES_MAX = 20
-"""Lines of a list of texts that are shown, the latest."""
+LINES_MAX = 20  # lines of a list of texts that are shown, the latest
 
 
 @dataclass(frozen=True)
 class Figure:
     """What is known of a figure, or of a group of them, apart from its name and type.
 
-    help: meaning. unit, kind, label: where they do not follow from name and type. read, scale: the
-    attribute of a source and the factor on it, for `gathered`; read defaults to the name. show:
-    format of the value in text, or a function; by default label, value and unit. quiet: a value
-    that is not shown; nothing and no are not shown either. tone: "good", "wait" or "bad" of a value
-    that is not 0, or a function. row: of the text, shared by all figures of a group; the name of a
-    figure of the status that has `show` or `panel`. panel: of the live page, where it shows the
-    row. metric: name in Prometheus, in base units and without
-    `_total`, and in brackets the label that tells figures of one metric apart. words: of a state.
+    row: of the text, shared by all figures of a group; by default the name of a figure of the
+    status that has `show` or `panel`. metric: name in Prometheus, in base units and without
+    `_total`, and in brackets the label that tells figures of one metric apart.
     """
 
     help: str
-    unit: str = ""
+    unit: str = ""  # like kind and label: where it does not follow from name and type
     kind: str = ""
     label: str = ""
-    read: str = ""
-    scale: float | None = None
-    show: str | Callable[[Any], str] | None = None
-    quiet: object = None
-    tone: str | Callable[[Any], str] = ""
+    read: str = ""  # attribute of a source of `gathered`, by default the name
+    scale: float | None = None  # factor on what is read
+    show: str | Callable[[Any], str] | None = None  # format; by default label, value and unit
+    quiet: object = None  # a value that is not shown; nothing and no are not shown either
+    tone: str | Callable[[Any], str] = ""  # "good", "wait" or "bad" of a value that is not 0
     row: str = ""
-    panel: str = ""
+    panel: str = ""  # of the live page, where it shows the row
     metric: str = ""
-    words: tuple[str, ...] = ()
+    words: tuple[str, ...] = ()  # of a state
 
     def tone_of(self, value: Any) -> str:
         """Return the tone of a value, "" for none."""
@@ -82,7 +76,7 @@ class Figure:
 
 
 def figure(meaning: str, default: Any = MISSING, **known: Any) -> Any:
-    """Return a dataclass field with what is known of it; see `Figure`."""
+    """Return a dataclass field with a `Figure`."""
     metadata = {"figure": Figure(meaning, **known)}
     if callable(default):
         return dataclasses.field(default_factory=default, metadata=metadata)
@@ -97,15 +91,12 @@ _TABLES: dict[Any, list[tuple[str, Figure, Any]]] = {}
 
 
 class Entry(NamedTuple):
-    """One figure of the table.
+    """One figure of the table."""
 
-    path: names of the groups that it lies in, and its own. group: the dataclass that has the field.
-    """
-
-    path: tuple[str, ...]
+    path: tuple[str, ...]  # names of the groups that it lies in, and its own
     figure: Figure
     type: Any
-    group: Any
+    group: Any  # the dataclass that has the field
 
     @property
     def unit(self) -> str:
@@ -165,10 +156,9 @@ def metrics(group: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[Entry, Any
 
 
 def gathered(kind: type[T], *sources: object, **given: Any) -> T:
-    """Return a dataclass of figures: those given, the others from where the table says.
+    """Return a dataclass of figures: those given, each other one from the first source that has it.
 
-    Each is read from the first source that has it; where none has it, it has its default.
-    TypeError: it has none.
+    TypeError: a figure has neither a source nor a default.
     """
     for name, known, _ in table(kind):
         read = known.read or name
@@ -181,7 +171,7 @@ def gathered(kind: type[T], *sources: object, **given: Any) -> T:
 
 
 class Piece(NamedTuple):
-    """A part of a row, and its tone."""
+    """A part of a row."""
 
     text: str
     tone: str
@@ -189,15 +179,14 @@ class Piece(NamedTuple):
 
 @dataclass(frozen=True)
 class Row:
-    """One row of the status. panel: of the live page, "" for none. help: what it is about."""
+    """One row of the status."""
 
     label: str
     pieces: list[Piece]
-    panel: str = ""
+    panel: str = ""  # of the live page, "" for none
     help: str = ""
 
     def __str__(self) -> str:
-        """Return all pieces in one line."""
         return "".join(text for text, _ in self.parts)
 
     @property

@@ -19,10 +19,7 @@ _SCALARS = {str: "a text", int: "a whole number", float: "a number", bool: "true
 
 
 def to_json(document: Any) -> str:
-    """Return a dataclass as one line of JSON, with enums as their values.
-
-    ValueError: a number is not finite, which JSON cannot express.
-    """
+    """Return a dataclass as one line of JSON. ValueError: a number is not finite."""
     return json.dumps(document, allow_nan=False, default=_plain)
 
 
@@ -35,14 +32,12 @@ def from_json(kind: type[T], text: str | bytes) -> T:
     try:
         document = json.loads(text, object_pairs_hook=_unique, parse_constant=_refuse_constant)
     except (ValueError, RecursionError) as error:  # RecursionError: thousands of brackets
-        raise UsageError(
-            f"the document is not JSON: {one_line(str(error))}; give one JSON document"
-        ) from error
+        raise UsageError(f"the document is not JSON: {one_line(str(error))}") from error
     return from_document(kind, document)
 
 
 def from_document(kind: type[T], document: object) -> T:
-    """Return the dataclass in a document that is parsed already; UsageError as for `from_json`."""
+    """Return the dataclass in a parsed document; UsageError as for `from_json`."""
     return _typed(kind, document, "")  # type: ignore[no-any-return]
 
 
@@ -93,10 +88,8 @@ def _typed_items(kinds: dict[str, Any], value: Any, where: str) -> dict[str, Any
     if missing := [name for name in kinds if name not in value]:
         raise UsageError(f"the document has no {path}{missing[0]}; give every key")
     if unknown := [name for name in value if name not in kinds]:
-        raise UsageError(
-            f"the document has the unknown key {one_line(path + unknown[0], 60)}; "
-            f"allowed: {', '.join(kinds)}"
-        )
+        key = one_line(path + unknown[0], 60)
+        raise UsageError(f"the document has the unknown key {key}; allowed: {', '.join(kinds)}")
     return {name: _typed(kinds[name], value[name], path + name) for name in kinds}
 
 

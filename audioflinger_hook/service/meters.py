@@ -15,11 +15,8 @@ from device.units import Float32Array, FloatArray, amplitude_to_db
 FLOOR_DBFS = -150.0
 """The level of silence; lower levels are reported as this, so that every level is a number."""
 
-RMS_TIME_S = 0.3
-"""Time constant of the RMS."""
-
-PEAK_FALL_DB_PER_S = 20.0
-"""How fast a peak falls."""
+RMS_TIME_S = 0.3  # time constant of the RMS
+PEAK_FALL_DB_PER_S = 20.0  # how fast a peak falls
 
 GATHERED_S = 0.06
 """Least sound that a `BufferedLevelMeter` measures at once; longer blocks cost less CPU time."""
@@ -45,8 +42,6 @@ class Level:
 Reading = tuple[float, float]
 """Peak and mean square, 1.0 for full scale."""
 
-_OfChannels = tuple[FloatArray, FloatArray]
-
 
 class LevelMeter:
     """Peak and RMS over all channels of the latest frames.
@@ -60,7 +55,7 @@ class LevelMeter:
         self._rms_rate = -1.0 / (RMS_TIME_S * samplerate)
         self._fall_rate = -PEAK_FALL_DB_PER_S * math.log(10.0) / (20.0 * samplerate)
         self._reading = (0.0, 0.0)  # one object, so a reader sees both or neither
-        self._of_channels: _OfChannels | None = None
+        self._of_channels: tuple[FloatArray, FloatArray] | None = None
 
     def add(self, block: Float32Array) -> float:
         """Measure a block of shape (frames, channels) or (frames,); return its peak."""
@@ -85,12 +80,11 @@ class LevelMeter:
     def _add_channels(self, block: Float32Array, keep: float, fall: float) -> None:
         peaks = np.maximum(block.max(axis=0), -block.min(axis=0)).astype(np.float64)
         squares = np.einsum("ij,ij->j", block, block, dtype=np.float64) / len(block)
+        squares *= 1.0 - keep
         if self._of_channels is not None and len(self._of_channels[0]) == len(peaks):
             held, mean = self._of_channels
             peaks = np.maximum(peaks, fall * held)
-            squares = keep * mean + (1.0 - keep) * squares
-        else:
-            squares *= 1.0 - keep
+            squares += keep * mean
         self._of_channels = (
             np.where(peaks > _BELOW, peaks, 0.0),
             np.where(squares > _BELOW**2, squares, 0.0),
@@ -175,17 +169,11 @@ class BufferTimes:
 
 
 class BufferClock:
-    """A histogram of computing times, of constant size.
-
-    One thread calls `add`, any thread may call `times`.
-    """
+    """A histogram of computing times. One thread calls `add`, any thread `times`."""
 
     def __init__(self) -> None:
         self._counts = [0] * BINS
-        self._max_s = 0.0
-        self._busy_s = 0.0
-        self._played_s = 0.0
-        self._buffer_s = 0.0
+        self._max_s = self._busy_s = self._played_s = self._buffer_s = 0.0
         self._late = 0
 
     def add(self, busy_s: float, buffer_s: float) -> None:
@@ -219,12 +207,8 @@ class BufferClock:
 
 
 def level_of(peak: float, square: float) -> Level:
-    """Return the level of a peak and a mean square."""
-    return Level(_dbfs(peak), _dbfs(math.sqrt(square)))
-
-
-def _dbfs(amplitude: float) -> float:
-    return max(FLOOR_DBFS, amplitude_to_db(amplitude))
+    """Return the level of a peak and a mean square, FLOOR_DBFS or more."""
+    return Level(*(max(FLOOR_DBFS, amplitude_to_db(one)) for one in (peak, math.sqrt(square))))
 
 
 def _percentile_s(counted: NDArray[np.int_], share: float) -> float:

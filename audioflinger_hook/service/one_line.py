@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-SHOWN_MAX = 200
-"""Largest length of a foreign text, such as a reason or a name."""
+SHOWN_MAX = 200  # largest length of a foreign text, such as a reason or a name
 
 
 def one_line(text: str, limit: int = SHOWN_MAX) -> str:
-    """Return the text with single spaces, cut to `limit` characters.
-
-    Characters that are not printable become `?`, such as escape sequences and direction marks.
-    """
+    """Return the text in one line of at most `limit` characters, `?` for what is unprintable."""
     # Cut first, so that the cost does not depend on the length.
     words = " ".join(text[: 4 * limit].split())
     shown = "".join(sign if sign.isprintable() else "?" for sign in words)

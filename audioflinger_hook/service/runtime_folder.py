@@ -20,7 +20,6 @@ FOLDER_NAME = "cushion"
 LOCK_NAME = "daemon.lock"
 HOLDER_BYTES_MAX = 4096
 
-_FOLDER_MODE = 0o700
 _OPEN_FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
 # The sticky bit protects the file from programs that tidy runtime folders.
 _LOCK_MODE = stat.S_ISVTX | 0o600
@@ -32,10 +31,8 @@ class RuntimeFolder:
     """The open folder `$XDG_RUNTIME_DIR/cushion`; renaming its path does not redirect it.
 
     If the variable is not set, it is `/run/user/UID/cushion`, or `cushion-UID` in the folder for
-    temporary files.
-
-    Any thread may use the folder until its opener closes it. create: whether to create a missing
-    folder. path: for messages. fd: for calls that take a folder's descriptor.
+    temporary files. Any thread may use the folder until its opener closes it. create: whether to
+    create a missing folder. path: for messages. fd: for calls that take a folder's descriptor.
 
     UsageError: the variable is unusable, or the folder is a link, has another owner, or is
     accessible to other users.
@@ -47,7 +44,7 @@ class RuntimeFolder:
         try:
             if create:
                 with contextlib.suppress(FileExistsError):
-                    self.path.mkdir(mode=_FOLDER_MODE)
+                    self.path.mkdir(mode=0o700)
             self.fd = os.open(self.path, _OPEN_FOLDER)
         except FileNotFoundError as error:
             raise NotFoundError(f"{self.path} is missing; start `cushion run`") from error
@@ -61,23 +58,18 @@ class RuntimeFolder:
             raise UsageError(f"{problem}; set {VARIABLE} to a folder of your own") from error
         found = os.fstat(self.fd)
         mode = stat.S_IMODE(found.st_mode)
-        problem = ""
-        if found.st_uid != os.geteuid():
-            problem = (
-                f"{self.path} belongs to user {found.st_uid}, not to {os.geteuid()}; run as that "
-                f"user, or set {VARIABLE} to a folder of your own"
-            )
-        elif mode & 0o077:
-            problem = f"{self.path} is open to others (mode {mode:04o}); allowed: 0700; remove it"
-        if problem:
-            self.close()
-            raise UsageError(problem)
+        if found.st_uid == os.geteuid() and not mode & 0o077:
+            return
+        self.close()
+        if found.st_uid == os.geteuid():
+            raise UsageError(f"{self.path} is open to others (mode {mode:04o}); allowed: 0700")
+        raise UsageError(
+            f"{self.path} belongs to user {found.st_uid}, not to {os.geteuid()}; run as that user, "
+            f"or set {VARIABLE} to a folder of your own"
+        )
 
     def address(self, name: str) -> str:
-        """Return a short address of a socket in the folder, for bind and connect.
-
-        A socket's address has at most 108 bytes, which the folder's own path may exceed.
-        """
+        """Return a short address of a socket in the folder: the kernel takes 108 bytes."""
         return f"/proc/self/fd/{self.fd}/{name}"
 
     def entry(self, name: str) -> os.stat_result | None:
@@ -134,9 +126,8 @@ class DaemonLock:
             os.ftruncate(self._fd, 0)
             os.pwrite(self._fd, to_json(holder).encode() + b"\n", 0)
         except OSError as error:
-            raise WriteError(
-                f"cannot write {self._path}: {error.strerror}; free some space"
-            ) from error
+            full = f"cannot write {self._path}: {error.strerror}; free some space"
+            raise WriteError(full) from error
 
     def release(self) -> None:
         """Release the lock; the empty file stays. May be repeated."""

@@ -21,8 +21,7 @@ if TYPE_CHECKING:
 
 BAR_CELLS = 16
 BAR_RANGE_DB = 60.0
-PRINCIPAL_MAX = 4
-"""Principal frequencies that are shown, the strongest."""
+PRINCIPAL_MAX = 4  # principal frequencies that are shown, the strongest
 
 
 def duration(time_s: float) -> str:
@@ -36,11 +35,6 @@ def duration(time_s: float) -> str:
     if hours < 48:
         return f"{hours} h {minutes:02d} min"
     return f"{hours // 24} d {hours % 24:02d} h"
-
-
-def lasting(time_s: float) -> str:
-    """Return how long a state lasts."""
-    return f"for {duration(time_s)}"
 
 
 def bar(level: Level, cells: int = BAR_CELLS) -> str:
@@ -115,11 +109,6 @@ def seat(is_known: bool) -> str:
     return "by the rig file's seat" if is_known else "as if the seat moved as the mass"
 
 
-def since(local: str) -> str:
-    """Return since when a dose counts, to the minute."""
-    return f"since {local[:16].replace('T', ' ')}"
-
-
 def tone_of_state(state: DaemonState) -> str:
     """Return how good a state is."""
     good = (DaemonState.RUNNING, DaemonState.IDLE)
@@ -134,8 +123,3 @@ def tone_of_gain(gain: float) -> str:
 def tone_of_xruns(one: Xruns) -> str:
     """Return "good" while no buffer was late, "" where nobody knows."""
     return "wait" if one.tap or one.output else "" if one.tap is None else "good"
-
-
-def tone_of_recoveries(counts: Mapping[Cause, int]) -> str:
-    """Return "good" while nothing was lost."""
-    return "wait" if any(counts.values()) else "good"

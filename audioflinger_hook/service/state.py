@@ -50,14 +50,9 @@ class Cause(Enum):
     """The machine was suspended."""
 
 
-READY = frozenset((DaemonState.RUNNING, DaemonState.IDLE))
-"""Tap and device are there."""
+READY = frozenset((DaemonState.RUNNING, DaemonState.IDLE))  # tap and device are there
 
-PLAYED = frozenset((DaemonState.RUNNING, DaemonState.IDLE, DaemonState.RECOVERING))
-"""Only a daemon that played can recover."""
-
-NOTES_MAX = 32
-"""Notes kept until they are read; older ones are dropped."""
+NOTES_MAX = 32  # notes kept until they are read; older ones are dropped
 
 
 @dataclass(frozen=True)
@@ -83,7 +78,6 @@ class StateKeeper:
 
     One thread changes it and takes the notes; any thread may call `report`. Times are seconds of
     one clock; a clock that runs backwards counts as standing still. The object's size is constant.
-
     ready_s: when it was first READY, None before.
     """
 
@@ -108,15 +102,11 @@ class StateKeeper:
             self.ready_s = now_s
         return is_new
 
-    def recover(self, cause: Cause, now_s: float, reason: str = "") -> bool:
-        """Count a cause and enter or keep RECOVERING; return whether the state is new.
-
-        A daemon that does not play yet, or is stopping, only counts.
-        """
+    def recover(self, cause: Cause, now_s: float, reason: str = "") -> None:
+        """Count a cause, and enter or keep RECOVERING if the daemon plays."""
         self.count(cause, reason)
-        if self.state not in PLAYED:
-            return False
-        return self.enter(DaemonState.RECOVERING, now_s, reason or cause.value)
+        if self.state in READY or self.state is DaemonState.RECOVERING:
+            self.enter(DaemonState.RECOVERING, now_s, reason or cause.value)
 
     def count(self, cause: Cause, text: str = "") -> None:
         """Count a recovery that is complete already; text: what happened."""
@@ -125,9 +115,8 @@ class StateKeeper:
 
     def notes(self) -> list[Note]:
         """Return the recoveries since the last call, at most the latest NOTES_MAX."""
-        notes = list(self._notes)
-        self._notes.clear()
-        return notes
+        notes, self._notes = self._notes, deque(maxlen=NOTES_MAX)
+        return list(notes)
 
     def report(self, now_s: float) -> StateReport:
         """Return the report at `now_s`."""

@@ -186,7 +186,11 @@ class ExposureFigures:
     cap_gain: float = figure(
         "gain of the cap, 0 to 1", 1.0, read="exposure_gain", quiet=1.0, tone=shown.tone_of_gain
     )
-    since: str = figure('since when it counts; "" for the start', "", show=shown.since)
+    since: str = figure(
+        'since when it counts; "" for the start',
+        "",
+        show=lambda local: f"since {local[:16].replace('T', ' ')}",
+    )
 
 
 @dataclass(frozen=True)
@@ -231,7 +235,9 @@ class Status:
         words=tuple(one.value for one in DaemonState),
     )
     reason: str = figure("why, where the daemon waits", row="state", show=": {}")
-    since_s: float = figure("how long the state lasts", row="state", show=shown.lasting)
+    since_s: float = figure(
+        "how long the state lasts", row="state", show=lambda s: f"for {shown.duration(s)}"
+    )
     tap: Endpoint = figure("where sound comes from", show=shown.endpoint)
     device: Endpoint = figure("where vibration goes", show=shown.endpoint)
     muted: bool = figure(
@@ -296,7 +302,7 @@ class Status:
         kind="count",
         panel="health",
         show=shown.recoveries,
-        tone=shown.tone_of_recoveries,
+        tone=lambda counts: "wait" if any(counts.values()) else "good",
         metric="cushion_recoveries{cause}",
     )
     limited_samples: int = figure(

@@ -7,6 +7,7 @@ import os
 import socket
 import struct
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 
 from audioflinger_hook.service.json_codec import from_json
 from audioflinger_hook.service.one_line import one_line
@@ -34,9 +35,8 @@ def ask_status(
         with RuntimeFolder(environ, create=False) as folder:
             line = _exchange(folder, end_s, clock)
     except TimeoutError as error:
-        raise InternalError(
-            f"the daemon has not answered within {timeout_s:g} s; try again, or restart it"
-        ) from error
+        late = f"the daemon has not answered within {timeout_s:g} s; try again, or restart it"
+        raise InternalError(late) from error
     except (NotFoundError, FileNotFoundError, ConnectionRefusedError) as error:
         raise NotFoundError(NO_DAEMON) from error
     except OSError as error:
@@ -45,9 +45,8 @@ def ask_status(
         return from_json(Status, line)
     except CushionError as error:
         reason = _error_in(line) or f"its answer is not understood ({error})"
-        raise InternalError(
-            f"the daemon does not report its status: {reason}; restart it with this version"
-        ) from error
+        missing = f"the daemon does not report its status: {reason}"
+        raise InternalError(f"{missing}; restart it with this version") from error
 
 
 def _exchange(folder: RuntimeFolder, end_s: float, clock: Callable[[], float]) -> bytes:
@@ -71,9 +70,8 @@ def _exchange(folder: RuntimeFolder, end_s: float, clock: Callable[[], float]) -
         except BlockingIOError as error:
             raise TimeoutError from error
         except PermissionError as error:
-            raise UsageError(
-                f"no permission to connect to {folder.path / NAME}; run as the daemon's user"
-            ) from error
+            refused = f"no permission to connect to {folder.path / NAME}"
+            raise UsageError(f"{refused}; run as the daemon's user") from error
     return bytes(answer)
 
 
@@ -87,9 +85,8 @@ def _set_timeout(client: socket.socket, option: int, left_s: float) -> None:
 
 def _error_in(line: bytes) -> str:
     """Return the text of a line `{"error": ...}`, "" for any other line."""
-    try:
-        answer = json.loads(line)
-    except (ValueError, RecursionError):
-        return ""
-    error = answer.get("error") if isinstance(answer, dict) else None
-    return one_line(error) if isinstance(error, str) else ""
+    with suppress(ValueError, RecursionError):
+        match json.loads(line):
+            case {"error": str(error)}:
+                return one_line(error)
+    return ""

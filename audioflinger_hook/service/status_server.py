@@ -28,15 +28,10 @@ from device.errors import InternalError, UsageError
 NAME = "status.sock"
 ASK_STATUS = {"ask": "status"}
 
-PROTOCOL = 1
-"""Number of the form of `watch` and `control`; another number is refused."""
-
-WATCHERS_MAX = 4
-"""Clients that may watch at a time; the other threads are left for the rest."""
-
+PROTOCOL = 1  # number of the form of `watch` and `control`; another number is refused
+WATCHERS_MAX = 4  # clients that may watch at a time; the other threads are left for the rest
 RATE_MAX_HZ = 60.0
-SELDOM_S = 0.25
-"""Time between frames that contain only the state."""
+SELDOM_S = 0.25  # time between frames that contain only the state
 
 STATUS_EVERY_S = 2.0
 """A watching client gets frames at its rate, and the whole status as often as this."""
@@ -45,24 +40,15 @@ WATCH_BUFFER_BYTES = 8192
 """Size of a watching client's buffer in the kernel. What does not fit is never sent: the next
 frame replaces it."""
 
-CLIENTS_MAX = 8
-"""Clients served at a time; others wait in the socket's queue."""
-
-REQUEST_BYTES_MAX = 4096
-"""Largest size of one request, including its line break."""
-
-REQUEST_TIME_S = 1.0
-"""Time for a whole request to arrive, and for its answer to be read."""
-
-LIFETIME_S = 10.0
-"""Longest connection; then it is closed to make room for other clients."""
+CLIENTS_MAX = 8  # clients served at a time; others wait in the socket's queue
+REQUEST_BYTES_MAX = 4096  # largest size of one request, including its line break
+REQUEST_TIME_S = 1.0  # time for a whole request to arrive, and for its answer to be read
+LIFETIME_S = 10.0  # longest connection; then it is closed to make room for other clients
 
 PAUSE_S = 0.01
 """Pause after each answer to a client, which limits the CPU time that clients can cause."""
 
-STOP_S = 2.0
-"""Longest wait of `stop` for a status function that hangs."""
-
+STOP_S = 2.0  # longest wait of `stop` for a status function that hangs
 _ADVICE = 'send {"ask": "status"} and a line break'
 _KNOWN = 'allowed: {"ask": "status"}, or watch or control with "protocol": 1'
 _PEER = struct.Struct("3i")
@@ -84,18 +70,14 @@ def answer(request: bytes, read: Callable[[], Status]) -> bytes:
 
 
 class Live(Protocol):
-    """What a page shows and changes; the server's threads call it.
+    """What a page shows and changes; the server's threads call it."""
 
-    settings: another object after each change.
-    """
-
-    settings: dict[str, Any]
+    settings: dict[str, Any]  # another object after each change
 
     def frame(self, missed: int, *, in_memory: bool) -> tuple[bytes, bool]:
-        """Return what changes many times a second, as a line of JSON.
+        """Return a frame as a line of JSON, and whether the next one may come after SELDOM_S.
 
-        And whether the next one may come after SELDOM_S. missed: frames that were not sent.
-        in_memory: whether the client reads the engine's figures directly.
+        missed: frames that were not sent. in_memory: whether the client reads the figures itself.
         """
         ...
 
@@ -133,11 +115,8 @@ class StatusServer:
         clock: Callable[[], float],
         live: Live | None = None,
     ) -> None:
-        self._folder = folder
-        self._read = read
-        self._live = live
+        self._folder, self._read, self._clock, self._live = folder, read, clock, live
         self._watchers = threading.Semaphore(WATCHERS_MAX)
-        self._clock = clock
         self._clients: set[socket.socket] = set()
         self._stopping = threading.Event()
         self._listener, self._inode = _listen(folder)
@@ -192,8 +171,7 @@ class StatusServer:
             end_s = min(self._clock() + REQUEST_TIME_S, last_s)
             while b"\n" not in requests and len(requests) < REQUEST_BYTES_MAX:
                 self._set_timeout(client, end_s)
-                received = client.recv(REQUEST_BYTES_MAX - len(requests))
-                requests += received
+                requests += (received := client.recv(REQUEST_BYTES_MAX - len(requests)))
                 if not received:
                     if requests:
                         client.sendall(_error(f"the request has no line break; {_ADVICE}"))
@@ -214,18 +192,15 @@ class StatusServer:
 
     def _asked_of_live(self, request: bytes) -> dict[str, Any] | None:
         """Return a request to watch or control, None for any other."""
-        try:
+        with contextlib.suppress(ValueError, RecursionError):
             asked = json.loads(request)
-        except (ValueError, RecursionError):
-            return None
-        known = isinstance(asked, dict) and asked.get("ask") in ("watch", "control")
-        return asked if known and self._live is not None else None
+            known = isinstance(asked, dict) and asked.get("ask") in ("watch", "control")
+            return asked if known and self._live is not None else None
+        return None
 
     def _reply(self, asked: dict[str, Any]) -> bytes:
         assert self._live is not None
-        if refusal := _other_protocol(asked):
-            return refusal
-        return json.dumps(self._live.control(asked)).encode() + b"\n"
+        return _other_protocol(asked) or _line(self._live.control(asked))
 
     def _let_watch(self, client: socket.socket, asked: dict[str, Any]) -> None:
         """Send lines until the client is gone; what it does not read in time is left out."""
@@ -249,9 +224,7 @@ class StatusServer:
         assert live is not None
         client.setblocking(False)
         client.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, WATCH_BUFFER_BYTES)
-        rest = (
-            json.dumps({"hello": {"protocol": PROTOCOL, "version": __version__}}).encode() + b"\n"
-        )
+        rest = _line({"hello": {"protocol": PROTOCOL, "version": __version__}})
         # Its time limit is the pause; `stop` and the client's end cut it short.
         ends = select.poll()
         ends.register(client, select.POLLHUP)
@@ -266,7 +239,7 @@ class StatusServer:
                     return
                 if live.settings is not told:
                     told, status_due_s = live.settings, now_s
-                    rest += json.dumps({"settings": told}).encode() + b"\n"
+                    rest += _line({"settings": told})
                 if now_s >= status_due_s:
                     status_due_s = now_s + STATUS_EVERY_S
                     rest += b'{"status": %b}\n' % answer(_ASK, self._read).rstrip()
@@ -287,7 +260,6 @@ class StatusServer:
 
 
 def _other_protocol(asked: dict[str, Any]) -> bytes | None:
-    """Return the refusal of a request of another protocol."""
     if asked.get("protocol") == PROTOCOL:
         return None
     return _error(
@@ -297,7 +269,11 @@ def _other_protocol(asked: dict[str, Any]) -> bytes | None:
 
 
 def _error(message: str) -> bytes:
-    return json.dumps({"error": one_line(message)}).encode() + b"\n"
+    return _line({"error": one_line(message)})
+
+
+def _line(document: dict[str, Any]) -> bytes:
+    return json.dumps(document).encode() + b"\n"
 
 
 def _listen(folder: RuntimeFolder) -> tuple[socket.socket, tuple[int, int]]:

@@ -12,10 +12,7 @@ STYLES = {"good": "green", "wait": "yellow", "bad": "red", "sound": "cyan", "fel
 
 
 def status_view(status: Status) -> Table:
-    """Return the table that rich prints, with the rows of the status.
-
-    Names from the sound server and from users are shown as text, never as markup.
-    """
+    """Return the rows of the status as a table for rich; names are never taken for markup."""
     view = Table.grid(padding=(0, 1, 0, 0), expand=False)
     view.add_column(style="dim", overflow="fold", min_width=1)
     view.add_column(overflow="fold", min_width=1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import socket
 from collections.abc import Mapping
@@ -9,8 +10,7 @@ from collections.abc import Mapping
 from audioflinger_hook.service.one_line import one_line
 from audioflinger_hook.service.state import DaemonState
 
-SEND_TIMEOUT_S = 0.2
-"""Longest wait for room in systemd's queue."""
+SEND_TIMEOUT_S = 0.2  # longest wait for room in systemd's queue
 
 CHECKS_PER_PERIOD = 4
 """The watchdog is fed after this part of its period, which leaves time for a late check."""
@@ -30,10 +30,7 @@ class Notifier:
         self._address = b"\0" + address[1:] if name.startswith("@") else address
 
     def send(self, *assignments: str, status: str = "") -> bool:
-        """Send assignments such as READY=1; return whether they were sent. Raises nothing.
-
-        status: what the daemon does, in one line that `systemctl status` shows.
-        """
+        """Send assignments and a status; return whether they were sent. Raises nothing."""
         if not self._enabled:
             return False
         if status:
@@ -52,28 +49,24 @@ class Notifier:
 class Watchdog:
     """Decides when to feed systemd's watchdog: while sound flows, or has a reason not to flow.
 
-    period_s: from `watchdog_period_s`; with None, never feed. check_s: longest time between calls
-    of `due`. Use from one thread at a time.
+    period_s: None for never. check_s: longest time between calls of `due`. One thread at a time.
     """
 
     def __init__(self, period_s: float | None) -> None:
         self.check_s = None if period_s is None else period_s / CHECKS_PER_PERIOD
-        self._fed_s: float | None = None
-        self._buffers: int | None = None
+        self._fed_s = -math.inf
+        self._buffers = -1
 
     def due(self, buffers: int, state: DaemonState, now_s: float) -> bool:
-        """Return whether to feed now, which the caller then does.
+        """Return whether to feed now, which the caller then does. buffers: count since the start.
 
-        buffers: count since the start; if it stays unchanged in state RUNNING, the daemon hangs.
+        If it stays unchanged in state RUNNING, the daemon hangs.
         """
-        if self.check_s is None:
-            return False
-        if self._fed_s is not None and now_s - self._fed_s < self.check_s:
+        if self.check_s is None or now_s - self._fed_s < self.check_s:
             return False
         if state is DaemonState.RUNNING and buffers == self._buffers:
             return False
-        self._buffers = buffers
-        self._fed_s = now_s
+        self._fed_s, self._buffers = now_s, buffers
         return True
 
 

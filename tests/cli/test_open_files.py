@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from audioflinger_hook.cli.open_files import NEEDED
+from audioflinger_hook.cli.process import NEEDED
 from tests.support.commands import environment
 
 RUN = (

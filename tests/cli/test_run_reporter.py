@@ -121,19 +121,19 @@ def test_a_config_that_is_not_taken_is_told_at_every_attempt(told: Told) -> None
     told.keeper.enter(DaemonState.RUNNING, 0.0)
     told.lines()
 
-    def fail(_: float) -> str:
+    def fail() -> str:
         raise UsageError("line 1: it is wrong")
 
     for _ in range(2):
         trouble = told.reporter.reload(fail, 0.0)
         assert trouble == "the config was not applied: line 1: it is wrong"
         assert told.lines(0.0, trouble) == [f"cushion: warning: {trouble}"]
-    assert told.reporter.reload(lambda _: "the level", 0.0) == ""
+    assert told.reporter.reload(lambda: "the level", 0.0) == ""
     assert told.lines() == ["cushion: config reloaded; changed: the level"]
 
 
 def test_of_each_kind_some_are_allowed_at_once_and_then_one_now_and_then() -> None:
-    ration = RateLimit(2, 10.0)
+    ration = RateLimit(2)
     assert [ration.left_out("a", now_s) for now_s in (0.0, 0.0, 1.0, 2.0)] == [0, 0, None, None]
     assert ration.left_out("b", 2.0) == 0
     assert ration.left_out("a", 11.0) == 2

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import soundfile
 
-from audioflinger_hook.cli.signals import Signals
+from audioflinger_hook.cli.process import Signals
 from audioflinger_hook.daemon.wake import Wake
 from tests.support.commands import DEADLINE_S
 from tests.support.recordings import ROOT
@@ -21,7 +21,7 @@ from tests.support.terminal import Terminal
 
 WAITER = """
 import sys
-from audioflinger_hook.cli.signals import Signals
+from audioflinger_hook.cli.process import Signals
 from audioflinger_hook.daemon.wake import Wake
 
 with Wake() as wake, Signals(wake) as signals:

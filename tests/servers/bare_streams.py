@@ -14,7 +14,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import closing, contextmanager
 from pathlib import Path
 
-from audioflinger_hook.cli.signals import freeze_loaded_objects
+from audioflinger_hook.cli.process import freeze_loaded_objects
 from device.stream import CaptureStream, PcmConfig, PlaybackStream, filter_stderr
 from device.stream.pcms import ServerDevice
 from device.units import Float32Array

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from audioflinger_hook.cli.signals import freeze_loaded_objects
+from audioflinger_hook.cli.process import freeze_loaded_objects
 from audioflinger_hook.config.settings import LiveSettings
 from audioflinger_hook.daemon.capture_queue import CaptureQueue
 from audioflinger_hook.daemon.engine import Clocks, Engine

@@ -13,13 +13,17 @@ import pytest
 
 from audioflinger_hook.service.install import (
     FORGET,
+    MARK,
     START,
+    UDEV_COMMAND,
+    UDEV_PATH,
+    UDEV_RULE,
     install,
     own_command,
     remove,
     systemd_version,
+    unit_text,
 )
-from audioflinger_hook.service.unit import MARK, UDEV_COMMAND, UDEV_PATH, UDEV_RULE, unit_text
 from device.errors import UsageError, WriteError
 from device.stream.callback_thread import PRIORITY
 

@@ -107,7 +107,7 @@ def test_what_is_switched_off_asks_for_nothing() -> None:
 
 SPIN = """
 import hashlib, os, sys, threading, time
-from audioflinger_hook.cli.signals import Signals
+from audioflinger_hook.cli.process import Signals
 from audioflinger_hook.daemon.wake import Wake
 from device.stream.callback_thread import AudioPriority
 
