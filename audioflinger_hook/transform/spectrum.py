@@ -6,12 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
-from audioflinger_hook.transform.arrays import FloatArray
+from audioflinger_hook.transform.arrays import ComplexArray, FloatArray
 from audioflinger_hook.transform.parameters import TransformParameters
-
-ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ import numpy as np
 from audioflinger_hook.transform import FloatArray, TransformParameters
 from audioflinger_hook.transform.mapping import vibration_hz
 from audioflinger_hook.transform.principal import Principals
-from audioflinger_hook.transform.reference.transform import ReferenceTransform
+from audioflinger_hook.transform.reference import ReferenceTransform
 from audioflinger_hook.transform.spectrum import Spectrum, magnitude
 
 PAPERS_UNIT = 39
