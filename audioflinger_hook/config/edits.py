@@ -1,25 +1,25 @@
-"""Changes to the values of a config file, applied to a document or written into its text.
+"""Changes to the values of a config file: in a document, in its text, or as a new text.
 
 An edit names a key as `key` or `section.key`; the value None leaves the key out of the file.
 """
 
 from __future__ import annotations
 
+import textwrap
 import tomllib
 from collections import deque
 from collections.abc import Mapping, MutableMapping
 from pathlib import Path
 from typing import Any
 
-from audioflinger_hook.config.schema import ACTUATOR, KEYS, Key
+from audioflinger_hook.config.schema import ACTUATOR, KEYS, Key, keys_of
 from device.atomic_file import make_private_folder, write_bytes_atomically
 from device.errors import InternalError, UsageError
 from device.values import Text, nearest
 
 Edits = Mapping[str, Any]
 
-UNDO_MAX = 100
-"""Changes that can be undone; older ones cannot."""
+UNDO_MAX = 100  # changes that can be undone; older ones cannot
 
 EDITABLE = {
     f"{key.section}.{key.name}" if key.section else key.name: key
@@ -79,6 +79,51 @@ def edited_text(text: str, edits: Edits) -> str:
     return changed
 
 
+HEAD = """\
+# Settings of Haptic Cushion. `cushion check` finds mistakes. A key behind `#` has its default.
+# A running daemon reads this again after: systemctl --user reload cushion
+"""
+
+
+def commented_text(edits: Edits, channels: tuple[str, ...] = ()) -> str:
+    """Return a new config file with these values, and every other key as a comment.
+
+    channels: of the only actuator; empty for all channels of the device.
+    """
+    parts = [HEAD]
+    for name, key in keys_of("").items():
+        default = f"{name} =" if key.default is None else _line(name, key.default)
+        line = _line(name, edits[name]) if name in edits else f"# {default}"
+        parts.append(f"{_comment(key.help)}{line}\n")
+    sections: dict[str, dict[str, Any]] = {}
+    for name, value in edits.items():
+        section, _, key_name = name.rpartition(".")
+        if section:
+            sections.setdefault(section, {})[key_name] = value
+    for section, values in sections.items():
+        lines = [f"{_comment(keys_of(section)[n].help)}{_line(n, v)}" for n, v in values.items()]
+        parts.append("\n".join([f"[{section}]", *lines, ""]))
+    if channels:
+        parts.append(actuator_text(channels))
+    return "\n".join(parts)
+
+
+def actuator_text(channels: tuple[str, ...]) -> str:
+    """Return the table of an actuator on some channels of the device."""
+    return f"[[actuator]]\n{_line('channels', channels)}\n"
+
+
+def _comment(text: str) -> str:
+    lines = textwrap.wrap(text, 98, break_long_words=False, break_on_hyphens=False)
+    return "".join(f"# {line}\n" for line in lines)
+
+
+def _line(name: str, value: Any) -> str:
+    import tomlkit
+
+    return tomlkit.dumps({name: list(value) if isinstance(value, tuple) else value}).strip()
+
+
 class LiveEdits:
     """Changes since the daemon began, on top of its config file. For one thread.
 
@@ -89,8 +134,7 @@ class LiveEdits:
         self._path = path
         self.values: dict[str, Any] = {}
         self._saved: dict[str, Any] = {}
-        # The edits before each change.
-        self._undo: deque[dict[str, Any]] = deque(maxlen=UNDO_MAX)
+        self._undo: deque[dict[str, Any]] = deque(maxlen=UNDO_MAX)  # the edits before each change
 
     @property
     def unsaved(self) -> frozenset[str]:
@@ -113,10 +157,7 @@ class LiveEdits:
         self.values = self.with_changes(changes)
 
     def without_last(self) -> dict[str, Any]:
-        """Return the edits as they would be without the last change.
-
-        UsageError: nothing is left to undo.
-        """
+        """Return the edits without the last change; UsageError if there is none."""
         if not self._undo:
             raise UsageError("there is nothing to undo; nothing has been changed since the start")
         return dict(self._undo[-1])
@@ -129,8 +170,7 @@ class LiveEdits:
     def save(self) -> None:
         """Write the edits into the file, which is made if it is missing.
 
-        UsageError: the file is not TOML, or cannot be written.
-        WriteError: the disk is full or failed.
+        UsageError: the file is not TOML, or cannot be written. WriteError: the disk failed.
         """
         text = self._text()
         changed = edited_text(text, self.values)

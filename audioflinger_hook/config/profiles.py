@@ -1,8 +1,8 @@
 """Profiles: named sets of the transform's parameters, each value with its reason.
 
-The profile `paper` changes no parameter. Other profiles change some parameters; a config file
-overrides the profile. docs/decisions.md has the measurements behind the reasons. If nothing names
-a profile, one of two defaults applies; `cli.parser` says for each command which one it is.
+The profile `paper` changes no parameter. docs/decisions.md has the measurements behind the reasons.
+If nothing names a profile, one of two defaults applies; `cli.parser` says which one for each
+command.
 """
 
 from __future__ import annotations
@@ -30,6 +30,8 @@ DEEP = ProfileValue(20.0, "sub-bass vibrates, down to the lowest notes")
 SONE = ProfileValue(
     0.64, "amplitude nearly in proportion to sone: what is twice as loud is felt so"
 )
+ROOM = ProfileValue(-24.0, "room for what is louder than the rest")
+WARBLE = "tones that a body cannot distinguish would warble"
 LOWER = ProfileValue("jnd", "a seated body feels lower vibration better, and amplifiers have room")
 
 FOLLOWING = {
@@ -47,8 +49,8 @@ PROFILES: dict[str, dict[str, ProfileValue]] = {
     "paper": {},
     "cinema": {
         **FOLLOWING,
-        "merge_ratio": ProfileValue(0.8, "tones that a body cannot distinguish would warble"),
-        "loudness_target_db": ProfileValue(-24.0, "room for what is louder than the rest"),
+        "merge_ratio": ProfileValue(0.8, WARBLE),
+        "loudness_target_db": ROOM,
     },
     "game": {
         **FOLLOWING,
@@ -56,12 +58,12 @@ PROFILES: dict[str, dict[str, ProfileValue]] = {
             0.033, "sustained levels and endings are 11 ms earlier; vibration begins at 30 Hz"
         ),
         "merge_ratio": ProfileValue(0.8, "shots and steps stand out of few, steady vibrations"),
-        "loudness_target_db": ProfileValue(-24.0, "room for what is louder than the rest"),
+        "loudness_target_db": ROOM,
     },
     "music": {
         **FOLLOWING,
-        "merge_ratio": ProfileValue(0.6, "tones that a body cannot distinguish would warble"),
-        "loudness_target_db": ProfileValue(-24.0, "room for what is louder than the rest"),
+        "merge_ratio": ProfileValue(0.6, WARBLE),
+        "loudness_target_db": ROOM,
     },
     "speech": {
         **{name: choice for name, choice in FOLLOWING.items() if name != "strength"},
@@ -73,13 +75,11 @@ PROFILES: dict[str, dict[str, ProfileValue]] = {
         "dynamics": ProfileValue(0.8, "syllables are felt apart; music under speech is soft"),
         "rise_db": ProfileValue(0.0, "consonants are no blows: vibration follows the syllables"),
         "jitter_db": ProfileValue(1.0, "even small changes of a voice are followed"),
-        "merge_ratio": ProfileValue(0.8, "tones that a body cannot distinguish would warble"),
+        "merge_ratio": ProfileValue(0.8, WARBLE),
         "loudness_floor_db": ProfileValue(-75.0, "soft words vibrate, too"),
-        "loudness_target_db": ProfileValue(-24.0, "room for what is louder than the rest"),
+        "loudness_target_db": ROOM,
     },
 }
-"""Every profile by its name."""
-
 OFFLINE_DEFAULT = "paper"
 """Default of this library and of all commands on files: published figures stay what they are."""
 
@@ -90,8 +90,7 @@ LIVE_DEFAULT = "cinema"
 def parameters_of(profile: str, said: Mapping[str, Any] | None = None) -> TransformParameters:
     """Return a profile's parameters, overridden by those set individually.
 
-    UsageError: parameters are out of range or contradict each other; see `TransformParameters`.
-    KeyError: there is no such profile.
+    Raises as `TransformParameters`, and KeyError if there is no such profile.
     """
     return TransformParameters(**(values_of(profile) | dict(said or {})))
 

@@ -11,11 +11,9 @@ BLOCKED_S, BLOCKED_LOOKS = 0.4, 4
 """A call that lasts this long, and is found in this many looks, blocks: a stream is lost at 0.5 s.
 A process that was stopped or starved looks less often, so that no effect is bypassed for it."""
 
+# An effect that is found at work in so many looks in a row takes nearly all of the time.
 ALWAYS_LOOKS = 30
-"""An effect that is found at work in so many looks in a row takes nearly all of the time."""
-
-APART_S = 0.05
-"""Looks that are closer together count once."""
+APART_S = 0.05  # looks that are closer together count once
 
 
 @dataclass
@@ -31,16 +29,13 @@ class _Found:
 
 
 class BlockWatch:
-    """Looks again and again at which effects are at work. For one thread that ticks.
-
-    The budget of `EffectModule` counts CPU time, which an effect that waits does not use.
-    """
+    """Bypasses effects that wait, unlike `EffectModule`. For one thread that ticks."""
 
     def __init__(self) -> None:
         self._found: dict[int, _Found] = {}
 
     def look(self, effects: Iterable[EffectModule], now_s: float) -> None:
-        """Look at these effects at `now_s`, in seconds; bypass those that keep the thread."""
+        """Look which effects are at work at `now_s` (s); bypass those that keep the thread."""
         for effect in effects:
             calls = effect.calls
             if not effect.inside or effect.bypassed:
@@ -54,8 +49,7 @@ class BlockWatch:
             found.latest_s = now_s
             found.looks += 1
             found.looks_at_call += 1
-            blocks = now_s - found.since_s >= BLOCKED_S and found.looks_at_call >= BLOCKED_LOOKS
-            if blocks:
+            if now_s - found.since_s >= BLOCKED_S and found.looks_at_call >= BLOCKED_LOOKS:
                 effect.give_up(f"kept the audio thread for over {BLOCKED_S:g} s in process")
             elif found.looks >= ALWAYS_LOOKS:
                 effect.give_up(

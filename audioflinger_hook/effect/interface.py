@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from types import NoneType
-from typing import Protocol
+from typing import Protocol, cast
 from uuid import UUID
 
 from audioflinger_hook.mixer.mix_buffer import MixBuffer
@@ -53,10 +53,8 @@ class Parameter:
             return False
         if isinstance(value, str):
             return not self.choices or value in self.choices
-        if isinstance(value, bool):
-            return True
         # False for NaN.
-        return isinstance(value, (int, float)) and self.low <= value <= self.high
+        return isinstance(value, bool) or self.low <= cast(float, value) <= self.high
 
     def __str__(self) -> str:
         if self.kind is bool:

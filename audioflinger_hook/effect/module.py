@@ -20,15 +20,9 @@ from audioflinger_hook.effect.interface import ENODATA, OK, Access, EffectConfig
 from audioflinger_hook.mixer.mix_buffer import MixBuffer
 from device.blocks import peak
 
-LATE_IN_A_ROW = 3
-"""An engine that exceeds its time in this many consecutive buffers counts as too slow."""
+LATE_IN_A_ROW = 3  # an engine that exceeds its time in so many consecutive buffers is too slow
 
-PROCESSING = (
-    EffectState.ACTIVE,
-    EffectState.STOPPING,
-    EffectState.STOPPED,
-    EffectState.RESTART,
-)
+PROCESSING = (EffectState.ACTIVE, EffectState.STOPPING, EffectState.STOPPED, EffectState.RESTART)
 
 
 class EffectModule(EffectControl):
@@ -82,7 +76,7 @@ class EffectModule(EffectControl):
         self.given_up = reason
 
     def _ready(self, source: MixBuffer, in_place: bool) -> bool:
-        """Return whether the engine can take a buffer: engine configured, no fault, sizes match."""
+        """Return whether the engine is configured for the buffer and has no fault."""
         if self.config is None or not self._accepted or self.bypassed:
             return False
         access = Access.WRITE if in_place else Access.ACCUMULATE
@@ -90,16 +84,11 @@ class EffectModule(EffectControl):
             self.access = access
             if self.set_config(self.config) != OK:
                 return False
-        config = self.config
-        frames = source.frames
-        if (
-            not 1 <= frames <= config.frames
-            or source.audio.shape != (frames, config.channels)
-            or source.haptic.shape != (frames, config.haptic_channels)
-        ):
-            self.misfits += 1
-            return False
-        return True
+        config, frames = self.config, source.frames
+        shapes = (frames, config.channels), (frames, config.haptic_channels)
+        fits = (source.audio.shape, source.haptic.shape) == shapes and 1 <= frames <= config.frames
+        self.misfits += not fits
+        return fits
 
     def _run(self, source: MixBuffer, target: MixBuffer) -> int | None:
         """Return the engine's OK or ENODATA, or None if `target` is unchanged."""
@@ -161,16 +150,13 @@ class EffectModule(EffectControl):
 
 
 class Loan:
-    """A copy of a buffer, lent to an engine, in memory for `samples` samples.
-
-    An engine that keeps the arrays and changes them later harms only its own next copy.
-    """
+    """A copy of a buffer, lent to an engine, in memory for `samples` samples."""
 
     def __init__(self, samples: int) -> None:
         self._memory = np.zeros(samples, np.float32)
 
     def of(self, buffer: MixBuffer) -> MixBuffer:
-        """Return a copy of a buffer."""
+        """Return the copy of a buffer."""
         self._lent = MixBuffer.like(buffer, self._memory)
         self._arrays = self._lent.samples, self._lent.audio, self._lent.haptic
         np.copyto(self._lent.samples, buffer.samples)
@@ -188,25 +174,23 @@ class Loan:
 
 def same_layout(one: MixBuffer, other: MixBuffer) -> bool:
     """Return whether two buffers have equal shapes and types."""
-    pairs = (
-        (one.samples, other.samples),
-        (one.audio, other.audio),
-        (one.haptic, other.haptic),
-    )
-    return all(a.shape == b.shape and a.dtype == b.dtype for a, b in pairs)
+    layouts = [
+        [(part.shape, part.dtype) for part in (buffer.samples, buffer.audio, buffer.haptic)]
+        for buffer in (one, other)
+    ]
+    return layouts[0] == layouts[1]
 
 
-def all_finite(samples: NDArray[np.float32]) -> bool:
-    """Return whether all samples are finite."""
+def _all_finite(samples: NDArray[np.float32]) -> bool:
     return math.isfinite(peak(samples))
 
 
 def _spoiled(made: MixBuffer, source: MixBuffer, target: MixBuffer) -> bool:
     """Return whether an engine made finite sound or vibration non-finite."""
-    if all_finite(made.samples):
+    if _all_finite(made.samples):
         return False
     return any(
-        not all_finite(after) and all_finite(first) and all_finite(second)
+        not _all_finite(after) and _all_finite(first) and _all_finite(second)
         for after, first, second in (
             (made.audio, source.audio, target.audio),
             (made.haptic, source.haptic, target.haptic),

@@ -45,10 +45,7 @@ class EffectRegistry:
 
     @classmethod
     def installed(cls) -> EffectRegistry:
-        """Return a registry of the bundled library and the libraries of installed packages.
-
-        A package that cannot be loaded is left out and named in `problems`.
-        """
+        """Return a registry of the bundled library and the libraries of installed packages."""
         registry = cls([CUSHION])
         for owner, entry in entry_points(registry.problems):
             try:
@@ -138,10 +135,10 @@ class EffectRegistry:
 
 
 def entry_points(problems: list[str]) -> list[tuple[str, EntryPoint]]:
-    """Return (package, entry point) of every effect library that installed packages name.
+    """Return (package, entry point) of every effect library of installed packages.
 
-    A package whose metadata cannot be read is left out and named in `problems`. If several packages
-    have one name, only the first on the path counts, as for imports.
+    A package whose metadata cannot be read is left out and named in `problems`. Of packages with
+    one name, only the first on the path counts, as for imports.
     """
     found, new_problems = _entry_points(tuple((place, _changed_ns(place)) for place in sys.path))
     problems += new_problems
@@ -159,7 +156,7 @@ def _changed_ns(place: str) -> int:
 def _entry_points(
     _path: tuple[tuple[str, int], ...],
 ) -> tuple[list[tuple[str, EntryPoint]], list[str]]:
-    """Return the entry points, and problems. The path: each place, and when it changed."""
+    """Return entry points and problems. The path: each place, and when it changed."""
     problems: list[str] = []
     found: list[tuple[str, EntryPoint]] = []
     seen: set[str] = set()

@@ -14,8 +14,7 @@ from xml.parsers import expat
 from audioflinger_hook.effect.registry import EffectRegistry
 from device.errors import UsageError
 
-SIZE_MAX = 2**20
-"""Largest size of a file in bytes; Android's own files have about 10 KB."""
+SIZE_MAX = 2**20  # largest size of a file in bytes; Android's own files have about 10 KB
 
 VERSION = "2.0"
 

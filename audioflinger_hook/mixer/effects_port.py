@@ -7,8 +7,8 @@ from collections.abc import Collection
 from audioflinger_hook.mixer.mix_buffer import MixBuffer
 
 OUTPUT_MIX, OUTPUT_STAGE, DEVICE = 0, -1, -2
-"""The sessions that belong to no player, in running order: the mix of all players, the stage after
-the mix, and the device. A player's session is a number from 1 up."""
+"""The sessions that belong to no player, in running order: mix of all players, stage after it,
+device. A player's session is a number from 1 up."""
 
 
 class EffectsPort:
@@ -22,10 +22,7 @@ class EffectsPort:
         return ()
 
     def process(self, session: int, buffer: MixBuffer, now_s: float) -> None:
-        """Run the session's chain over the buffer, in place.
-
-        `buffer.audio` holds the sound, `buffer.haptic` zeros or the output of earlier chains.
-        """
+        """Run the chain in place; `buffer.haptic` holds zeros or the output of earlier chains."""
 
     def end_of_cycle(self, now_s: float) -> None:
         """Do the work due at the end of a cycle that wrote, such as ENABLE or the end of a tail."""

@@ -12,17 +12,12 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-HALF_WIDTH = 64
-"""Half of the filter's length, in frames of the lower of the two rates."""
-
+HALF_WIDTH = 64  # half of the filter's length, in frames of the lower of the two rates
+# The pass band's end as a part of the lower rate's Nyquist; the stop band starts at 1.
 PASS_EDGE = 0.9
-"""The pass band's end as a part of the lower rate's Nyquist; the stop band starts at 1."""
-
-STOP_BAND_DB = 98.0
-"""Attenuation of the Kaiser window, dB: by Kaiser's formula 127 taps reach it."""
-
+STOP_BAND_DB = 98.0  # attenuation of the Kaiser window, dB: by Kaiser's formula 127 taps reach it
+# Up to this many phases, each has its own row of coefficients; beyond, rows are interpolated.
 PHASES_EXACT = 1024
-"""Up to this many phases, each has its own row of coefficients; beyond, rows are interpolated."""
 
 ROWS_AT_ONCE = 128
 BLOCK_FLOATS = 1 << 15
@@ -33,14 +28,11 @@ no threads for a stereo block; float32 values in all of them (8 MB)."""
 
 @dataclass(frozen=True)
 class Ratio:
-    """The ratio of two rates in lowest terms, and the filter that the conversion needs.
+    """The ratio of two rates in lowest terms, and the filter that the conversion needs."""
 
-    up: output frames to `down` input frames; taps: input frames under the filter, even.
-    """
-
-    up: int
+    up: int  # output frames to `down` input frames
     down: int
-    taps: int
+    taps: int  # input frames under the filter, even
 
     @classmethod
     def of(cls, rate_in: int, rate_out: int) -> Ratio:
@@ -57,8 +49,7 @@ class Ratio:
     def coefficients(self, offset: NDArray[np.float64]) -> NDArray[np.float64]:
         """The filter for outputs `offset` (0 to 1) input frames after an input frame: rows of taps.
 
-        The last tap belongs to the input frame at or directly before the output's position. Each
-        row sums to 1, so a constant stays constant.
+        The last tap belongs to that input frame. Each row sums to 1, so a constant stays constant.
         """
         distance = offset[:, None] + np.arange(self.taps // 2 - 1, -self.taps // 2 - 1, -1)
         lowered = min(1.0, self.up / self.down)
@@ -66,19 +57,18 @@ class Ratio:
         beta = 0.1102 * (STOP_BAND_DB - 8.7)
         inside = 1.0 - (distance * lowered / HALF_WIDTH) ** 2
         window = np.where(inside >= 0.0, np.i0(beta * np.sqrt(np.maximum(inside, 0.0))), 0.0)
-        rows: NDArray[np.float64] = np.sinc(cutoff * distance) * window
-        rows /= rows.sum(axis=1, keepdims=True)
-        return rows
+        rows = np.sinc(cutoff * distance) * window
+        return np.asarray(rows / rows.sum(axis=1, keepdims=True))
 
 
 @dataclass(frozen=True, eq=False)
 class BlockMatrices:
     """The filter of an exact ratio as products of one shape.
 
-    The outputs are cut into periods of `period_out` frames, and periods into blocks of `rows`.
-    Block b is `matrices[b] @ inputs`; its inputs begin at `offsets[b] - taps + 1` after the
-    period's start (`period_in` input frames per period); matrices: (blocks, rows, columns) float32.
-    The last block of a period may have rows of zeros at its end.
+    Outputs are cut into periods of `period_out` frames (`period_in` input frames), and periods into
+    blocks of `rows`. Block b is `matrices[b] @ inputs`; its inputs begin at `offsets[b] - taps + 1`
+    after the period's start. matrices: (blocks, rows, columns) float32. The last block of a period
+    may have rows of zeros at its end.
     """
 
     matrices: NDArray[np.float32]
@@ -114,9 +104,7 @@ def block_matrices(ratio: Ratio) -> BlockMatrices:
         block, row = divmod(index, rows)
         start = int(position[index] - offsets[block])
         matrices[block, row, start : start + taps] = by_phase[index * down % up]
-    return BlockMatrices(
-        matrices, tuple(int(offset) for offset in offsets), rows, period, down * repeats
-    )
+    return BlockMatrices(matrices, tuple(offsets.tolist()), rows, period, down * repeats)
 
 
 @lru_cache(maxsize=16)

@@ -16,8 +16,8 @@ ALIGNMENT = 16
 def normal_buffer_frames(samplerate: int, hal_frames: int) -> int:
     """Return the frames of a normal mix buffer: whole HAL buffers of 20 to 24 ms if possible.
 
-    samplerate: Hz; hal_frames: frames that the hardware takes at once (a HAL buffer). The result is
-    a multiple of 16; a HAL buffer above 20 ms stays unchanged.
+    hal_frames: that the hardware takes at once (a HAL buffer); above 20 ms they stay unchanged. The
+    result is a multiple of 16.
     """
     shortest = _round_up(NORMAL_MIN_MS * samplerate // 1000)
     longest = max(NORMAL_MAX_MS * samplerate // 1000 // ALIGNMENT * ALIGNMENT, shortest)
@@ -36,9 +36,9 @@ def _round_up(frames: int) -> int:
 class MixBuffer:
     """One cycle's frames, partially interleaved as on Android, full scale +-1, float32.
 
-    `samples` is one flat array: frames x audio channels interleaved, and after them frames x
-    haptic channels interleaved. `audio` (frames, channels) and `haptic` (frames,
-    haptic_channels) are views of it. Use from the thread that steps the mixer.
+    `samples` is one flat array, all audio frames and after them all haptic frames. `audio` (frames,
+    channels) and `haptic` (frames, haptic_channels) are views of it. Use from the thread that steps
+    the mixer.
     """
 
     def __init__(self, frames: int, channels: int, haptic_channels: int = 0) -> None:
@@ -57,11 +57,7 @@ class MixBuffer:
         return buffer
 
     def hold(self, frames: int) -> None:
-        """Hold this many frames from now on, at most the initial number; contents are undefined.
-
-        A shorter buffer uses the start of the same memory; its haptic samples directly follow its
-        audio.
-        """
+        """Hold this many frames from now on, at most the initial number; contents are undefined."""
         boundary = frames * self._channels
         self.samples = self._memory[: boundary + frames * self._haptic_channels]
         self.audio = self.samples[:boundary].reshape(frames, self._channels)

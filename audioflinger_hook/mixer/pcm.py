@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from device.blocks import whole_steps
 from device.errors import UsageError
 
-FLOAT_LIMIT = 2.0
-"""Largest sample of float sinks, 6 dB over full scale, as in AudioFlinger."""
+FLOAT_LIMIT = 2.0  # largest sample of float sinks, 6 dB over full scale, as in AudioFlinger
 
 
 class PcmFormat(Enum):

@@ -7,24 +7,21 @@ from numpy.typing import NDArray
 
 from audioflinger_hook.mixer.kaiser import BlockMatrices, Ratio, block_matrices, phase_table
 
-OUTPUTS_AT_ONCE = 64
-WINDOW_FLOATS_AT_ONCE = 1 << 16
-"""Limits of one step of the interpolated form."""
+# Limits of one step of the interpolated form.
+OUTPUTS_AT_ONCE, WINDOW_FLOATS_AT_ONCE = 64, 1 << 16
 
 
 class Resampler:
     """A polyphase Kaiser resampler between two rates in Hz.
 
     Stop band from the lower rate's Nyquist on: 98 dB; pass band to 0.9 of it: ripple 0.001 dB. The
-    position is a fraction of integers and never drifts. With up to 1024 phases every phase has its
-    own coefficients; with more, coefficients are interpolated (error -118 dB). Any split of the
-    input and of the output gives the same bits. Samples that are not finite count as 0.
+    position is a fraction of integers and never drifts. Any split of the input and of the output
+    gives the same bits. Samples that are not finite count as 0.
 
     One cycle: `frames_needed(n)` says how many frames to `feed`, in any pieces; `produce` then
     fills exactly n. Output frame j lies at input frame j rate_in/rate_out - `latency_frames`.
 
-    max_frames: largest number of frames produced at once. Memory is allocated for that number and
-    grows only if more is fed than needed. Use from one thread.
+    max_frames: produced at once; memory grows only if more is fed than needed. Use from one thread.
     """
 
     def __init__(self, rate_in: int, rate_out: int, channels: int, max_frames: int) -> None:
@@ -73,7 +70,7 @@ class Resampler:
         self._next += len(frames)
 
     def _reserve(self, count: int) -> NDArray[np.float32]:
-        """Return the place of the next `count` input frames, after making room for them."""
+        """Return memory for the next `count` input frames."""
         end = self._fed - self._base
         if end + count + self._kernel.slack > len(self._inputs):
             kept = self._kernel.first_input(self._next) - self._base
@@ -143,7 +140,6 @@ class _BlockKernel:
             done += count
 
     def _place(self, output: int) -> tuple[int, int, int]:
-        """Return an output frame's period, block and row."""
         period, within = divmod(output, self._blocks.period_out)
         return period, *divmod(within, self._blocks.rows)
 

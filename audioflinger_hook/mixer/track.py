@@ -56,7 +56,7 @@ _AFTER = {(old, request): new for states, request, new in _TRANSITIONS for old i
 
 
 def after(state: TrackState, request: Request) -> TrackState:
-    """Return the state after a request; the state is unchanged if the request has no effect in it.
+    """Return the state after a request; it stays the same if the request has no effect in it.
 
     As in AudioFlinger: a playing track ignores a flush, a draining one ignores a pause. A stop from
     a pause drops the frames left.
@@ -67,8 +67,8 @@ def after(state: TrackState, request: Request) -> TrackState:
 class FrameRing:
     """A bounded ring of float32 frames: one thread writes, another reads, neither waits.
 
-    `written` and `read` count frames since the start. Each is stored by one thread only, after the
-    frames themselves were stored or used. So the other thread never sees a part of a buffer.
+    `written` and `read` count frames. Each is stored by one thread only, after the frames
+    themselves were stored or used. So the other thread never sees a part of a buffer.
     """
 
     def __init__(self, capacity_frames: int, channels: int) -> None:
@@ -108,11 +108,8 @@ class FrameRing:
         return self._frames[first : first + count - wrapped], self._frames[:wrapped]
 
 
-SAMPLERATE_MIN = 1_000
-SAMPLERATE_MAX = 768_000
-
-PERIODS_IN_RING = 2
-"""Mix periods that a ring holds by default."""
+SAMPLERATE_MIN, SAMPLERATE_MAX = 1_000, 768_000  # Hz
+PERIODS_IN_RING = 2  # mix periods that a ring holds by default
 
 
 class Track:
@@ -239,10 +236,7 @@ class Track:
         self._ask(Request.STOP)
 
     def flush(self) -> None:
-        """Drop the frames written so far; a playing track ignores a flush, as on Android.
-
-        A track that still sounds ramps down first. The room in the ring is free after that.
-        """
+        """Drop the frames written so far, after a ramp; a playing track ignores a flush."""
         self._ask(Request.FLUSH)
 
     def set_volume(self, volume: float | Sequence[float]) -> None:
@@ -261,7 +255,6 @@ class Track:
         self.volume = gains
 
     def _is_float_block(self, samples: PcmData) -> TypeGuard[NDArray[np.float32]]:
-        """Return whether samples need no conversion, like the samples of a tap."""
         return (
             self.format is PcmFormat.FLOAT
             and isinstance(samples, np.ndarray)
@@ -281,7 +274,7 @@ def period_frames(samplerate: int, mix_samplerate: int, mix_frames: int) -> int:
 
 
 def out_of_range(name: str, value: int, low: int, high: int | None, unit: str) -> list[str]:
-    """Return a list with one line if a number is no int or out of its range, else an empty list."""
+    """Return [mistake] if a number is no int or out of its range, else []."""
     if isinstance(value, bool) or not isinstance(value, int):
         return [f"{name}={value!r} is not a whole number"]
     if value < low or (high is not None and value > high):

@@ -42,10 +42,9 @@ def gains_of(volume: Sequence[float], channels: int) -> Gains:
 class VolumeRamp:
     """The gains with which one track enters the mix, held by the mixer's thread.
 
-    A change goes linearly over exactly one buffer: frame i of n has old + (new - old) i/n, so the
-    next buffer starts at the new gain. A track's first buffer has no ramp. frames: usual length of
-    a buffer, for which the ramp is kept ready. gains: those reached, one per channel; None before
-    the first buffer.
+    A change goes linearly over exactly one buffer: frame i of n has old + (new - old) i/n. A
+    track's first buffer has no ramp. frames: usual length of a buffer, for which the ramp is kept
+    ready. gains: those reached, one per channel; None before the first buffer.
     """
 
     def __init__(self, channels: int, frames: int) -> None:
@@ -109,12 +108,11 @@ def _rise(frames: int) -> NDArray[np.float32]:
 
 
 def decibels(gain: float) -> float:
-    """Return a gain in decibels, -inf for 0, for dumps."""
+    """Return a gain in decibels, -inf for 0."""
     return 20.0 * math.log10(gain) if gain > 0.0 else -math.inf
 
 
-RETRIES = 50
-"""Whole cycles in a row that an active track may miss before it is disabled: about 1 s."""
+RETRIES = 50  # whole cycles in a row that an active track may miss before it is disabled: about 1 s
 
 
 class Readiness(Enum):
@@ -128,20 +126,16 @@ class Readiness(Enum):
 class Lane:
     """One track's way into the mix: requests -> frames -> channels -> rate -> ramped volume.
 
-    samplerate, channels: of the mix; frames: of its longest cycle. Any thread may make it; then
-    the mixer's thread holds it.
+    samplerate, channels: of the mix; frames: of its longest cycle. For the mixer's thread, but any
+    thread may make it.
     """
 
     def __init__(self, track: Track, samplerate: int, channels: int, frames: int) -> None:
         self.track = track
         self.gone = False
         self._state = track.mixed_state
-        self._filling = True
-        self._missed_frames = 0
-        self._written_when_disabled = 0
-        self._stop_at = 0
-        self._tail_frames = 0
-        self._leaving = False
+        self._filling, self._leaving = True, False
+        self._missed_frames = self._written_when_disabled = self._stop_at = self._tail_frames = 0
         self._channels = channels
         self._frames = frames
         self._map = ChannelMap(track.channels, channels)
@@ -158,9 +152,7 @@ class Lane:
         self._ramp = VolumeRamp(channels, frames)
         self._gains: Gains = ()
         self._volume: tuple[float, ...] | None = None
-        self._take = 0
-        self._needed = 0
-        self._cycle_frames = 0
+        self._take = self._needed = self._cycle_frames = 0
 
     @property
     def is_active(self) -> bool:
@@ -168,7 +160,7 @@ class Lane:
         return self._state in PLAYING and not self.track.disabled
 
     def update(self) -> None:
-        """Carry out what the client has asked for since the last cycle."""
+        """Carry out the client's requests since the last cycle."""
         requests = self.track.requests
         self._settle()
         while requests:
@@ -200,9 +192,9 @@ class Lane:
     def mix(
         self, target: NDArray[np.float32], scratch: NDArray[np.float32], *, first: bool
     ) -> None:
-        """Mix one cycle into the target, (frames, channels), after `prepare` said READY.
+        """Mix one cycle into the target, (frames, channels), or over it if it is the `first`.
 
-        first: write over the target. scratch: as large as the target, overwritten.
+        Call after `prepare` said READY. scratch: as large as the target, overwritten.
         """
         sound = self._taken()
         if self._map.folds:
@@ -290,7 +282,7 @@ class Lane:
             self._rewind()
 
     def _settle(self) -> None:
-        """Finish states that need no further cycle: nothing left to ramp or to play."""
+        """Finish states that need no further cycle."""
         track = self.track
         if track.disabled and track.ring.written != self._written_when_disabled:
             track.disabled = False

@@ -125,8 +125,9 @@ class TransformParameters(Described):
         found: dict[str, Refusal] = {}
         low, high = values.get("band_low_hz"), values.get("band_high_hz")
         if low is not None and high is not None and high < 2 * low:
-            wrong, allowed = f"is under twice band_low_hz={low:g}", f"at least {2 * low:g} Hz"
-            found["band_high_hz"] = Refusal(wrong, allowed)
+            found["band_high_hz"] = Refusal(
+                f"is under twice band_low_hz={low:g}", f"at least {2 * low:g} Hz"
+            )
         window_s, top = values.get("window_s"), values.get("vibration_top_hz")
         if window_s is not None and top is not None and top < 2 / window_s:
             found["vibration_top_hz"] = Refusal(

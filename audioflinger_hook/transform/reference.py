@@ -235,5 +235,7 @@ class ReferenceStream:
 
     def reset(self) -> None:
         """Start a new stream; the counters keep their values."""
-        for part in (*self._mixes, *self._transforms):
-            part.reset()
+        for mix in self._mixes:
+            mix.reset()
+        for one in self._transforms:
+            one.reset()
