@@ -14,13 +14,10 @@ from device.units import Float32Array
 class CaptureTap:
     """The sound of a capture, buffer by buffer as delivered, with every change of format.
 
-    Use from the thread that steps the pipeline; reads are from disk.
+    A `Tap`, for the thread that steps the pipeline; reads are from disk.
 
     folder: the capture.
-    samplerate, channels: of the buffer read last; before the first buffer, of the first. Hz.
-    format_changed: whether the format of the buffer read last differs from the one before.
-    discontinuity: whether frames are missing before the buffer read last.
-    time_s: its time of delivery, in seconds of the recorder's monotonic clock.
+    time_s: delivery of the buffer read last, in seconds of the recorder's monotonic clock.
     warnings: for the user, one line each; complete once `read` has returned None.
     facts: settings that the recorder stored, by name.
     frames_expected: total frames in the capture's WAV files.

@@ -25,16 +25,15 @@ EXACT_FORMATS = frozenset({"WAV", "WAVEX", "RF64", "W64", "AIFF", "AU", "CAF"})
 EXACT_SUBTYPES = frozenset({"PCM_U8", "PCM_S8", "PCM_16", "PCM_24", "PCM_32", "FLOAT", "DOUBLE"})
 """Formats in which a frame's position in the file follows from the frame's number."""
 
-FRAMES_UNKNOWN = 1 << 40
-"""libsndfile reports such a number for a stream whose header does not state its length."""
+FRAMES_UNKNOWN = 1 << 40  # from here, libsndfile does not know the length of a stream
 
 
 class FileTap(SteadyTap):
     """The frames of any file that libsndfile reads, as float32.
 
     path: the file. blocksize: frames of a buffer. first: the frame to begin with; other than 0 only
-    for a file that is `divisible`. UsageError: the file is missing, unreadable, not sound or empty,
-    or the transform does not support its rate or channel count.
+    for a file that is `divisible`. UsageError: the file cannot be used, or the transform does not
+    support its rate or channel count.
     """
 
     def __init__(self, path: Path, blocksize: int = BLOCKSIZE_FRAMES, *, first: int = 0) -> None:
@@ -96,7 +95,6 @@ class FileTap(SteadyTap):
 
 
 def _open(path: Path) -> soundfile.SoundFile:
-    """Return the opened file. UsageError: it cannot be read as sound."""
     try:
         # By descriptor, not by name: libsndfile would trust a name's ending and read text named
         # .vox as sound.
@@ -149,12 +147,10 @@ PROMISES = (
 )
 """Lines in libsndfile's log if a WAV, AIFF, AU, W64 or RF64 body is shorter than promised."""
 
-UNKNOWN_LENGTH = 0xFFFF_0000
-"""A recorder that does not know the length writes a length from here to 4 GB."""
+UNKNOWN_LENGTH = 0xFFFF_0000  # a recorder that does not know it writes this up to 4 GB
 
 
 def _body_is_short(log: str) -> bool:
-    """Return whether libsndfile's log says that a file's body ends too early."""
     for pattern in PROMISES:
         if found := re.search(pattern, log, re.MULTILINE):
             promised, there = int(found["promised"]), int(found["there"])
@@ -163,9 +159,9 @@ def _body_is_short(log: str) -> bool:
 
 
 class FramesTap(SteadyTap):
-    """Frames from memory, in buffers of `blocksize`; the last may be shorter.
+    """Frames from memory, (frames, channels) float32, in buffers.
 
-    frames: (frames, channels) float32. samplerate: Hz. blocksize: frames of a buffer.
+    frames, samplerate, blocksize: the sound, its rate in Hz, frames of a buffer.
     """
 
     def __init__(self, frames: Float32Array, samplerate: int, blocksize: int) -> None:

@@ -24,11 +24,9 @@ FILMS = frozenset(
 )  # fmt: skip
 """Endings of the names of files that libsndfile does not read, or takes for something else."""
 
+# A longer gap between the times of two packets is filled with silence; a shorter one is jitter.
 GAP_S = 0.02
-"""A longer gap between the times of two packets is filled with silence; a shorter one is jitter."""
-
-GAP_MAX_S = 24 * 3600.0
-"""A longer gap is a broken time stamp and is not filled."""
+GAP_MAX_S = 24 * 3600.0  # a longer gap is a broken time stamp and is not filled
 
 EXTRA = "sound tracks of films need PyAV; pip install 'haptic-cushion[films]'"
 
@@ -36,9 +34,9 @@ EXTRA = "sound tracks of films need PyAV; pip install 'haptic-cushion[films]'"
 class FilmTap(SteadyTap):
     """The frames of one sound track, as float32, aligned with the film's beginning.
 
-    path: the file. track: the sound track, from 1; default: the file's default track. language: of
-    the track, as in the file, such as "eng". UsageError: the file cannot be read, has no such sound
-    track, or no sound in it.
+    track: the sound track, from 1; default: the file's default track. language: of the track, as in
+    the file, such as "eng". UsageError: the file cannot be read, or has no such sound track or no
+    sound in it.
     """
 
     def __init__(self, path: Path, *, track: int | None = None, language: str | None = None):
@@ -73,7 +71,6 @@ class FilmTap(SteadyTap):
         self._container.close()
 
     def _chosen(self, track: int | None, language: str | None) -> Any:
-        """Return the stream that is asked for."""
         streams = list(self._container.streams.audio)
         spoken = [stream.metadata.get("language", "und") for stream in streams]
         there = ", ".join(f"{n} ({word})" for n, word in enumerate(spoken, 1))

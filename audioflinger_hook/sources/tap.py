@@ -69,9 +69,7 @@ class SteadyTap:
     """A tap of one format without discontinuities.
 
     The first buffer is taken at once, because a header may promise frames that are missing.
-
-    samplerate: Hz. buffers: (frames, channels) each, in order. frames_expected: total frames, None
-    if unknown. warnings: for the user, one line each; complete at the end of the sound.
+    buffers: (frames, channels) each. warnings: for the user, one line each; complete at the end.
     """
 
     format_changed = False
@@ -102,10 +100,9 @@ class SteadyTap:
 class PartTap(SteadyTap):
     """A part in time of another tap, and some of its channels.
 
-    tap: the whole sound. start_s, duration_s: beginning and length of the part; None: to the end,
-    where every part ends at the latest. picked: channels to take, from 0; none: all. skipped:
-    frames at the beginning that the tap has left out. UsageError: the sound ends before the part
-    begins, or has no such channel.
+    start_s, duration_s: beginning and length of the part; None: to the end. picked: channels to
+    take, from 0; none: all. skipped: frames at the beginning that the tap has left out. UsageError:
+    the sound ends before the part begins, or has no such channel.
     """
 
     def __init__(
@@ -138,7 +135,7 @@ class PartTap(SteadyTap):
         self._tap.close()
 
     def _cut(self, skipped: int, length: int | None) -> Iterator[Float32Array]:
-        """Yield the buffers after some frames, up to a length; None: to the end."""
+        """Yield the buffers after some frames, up to a length."""
         while length != 0 and (buffer := self._tap.read()) is not None:
             part = buffer[skipped:] if length is None else buffer[skipped : skipped + length]
             skipped = max(0, skipped - len(buffer))
