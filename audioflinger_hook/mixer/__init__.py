@@ -3,7 +3,7 @@
 `Mixer` makes tracks and steps; `dump` shows it as text.
 
     pcm, track                     the formats and tracks that a client writes to
-    layouts, kaiser, resampler     steps from a track into the mix
+    layouts, resampler             steps from a track into the mix
     track_mixer                    one track on the mixer's side, with its volume
     mixer                          the cycle
     mix_buffer, effects_port       the buffer, the sinks and effects that it passes

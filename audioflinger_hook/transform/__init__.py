@@ -7,7 +7,7 @@
 | `design/` | all numbers and tables of the live form |
 | `native/` | the live form, in C; tests/oracle has it for whole sounds, in NumPy |
 | `reference` | the paper's equations, literally, unit by unit |
-| `input_stage`, `downmix`, `spectrum`, `principal`, `mapping` | steps that several forms share |
+| `input_stage`, `downmix`, `principal`, `mapping` | steps that several forms share |
 
 Pure: samples in, samples out; no clock, no I/O, no mixer.
 """

@@ -20,8 +20,7 @@ from audioflinger_hook.transform.input_stage import (
 )
 from audioflinger_hook.transform.mapping import VibrationMapping
 from audioflinger_hook.transform.parameters import TransformParameters
-from audioflinger_hook.transform.principal import PrincipalFinder, Principals
-from audioflinger_hook.transform.spectrum import Spectrum, magnitude
+from audioflinger_hook.transform.principal import PrincipalFinder, Principals, Spectrum, magnitude
 from device.layouts import downmix
 
 EPSILON = 2.0**-52

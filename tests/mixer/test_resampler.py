@@ -9,8 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from audioflinger_hook.mixer.kaiser import Ratio
-from audioflinger_hook.mixer.resampler import Resampler
+from audioflinger_hook.mixer.resampler import Ratio, Resampler
 
 STOP_BAND_DB = -90.0
 """AOSP's own check asks for -60 dB."""

@@ -14,8 +14,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from audioflinger_hook.transform import TransformParameters
 from audioflinger_hook.transform.design.analysis import AnalysisDesign
 from audioflinger_hook.transform.input_stage import BandPass, design_band_pass
-from audioflinger_hook.transform.principal import PrincipalFinder, Principals
-from audioflinger_hook.transform.spectrum import Spectrum, magnitude
+from audioflinger_hook.transform.principal import PrincipalFinder, Principals, Spectrum, magnitude
 from tests.oracle.analysis import all_principal, strongest_principal
 from tests.support.kernel_probes import probes
 from tests.support.recordings import require_recordings

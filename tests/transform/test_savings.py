@@ -24,9 +24,8 @@ from audioflinger_hook.transform.input_stage import (
     replace_unusable,
 )
 from audioflinger_hook.transform.mapping import vibration_hz
-from audioflinger_hook.transform.principal import PrincipalFinder, parabola
+from audioflinger_hook.transform.principal import PrincipalFinder, Spectrum, magnitude, parabola
 from audioflinger_hook.transform.reference import ReferenceTransform
-from audioflinger_hook.transform.spectrum import Spectrum, magnitude
 from tests.oracle import settings_of, vibrate
 from tests.oracle.analysis import all_principal, strongest_principal
 from tests.oracle.loudness import at_hz

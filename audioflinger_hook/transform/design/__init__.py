@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
-from typing import Any
+from typing import Any, get_type_hints
 
 import numpy as np
 
@@ -31,7 +31,7 @@ from audioflinger_hook.transform.design.synthesis import (
 )
 from audioflinger_hook.transform.mapping import VibrationMapping
 from audioflinger_hook.transform.parameters import TransformParameters
-from audioflinger_hook.transform.spectrum import Spectrum
+from audioflinger_hook.transform.principal import Spectrum
 from device.errors import UsageError
 from device.records import Records
 
@@ -137,16 +137,7 @@ EXACT = ("band_b", "band_a", "low_b", "low_a", "low_sections", "low_smooth", "mi
 
 TOP = ("samplerate", "latency_frames", "tonal_latency_frames")
 SECTIONS: dict[str, Any] = {
-    "grid": LiveGrid,
-    "input": InputDesign,
-    "analysis": AnalysisDesign,
-    "mapping": VibrationMapping,
-    "onsets": OnsetDesign,
-    "tracking": TrackingDesign,
-    "synthesis": SynthesisDesign,
-    "loudness": LoudnessDesign,
-    "strength": StrengthDesign,
-    "speech": SpeechDesign,
+    name: kind for name, kind in get_type_hints(LiveDesign).items() if name not in TOP
 }
 
 

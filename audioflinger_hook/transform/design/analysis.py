@@ -24,8 +24,7 @@ from audioflinger_hook.transform.input_stage import (
 )
 from audioflinger_hook.transform.mapping import VibrationMapping
 from audioflinger_hook.transform.parameters import TransformParameters
-from audioflinger_hook.transform.principal import bins_in_band, peak_span_min
-from audioflinger_hook.transform.spectrum import Spectrum
+from audioflinger_hook.transform.principal import Spectrum, bins_in_band, peak_span_min
 
 # Peaks below this many times 1/T (1.6 kHz) are cleared; from there the image is about -70 dB.
 IMAGE_REACH_WINDOWS = 75.0
