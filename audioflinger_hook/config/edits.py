@@ -147,14 +147,10 @@ class LiveEdits:
         """Changes that can be undone."""
         return len(self._undo)
 
-    def with_changes(self, changes: Edits) -> dict[str, Any]:
-        """Return the edits as they would be after these changes."""
-        return {**self.values, **changes}
-
     def accept(self, changes: Edits) -> None:
         """Make these changes; only after they were checked."""
         self._undo.append(self.values)
-        self.values = self.with_changes(changes)
+        self.values = {**self.values, **changes}
 
     def without_last(self) -> dict[str, Any]:
         """Return the edits without the last change; UsageError if there is none."""

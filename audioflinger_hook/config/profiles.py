@@ -47,11 +47,7 @@ FOLLOWING = {
 
 PROFILES: dict[str, dict[str, ProfileValue]] = {
     "paper": {},
-    "cinema": {
-        **FOLLOWING,
-        "merge_ratio": ProfileValue(0.8, WARBLE),
-        "loudness_target_db": ROOM,
-    },
+    "cinema": {**FOLLOWING, "merge_ratio": ProfileValue(0.8, WARBLE), "loudness_target_db": ROOM},
     "game": {
         **FOLLOWING,
         "window_s": ProfileValue(
@@ -60,11 +56,7 @@ PROFILES: dict[str, dict[str, ProfileValue]] = {
         "merge_ratio": ProfileValue(0.8, "shots and steps stand out of few, steady vibrations"),
         "loudness_target_db": ROOM,
     },
-    "music": {
-        **FOLLOWING,
-        "merge_ratio": ProfileValue(0.6, WARBLE),
-        "loudness_target_db": ROOM,
-    },
+    "music": {**FOLLOWING, "merge_ratio": ProfileValue(0.6, WARBLE), "loudness_target_db": ROOM},
     "speech": {
         **{name: choice for name, choice in FOLLOWING.items() if name != "strength"},
         "band_low_hz": ProfileValue(150.0, "the bass of music and engines does not hide a voice"),

@@ -194,8 +194,7 @@ class LiveSettings(Described):
     """
 
     tap: Annotated[
-        tuple[str, ...],
-        Taps("where the sound comes from", TAPS, parse_tap, "tap", change="stream"),
+        tuple[str, ...], Taps("where the sound comes from", TAPS, parse_tap, "tap", change="stream")
     ] = ("default",)
     device: Annotated[
         str | None,
@@ -212,8 +211,7 @@ class LiveSettings(Described):
         ),
     ] = 0.0
     drop_in: Annotated[
-        bool,
-        Switch("applications play to a virtual sink, which delays the sound", change="stream"),
+        bool, Switch("applications play to a virtual sink, which delays the sound", change="stream")
     ] = False
     block_frames: Annotated[
         int, Choice("frames of one audio callback", BLOCK_FRAMES, "frames", change="streams")
@@ -245,8 +243,7 @@ class LiveSettings(Described):
         Names("applications to play; default: all", section="applications", change="stream"),
     ] = ()
     exclude: Annotated[
-        tuple[str, ...],
-        Names("applications to leave out", section="applications", change="stream"),
+        tuple[str, ...], Names("applications to leave out", section="applications", change="stream")
     ] = ()
 
     def __post_init__(self) -> None:

@@ -173,7 +173,7 @@ class LiveControl:
             typed[name] = None if value is None else described.typed(value)
         changes = typed
         try:
-            self._apply(self._edits.with_changes(changes), self._config.muted)
+            self._apply({**self._edits.values, **changes}, self._config.muted)
         except CushionError as error:
             raise _Refused(next(iter(changes)), one_line(str(error), 400)) from error
         self._edits.accept(changes)

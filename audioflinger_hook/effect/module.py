@@ -45,12 +45,7 @@ class EffectModule(EffectControl):
     """
 
     def __init__(
-        self,
-        engine: EffectEngine,
-        *,
-        session: int,
-        clock: Callable[[], float],
-        budget_s: float,
+        self, engine: EffectEngine, *, session: int, clock: Callable[[], float], budget_s: float
     ) -> None:
         self.budget_s = budget_s
         self.misfits = self.buffers = self.overruns = self.calls = 0

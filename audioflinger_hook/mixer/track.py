@@ -67,7 +67,7 @@ def after(state: TrackState, request: Request) -> TrackState:
 class FrameRing:
     """A bounded ring of float32 frames: one thread writes, another reads, neither waits.
 
-    `written` and `read` count frames. Each is stored by one thread only, after the frames
+    `written` and `read` count frames. Each is raised by one thread only, after the frames
     themselves were stored or used. So the other thread never sees a part of a buffer.
     """
 
@@ -82,27 +82,11 @@ class FrameRing:
         """Frames that can be written now. For the writing thread."""
         return self.capacity_frames - (self.written - self.read)
 
-    def spans_to_write(self, count: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Memory of the next `count` <= `room` frames, in two parts; the second may be empty."""
-        return self._spans(self.written, count)
+    def spans(self, position: int, count: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Memory of `count` frames from `position` on, in two parts; the second may be empty.
 
-    def commit(self, count: int) -> None:
-        """Hand `count` frames, now stored, to the reader. Called by the writing thread."""
-        self.written += count
-
-    def spans_to_read(self, count: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """The next `count` written frames, in two parts; the second may be empty."""
-        return self._spans(self.read, count)
-
-    def consume(self, count: int) -> None:
-        """Free the room of `count` frames for the writer. Called by the reading thread."""
-        self.read += count
-
-    def skip_to(self, position: int) -> None:
-        """Drop the frames before `position`. Called by the reading thread."""
-        self.read = max(self.read, position)
-
-    def _spans(self, position: int, count: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        The writing thread takes up to `room` frames from `written`, the reading one from `read`.
+        """
         first = position % self.capacity_frames
         wrapped = max(0, first + count - self.capacity_frames)
         return self._frames[first : first + count - wrapped], self._frames[:wrapped]
@@ -209,18 +193,19 @@ class Track:
             (frames, channels); copied. Offer the frames not stored again after a cycle.
         UsageError: the samples have another type or shape; nothing is stored then.
         """
+        ring = self.ring
         if self._is_float_block(samples):
-            taken = min(len(samples), self.ring.room)
-            first, second = self.ring.spans_to_write(taken)
+            taken = min(len(samples), ring.room)
+            first, second = ring.spans(ring.written, taken)
             first[...] = samples[: len(first)]
             second[...] = samples[len(first) : taken]
         else:
             rows = stored_frames(samples, self.format, self.channels)
-            taken = min(len(rows), self.ring.room)
-            first, second = self.ring.spans_to_write(taken)
+            taken = min(len(rows), ring.room)
+            first, second = ring.spans(ring.written, taken)
             decode_rows(rows[: len(first)], self.format, first)
             decode_rows(rows[len(first) : taken], self.format, second)
-        self.ring.commit(taken)
+        ring.written += taken
         return taken
 
     def start(self) -> None:

@@ -208,7 +208,7 @@ class Lane:
         goal = None if self._state is TrackState.PAUSING else self._goal()
         self._ramp.mix(sound, target, goal, scratch, first=first)
         # only now may the client write over the frames that were read in place
-        self.track.ring.consume(self._take)
+        self.track.ring.read += self._take
         if self._state is TrackState.PAUSING:
             self._move_to(TrackState.PAUSED)
         elif self._state is TrackState.RESUMING:
@@ -219,7 +219,8 @@ class Lane:
 
     def _taken(self) -> NDArray[np.float32]:
         """Return this period's frames, (needed, channels); after a stop zeros follow the last."""
-        first, second = self.track.ring.spans_to_read(self._take)
+        ring = self.track.ring
+        first, second = ring.spans(ring.read, self._take)
         if len(first) == self._needed:
             return first
         joined = self._joined[: self._needed]
@@ -278,7 +279,7 @@ class Lane:
             track.disabled = False
             self._tail_frames = self._resampler.tail_frames if self._resampler else 0
         elif state in (TrackState.FLUSHED, TrackState.STOPPED):
-            track.ring.skip_to(written)
+            track.ring.read = max(track.ring.read, written)
             self._rewind()
 
     def _settle(self) -> None:

@@ -48,6 +48,7 @@ class VoicesClient:
 
     The supervising thread calls `add` and `remove`. The thread on which all sounds arrive calls the
     other methods and steps the pipeline. samplerate, channels: of the mix and of every voice; Hz.
+    pending_frames: for which cycles are due.
     """
 
     frames_expected = None
@@ -60,12 +61,7 @@ class VoicesClient:
         self._voices: tuple[Voice, ...] = ()
         self._pacer: Voice | None = None
         self._paced_s = 0.0
-        self._due = 0
-
-    @property
-    def pending_frames(self) -> int:
-        """Frames for which cycles are due."""
-        return self._due
+        self.pending_frames = 0
 
     def connect(self, mixer: Mixer) -> None:
         """Keep the mixer; voices can be added from now on."""
@@ -99,7 +95,7 @@ class VoicesClient:
             self._pacer = voice
         if voice is self._pacer:
             self._paced_s = now_s
-            self._due += len(frames)
+            self.pending_frames += len(frames)
             return
         while voice.frames - len(voice.waiting[0]) > self._most_waiting:
             dropped = voice.waiting.popleft()
@@ -109,17 +105,17 @@ class VoicesClient:
     def play(self) -> int | None:
         """Write the frames that are due, at most one cycle, and return their number."""
         assert self._mixer is not None
-        count = min(self._due, self._mixer.frames)
+        count = min(self.pending_frames, self._mixer.frames)
         if not count:
             return None
-        self._due -= count
+        self.pending_frames -= count
         for voice in self._voices:
             voice.track.write(voice.take(count))
         return count
 
     def close(self) -> None:
         """Drop all waiting frames."""
-        self._due = 0
+        self.pending_frames = 0
         for voice in self._voices:
             voice.waiting.clear()
             voice.frames = 0

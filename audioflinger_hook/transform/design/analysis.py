@@ -17,11 +17,7 @@ from audioflinger_hook.transform.downmix import (
     downmix_table,
 )
 from audioflinger_hook.transform.filters import fast_length, lowest_bins
-from audioflinger_hook.transform.input_stage import (
-    DENORMAL_GUARD,
-    MAGNITUDE_MAX,
-    band_pass_roots,
-)
+from audioflinger_hook.transform.input_stage import DENORMAL_GUARD, MAGNITUDE_MAX, band_pass_roots
 from audioflinger_hook.transform.mapping import VibrationMapping
 from audioflinger_hook.transform.parameters import TransformParameters
 from audioflinger_hook.transform.principal import Spectrum, bins_in_band, peak_span_min

@@ -25,27 +25,20 @@ VOICE_LEARNT_S = 0.15  # time constant of learning the level of the voice, octav
 VOICE_DB_A_SECOND = 6.0  # rate at which the level of the voice is forgotten
 BACKGROUND_S, BACKGROUND_DB_A_SECOND = 0.05, 8.0  # an octave's: time constant of fall, rise
 
+# Where each measure begins to count, and where it counts in full; between them on a line, so that
+# rounding decides nothing. In the order in which native/speech.c takes them.
 RAMPS: dict[str, tuple[float, float]] = {
-    "voiced": (0.10, 0.30),
-    "quiet_db": (-30.0, -15.0),
-    "voicing": (0.12, 0.30),
-    "swing_db": (2.5, 4.5),
-    "balance_db": (2.2, 3.4),
-    "resting": (0.5, 0.8),
-    "spared_hz": (80.0, 120.0),
-    "excess_db": (3.0, 9.0),
-    "background_db": (2.0, 8.0),
-    "between": (0.25, 0.40),
+    "voiced": (0.10, 0.30),  # the best comb's contrast
+    "quiet_db": (-30.0, -15.0),  # level against the loudest; quieter hops are no evidence
+    "voicing": (0.12, 0.30),  # average of `voiced`
+    "swing_db": (2.5, 4.5),  # root mean square
+    "balance_db": (2.2, 3.4),  # root mean square
+    "resting": (0.5, 0.8),  # share of the voiced hops with a resting pitch, against speech
+    "spared_hz": (80.0, 120.0),  # lower partials are not lowered
+    "excess_db": (3.0, 9.0),  # of an octave over the voice's level
+    "background_db": (2.0, 8.0),  # of an octave over its background
+    "between": (0.25, 0.40),  # distance from the nearest harmonic, in pitches
 }
-"""Where each measure begins to count, and where it counts in full; between them on a line, so that
-rounding decides nothing. In the order in which native/speech.c takes them.
-
-voiced: the best comb's contrast. quiet_db: level against the loudest; quieter hops are no
-evidence. voicing: average of the first. swing_db, balance_db: root mean squares. resting: share of
-the voiced hops with a pitch at rest, which speaks against speech. spared_hz: partials under it are
-not lowered. excess_db: of an octave over the voice's level. background_db: of an octave over its
-background. between: distance from the nearest harmonic, in pitches.
-"""
 
 
 @dataclass(frozen=True, eq=False)

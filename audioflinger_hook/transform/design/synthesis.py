@@ -16,7 +16,6 @@ from audioflinger_hook.transform.filters import (
     response,
     response_of_sections,
 )
-from audioflinger_hook.transform.mapping import VibrationMapping
 from audioflinger_hook.transform.parameters import TransformParameters
 
 # Rate of the oscillators, or a little more: over six times the highest vibration frequency.
@@ -134,18 +133,6 @@ class TrackingDesign:
             # Merged partials waver more: they hold several tones, or noise.
             steady_ratio=0.12 if parameters.merge_ratio else 0.03,
         )
-
-    def near_hz(self, hz: float, mapping: VibrationMapping) -> float:
-        """Return how far from a new partial its true frequency may be, in Hz of vibration."""
-        ratio = max(self.match_ratio, self.match_audio_hz / mapping.audio_hz(hz))
-        near_hz = self.onset_reach * (mapping.scale_hz + mapping.scale_ratio * hz) * ratio
-        if self.merge_ratio:
-            near_hz = max(near_hz, float(self.merging_hz(hz)))
-        return near_hz
-
-    def merging_hz(self, hz: FloatArray | float) -> FloatArray:
-        """Return how close a partial must be to one at these Hz of vibration to be part of it."""
-        return np.maximum(self.merge_hz, self.merge_ratio * np.asarray(hz))
 
 
 @dataclass(frozen=True, eq=False)
