@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from audioflinger_hook.config.schema import ACTUATOR, KEYS, Key, keys_of
+from audioflinger_hook.config.toml_text import text_of
 from device.atomic_file import make_private_folder, write_bytes_atomically
 from device.errors import InternalError, UsageError
 from device.values import Text, nearest
@@ -168,7 +169,7 @@ class LiveEdits:
 
         UsageError: the file is not TOML, or cannot be written. WriteError: the disk failed.
         """
-        text = self._text()
+        text = text_of(self._path, or_empty=True)
         changed = edited_text(text, self.values)
         if changed != text:
             make_private_folder(self._path.parent)
@@ -179,17 +180,8 @@ class LiveEdits:
         before = {name: _value(document, name) for name in self.values}
         self._undo = deque(({**before, **edits} for edits in self._undo), UNDO_MAX)
 
-    def _text(self) -> str:
-        try:
-            return self._path.read_text(encoding="utf-8-sig")
-        except FileNotFoundError:
-            return ""
-        except (OSError, UnicodeDecodeError) as error:
-            raise UsageError(f"{self._path} cannot be read ({error}); check the file") from error
-
 
 def _value(document: dict[str, Any], name: str) -> Any:
-    """Return the value of a key of an edit, None if the document has no such key."""
     section, _, key = name.rpartition(".")
     table = document.get(section, {}) if section else document
     return table.get(key) if isinstance(table, dict) else None

@@ -52,7 +52,7 @@ def check(
     default_profile: if the file names none. edits: replace values of the file, which may then be
     missing. UsageError: the file cannot be read, or is not text.
     """
-    text = text_of(path) if edits is None or path.exists() else ""
+    text = text_of(path, or_empty=edits is not None)
     return check_text(text, path.parent, default_profile, edits)
 
 
@@ -87,7 +87,6 @@ class _Reading:
         self.refused: set[tuple[type[Described], str]] = set()
 
     def read(self, document: dict[str, Any]) -> None:
-        """Check every value by itself."""
         top = {name: value for name, value in document.items() if name not in HEADERS}
         self._read_table("", "", top)
         for section in SECTIONS[1:]:
@@ -132,7 +131,6 @@ class _Reading:
                 self.accepted[key.owner][key.field] = key.description.typed(resolved)
 
     def find_contradictions(self) -> None:
-        """Check the accepted values against one another."""
         self.accepted[Settings]["actuators"] = self.actuators
         owners: tuple[type[Described], ...] = (TransformParameters, Settings, LiveSettings)
         for owner in owners:
@@ -153,7 +151,6 @@ class _Reading:
         return str(self.accepted[Settings].get("profile", self.default_profile))
 
     def config(self) -> Config:
-        """Return the content of the document, which has no mistakes."""
         chosen = self.accepted[TransformParameters]
         settings = Settings(
             **self.accepted[Settings]
@@ -193,7 +190,7 @@ def _unknown(section: str, name: str, is_section: bool) -> Refusal:
 
 
 def _shown(value: Any) -> str:
-    """Return a value roughly as TOML would write it, for a message of one line."""
+    """Return a value roughly as TOML would write it."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str):

@@ -35,9 +35,11 @@ class Mistake:
         return f"{where}{self.key}{value} {Refusal(self.problem, self.allowed, self.nearest)}"
 
 
-def text_of(path: Path) -> str:
-    """Return the text of a file. UsageError: it cannot be read, is too long or is not text."""
+def text_of(path: Path, *, or_empty: bool = False) -> str:
+    """Return the text of a file; "" if it is missing and may be. UsageError: it cannot be read."""
     try:
+        if or_empty and not path.exists():
+            return ""
         if path.exists() and not (path.is_file() or path.is_dir()):
             raise UsageError(f"{path} is not a regular file; give the path of a config file")
         with path.open("rb") as file:

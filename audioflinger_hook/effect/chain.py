@@ -17,8 +17,7 @@ from audioflinger_hook.effect.interface import (
 )
 from audioflinger_hook.effect.module import EffectModule, same_layout
 from audioflinger_hook.effect.registry import descriptor_problem
-from audioflinger_hook.mixer.effects_port import DEVICE, OUTPUT_STAGE, EffectsPort
-from audioflinger_hook.mixer.mix_buffer import MixBuffer
+from audioflinger_hook.mixer.mix_buffer import DEVICE, OUTPUT_STAGE, EffectsPort, MixBuffer
 from device.errors import UsageError
 
 BUDGET_SHARE = 0.5  # share of a buffer's length that one effect may take

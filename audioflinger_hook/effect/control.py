@@ -148,7 +148,6 @@ class EffectControl:
 
     def send(self, code: int, data: object = None) -> tuple[int, object]:
         """Return the engine's status and reply to a command; EINVAL and None if it failed."""
-        bypass = code not in READING
         name = Command(code).name if code < Command.FIRST_PROPRIETARY else f"command {code:#x}"
         try:
             with np.errstate(all="ignore"):
@@ -156,14 +155,13 @@ class EffectControl:
         except KeyboardInterrupt:
             raise
         except BaseException as error:
-            raised = f"raised {error_text(error)} in {name}{place_text(error)}"
-            self._blame(raised, bypass=bypass)
-            return EINVAL, None
-        if type(answer) is not tuple or len(answer) != 2 or not is_status(answer[0]):
+            wrong = f"raised {error_text(error)} in {name}{place_text(error)}"
+        else:
+            if type(answer) is tuple and len(answer) == 2 and is_status(answer[0]):
+                return answer
             wrong = f"answered {name} with {answer_text(answer)}; allowed: (status, reply)"
-            self._blame(wrong, bypass=bypass)
-            return EINVAL, None
-        return answer
+        self._blame(wrong, bypass=code not in READING)
+        return EINVAL, None
 
     def update_state(self) -> None:
         """Send the commands due after enable, disable or the end of a tail, at a cycle's end."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from audioflinger_hook.effect.haptic_parameters import (
     DRAIN,
@@ -32,6 +31,7 @@ from audioflinger_hook.effect.interface import (
 from audioflinger_hook.mixer.mix_buffer import MixBuffer
 from audioflinger_hook.transform import FloatArray, Frames, HapticTransform
 from device.blocks import peak
+from device.units import Float32Array
 
 
 class Vibration:
@@ -89,7 +89,7 @@ class Vibration:
         self.transform.reset()
         self._level = self.gain
 
-    def process(self, audio: Frames, out: NDArray[np.float32]) -> None:
+    def process(self, audio: Frames, out: Float32Array) -> None:
         """Write the vibration now due to `out` (frames, haptic channels); `audio` is only read."""
         owed = self.transform.process(audio)
         if self._next is None:
@@ -98,7 +98,7 @@ class Vibration:
             self._write(owed, out, 0.0)
             self.restart(self._next)
 
-    def drain(self, haptic_channels: int) -> NDArray[np.float32]:
+    def drain(self, haptic_channels: int) -> Float32Array:
         """Return the vibration left after the sound ends, (latency_frames, haptic_channels)."""
         owed = self.transform.finish()
         out = np.zeros((len(owed), haptic_channels), np.float32)
@@ -107,7 +107,7 @@ class Vibration:
             self.restart(self._next)
         return out
 
-    def _write(self, owed: FloatArray, out: NDArray[np.float32], goal: float) -> None:
+    def _write(self, owed: FloatArray, out: Float32Array, goal: float) -> None:
         """Write vibration (frames, channels) to the haptic channels and end at the gain `goal`.
 
         If there are more haptic channels, haptic channel h plays channel h mod channels. If there

@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from audioflinger_hook.effect.control import (
     EffectControl,
@@ -20,6 +19,7 @@ from audioflinger_hook.effect.control import (
 from audioflinger_hook.effect.interface import ENODATA, OK, Access, EffectConfig, EffectEngine
 from audioflinger_hook.mixer.mix_buffer import MixBuffer
 from device.blocks import peak
+from device.units import Float32Array
 
 LATE_IN_A_ROW = 3  # an engine that exceeds its time in so many consecutive buffers is too slow
 
@@ -185,7 +185,7 @@ def same_layout(one: MixBuffer, other: MixBuffer) -> bool:
     return layouts[0] == layouts[1]
 
 
-def _all_finite(samples: NDArray[np.float32]) -> bool:
+def _all_finite(samples: Float32Array) -> bool:
     return math.isfinite(peak(samples))
 
 

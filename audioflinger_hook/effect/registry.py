@@ -47,7 +47,9 @@ class EffectRegistry:
     def installed(cls) -> EffectRegistry:
         """Return a registry of the bundled library and the libraries of installed packages."""
         registry = cls([CUSHION])
-        for owner, entry in entry_points(registry.problems):
+        found, problems = _entry_points(tuple((place, _changed_ns(place)) for place in sys.path))
+        registry.problems += problems
+        for owner, entry in found:
             try:
                 library: object = entry.load()
                 if not isinstance(library, EffectLibrary):
@@ -134,17 +136,6 @@ class EffectRegistry:
         return engine
 
 
-def entry_points(problems: list[str]) -> list[tuple[str, EntryPoint]]:
-    """Return (package, entry point) of every effect library of installed packages.
-
-    A package whose metadata cannot be read is left out and named in `problems`. Of packages with
-    one name, only the first on the path counts, as for imports.
-    """
-    found, new_problems = _entry_points(tuple((place, _changed_ns(place)) for place in sys.path))
-    problems += new_problems
-    return found
-
-
 def _changed_ns(place: str) -> int:
     try:
         return Path(place or ".").stat().st_mtime_ns
@@ -156,26 +147,23 @@ def _changed_ns(place: str) -> int:
 def _entry_points(
     _path: tuple[tuple[str, int], ...],
 ) -> tuple[list[tuple[str, EntryPoint]], list[str]]:
-    """Return entry points and problems. The path: each place, and when it changed."""
+    """Return (package, entry point)s, and problems. The path: each place, and when it changed.
+
+    Of packages with one name, only the first on the path counts, as for imports.
+    """
+    found: dict[str, list[EntryPoint]] = {}
     problems: list[str] = []
-    found: list[tuple[str, EntryPoint]] = []
-    seen: set[str] = set()
     for distribution in distributions():
         try:
             entries = [e for e in distribution.entry_points if e.group == ENTRY_POINTS]
-            if not entries:
-                continue
-            owner = distribution.name
+            if entries:
+                found.setdefault(distribution.name, entries)
         except Exception as error:
             place = getattr(distribution, "_path", "an unknown place")
             problems.append(
                 f"package at {place} cannot be searched for effects: {error_text(error)}"
             )
-            continue
-        if owner not in seen:
-            seen.add(owner)
-            found += [(owner, entry) for entry in entries]
-    return found, problems
+    return [(owner, entry) for owner, entries in found.items() for entry in entries], problems
 
 
 def descriptor_problem(descriptor: object) -> str:

@@ -162,8 +162,6 @@ def _elements(xml: bytes, problems: list[Finding]) -> list[_Element]:
 
 
 class _Resolver:
-    """Looks up what the elements declare in the registry."""
-
     def __init__(self, registry: EffectRegistry, declared: DeclaredEffects) -> None:
         self._registry = registry
         self._declared = declared

@@ -6,12 +6,11 @@
     layouts, resampler             steps from a track into the mix
     track_mixer                    one track on the mixer's side, with its volume
     mixer                          the cycle
-    mix_buffer, effects_port       the buffer, the sinks and effects that it passes
+    mix_buffer                     the buffer, the sinks and effects that it passes
 """
 
 from audioflinger_hook.mixer.dump import dump
-from audioflinger_hook.mixer.effects_port import EffectsPort
-from audioflinger_hook.mixer.mix_buffer import Sink
+from audioflinger_hook.mixer.mix_buffer import EffectsPort, Sink
 from audioflinger_hook.mixer.mixer import CycleReport, Mixer, MixerState
 from audioflinger_hook.mixer.pcm import PcmFormat
 from audioflinger_hook.mixer.track import Track, TrackState

@@ -22,7 +22,6 @@ def dump(mixer: Mixer, cycle_times_s: Sequence[float] = ()) -> str:
 
 
 def _thread(mixer: Mixer) -> list[str]:
-    """Describe the mixer's thread, which AudioFlinger calls the output thread."""
     lines = [
         "Output thread (MIXER):",
         f"  Standby: {_yes_no(mixer.state is MixerState.STANDBY)}",

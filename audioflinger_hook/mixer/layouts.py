@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from device.layouts import MINUS_3_DB, downmix, layout, sides
+from device.units import Float32Array
 
 _BACK = ("BL", "BR", "BC", "TBL", "TBC", "TBR")
 _FRONT_PREFIXES = ("F", "TF", "BF")
@@ -77,8 +78,8 @@ class ChannelMap:
         ]
 
     def apply(
-        self, frames: NDArray[np.float32], mapped: NDArray[np.float32], spare: NDArray[np.float32]
-    ) -> NDArray[np.float32]:
+        self, frames: Float32Array, mapped: Float32Array, spare: Float32Array
+    ) -> Float32Array:
         """Return the frames (n, track channels) in the mix's channels, in the memory of `mapped`.
 
         Frames that need no mapping are returned themselves; mono stays (n, 1), to broadcast.
@@ -95,7 +96,7 @@ class ChannelMap:
 
 
 @cache
-def mapping(track_channels: int, mix_channels: int) -> NDArray[np.float32]:
+def mapping(track_channels: int, mix_channels: int) -> Float32Array:
     """The gains from each track channel (row) to each mix channel (column), float32."""
     if track_channels == mix_channels:
         return np.eye(mix_channels, dtype=np.float32)

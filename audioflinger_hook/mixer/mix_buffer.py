@@ -1,16 +1,22 @@
-"""The buffer that passes mix, effects and sinks, its length, and what a sink is."""
+"""The buffer that passes mix, effects and sinks, its length, and what effects and sinks are."""
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+
+from device.units import Float32Array
 
 NORMAL_MIN_MS = 20
 NORMAL_MAX_MS = 24
 ALIGNMENT = 16
 """AudioFlinger's normal mix buffer: its limits in ms, and frames of which it is a multiple."""
+
+OUTPUT_MIX, OUTPUT_STAGE, DEVICE = 0, -1, -2
+"""The sessions that belong to no player, in running order: mix of all players, stage after it,
+device. A player's session is a number from 1 up."""
 
 
 def normal_buffer_frames(samplerate: int, hal_frames: int) -> int:
@@ -48,7 +54,7 @@ class MixBuffer:
         self.hold(frames)
 
     @classmethod
-    def like(cls, other: MixBuffer, memory: NDArray[np.float32]) -> MixBuffer:
+    def like(cls, other: MixBuffer, memory: Float32Array) -> MixBuffer:
         """Return a buffer of the same layout in other memory, (samples or more,) float32."""
         buffer = cls.__new__(cls)
         buffer._memory = memory
@@ -83,3 +89,27 @@ class Sink(Protocol):
     def standby(self) -> None:
         """Drop all frames kept, since none follow for a while. The next `write` ends this."""
         ...
+
+
+class EffectsPort:
+    """The effect chains by session, as the mixer sees them; these have none: the mix is unchanged.
+
+    All calls come from the mixer's thread, but for `dump`.
+    """
+
+    def sessions(self) -> Collection[int]:
+        """Return the sessions that have a chain now."""
+        return ()
+
+    def process(self, session: int, buffer: MixBuffer, now_s: float) -> None:
+        """Run the chain in place; `buffer.haptic` holds zeros or the output of earlier chains."""
+
+    def end_of_cycle(self, now_s: float) -> None:
+        """Do the work due at the end of a cycle that wrote, such as ENABLE or the end of a tail."""
+
+    def set_format(self, samplerate: int, channels: int, haptic_channels: int, frames: int) -> None:
+        """Set the format of all buffers from now on: before the first buffer, and at changes."""
+
+    def dump(self) -> list[str]:
+        """Return the number of chains as a heading, then each chain's effects. Any thread."""
+        return ["0 Effect Chains"]

@@ -11,8 +11,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from audioflinger_hook.mixer.effects_port import DEVICE, OUTPUT_MIX, OUTPUT_STAGE, EffectsPort
-from audioflinger_hook.mixer.mix_buffer import MixBuffer, Sink, normal_buffer_frames
+from audioflinger_hook.mixer.mix_buffer import (
+    DEVICE,
+    OUTPUT_MIX,
+    OUTPUT_STAGE,
+    EffectsPort,
+    MixBuffer,
+    Sink,
+    normal_buffer_frames,
+)
 from audioflinger_hook.mixer.pcm import PcmFormat
 from audioflinger_hook.mixer.track import (
     SAMPLERATE_MAX,

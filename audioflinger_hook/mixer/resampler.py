@@ -13,6 +13,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from device.units import Float32Array
+
 HALF_WIDTH = 64  # half of the filter's length, in frames of the lower of the two rates
 # The pass band's end as a part of the lower rate's Nyquist; the stop band starts at 1.
 PASS_EDGE = 0.9
@@ -75,7 +77,7 @@ class BlockMatrices:
     may have rows of zeros at its end.
     """
 
-    matrices: NDArray[np.float32]
+    matrices: Float32Array
     offsets: tuple[int, ...]
     rows: int
     period_out: int
@@ -112,7 +114,7 @@ def block_matrices(ratio: Ratio) -> BlockMatrices:
 
 
 @lru_cache(maxsize=16)
-def phase_table(ratio: Ratio) -> NDArray[np.float32]:
+def phase_table(ratio: Ratio) -> Float32Array:
     """The filter at evenly spaced offsets from 0 to 1: (phases + 1, taps) float32, shared.
 
     Between two rows the coefficients are interpolated linearly. With `PHASES_EXACT` rows to a
@@ -143,7 +145,6 @@ class Resampler:
         else:
             self._kernel = _InterpolatingKernel(self._ratio)
         self.latency_frames = self._ratio.taps // 2
-        self.latency_s = self.latency_frames / rate_in
         # this many frames of silence bring out all sound that was fed before
         self.tail_frames = self._ratio.taps
         # behind the fed frames lies memory that a block's zero coefficients may touch
@@ -166,7 +167,7 @@ class Resampler:
         last = (self._next + frames_out - 1) * self._ratio.down // self._ratio.up
         return max(0, last + 1 - self._fed)
 
-    def feed(self, frames: NDArray[np.float32]) -> None:
+    def feed(self, frames: Float32Array) -> None:
         """Take the next input frames, (n, channels) float32, any number."""
         room = self._reserve(len(frames))
         room[...] = frames
@@ -175,13 +176,12 @@ class Resampler:
         if not finite.all():
             room[~finite] = 0.0
 
-    def produce(self, frames: NDArray[np.float32]) -> None:
+    def produce(self, frames: Float32Array) -> None:
         """Fill `frames`, (n, channels) float32, from the `frames_needed(n)` that were fed."""
         self._kernel.render(self._inputs, self._base, self._next, frames)
         self._next += len(frames)
 
-    def _reserve(self, count: int) -> NDArray[np.float32]:
-        """Return memory for the next `count` input frames."""
+    def _reserve(self, count: int) -> Float32Array:
         end = self._fed - self._base
         if end + count + self._kernel.slack > len(self._inputs):
             kept = self._kernel.first_input(self._next) - self._base
@@ -228,9 +228,7 @@ class _BlockKernel:
         blocks = self._blocks
         return period * blocks.period_in + blocks.offsets[block] - self._taps + 1
 
-    def render(
-        self, inputs: NDArray[np.float32], base: int, first: int, frames: NDArray[np.float32]
-    ) -> None:
+    def render(self, inputs: Float32Array, base: int, first: int, frames: Float32Array) -> None:
         """Fill `frames` with the outputs from `first` on; inputs[0] is input frame `base`."""
         blocks = self._blocks
         columns = self.slack
@@ -265,13 +263,9 @@ class _InterpolatingKernel:
         self.reach = 2 * ratio.taps
 
     def first_input(self, output: int) -> int:
-        """The first input frame that is still needed for that output frame and all after it."""
         return output * self._ratio.down // self._ratio.up - self._ratio.taps + 1
 
-    def render(
-        self, inputs: NDArray[np.float32], base: int, first: int, frames: NDArray[np.float32]
-    ) -> None:
-        """Fill `frames` with the outputs from `first` on; inputs[0] is input frame `base`."""
+    def render(self, inputs: Float32Array, base: int, first: int, frames: Float32Array) -> None:
         up, down, taps = self._ratio.up, self._ratio.down, self._ratio.taps
         phases = len(self._table) - 1
         windows = np.lib.stride_tricks.sliding_window_view(inputs, taps, axis=0)

@@ -8,11 +8,11 @@ from enum import Enum
 from typing import TypeGuard
 
 import numpy as np
-from numpy.typing import NDArray
 
 from audioflinger_hook.mixer.pcm import PcmData, PcmFormat, decode_rows, stored_frames
 from device.errors import UsageError
 from device.layouts import CHANNELS_MAX
+from device.units import Float32Array
 
 
 class TrackState(Enum):
@@ -82,7 +82,7 @@ class FrameRing:
         """Frames that can be written now. For the writing thread."""
         return self.capacity_frames - (self.written - self.read)
 
-    def spans(self, position: int, count: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def spans(self, position: int, count: int) -> tuple[Float32Array, Float32Array]:
         """Memory of `count` frames from `position` on, in two parts; the second may be empty.
 
         The writing thread takes up to `room` frames from `written`, the reading one from `read`.
@@ -239,7 +239,7 @@ class Track:
             )
         self.volume = gains
 
-    def _is_float_block(self, samples: PcmData) -> TypeGuard[NDArray[np.float32]]:
+    def _is_float_block(self, samples: PcmData) -> TypeGuard[Float32Array]:
         return (
             self.format is PcmFormat.FLOAT
             and isinstance(samples, np.ndarray)

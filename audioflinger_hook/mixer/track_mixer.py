@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from enum import Enum
 
 import numpy as np
-from numpy.typing import NDArray
 
 from audioflinger_hook.mixer.layouts import ChannelMap
 from audioflinger_hook.mixer.resampler import Resampler
 from audioflinger_hook.mixer.track import PLAYING, Request, Track, TrackState, after, period_frames
 from device.layouts import sides
+from device.units import Float32Array
 
 SMALLEST_NORMAL = float(np.finfo(np.float32).tiny)
 
@@ -64,10 +64,10 @@ class VolumeRamp:
 
     def mix(
         self,
-        source: NDArray[np.float32],
-        target: NDArray[np.float32],
+        source: Float32Array,
+        target: Float32Array,
         goal: Gains | None,
-        scratch: NDArray[np.float32],
+        scratch: Float32Array,
         *,
         first: bool,
     ) -> None:
@@ -102,7 +102,7 @@ class VolumeRamp:
             target += product
 
 
-def _rise(frames: int) -> NDArray[np.float32]:
+def _rise(frames: int) -> Float32Array:
     """Return i/n for every frame i of a buffer of n frames, as a column."""
     return (np.arange(frames, dtype=np.float64) / frames).astype(np.float32)[:, None]
 
@@ -189,9 +189,7 @@ class Lane:
             return Readiness.READY
         return self._miss()
 
-    def mix(
-        self, target: NDArray[np.float32], scratch: NDArray[np.float32], *, first: bool
-    ) -> None:
+    def mix(self, target: Float32Array, scratch: Float32Array, *, first: bool) -> None:
         """Mix one cycle into the target, (frames, channels), or over it if it is the `first`.
 
         Call after `prepare` said READY. scratch: as large as the target, overwritten.
@@ -217,7 +215,7 @@ class Lane:
             self._tail_frames -= self._needed - self._take
             self._settle()
 
-    def _taken(self) -> NDArray[np.float32]:
+    def _taken(self) -> Float32Array:
         """Return this period's frames, (needed, channels); after a stop zeros follow the last."""
         ring = self.track.ring
         first, second = ring.spans(ring.read, self._take)
@@ -230,7 +228,6 @@ class Lane:
         return joined
 
     def _miss(self) -> Readiness:
-        """Count a cycle without the track; disable the track after too many of them in a row."""
         track = self.track
         if self._state is TrackState.PAUSING:
             self._ramp.mute()
@@ -283,7 +280,6 @@ class Lane:
             self._rewind()
 
     def _settle(self) -> None:
-        """Finish states that need no further cycle."""
         track = self.track
         if track.disabled and track.ring.written != self._written_when_disabled:
             track.disabled = False
@@ -301,7 +297,6 @@ class Lane:
         self.gone = self._leaving and not self.is_active
 
     def _rewind(self) -> None:
-        """Prepare for another first buffer."""
         self._filling = True
         self._missed_frames = 0
         self._ramp.restart()

@@ -24,7 +24,7 @@ from audioflinger_hook.effect.module import BlockWatch, EffectModule
 from audioflinger_hook.effect.registry import EffectRegistry
 from audioflinger_hook.effect.xml import OUTPUT_MIX_STREAM, bundled_effects, read_effects
 from audioflinger_hook.mixer import Mixer, dump
-from audioflinger_hook.mixer.effects_port import OUTPUT_MIX
+from audioflinger_hook.mixer.mix_buffer import OUTPUT_MIX
 from audioflinger_hook.transform import HapticTransform
 from device.drive.channel_map import ChannelMap
 from device.errors import CushionError, InternalError, UsageError

@@ -2,7 +2,7 @@
 
 address         the grammar of `--tap`
 tap             the interfaces of taps and clients; a part of a tap
-file, capture   taps
+file, film      taps on stored sound
 tap_client      one tap on one track
 scene           one track for each sound of a scene
 applications    one track for each application
@@ -10,8 +10,7 @@ applications    one track for each application
 
 from audioflinger_hook.sources.address import TapAddress, open_client, open_tap, parse_tap
 from audioflinger_hook.sources.applications import VoicesClient
-from audioflinger_hook.sources.capture import CaptureTap
-from audioflinger_hook.sources.file import FileTap, FramesTap
+from audioflinger_hook.sources.file import CaptureTap, FileTap, FramesTap
 from audioflinger_hook.sources.scene import SceneClient, mixdown
 from audioflinger_hook.sources.tap import Client, Tap
 from audioflinger_hook.sources.tap_client import PushTap, TapClient

@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Literal, get_args
 
 from audioflinger_hook.scenes import Scene, demo_scene
-from audioflinger_hook.sources.capture import CaptureTap
-from audioflinger_hook.sources.file import FileTap, FramesTap
+from audioflinger_hook.sources.file import CaptureTap, FileTap, FramesTap
 from audioflinger_hook.sources.scene import CYCLE_FRAMES, SceneClient, mixdown
 from audioflinger_hook.sources.tap import Client, Tap
 from audioflinger_hook.sources.tap_client import TapClient

@@ -16,12 +16,11 @@ from device.errors import UsageError
 from device.units import Float32Array
 
 FILMS = frozenset(
-    f".{ending}"
-    for ending in (
-        "mka", "mkv", "mp4", "m4v", "m4a", "mov", "avi", "webm", "mpg", "mpeg", "ts", "m2ts",
-        "vob", "wmv", "flv", "ogv",
-    )
-)  # fmt: skip
+    {
+        *(".mka", ".mkv", ".mp4", ".m4v", ".m4a", ".mov", ".avi", ".webm"),
+        *(".mpg", ".mpeg", ".ts", ".m2ts", ".vob", ".wmv", ".flv", ".ogv"),
+    }
+)
 """Endings of the names of files that libsndfile does not read, or takes for something else."""
 
 # A longer gap between the times of two packets is filled with silence; a shorter one is jitter.
@@ -89,7 +88,6 @@ class FilmTap(SteadyTap):
         return streams[spoken.index(language)]
 
     def _buffered(self, stream: Any) -> Iterator[Float32Array]:
-        """Yield buffers of one size, but for the last."""
         waiting: list[Float32Array] = []
         frames = 0
         for part in self._parts(stream):

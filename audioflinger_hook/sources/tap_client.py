@@ -164,7 +164,6 @@ class TapClient:
         self._track.start()
 
     def _stop(self) -> None:
-        """Let the track and its resampler play to the end."""
         assert self._track is not None
         self._track.stop()
         self._tail = max(self._tail, tail_frames_out(self._rate, self._mixer.samplerate))

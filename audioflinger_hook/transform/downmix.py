@@ -48,18 +48,18 @@ def downmix_table() -> FloatArray:
     return np.concatenate([np.concatenate(([row.size / 2], row)) for row in rows])
 
 
-class CancellationRules:
-    """The numbers of the rule for one samplerate in Hz.
+def cancellation_shares(samplerate: int) -> tuple[float, float, float]:
+    """Return the numbers of the rule for one samplerate in Hz.
 
-    slow, newest: shares of a new group in the powers. evidence: share of the newest power that
-    counts as power of the mean.
+    Shares of a new group of frames in the powers, and in the newest power; share of the newest
+    power that counts as power of the mean.
     """
-
-    def __init__(self, samplerate: int) -> None:
-        self.slow = -math.expm1(-GROUP_FRAMES / (POWER_S * samplerate))
-        self.newest = -math.expm1(-GROUP_FRAMES / (NEWEST_S * samplerate))
-        frames = max(EVIDENCE_FRAMES, EVIDENCE_S * samplerate)
-        self.evidence = min(0.5 * CANCELS_UP_TO, frames / (POWER_S * samplerate))
+    frames = max(EVIDENCE_FRAMES, EVIDENCE_S * samplerate)
+    return (
+        -math.expm1(-GROUP_FRAMES / (POWER_S * samplerate)),
+        -math.expm1(-GROUP_FRAMES / (NEWEST_S * samplerate)),
+        min(0.5 * CANCELS_UP_TO, frames / (POWER_S * samplerate)),
+    )
 
 
 class MonoMix:
@@ -72,7 +72,7 @@ class MonoMix:
     def __init__(self, halves: FloatArray, samplerate: int) -> None:
         mean, side = mix_weights(halves)
         self._mean, self._side = _routes(mean), _routes(side)
-        self._rules = CancellationRules(samplerate)
+        self._slow, self._newest, self._evidence = cancellation_shares(samplerate)
         self.reset()
 
     def reset(self) -> None:
@@ -116,10 +116,9 @@ class MonoMix:
 
     def _factor(self, of_mean: FloatArray, of_side: FloatArray) -> FloatArray:
         """Return the factor on s after each group, from the groups' powers."""
-        rules = self._rules
-        mean = self._smooth(0, rules.slow, of_mean)
-        both = mean + self._smooth(1, rules.slow, of_side)
-        mean = mean + rules.evidence * self._smooth(2, rules.newest, of_mean + of_side)
+        mean = self._smooth(0, self._slow, of_mean)
+        both = mean + self._smooth(1, self._slow, of_side)
+        mean = mean + self._evidence * self._smooth(2, self._newest, of_mean + of_side)
         most = np.clip((CANCELS_FROM - mean / both) / (CANCELS_FROM - CANCELS_UP_TO), 0.0, 1.0)
         return np.asarray(most * most * (3.0 - 2.0 * most))
 

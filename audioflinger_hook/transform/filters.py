@@ -70,19 +70,15 @@ def band_pass(prototype: Roots, low_hz: float, high_hz: float, samplerate: float
     return _digital(Roots(zeros, poles, prototype.gain * width**degree))
 
 
-def response(
-    b: FloatArray, a: FloatArray, frequencies_hz: FloatArray, samplerate: float
-) -> ComplexArray:
+def response(b: FloatArray, a: FloatArray, hz: FloatArray, samplerate: float) -> ComplexArray:
     """Return the frequency response of a digital filter at some frequencies, (frequencies,)."""
-    delay = np.exp(-1j * (2.0 * np.pi * frequencies_hz / samplerate))
+    delay = np.exp(-1j * (2.0 * np.pi * hz / samplerate))
     return np.asarray(polyval(delay, b, tensor=False) / polyval(delay, a, tensor=False))
 
 
-def response_of_sections(
-    sections: FloatArray, frequencies_hz: FloatArray, samplerate: float
-) -> ComplexArray:
+def response_of_sections(sections: FloatArray, hz: FloatArray, samplerate: float) -> ComplexArray:
     """Return the response of second-order sections (sections, 6) at frequencies, (frequencies,)."""
-    passed = [response(row[:3], row[3:], frequencies_hz, samplerate) for row in sections]
+    passed = [response(row[:3], row[3:], hz, samplerate) for row in sections]
     return np.asarray(np.prod(passed, axis=0))
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 import scipy
+from numpy.typing import NDArray
 
 from audioflinger_hook.transform.arrays import ComplexArray, FloatArray, IntArray
 from audioflinger_hook.transform.parameters import TransformParameters
@@ -78,16 +79,12 @@ class Principals:
     def __len__(self) -> int:
         return len(self.row)
 
-    def take(
-        self, chosen: IntArray | slice | np.ndarray[tuple[int], np.dtype[np.bool_]]
-    ) -> Principals:
+    def take(self, chosen: IntArray | slice | NDArray[np.bool_]) -> Principals:
         """Return the chosen entries, in their order."""
         return Principals(*(getattr(self, field.name)[chosen] for field in fields(self)))
 
     def boundaries(self, rows: int) -> IntArray:
         """Return rows + 1 indices; row i holds the entries from boundaries[i] to [i + 1]."""
-        if rows == 1:
-            return np.array((0, self.row.size))
         return self.row.searchsorted(np.arange(rows + 1))
 
 
@@ -124,7 +121,7 @@ class PrincipalFinder:
             index[able] - row for index in (peak, valley_left, valley_right)
         )
         offset, height = parabola(flat.take(peak - 1), flat.take(peak), flat.take(peak + 1))
-        sides = _half_power_sides(
+        sides = _half_widths(
             flat,
             np.concatenate((peak, peak)),
             np.concatenate((valley_left, valley_right)),
@@ -151,10 +148,8 @@ def strongest(found: Principals, rank: FloatArray, n: int) -> Principals:
 
 def bins_in_band(parameters: TransformParameters, bin_hz: float, bins: int) -> tuple[int, int]:
     """Return the first and the last bin on which a peak counts; 1 and 0 if there is none."""
-    frequencies = np.arange(bins) * bin_hz
-    in_band = np.flatnonzero(
-        (frequencies >= parameters.band_low_hz) & (frequencies <= parameters.band_high_hz)
-    )
+    hz = np.arange(bins) * bin_hz
+    in_band = np.flatnonzero((hz >= parameters.band_low_hz) & (hz <= parameters.band_high_hz))
     in_band = in_band[(in_band >= 1) & (in_band <= bins - 2)]
     return (int(in_band[0]), int(in_band[-1])) if in_band.size else (1, 0)
 
@@ -203,7 +198,7 @@ def parabola(
     return offset, (middle - (left - right) * offset / 4.0) ** (1.0 / PEAK_EXPONENT)
 
 
-def _half_power_sides(
+def _half_widths(
     flat: FloatArray, peak: IntArray, valley: IntArray, level: FloatArray
 ) -> FloatArray:
     """Return how far from each peak, in bins, the walk to its valley falls under its level.

@@ -156,13 +156,11 @@ class ReferenceTransform:
         return self._finder.find(magnitude(self._spectrum.transform(units)))
 
     def _render(self, units: FloatArray) -> FloatArray:
-        """Return the vibration of unit sequences (units, N), end to end."""
         vibration = np.empty(units.shape)
         for first in range(0, len(units), UNITS_AT_ONCE):
-            batch = units[first : first + UNITS_AT_ONCE]
-            vibration[first : first + len(batch)] = self._superposed(
-                self.analyse(batch), len(batch)
-            )
+            batch = slice(first, first + UNITS_AT_ONCE)
+            found = self.analyse(units[batch])
+            vibration[batch] = self._superposed(found, len(units[batch]))
         return vibration.reshape(-1)
 
     def _superposed(self, found: Principals, units: int) -> FloatArray:
@@ -171,9 +169,8 @@ class ReferenceTransform:
         hz = self._mapping.vibration_hz(found.audio_hz)
         weight = np.empty(len(found))
         for first, end in pairwise(edges):
-            weight[first:end] = self._mapping.amplitudes(
-                found.amplitude[first:end], found.r[first:end]
-            )
+            unit = slice(first, end)
+            weight[unit] = self._mapping.amplitudes(found.amplitude[unit], found.r[unit])
         if self._single:
             return self._superposition.single(weight, hz, edges)
         return np.stack(

@@ -1,13 +1,4 @@
-"""The design of the live form: all numbers and tables for one set of parameters and one samplerate.
-
-| module | what it designs |
-| --- | --- |
-| `analysis` | input stage, analysis of windows, search for onsets |
-| `loudness` | how loud each tick is |
-| `strength` | strength by loudness, felt strength, programme level |
-| `speech` | speech suppression |
-| `synthesis` | time grid, tracking of partials, oscillators, low-pass, limiter |
-"""
+"""The design of the live form: all numbers and tables for one set of parameters and samplerate."""
 
 from __future__ import annotations
 

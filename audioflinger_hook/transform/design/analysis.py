@@ -13,7 +13,7 @@ from audioflinger_hook.transform.downmix import (
     CANCELS_FROM,
     CANCELS_UP_TO,
     POWER_GUARD,
-    CancellationRules,
+    cancellation_shares,
     downmix_table,
 )
 from audioflinger_hook.transform.filters import fast_length, lowest_bins
@@ -62,7 +62,7 @@ class InputDesign:
     silence: float  # a window whose peak is below this has no principal frequency
     band_b: FloatArray  # band-pass: the numerator
     band_a: FloatArray  # band-pass: the denominator
-    mix_slow: float  # this and the next two: see `CancellationRules`
+    mix_slow: float  # this and the next two: see `cancellation_shares`
     mix_newest: float
     mix_evidence: float
     mix_weights: FloatArray = field(default_factory=downmix_table)
@@ -77,9 +77,8 @@ class InputDesign:
         """Return the design for one samplerate in Hz."""
         # By Parseval r <= max|x| fs sqrt(2.73/N) < max|x| fs: under this level nothing passes.
         silence = parameters.live_threshold_hz / samplerate
-        rules = CancellationRules(samplerate)
         band = round_filter(*band_pass_roots(parameters, samplerate))
-        return cls(silence, *band, rules.slow, rules.newest, rules.evidence)
+        return cls(silence, *band, *cancellation_shares(samplerate))
 
 
 @dataclass(frozen=True, eq=False)

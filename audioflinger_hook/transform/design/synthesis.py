@@ -224,11 +224,9 @@ def _passed(
     b: FloatArray, a: FloatArray, sections: FloatArray, hz: FloatArray, rate_hz: float
 ) -> ComplexArray:
     """Return the response at frequencies, of the sections or, if there are none, of b and a."""
-    return (
-        response_of_sections(sections, hz, rate_hz)
-        if sections.size
-        else response(b, a, hz, rate_hz)
-    )
+    if sections.size:
+        return response_of_sections(sections, hz, rate_hz)
+    return response(b, a, hz, rate_hz)
 
 
 def glide_shape(steps: int) -> FloatArray:
