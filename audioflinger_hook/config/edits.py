@@ -58,10 +58,7 @@ def apply_edits(document: MutableMapping[str, Any], edits: Edits) -> None:
 
 
 def edited_text(text: str, edits: Edits) -> str:
-    """Return the text of a config file with edits; comments and the order of keys stay.
-
-    UsageError: the text is not TOML.
-    """
+    """Return a text with edits; comments and order stay. UsageError: the text is not TOML."""
     import tomlkit
     from tomlkit.exceptions import TOMLKitError
 
@@ -126,10 +123,7 @@ def _line(name: str, value: Any) -> str:
 
 
 class LiveEdits:
-    """Changes since the daemon began, on top of its config file. For one thread.
-
-    values: the edits that apply.
-    """
+    """The edits since the daemon began, `values`, on top of its config file. For one thread."""
 
     def __init__(self, path: Path) -> None:
         self._path = path

@@ -1,8 +1,6 @@
 """Profiles: named sets of the transform's parameters, each value with its reason.
 
 The profile `paper` changes no parameter. docs/decisions.md has the measurements behind the reasons.
-If nothing names a profile, one of two defaults applies; `cli.parser` says which one for each
-command.
 """
 
 from __future__ import annotations

@@ -69,10 +69,7 @@ _OWNERS: tuple[tuple[type[Described], str, str], ...] = (
 
 @dataclass(frozen=True)
 class Key:
-    """One key of the config file.
-
-    `owner` and `field` are the class and its field that hold the value.
-    """
+    """One key of the config file; its value is the field `field` of the class `owner`."""
 
     section: str  # "" for the top level
     name: str

@@ -38,8 +38,7 @@ DEVICE_VOLUME_MIN_DB = -96.0
 BLOCK_FRAMES = (128, 256, 512, 1024)  # fewer frames a callback: less delay, more work
 ENGINES = ("auto", "native", "python")  # what computes the vibration of live sound
 
-OF_PROFILE = TransformParameters()
-"""Marks that the chosen profile's parameters apply; compared by identity."""
+OF_PROFILE = TransformParameters()  # marks the chosen profile's parameters; compared by identity
 
 
 @dataclass(frozen=True)

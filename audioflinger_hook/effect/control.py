@@ -58,8 +58,8 @@ class EffectControl:
     `enable` and `disable` only set the state; `update_state` sends it to the engine at the end of
     the next cycle. An engine that refuses its configuration (`refusal`) is bypassed until it
     accepts one. An engine with a `fault` is bypassed until it is enabled again, after a new INIT
-    and SET_CONFIG. `given_up`: why another thread does not wait for the engine. `complaint`: the
-    last refusal or fault. `readings`: lines with which the engine described its own state.
+    and SET_CONFIG. `given_up`: why another thread, which sets it, does not wait for the engine.
+    `complaint`: the last refusal or fault. `readings`: the engine's own lines about its state.
 
     All calls come from the thread that steps the mixer, between buffers; any thread may read. None
     raises, except KeyboardInterrupt, which is the user's.

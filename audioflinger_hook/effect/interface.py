@@ -184,7 +184,6 @@ class EffectEngine(Protocol):
     @property
     def descriptor(self) -> EffectDescriptor:
         """The effect's descriptor, which never changes."""
-        ...
 
     def process(self, source: MixBuffer, target: MixBuffer) -> int:
         """Treat one buffer; source and target may be one object. Return OK or ENODATA (tail ended).
@@ -193,7 +192,6 @@ class EffectEngine(Protocol):
         arrays belong to the caller; only their contents may change. Called by the thread that steps
         the mixer, which must not wait.
         """
-        ...
 
     def command(self, code: int, data: object = None) -> tuple[int, object]:
         """Carry out a command and return its status and reply.
@@ -209,7 +207,6 @@ class EffectEngine(Protocol):
         - INIT resets the engine but keeps its parameters.
         - Vendor codes take what the descriptor says.
         """
-        ...
 
 
 @dataclass(frozen=True)

@@ -75,10 +75,6 @@ class EffectModule(EffectControl):
         if not in_place:
             np.add(target.samples, source.samples, out=target.samples)
 
-    def give_up(self, reason: str) -> None:
-        """Bypass an engine that does not return. The one method for another thread."""
-        self.given_up = reason
-
     def _ready(self, source: MixBuffer, in_place: bool) -> bool:
         """Return whether the engine is configured for the buffer and has no fault."""
         if self.config is None or not self._accepted or self.bypassed:
@@ -236,9 +232,9 @@ class BlockWatch:
             found.looks += 1
             found.looks_at_call += 1
             if now_s - found.since_s >= BLOCKED_S and found.looks_at_call >= BLOCKED_LOOKS:
-                effect.give_up(f"kept the audio thread for over {BLOCKED_S:g} s in process")
+                effect.given_up = f"kept the audio thread for over {BLOCKED_S:g} s in process"
             elif found.looks >= ALWAYS_LOOKS:
-                effect.give_up(
+                effect.given_up = (
                     "kept the audio thread in process at all times in the last "
                     f"{now_s - found.first_s:.0f} s"
                 )

@@ -25,8 +25,7 @@ from device.errors import InternalError, NotFoundError, UsageError
 
 __all__ = ["EffectLibrary", "EffectRegistry"]
 
-ENTRY_POINTS = "audioflinger_hook.effects"
-"""The entry-point group; each entry names an `EffectLibrary`."""
+ENTRY_POINTS = "audioflinger_hook.effects"  # the group; each entry names an `EffectLibrary`
 
 
 class EffectRegistry:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cache
 from importlib.resources import files
 from pathlib import Path
 from uuid import UUID
@@ -15,18 +14,13 @@ from audioflinger_hook.effect.registry import EffectRegistry
 from device.errors import UsageError
 
 SIZE_MAX = 2**20  # largest size of a file in bytes; Android's own files have about 10 KB
-
 VERSION = "2.0"
 
+# Our own stream name, added to Android's kinds of players: the mix of all players.
 OUTPUT_MIX_STREAM = "output_mix"
-"""Our own stream name, added to Android's kinds of players: the mix of all players."""
-
-STREAMS = frozenset(
-    {
-        OUTPUT_MIX_STREAM,
-        *("alarm", "assistant", "bluetooth_sco", "dtmf", "enforced_audible", "music"),
-        *("notification", "ring", "system", "tts", "voice_call"),
-    }
+STREAMS = (
+    *(OUTPUT_MIX_STREAM, "alarm", "assistant", "bluetooth_sco", "dtmf", "enforced_audible"),
+    *("music", "notification", "ring", "system", "tts", "voice_call"),
 )
 
 ROOT = "audio_effects_conf"
@@ -68,12 +62,8 @@ class DeclaredEffects:
 
 def bundled_effects(registry: EffectRegistry) -> DeclaredEffects:
     """Return what the bundled file declares: the haptic effect on the output mix."""
-    return parse_effects(_bundled(), registry)
-
-
-@cache
-def _bundled() -> bytes:
-    return files("audioflinger_hook.effect").joinpath("audio_effects.xml").read_bytes()
+    xml = files("audioflinger_hook.effect").joinpath("audio_effects.xml").read_bytes()
+    return parse_effects(xml, registry)
 
 
 def read_effects(path: Path, registry: EffectRegistry) -> DeclaredEffects:

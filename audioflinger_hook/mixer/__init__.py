@@ -1,12 +1,6 @@
 """The mixer: tracks of any format and rate, one mix, effect chains, sinks.
 
-`Mixer` makes tracks and steps; `dump` shows it as text.
-
-    pcm, track                     the formats and tracks that a client writes to
-    layouts, resampler             steps from a track into the mix
-    track_mixer                    one track on the mixer's side, with its volume
-    mixer                          the cycle
-    mix_buffer                     the buffer, the sinks and effects that it passes
+client -> track (pcm) -> track_mixer (layouts, resampler) -> mixer -> effects, sinks (mix_buffer)
 """
 
 from audioflinger_hook.mixer.dump import dump

@@ -77,22 +77,20 @@ class ChannelMap:
             for source, target in np.argwhere(matrix).tolist()
         ]
 
-    def apply(
-        self, frames: Float32Array, mapped: Float32Array, spare: Float32Array
-    ) -> Float32Array:
-        """Return the frames (n, track channels) in the mix's channels, in the memory of `mapped`.
+    def apply(self, frames: Float32Array, out: Float32Array, spare: Float32Array) -> Float32Array:
+        """Return the frames (n, track channels) in the mix's channels, in the memory of `out`.
 
         Frames that need no mapping are returned themselves; mono stays (n, 1), to broadcast.
-        mapped: (n or more, mix channels); spare: (n or more,). Called by the mixer's thread.
+        out: (n or more, mix channels); spare: (n or more,). Called by the mixer's thread.
         """
         if self._passes:
             return frames
-        mapped, spare = mapped[: len(frames)], spare[: len(frames)]
-        mapped[...] = 0.0
+        out, spare = out[: len(frames)], spare[: len(frames)]
+        out[...] = 0.0
         for source, target, gain in self._routes:
             # one route after another: the same sum whatever the number of frames
-            mapped[:, target] += np.multiply(frames[:, source], gain, out=spare)
-        return mapped
+            out[:, target] += np.multiply(frames[:, source], gain, out=spare)
+        return out
 
 
 @cache

@@ -9,9 +9,7 @@ import numpy as np
 
 from device.units import Float32Array
 
-NORMAL_MIN_MS = 20
-NORMAL_MAX_MS = 24
-ALIGNMENT = 16
+NORMAL_MIN_MS, NORMAL_MAX_MS, ALIGNMENT = 20, 24, 16
 """AudioFlinger's normal mix buffer: its limits in ms, and frames of which it is a multiple."""
 
 OUTPUT_MIX, OUTPUT_STAGE, DEVICE = 0, -1, -2
@@ -84,11 +82,9 @@ class Sink(Protocol):
 
     def write(self, buffer: MixBuffer) -> None:
         """Take one buffer; it belongs to the mixer again when this returns."""
-        ...
 
     def standby(self) -> None:
         """Drop all frames kept, since none follow for a while. The next `write` ends this."""
-        ...
 
 
 class EffectsPort:

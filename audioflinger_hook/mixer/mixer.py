@@ -21,13 +21,7 @@ from audioflinger_hook.mixer.mix_buffer import (
     normal_buffer_frames,
 )
 from audioflinger_hook.mixer.pcm import PcmFormat
-from audioflinger_hook.mixer.track import (
-    SAMPLERATE_MAX,
-    SAMPLERATE_MIN,
-    Request,
-    Track,
-    out_of_range,
-)
+from audioflinger_hook.mixer.track import SAMPLERATES, Request, Track, out_of_range
 from audioflinger_hook.mixer.track_mixer import Lane, Readiness
 from device.errors import UsageError
 from device.layouts import CHANNELS_MAX
@@ -92,7 +86,7 @@ class Mixer:
     ) -> None:
         wrong = [
             *out_of_range("hal_frames", hal_frames, 1, HAL_FRAMES_MAX, ""),
-            *out_of_range("samplerate", samplerate, SAMPLERATE_MIN, SAMPLERATE_MAX, " Hz"),
+            *out_of_range("samplerate", samplerate, *SAMPLERATES, " Hz"),
             *out_of_range("channels", channels, 1, CHANNELS_MAX, ""),
             *out_of_range("haptic_channels", haptic_channels, 0, CHANNELS_MAX, ""),
         ]

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from enum import Enum
-from typing import TypeGuard
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from audioflinger_hook.mixer.pcm import PcmData, PcmFormat, decode_rows, stored_frames
 from device.errors import UsageError
@@ -92,7 +93,7 @@ class FrameRing:
         return self._frames[first : first + count - wrapped], self._frames[:wrapped]
 
 
-SAMPLERATE_MIN, SAMPLERATE_MAX = 1_000, 768_000  # Hz
+SAMPLERATES = 1_000, 768_000  # Hz, lowest and highest
 PERIODS_IN_RING = 2  # mix periods that a ring holds by default
 
 
@@ -127,7 +128,7 @@ class Track:
         ring_frames: int | None = None,
         start_threshold: int | None = None,
     ) -> None:
-        rate_wrong = out_of_range("samplerate", samplerate, SAMPLERATE_MIN, SAMPLERATE_MAX, " Hz")
+        rate_wrong = out_of_range("samplerate", samplerate, *SAMPLERATES, " Hz")
         period = 1 if rate_wrong else period_frames(samplerate, mix_samplerate, mix_frames)
         ring_frames = PERIODS_IN_RING * period if ring_frames is None else ring_frames
         start_threshold = ring_frames if start_threshold is None else start_threshold
@@ -181,11 +182,6 @@ class Track:
         """Frames in the ring that the mixer has not taken yet."""
         return self.ring.written - self.ring.read
 
-    @property
-    def room(self) -> int:
-        """Frames that `write` would take now."""
-        return self.ring.room
-
     def write(self, samples: PcmData) -> int:
         """Store as many frames as there is room for and return their number; never waits.
 
@@ -193,18 +189,11 @@ class Track:
             (frames, channels); copied. Offer the frames not stored again after a cycle.
         UsageError: the samples have another type or shape; nothing is stored then.
         """
-        ring = self.ring
-        if self._is_float_block(samples):
-            taken = min(len(samples), ring.room)
-            first, second = ring.spans(ring.written, taken)
-            first[...] = samples[: len(first)]
-            second[...] = samples[len(first) : taken]
-        else:
-            rows = stored_frames(samples, self.format, self.channels)
-            taken = min(len(rows), ring.room)
-            first, second = ring.spans(ring.written, taken)
-            decode_rows(rows[: len(first)], self.format, first)
-            decode_rows(rows[len(first) : taken], self.format, second)
+        ring, rows = self.ring, self._rows(samples)
+        taken = min(len(rows), ring.room)
+        first, second = ring.spans(ring.written, taken)
+        decode_rows(rows[: len(first)], self.format, first)
+        decode_rows(rows[len(first) : taken], self.format, second)
         ring.written += taken
         return taken
 
@@ -239,13 +228,16 @@ class Track:
             )
         self.volume = gains
 
-    def _is_float_block(self, samples: PcmData) -> TypeGuard[Float32Array]:
-        return (
+    def _rows(self, samples: PcmData) -> NDArray[Any]:
+        """Return samples as `stored_frames`; those of a tap are such rows already."""
+        if (
             self.format is PcmFormat.FLOAT
             and isinstance(samples, np.ndarray)
             and samples.dtype == np.float32
             and samples.shape[1:] == (self.channels,)
-        )
+        ):
+            return samples
+        return stored_frames(samples, self.format, self.channels)
 
     def _ask(self, request: Request) -> None:
         self.requests.append((request, self.ring.written))

@@ -44,7 +44,7 @@ class VolumeRamp:
 
     A change goes linearly over exactly one buffer: frame i of n has old + (new - old) i/n. A
     track's first buffer has no ramp. frames: usual length of a buffer, for which the ramp is kept
-    ready. gains: those reached, one per channel; None before the first buffer.
+    ready. gains: those reached, one per channel; None before a first buffer.
     """
 
     def __init__(self, channels: int, frames: int) -> None:
@@ -53,10 +53,6 @@ class VolumeRamp:
         self._unity: Gains = (1.0,) * channels
         self.gains: Gains | None = None
         self._row = np.zeros(channels, np.float32)
-
-    def restart(self) -> None:
-        """Treat the next buffer as the first."""
-        self.gains = None
 
     def mute(self) -> None:
         """Make the next buffer rise from silence."""
@@ -299,7 +295,7 @@ class Lane:
     def _rewind(self) -> None:
         self._filling = True
         self._missed_frames = 0
-        self._ramp.restart()
+        self._ramp.gains = None
         if self._resampler is not None:
             self._resampler.reset()
 

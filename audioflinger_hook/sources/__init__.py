@@ -1,11 +1,6 @@
 """Where sound comes from: taps deliver buffers, clients write them into the mixer's tracks.
 
-address         the grammar of `--tap`
-tap             the interfaces of taps and clients; a part of a tap
-file, film      taps on stored sound
-tap_client      one tap on one track
-scene           one track for each sound of a scene
-applications    one track for each application
+address -> file, film -> tap_client -> one track; scene, applications -> one track for each sound
 """
 
 from audioflinger_hook.sources.address import TapAddress, open_client, open_tap, parse_tap

@@ -160,10 +160,7 @@ def _body_is_short(log: str) -> bool:
 
 
 class FramesTap(SteadyTap):
-    """Frames from memory, (frames, channels) float32, in buffers.
-
-    frames, samplerate, blocksize: the sound, its rate in Hz, frames of a buffer.
-    """
+    """Frames from memory. frames: (n, channels) float32. samplerate: Hz. blocksize: of a buffer."""
 
     def __init__(self, frames: Float32Array, samplerate: int, blocksize: int) -> None:
         starts = range(0, len(frames), blocksize)

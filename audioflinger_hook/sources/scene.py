@@ -99,7 +99,7 @@ class _Voice:
         self.track.start()
 
     def _fill(self) -> None:
-        most = self.track.room * self.frame_bytes
+        most = self.track.ring.room * self.frame_bytes
         taken = self.track.write(self.stored[:most]) * self.frame_bytes
         self.stored = self.stored[taken:]
 

@@ -90,17 +90,13 @@ class TapClient:
     def __init__(self, tap: Tap) -> None:
         self.samplerate = tap.samplerate
         self.channels = tap.channels
+        self.frames_expected = tap.frames_expected
         self.buffers = self.format_changes = self.discontinuities = 0
         self._tap = tap
         self._track: Track | None = None
         self._pending: Float32Array = np.zeros((0, tap.channels), np.float32)
         self._tail = 0
         self._ended = False
-
-    @property
-    def frames_expected(self) -> int | None:
-        """Total frames, if known."""
-        return self._tap.frames_expected
 
     @property
     def pending_frames(self) -> int:

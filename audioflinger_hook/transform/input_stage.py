@@ -100,11 +100,8 @@ class BandPass:
     768 kHz).
     """
 
-    def __init__(
-        self, b: FloatArray, a: FloatArray, denormal_guard: float = DENORMAL_GUARD
-    ) -> None:
-        self._b, self._a = b, a
-        self._guard = denormal_guard
+    def __init__(self, b: FloatArray, a: FloatArray, guard: float = DENORMAL_GUARD) -> None:
+        self._b, self._a, self._guard = b, a, guard
         self.reset()
 
     def reset(self) -> None:

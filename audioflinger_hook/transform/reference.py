@@ -24,7 +24,6 @@ from audioflinger_hook.transform.principal import PrincipalFinder, Principals, S
 from device.layouts import downmix
 
 EPSILON = 2.0**-52
-
 ANGLE_ERROR = 8.0
 """`exact` and `single` each round a frame's time and angle three times, by at most half an epsilon
 of the largest angle. Both errors together are 3 epsilons; the bound is more than twice that."""
@@ -93,8 +92,7 @@ class Superposition:
                 sums[unit, frame] = total
 
 
-UNITS_AT_ONCE = 8
-"""Units analysed in one batch: bounds the memory of a block of any length."""
+UNITS_AT_ONCE = 8  # units analysed in one batch: bounds the memory of a block of any length
 
 
 class ReferenceTransform:
