@@ -40,9 +40,9 @@ def _round_up(frames: int) -> int:
 class MixBuffer:
     """One cycle's frames, partially interleaved as on Android, full scale +-1, float32.
 
-    `samples` is one flat array, all audio frames and after them all haptic frames. `audio` (frames,
-    channels) and `haptic` (frames, haptic_channels) are views of it. Use from the thread that steps
-    the mixer.
+    `samples` is one flat array: the audio frames interleaved, then the haptic frames interleaved.
+    `audio` (frames, channels) and `haptic` (frames, haptic_channels) are views of it. Use from the
+    thread that steps the mixer.
     """
 
     def __init__(self, frames: int, channels: int, haptic_channels: int = 0) -> None:
