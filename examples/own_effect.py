@@ -7,8 +7,7 @@ import numpy as np
 from audioflinger_hook import HapticTransform
 from audioflinger_hook.effect.chain import EffectChains
 from audioflinger_hook.effect.interface import ENOSYS, OK, Command, EffectDescriptor
-from audioflinger_hook.mixer.effects_port import OUTPUT_MIX
-from audioflinger_hook.mixer.mix_buffer import MixBuffer
+from audioflinger_hook.mixer.mix_buffer import OUTPUT_MIX, MixBuffer
 
 RATE, FRAMES = 48_000, 480
 

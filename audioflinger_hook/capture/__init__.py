@@ -1,6 +1,6 @@
 """Captures: PCM buffers stored as delivered, for a replay that is equal bit for bit.
 
-    audio thread -> recorder -> writer -> folder -> reader -> sources/capture
+    audio thread -> recorder -> writer -> folder -> reader -> sources/file
                     queue+thread segment   format    segment
 
 `format` describes the folder's files. Times are arguments; no clock is read.

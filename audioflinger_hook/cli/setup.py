@@ -19,8 +19,7 @@ from audioflinger_hook.cli.outputs import COILS, Output, list_outputs, shaker_pa
 from audioflinger_hook.cli.terminal import agree, as_typed, name_some, pick, warn
 from audioflinger_hook.cli.tone import PCM, Felt, try_output
 from audioflinger_hook.config import file as config
-from audioflinger_hook.config.commented import actuator_text, commented_text
-from audioflinger_hook.config.edits import edited_text
+from audioflinger_hook.config.edits import actuator_text, commented_text, edited_text
 from audioflinger_hook.config.profiles import LIVE_DEFAULT, PROFILES
 from audioflinger_hook.service import install as service
 from device.address import DeviceAddress, parse_device

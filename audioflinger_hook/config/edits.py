@@ -1,25 +1,26 @@
-"""Changes to the values of a config file, applied to a document or written into its text.
+"""Changes to the values of a config file: in a document, in its text, or as a new text.
 
 An edit names a key as `key` or `section.key`; the value None leaves the key out of the file.
 """
 
 from __future__ import annotations
 
+import textwrap
 import tomllib
 from collections import deque
 from collections.abc import Mapping, MutableMapping
 from pathlib import Path
 from typing import Any
 
-from audioflinger_hook.config.schema import ACTUATOR, KEYS, Key
+from audioflinger_hook.config.schema import ACTUATOR, KEYS, Key, keys_of
+from audioflinger_hook.config.toml_text import text_of
 from device.atomic_file import make_private_folder, write_bytes_atomically
 from device.errors import InternalError, UsageError
 from device.values import Text, nearest
 
 Edits = Mapping[str, Any]
 
-UNDO_MAX = 100
-"""Changes that can be undone; older ones cannot."""
+UNDO_MAX = 100  # changes that can be undone; older ones cannot
 
 EDITABLE = {
     f"{key.section}.{key.name}" if key.section else key.name: key
@@ -57,10 +58,7 @@ def apply_edits(document: MutableMapping[str, Any], edits: Edits) -> None:
 
 
 def edited_text(text: str, edits: Edits) -> str:
-    """Return the text of a config file with edits; comments and the order of keys stay.
-
-    UsageError: the text is not TOML.
-    """
+    """Return a text with edits; comments and order stay. UsageError: the text is not TOML."""
     import tomlkit
     from tomlkit.exceptions import TOMLKitError
 
@@ -79,18 +77,59 @@ def edited_text(text: str, edits: Edits) -> str:
     return changed
 
 
-class LiveEdits:
-    """Changes since the daemon began, on top of its config file. For one thread.
+HEAD = """\
+# Settings of Haptic Cushion. `cushion check` finds mistakes. A key behind `#` has its default.
+# A running daemon reads this again after: systemctl --user reload cushion
+"""
 
-    values: the edits that apply.
+
+def commented_text(edits: Edits, channels: tuple[str, ...] = ()) -> str:
+    """Return a new config file with these values, and every other key as a comment.
+
+    channels: of the only actuator; empty for all channels of the device.
     """
+    parts = [HEAD]
+    for name, key in keys_of("").items():
+        default = f"{name} =" if key.default is None else _line(name, key.default)
+        line = _line(name, edits[name]) if name in edits else f"# {default}"
+        parts.append(f"{_comment(key.help)}{line}\n")
+    sections: dict[str, dict[str, Any]] = {}
+    for name, value in edits.items():
+        section, _, key_name = name.rpartition(".")
+        if section:
+            sections.setdefault(section, {})[key_name] = value
+    for section, values in sections.items():
+        lines = [f"{_comment(keys_of(section)[n].help)}{_line(n, v)}" for n, v in values.items()]
+        parts.append("\n".join([f"[{section}]", *lines, ""]))
+    if channels:
+        parts.append(actuator_text(channels))
+    return "\n".join(parts)
+
+
+def actuator_text(channels: tuple[str, ...]) -> str:
+    """Return the table of an actuator on some channels of the device."""
+    return f"[[actuator]]\n{_line('channels', channels)}\n"
+
+
+def _comment(text: str) -> str:
+    lines = textwrap.wrap(text, 98, break_long_words=False, break_on_hyphens=False)
+    return "".join(f"# {line}\n" for line in lines)
+
+
+def _line(name: str, value: Any) -> str:
+    import tomlkit
+
+    return tomlkit.dumps({name: list(value) if isinstance(value, tuple) else value}).strip()
+
+
+class LiveEdits:
+    """The edits since the daemon began, `values`, on top of its config file. For one thread."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self.values: dict[str, Any] = {}
         self._saved: dict[str, Any] = {}
-        # The edits before each change.
-        self._undo: deque[dict[str, Any]] = deque(maxlen=UNDO_MAX)
+        self._undo: deque[dict[str, Any]] = deque(maxlen=UNDO_MAX)  # the edits before each change
 
     @property
     def unsaved(self) -> frozenset[str]:
@@ -103,20 +142,13 @@ class LiveEdits:
         """Changes that can be undone."""
         return len(self._undo)
 
-    def with_changes(self, changes: Edits) -> dict[str, Any]:
-        """Return the edits as they would be after these changes."""
-        return {**self.values, **changes}
-
     def accept(self, changes: Edits) -> None:
         """Make these changes; only after they were checked."""
         self._undo.append(self.values)
-        self.values = self.with_changes(changes)
+        self.values = {**self.values, **changes}
 
     def without_last(self) -> dict[str, Any]:
-        """Return the edits as they would be without the last change.
-
-        UsageError: nothing is left to undo.
-        """
+        """Return the edits without the last change; UsageError if there is none."""
         if not self._undo:
             raise UsageError("there is nothing to undo; nothing has been changed since the start")
         return dict(self._undo[-1])
@@ -129,10 +161,9 @@ class LiveEdits:
     def save(self) -> None:
         """Write the edits into the file, which is made if it is missing.
 
-        UsageError: the file is not TOML, or cannot be written.
-        WriteError: the disk is full or failed.
+        UsageError: the file is not TOML, or cannot be written. WriteError: the disk failed.
         """
-        text = self._text()
+        text = text_of(self._path, or_empty=True)
         changed = edited_text(text, self.values)
         if changed != text:
             make_private_folder(self._path.parent)
@@ -143,17 +174,8 @@ class LiveEdits:
         before = {name: _value(document, name) for name in self.values}
         self._undo = deque(({**before, **edits} for edits in self._undo), UNDO_MAX)
 
-    def _text(self) -> str:
-        try:
-            return self._path.read_text(encoding="utf-8-sig")
-        except FileNotFoundError:
-            return ""
-        except (OSError, UnicodeDecodeError) as error:
-            raise UsageError(f"{self._path} cannot be read ({error}); check the file") from error
-
 
 def _value(document: dict[str, Any], name: str) -> Any:
-    """Return the value of a key of an edit, None if the document has no such key."""
     section, _, key = name.rpartition(".")
     table = document.get(section, {}) if section else document
     return table.get(key) if isinstance(table, dict) else None

@@ -9,14 +9,7 @@ from typing import Any
 
 from audioflinger_hook.config.edits import Edits, apply_edits
 from audioflinger_hook.config.profiles import OFFLINE_DEFAULT, parameters_of, values_of
-from audioflinger_hook.config.schema import (
-    ACTUATOR,
-    HEADERS,
-    KEYS,
-    REPLACED,
-    SECTIONS,
-    keys_of,
-)
+from audioflinger_hook.config.schema import ACTUATOR, HEADERS, KEYS, REPLACED, SECTIONS, keys_of
 from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.config.toml_text import Mistake, lines_of_keys, parse, printable, text_of
 from audioflinger_hook.transform import TransformParameters
@@ -27,18 +20,14 @@ from device.values import Described, Refusal, nearest
 
 @dataclass(frozen=True)
 class Config:
-    """The content of a config file.
-
-    settings: of the transform, the effects and the rig.
-    live: where live sound comes from and where the vibration goes.
-    """
+    """The content of a config file."""
 
     settings: Settings = field(default_factory=Settings)
     live: LiveSettings = field(default_factory=LiveSettings)
 
 
 def default_path() -> Path:
-    """Return the path of the user's config: $XDG_CONFIG_HOME/cushion/config.toml."""
+    """Return $XDG_CONFIG_HOME/cushion/config.toml, the user's config."""
     base = os.environ.get("XDG_CONFIG_HOME") or "~/.config"
     return Path(base).expanduser() / "cushion" / "config.toml"
 
@@ -60,11 +49,10 @@ def check(
 ) -> tuple[Config | None, list[Mistake]]:
     """Return a file's content and an empty list, or None and every mistake in order of lines.
 
-    default_profile: if the file names none. edits: values that replace those of the file, which may
-    then be missing.
-    UsageError: the file cannot be read, or is not text.
+    default_profile: if the file names none. edits: replace values of the file, which may then be
+    missing. UsageError: the file cannot be read, or is not text.
     """
-    text = text_of(path) if edits is None or path.exists() else ""
+    text = text_of(path, or_empty=edits is not None)
     return check_text(text, path.parent, default_profile, edits)
 
 
@@ -86,11 +74,7 @@ class _Reading:
     """Accepted values and mistakes of one document."""
 
     def __init__(
-        self,
-        lines: dict[str, int],
-        folder: Path,
-        mistakes: list[Mistake],
-        default_profile: str,
+        self, lines: dict[str, int], folder: Path, mistakes: list[Mistake], default_profile: str
     ) -> None:
         self.default_profile = default_profile
         self.lines = lines
@@ -103,7 +87,6 @@ class _Reading:
         self.refused: set[tuple[type[Described], str]] = set()
 
     def read(self, document: dict[str, Any]) -> None:
-        """Check every value separately."""
         top = {name: value for name, value in document.items() if name not in HEADERS}
         self._read_table("", "", top)
         for section in SECTIONS[1:]:
@@ -148,7 +131,6 @@ class _Reading:
                 self.accepted[key.owner][key.field] = key.description.typed(resolved)
 
     def find_contradictions(self) -> None:
-        """Check the accepted values against one another."""
         self.accepted[Settings]["actuators"] = self.actuators
         owners: tuple[type[Described], ...] = (TransformParameters, Settings, LiveSettings)
         for owner in owners:
@@ -169,7 +151,6 @@ class _Reading:
         return str(self.accepted[Settings].get("profile", self.default_profile))
 
     def config(self) -> Config:
-        """Return the content of the document, which has no mistakes."""
         chosen = self.accepted[TransformParameters]
         settings = Settings(
             **self.accepted[Settings]
@@ -185,8 +166,8 @@ class _Reading:
     def _line(self, key: str) -> int:
         """Return the line of a key, or of the section that holds it inline; 0 if unknown."""
         section = key.partition(".")[0]
-        lines = self.lines
-        return lines.get(key) or lines.get(section) or lines.get(section.partition("[")[0], 0)
+        names = (key, section, section.partition("[")[0])
+        return next((self.lines[name] for name in names if name in self.lines), 0)
 
     def _add(self, key: str, refusal: Refusal) -> None:
         where = printable(key), self._line(key), self.shown.get(key, "")
@@ -196,8 +177,7 @@ class _Reading:
 def _unknown(section: str, name: str, is_section: bool) -> Refusal:
     """Return the refusal of an unknown key or section, with the most similar known name."""
     if name in REPLACED.get(section, {}):
-        new = REPLACED[section][name]
-        return Refusal("is no key any more", new)
+        return Refusal("is no key any more", REPLACED[section][name])
     known = [*keys_of(section), *(HEADERS.values() if not section else ())]
     elsewhere = [
         f"{name} in {HEADERS[key.section]}" if key.section else f"{name} at the top level"
@@ -210,7 +190,7 @@ def _unknown(section: str, name: str, is_section: bool) -> Refusal:
 
 
 def _shown(value: Any) -> str:
-    """Return a value roughly as TOML would write it, for a message of one line."""
+    """Return a value roughly as TOML would write it."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str):

@@ -1,8 +1,6 @@
 """Profiles: named sets of the transform's parameters, each value with its reason.
 
-The profile `paper` changes no parameter. Other profiles change some parameters; a config file
-overrides the profile. docs/decisions.md has the measurements behind the reasons. If nothing names
-a profile, one of two defaults applies; `cli.parser` says for each command which one it is.
+The profile `paper` changes no parameter. docs/decisions.md has the measurements behind the reasons.
 """
 
 from __future__ import annotations
@@ -31,6 +29,8 @@ SONE = ProfileValue(
     0.68, "amplitude nearly in proportion to sone: what is twice as loud is felt so"
 )
 STEADY = ProfileValue(1.5, "what is steady stays so, and small changes are followed")
+ROOM = ProfileValue(-24.0, "room for what is louder than the rest")
+WARBLE = "tones that a body cannot distinguish would warble"
 LOWER = ProfileValue("jnd", "a seated body feels lower vibration better, and amplifiers have room")
 
 FOLLOWING = {
@@ -47,24 +47,16 @@ FOLLOWING = {
 
 PROFILES: dict[str, dict[str, ProfileValue]] = {
     "paper": {},
-    "cinema": {
-        **FOLLOWING,
-        "merge_ratio": ProfileValue(0.8, "tones that a body cannot distinguish would warble"),
-        "loudness_target_db": ProfileValue(-24.0, "room for what is louder than the rest"),
-    },
+    "cinema": {**FOLLOWING, "merge_ratio": ProfileValue(0.8, WARBLE), "loudness_target_db": ROOM},
     "game": {
         **FOLLOWING,
         "window_s": ProfileValue(
             0.033, "sustained levels and endings are 11 ms earlier; vibration begins at 30 Hz"
         ),
         "merge_ratio": ProfileValue(0.8, "shots and steps stand out of few, steady vibrations"),
-        "loudness_target_db": ProfileValue(-24.0, "room for what is louder than the rest"),
+        "loudness_target_db": ROOM,
     },
-    "music": {
-        **FOLLOWING,
-        "merge_ratio": ProfileValue(0.6, "tones that a body cannot distinguish would warble"),
-        "loudness_target_db": ProfileValue(-24.0, "room for what is louder than the rest"),
-    },
+    "music": {**FOLLOWING, "merge_ratio": ProfileValue(0.6, WARBLE), "loudness_target_db": ROOM},
     "speech": {
         **FOLLOWING,
         "band_low_hz": ProfileValue(150.0, "the bass of music and engines does not hide a voice"),
@@ -75,13 +67,11 @@ PROFILES: dict[str, dict[str, ProfileValue]] = {
         "dynamics": ProfileValue(0.75, "syllables are felt apart; music under speech is soft"),
         "rise_db": ProfileValue(0.0, "consonants are no blows: vibration follows the syllables"),
         "jitter_db": ProfileValue(1.0, "even small changes of a voice are followed"),
-        "merge_ratio": ProfileValue(0.9, "tones that a body cannot distinguish would warble"),
+        "merge_ratio": ProfileValue(0.9, WARBLE),
         "loudness_floor_db": ProfileValue(-75.0, "soft words vibrate, too"),
-        "loudness_target_db": ProfileValue(-24.0, "room for what is louder than the rest"),
+        "loudness_target_db": ROOM,
     },
 }
-"""Every profile by its name."""
-
 OFFLINE_DEFAULT = "paper"
 """Default of this library and of all commands on files: published figures stay what they are."""
 
@@ -92,8 +82,7 @@ LIVE_DEFAULT = "cinema"
 def parameters_of(profile: str, said: Mapping[str, Any] | None = None) -> TransformParameters:
     """Return a profile's parameters, overridden by those set individually.
 
-    UsageError: parameters are out of range or contradict each other; see `TransformParameters`.
-    KeyError: there is no such profile.
+    Raises as `TransformParameters`, and KeyError if there is no such profile.
     """
     return TransformParameters(**(values_of(profile) | dict(said or {})))
 

@@ -30,19 +30,15 @@ CHANGES = {
 """The effects of changing a key while the daemon runs, each with its explanation."""
 
 OPTIONS = {
-    "form": "",
-    "channels": "",
+    **dict.fromkeys(
+        ("form", "channels", "damping", "protection", "model", "drop_in", "engine"), ""
+    ),
     "profile": "NAME",
     "rig": "NAME|FILE",
-    "damping": "",
-    "protection": "",
-    "model": "",
     "tolerance": "SHARE",
     "tap": "TAP",
     "device": "DEVICE",
     "offset_ms": "MS",
-    "drop_in": "",
-    "engine": "",
     "device_volume_db": "DB|off",
 }
 """Fields that a command-line option sets, each with the name of its value in help.
@@ -50,6 +46,7 @@ OPTIONS = {
 "" means that help lists the words of a choice, or that the option is a switch.
 """
 
+# What replaces parameters of older configs and captures, and keys of older configs by section.
 REPLACED_PARAMETERS = {
     "level_law": "amplitude_mapping",
     "follower_db": "loudness_db",
@@ -59,11 +56,7 @@ REPLACED_PARAMETERS = {
     "follower_floor_db": "loudness_floor_db",
     "follower_gate_db": "loudness_gate_db",
 }
-"""What replaces parameters of older configs and captures."""
-
 REPLACED = {"transform": {"form": "transform", **REPLACED_PARAMETERS}}
-"""What replaces keys of older configs, by section."""
-
 
 _OWNERS: tuple[tuple[type[Described], str, str], ...] = (
     (Settings, "", "engine"),
@@ -76,24 +69,16 @@ _OWNERS: tuple[tuple[type[Described], str, str], ...] = (
 
 @dataclass(frozen=True)
 class Key:
-    """One key of the config file.
+    """One key of the config file; its value is the field `field` of the class `owner`."""
 
-    section, name: the key's section ("" for the top level) and its name in that section.
-    owner, field: the class and the field that hold the value.
-    description: the key's meaning and allowed values.
-    default: the default value; None if there is none.
-    live_default: the default value in `run`, which takes another profile if none is named.
-    change: the effect of changing the key while the daemon runs, one of `CHANGES`.
-    """
-
-    section: str
+    section: str  # "" for the top level
     name: str
     owner: type[Described]
     field: str
     description: Description
-    default: Any
-    live_default: Any
-    change: str
+    default: Any  # None if there is none
+    live_default: Any  # in `run`, which takes another profile if none is named
+    change: str  # the effect of changing the key while the daemon runs, one of `CHANGES`
 
     @property
     def flag(self) -> str:
@@ -165,8 +150,7 @@ def _keys() -> tuple[Key, ...]:
     return tuple(sorted(found, key=lambda key: SECTIONS.index(key.section)))
 
 
-KEYS = _keys()
-"""Every key, section by section."""
+KEYS = _keys()  # every key, section by section
 
 
 def keys_of(section: str) -> dict[str, Key]:

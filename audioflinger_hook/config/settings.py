@@ -33,17 +33,12 @@ from device.values import Choice, Described, Number, Refusal, Switch
 Channels = Literal["mono", "each"]
 
 OFFSET_MIN_MS, OFFSET_MAX_MS = -1e3 * MAX_DELAY_S, 1_000.0  # below 0, the sound is delayed
+# Lowest volume of a 16-bit volume control; a device without it uses its own lowest volume.
 DEVICE_VOLUME_MIN_DB = -96.0
-"""Lowest volume of a 16-bit volume control; a device without it uses its own lowest volume."""
+BLOCK_FRAMES = (128, 256, 512, 1024)  # fewer frames a callback: less delay, more work
+ENGINES = ("auto", "native", "python")  # what computes the vibration of live sound
 
-BLOCK_FRAMES = (128, 256, 512, 1024)
-"""Frames per callback of the input and output streams; fewer frames: less delay, more work."""
-
-ENGINES = ("auto", "native", "python")
-"""What computes the vibration of live sound."""
-
-OF_PROFILE = TransformParameters()
-"""Marks that the chosen profile's parameters apply; compared by identity."""
+OF_PROFILE = TransformParameters()  # marks the chosen profile's parameters; compared by identity
 
 
 @dataclass(frozen=True)
@@ -131,11 +126,10 @@ class Settings(Described):
         return {"channels": Refusal("cannot be used with actuators", allowed)}
 
     def choosing(self, **given: Any) -> Settings:
-        """Return a copy of these settings with the given ones changed.
+        """Return a copy with the given settings changed.
 
-        A profile brings its parameters, except those that were set individually.
-
-        UsageError: as for the constructor.
+        A profile brings its parameters, except those that were set individually. Raises as the
+        constructor.
         """
         if given.get("profile") in PROFILES and "parameters" not in given:
             kept = {name: getattr(self.parameters, name) for name in self.said}
@@ -146,11 +140,9 @@ class Settings(Described):
     def transform_parameters(self) -> TransformParameters:
         """The parameters; strength "rig" without a resonance gets that of the damped rig.
 
-        A profile's strength "felt" becomes "rig" where a rig is set: another one than the default,
-        or one that is damped, protected or whose exposure is limited. Where actuators have several
-        rigs, one vibration cannot suit all, and it stays "felt". The rig is read once.
-
-        UsageError: the rig's file cannot be read any more.
+        A profile's strength "felt" becomes "rig" where one rig is set: another one than the
+        default, or one that is damped, protected or whose exposure is limited. The rig is read
+        once. UsageError: its file cannot be read any more.
         """
         chosen, driven = self.parameters, self._driven
         of_profile = PROFILES[self.profile].get("strength")
@@ -183,7 +175,7 @@ class Settings(Described):
     def numbered_channels(self) -> ChannelMap:
         """The actuators on a device with exactly the channels that they need, such as a file.
 
-        UsageError: an actuator's channel is given by name, but a file's channels have no names.
+        UsageError: an actuator's channel is given by name.
         """
         wiring = wiring_of(self.actuators)
         return ChannelMap.of(
@@ -201,8 +193,7 @@ class LiveSettings(Described):
     """
 
     tap: Annotated[
-        tuple[str, ...],
-        Taps("where the sound comes from", TAPS, parse_tap, "tap", change="stream"),
+        tuple[str, ...], Taps("where the sound comes from", TAPS, parse_tap, "tap", change="stream")
     ] = ("default",)
     device: Annotated[
         str | None,
@@ -219,8 +210,7 @@ class LiveSettings(Described):
         ),
     ] = 0.0
     drop_in: Annotated[
-        bool,
-        Switch("applications play to a virtual sink, which delays the sound", change="stream"),
+        bool, Switch("applications play to a virtual sink, which delays the sound", change="stream")
     ] = False
     block_frames: Annotated[
         int, Choice("frames of one audio callback", BLOCK_FRAMES, "frames", change="streams")
@@ -252,8 +242,7 @@ class LiveSettings(Described):
         Names("applications to play; default: all", section="applications", change="stream"),
     ] = ()
     exclude: Annotated[
-        tuple[str, ...],
-        Names("applications to leave out", section="applications", change="stream"),
+        tuple[str, ...], Names("applications to leave out", section="applications", change="stream")
     ] = ()
 
     def __post_init__(self) -> None:

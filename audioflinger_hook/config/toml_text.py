@@ -11,19 +11,15 @@ from typing import Any
 from device.errors import UsageError
 from device.values import Refusal
 
-SYNTAX_ERRORS_MAX = 50
-CONFIG_BYTES_MAX = 1 << 20
-SHOWN_MAX = 200
+SYNTAX_ERRORS_MAX, CONFIG_BYTES_MAX, SHOWN_MAX = 50, 1 << 20, 200
 
 
 @dataclass(frozen=True)
 class Mistake:
     """One mistake of a config file.
 
-    key: the key as `section.key`.
-    line: its line, counted from 1; 0 if it has none.
-    value, problem, allowed, nearest: the value, its mistake, the allowed values, and the most
-        similar known name.
+    key: as `section.key`. line: of the key, from 1; 0 if it has none. value: as TOML. problem,
+    allowed, nearest: those of the `Refusal`.
     """
 
     key: str
@@ -39,9 +35,11 @@ class Mistake:
         return f"{where}{self.key}{value} {Refusal(self.problem, self.allowed, self.nearest)}"
 
 
-def text_of(path: Path) -> str:
-    """Return the text of a file. UsageError: it cannot be read, is too long or is not text."""
+def text_of(path: Path, *, or_empty: bool = False) -> str:
+    """Return the text of a file; "" if it is missing and may be. UsageError: it cannot be read."""
     try:
+        if or_empty and not path.exists():
+            return ""
         if path.exists() and not (path.is_file() or path.is_dir()):
             raise UsageError(f"{path} is not a regular file; give the path of a config file")
         with path.open("rb") as file:
@@ -62,8 +60,7 @@ def text_of(path: Path) -> str:
 def parse(text: str) -> tuple[dict[str, Any], list[Mistake]]:
     """Return what can be read, and the syntax errors; lines with a syntax error are left out.
 
-    If the header of a section is broken, its name is kept if it has one, so that the keys below
-    still belong to that section.
+    Of a section's broken header the name is kept, so that the keys below still belong to it.
     """
     lines = text.split("\n")
     mistakes: list[Mistake] = []
@@ -105,10 +102,7 @@ def _line_of_error(message: str, lines: list[str]) -> int:
 
 
 def lines_of_keys(text: str) -> dict[str, int]:
-    """Return the line of every `key` and `section.key` that the start of a line reveals.
-
-    In an array of tables the names are `section[1].key`, `section[2].key` and so on.
-    """
+    """Return the line of each `key`, `section.key` and `section[1].key` that begins a line."""
     lines: dict[str, int] = {}
     section = ""
     tables: dict[str, int] = {}
@@ -129,7 +123,6 @@ def lines_of_keys(text: str) -> dict[str, int]:
 
 
 def _bare(key: str) -> str:
-    """Return a dotted key without quotes and blanks."""
     return ".".join(part.strip().strip("\"'") for part in key.split("."))
 
 

@@ -160,7 +160,7 @@ class LiveControl:
                 raise _Refused(name, f"{one_line(str(value), 60)} {refusal}")
             typed[name] = None if value is None else described.typed(value)
         try:
-            self._apply(self._edits.with_changes(typed), self._config.muted)
+            self._apply({**self._edits.values, **typed}, self._config.muted)
         except CushionError as error:
             raise _Refused(next(iter(typed)), one_line(str(error), 400)) from error
         self._edits.accept(typed)

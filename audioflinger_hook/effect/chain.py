@@ -17,23 +17,19 @@ from audioflinger_hook.effect.interface import (
 )
 from audioflinger_hook.effect.module import EffectModule, same_layout
 from audioflinger_hook.effect.registry import descriptor_problem
-from audioflinger_hook.mixer.effects_port import DEVICE, OUTPUT_STAGE, EffectsPort
-from audioflinger_hook.mixer.mix_buffer import MixBuffer
+from audioflinger_hook.mixer.mix_buffer import DEVICE, OUTPUT_STAGE, EffectsPort, MixBuffer
 from device.errors import UsageError
 
-BUDGET_SHARE = 0.5
-"""Share of a buffer's length that one effect may take."""
-
-READINGS_EVERY_S = 1.0
-"""Interval at which effects are asked for their state; a dump shows the last answer."""
+BUDGET_SHARE = 0.5  # share of a buffer's length that one effect may take
+READINGS_EVERY_S = 1.0  # effects are asked so often for their state; a dump shows the last answer
 
 
 class EffectChains(EffectsPort):
     """All effects of one mixer, by session.
 
-    The caller clears the haptic channels before every mix. All calls come from the thread that
-    steps the mixer, except those that only read: `sessions`, `modules`, `effects`, `bypassed` and
-    `dump`. `process` and `end_of_cycle` neither raise, block nor log.
+    Calls come from the thread that steps the mixer, except those that only read: `sessions`,
+    `modules`, `effects`, `bypassed` and `dump`. `process` and `end_of_cycle` neither raise, block
+    nor log.
 
     clock: seconds. budget_share: see BUDGET_SHARE; more is an overrun. With inf, for offline work,
     time bypasses no effect: equal input gives equal bytes.
@@ -112,8 +108,7 @@ class EffectChains(EffectsPort):
     ) -> None:
         """Run a session's chain over a buffer, in place, or add the result to `target`.
 
-        With a separate `target` the chain's last effect is configured to ACCUMULATE. If no effect
-        runs, the buffer itself is added. Call it once per cycle for each of `sessions()`.
+        If no effect runs, the buffer itself is added. Call once per cycle for each session.
         """
         self._now_s = now_s
         output = buffer if target is None else target
@@ -126,7 +121,7 @@ class EffectChains(EffectsPort):
             np.add(output.samples, buffer.samples, out=output.samples)
 
     def end_of_cycle(self, now_s: float) -> None:
-        """Send every effect the requests made since the last cycle."""
+        """Send every effect its requests since the last cycle."""
         self._now_s = now_s
         self._cycles += 1
         effects = self.effects()
@@ -136,7 +131,7 @@ class EffectChains(EffectsPort):
             self._read_s = now_s
             for module in effects:
                 if not module.fault:
-                    module.readings = asked_lines(module)
+                    module.readings = _readings(module)
 
     def set_format(self, samplerate: int, channels: int, haptic_channels: int, frames: int) -> None:
         """Configure all effects: rate in Hz, channels of sound and vibration, frames per buffer."""
@@ -153,7 +148,7 @@ class EffectChains(EffectsPort):
             modules = self.modules(session)
             lines.append(f"  {len(modules)} effects for session {session}")
             for place, module in enumerate(modules):
-                lines += [f"    {line}" for line in effect_lines(place, module)]
+                lines += [f"    {line}" for line in _effect_lines(place, module)]
         return lines
 
     def _budget_s(self) -> float:
@@ -214,8 +209,7 @@ PLACE_NAMES = {
 }
 
 
-def effect_lines(place: int, module: EffectModule) -> list[str]:
-    """Return the lines of one effect in a dump; place: its index in the chain, from 0."""
+def _effect_lines(place: int, module: EffectModule) -> list[str]:
     descriptor = module.descriptor
     lines = [
         f"Effect {place}: {descriptor.name}",
@@ -226,7 +220,7 @@ def effect_lines(place: int, module: EffectModule) -> list[str]:
         f"  - UUID: {descriptor.uuid}",
         f"  - TYPE: {descriptor.type_uuid}",
         f"  - apiVersion: {descriptor.api_version:08X}",
-        f"  - flags: {int(descriptor.flags):08X} ({flags_text(descriptor.flags)})",
+        f"  - flags: {int(descriptor.flags):08X} ({_flags_text(descriptor.flags)})",
         f"  - implementor: {descriptor.implementor}",
         f"  - load: {descriptor.cpu_load / 10:g} MIPS, {descriptor.memory_kb} KB",
         f"  Configuration: {config_text(module.config) if module.config else 'none yet'}",
@@ -242,7 +236,7 @@ def effect_lines(place: int, module: EffectModule) -> list[str]:
     return lines
 
 
-def asked_lines(module: EffectModule) -> tuple[str, ...]:
+def _readings(module: EffectModule) -> tuple[str, ...]:
     """Return what the effect itself reports. For the thread that steps the mixer."""
     lines = []
     for parameter in module.descriptor.parameters:
@@ -255,8 +249,7 @@ def asked_lines(module: EffectModule) -> tuple[str, ...]:
     return ("Parameters:", *lines) if lines else ()
 
 
-def flags_text(flags: EffectFlag) -> str:
-    """Return an effect's flags in words."""
+def _flags_text(flags: EffectFlag) -> str:
     kind, place = flags & EffectFlag.TYPE_MASK, flags & EffectFlag.INSERT_MASK
     words = [
         f"conn. mode: {'postproc' if kind == EffectFlag.POST_PROC else 'insert'}",

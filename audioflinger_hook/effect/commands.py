@@ -13,37 +13,22 @@ from audioflinger_hook.effect.interface import (
     EffectFlag,
     Parameter,
 )
+from device.layouts import CHANNELS_MAX
 
 KNOWN = frozenset(int(code) for code in Command) - {int(Command.FIRST_PROPRIETARY)}
 
-WITHOUT_DATA = frozenset(
-    {
-        Command.INIT,
-        Command.RESET,
-        Command.ENABLE,
-        Command.DISABLE,
-        Command.SET_PARAM_COMMIT,
-        Command.GET_CONFIG,
-        Command.GET_CONFIG_REVERSE,
-        Command.DUMP,
-    }
+WITHOUT_DATA = (
+    *(Command.INIT, Command.RESET, Command.ENABLE, Command.DISABLE, Command.SET_PARAM_COMMIT),
+    *(Command.GET_CONFIG, Command.GET_CONFIG_REVERSE, Command.DUMP),
 )
-
-WITH_A_WORD = frozenset(
-    {
-        Command.SET_DEVICE,
-        Command.SET_AUDIO_MODE,
-        Command.SET_INPUT_DEVICE,
-        Command.SET_AUDIO_SOURCE,
-        Command.GET_FEATURE_CONFIG,
-    }
+WITH_A_WORD = (  # one unsigned number of 32 bits
+    *(Command.SET_DEVICE, Command.SET_AUDIO_MODE, Command.SET_INPUT_DEVICE),
+    *(Command.SET_AUDIO_SOURCE, Command.GET_FEATURE_CONFIG),
 )
-"""Commands that carry one unsigned number of 32 bits."""
 
 WORD_MAX = 2**32 - 1
-CHANNELS_MAX = 64
+# Frames of one buffer, 22 s at 48 kHz; a larger one is a mistake and would take all memory.
 FRAMES_MAX = 2**20
-"""Frames of one buffer, 22 s at 48 kHz; a larger one is a mistake and would take all memory."""
 
 
 class CommandCheck:

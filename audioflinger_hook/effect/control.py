@@ -22,18 +22,13 @@ from audioflinger_hook.effect.interface import (
     Values,
 )
 
-TAIL_MAX_S = 10.0
-"""Seconds of sound for which a stopped effect may continue its tail."""
+TAIL_MAX_S = 10.0  # seconds of sound for which a stopped effect may continue its tail
+REASON_MAX = 200  # characters of an engine's message that are kept
+STATUSES = (OK, EINVAL, ENODATA, ENOSYS)
 
-READING = frozenset({Command.GET_PARAM, Command.GET_CONFIG, Command.DUMP})
-"""Commands whose failure is counted but causes no bypass, since they change no sound."""
-
-STATUSES = frozenset({OK, EINVAL, ENODATA, ENOSYS})
-REASON_MAX = 200
-"""Characters of an engine's message that are kept."""
-
-FRAMEWORK_ONLY = frozenset({Command.INIT, Command.SET_CONFIG})
-"""Commands that only the framework itself sends."""
+# Commands whose failure is counted but causes no bypass, since they change no sound.
+READING = (Command.GET_PARAM, Command.GET_CONFIG, Command.DUMP)
+FRAMEWORK_ONLY = (Command.INIT, Command.SET_CONFIG)
 
 
 class EffectState(Enum):
@@ -63,8 +58,8 @@ class EffectControl:
     `enable` and `disable` only set the state; `update_state` sends it to the engine at the end of
     the next cycle. An engine that refuses its configuration (`refusal`) is bypassed until it
     accepts one. An engine with a `fault` is bypassed until it is enabled again, after a new INIT
-    and SET_CONFIG. `given_up`: why another thread does not wait for the engine. `complaint`: the
-    last refusal or fault. `readings`: lines with which the engine described its own state.
+    and SET_CONFIG. `given_up`: why another thread, which sets it, does not wait for the engine.
+    `complaint`: the last refusal or fault. `readings`: the engine's own lines about its state.
 
     All calls come from the thread that steps the mixer, between buffers; any thread may read. None
     raises, except KeyboardInterrupt, which is the user's.
@@ -81,9 +76,7 @@ class EffectControl:
         self.config: EffectConfig | None = None
         self._engine = engine
         self._check = CommandCheck(self.descriptor)
-        self._initialised = False
-        self._accepted = False
-        self._running = False
+        self._initialised = self._accepted = self._running = False
         self._tail_buffers = 0
         self._initialise()
 
@@ -112,10 +105,7 @@ class EffectControl:
         return OK
 
     def set_config(self, config: EffectConfig) -> int:
-        """Send the engine the stream's format, if the format is new; return the engine's status.
-
-        `access` stays unchanged. An engine that refuses is bypassed until it accepts a format.
-        """
+        """Send the engine the stream's format, if it is new, and return the engine's status."""
         if self.state is EffectState.DESTROYED or not is_config(config):
             return EINVAL
         config = replace(config, access=self.access)
@@ -126,10 +116,7 @@ class EffectControl:
         return self._configure()
 
     def command(self, code: int, data: object = None) -> tuple[int, object]:
-        """Return status and reply of a client's command.
-
-        Wrong codes, types, sizes, names and ranges give EINVAL and never reach the engine.
-        """
+        """Return status and reply of a client's command; EINVAL for a wrong one."""
         status = self._check.status(code, data)
         if status != OK:
             return status, None
@@ -151,19 +138,16 @@ class EffectControl:
 
     def set_parameters(self, values: Values) -> int:
         """Set several parameters at once, or none. Return OK or the status of the failure."""
-        for name, value in values.items():
-            status = self._check.status(Command.SET_PARAM, (name, value))
-            if status != OK:
+        for pair in values.items():
+            if status := self._check.status(Command.SET_PARAM, pair):
                 return status
-        for name, value in values.items():
-            status, _ = self.command(Command.SET_PARAM_DEFERRED, (name, value))
-            if status != OK:
+        for pair in values.items():
+            if status := self.command(Command.SET_PARAM_DEFERRED, pair)[0]:
                 return status
         return self.command(Command.SET_PARAM_COMMIT)[0]
 
     def send(self, code: int, data: object = None) -> tuple[int, object]:
         """Return the engine's status and reply to a command; EINVAL and None if it failed."""
-        bypass = code not in READING
         name = Command(code).name if code < Command.FIRST_PROPRIETARY else f"command {code:#x}"
         try:
             with np.errstate(all="ignore"):
@@ -171,14 +155,13 @@ class EffectControl:
         except KeyboardInterrupt:
             raise
         except BaseException as error:
-            raised = f"raised {error_text(error)} in {name}{place_text(error)}"
-            self._blame(raised, bypass=bypass)
-            return EINVAL, None
-        if type(answer) is not tuple or len(answer) != 2 or not is_status(answer[0]):
+            wrong = f"raised {error_text(error)} in {name}{place_text(error)}"
+        else:
+            if type(answer) is tuple and len(answer) == 2 and is_status(answer[0]):
+                return answer
             wrong = f"answered {name} with {answer_text(answer)}; allowed: (status, reply)"
-            self._blame(wrong, bypass=bypass)
-            return EINVAL, None
-        return answer
+        self._blame(wrong, bypass=code not in READING)
+        return EINVAL, None
 
     def update_state(self) -> None:
         """Send the commands due after enable, disable or the end of a tail, at a cycle's end."""
@@ -203,7 +186,7 @@ class EffectControl:
         self.state = EffectState.DESTROYED
 
     def _make_room(self, config: EffectConfig) -> None:
-        """Prepare for buffers of a configuration."""
+        """Prepare for a configuration's buffers."""
 
     def _forgive(self) -> None:
         """Lift the bypass after a fault; the counters continue."""
@@ -228,7 +211,7 @@ class EffectControl:
     def _initialise(self) -> None:
         status, _ = self.send(Command.INIT)
         self._initialised = status == OK
-        if status != OK:
+        if not self._initialised:
             self._refused("INIT", status)
 
     def _configure(self) -> int:
@@ -280,7 +263,7 @@ class EffectControl:
 
 
 def config_text(config: EffectConfig) -> str:
-    """Return a configuration in words."""
+    """Return the words for a configuration."""
     return (
         f"{config.samplerate} Hz, {config.channels} + {config.haptic_channels} channels, "
         f"{config.frames} frames, {config.access.name.lower()}"

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from audioflinger_hook.effect.haptic_parameters import (
     DRAIN,
@@ -32,14 +31,14 @@ from audioflinger_hook.effect.interface import (
 from audioflinger_hook.mixer.mix_buffer import MixBuffer
 from audioflinger_hook.transform import FloatArray, Frames, HapticTransform
 from device.blocks import peak
+from device.units import Float32Array
 
 
 class Vibration:
     """Vibration of one stream, scaled by a gain and written to all haptic channels of a buffer.
 
-    gain: 0 to 1, reached linearly over a block. clip: whether samples beyond full scale are limited
-    and counted. frames: of the largest block. transform: the one that sounds. For the thread that
-    steps the mixer.
+    transform: the one that sounds. gain: 0 to 1, reached linearly over a block. frames: of the
+    largest block. clip: whether samples beyond full scale are limited and counted.
     """
 
     def __init__(self, transform: HapticTransform, gain: float, frames: int) -> None:
@@ -48,13 +47,11 @@ class Vibration:
         self.transform = transform
         self._next: HapticTransform | None = None
         self._level = gain
-        self._limited_before = 0
-        self._replaced_before = 0
-        self._clipped = 0
+        self._limited_before = self._replaced_before = self._clipped = 0
         self.prepare(frames)
 
     def prepare(self, frames: int) -> None:
-        """Make room for blocks of up to `frames` frames, without an interruption of the stream."""
+        """Make room for blocks of up to `frames` frames."""
         self._column = np.zeros(frames)
         self._counted = np.arange(1.0, frames + 1.0)
 
@@ -92,7 +89,7 @@ class Vibration:
         self.transform.reset()
         self._level = self.gain
 
-    def process(self, audio: Frames, out: NDArray[np.float32]) -> None:
+    def process(self, audio: Frames, out: Float32Array) -> None:
         """Write the vibration now due to `out` (frames, haptic channels); `audio` is only read."""
         owed = self.transform.process(audio)
         if self._next is None:
@@ -101,7 +98,7 @@ class Vibration:
             self._write(owed, out, 0.0)
             self.restart(self._next)
 
-    def drain(self, haptic_channels: int) -> NDArray[np.float32]:
+    def drain(self, haptic_channels: int) -> Float32Array:
         """Return the vibration left after the sound ends, (latency_frames, haptic_channels)."""
         owed = self.transform.finish()
         out = np.zeros((len(owed), haptic_channels), np.float32)
@@ -110,12 +107,11 @@ class Vibration:
             self.restart(self._next)
         return out
 
-    def _write(self, owed: FloatArray, out: NDArray[np.float32], goal: float) -> None:
+    def _write(self, owed: FloatArray, out: Float32Array, goal: float) -> None:
         """Write vibration (frames, channels) to the haptic channels and end at the gain `goal`.
 
         If there are more haptic channels, haptic channel h plays channel h mod channels. If there
-        are fewer, it plays the mean of channels h, h + haptic_channels, ...: none is left out, and
-        equal channels keep their level.
+        are fewer, it plays the mean of channels h, h + haptic_channels, ...
         """
         level, self._level = self._level, goal
         if level == goal == 0.0:
@@ -123,9 +119,9 @@ class Vibration:
             return
         frames, channels = owed.shape
         haptic_channels = out.shape[1]
-        fits = frames <= self._column.size
-        column = self._column[:frames] if fits else np.zeros(frames)
-        counted = self._counted[:frames] if fits else np.arange(1.0, frames + 1.0)
+        if frames > self._column.size:
+            self.prepare(frames)
+        column, counted = self._column[:frames], self._counted[:frames]
         for haptic_channel in range(haptic_channels):
             np.copyto(column, owed[:, haptic_channel % channels])
             if haptic_channels < channels:
@@ -139,11 +135,11 @@ class Vibration:
             elif goal != 1.0:
                 column *= goal
             if self.clip:
-                self._clipped += cut_to_full_scale(column)
+                self._clipped += _cut_to_full_scale(column)
             out[:, haptic_channel] = column
 
 
-def cut_to_full_scale(samples: FloatArray) -> int:
+def _cut_to_full_scale(samples: FloatArray) -> int:
     """Limit samples to +-1 in place and return how many exceeded it."""
     if peak(samples) <= 1.0:
         return 0
@@ -161,10 +157,8 @@ class HapticEffect:
     - A change of gain or mute is linear over the next buffer.
     - A new parameter of the transform fades the vibration out over the next buffer; the new
       transform then starts from silence. GET_PARAM returns the new value at once.
-    - A new sample rate or channel count restarts vibration and sound without a fade.
+    - A new sample rate or channel count restarts the vibration without a fade.
     - A stream without a haptic channel is refused.
-
-    Use from the thread that steps the mixer.
     """
 
     descriptor = HAPTIC_CUSHION

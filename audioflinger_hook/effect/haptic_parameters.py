@@ -28,7 +28,6 @@ TRANSFORM_FIELDS = tuple(field.name for field in fields(TransformParameters))
 
 
 def _parameter(name: str, described: Description, default: Value, meaning: str = "") -> Parameter:
-    """Return a setting as a parameter of the effect."""
     meaning = meaning or described.meaning
     if isinstance(described, Number):
         low, high, unit = described.low, described.high, described.unit
@@ -70,7 +69,7 @@ HAPTIC_PARAMETERS = (
 
 
 def transform_parameters(values: Values) -> TransformParameters:
-    """Return those of the effect's parameters that belong to the transform."""
+    """Return the values that belong to the transform."""
     chosen: dict[str, Any] = {name: values[name] for name in TRANSFORM_FIELDS}
     return TransformParameters(**chosen)
 
@@ -131,17 +130,16 @@ def transform_for(config: EffectConfig, values: Values) -> HapticTransform | Non
         return None
 
 
+# Vendor commands.
 DRAIN = Command.FIRST_PROPRIETARY + 1
-"""Vendor command: replies with the rest of the vibration after the end of the sound,
-(latency_frames, haptic channels) float32, and resets. The reply is silence while disabled."""
+"""Replies with the rest of the vibration after the end of the sound, (latency_frames, haptic
+channels) float32, and resets. The reply is silence while disabled."""
 
 PRINCIPAL = Command.FIRST_PROPRIETARY + 2
-"""Vendor command: replies with what the latest hop vibrates, as `HapticTransform.principal` does.
-It changes nothing, and any thread may send it."""
+"""Replies as `HapticTransform.principal`. It changes nothing, and any thread may send it."""
 
 GLIDES = Command.FIRST_PROPRIETARY + 3
-"""Vendor command: replies with what the partials did since the last one, before the gain, as
-`HapticTransform.take_glides` does. The first one starts the recording. For files only."""
+"""Replies as `HapticTransform.take_glides`, before the gain. For files only."""
 
 HAPTIC_CUSHION = EffectDescriptor(
     type_uuid=UUID("ba39e606-2bd4-4eb4-9ed7-0e63c0415600"),

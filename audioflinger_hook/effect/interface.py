@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from types import NoneType
-from typing import Protocol
+from typing import Protocol, cast
 from uuid import UUID
 
 from audioflinger_hook.mixer.mix_buffer import MixBuffer
@@ -53,10 +53,8 @@ class Parameter:
             return False
         if isinstance(value, str):
             return not self.choices or value in self.choices
-        if isinstance(value, bool):
-            return True
         # False for NaN.
-        return isinstance(value, (int, float)) and self.low <= value <= self.high
+        return isinstance(value, bool) or self.low <= cast(float, value) <= self.high
 
     def __str__(self) -> str:
         if self.kind is bool:
@@ -186,7 +184,6 @@ class EffectEngine(Protocol):
     @property
     def descriptor(self) -> EffectDescriptor:
         """The effect's descriptor, which never changes."""
-        ...
 
     def process(self, source: MixBuffer, target: MixBuffer) -> int:
         """Treat one buffer; source and target may be one object. Return OK or ENODATA (tail ended).
@@ -195,7 +192,6 @@ class EffectEngine(Protocol):
         arrays belong to the caller; only their contents may change. Called by the thread that steps
         the mixer, which must not wait.
         """
-        ...
 
     def command(self, code: int, data: object = None) -> tuple[int, object]:
         """Carry out a command and return its status and reply.
@@ -211,7 +207,6 @@ class EffectEngine(Protocol):
         - INIT resets the engine but keeps its parameters.
         - Vendor codes take what the descriptor says.
         """
-        ...
 
 
 @dataclass(frozen=True)

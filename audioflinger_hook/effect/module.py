@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from audioflinger_hook.effect.control import (
     EffectControl,
@@ -19,16 +19,19 @@ from audioflinger_hook.effect.control import (
 from audioflinger_hook.effect.interface import ENODATA, OK, Access, EffectConfig, EffectEngine
 from audioflinger_hook.mixer.mix_buffer import MixBuffer
 from device.blocks import peak
+from device.units import Float32Array
 
-LATE_IN_A_ROW = 3
-"""An engine that exceeds its time in this many consecutive buffers counts as too slow."""
+LATE_IN_A_ROW = 3  # an engine that exceeds its time in so many consecutive buffers is too slow
 
-PROCESSING = (
-    EffectState.ACTIVE,
-    EffectState.STOPPING,
-    EffectState.STOPPED,
-    EffectState.RESTART,
-)
+BLOCKED_S, BLOCKED_LOOKS = 0.4, 4
+"""A call that lasts this long, and is found in this many looks, blocks: a stream is lost at 0.5 s.
+A process that was stopped or starved looks less often, so that no effect is bypassed for it."""
+
+# An effect that is found at work in so many looks in a row takes nearly all of the time.
+ALWAYS_LOOKS = 30
+APART_S = 0.05  # looks that are closer together count once
+
+PROCESSING = (EffectState.ACTIVE, EffectState.STOPPING, EffectState.STOPPED, EffectState.RESTART)
 
 
 class EffectModule(EffectControl):
@@ -42,12 +45,7 @@ class EffectModule(EffectControl):
     """
 
     def __init__(
-        self,
-        engine: EffectEngine,
-        *,
-        session: int,
-        clock: Callable[[], float],
-        budget_s: float,
+        self, engine: EffectEngine, *, session: int, clock: Callable[[], float], budget_s: float
     ) -> None:
         self.budget_s = budget_s
         self.misfits = self.buffers = self.overruns = self.calls = 0
@@ -77,12 +75,8 @@ class EffectModule(EffectControl):
         if not in_place:
             np.add(target.samples, source.samples, out=target.samples)
 
-    def give_up(self, reason: str) -> None:
-        """Bypass an engine that does not return. The one method for another thread."""
-        self.given_up = reason
-
     def _ready(self, source: MixBuffer, in_place: bool) -> bool:
-        """Return whether the engine can take a buffer: engine configured, no fault, sizes match."""
+        """Return whether the engine is configured for the buffer and has no fault."""
         if self.config is None or not self._accepted or self.bypassed:
             return False
         access = Access.WRITE if in_place else Access.ACCUMULATE
@@ -90,16 +84,11 @@ class EffectModule(EffectControl):
             self.access = access
             if self.set_config(self.config) != OK:
                 return False
-        config = self.config
-        frames = source.frames
-        if (
-            not 1 <= frames <= config.frames
-            or source.audio.shape != (frames, config.channels)
-            or source.haptic.shape != (frames, config.haptic_channels)
-        ):
-            self.misfits += 1
-            return False
-        return True
+        config, frames = self.config, source.frames
+        shapes = (frames, config.channels), (frames, config.haptic_channels)
+        fits = (source.audio.shape, source.haptic.shape) == shapes and 1 <= frames <= config.frames
+        self.misfits += not fits
+        return fits
 
     def _run(self, source: MixBuffer, target: MixBuffer) -> int | None:
         """Return the engine's OK or ENODATA, or None if `target` is unchanged."""
@@ -161,16 +150,13 @@ class EffectModule(EffectControl):
 
 
 class Loan:
-    """A copy of a buffer, lent to an engine, in memory for `samples` samples.
-
-    An engine that keeps the arrays and changes them later harms only its own next copy.
-    """
+    """A copy of a buffer, lent to an engine, in memory for `samples` samples."""
 
     def __init__(self, samples: int) -> None:
         self._memory = np.zeros(samples, np.float32)
 
     def of(self, buffer: MixBuffer) -> MixBuffer:
-        """Return a copy of a buffer."""
+        """Return the copy of a buffer."""
         self._lent = MixBuffer.like(buffer, self._memory)
         self._arrays = self._lent.samples, self._lent.audio, self._lent.haptic
         np.copyto(self._lent.samples, buffer.samples)
@@ -188,27 +174,67 @@ class Loan:
 
 def same_layout(one: MixBuffer, other: MixBuffer) -> bool:
     """Return whether two buffers have equal shapes and types."""
-    pairs = (
-        (one.samples, other.samples),
-        (one.audio, other.audio),
-        (one.haptic, other.haptic),
-    )
-    return all(a.shape == b.shape and a.dtype == b.dtype for a, b in pairs)
+    layouts = [
+        [(part.shape, part.dtype) for part in (buffer.samples, buffer.audio, buffer.haptic)]
+        for buffer in (one, other)
+    ]
+    return layouts[0] == layouts[1]
 
 
-def all_finite(samples: NDArray[np.float32]) -> bool:
-    """Return whether all samples are finite."""
+def _all_finite(samples: Float32Array) -> bool:
     return math.isfinite(peak(samples))
 
 
 def _spoiled(made: MixBuffer, source: MixBuffer, target: MixBuffer) -> bool:
     """Return whether an engine made finite sound or vibration non-finite."""
-    if all_finite(made.samples):
+    if _all_finite(made.samples):
         return False
     return any(
-        not all_finite(after) and all_finite(first) and all_finite(second)
+        not _all_finite(after) and _all_finite(first) and _all_finite(second)
         for after, first, second in (
             (made.audio, source.audio, target.audio),
             (made.haptic, source.haptic, target.haptic),
         )
     )
+
+
+@dataclass
+class _Found:
+    """An effect found at work in every look since `first_s`, in the same call since `since_s`."""
+
+    first_s: float
+    since_s: float
+    latest_s: float
+    calls: int
+    looks: int = 1
+    looks_at_call: int = 1
+
+
+class BlockWatch:
+    """Bypasses effects that wait, unlike `EffectModule`. For one thread that ticks."""
+
+    def __init__(self) -> None:
+        self._found: dict[int, _Found] = {}
+
+    def look(self, effects: Iterable[EffectModule], now_s: float) -> None:
+        """Look which effects are at work at `now_s` (s); bypass those that keep the thread."""
+        for effect in effects:
+            calls = effect.calls
+            if not effect.inside or effect.bypassed:
+                self._found.pop(id(effect), None)
+                continue
+            found = self._found.setdefault(id(effect), _Found(now_s, now_s, now_s, calls))
+            if now_s - found.latest_s < APART_S:
+                continue
+            if calls != found.calls:
+                found.calls, found.since_s, found.looks_at_call = calls, now_s, 0
+            found.latest_s = now_s
+            found.looks += 1
+            found.looks_at_call += 1
+            if now_s - found.since_s >= BLOCKED_S and found.looks_at_call >= BLOCKED_LOOKS:
+                effect.given_up = f"kept the audio thread for over {BLOCKED_S:g} s in process"
+            elif found.looks >= ALWAYS_LOOKS:
+                effect.given_up = (
+                    "kept the audio thread in process at all times in the last "
+                    f"{now_s - found.first_s:.0f} s"
+                )

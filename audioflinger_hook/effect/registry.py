@@ -25,8 +25,7 @@ from device.errors import InternalError, NotFoundError, UsageError
 
 __all__ = ["EffectLibrary", "EffectRegistry"]
 
-ENTRY_POINTS = "audioflinger_hook.effects"
-"""The entry-point group; each entry names an `EffectLibrary`."""
+ENTRY_POINTS = "audioflinger_hook.effects"  # the group; each entry names an `EffectLibrary`
 
 
 class EffectRegistry:
@@ -45,12 +44,11 @@ class EffectRegistry:
 
     @classmethod
     def installed(cls) -> EffectRegistry:
-        """Return a registry of the bundled library and the libraries of installed packages.
-
-        A package that cannot be loaded is left out and named in `problems`.
-        """
+        """Return a registry of the bundled library and the libraries of installed packages."""
         registry = cls([CUSHION])
-        for owner, entry in entry_points(registry.problems):
+        found, problems = _entry_points(tuple((place, _changed_ns(place)) for place in sys.path))
+        registry.problems += problems
+        for owner, entry in found:
             try:
                 library: object = entry.load()
                 if not isinstance(library, EffectLibrary):
@@ -137,17 +135,6 @@ class EffectRegistry:
         return engine
 
 
-def entry_points(problems: list[str]) -> list[tuple[str, EntryPoint]]:
-    """Return (package, entry point) of every effect library that installed packages name.
-
-    A package whose metadata cannot be read is left out and named in `problems`. If several packages
-    have one name, only the first on the path counts, as for imports.
-    """
-    found, new_problems = _entry_points(tuple((place, _changed_ns(place)) for place in sys.path))
-    problems += new_problems
-    return found
-
-
 def _changed_ns(place: str) -> int:
     try:
         return Path(place or ".").stat().st_mtime_ns
@@ -159,26 +146,23 @@ def _changed_ns(place: str) -> int:
 def _entry_points(
     _path: tuple[tuple[str, int], ...],
 ) -> tuple[list[tuple[str, EntryPoint]], list[str]]:
-    """Return the entry points, and problems. The path: each place, and when it changed."""
+    """Return (package, entry point)s, and problems. The path: each place, and when it changed.
+
+    Of packages with one name, only the first on the path counts, as for imports.
+    """
+    found: dict[str, list[EntryPoint]] = {}
     problems: list[str] = []
-    found: list[tuple[str, EntryPoint]] = []
-    seen: set[str] = set()
     for distribution in distributions():
         try:
             entries = [e for e in distribution.entry_points if e.group == ENTRY_POINTS]
-            if not entries:
-                continue
-            owner = distribution.name
+            if entries:
+                found.setdefault(distribution.name, entries)
         except Exception as error:
             place = getattr(distribution, "_path", "an unknown place")
             problems.append(
                 f"package at {place} cannot be searched for effects: {error_text(error)}"
             )
-            continue
-        if owner not in seen:
-            seen.add(owner)
-            found += [(owner, entry) for entry in entries]
-    return found, problems
+    return [(owner, entry) for owner, entries in found.items() for entry in entries], problems
 
 
 def descriptor_problem(descriptor: object) -> str:

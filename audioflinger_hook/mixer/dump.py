@@ -9,11 +9,6 @@ from audioflinger_hook.mixer.mixer import Mixer, MixerState
 from audioflinger_hook.mixer.track import Track
 from audioflinger_hook.mixer.track_mixer import decibels, gains_of
 
-_COLUMNS = (
-    "Id", "Active", "Name", "Session", "S", "Format", "Chn", "SRate", "L dB", "R dB", "FrmCnt",
-    "FrmRdy", "StartThr", "Undr", "UndrFrm", "Disabled",
-)  # fmt: skip
-
 
 def dump(mixer: Mixer, cycle_times_s: Sequence[float] = ()) -> str:
     """Return the thread, tracks and effect chains of a mixer as lines of text.
@@ -27,7 +22,6 @@ def dump(mixer: Mixer, cycle_times_s: Sequence[float] = ()) -> str:
 
 
 def _thread(mixer: Mixer) -> list[str]:
-    """Describe the mixer's thread, which AudioFlinger calls the output thread."""
     lines = [
         "Output thread (MIXER):",
         f"  Standby: {_yes_no(mixer.state is MixerState.STANDBY)}",
@@ -67,11 +61,11 @@ def _cycle_times(mixer: Mixer, times_s: Sequence[float]) -> list[str]:
 def _tracks(mixer: Mixer) -> list[str]:
     tracks = mixer.tracks
     rows = [_row(track, mixer.channels) for track in tracks]
-    active = sum(row[1] == "yes" for row in rows)
+    active = sum(row["Active"] == "yes" for row in rows)
     lines = [f"  {len(tracks)} Tracks of which {active} are active"]
-    if tracks:
-        table = [_COLUMNS, *rows]
-        widths = [max(len(row[column]) for row in table) for column in range(len(_COLUMNS))]
+    if rows:
+        table = [[*rows[0]], *([*row.values()] for row in rows)]
+        widths = [max(map(len, column)) for column in zip(*table, strict=True)]
         lines += [
             "    " + " ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True))
             for row in table
@@ -79,27 +73,28 @@ def _tracks(mixer: Mixer) -> list[str]:
     return lines
 
 
-def _row(track: Track, mix_channels: int) -> tuple[str, ...]:
+def _row(track: Track, mix_channels: int) -> dict[str, str]:
+    """Return a track's cells by the titles of their columns."""
     gains = gains_of(track.volume, mix_channels)
     right = gains[1] if mix_channels > 1 else gains[0]
-    return (
-        str(track.id),
-        _yes_no(track.is_active),
-        track.name,
-        str(track.session),
-        track.state.value,
-        track.format.value,
-        str(track.channels),
-        str(track.samplerate),
-        f"{decibels(gains[0]):.1f}",
-        f"{decibels(right):.1f}",
-        str(track.ring.capacity_frames),
-        str(track.frames_ready),
-        str(track.start_threshold),
-        str(track.underruns),
-        str(track.underrun_frames),
-        _yes_no(track.disabled),
-    )
+    return {
+        "Id": str(track.id),
+        "Active": _yes_no(track.is_active),
+        "Name": track.name,
+        "Session": str(track.session),
+        "S": track.state.value,
+        "Format": track.format.value,
+        "Chn": str(track.channels),
+        "SRate": str(track.samplerate),
+        "L dB": f"{decibels(gains[0]):.1f}",
+        "R dB": f"{decibels(right):.1f}",
+        "FrmCnt": str(track.ring.capacity_frames),
+        "FrmRdy": str(track.frames_ready),
+        "StartThr": str(track.start_threshold),
+        "Undr": str(track.underruns),
+        "UndrFrm": str(track.underrun_frames),
+        "Disabled": _yes_no(track.disabled),
+    }
 
 
 def _yes_no(truth: bool) -> str:

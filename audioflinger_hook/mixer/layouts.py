@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from device.layouts import MINUS_3_DB, downmix, layout, sides
+from device.units import Float32Array
 
 _BACK = ("BL", "BR", "BC", "TBL", "TBC", "TBR")
 _FRONT_PREFIXES = ("F", "TF", "BF")
@@ -26,13 +27,11 @@ def depths(channels: int) -> str:
 def source_weights(channels: int, sources: Sequence[str]) -> NDArray[np.float64]:
     """How much each channel counts in each source's halves: (channels, sources, 2).
 
-    A source is the mean of its halves, left and right; where these cancel, the transform takes the
-    sum of their powers. sources: each "mix", "left", "right", "front" or "back". The mix is that of
-    `downmix`. The other sources are means of the channels on that side and of those that belong to
-    both sides, such as the centre, which count 3 dB less. The weights of
-    these sources add up to 1: none of them exceeds full scale. "left" and "right" have equal
-    halves. If no channel is behind, "front" and "back" are the mix; if no channel is on a side, all
-    sources are.
+    A source is the mean of its halves, left and right; see `MonoMix`. sources: each "mix", "left",
+    "right", "front" or "back". The mix is that of `downmix`. The others are means of the channels
+    on that side and of those that belong to both sides, such as the centre, which count 3 dB less.
+    Their weights add up to 1: none exceeds full scale. "left" and "right" have equal halves. If no
+    channel is behind, "front" and "back" are the mix; if none is on a side, all sources are.
     """
     letters = {"left": sides, "right": sides, "front": depths, "back": depths}
     weights = np.empty((channels, len(sources), 2))
@@ -68,37 +67,34 @@ class ChannelMap:
     """
 
     def __init__(self, track_channels: int, mix_channels: int) -> None:
-        self.matrix = mapping(track_channels, mix_channels)
-        self.is_identity = track_channels == mix_channels
+        matrix = mapping(track_channels, mix_channels)
         self.folds = track_channels > mix_channels
         self.spreads = track_channels < mix_channels
         # a mono row is spread by NumPy's broadcasting, without a copy
-        self.broadcasts = track_channels == 1
+        self._passes = track_channels in (1, mix_channels)
         self._routes = [
-            (int(source), int(target), self.matrix[source, target])
-            for source, target in np.argwhere(self.matrix)
+            (source, target, matrix[source, target])
+            for source, target in np.argwhere(matrix).tolist()
         ]
 
-    def apply(
-        self, frames: NDArray[np.float32], mapped: NDArray[np.float32], spare: NDArray[np.float32]
-    ) -> NDArray[np.float32]:
-        """Return the frames (n, track channels) in the mix's channels, in the memory of `mapped`.
+    def apply(self, frames: Float32Array, out: Float32Array, spare: Float32Array) -> Float32Array:
+        """Return the frames (n, track channels) in the mix's channels, in the memory of `out`.
 
         Frames that need no mapping are returned themselves; mono stays (n, 1), to broadcast.
-        mapped: (n or more, mix channels); spare: (n or more,). Called by the mixer's thread.
+        out: (n or more, mix channels); spare: (n or more,). Called by the mixer's thread.
         """
-        if self.is_identity or self.broadcasts:
+        if self._passes:
             return frames
-        mapped, spare = mapped[: len(frames)], spare[: len(frames)]
-        mapped[...] = 0.0
+        out, spare = out[: len(frames)], spare[: len(frames)]
+        out[...] = 0.0
         for source, target, gain in self._routes:
             # one route after another: the same sum whatever the number of frames
-            mapped[:, target] += np.multiply(frames[:, source], gain, out=spare)
-        return mapped
+            out[:, target] += np.multiply(frames[:, source], gain, out=spare)
+        return out
 
 
 @cache
-def mapping(track_channels: int, mix_channels: int) -> NDArray[np.float32]:
+def mapping(track_channels: int, mix_channels: int) -> Float32Array:
     """The gains from each track channel (row) to each mix channel (column), float32."""
     if track_channels == mix_channels:
         return np.eye(mix_channels, dtype=np.float32)

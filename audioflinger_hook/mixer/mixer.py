@@ -11,27 +11,24 @@ from typing import NamedTuple
 
 import numpy as np
 
-from audioflinger_hook.mixer.effects_port import DEVICE, OUTPUT_MIX, OUTPUT_STAGE, EffectsPort
-from audioflinger_hook.mixer.mix_buffer import MixBuffer, Sink, normal_buffer_frames
-from audioflinger_hook.mixer.pcm import PcmFormat
-from audioflinger_hook.mixer.track import (
-    SAMPLERATE_MAX,
-    SAMPLERATE_MIN,
-    Request,
-    Track,
-    out_of_range,
+from audioflinger_hook.mixer.mix_buffer import (
+    DEVICE,
+    OUTPUT_MIX,
+    OUTPUT_STAGE,
+    EffectsPort,
+    MixBuffer,
+    Sink,
+    normal_buffer_frames,
 )
+from audioflinger_hook.mixer.pcm import PcmFormat
+from audioflinger_hook.mixer.track import SAMPLERATES, Request, Track, out_of_range
 from audioflinger_hook.mixer.track_mixer import Lane, Readiness
 from device.errors import UsageError
 from device.layouts import CHANNELS_MAX
 from device.units import Float32Array
 
-STANDBY_DELAY_S = 3.0
-"""Time from the last mix with a track in it to standby, if no track is active."""
-
-TAIL_S = 1.0
-"""Seconds of zeros that a chain gets after its last track, so that its effects can decay."""
-
+STANDBY_DELAY_S = 3.0  # time from the last mix with a track in it to standby, if no track is active
+TAIL_S = 1.0  # seconds of zeros that a chain gets after its last track: its effects decay
 HAL_FRAMES_MAX = 1 << 16
 
 
@@ -47,7 +44,7 @@ class MixerState(Enum):
 class CycleReport(NamedTuple):
     """Report of one cycle.
 
-    state, tracks_mixed: of the cycle. frames_written: to the sinks, 0 in standby.
+    state, frames_written, tracks_mixed: of the cycle; no frames are written in standby.
     underruns: active tracks that had less than a whole period of frames.
     buffer: as written, silence in standby; the next cycle reuses it.
     """
@@ -89,14 +86,13 @@ class Mixer:
     ) -> None:
         wrong = [
             *out_of_range("hal_frames", hal_frames, 1, HAL_FRAMES_MAX, ""),
-            *out_of_range("samplerate", samplerate, SAMPLERATE_MIN, SAMPLERATE_MAX, " Hz"),
+            *out_of_range("samplerate", samplerate, *SAMPLERATES, " Hz"),
             *out_of_range("channels", channels, 1, CHANNELS_MAX, ""),
             *out_of_range("haptic_channels", haptic_channels, 0, CHANNELS_MAX, ""),
         ]
         if wrong:
             raise UsageError(f"the mix cannot have {'; '.join(wrong)}")
-        self.samplerate = samplerate
-        self.channels = channels
+        self.samplerate, self.channels = samplerate, channels
         self.haptic_channels = haptic_channels
         self.hal_frames = hal_frames
         self.frames = normal_buffer_frames(samplerate, hal_frames)
@@ -113,10 +109,7 @@ class Mixer:
         self._last_ready_s = 0.0
         self._standby_delay_s = standby_delay_s
         self.state = MixerState.STANDBY if standby_delay_s < math.inf else MixerState.IDLE
-        self.cycles = 0
-        self.cycles_written = 0
-        self.frames_written = 0
-        self.failed_events = 0
+        self.cycles = self.cycles_written = self.frames_written = self.failed_events = 0
         self.last_failure = ""
         self._scratch = np.zeros((self.frames, channels), np.float32)
         self.effects.set_format(samplerate, channels, haptic_channels, self.frames)
@@ -137,10 +130,7 @@ class Mixer:
         ring_frames: int | None = None,
         start_threshold: int | None = None,
     ) -> Track:
-        """Make a track, which is mixed from the next cycle on. From any client's thread.
-
-        `Track` describes the parameters. Its UsageError names all that is wrong.
-        """
+        """Make a track, mixed from the next cycle on. From any client's thread. See `Track`."""
         track = Track(
             next(self._track_ids),
             name,
@@ -170,19 +160,14 @@ class Mixer:
         track.requests.append((Request.REMOVE, track.ring.written))
 
     def post(self, event: Callable[[], None]) -> None:
-        """Have `event` called by the mixer's thread at the start of the next cycle.
-
-        If `event` raises, the failure is counted and shown in the dump, and the sound goes on.
-        """
+        """Have `event` called by the mixer's thread in the next cycle; the dump shows failures."""
         self._events.append(event)
 
     def cycle(self, now_s: float, frames: int | None = None) -> CycleReport:
         """Do one cycle and report it.
 
-        config events -> standby or wait -> prepare tracks -> mix -> effect chains -> convert ->
-        write to the sinks. now_s: seconds of any clock that does not run backwards. frames: length
-        of the cycle, 1 to `self.frames` (the default). So a cycle can be as long as a tap's buffer,
-        and the mixer adds no delay.
+        now_s: seconds of any clock that does not run backwards. frames: length of the cycle, 1 to
+        `self.frames` (the default). As long as a tap's buffer, it adds no delay.
         """
         self.cycles += 1
         self._take_events()
@@ -304,15 +289,12 @@ class SessionMix:
         self._empty = True
 
     def add(self, lane: Lane, scratch: Float32Array) -> None:
-        """Add one track that is ready."""
+        """Add a track that is ready."""
         lane.mix(self.buffer.audio, scratch, first=self._empty)
         self._empty = False
 
     def begin(self) -> bool:
-        """Prepare the buffer for the effects; return False if the effects' tail is over.
-
-        Call once per cycle, after the tracks.
-        """
+        """Prepare the buffer for the effects; return False if their tail is over."""
         self.buffer.haptic[...] = 0.0
         if not self._empty:
             self._empty = True

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from device.blocks import whole_steps
 from device.errors import UsageError
+from device.units import Float32Array
 
-FLOAT_LIMIT = 2.0
-"""Largest sample of float sinks, 6 dB over full scale, as in AudioFlinger."""
+FLOAT_LIMIT = 2.0  # largest sample of float sinks, 6 dB over full scale, as in AudioFlinger
 
 
 class PcmFormat(Enum):
@@ -85,7 +85,7 @@ def stored_frames(stored: PcmData, pcm_format: PcmFormat, channels: int) -> NDAr
     return np.frombuffer(whole_bytes, pcm_format.dtype).reshape(-1, items)
 
 
-def decode_rows(rows: NDArray[Any], pcm_format: PcmFormat, frames: NDArray[np.float32]) -> None:
+def decode_rows(rows: NDArray[Any], pcm_format: PcmFormat, frames: Float32Array) -> None:
     """Fill `frames`, (frames, channels) float32, from as many rows of `stored_frames`.
 
     Exact up to 24 bits; i32 is rounded to the nearest float32. Float frames keep every bit.
@@ -106,7 +106,7 @@ def decode_rows(rows: NDArray[Any], pcm_format: PcmFormat, frames: NDArray[np.fl
         np.multiply(rows, 1.0 / pcm_format.full_scale, out=frames, casting="unsafe")
 
 
-def decode(stored: PcmData, pcm_format: PcmFormat, channels: int) -> NDArray[np.float32]:
+def decode(stored: PcmData, pcm_format: PcmFormat, channels: int) -> Float32Array:
     """The frames stored, (frames, channels) float32, full scale ±1; raises as `stored_frames`."""
     rows = stored_frames(stored, pcm_format, channels)
     frames = np.empty((len(rows), channels), np.float32)

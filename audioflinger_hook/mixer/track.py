@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from enum import Enum
-from typing import TypeGuard
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from audioflinger_hook.mixer.pcm import PcmData, PcmFormat, decode_rows, stored_frames
 from device.errors import UsageError
 from device.layouts import CHANNELS_MAX
+from device.units import Float32Array
 
 
 class TrackState(Enum):
@@ -56,7 +57,7 @@ _AFTER = {(old, request): new for states, request, new in _TRANSITIONS for old i
 
 
 def after(state: TrackState, request: Request) -> TrackState:
-    """Return the state after a request; the state is unchanged if the request has no effect in it.
+    """Return the state after a request; it stays the same if the request has no effect in it.
 
     As in AudioFlinger: a playing track ignores a flush, a draining one ignores a pause. A stop from
     a pause drops the frames left.
@@ -67,8 +68,8 @@ def after(state: TrackState, request: Request) -> TrackState:
 class FrameRing:
     """A bounded ring of float32 frames: one thread writes, another reads, neither waits.
 
-    `written` and `read` count frames since the start. Each is stored by one thread only, after the
-    frames themselves were stored or used. So the other thread never sees a part of a buffer.
+    `written` and `read` count frames. Each is raised by one thread only, after the frames
+    themselves were stored or used. So the other thread never sees a part of a buffer.
     """
 
     def __init__(self, capacity_frames: int, channels: int) -> None:
@@ -82,37 +83,18 @@ class FrameRing:
         """Frames that can be written now. For the writing thread."""
         return self.capacity_frames - (self.written - self.read)
 
-    def spans_to_write(self, count: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Memory of the next `count` <= `room` frames, in two parts; the second may be empty."""
-        return self._spans(self.written, count)
+    def spans(self, position: int, count: int) -> tuple[Float32Array, Float32Array]:
+        """Memory of `count` frames from `position` on, in two parts; the second may be empty.
 
-    def commit(self, count: int) -> None:
-        """Hand `count` frames, now stored, to the reader. Called by the writing thread."""
-        self.written += count
-
-    def spans_to_read(self, count: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """The next `count` written frames, in two parts; the second may be empty."""
-        return self._spans(self.read, count)
-
-    def consume(self, count: int) -> None:
-        """Free the room of `count` frames for the writer. Called by the reading thread."""
-        self.read += count
-
-    def skip_to(self, position: int) -> None:
-        """Drop the frames before `position`. Called by the reading thread."""
-        self.read = max(self.read, position)
-
-    def _spans(self, position: int, count: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        The writing thread takes up to `room` frames from `written`, the reading one from `read`.
+        """
         first = position % self.capacity_frames
         wrapped = max(0, first + count - self.capacity_frames)
         return self._frames[first : first + count - wrapped], self._frames[:wrapped]
 
 
-SAMPLERATE_MIN = 1_000
-SAMPLERATE_MAX = 768_000
-
-PERIODS_IN_RING = 2
-"""Mix periods that a ring holds by default."""
+SAMPLERATES = 1_000, 768_000  # Hz, lowest and highest
+PERIODS_IN_RING = 2  # mix periods that a ring holds by default
 
 
 class Track:
@@ -146,7 +128,7 @@ class Track:
         ring_frames: int | None = None,
         start_threshold: int | None = None,
     ) -> None:
-        rate_wrong = out_of_range("samplerate", samplerate, SAMPLERATE_MIN, SAMPLERATE_MAX, " Hz")
+        rate_wrong = out_of_range("samplerate", samplerate, *SAMPLERATES, " Hz")
         period = 1 if rate_wrong else period_frames(samplerate, mix_samplerate, mix_frames)
         ring_frames = PERIODS_IN_RING * period if ring_frames is None else ring_frames
         start_threshold = ring_frames if start_threshold is None else start_threshold
@@ -200,11 +182,6 @@ class Track:
         """Frames in the ring that the mixer has not taken yet."""
         return self.ring.written - self.ring.read
 
-    @property
-    def room(self) -> int:
-        """Frames that `write` would take now."""
-        return self.ring.room
-
     def write(self, samples: PcmData) -> int:
         """Store as many frames as there is room for and return their number; never waits.
 
@@ -212,18 +189,12 @@ class Track:
             (frames, channels); copied. Offer the frames not stored again after a cycle.
         UsageError: the samples have another type or shape; nothing is stored then.
         """
-        if self._is_float_block(samples):
-            taken = min(len(samples), self.ring.room)
-            first, second = self.ring.spans_to_write(taken)
-            first[...] = samples[: len(first)]
-            second[...] = samples[len(first) : taken]
-        else:
-            rows = stored_frames(samples, self.format, self.channels)
-            taken = min(len(rows), self.ring.room)
-            first, second = self.ring.spans_to_write(taken)
-            decode_rows(rows[: len(first)], self.format, first)
-            decode_rows(rows[len(first) : taken], self.format, second)
-        self.ring.commit(taken)
+        ring, rows = self.ring, self._rows(samples)
+        taken = min(len(rows), ring.room)
+        first, second = ring.spans(ring.written, taken)
+        decode_rows(rows[: len(first)], self.format, first)
+        decode_rows(rows[len(first) : taken], self.format, second)
+        ring.written += taken
         return taken
 
     def start(self) -> None:
@@ -239,10 +210,7 @@ class Track:
         self._ask(Request.STOP)
 
     def flush(self) -> None:
-        """Drop the frames written so far; a playing track ignores a flush, as on Android.
-
-        A track that still sounds ramps down first. The room in the ring is free after that.
-        """
+        """Drop the frames written so far, after a ramp; a playing track ignores a flush."""
         self._ask(Request.FLUSH)
 
     def set_volume(self, volume: float | Sequence[float]) -> None:
@@ -260,14 +228,16 @@ class Track:
             )
         self.volume = gains
 
-    def _is_float_block(self, samples: PcmData) -> TypeGuard[NDArray[np.float32]]:
-        """Return whether samples need no conversion, like the samples of a tap."""
-        return (
+    def _rows(self, samples: PcmData) -> NDArray[Any]:
+        """Return samples as `stored_frames`; those of a tap are such rows already."""
+        if (
             self.format is PcmFormat.FLOAT
             and isinstance(samples, np.ndarray)
             and samples.dtype == np.float32
             and samples.shape[1:] == (self.channels,)
-        )
+        ):
+            return samples
+        return stored_frames(samples, self.format, self.channels)
 
     def _ask(self, request: Request) -> None:
         self.requests.append((request, self.ring.written))
@@ -281,7 +251,7 @@ def period_frames(samplerate: int, mix_samplerate: int, mix_frames: int) -> int:
 
 
 def out_of_range(name: str, value: int, low: int, high: int | None, unit: str) -> list[str]:
-    """Return a list with one line if a number is no int or out of its range, else an empty list."""
+    """Return [mistake] if a number is no int or out of its range, else []."""
     if isinstance(value, bool) or not isinstance(value, int):
         return [f"{name}={value!r} is not a whole number"]
     if value < low or (high is not None and value > high):

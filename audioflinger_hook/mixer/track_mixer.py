@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from enum import Enum
 
 import numpy as np
-from numpy.typing import NDArray
 
 from audioflinger_hook.mixer.layouts import ChannelMap
 from audioflinger_hook.mixer.resampler import Resampler
 from audioflinger_hook.mixer.track import PLAYING, Request, Track, TrackState, after, period_frames
 from device.layouts import sides
+from device.units import Float32Array
 
 SMALLEST_NORMAL = float(np.finfo(np.float32).tiny)
 
@@ -42,10 +42,9 @@ def gains_of(volume: Sequence[float], channels: int) -> Gains:
 class VolumeRamp:
     """The gains with which one track enters the mix, held by the mixer's thread.
 
-    A change goes linearly over exactly one buffer: frame i of n has old + (new - old) i/n, so the
-    next buffer starts at the new gain. A track's first buffer has no ramp. frames: usual length of
-    a buffer, for which the ramp is kept ready. gains: those reached, one per channel; None before
-    the first buffer.
+    A change goes linearly over exactly one buffer: frame i of n has old + (new - old) i/n. A
+    track's first buffer has no ramp. frames: usual length of a buffer, for which the ramp is kept
+    ready. gains: those reached, one per channel; None before a first buffer.
     """
 
     def __init__(self, channels: int, frames: int) -> None:
@@ -55,20 +54,16 @@ class VolumeRamp:
         self.gains: Gains | None = None
         self._row = np.zeros(channels, np.float32)
 
-    def restart(self) -> None:
-        """Treat the next buffer as the first."""
-        self.gains = None
-
     def mute(self) -> None:
         """Make the next buffer rise from silence."""
         self.gains = self._silent
 
     def mix(
         self,
-        source: NDArray[np.float32],
-        target: NDArray[np.float32],
+        source: Float32Array,
+        target: Float32Array,
         goal: Gains | None,
-        scratch: NDArray[np.float32],
+        scratch: Float32Array,
         *,
         first: bool,
     ) -> None:
@@ -103,18 +98,17 @@ class VolumeRamp:
             target += product
 
 
-def _rise(frames: int) -> NDArray[np.float32]:
+def _rise(frames: int) -> Float32Array:
     """Return i/n for every frame i of a buffer of n frames, as a column."""
     return (np.arange(frames, dtype=np.float64) / frames).astype(np.float32)[:, None]
 
 
 def decibels(gain: float) -> float:
-    """Return a gain in decibels, -inf for 0, for dumps."""
+    """Return a gain in decibels, -inf for 0."""
     return 20.0 * math.log10(gain) if gain > 0.0 else -math.inf
 
 
-RETRIES = 50
-"""Whole cycles in a row that an active track may miss before it is disabled: about 1 s."""
+RETRIES = 50  # whole cycles in a row that an active track may miss before it is disabled: about 1 s
 
 
 class Readiness(Enum):
@@ -128,20 +122,16 @@ class Readiness(Enum):
 class Lane:
     """One track's way into the mix: requests -> frames -> channels -> rate -> ramped volume.
 
-    samplerate, channels: of the mix; frames: of its longest cycle. Any thread may make it; then
-    the mixer's thread holds it.
+    samplerate, channels: of the mix; frames: of its longest cycle. For the mixer's thread, but any
+    thread may make it.
     """
 
     def __init__(self, track: Track, samplerate: int, channels: int, frames: int) -> None:
         self.track = track
         self.gone = False
         self._state = track.mixed_state
-        self._filling = True
-        self._missed_frames = 0
-        self._written_when_disabled = 0
-        self._stop_at = 0
-        self._tail_frames = 0
-        self._leaving = False
+        self._filling, self._leaving = True, False
+        self._missed_frames = self._written_when_disabled = self._stop_at = self._tail_frames = 0
         self._channels = channels
         self._frames = frames
         self._map = ChannelMap(track.channels, channels)
@@ -158,9 +148,7 @@ class Lane:
         self._ramp = VolumeRamp(channels, frames)
         self._gains: Gains = ()
         self._volume: tuple[float, ...] | None = None
-        self._take = 0
-        self._needed = 0
-        self._cycle_frames = 0
+        self._take = self._needed = self._cycle_frames = 0
 
     @property
     def is_active(self) -> bool:
@@ -168,7 +156,7 @@ class Lane:
         return self._state in PLAYING and not self.track.disabled
 
     def update(self) -> None:
-        """Carry out what the client has asked for since the last cycle."""
+        """Carry out the client's requests since the last cycle."""
         requests = self.track.requests
         self._settle()
         while requests:
@@ -197,12 +185,10 @@ class Lane:
             return Readiness.READY
         return self._miss()
 
-    def mix(
-        self, target: NDArray[np.float32], scratch: NDArray[np.float32], *, first: bool
-    ) -> None:
-        """Mix one cycle into the target, (frames, channels), after `prepare` said READY.
+    def mix(self, target: Float32Array, scratch: Float32Array, *, first: bool) -> None:
+        """Mix one cycle into the target, (frames, channels), or over it if it is the `first`.
 
-        first: write over the target. scratch: as large as the target, overwritten.
+        Call after `prepare` said READY. scratch: as large as the target, overwritten.
         """
         sound = self._taken()
         if self._map.folds:
@@ -216,7 +202,7 @@ class Lane:
         goal = None if self._state is TrackState.PAUSING else self._goal()
         self._ramp.mix(sound, target, goal, scratch, first=first)
         # only now may the client write over the frames that were read in place
-        self.track.ring.consume(self._take)
+        self.track.ring.read += self._take
         if self._state is TrackState.PAUSING:
             self._move_to(TrackState.PAUSED)
         elif self._state is TrackState.RESUMING:
@@ -225,9 +211,10 @@ class Lane:
             self._tail_frames -= self._needed - self._take
             self._settle()
 
-    def _taken(self) -> NDArray[np.float32]:
+    def _taken(self) -> Float32Array:
         """Return this period's frames, (needed, channels); after a stop zeros follow the last."""
-        first, second = self.track.ring.spans_to_read(self._take)
+        ring = self.track.ring
+        first, second = ring.spans(ring.read, self._take)
         if len(first) == self._needed:
             return first
         joined = self._joined[: self._needed]
@@ -237,7 +224,6 @@ class Lane:
         return joined
 
     def _miss(self) -> Readiness:
-        """Count a cycle without the track; disable the track after too many of them in a row."""
         track = self.track
         if self._state is TrackState.PAUSING:
             self._ramp.mute()
@@ -286,11 +272,10 @@ class Lane:
             track.disabled = False
             self._tail_frames = self._resampler.tail_frames if self._resampler else 0
         elif state in (TrackState.FLUSHED, TrackState.STOPPED):
-            track.ring.skip_to(written)
+            track.ring.read = max(track.ring.read, written)
             self._rewind()
 
     def _settle(self) -> None:
-        """Finish states that need no further cycle: nothing left to ramp or to play."""
         track = self.track
         if track.disabled and track.ring.written != self._written_when_disabled:
             track.disabled = False
@@ -308,10 +293,9 @@ class Lane:
         self.gone = self._leaving and not self.is_active
 
     def _rewind(self) -> None:
-        """Prepare for another first buffer."""
         self._filling = True
         self._missed_frames = 0
-        self._ramp.restart()
+        self._ramp.gains = None
         if self._resampler is not None:
             self._resampler.reset()
 

@@ -15,7 +15,7 @@ from audioflinger_hook.transform.downmix import MonoMix
 from audioflinger_hook.transform.input_stage import channel_rows, replace_unusable
 from audioflinger_hook.transform.mapping import vibration_hz
 from audioflinger_hook.transform.parameters import TransformParameters
-from audioflinger_hook.transform.reference.transform import ReferenceTransform
+from audioflinger_hook.transform.reference import ReferenceTransform
 from device.errors import UsageError
 from device.layouts import downmix
 

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.drive.drive import Drive
-from audioflinger_hook.effect.block_watch import BlockWatch
 from audioflinger_hook.effect.chain import BUDGET_SHARE, EffectChains
 from audioflinger_hook.effect.haptic_parameters import (
     DRAIN,
@@ -21,11 +20,11 @@ from audioflinger_hook.effect.haptic_parameters import (
     from_settings,
 )
 from audioflinger_hook.effect.interface import OK, Command, Values
-from audioflinger_hook.effect.module import EffectModule
+from audioflinger_hook.effect.module import BlockWatch, EffectModule
 from audioflinger_hook.effect.registry import EffectRegistry
 from audioflinger_hook.effect.xml import OUTPUT_MIX_STREAM, bundled_effects, read_effects
 from audioflinger_hook.mixer import Mixer, dump
-from audioflinger_hook.mixer.effects_port import OUTPUT_MIX
+from audioflinger_hook.mixer.mix_buffer import OUTPUT_MIX
 from audioflinger_hook.transform import HapticTransform
 from device.drive.channel_map import ChannelMap
 from device.errors import CushionError, InternalError, UsageError

@@ -7,21 +7,18 @@ from pathlib import Path
 from typing import Literal, get_args
 
 from audioflinger_hook.scenes import Scene, demo_scene
-from audioflinger_hook.sources.capture import CaptureTap
-from audioflinger_hook.sources.file import FileTap, FramesTap
+from audioflinger_hook.sources.file import CaptureTap, FileTap, FramesTap
 from audioflinger_hook.sources.scene import CYCLE_FRAMES, SceneClient, mixdown
 from audioflinger_hook.sources.tap import Client, Tap
 from audioflinger_hook.sources.tap_client import TapClient
 from device.errors import NotFoundError, UsageError
 
 Kind = Literal["default", "sink", "app", "file", "capture", "scene"]
-
 KINDS: tuple[Kind, ...] = get_args(Kind)
 
 GRAMMAR = (
     "default, sink:NAME, app:NAME, file:PATH, capture:DIR, scene:demo, or the name of a sink alone"
 )
-
 SCENES = ("demo",)
 
 SOUND_SUFFIXES = (".wav", ".flac", ".ogg", ".mp3", ".aiff", ".aif", ".opus")
@@ -40,12 +37,10 @@ class TapAddress:
 
 
 def parse_tap(text: str) -> TapAddress:
-    """Return the address that a text stands for.
+    """Return the address that a text stands for; a word without a colon is the name of a sink.
 
-    A word without a colon is the name of a sink, unless it is a path. Names are taken literally.
-
-    text: the user's text. UsageError: the kind is unknown, a name is missing, or `default` has a
-    name; a path without "file:" is refused as well.
+    text: of the user. UsageError: the kind is unknown, a name is missing, `default` has a name, or
+    a path has no "file:".
     """
     if text == "default":
         return TapAddress("default")
@@ -72,16 +67,16 @@ def parse_tap(text: str) -> TapAddress:
 def open_client(address: TapAddress) -> Client:
     """Return a client of the mixer: one track per sound for a scene, else one track.
 
-    address: the source. UsageError, NotFoundError: as for `open_tap`.
+    address: the source. Raises as `open_tap`.
     """
     return SceneClient(_scene(address)) if address.kind == "scene" else TapClient(open_tap(address))
 
 
 def open_tap(address: TapAddress) -> Tap:
-    """Return an open tap, with its format.
+    """Return an open tap.
 
-    address: a file, a capture or a scene. UsageError: the scene is unknown, or the file or the
-    capture cannot be used. NotFoundError: the source needs a sound server.
+    address: a file, a capture or a scene. UsageError: it cannot be used. NotFoundError: the source
+    needs a sound server.
     """
     if address.kind == "file":
         return FileTap(Path(address.name))

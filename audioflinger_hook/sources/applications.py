@@ -10,18 +10,17 @@ from numpy.typing import NDArray
 
 from audioflinger_hook.mixer import Mixer, PcmFormat, Track
 
+# If the voice that sets the pace is silent for this long, another voice takes over.
 PACE_LOST_S = 0.05
-"""If the voice that sets the pace is silent for this long, another voice takes over."""
-
+# Limit of a voice's waiting frames; older frames are dropped, else the delay would grow.
 WAITING_S = 0.04
-"""Limit of a voice's waiting frames; older frames are dropped, else the delay would grow."""
 
 _Frames = NDArray[np.float32]
 
 
 @dataclass(eq=False)
 class Voice:
-    """One sound, whose frames wait here until a cycle takes them. dropped: count of frames lost."""
+    """One sound, whose frames wait here until a cycle takes them. dropped: frames lost."""
 
     name: str
     track: Track
@@ -45,13 +44,11 @@ class Voice:
 
 
 class VoicesClient:
-    """Mixes sounds that arrive independently, such as applications.
+    """Mixes sounds that arrive independently, such as applications; one sets the pace.
 
-    The first voice sets the pace: its frames become cycles, and the frames of other voices are
-    mixed into them. The supervising thread calls `add` and `remove`. The thread on which all sounds
-    arrive calls the other methods and steps the pipeline.
-
-    samplerate, channels: of the mix and of every voice; Hz.
+    The supervising thread calls `add` and `remove`. The thread on which all sounds arrive calls the
+    other methods and steps the pipeline. samplerate, channels: of the mix and of every voice; Hz.
+    pending_frames: for which cycles are due.
     """
 
     frames_expected = None
@@ -64,12 +61,7 @@ class VoicesClient:
         self._voices: tuple[Voice, ...] = ()
         self._pacer: Voice | None = None
         self._paced_s = 0.0
-        self._due = 0
-
-    @property
-    def pending_frames(self) -> int:
-        """Frames for which cycles are due."""
-        return self._due
+        self.pending_frames = 0
 
     def connect(self, mixer: Mixer) -> None:
         """Keep the mixer; voices can be added from now on."""
@@ -96,17 +88,14 @@ class VoicesClient:
         self._mixer.remove_track(voice.track)
 
     def push(self, voice: Voice, frames: _Frames, now_s: float) -> None:
-        """Take frames of one voice, (frames, channels) float32, which arrived at now_s.
-
-        The array is kept, not copied. `pending_frames` then says whether cycles are due.
-        """
+        """Take frames of one voice, (frames, channels) float32, at now_s; they are not copied."""
         voice.waiting.append(frames)
         voice.frames += len(frames)
         if self._pacer is None or now_s - self._paced_s > PACE_LOST_S:
             self._pacer = voice
         if voice is self._pacer:
             self._paced_s = now_s
-            self._due += len(frames)
+            self.pending_frames += len(frames)
             return
         while voice.frames - len(voice.waiting[0]) > self._most_waiting:
             dropped = voice.waiting.popleft()
@@ -116,17 +105,17 @@ class VoicesClient:
     def play(self) -> int | None:
         """Write the frames that are due, at most one cycle, and return their number."""
         assert self._mixer is not None
-        count = min(self._due, self._mixer.frames)
+        count = min(self.pending_frames, self._mixer.frames)
         if not count:
             return None
-        self._due -= count
+        self.pending_frames -= count
         for voice in self._voices:
             voice.track.write(voice.take(count))
         return count
 
     def close(self) -> None:
         """Drop all waiting frames."""
-        self._due = 0
+        self.pending_frames = 0
         for voice in self._voices:
             voice.waiting.clear()
             voice.frames = 0

@@ -1,4 +1,4 @@
-"""A tap on a sound file."""
+"""Taps on stored sound: a file, frames in memory, a capture."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import soundfile
 
+from audioflinger_hook.capture import Capture, CaptureBuffer
 from audioflinger_hook.sources.tap import SteadyTap, named, reason_of
 from audioflinger_hook.transform.parameters import check_format
 from device.errors import UsageError
@@ -25,16 +26,15 @@ EXACT_FORMATS = frozenset({"WAV", "WAVEX", "RF64", "W64", "AIFF", "AU", "CAF"})
 EXACT_SUBTYPES = frozenset({"PCM_U8", "PCM_S8", "PCM_16", "PCM_24", "PCM_32", "FLOAT", "DOUBLE"})
 """Formats in which a frame's position in the file follows from the frame's number."""
 
-FRAMES_UNKNOWN = 1 << 40
-"""libsndfile reports such a number for a stream whose header does not state its length."""
+FRAMES_UNKNOWN = 1 << 40  # from here, libsndfile does not know the length of a stream
 
 
 class FileTap(SteadyTap):
     """The frames of any file that libsndfile reads, as float32.
 
     path: the file. blocksize: frames of a buffer. first: the frame to begin with; other than 0 only
-    for a file that is `divisible`. UsageError: the file is missing, unreadable, not sound or empty,
-    or the transform does not support its rate or channel count.
+    for a file that is `divisible`. UsageError: the file cannot be used, or the transform does not
+    support its rate or channel count.
     """
 
     def __init__(self, path: Path, blocksize: int = BLOCKSIZE_FRAMES, *, first: int = 0) -> None:
@@ -96,7 +96,6 @@ class FileTap(SteadyTap):
 
 
 def _open(path: Path) -> soundfile.SoundFile:
-    """Return the opened file. UsageError: it cannot be read as sound."""
     try:
         # By descriptor, not by name: libsndfile would trust a name's ending and read text named
         # .vox as sound.
@@ -149,12 +148,10 @@ PROMISES = (
 )
 """Lines in libsndfile's log if a WAV, AIFF, AU, W64 or RF64 body is shorter than promised."""
 
-UNKNOWN_LENGTH = 0xFFFF_0000
-"""A recorder that does not know the length writes a length from here to 4 GB."""
+UNKNOWN_LENGTH = 0xFFFF_0000  # a recorder that does not know it writes this up to 4 GB
 
 
 def _body_is_short(log: str) -> bool:
-    """Return whether libsndfile's log says that a file's body ends too early."""
     for pattern in PROMISES:
         if found := re.search(pattern, log, re.MULTILINE):
             promised, there = int(found["promised"]), int(found["there"])
@@ -163,12 +160,70 @@ def _body_is_short(log: str) -> bool:
 
 
 class FramesTap(SteadyTap):
-    """Frames from memory, in buffers of `blocksize`; the last may be shorter.
-
-    frames: (frames, channels) float32. samplerate: Hz. blocksize: frames of a buffer.
-    """
+    """Frames from memory. frames: (n, channels) float32. samplerate: Hz. blocksize: of a buffer."""
 
     def __init__(self, frames: Float32Array, samplerate: int, blocksize: int) -> None:
         starts = range(0, len(frames), blocksize)
         buffers = (frames[first : first + blocksize] for first in starts)
         super().__init__(samplerate, frames.shape[1], buffers, len(frames))
+
+
+class CaptureTap:
+    """The sound of a capture, buffer by buffer as delivered, with every change of format.
+
+    A `Tap`, for the thread that steps the pipeline; reads are from disk.
+
+    folder: the capture.
+    time_s: delivery of the buffer read last, in seconds of the recorder's monotonic clock.
+    warnings: for the user, one line each; complete once `read` has returned None.
+    facts: settings that the recorder stored, by name.
+    frames_expected: total frames in the capture's WAV files.
+    UsageError: the folder is no readable capture or has no sound. `read` raises it, too, if the
+        transform does not support the rate or channel count.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._capture = Capture(folder)
+        self._buffers = self._capture.buffers("tap")
+        self._next: CaptureBuffer | None = next(self._buffers, None)
+        self.warnings = self._capture.warnings
+        self.facts = self._capture.facts
+        self.frames_expected = self._capture.frames_expected("tap")
+        if self._next is None or not self.frames_expected:
+            self.close()
+            why = "".join(f" ({text})" for text in self.warnings)
+            raise UsageError(
+                f"{folder} has no sound (0 frames){why}; give a capture with sound in it"
+            )
+        self.samplerate, self.channels = self._next.format
+        self._check_format()
+        self.format_changed = False
+        self.discontinuity = self._next.discontinuity
+        self.time_s = self._next.time_s
+
+    def read(self) -> Float32Array | None:
+        """Return the next buffer, or None at the end."""
+        buffer = self._next or next(self._buffers, None)
+        self._next = None
+        if buffer is None:
+            return None
+        self.format_changed = buffer.format != (self.samplerate, self.channels)
+        self.discontinuity = buffer.discontinuity
+        self.time_s = buffer.time_s
+        if self.format_changed:
+            self.samplerate, self.channels = buffer.format
+            self._check_format()
+        return buffer.frames
+
+    def close(self) -> None:
+        """Close the capture."""
+        self._next = None
+        self._buffers.close()
+
+    def _check_format(self) -> None:
+        try:
+            check_format(self.samplerate, self.channels)
+        except UsageError as error:
+            self.close()
+            raise named(error, self.folder) from None

@@ -16,19 +16,16 @@ from device.errors import UsageError
 from device.units import Float32Array
 
 FILMS = frozenset(
-    f".{ending}"
-    for ending in (
-        "mka", "mkv", "mp4", "m4v", "m4a", "mov", "avi", "webm", "mpg", "mpeg", "ts", "m2ts",
-        "vob", "wmv", "flv", "ogv",
-    )
-)  # fmt: skip
+    {
+        *(".mka", ".mkv", ".mp4", ".m4v", ".m4a", ".mov", ".avi", ".webm"),
+        *(".mpg", ".mpeg", ".ts", ".m2ts", ".vob", ".wmv", ".flv", ".ogv"),
+    }
+)
 """Endings of the names of files that libsndfile does not read, or takes for something else."""
 
+# A longer gap between the times of two packets is filled with silence; a shorter one is jitter.
 GAP_S = 0.02
-"""A longer gap between the times of two packets is filled with silence; a shorter one is jitter."""
-
-GAP_MAX_S = 24 * 3600.0
-"""A longer gap is a broken time stamp and is not filled."""
+GAP_MAX_S = 24 * 3600.0  # a longer gap is a broken time stamp and is not filled
 
 EXTRA = "sound tracks of films need PyAV; pip install 'haptic-cushion[films]'"
 
@@ -36,9 +33,9 @@ EXTRA = "sound tracks of films need PyAV; pip install 'haptic-cushion[films]'"
 class FilmTap(SteadyTap):
     """The frames of one sound track, as float32, aligned with the film's beginning.
 
-    path: the file. track: the sound track, from 1; default: the file's default track. language: of
-    the track, as in the file, such as "eng". UsageError: the file cannot be read, has no such sound
-    track, or no sound in it.
+    track: the sound track, from 1; default: the file's default track. language: of the track, as in
+    the file, such as "eng". UsageError: the file cannot be read, or has no such sound track or no
+    sound in it.
     """
 
     def __init__(self, path: Path, *, track: int | None = None, language: str | None = None):
@@ -73,7 +70,6 @@ class FilmTap(SteadyTap):
         self._container.close()
 
     def _chosen(self, track: int | None, language: str | None) -> Any:
-        """Return the stream that is asked for."""
         streams = list(self._container.streams.audio)
         spoken = [stream.metadata.get("language", "und") for stream in streams]
         there = ", ".join(f"{n} ({word})" for n, word in enumerate(spoken, 1))
@@ -92,7 +88,6 @@ class FilmTap(SteadyTap):
         return streams[spoken.index(language)]
 
     def _buffered(self, stream: Any) -> Iterator[Float32Array]:
-        """Yield buffers of one size, but for the last."""
         waiting: list[Float32Array] = []
         frames = 0
         for part in self._parts(stream):

@@ -13,15 +13,13 @@ from audioflinger_hook.mixer.track import period_frames
 from audioflinger_hook.scenes import Scene, SceneTrack
 from device.units import Float32Array
 
-CYCLE_FRAMES = 256
-"""Frames of a cycle, as many as a sound server delivers at a time."""
+CYCLE_FRAMES = 256  # frames of a cycle, as many as a sound server delivers at a time
 
 
 class SceneClient:
     """Plays a scene: each sound has its own track, as an application would have.
 
-    A track starts on its exact frame. A pause begins with the cycle that contains its time, and
-    ramps over that cycle.
+    A track starts on its exact frame. A pause ramps over the cycle that contains its time.
 
     scene: the sounds. cycle_frames: frames of a cycle, at most the mixer's.
     """
@@ -67,11 +65,9 @@ class _Voice:
 
     @classmethod
     def on(cls, mixer: Mixer, sound: SceneTrack) -> _Voice:
-        """Make the track; convert times to frames of the mix."""
         rate, channels = sound.samplerate, sound.frames.shape[1]
         period = period_frames(rate, mixer.samplerate, mixer.frames)
         start = round(sound.start_s * mixer.samplerate)
-        # silence up to the sound's own frame in the cycle it starts in comes from the client
         pause, resume = -1, -1  # no frame of the mix
         if sound.pause_s:
             pause, resume = (round(at_s * mixer.samplerate) for at_s in sound.pause_s)
@@ -83,7 +79,6 @@ class _Voice:
         return cls(track, stored, frame_bytes, start, pause, resume)
 
     def play(self, first: int, last: int) -> None:
-        """Start, pause, resume and fill the track in the mix's frames from `first` up to `last`."""
         if first <= self.start < last:
             self._start(self.start - first)
         if first <= self.pause < last:
@@ -97,14 +92,14 @@ class _Voice:
                 self.track.stop()
 
     def _start(self, lead_frames: int) -> None:
+        """Start the track; the client makes the silence before the sound in this cycle."""
         lead = round(lead_frames * self.track.samplerate / self.track.mix_samplerate)
         silence = encode(np.zeros((lead, self.track.channels), np.float32), self.track.format)
         self.stored = silence + self.stored
         self.track.start()
 
     def _fill(self) -> None:
-        """Keep the ring full."""
-        most = self.track.room * self.frame_bytes
+        most = self.track.ring.room * self.frame_bytes
         taken = self.track.write(self.stored[:most]) * self.frame_bytes
         self.stored = self.stored[taken:]
 

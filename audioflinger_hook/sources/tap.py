@@ -13,65 +13,50 @@ from device.units import Float32Array
 class Tap(Protocol):
     """A source of sound: buffers in order, until it ends."""
 
-    samplerate: int
+    samplerate: int  # Hz, of the buffer read last; before the first buffer, of the first
     channels: int
-    """Format of the buffer read last; before the first buffer, the format of the first."""
-
-    format_changed: bool
-    """Whether the format of the buffer read last differs from the format before."""
-
-    discontinuity: bool
-    """Whether frames are missing before the buffer read last."""
+    format_changed: bool  # whether this format differs from the one before
+    discontinuity: bool  # whether frames are missing before the buffer read last
 
     @property
     def frames_expected(self) -> int | None:
         """Total number of frames, if known; only for showing progress."""
-        ...
 
     def read(self) -> Float32Array | None:
         """Return the next buffer, (frames, channels) float32, or None when the sound has ended.
 
         Called by the thread that steps the chain.
         """
-        ...
 
     def close(self) -> None:
         """Let go of the source. May be called more than once."""
-        ...
 
 
 class Client(Protocol):
     """Fills tracks of one mixer and paces its cycles. Use from the thread that steps the chain."""
 
-    samplerate: int
+    samplerate: int  # Hz, of a mix that suits the client's sound
     channels: int
-    """Format of a mix that suits the client's sound: Hz and channels."""
 
     @property
     def frames_expected(self) -> int | None:
         """Total frames of the mix, if known; only for showing progress."""
-        ...
 
     def connect(self, mixer: Mixer) -> None:
         """Make the client's tracks. Called once, before the first `play`."""
-        ...
 
     def play(self) -> int | None:
         """Write the sound of the next cycle and return its frames; 0: none yet, None: the end."""
-        ...
 
     def close(self) -> None:
         """Let go of the source. May be called more than once."""
-        ...
 
 
 class SteadyTap:
     """A tap of one format without discontinuities.
 
     The first buffer is taken at once, because a header may promise frames that are missing.
-
-    samplerate: Hz. buffers: (frames, channels) each, in order. frames_expected: total frames, None
-    if unknown. warnings: for the user, one line each; complete at the end of the sound.
+    buffers: (frames, channels) each. warnings: for the user, one line each; complete at the end.
     """
 
     format_changed = False
@@ -102,10 +87,9 @@ class SteadyTap:
 class PartTap(SteadyTap):
     """A part in time of another tap, and some of its channels.
 
-    tap: the whole sound. start_s, duration_s: beginning and length of the part; None: to the end,
-    where every part ends at the latest. picked: channels to take, from 0; none: all. skipped:
-    frames at the beginning that the tap has left out. UsageError: the sound ends before the part
-    begins, or has no such channel.
+    start_s, duration_s: beginning and length of the part; None: to the end. picked: channels to
+    take, from 0; none: all. skipped: frames at the beginning that the tap has left out. UsageError:
+    the sound ends before the part begins, or has no such channel.
     """
 
     def __init__(
@@ -138,7 +122,7 @@ class PartTap(SteadyTap):
         self._tap.close()
 
     def _cut(self, skipped: int, length: int | None) -> Iterator[Float32Array]:
-        """Yield the buffers after some frames, up to a length; None: to the end."""
+        """Yield the buffers after some frames, up to a length."""
         while length != 0 and (buffer := self._tap.read()) is not None:
             part = buffer[skipped:] if length is None else buffer[skipped : skipped + length]
             skipped = max(0, skipped - len(buffer))

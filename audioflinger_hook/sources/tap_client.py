@@ -11,13 +11,10 @@ from device.units import Float32Array
 
 
 class PushTap:
-    """A tap whose `read` returns each pushed buffer once.
+    """A `Tap` whose `read` returns each pushed buffer once.
 
-    Use from the capturing thread; any thread may call `interrupt`.
-
-    samplerate, channels: of the next buffers, Hz; `change` sets others. format_changed: whether the
-    buffer read last has another format than the one before it. discontinuity: whether frames are
-    missing before the buffer read last.
+    Use from the capturing thread; any thread may call `interrupt`. samplerate, channels: of the
+    next buffers, Hz; `change` sets others.
     """
 
     frames_expected = None
@@ -25,8 +22,7 @@ class PushTap:
     def __init__(self, samplerate: int, channels: int) -> None:
         self.samplerate = samplerate
         self.channels = channels
-        self.format_changed = False
-        self.discontinuity = False
+        self.format_changed = self.discontinuity = False
         self._buffer: Float32Array | None = None
         self._format = (samplerate, channels)
         self._begun = self._broken = self._ended = False
@@ -59,10 +55,8 @@ class PushTap:
         An unread buffer is replaced.
         """
         interruption = self._interruption
-        broken = self._begun and interruption is not self._seen
-        self._seen = interruption
-        self._begun = True
-        self._broken = broken or self.waiting
+        self._broken = self.waiting or (self._begun and interruption is not self._seen)
+        self._seen, self._begun = interruption, True
         self._buffer = frames
         return self._broken
 
@@ -70,9 +64,8 @@ class PushTap:
         """Return the buffer, or None."""
         buffer, self._buffer = self._buffer, None
         if buffer is not None:
-            format_now = (self.samplerate, self.channels)
-            self.format_changed = format_now != self._format
-            self._format = format_now
+            before, self._format = self._format, (self.samplerate, self.channels)
+            self.format_changed = before != self._format
             self.discontinuity = self._broken
         return buffer
 
@@ -88,9 +81,8 @@ class PushTap:
 class TapClient:
     """Plays every buffer of a tap as it arrives; the mix has the tap's first format.
 
-    At the mixer's rate each buffer is one cycle, or several if it is longer than a cycle. So
-    nothing is delayed, and the sound passes bit for bit. When the tap's format changes, a track
-    of the new format takes over, and the mix stays unchanged.
+    At the mixer's rate each buffer is one cycle or several: nothing is delayed, and the sound
+    passes bit for bit. When the tap's format changes, a track of the new format takes over.
 
     tap: the source. buffers, format_changes, discontinuities: counts so far.
     """
@@ -98,19 +90,13 @@ class TapClient:
     def __init__(self, tap: Tap) -> None:
         self.samplerate = tap.samplerate
         self.channels = tap.channels
-        self.buffers = 0
-        self.format_changes = 0
-        self.discontinuities = 0
+        self.frames_expected = tap.frames_expected
+        self.buffers = self.format_changes = self.discontinuities = 0
         self._tap = tap
         self._track: Track | None = None
         self._pending: Float32Array = np.zeros((0, tap.channels), np.float32)
         self._tail = 0
         self._ended = False
-
-    @property
-    def frames_expected(self) -> int | None:
-        """Frames that the tap expects."""
-        return self._tap.frames_expected
 
     @property
     def pending_frames(self) -> int:
@@ -123,10 +109,7 @@ class TapClient:
         self._begin(self._tap.samplerate, self._tap.channels)
 
     def play(self) -> int | None:
-        """Write the next buffer, or the rest of a buffer, and return the frames of its cycle.
-
-        Return 0 if a `PushTap` has no buffer yet.
-        """
+        """Write the next buffer, or the rest of one, and return the frames of its cycle."""
         while True:
             if not len(self._pending):
                 if getattr(self._tap, "starved", False):
@@ -169,22 +152,20 @@ class TapClient:
         self._rate = samplerate
         self._written = self._mixed = 0
         # at most this many frames fit into one cycle
-        self._most_at_once = max(1, (mixer.frames - 1) * samplerate // mixer.samplerate)
-        if samplerate == mixer.samplerate:
-            self._most_at_once = mixer.frames
+        most = max(1, (mixer.frames - 1) * samplerate // mixer.samplerate)
+        self._most_at_once = mixer.frames if samplerate == mixer.samplerate else most
         self._track = mixer.create_track(
             "tap", PcmFormat.FLOAT, samplerate, channels, start_threshold=1
         )
         self._track.start()
 
     def _stop(self) -> None:
-        """Let the track play to its end; keep how long frames in its resampler will sound."""
         assert self._track is not None
         self._track.stop()
         self._tail = max(self._tail, tail_frames_out(self._rate, self._mixer.samplerate))
 
     def _play_tail(self) -> int | None:
-        """Return the frames of one of the last cycles, which play what resamplers still hold."""
+        """Return the frames of a cycle that plays what resamplers still hold."""
         if not self._ended:
             self._ended = True
             self._stop()

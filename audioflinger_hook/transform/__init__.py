@@ -1,17 +1,13 @@
 """The transform: principal frequencies of sound, mapped to 20-220 Hz of vibration.
 
-    input_stage -> spectrum -> principal, mapping -> reference/  (unit by unit)
-    native/                                                      (overlapped, early)
-
 | module | what it does |
 | --- | --- |
 | `haptic` | `HapticTransform`, which users hold; it calls the core |
 | `parameters` | what shapes the vibration, and the ranges |
 | `design/` | all numbers and tables of the live form |
 | `native/` | the live form, in C; tests/oracle has it for whole sounds, in NumPy |
-| `reference/` | the paper's equations, literally |
-| `channel_bank` | the reference form of each channel |
-| `input_stage`, `downmix`, `spectrum`, `principal`, `mapping` | steps that several forms share |
+| `reference` | the paper's equations, literally, unit by unit |
+| `input_stage`, `downmix`, `principal`, `mapping` | steps that several forms share |
 
 Pure: samples in, samples out; no clock, no I/O, no mixer.
 """

@@ -1,9 +1,8 @@
 """The mono mix of a sound's channels; where its halves cancel, the sum of their powers instead.
 
-Two opposite channels (L = -R) have no mean. Power shows where that is so. With the mean m of the
-halves L' and R' and half of their difference s, the power of both halves is that of m plus that of
-s. While the share of m is under `CANCELS_FROM`, s is added to m with a factor from 0 to 1. Sound
-whose mean keeps more than that share keeps every bit of it.
+Two opposite channels (L = -R) have no mean. With the mean m of the halves and half of their
+difference s, the power of both halves is that of m plus that of s. While the share of m is under
+`CANCELS_FROM`, s is added to m with a factor from 0 to 1. Other sound keeps every bit of its mean.
 """
 
 from __future__ import annotations
@@ -16,34 +15,24 @@ import scipy
 from audioflinger_hook.transform.arrays import FloatArray
 from device.layouts import KNOWN, downmix
 
-GROUP_FRAMES = 16
-"""Frames whose power counts as one number, which makes the recursions cheap."""
+GROUP_FRAMES = 16  # their power counts as one number, which makes the recursions cheap
+POWER_S = 0.05  # time constant of the powers that are compared
 
-POWER_S = 0.05
-"""Time constant of the powers that are compared."""
-
-NEWEST_S, EVIDENCE_S = 0.000_25, 0.000_062_5
+NEWEST_S, EVIDENCE_S, EVIDENCE_FRAMES = 0.000_25, 0.000_062_5, 3
 """The newest power, and how long it must have lasted before it counts as cancelled: among the first
 samples of any sound some are opposite by chance. From silence, opposite channels are added
 from 0.6 ms on and fully after 3 ms."""
-
-EVIDENCE_FRAMES = 3
-"""The least number of frames for that, whatever the samplerate."""
 
 CANCELS_FROM, CANCELS_UP_TO = 0.1, 0.025
 """Shares of power in the mean where the factor begins to rise from 0, and where it reaches 1: -10
 and -16 dB. Independent channels, or sound in one of them, have a share of 0.5. Reverberation and
 drones in real stereo have down to 0.14 for some 0.1 s."""
 
-POWER_GUARD = 1e-25
-"""Added to what is squared: no power decays into denormal numbers, however long the silence."""
+POWER_GUARD = 1e-25  # added to what is squared: no power decays into denormal numbers
 
 
 def mix_weights(halves: FloatArray) -> FloatArray:
-    """Return the weights of the mean and of half the difference of two halves, (2, channels).
-
-    halves: (channels, 2), as from `device.layouts.downmix`.
-    """
+    """Return (2, channels), the mean and half the difference of halves (channels, 2)."""
     left, right = halves.T
     return np.stack((0.5 * (left + right), 0.5 * (left - right)))
 
@@ -54,41 +43,36 @@ def source_mixes(weights: FloatArray) -> list[FloatArray]:
 
 
 def downmix_table() -> FloatArray:
-    """Return all down-mixes as one table: the number of channels, then both rows of their weights.
-
-    Numbers of channels that are not in it are averaged.
-    """
+    """Return each known layout's number of channels and `mix_weights`; others are averaged."""
     rows = [mix_weights(downmix(channels)).reshape(-1) for channels in KNOWN if channels > 1]
     return np.concatenate([np.concatenate(([row.size / 2], row)) for row in rows])
 
 
-class CancellationRules:
-    """The numbers of the rule for one samplerate in Hz; see the constants of this module.
+def cancellation_shares(samplerate: int) -> tuple[float, float, float]:
+    """Return the numbers of the rule for one samplerate in Hz.
 
-    slow, newest: shares of a new group of frames in the powers. evidence: share of the newest power
-    that counts as power of the mean.
+    Shares of a new group of frames in the powers, and in the newest power; share of the newest
+    power that counts as power of the mean.
     """
-
-    def __init__(self, samplerate: int) -> None:
-        self.slow = -math.expm1(-GROUP_FRAMES / (POWER_S * samplerate))
-        self.newest = -math.expm1(-GROUP_FRAMES / (NEWEST_S * samplerate))
-        frames = max(EVIDENCE_FRAMES, EVIDENCE_S * samplerate)
-        self.evidence = min(0.5 * CANCELS_UP_TO, frames / (POWER_S * samplerate))
+    frames = max(EVIDENCE_FRAMES, EVIDENCE_S * samplerate)
+    return (
+        -math.expm1(-GROUP_FRAMES / (POWER_S * samplerate)),
+        -math.expm1(-GROUP_FRAMES / (NEWEST_S * samplerate)),
+        min(0.5 * CANCELS_UP_TO, frames / (POWER_S * samplerate)),
+    )
 
 
 class MonoMix:
     """The mono mix of a stream, continued from block to block; any split gives the same bytes.
 
     The factor on s is found from whole groups of frames, and moves evenly within the next group.
-
-    halves: (channels, 2), how much each channel counts in the left and the right half.
-    samplerate: Hz. Use from one thread at a time.
+    halves: weights of each channel, (channels, 2). Use from one thread at a time.
     """
 
     def __init__(self, halves: FloatArray, samplerate: int) -> None:
         mean, side = mix_weights(halves)
         self._mean, self._side = _routes(mean), _routes(side)
-        self._rules = CancellationRules(samplerate)
+        self._slow, self._newest, self._evidence = cancellation_shares(samplerate)
         self.reset()
 
     def reset(self) -> None:
@@ -98,11 +82,7 @@ class MonoMix:
         self._begun = np.zeros((2, 0))  # squares of that group
 
     def process(self, rows: FloatArray) -> FloatArray:
-        """Return (frames,) for the channels as rows, (channels, frames) float64, usable samples.
-
-        Channels are added one by one: a sum whose order depended on the block's shape would make
-        the result depend on how the stream was cut. Called on the audio thread.
-        """
+        """Return (frames,) for usable rows (channels, frames) float64. For the audio thread."""
         mono = _sum(rows, self._mean)
         if not self._side or not mono.size:
             return mono
@@ -117,10 +97,9 @@ class MonoMix:
         return np.where(factor > 0.0, mono + factor * side, mono)
 
     def _note(self, squares: FloatArray) -> FloatArray:
-        """Take note of squares, (2, frames): of mean and side.
+        """Return the factors at the ends of the groups that squares (2, frames) reach.
 
-        Return the factor at the start of the group under way and at the end of each that these
-        frames reach; the last may not be reached yet.
+        The first is that at the start of the group under way; the last may not be reached yet.
         """
         squares = np.concatenate((self._begun, squares), axis=1)
         groups = squares.shape[1] // GROUP_FRAMES
@@ -137,14 +116,11 @@ class MonoMix:
 
     def _factor(self, of_mean: FloatArray, of_side: FloatArray) -> FloatArray:
         """Return the factor on s after each group, from the groups' powers."""
-        rules = self._rules
-        mean = self._smooth(0, rules.slow, of_mean)
-        both = mean + self._smooth(1, rules.slow, of_side)
-        mean = mean + rules.evidence * self._smooth(2, rules.newest, of_mean + of_side)
-        most = (CANCELS_FROM - mean / both) / (CANCELS_FROM - CANCELS_UP_TO)
-        most = np.clip(most, 0.0, 1.0)
-        factor: FloatArray = most * most * (3.0 - 2.0 * most)
-        return factor
+        mean = self._smooth(0, self._slow, of_mean)
+        both = mean + self._smooth(1, self._slow, of_side)
+        mean = mean + self._evidence * self._smooth(2, self._newest, of_mean + of_side)
+        most = np.clip((CANCELS_FROM - mean / both) / (CANCELS_FROM - CANCELS_UP_TO), 0.0, 1.0)
+        return np.asarray(most * most * (3.0 - 2.0 * most))
 
     def _smooth(self, which: int, newest: float, power: FloatArray) -> FloatArray:
         smoothed, self._powers[which] = scipy.signal.lfilter(
@@ -158,7 +134,7 @@ def _routes(weights: FloatArray) -> list[tuple[int, float]]:
 
 
 def _sum(rows: FloatArray, routes: list[tuple[int, float]]) -> FloatArray:
-    """Return a weighted sum of rows, one after another: (frames,)."""
+    # One by one: an order that depended on the block's shape would change the sum with the split.
     (first, weight), *others = routes
     total: FloatArray = rows[first] * weight
     for channel, weight in others:

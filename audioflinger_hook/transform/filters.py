@@ -31,12 +31,11 @@ _POLES = np.array(
 )
 
 # Prototypes: analogue low-passes whose pass band ends at 1 rad/s.
-BUTTERWORTH = Roots(np.empty(0, complex), -np.exp(0.25j * np.pi * np.array([-1.0, 1.0])), 1.0)
-"""Of second order."""
-BUTTERWORTH_1 = Roots(np.empty(0, complex), np.array([-1.0 + 0.0j]), 1.0)
-BUTTERWORTH_5 = Roots(
-    np.empty(0, complex), -np.exp(0.2j * np.pi * np.array([-2.0, -1.0, 0.0, 1.0, 2.0])), 1.0
-)
+# `BUTTERWORTH` is of second order.
+_NONE = np.empty(0, complex)
+BUTTERWORTH = Roots(_NONE, -np.exp(0.25j * np.pi * np.array([-1.0, 1.0])), 1.0)
+BUTTERWORTH_1 = Roots(_NONE, np.array([-1.0 + 0.0j]), 1.0)
+BUTTERWORTH_5 = Roots(_NONE, -np.exp(0.2j * np.pi * np.array([-2.0, -1.0, 0.0, 1.0, 2.0])), 1.0)
 ELLIPTIC_6 = Roots(
     np.concatenate((_ZEROS, _ZEROS.conj())),
     np.concatenate((_POLES, _POLES.conj())),
@@ -71,22 +70,16 @@ def band_pass(prototype: Roots, low_hz: float, high_hz: float, samplerate: float
     return _digital(Roots(zeros, poles, prototype.gain * width**degree))
 
 
-def response(
-    b: FloatArray, a: FloatArray, frequencies_hz: FloatArray, samplerate: float
-) -> ComplexArray:
+def response(b: FloatArray, a: FloatArray, hz: FloatArray, samplerate: float) -> ComplexArray:
     """Return the frequency response of a digital filter at some frequencies, (frequencies,)."""
-    delay = np.exp(-1j * (2.0 * np.pi * frequencies_hz / samplerate))
-    found: ComplexArray = polyval(delay, b, tensor=False) / polyval(delay, a, tensor=False)
-    return found
+    delay = np.exp(-1j * (2.0 * np.pi * hz / samplerate))
+    return np.asarray(polyval(delay, b, tensor=False) / polyval(delay, a, tensor=False))
 
 
-def response_of_sections(
-    sections: FloatArray, frequencies_hz: FloatArray, samplerate: float
-) -> ComplexArray:
+def response_of_sections(sections: FloatArray, hz: FloatArray, samplerate: float) -> ComplexArray:
     """Return the response of second-order sections (sections, 6) at frequencies, (frequencies,)."""
-    passed = [response(row[:3], row[3:], frequencies_hz, samplerate) for row in sections]
-    found: ComplexArray = np.prod(passed, axis=0)
-    return found
+    passed = [response(row[:3], row[3:], hz, samplerate) for row in sections]
+    return np.asarray(np.prod(passed, axis=0))
 
 
 def lowest_bins(samples: FloatArray, bins: int, length: int) -> ComplexArray:
@@ -100,8 +93,7 @@ def lowest_bins(samples: FloatArray, bins: int, length: int) -> ComplexArray:
     size = fast_length(count + bins - 1, (2, 3, 5, 7, 11))
     turn = np.fft.fft(1.0 / np.concatenate((chirp[count - 1 : 0 : -1], chirp[:bins])), size)
     found = np.fft.ifft(turn * np.fft.fft(samples * chirp[:count], size))
-    low: ComplexArray = found[count - 1 : count + bins - 1] * chirp[:bins]
-    return low
+    return np.asarray(found[count - 1 : count + bins - 1] * chirp[:bins])
 
 
 def fast_length(least: int, primes: tuple[int, ...] = (2, 3, 5)) -> int:
@@ -118,7 +110,7 @@ def fast_length(least: int, primes: tuple[int, ...] = (2, 3, 5)) -> int:
 
 
 def _warped(hz: float, samplerate: float) -> float:
-    """Return the frequency that the bilinear transform at 2 Hz turns into a share of the rate."""
+    """Return the analogue frequency of the bilinear transform at a rate of 2 Hz."""
     return float(4.0 * np.tan(np.pi * (hz / (samplerate / 2)) / 2.0))
 
 

@@ -2,33 +2,27 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 
 from audioflinger_hook.core.compiled_core import GLIDE_NUMBERS, Core
 from audioflinger_hook.core.design import core_design
 from audioflinger_hook.transform.arrays import FloatArray, Frames
-from audioflinger_hook.transform.channel_bank import ChannelBank
 from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.downmix import source_mixes
-from audioflinger_hook.transform.input_stage import Mixdown, fit_block
+from audioflinger_hook.transform.input_stage import fit_block
 from audioflinger_hook.transform.parameters import TransformParameters, check_format
-from audioflinger_hook.transform.reference.transform import ReferenceTransform
+from audioflinger_hook.transform.reference import ReferenceStream, ReferenceTransform
 from device.errors import UsageError
 
 
 class CoreStream:
-    """One stream of the live form, (frames, channels) to (frames, channels or 1), compiled.
+    """One stream of the live form, compiled; its members are those of `HapticTransform`.
 
-    Any split gives the same bytes. Memory grows with the largest block. Use from one thread at a
-    time.
-
-    design: all numbers and tables.
-    channels: channels of the sound.
-    each: whether every channel is transformed separately, instead of their mono mix.
-    weights: (channels, outputs, 2) of sources, each of which is transformed; None without.
-    NotFoundError: the core is not built.
+    Memory grows with the largest block. channels: of the sound. each: whether every channel is
+    transformed separately, instead of their mono mix. weights: (channels, outputs, 2) of sources
+    that are transformed instead. NotFoundError: the core is not built.
     """
 
     def __init__(
@@ -72,30 +66,27 @@ class CoreStream:
 
     @property
     def told(self) -> tuple[tuple[float, float, float], ...]:
-        """What the latest hop of all channels vibrates, at most 16."""
+        """What the latest hop of all channels vibrates."""
         return self._core.partials
 
     def take_glides(self) -> FloatArray:
-        """Return what all slots did since the last call; see `HapticTransform.take_glides`."""
+        """Return what all partials did since the last call, one row a glide."""
         self._records_glides = True
         found, self._glides = self._glides, []
         return np.concatenate([np.empty((0, GLIDE_NUMBERS)), *found])
 
     def process(self, frames: Frames) -> FloatArray:
-        """Return (frames, channels out) of vibration for a block that `fit_block` takes.
-
-        Raises as `fit_block` does. Called on the audio thread.
-        """
+        """Return (frames, outputs) of vibration; raise as `fit_block`. For the audio thread."""
         fitted = fit_block(frames, self._channels)
         if self._records_glides:
             self._core.record_glides(len(fitted))
-            vibration = self._core.vibrate(fitted)
+        vibration = self._core.vibrate(fitted)
+        if self._records_glides:
             self._glides.append(self._core.record_glides(0))
-            return vibration
-        return self._core.vibrate(fitted)
+        return vibration
 
     def finish(self) -> FloatArray:
-        """Return the last `latency_frames` of vibration, as if silence followed; restart."""
+        """Return the last `latency_frames` of vibration; restart."""
         rest = self.process(np.zeros((self.latency_frames, self._channels)))
         self._core.reset()
         return rest
@@ -106,8 +97,7 @@ class CoreStream:
 
 
 Form = Literal["live", "reference"]
-
-FORMS: tuple[Form, ...] = ("live", "reference")
+FORMS: tuple[Form, ...] = get_args(Form)
 
 
 class HapticTransform:
@@ -168,28 +158,20 @@ class HapticTransform:
         streamed = channels if weights is None else weights.shape[1]
         per_channel |= weights is not None
         self.channels_out = streamed if per_channel else 1
-        self._references: list[ReferenceTransform] = []
-        self._stream: ChannelBank | CoreStream
+        self._stream: ReferenceStream | CoreStream
         if form == "live":
-            self._stream = self._live_stream(per_channel, weights)
-            return
-        self._references = [
-            ReferenceTransform(self.parameters, samplerate, single=single)
-            for _ in range(self.channels_out)
-        ]
-        mixdown = None if weights is None else Mixdown(weights, samplerate)
-        self._stream = ChannelBank(self._references, channels, mixdown)
-
-    def _live_stream(self, per_channel: bool, weights: FloatArray | None) -> CoreStream:
-        design = LiveDesign.of(self.parameters, self.samplerate)
-        return CoreStream(design, self.channels, per_channel, weights)
+            design = LiveDesign.of(self.parameters, samplerate)
+            self._stream = CoreStream(design, channels, per_channel, weights)
+        else:
+            references = [
+                ReferenceTransform(self.parameters, samplerate, single=single)
+                for _ in range(self.channels_out)
+            ]
+            self._stream = ReferenceStream(references, channels, weights)
 
     @property
     def latency_frames(self) -> int:
-        """Frames by which the vibration of an onset follows its sound; exact and constant.
-
-        Synchronisation uses this one: people see and hear when something begins.
-        """
+        """Frames by which the vibration of an onset follows its sound; exact and constant."""
         return self._stream.latency_frames
 
     @property
@@ -204,10 +186,7 @@ class HapticTransform:
 
     @property
     def limited_samples(self) -> int:
-        """Samples of vibration that the limiter has changed so far.
-
-        A hop is counted when it is computed, which is up to one hop before it is delivered.
-        """
+        """Samples changed by the limiter, counted up to one hop before they are delivered."""
         return min(self._stream.limited_samples, self._stream.delivered_frames * self.channels_out)
 
     @property
@@ -219,23 +198,19 @@ class HapticTransform:
     def principal(self) -> tuple[tuple[float, float, float], ...]:
         """What the latest hop vibrates, at most 16 partials; () in the reference form.
 
-        Each is (Hz of the sound, Hz of vibration, amplitude in full scale). With several outputs,
-        those of all. Any thread may read it while another one calls `process`.
+        Each is (Hz of the sound, Hz of vibration, amplitude in full scale), of all outputs. Any
+        thread may read it while another one calls `process`.
         """
         return self._stream.told
 
     def take_glides(self) -> FloatArray:
         """Return what the partials of the live form did since the last call, one row a glide.
 
-        The first call starts the recording and returns no rows; the vibration is the same with and
-        without it. Not for live sound: rows are allocated as they come, 72 bytes each.
+        Rows are (glides, 9) float64 with the columns of `GLIDE_COLUMNS`; `PartialSynthesis` plays
+        them. Frames count from the start of the recording, without the low-pass's delay.
 
-        Returns
-        -------
-        ndarray
-            (glides, 9) float64 with the columns of `GLIDE_COLUMNS`; `PartialSynthesis` plays them.
-            The frame is counted from the start of the recording, in the vibration as `process`
-            returns it, without the low-pass's delay.
+        The first call starts the recording and returns no rows; the vibration stays the same. Not
+        for live sound: rows are allocated as they come, 72 bytes each.
         """
         return self._stream.take_glides()
 

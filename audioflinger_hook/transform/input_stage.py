@@ -1,21 +1,18 @@
-"""The input stage: replaces unusable samples, mixes channels, and band-passes for the analysis."""
+"""The input stage: replaces unusable samples, and band-passes for the analysis."""
 
 from __future__ import annotations
 
 import numpy as np
 import scipy
 
-from audioflinger_hook.transform.arrays import ComplexArray, FloatArray, Frames
-from audioflinger_hook.transform.downmix import MonoMix
-from audioflinger_hook.transform.filters import BUTTERWORTH, band_pass, high_pass
+from audioflinger_hook.transform.arrays import FloatArray, Frames
+from audioflinger_hook.transform.filters import BUTTERWORTH, Roots, band_pass, high_pass
 from audioflinger_hook.transform.parameters import TransformParameters
 from device.errors import UsageError
 
-SAMPLES = (np.dtype(np.float32), np.dtype(np.float64))
-"""The types of a sample, in the machine's own byte order."""
-
+SAMPLES = (np.dtype(np.float32), np.dtype(np.float64))  # in the machine's own byte order
+# Samples above this (60 dB over full scale) count as damaged, like NaN and Inf.
 MAGNITUDE_MAX = 1e3
-"""Samples above this (60 dB over full scale) count as damaged, like NaN and Inf."""
 
 DENORMAL_GUARD = 1e-25
 """Added to every sample, so that filters do not decay into denormal numbers in a long silence.
@@ -26,11 +23,9 @@ NYQUIST_MARGIN = 0.49
 
 
 def fit_block(frames: Frames, channels: int) -> Frames:
-    """Return a block as (frames, channels) of one of `SAMPLES`, each where its type may stand.
+    """Return a block as (frames, channels) of one of `SAMPLES`, aligned in memory.
 
-    frames: (frames, channels) or, of one channel, (frames,); an array of any floating-point type,
-    or numbers that make one.
-
+    frames: (frames, channels) or, of one channel, (frames,); of any floating-point type.
     UsageError: the block has another type or shape.
     """
     frames = np.asarray(frames)
@@ -54,8 +49,8 @@ def fit_block(frames: Frames, channels: int) -> Frames:
 def replace_unusable(frames: Frames) -> tuple[Frames, int]:
     """Return the frames with unusable samples set to 0, and the number of these samples.
 
-    Unusable samples are not finite, or above `MAGNITUDE_MAX` in magnitude. Sound without one is
-    returned as it is, not copied. Any shape. Called on the audio thread.
+    Unusable samples are not finite, or above `MAGNITUDE_MAX`. Usable sound is not copied. Any
+    shape. Called on the audio thread.
     """
     flat = frames.reshape(-1)
     # One product proves most blocks usable: no sample exceeds the root of the sum of squares,
@@ -69,43 +64,12 @@ def replace_unusable(frames: Frames) -> tuple[Frames, int]:
 
 
 def channel_rows(usable: Frames) -> FloatArray:
-    """Return (frames, channels) of samples as (channels, frames) float64.
-
-    Each channel is then one stretch of memory.
-    """
+    """Return samples (frames, channels) as (channels, frames) float64, contiguous."""
     return np.asarray(usable.T, np.float64, order="C")
 
 
-class Mixdown:
-    """Weighted sums of a sound's channels; each sum is transformed separately.
-
-    weights: (channels, outputs, 2): of the two halves of each output, which is their mean; see
-    `MonoMix`. samplerate: Hz. Unusable samples count as 0 before they are mixed, and in
-    `replaced_samples`. Use from one thread at a time.
-    """
-
-    def __init__(self, weights: FloatArray, samplerate: int) -> None:
-        self.channels, self.outputs, _ = weights.shape
-        self.replaced_samples = 0
-        self._mixes = [MonoMix(weights[:, output], samplerate) for output in range(self.outputs)]
-
-    def process(self, frames: Frames) -> FloatArray:
-        """Return (frames, outputs) float64 for a block; raises the errors of `fit_block`."""
-        usable, replaced = replace_unusable(fit_block(frames, self.channels))
-        self.replaced_samples += replaced
-        rows = channel_rows(usable)
-        return np.stack([mix.process(rows) for mix in self._mixes], axis=1)
-
-    def reset(self) -> None:
-        """Start a new stream; the count goes on."""
-        for mix in self._mixes:
-            mix.reset()
-
-
-def band_pass_roots(
-    parameters: TransformParameters, samplerate: int
-) -> tuple[ComplexArray, ComplexArray, float]:
-    """Return zeros, poles and gain of a second-order Butterworth band-pass.
+def band_pass_roots(parameters: TransformParameters, samplerate: int) -> Roots:
+    """Return a second-order Butterworth band-pass.
 
     UsageError: the whole band lies above what the samplerate in Hz can hold.
     """
@@ -116,16 +80,14 @@ def band_pass_roots(
             f"allowed: under {NYQUIST_MARGIN * samplerate:g} Hz"
         )
     if high >= NYQUIST_MARGIN * samplerate:
-        zeros, poles, gain = high_pass(BUTTERWORTH, low, samplerate)
-    else:
-        zeros, poles, gain = band_pass(BUTTERWORTH, low, high, samplerate)
-    return zeros, poles, gain
+        return high_pass(BUTTERWORTH, low, samplerate)
+    return band_pass(BUTTERWORTH, low, high, samplerate)
 
 
 def design_band_pass(
     parameters: TransformParameters, samplerate: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Return b and a of `band_pass_roots` as one recursion. Raises as it does."""
+    """Return b and a of `band_pass_roots`; raise as it does."""
     b, a = scipy.signal.zpk2tf(*band_pass_roots(parameters, samplerate))
     return b, a
 
@@ -138,11 +100,8 @@ class BandPass:
     768 kHz).
     """
 
-    def __init__(
-        self, b: FloatArray, a: FloatArray, denormal_guard: float = DENORMAL_GUARD
-    ) -> None:
-        self._b, self._a = b, a
-        self._guard = denormal_guard
+    def __init__(self, b: FloatArray, a: FloatArray, guard: float = DENORMAL_GUARD) -> None:
+        self._b, self._a, self._guard = b, a, guard
         self.reset()
 
     def reset(self) -> None:

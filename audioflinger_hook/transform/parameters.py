@@ -12,15 +12,12 @@ from typing import Annotated, Any
 
 from audioflinger_hook.transform.filters import fast_length
 from device.errors import UsageError
+from device.layouts import CHANNELS_MAX
 from device.values import Choice, Described, Number, Refusal
 
 SAMPLERATE_MIN_HZ = 1_000
 SAMPLERATE_MAX_HZ = 768_000
-CHANNELS_MAX = 64
 THRESHOLD_MIN_HZ = 0.001
-
-HALF_POWER_WIDTH_BINS = 1.30
-"""Half-power width of a Hamming window in units of 1/T; a steady tone's r is A times this."""
 
 
 @dataclass(frozen=True)
@@ -62,8 +59,7 @@ class TransformParameters(Described):
         int, Number("most principal frequencies at one time (n)", 1, 64, whole=True)
     ] = 16
     loudness_db: Annotated[
-        float,
-        Number("largest gain for soft sound; 0: loudness is not followed", 0, 60, "dB"),
+        float, Number("largest gain for soft sound; 0: loudness is not followed", 0, 60, "dB")
     ] = 0.0
     loudness_target_db: Annotated[
         float, Number("level of the vibration at usual loudness", -40.0, 0.0, "dB")
@@ -172,8 +168,8 @@ class TransformParameters(Described):
         return fast_length(2 * self.window_frames(samplerate))
 
     def unit_strength_hz(self, samplerate: int) -> float:
-        """r of a steady full-scale tone, 1.30 fs/N: r divided by it is 1 for this tone."""
-        return HALF_POWER_WIDTH_BINS * samplerate / self.window_frames(samplerate)
+        """r of a steady full-scale tone, 1.30 fs/N: the half-power width of a Hamming window."""
+        return 1.30 * samplerate / self.window_frames(samplerate)
 
 
 def check_format(samplerate: int, channels: int) -> None:

@@ -19,7 +19,7 @@ from audioflinger_hook.cli.outputs import (
 )
 from audioflinger_hook.cli.setup import PLAYED, SPEECH_FREE, _named, _new_text, _profile_values
 from audioflinger_hook.cli.tone import Tone
-from audioflinger_hook.config.commented import commented_text
+from audioflinger_hook.config.edits import commented_text
 from audioflinger_hook.config.file import check_text
 from audioflinger_hook.config.profiles import LIVE_DEFAULT, PROFILES
 from audioflinger_hook.config.schema import keys_of

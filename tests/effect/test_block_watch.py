@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from audioflinger_hook.effect.block_watch import BlockWatch
 from audioflinger_hook.effect.interface import OK
+from audioflinger_hook.effect.module import BlockWatch
 from tests.support.effects import CYCLE_S, Probe, noise, running
 
 TICK_S = 0.1

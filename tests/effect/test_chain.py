@@ -20,7 +20,7 @@ from audioflinger_hook.effect.interface import (
     EffectFlag,
     Parameter,
 )
-from audioflinger_hook.mixer.effects_port import DEVICE, OUTPUT_MIX, OUTPUT_STAGE
+from audioflinger_hook.mixer.mix_buffer import DEVICE, OUTPUT_MIX, OUTPUT_STAGE
 from device.errors import UsageError
 from tests.support.effects import FRAMES, RATE, FakeClock, Probe, descriptor, noise, running
 

@@ -425,7 +425,7 @@ def fastest_cycle_s(count: int, rate: int = RATE) -> float:
         times.append(time.thread_time() - began_s)
         assert report.tracks_mixed == count
         for track in tracks:
-            track.write(sound[: track.room])
+            track.write(sound[: track.ring.room])
     return min(times)
 
 
@@ -452,7 +452,7 @@ def test_cycles_leave_no_memory_behind() -> None:
     def run(cycles: int) -> None:
         for _ in range(cycles):
             for track, chunk in zip(tracks, chunks, strict=True):
-                track.write(chunk[: track.room])
+                track.write(chunk[: track.ring.room])
             mixer.cycle(0.0)
 
     for track in tracks:

@@ -77,7 +77,7 @@ def test_the_ring_takes_what_fits_and_by_default_has_to_be_full_before_it_sounds
     assert track.write(sound[:100]) == 100
     assert not player.cycle().any()
     assert track.write(sound[100:]) == 2 * FRAMES - 100
-    assert track.write(sound) == track.room == 0
+    assert track.write(sound) == track.ring.room == 0
     assert track.frames_ready == 2 * FRAMES
     assert player.cycle().any()
 
@@ -147,7 +147,7 @@ def test_a_track_that_never_fills_up_does_not_keep_the_mixer_awake() -> None:
 
 def steady(player: Player) -> np.ndarray:
     """Play a constant 1 until it is heard, and keep the ring full."""
-    ones = np.ones((player.track.room, player.track.channels), np.float32)
+    ones = np.ones((player.track.ring.room, player.track.channels), np.float32)
     player.track.write(ones)
     player.track.start()
     player.cycle()
@@ -187,7 +187,7 @@ def test_pause_and_resume_make_no_click(rate: int) -> None:
             player.track.pause()
         if cycle in (20, 31):
             player.track.start()
-        player.track.write(np.ones((player.track.room, 2), np.float32))
+        player.track.write(np.ones((player.track.ring.room, 2), np.float32))
         heard.append(player.cycle())
     steps = np.abs(np.diff(np.concatenate(heard), axis=0))
     # the steepest ramp is 1 over one buffer; float32 and the resampler's ripple on top
@@ -238,7 +238,7 @@ def test_after_the_last_frame_comes_silence_and_nothing_of_earlier_turns_of_the_
     player = Player(rate, ring_frames=1_300, start_threshold=1)
     player.track.start()
     for _ in range(12):
-        player.track.write(np.ones((player.track.room, 2), np.float32))
+        player.track.write(np.ones((player.track.ring.room, 2), np.float32))
         player.cycle()
     player.track.stop()
     left = player.track.frames_ready * RATE // rate
@@ -466,7 +466,7 @@ class AnyClient(RuleBasedStateMachine):
         # frame number n has the value n, exact in float32
         values = np.arange(self.sent + 1, self.sent + 1 + count, dtype=np.float32)
         taken = self.track.write(np.repeat(values[:, None], 2, axis=1))
-        assert taken == min(count, taken + self.track.room)
+        assert taken == min(count, taken + self.track.ring.room)
         self.sent += taken
 
     @rule()

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from tests.oracle.onsets import Onsets
-from tests.oracle.partials import Begun, Partial, Partials
+from tests.oracle.partials import Begun, Partial, Partials, near_hz
 
 
 class Fresh:
@@ -38,7 +38,7 @@ class Fresh:
             begun.goal = 0.0
         for group in onsets.groups(tick):
             hz, weight, amplitude = self.estimate(tick, group)
-            reach = s.tracking.near_hz(hz, s.mapping)
+            reach = near_hz(s, hz)
             base = sum(one.amplitude for one in self.partials.near(hz))
             base += sum(begun.goal for _, one, begun in self._begun() if abs(one.hz - hz) < reach)
             goal = min(amplitude - base, self._room())

@@ -47,6 +47,18 @@ class Partial:
         self.hz, self.amplitude = hz, amplitude
 
 
+def near_hz(s, hz):
+    """Return how far from a new partial its true frequency may be, in Hz of vibration."""
+    ratio = max(s.match_ratio, s.match_audio_hz / s.mapping.audio_hz(hz))
+    near = s.onset_reach * (s.scale_hz + s.scale_ratio * hz) * ratio
+    return max(near, float(merging_hz(s, hz))) if s.merge_ratio else near
+
+
+def merging_hz(tracking, hz):
+    """Return how close a partial must be to one at these Hz of vibration to be part of it."""
+    return np.maximum(tracking.merge_hz, tracking.merge_ratio * np.asarray(hz))
+
+
 class Partials:
     """The partials of one voice that sound, by slot, ascending; their `glides` by hop.
     start_sum: of the amplitudes at the start of the latest glides."""
@@ -59,7 +71,7 @@ class Partials:
 
     def near(self, hz: float) -> list[Partial]:
         """Return the partials that a new one at this frequency may be."""
-        reach = self.s.tracking.near_hz(hz, self.s.mapping)
+        reach = near_hz(self.s, hz)
         return [one for one in self.sounding.values() if abs(one.hz - hz) < reach]
 
     def strongest_near(self, hz: float) -> Partial | None:
@@ -119,7 +131,7 @@ class Partials:
         reach_hz = np.maximum(s.match_ratio, s.match_audio_hz / audio_hz)
         reach_hz *= s.scale_hz + s.scale_ratio * hz
         if s.merge_ratio:
-            reach_hz = np.maximum(reach_hz, s.tracking.merging_hz(hz))
+            reach_hz = np.maximum(reach_hz, merging_hz(s, hz))
         reach_hz *= np.array([s.onset_reach if one.begun else 1.0 for one in sounding])[nearest]
         mutual = distance.argmin(axis=0)[nearest] == np.arange(hz.size)
         slots = np.array(list(self.sounding))[nearest]
@@ -170,7 +182,7 @@ def merge(design: TrackingDesign, hz, amplitude, sounding_hz: list[float]):
     for one, here in enumerate(hz.tolist()):
         gaps = [abs(here - centre) for centre in centres]
         nearest = int(np.argmin(gaps)) if gaps else -1
-        if nearest < 0 or gaps[nearest] > design.merging_hz(centres[nearest]):
+        if nearest < 0 or gaps[nearest] > merging_hz(design, centres[nearest]):
             nearest = len(centres)
             centres.append(here)
         members.setdefault(nearest, []).append(one)
@@ -180,7 +192,7 @@ def merge(design: TrackingDesign, hz, amplitude, sounding_hz: list[float]):
     groups.sort(key=lambda group: group[1] / group[0])
     while len(groups) > 1:
         centre = np.array([weighted / total for total, weighted, _ in groups])
-        gap = np.diff(centre) / design.merging_hz(centre[:-1])
+        gap = np.diff(centre) / merging_hz(design, centre[:-1])
         closest = int(gap.argmin())
         if gap[closest] >= design.merge_again:
             break

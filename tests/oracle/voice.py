@@ -20,6 +20,19 @@ Told = tuple[float, float, float]
 """Hz of audio, Hz of vibration, amplitude in full scale."""
 
 
+def level_ratio(mapping, found):
+    """Return the ratio of one window's vibration level to its level by energy.
+
+    It is 1 for a steady tone, 1 / M for M equal ones by `tonal`, always 1 by `energy`. A window
+    that is only partly filled by its sound gives the same ratio.
+    """
+    if mapping.energy_mapping or not len(found):
+        return 1.0
+    strength = mapping.amplitudes(found.amplitude, found.r)
+    energy = (found.amplitude * found.r).sum() / mapping.full_scale_r
+    return float(np.sqrt((strength * strength).sum() / energy))
+
+
 class Voice:
     """What one voice remembers from hop to hop. ringing: hops until the low-pass is at rest;
     limited: samples that the ceiling has lowered; told: what the latest hop vibrates; wanted:
@@ -84,7 +97,7 @@ class Voice:
         self.told = list(zip(found.audio_hz, hz, told, strict=True))
         if hz.size or any(one.begun for one in self.partials.sounding.values()):
             room = np.inf if self.strength else max(0.0, s.ceiling - amplitude.sum())
-            left = s.mapping.level_ratio(found.amplitude, found.r)
+            left = level_ratio(s.mapping, found)
             even = amplitude * at_hz(s, s.gain_table, hz)  # which undoes the ripple of the low-pass
             recent_power = partial(self.onsets.recent_power, tick)
             self.partials.follow(tick, hz, even, room, left, recent_power)

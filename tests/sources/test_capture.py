@@ -6,7 +6,7 @@ import pytest
 
 from audioflinger_hook.capture import CaptureWriter
 from audioflinger_hook.sources import Tap
-from audioflinger_hook.sources.capture import CaptureTap
+from audioflinger_hook.sources.file import CaptureTap
 from device.errors import UsageError
 from tests.support.taps import noise
 

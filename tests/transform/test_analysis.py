@@ -9,13 +9,12 @@ import pytest
 import soundfile
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.lib.stride_tricks import sliding_window_view
 
 from audioflinger_hook.transform import TransformParameters
-from audioflinger_hook.transform.arrays import strided_windows
 from audioflinger_hook.transform.design.analysis import AnalysisDesign
 from audioflinger_hook.transform.input_stage import BandPass, design_band_pass
-from audioflinger_hook.transform.principal import PrincipalFinder, Principals
-from audioflinger_hook.transform.spectrum import Spectrum, magnitude
+from audioflinger_hook.transform.principal import PrincipalFinder, Principals, Spectrum, magnitude
 from tests.oracle.analysis import all_principal, strongest_principal
 from tests.support.kernel_probes import probes
 from tests.support.recordings import require_recordings
@@ -100,7 +99,7 @@ def windows_of(sound, samplerate):
     """Return overlapping band-passed windows of a sound."""
     frames = PARAMETERS.window_frames(samplerate)
     filtered = BandPass(*design_band_pass(PARAMETERS, samplerate)).process(sound)
-    return strided_windows(filtered, frames, max(1, frames // 4))
+    return sliding_window_view(filtered, frames)[:: max(1, frames // 4)]
 
 
 def spectra_of(sound, samplerate):
@@ -191,7 +190,7 @@ def test_it_finds_what_the_oracle_finds_for_other_parameters(changes):
     spectrum = Spectrum.of(parameters, 44_100)
     ours, theirs = both(parameters, spectrum)
     sound = joined(*(SOUNDS[kind](44_100) for kind in ("white noise", "chord", "low noise")))
-    windows = strided_windows(sound, spectrum.window_frames, 1_500)
+    windows = sliding_window_view(sound, spectrum.window_frames)[::1_500]
     spectra = spectrum.transform(windows)
     assert len(ours.all_principal(spectra)) > len(spectra)
     assert_the_same(ours.all_principal(spectra), theirs.all_principal(spectra))

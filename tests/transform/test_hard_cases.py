@@ -6,15 +6,15 @@ import tracemalloc
 
 import numpy as np
 import pytest
+from numpy.lib.stride_tricks import sliding_window_view
 from scipy.signal import butter, sosfilt
 
 from audioflinger_hook.config.profiles import parameters_of
 from audioflinger_hook.transform import TransformParameters
-from audioflinger_hook.transform.arrays import strided_windows
 from audioflinger_hook.transform.design.synthesis import LiveGrid
 from audioflinger_hook.transform.input_stage import BandPass, design_band_pass
 from audioflinger_hook.transform.mapping import vibration_hz
-from audioflinger_hook.transform.reference.transform import ReferenceTransform
+from audioflinger_hook.transform.reference import ReferenceTransform
 from device.layouts import downmix
 from tests.support.principal import principal_in
 from tests.support.signals import (
@@ -570,7 +570,7 @@ def test_the_live_analysis_sees_a_chirps_frequency_in_every_hop():
     window = PARAMETERS.window_frames(samplerate)
     hop = LiveGrid.at(PARAMETERS, samplerate).hop_frames
     filtered = BandPass(*design_band_pass(PARAMETERS, samplerate)).process(sound)
-    windows = strided_windows(filtered, window, hop)
+    windows = sliding_window_view(filtered, window)[::hop]
     found = principal_in(windows, samplerate)
     centre_s = (np.arange(len(windows)) * hop + window / 2) / samplerate
     swept_hz = 80 * np.exp(np.log(11_000 / 80) * centre_s / 4.0)

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from audioflinger_hook.transform import HapticTransform, TransformParameters
 from audioflinger_hook.transform.mapping import vibration_hz
-from audioflinger_hook.transform.reference.transform import ReferenceTransform
-from audioflinger_hook.transform.spectrum import magnitude
+from audioflinger_hook.transform.principal import magnitude
+from audioflinger_hook.transform.reference import ReferenceTransform
 from tests.support.principal import principal_in
 from tests.support.recordings import require_recordings
 from tests.support.signals import (

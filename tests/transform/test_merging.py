@@ -14,7 +14,7 @@ from audioflinger_hook.transform import TransformParameters
 from audioflinger_hook.transform.design.synthesis import TrackingDesign
 from audioflinger_hook.transform.mapping import VibrationMapping
 from tests.oracle import vibration_of
-from tests.oracle.partials import merge
+from tests.oracle.partials import merge, merging_hz
 from tests.support.signals import (
     columns,
     envelope,
@@ -103,7 +103,7 @@ def test_beats_of_up_to_12_hz_are_gone_where_a_small_ratio_would_leave_them():
 
 def test_partials_farther_apart_than_the_merging_distance_stay_two():
     for base_hz in (25.0, 40.0, 80.0):
-        distance = float(TRACKING.merging_hz(base_hz))
+        distance = float(merging_hz(TRACKING, base_hz))
         hz, amplitude, dominance = merged([base_hz, base_hz + 1.01 * distance], [0.3, 0.4])
         assert hz == pytest.approx([base_hz, base_hz + 1.01 * distance])
         assert amplitude == pytest.approx([0.3, 0.4])
@@ -128,7 +128,7 @@ def test_whatever_sounds_groups_are_never_close_and_keep_all_energy(ratio, parti
     group_hz, group_amplitude, dominance = merged(hz, amplitude, sounding_hz, design)
     assert 1 <= group_hz.size <= hz.size
     for one, other in pairwise(group_hz.tolist()):
-        assert other - one >= design.merge_again * float(design.merging_hz(one)) * (1 - 1e-12)
+        assert other - one >= design.merge_again * float(merging_hz(design, one)) * (1 - 1e-12)
     energy = amplitude**2
     assert (group_amplitude**2).sum() == pytest.approx(energy.sum(), rel=1e-9)
     # The mean frequency by energy is kept, too.
@@ -161,7 +161,7 @@ def test_what_sounds_keeps_its_partials():
 
 
 def test_two_groups_that_wander_by_a_fifth_of_the_distance_stay_what_they_are():
-    distance = float(TRACKING.merging_hz(60.0))
+    distance = float(merging_hz(TRACKING, 60.0))
     # Two that sound, between merge_again and the whole distance, stay two; what is new, one.
     pair = [60.0, 60.0 + 0.9 * distance]
     assert merged(pair, [0.3, 0.3], pair)[0].size == 2

@@ -9,7 +9,7 @@ from scipy.signal import resample_poly
 
 from audioflinger_hook.transform import HapticTransform, TransformParameters
 from audioflinger_hook.transform.mapping import vibration_hz
-from audioflinger_hook.transform.reference.transform import ReferenceTransform
+from audioflinger_hook.transform.reference import ReferenceTransform
 from tests.support.recordings import require_recordings
 from tests.support.reference_oracle import oracle_units, oracle_vibration
 from tests.support.signals import (

@@ -14,7 +14,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from scipy.signal import butter, sosfilt
 
 from audioflinger_hook.transform import TransformParameters
-from audioflinger_hook.transform.arrays import strided_windows
+from audioflinger_hook.transform import reference as reference_form
 from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.design.synthesis import LiveGrid
 from audioflinger_hook.transform.haptic import CoreStream
@@ -24,10 +24,8 @@ from audioflinger_hook.transform.input_stage import (
     replace_unusable,
 )
 from audioflinger_hook.transform.mapping import vibration_hz
-from audioflinger_hook.transform.principal import PrincipalFinder, parabola
-from audioflinger_hook.transform.reference import transform as reference_form
-from audioflinger_hook.transform.reference.transform import ReferenceTransform
-from audioflinger_hook.transform.spectrum import Spectrum, magnitude
+from audioflinger_hook.transform.principal import PrincipalFinder, Spectrum, magnitude, parabola
+from audioflinger_hook.transform.reference import ReferenceTransform
 from tests.oracle import settings_of, vibrate
 from tests.oracle.analysis import all_principal, strongest_principal
 from tests.oracle.loudness import at_hz
@@ -141,7 +139,7 @@ def windows_of(design, sound):
     """Yield what each hop's window holds, and its amplitudes by the level law."""
     grid = design.grid
     filtered = BandPass(design.input.band_b, design.input.band_a).process(sound)
-    windows = strided_windows(filtered, grid.window_frames, grid.hop_frames)
+    windows = sliding_window_view(filtered, grid.window_frames)[:: grid.hop_frames]
     found = strongest_principal(design.analysis, spectra_of(design, windows))
     for row in range(len(windows)):
         mine = found.take(found.row == row)
@@ -252,22 +250,6 @@ def test_how_many_units_are_analysed_at_once_changes_no_byte(monkeypatch, at_onc
     assert identical(played(sound, 48_000, form="reference"), usual)
 
 
-@given(
-    frames=st.integers(1, 40),
-    hop=st.integers(1, 50),
-    more=st.integers(0, 200),
-    offset=st.integers(0, 3),
-)
-def test_strided_windows_are_those_of_sliding_window_view(frames, hop, more, offset):
-    signal = np.arange(offset + frames + more, dtype=np.float64)[offset:]
-    windows = strided_windows(signal, frames, hop)
-    expected = sliding_window_view(signal, frames)[::hop]
-    assert windows.shape == expected.shape
-    np.testing.assert_array_equal(windows, expected)
-    assert np.shares_memory(windows, signal)
-    assert not windows.flags.writeable
-
-
 def test_sound_without_damage_is_passed_on_without_a_copy():
     sound = columns(white_noise(0.1, 48_000), tone(300, 0.1, 48_000)).astype(np.float32)
     usable, replaced = replace_unusable(sound)
@@ -352,7 +334,7 @@ def amplitude_spectra(samplerate):
         silence(0.1, samplerate),
     )
     filtered = BandPass(*design_band_pass(PARAMETERS, samplerate)).process(sound)
-    windows = strided_windows(filtered, frames, frames // 4)
+    windows = sliding_window_view(filtered, frames)[:: frames // 4]
     return magnitude(Spectrum.of(PARAMETERS, samplerate).transform(windows))
 
 
@@ -437,7 +419,7 @@ def wobble_hz(hz, samplerate, corrected):
     band_pass = BandPass(*design_band_pass(PARAMETERS, samplerate))
     filtered = band_pass.process(tone(hz, 1.5, samplerate, 0.5))
     filtered = filtered[samplerate // 4 :]
-    windows = strided_windows(filtered, PARAMETERS.window_frames(samplerate), 301)
+    windows = sliding_window_view(filtered, PARAMETERS.window_frames(samplerate))[::301]
     found = strongest_principal(design.analysis, spectra_of(design, windows))
     loudest = np.zeros(len(windows))
     np.maximum.at(loudest, found.row, found.r)
@@ -463,7 +445,7 @@ def test_clearing_the_image_calms_the_wobble_of_low_tones_tenfold(samplerate):
 def test_clearing_images_leaves_high_tones_as_they_are(samplerate):
     design = LiveDesign.of(PARAMETERS, samplerate)
     sound = tone(5_000, 0.5, samplerate) + tone(9_000, 0.5, samplerate)
-    windows = strided_windows(sound, PARAMETERS.window_frames(samplerate), 500)
+    windows = sliding_window_view(sound, PARAMETERS.window_frames(samplerate))[::500]
     spectra = spectra_of(design, windows)
     sections = design.analysis, clear_no_image(design).analysis
     both = [all_principal(section, spectra) for section in sections]
@@ -492,7 +474,7 @@ def test_what_the_side_lobe_rule_leaves_out_of_recordings_carries_under_a_hundre
         design = LiveDesign.of(PARAMETERS, samplerate)
         filtered = BandPass(*design_band_pass(PARAMETERS, samplerate)).process(sound.mean(axis=1))
         frames = PARAMETERS.window_frames(samplerate)
-        windows = strided_windows(filtered, frames, frames)
+        windows = sliding_window_view(filtered, frames)[::frames]
         spectra = spectra_of(design, windows)
         found = all_principal(design.analysis, spectra)
         every = replace(design.analysis, partials_max=design.analysis.bins)

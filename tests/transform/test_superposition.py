@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from audioflinger_hook.transform import HapticTransform, TransformParameters
-from audioflinger_hook.transform.reference.transform import Superposition
+from audioflinger_hook.transform.reference import Superposition
 from tests.support.signals import chirp, five_tones, identical, silence, white_noise
 
 RATE = 48_000

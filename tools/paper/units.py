@@ -8,9 +8,8 @@ import numpy as np
 
 from audioflinger_hook.transform import FloatArray, TransformParameters
 from audioflinger_hook.transform.mapping import vibration_hz
-from audioflinger_hook.transform.principal import Principals
-from audioflinger_hook.transform.reference.transform import ReferenceTransform
-from audioflinger_hook.transform.spectrum import Spectrum, magnitude
+from audioflinger_hook.transform.principal import Principals, Spectrum, magnitude
+from audioflinger_hook.transform.reference import ReferenceTransform
 
 PAPERS_UNIT = 39
 """From 0: with 46.43 ms each it is the paper's, 1.811 to 1.857 s."""

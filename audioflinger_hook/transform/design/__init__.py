@@ -1,19 +1,10 @@
-"""The design of the live form: all numbers and tables for one set of parameters and one samplerate.
-
-| module | what it designs |
-| --- | --- |
-| `analysis` | input stage, analysis of windows, search for onsets |
-| `loudness` | how loud each tick is |
-| `strength` | strength by loudness, felt strength, programme level |
-| `speech` | speech suppression |
-| `synthesis` | time grid, tracking of partials, oscillators, low-pass, limiter |
-"""
+"""The design of the live form: all numbers and tables for one set of parameters and samplerate."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
-from typing import Any
+from typing import Any, get_type_hints
 
 import numpy as np
 
@@ -31,7 +22,7 @@ from audioflinger_hook.transform.design.synthesis import (
 )
 from audioflinger_hook.transform.mapping import VibrationMapping
 from audioflinger_hook.transform.parameters import TransformParameters
-from audioflinger_hook.transform.spectrum import Spectrum
+from audioflinger_hook.transform.principal import Spectrum
 from device.errors import UsageError
 from device.units import Records
 
@@ -41,9 +32,9 @@ BAND_MARGIN_HZ = 1_000.0
 """Bins up to this far above the band are kept, to find the half-power width of its last peaks."""
 
 STRAIGHT_LINES = 10 ** (-0.17 / 20)
-"""The reference form measures half-power bandwidths on straight lines between bins, the live form
-on bells. The former are 0.07 to 0.27 dB narrower, by the place of a tone between two bins. With r
-so much smaller a tone has the same level within 0.1 dB."""
+"""Half-power bandwidths on the straight lines between bins of the reference form are 0.07 to 0.27
+dB narrower than on the bells of the live form, by the place of a tone between two bins. With r so
+much smaller a tone has the same level within 0.1 dB."""
 
 LATENCY_AT_HZ = 60.0
 """Vibration frequency whose delay is reported: 78 to 95 % of the energy is at 20 to 80 Hz."""
@@ -53,37 +44,14 @@ LATENCY_AT_HZ = 60.0
 class LiveDesign:
     """All numbers and tables of the live form for one set of parameters and one samplerate.
 
-    The core, and its oracle in the tests, are made from it. It is immutable: its arrays cannot
-    be written. Two designs are equal where all their bits are.
+    The core, and its oracle in the tests, are made from it. Its arrays cannot be written. Two
+    designs are equal where all their bits are.
 
-    Attributes
-    ----------
-    samplerate : int
-        Frames a second.
-    latency_frames : int
-        Frames by which the vibration of an onset follows its sound.
-    tonal_latency_frames : int
-        Frames by which sustained levels and endings follow.
-    grid : LiveGrid
-        How time is divided.
-    input : InputDesign
-        How samples are made usable and band-passed.
-    analysis : AnalysisDesign
-        How principal frequencies are found.
-    mapping : VibrationMapping
-        Which frequency and amplitude of vibration they get.
-    onsets : OnsetDesign
-        How onsets are found.
-    tracking : TrackingDesign
-        How partials are followed from hop to hop.
-    synthesis : SynthesisDesign
-        How partials become samples.
-    loudness : LoudnessDesign
-        How loud each tick is.
-    strength : StrengthDesign
-        How strong vibration is by that.
-    speech : SpeechDesign
-        How speech is lowered.
+    samplerate: frames a second.
+    latency_frames: by which the vibration of an onset follows its sound.
+    tonal_latency_frames: by which sustained levels and endings follow.
+    grid, input, analysis, mapping, onsets, tracking, synthesis, loudness, strength, speech: the
+        sections; each class says what it designs.
     """
 
     samplerate: int
@@ -109,10 +77,8 @@ class LiveDesign:
     def of(
         cls, parameters: TransformParameters, samplerate: int, *, find_onsets: bool = True
     ) -> LiveDesign:
-        """Return the design for parameters at a samplerate. It is read-only and may be shared.
+        """Return the design for parameters at a samplerate in Hz; it may be shared.
 
-        parameters: what shapes the vibration.
-        samplerate: frames a second.
         find_onsets: false for the analysis of long windows alone, whose latency is that of
             sustained sound.
         UsageError: the band cannot be filtered at this samplerate.
@@ -130,23 +96,16 @@ class LiveDesign:
         return found
 
     def to_bytes(self) -> bytes:
-        """Return the design as bytes, in the layout that `core/blob.py` documents.
-
-        The bytes hold `samplerate`, `latency_frames`, `tonal_latency_frames` and `settings()`.
-        """
+        """Return `records()` as bytes, in the layout that `core/blob.py` documents."""
         return blob.pack(self.records())
 
     def records(self) -> Records:
-        """Return all that `to_bytes` holds, by name."""
+        """Return `samplerate`, both latencies and `settings()`, by name."""
         return {**{name: getattr(self, name) for name in TOP}, **self.settings()}
 
     @classmethod
     def from_bytes(cls, data: bytes) -> LiveDesign:
-        """Return the design from bytes of `to_bytes`.
-
-        data: all of it.
-        UsageError: the bytes are cut, damaged, of another version, or hold something else.
-        """
+        """Return the design from bytes of `to_bytes`; UsageError if they are anything else."""
         values = blob.unpack(bytes(data))
         sections = {name: _section(kind, values) for name, kind in SECTIONS.items()}
         top = {name: _taken(values, name, int) for name in TOP}
@@ -169,16 +128,7 @@ EXACT = ("band_b", "band_a", "low_b", "low_a", "low_sections", "low_smooth", "mi
 
 TOP = ("samplerate", "latency_frames", "tonal_latency_frames")
 SECTIONS: dict[str, Any] = {
-    "grid": LiveGrid,
-    "input": InputDesign,
-    "analysis": AnalysisDesign,
-    "mapping": VibrationMapping,
-    "onsets": OnsetDesign,
-    "tracking": TrackingDesign,
-    "synthesis": SynthesisDesign,
-    "loudness": LoudnessDesign,
-    "strength": StrengthDesign,
-    "speech": SpeechDesign,
+    name: kind for name, kind in get_type_hints(LiveDesign).items() if name not in TOP
 }
 
 
@@ -188,7 +138,6 @@ def _section(kind: Any, values: Records) -> Any:
 
 
 def _taken(values: Records, name: str, kind: type) -> Any:
-    """Take a value of a type from the values that are left."""
     value = values.pop(name, None)
     if not isinstance(value, kind):
         raise UsageError(f"the design lacks {name}, or holds it as something else")
@@ -199,8 +148,8 @@ def _taken(values: Records, name: str, kind: type) -> Any:
 def _designed(parameters: TransformParameters, samplerate: int, find_onsets: bool) -> LiveDesign:
     grid = LiveGrid.at(parameters, samplerate)
     spectrum = Spectrum.of(parameters, samplerate)
-    bins = int((parameters.band_high_hz + BAND_MARGIN_HZ) / spectrum.bin_hz)
-    bins = min(spectrum.bins, bins)
+    top_bin = int((parameters.band_high_hz + BAND_MARGIN_HZ) / spectrum.bin_hz)
+    bins = min(spectrum.bins, top_bin)
     live = replace(parameters, threshold_hz=parameters.live_threshold_hz)
     full_scale_r = parameters.unit_strength_hz(samplerate) / STRAIGHT_LINES
     mapping = VibrationMapping.of(parameters, full_scale_r)

@@ -13,38 +13,28 @@ from audioflinger_hook.transform.downmix import (
     CANCELS_FROM,
     CANCELS_UP_TO,
     POWER_GUARD,
-    CancellationRules,
+    cancellation_shares,
     downmix_table,
 )
 from audioflinger_hook.transform.filters import fast_length, lowest_bins
-from audioflinger_hook.transform.input_stage import (
-    DENORMAL_GUARD,
-    MAGNITUDE_MAX,
-    band_pass_roots,
-)
+from audioflinger_hook.transform.input_stage import DENORMAL_GUARD, MAGNITUDE_MAX, band_pass_roots
 from audioflinger_hook.transform.mapping import VibrationMapping
 from audioflinger_hook.transform.parameters import TransformParameters
-from audioflinger_hook.transform.principal import bins_in_band, peak_span_min
-from audioflinger_hook.transform.spectrum import Spectrum
+from audioflinger_hook.transform.principal import Spectrum, bins_in_band, peak_span_min
 
+# Peaks below this many times 1/T (1.6 kHz) are cleared; from there the image is about -70 dB.
 IMAGE_REACH_WINDOWS = 75.0
-"""Peaks below this many times 1/T (1.6 kHz) are cleared; from there the image is about -70 dB."""
-
+# Bins to either side of a peak that are cleared: its main lobe, and the half-power walk on it.
 NEIGHBOURS = 7
-"""Bins to either side of a peak that are cleared: its main lobe, and the half-power walk on it."""
-
+# Entries of the window's table per bin; linear interpolation errs by 0.2 % of a side lobe.
 TABLE_BINS_A_BIN = 32
-"""Entries of the window's table per bin; linear interpolation errs by 0.2 % of a side lobe."""
 
-SIDE_LOBE = 10 ** (-40 / 20)
-"""Side lobes of a Hamming window are 42.7 dB below their peak."""
+SIDE_LOBE, SIDE_LOBE_FOLLOWED = 10 ** (-40 / 20), 10 ** (-34 / 20)
+"""Side lobes of a Hamming window are 42.7 dB below their peak. The loudness follower lowers C_th:
+side lobes of a low tone and of its image then add up to 36.7 dB under the tone."""
 
-SIDE_LOBE_FOLLOWED = 10 ** (-34 / 20)
-"""The same with the loudness follower. Its C_th is lower: side lobes of a low tone and of its image
-add up to 36.7 dB under the tone."""
-
+# Rise and fall times of the onset window: the newest sound counts at once.
 OLD_SIDE_S, NEW_SIDE_S = 0.004, 0.001
-"""Rise and fall times of the onset window: the newest sound counts at once."""
 
 EDGES_HZ = (200, 400, 600, 800, 1_200, 1_800, 2_600, 3_800, 5_600, 8_200, 12_000)
 """Edges of the onset bands. Under the first, a swing looks like a shift of the mean."""
@@ -60,8 +50,6 @@ QUIETEST, WEAKEST = 0.02, 0.5
 """Shares of the weakest steady tone that is principal. Below the first no onset is searched;
 below the second none is played."""
 
-GROUPS_MAX = 4
-
 WORTH, MERGED_WORTH = 0.25, 0.1
 """Share of its amplitude that a partial must add to start. Where partials are merged it is in phase
 with what sounds, so less is worth it."""
@@ -71,20 +59,13 @@ with what sounds, so less is worth it."""
 class InputDesign:
     """How samples are made usable and band-passed."""
 
-    silence: float
-    """A window whose peak is below this has no principal frequency."""
-    band_b: FloatArray
-    """Band-pass: the numerator."""
-    band_a: FloatArray
-    """Band-pass: the denominator."""
-    mix_slow: float
-    """Share of a new sample in the powers that show whether the mono mix cancels, ..."""
+    silence: float  # a window whose peak is below this has no principal frequency
+    band_b: FloatArray  # band-pass: the numerator
+    band_a: FloatArray  # band-pass: the denominator
+    mix_slow: float  # this and the next two: see `cancellation_shares`
     mix_newest: float
-    """... in the newest power, ..."""
     mix_evidence: float
-    """... and of that in the power of the mean."""
     mix_weights: FloatArray = field(default_factory=downmix_table)
-    """The down-mixes of all layouts, see `downmix_table`."""
     mix_cancels_from: float = CANCELS_FROM
     mix_cancels_up_to: float = CANCELS_UP_TO
     mix_power_guard: float = POWER_GUARD
@@ -96,9 +77,8 @@ class InputDesign:
         """Return the design for one samplerate in Hz."""
         # By Parseval r <= max|x| fs sqrt(2.73/N) < max|x| fs: under this level nothing passes.
         silence = parameters.live_threshold_hz / samplerate
-        rules = CancellationRules(samplerate)
         band = round_filter(*band_pass_roots(parameters, samplerate))
-        return cls(silence, *band, rules.slow, rules.newest, rules.evidence)
+        return cls(silence, *band, *cancellation_shares(samplerate))
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,31 +86,20 @@ class AnalysisDesign:
     """How principal frequencies are found in a window's spectrum."""
 
     fft_length: int
-    bins: int
-    """Bins that are looked at."""
-    first_bin: int
-    """First bin on which a peak counts."""
-    last_bin: int
-    """Last bin on which a peak counts; below `first` if there is none."""
+    bins: int  # number of bins that are analysed
+    first_bin: int  # first bin on which a peak counts
+    last_bin: int  # last bin on which a peak counts; below `first_bin` if there is none
     partials_max: int
     bin_hz: float
-    threshold_hz: float
-    """C_th: r of a principal frequency is above it."""
-    peak_span_min: float
-    """Amplitude times bins between valleys under which no peak can be principal."""
-    weakest_image: float
-    """Peaks up to this amplitude keep their image."""
-    weakest_share: float
-    """Peaks up to this share of the highest low amplitude keep their image, too."""
-    image_first: float
-    """The window's first sample as a share of the sum of the others."""
-    side_lobe: float
-    """Peaks up to this share of the highest amplitude are left out."""
+    threshold_hz: float  # C_th: r of a principal frequency is above it
+    peak_span_min: float  # see `peak_span_min`
+    weakest_image: float  # peaks up to this amplitude keep their image
+    weakest_share: float  # so do peaks up to this share of the highest low amplitude
+    image_first: float  # the window's first sample as a share of the sum of the others
+    side_lobe: float  # peaks up to this share of the highest amplitude are left out
     window: FloatArray
-    image_table: FloatArray
-    """The window's spectrum, see `window_tables`."""
+    image_table: FloatArray  # both are described at `window_tables`
     image_turn: FloatArray
-    """Cosines, then sines, of each low bin's turn to the window's centre, (2, bins)."""
 
     @classmethod
     def of(cls, parameters: TransformParameters, spectrum: Spectrum, bins: int) -> AnalysisDesign:
@@ -164,64 +133,42 @@ class AnalysisDesign:
 class OnsetDesign:
     """How onsets are found in short windows, and which partials they start."""
 
-    find_onsets: int
-    """0 if there is only the analysis, without onsets."""
-    short_frames: int
-    """Frames in the onset window."""
-    short_length: int
-    """Length of the window's spectrum."""
-    short_bins: int
-    """Bins that are looked at."""
-    short_ticks: int
-    """Ticks that the window touches."""
-    newest_frames: int
-    """Last frames of a tick that count by themselves."""
-    short_scale: float
-    """Factor from squared bins to mean squares."""
-    quietest: float
-    """Power below which there are no onsets."""
-    weakest: float
-    """Amplitude below which no partial starts."""
-    fading: float
-    """Factor on the highest recent power, applied each tick."""
+    find_onsets: int  # 0 if there is only the analysis, without onsets
+    short_frames: int  # frames in the onset window
+    short_length: int  # length of the window's spectrum
+    short_bins: int  # bins that are looked at
+    short_ticks: int  # ticks that the window touches
+    newest_frames: int  # last frames of a tick that count by themselves
+    short_scale: float  # factor from squared bins to mean squares
+    quietest: float  # power below which there are no onsets
+    weakest: float  # amplitude below which no partial starts
+    fading: float  # factor on the highest recent power, applied each tick
     short_window: FloatArray
-    short_hz: FloatArray
-    """Vibration frequency of each bin."""
-    min_gain_share: float
-    """No partial starts if less than this share of its amplitude is missing."""
-    band_edges: FloatArray
-    """Bins: the first of each band, and past the last."""
+    short_hz: FloatArray  # vibration frequency of each bin
+    min_gain_share: float  # no partial starts if less than this share of its amplitude is missing
+    band_edges: FloatArray  # bins: the first of each band, and past the last
+    # A band rises where its power is this many times its recent maximum (6 dB), and more than
+    # this share of all power: side lobes of the window are less.
     rise: float = 4.0
-    """A band rises where its power is this many times its recent maximum (6 dB) ..."""
     minor: float = 0.01
-    """... and more than this share of all power: side lobes of the window are less."""
-    risen_share: float = 0.5
-    """Share of all power that rising bands must exceed at an onset."""
-    back_ticks: int = 3
-    """A band rises over its power this many ticks ago."""
-    rest_ticks: int = 5
-    """Ticks from one onset to the next, ..."""
+    risen_share: float = 0.5  # share of all power that rising bands must exceed at an onset
+    back_ticks: int = 3  # a band rises over its power this many ticks ago
+    rest_ticks: int = 5  # ticks from one onset to the next
+    # Ticks to a next onset that is `rearmed` times as strong: the last one was only the very first
+    # of a sound, or a faint one before it.
     rearmed_ticks: int = 3
-    """... or so many to one that is `rearmed` times as strong: then the last one was only the very
-    first of a sound, or a faint one before it."""
     rearmed: float = 10.0
-    heard_ticks: int = 4
-    """Ticks over which an onset's sound is measured, each better than the last."""
-    groups_max: int = GROUPS_MAX
-    """Largest number of groups of bands in which one onset starts partials."""
-    onset_partials_max: int = 2 * GROUPS_MAX
-    """Largest number of onset partials at a time."""
-    forgotten: float = 1e-30
-    """Power that counts as zero."""
-    apart_from: float = 1.0 + 1e-9
-    """Ratio from which on two bands differ, so that rounding decides nothing between equals."""
-    start_phase: float = 0.75
-    """Phase at birth in cycles: a sine, whose first swing is felt at once."""
+    heard_ticks: int = 4  # ticks over which an onset's sound is measured, each better than the last
+    groups_max: int = 4  # groups of bands in which one onset starts partials
+    onset_partials_max: int = 8  # onset partials at a time
+    forgotten: float = 1e-30  # power that counts as zero
+    apart_from: float = 1.0 + 1e-9  # bands of a smaller ratio are equal: rounding decides nothing
+    start_phase: float = 0.75  # phase at birth in cycles: a sine, whose first swing is felt at once
+    # Sum p^2 / (sum p)^2 over the bins' powers p of a tone, in each tick after an onset. In noise
+    # it is a tenth of it: there is so much in a group of bands.
     one_tone: FloatArray = field(default_factory=lambda: np.array((0.12, 0.28, 0.34, 0.36)))
-    """Sum p^2 / (sum p)^2 over the bins' powers p of a tone, in each tick after an onset. In noise
-    it is a tenth of it: there is so much in a group of bands."""
+    # Share of its amplitude that an onset partial reaches in its first tick, and in its second.
     rise_shares: FloatArray = field(default_factory=lambda: np.array((0.4, 1.0)))
-    """Share of its amplitude that an onset partial reaches in its first tick, and in its second."""
 
     @classmethod
     def of(
@@ -234,7 +181,7 @@ class OnsetDesign:
     ) -> OnsetDesign:
         """Return the design for one grid and samplerate in Hz."""
         old, new = (max(1, round(side * samplerate)) for side in (OLD_SIDE_S, NEW_SIDE_S))
-        length = _even_fast_length(old + new)
+        length = 2 * fast_length(max(2, -(-(old + new) // 2)))
         window = np.concatenate(
             (
                 0.5 - 0.5 * np.cos(np.pi * (np.arange(old) + 0.5) / old),
@@ -280,9 +227,9 @@ def window_tables(
 ) -> tuple[FloatArray, FloatArray]:
     """Return what images are computed from: the turn of each low bin, the window's spectrum.
 
-    Phases counted from the window's centre make the window's spectrum real; bins turn by a cosine
-    and a sine each, (2, low bins + `NEIGHBOURS`). The spectrum, 1 at 0, has `TABLE_BINS_A_BIN`
-    entries a bin. reach_windows: bins under this many times 1/T are low.
+    Phases counted from the window's centre make the spectrum real. turn: cosines, then sines,
+    (2, low bins + `NEIGHBOURS`). spectrum: 1 at 0, `TABLE_BINS_A_BIN` entries a bin. reach_windows:
+    bins under this many times 1/T are low.
     """
     frames, length = spectrum.window_frames, spectrum.fft_length
     # An image is looked up at the sum of two frequencies, which the table must reach, and
@@ -299,10 +246,3 @@ def window_tables(
     fine = lowest_bins(partnered, entries, fine_length)
     turned = fine * np.exp(2j * np.pi * np.arange(entries) * (frames / 2) / fine_length)
     return np.stack((np.cos(turn), np.sin(turn))), turned.real / turned[0].real
-
-
-def _even_fast_length(frames: int) -> int:
-    length = max(4, frames)
-    while fast_length(length) != length or length % 2:
-        length += 1
-    return length

@@ -55,17 +55,12 @@ LOW_EDGES_HZ = (20.0, 45.0, 90.0, 180.0, 280.0, 355.0, 450.0, 560.0)
 """Edges of the bands that have filters of their own. Both of the first belong to the first band of
 ISO 532-1, in which they are not weighed alike."""
 
-LOW_BAND_OF = (0, 0, 1, 2, 3, 4, 5)
-"""Their bands of ISO 532-1."""
-
+LOW_BAND_OF = (0, 0, 1, 2, 3, 4, 5)  # their bands of ISO 532-1
+# Their windows are longer than those of the other bands: so much louder would a short sound be.
 LOW_DB = -1.0
-"""Their windows are longer than those of the other bands: so much louder would a short sound be."""
-
+# Two equal poles are 3 dB down about at a band's edges if each has so many times its width.
 POLE_WIDTH = 1.3
-"""Two equal poles are 3 dB down about at a band's edges if each has so many times its width."""
-
-LOW_TOP_HZ = 850.0
-"""Where the low-pass before the low rate ends."""
+LOW_TOP_HZ = 850.0  # where the low-pass before the low rate ends
 
 QUADRATURE = (
     (0.6923878, 0.9360654322959, 0.9882295226860, 0.9987488452737),
@@ -73,10 +68,6 @@ QUADRATURE = (
 )
 """Two chains of all-passes, a sample apart, that differ by a quarter of a turn: Olli Niemitalo,
 "Hilbert transform". The image is 44 dB down."""
-
-AVERAGE_TICKS = 3
-"""The onset search's window is 5 ms. Over three ticks, a tone's power hardly wavers with its
-phase."""
 
 GROUPS = (0, 1, 3, 6, 9, 12, 14, 16, 20)
 """Bands at which groups begin, and past the last: edges at 90, 280, 560, 1120, 2240, 4500, 7100
@@ -87,37 +78,29 @@ Hz."""
 class LoudnessDesign:
     """How loud a tick is. All tables are empty where loudness is not followed."""
 
-    low_smooth: FloatArray
-    """Low-pass before the low rate: second-order sections, (sections, 6)."""
-    quadrature: FloatArray
-    """Squares of the all-passes' coefficients, (2, 4)."""
-    low_poles: FloatArray
-    """(low bands, 3): real and imaginary part of the pole, and the gain before it."""
-    low_weights: FloatArray
-    """Of each low band: factor from the sum of squares over a tick to its excitation."""
-    low_band_of: FloatArray
-    """Of each low band: number of its band of loudness."""
-    high_edges: FloatArray
-    """Bins of the short window: the first of each high band, and past the last."""
-    high_weights: FloatArray
-    """Of each high band: factor from its mean square to its excitation."""
-    loudness_scale: FloatArray
-    """Of each band: sone per Bark at its threshold."""
-    loudness_widths: FloatArray
-    """Of each band: Bark."""
-    loudness_groups: FloatArray
-    """Bands: the first of each group, and past the last."""
-    average_ticks: int = AVERAGE_TICKS
-    """Ticks over which the powers of high bands are averaged."""
+    low_smooth: FloatArray  # low-pass before the low rate: second-order sections, (sections, 6)
+    quadrature: FloatArray  # squares of the all-passes' coefficients, (2, 4)
+    low_poles: FloatArray  # (low bands, 3): real and imaginary part of the pole, gain before it
+    low_weights: FloatArray  # of each low band: from the squares' sum over a tick to excitation
+    low_band_of: FloatArray  # of each low band: number of its band of loudness
+    high_edges: FloatArray  # bins of the short window: the first of each high band, past the last
+    high_weights: FloatArray  # of each high band: factor from its mean square to its excitation
+    loudness_scale: FloatArray  # of each band: sone per Bark at its threshold
+    loudness_widths: FloatArray  # of each band: Bark
+    loudness_groups: FloatArray  # bands: the first of each group, and past the last
+    # Ticks over which the powers of high bands are averaged. Over three of them, a tone's power in
+    # the onset search's window of 5 ms hardly wavers with its phase.
+    average_ticks: int = 3
+    # Above a band its specific loudness N' falls by this / N'^0.25 of itself for each Bark: nearly
+    # what the table of slopes in ISO 532-1 says.
     slope_a_bark: float = 0.45
-    """Above a band its specific loudness N' falls by this / N'^0.25 of itself for each Bark: nearly
-    what the table of slopes in ISO 532-1 says."""
 
     @property
     def delay_ticks(self) -> float:
-        """Ticks by which the strength of an onset follows on average: it goes on a line over a
-        tick, and is amplitude in proportion to sone, the power to 0.3, of more and more of the
-        average."""
+        """Ticks by which the strength of an onset follows on average.
+
+        It goes on a line over a tick. It is in proportion to sone, the average's power of 0.3.
+        """
         shares = np.arange(1, self.average_ticks) / self.average_ticks
         return 0.5 + float((1.0 - shares**0.3).sum())
 
@@ -129,9 +112,7 @@ class LoudnessDesign:
         if not followed:
             return cls(*10 * (np.zeros(0),))
         low_rate_hz = samplerate / grid.decimation
-        lows = [
-            band for band in range(len(LOW_BAND_OF)) if LOW_EDGES_HZ[band + 1] < low_rate_hz / 2
-        ]
+        lows = [low for low, top in enumerate(LOW_EDGES_HZ[1:]) if top < low_rate_hz / 2]
         edges, highs = _high_bands(onsets, samplerate / onsets.short_length)
         bands = [*dict.fromkeys(LOW_BAND_OF[low] for low in lows), *highs]
         quiet_db, groups = QUIET_DB[bands], np.searchsorted(bands, GROUPS)
@@ -155,7 +136,6 @@ class LoudnessDesign:
 
 
 def _pole(low: int, low_rate_hz: float) -> tuple[float, float, float]:
-    """Return a row of `low_poles`."""
     below_hz, above_hz = LOW_EDGES_HZ[low : low + 2]
     radius = math.exp(-math.pi * POLE_WIDTH * (above_hz - below_hz) / low_rate_hz)
     turn = math.pi * (below_hz + above_hz) / low_rate_hz

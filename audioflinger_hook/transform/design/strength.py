@@ -1,5 +1,4 @@
-"""Design of the strength by loudness: the programme's level, the gate, rises, the wanted
-strength."""
+"""Design of the strength by loudness: the programme's level, the gate, rises."""
 
 from __future__ import annotations
 
@@ -17,36 +16,28 @@ FELT_AT_HZ = 40.0
 vertical acceleration falls with the inverse of frequency: W_k of ISO 2631-1 without its limit at
 100 Hz, and contours of equal comfort (Griffin, Whitham and Parsons, Ergonomics 25, 1982)."""
 
-FELT_FROM_HZ = 30.0
-"""Vibration under this counts as if it had this frequency: few actuators reach lower."""
-
+FELT_FROM_HZ = 30.0  # lower vibration counts as this frequency: few actuators reach lower
 RIG_LEAST = 1.0 / 16.0
 """An actuator that moves less for a volt counts as if it moved so much: more would be excursion."""
 
 PROGRAMME_TOP_DB = -10.0
 """Loudness of the loudest programmes; programmes down to `loudness_db` below it are lifted."""
 
-PROGRAMME_START_DB = -20.0
-"""Level of the programme before any sound."""
-
+PROGRAMME_START_DB = -20.0  # level of the programme before any sound
 START_S, START_WEIGHT_S = 2.0, 0.5
 """In so much sound, the programme's level is found at the beginning of a stream: it moves towards
 the mean, in which the level before counts as so much sound."""
 
-RELEASE_DB_A_S = 10.0
-"""Rate at which what counts for the programme falls; it rises at once."""
+RELEASE_DB_A_S = 10.0  # fall of what counts for the programme, which rises at once
 
-PROGRAMME_DB_A_S = 0.1
-"""The programme's level goes to the loudness by this, so that half of the time is over it ..."""
-
-RISE_S, FALL_S = 240.0, 120.0
-"""... and by what is missing, in so many seconds: a crescendo is felt as one."""
+PROGRAMME_DB_A_S, RISE_S, FALL_S = 0.1, 240.0, 120.0
+"""The programme's level goes to the loudness at this rate, so that half of the time is over it, and
+makes up for what is missing in so many seconds: a crescendo is felt as one."""
 
 FLOOR_RISE_DB_A_S = 2.0
 """The noise floor is the least recent loudness: it falls at once and rises at this rate."""
 
-JITTER_S, SLOW_S = 0.1, 0.03
-"""Times in which jitter of loudness, and what counts for the programme, are averaged."""
+JITTER_S, SLOW_S = 0.1, 0.03  # averages: jitter of loudness, what counts for the programme
 
 ATTACK_S = 0.012
 """After a jump, all changes are followed for so long: until the windows are filled by the new
@@ -56,108 +47,70 @@ GROUP_S, GROUP_UP_S, GROUP_DOWN_S, GROUP_DEVIATES_S = 0.006, 0.2, 0.4, 1.0
 """Times in which the level of a group of bands is averaged, what is usual follows a rise, or a
 fall, and its mean deviation is found."""
 
-GROUP_SONE = 0.02
-"""Added to the sone of a group: below, a rise is none."""
-
-BOOST_HOLD_S, BOOST_FALL_DB_A_S = 0.03, 80.0
-"""How long what a rise adds stays, and how fast it goes."""
+GROUP_SONE = 0.02  # added to the sone of a group: below, a rise is none
+BOOST_HOLD_S, BOOST_FALL_DB_A_S = 0.03, 80.0  # how long a boost stays, and how fast it goes
 
 
 @dataclass(frozen=True, eq=False)
 class StrengthDesign:
-    """How strong vibration is by loudness; levels in dB, rates in dB per tick, times in ticks."""
+    """How strong vibration is by loudness; levels in dB, rates in dB per tick, times in ticks.
+
+    A share is what a tick adds to an average. What a rise adds to the strength is a boost.
+    """
 
     programme_start: float
-    """Level of the programme before any sound."""
     programme_min: float
     programme_step: float
-    """The programme's level moves by this, ..."""
-    programme_rise: float
-    """... and by this share of what is missing upwards, ..."""
-    programme_fall: float
-    """... or downwards."""
+    programme_rise: float  # share of what is missing, upwards
+    programme_fall: float  # share of what is missing, downwards
     start_ticks: float
-    """Ticks of sound at the beginning of a stream in which it is found fast, ..."""
-    start_weight: float
-    """... as if so many had been heard before."""
+    start_weight: float  # ticks
     release: float
-    """Rate at which what counts for the programme falls."""
-    slow_followed: float
-    """Share of it that a tick adds."""
-    floor_min: float
-    """Loudness up to which there is no vibration."""
+    slow_followed: float  # share
+    floor_min: float  # loudness up to which there is no vibration
     floor_rise: float
-    """Rate at which the noise floor rises."""
-    gate: float
-    """Width of the soft gate over the noise floor."""
-    jitter: float
-    """Smaller changes of loudness are jitter, of which steady sounds consist, ..."""
-    jitter_followed: float
-    """... and of which this share is followed, ..."""
+    gate: float  # width of the soft gate over the noise floor
+    jitter: float  # smaller changes of loudness are jitter, of which steady sounds consist
+    jitter_followed: float  # share
     attack_ticks: float
-    """... but for so many ticks after a jump."""
-    group_smooth: float
-    """Share of a tick in the sone of a group of bands."""
-    group_up: float
-    """Share of a rise by which what is usual follows, ..."""
-    group_down: float
-    """... and of a fall."""
-    group_deviates: float
-    """Share of a tick in the mean deviation."""
+    group_smooth: float  # share
+    group_up: float  # share
+    group_down: float  # share
+    group_deviates: float  # share
     boost_hold_ticks: float
-    """Ticks for which what a rise adds stays."""
     boost_fall: float
     boost_max: float
-    """Most that a rise adds."""
-    target: float
-    """Vibration at the programme's level."""
-    slope: float
-    """Vibration for each dB of loudness."""
-    gain_max: float
-    """Largest factor on amplitudes."""
-    felt_weights: FloatArray
-    """Sensitivity by vibration frequency, in steps of `gain_step_hz`."""
+    target: float  # vibration at the programme's level
+    slope: float  # vibration for each dB of loudness
+    gain_max: float  # largest factor on amplitudes
+    felt_weights: FloatArray  # sensitivity by vibration frequency, in steps of `gain_step_hz`
     programme_top: float = PROGRAMME_TOP_DB
+    # At the start the level goes down to so much over what is heard: a soft beginning is still one.
     start_near: float = 10.0
-    """It goes down to so much over what is heard: a soft beginning is still felt as one."""
-    far: float = 20.0
-    """More than this is not missing."""
-    floor_under: float = 35.0
-    """The noise floor stays this far below the programme's level: a steady sound is no noise."""
+    far: float = 20.0  # more than this is not missing
+    floor_under: float = 35.0  # least distance of noise floor and programme: steady is no noise
+    # Share of the gate's width that is still silent. At the floor itself, where the quietest
+    # recent tick stands exactly, rounding would decide.
     gate_margin: float = 0.01
-    """Share of the gate's width that is still silent. At the floor itself, where the quietest
-    recent tick stands exactly, rounding would decide."""
-    jump: float = 10.0
-    """A rise in one tick by more is a jump."""
+    jump: float = 10.0  # a rise in one tick by more is a jump
     group_sone: float = GROUP_SONE
-    silence_db: float = 10.0 * math.log2(GROUP_SONE)
-    """Level of a group of bands in silence."""
+    silence_db: float = 10.0 * math.log2(GROUP_SONE)  # level of a group of bands in silence
     deviation_start: float = 3.0
-    deviation_max: float = 10.0
-    """Mean deviation at the beginning, and what one tick counts for it at most."""
+    deviation_max: float = 10.0  # most that one tick counts for the mean deviation
+    # A rise is so many mean deviations over the usual: noise, vibrato and beats raise their own.
     boost_deviations: float = 2.5
-    """A rise is what is so many mean deviations over what is usual: noise, vibrato and beats raise
-    their own."""
-    boost_slope: float = 4.0
-    """dB that are wanted for each dB more, ..."""
+    boost_slope: float = 4.0  # dB of boost for each dB more
+    # A group is boosted from this share of all loudness on, and fully with so much more.
     boost_share_from: float = 0.02
-    """... of a group that has this share of all loudness, ..."""
     boost_share_width: float = 0.05
-    """... and fully with so much more."""
-    boost_natural: float = 0.5
-    """What the loudness of all bands adds by itself, and so much, need not be added."""
-    beat_hz: float = 50.0
-    """Partials so far apart do not beat; ..."""
-    beat_width_hz: float = 25.0
-    """... those closer by this do fully."""
-    beat_least: float = 0.35
-    """Least ratio by which beats are undone."""
-    weakest_step: float = 0.2
-    """Least strength of a step that is made up for, as a share of the tick's."""
+    boost_natural: float = 0.5  # what all bands' loudness adds by itself, and so much, is deducted
+    beat_hz: float = 50.0  # partials so far apart do not beat
+    beat_width_hz: float = 25.0  # those closer by this do fully
+    beat_least: float = 0.35  # least ratio by which beats are undone
+    weakest_step: float = 0.2  # least step that is made up for, as a share of the tick's strength
+    # What would be limited takes on the sensitivity of a seated body to this power at most.
     concentrated: float = 4.0
-    """What would be limited takes on the sensitivity of a seated body to this power at most."""
-    nothing: float = 1e-9
-    """Sone that count as none."""
+    nothing: float = 1e-9  # sone that count as none
 
     @classmethod
     def of(cls, parameters: TransformParameters, grid: LiveGrid) -> StrengthDesign:

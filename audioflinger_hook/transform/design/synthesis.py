@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from audioflinger_hook.core.rounding import round_filter, round_sections
-from audioflinger_hook.transform.arrays import FloatArray
+from audioflinger_hook.transform.arrays import ComplexArray, FloatArray
 from audioflinger_hook.transform.filters import (
     BUTTERWORTH_1,
     ELLIPTIC_6,
@@ -16,17 +16,13 @@ from audioflinger_hook.transform.filters import (
     response,
     response_of_sections,
 )
-from audioflinger_hook.transform.mapping import VibrationMapping
 from audioflinger_hook.transform.parameters import TransformParameters
 
+# Rate of the oscillators, or a little more: over six times the highest vibration frequency.
 LOW_RATE_HZ = 3_000.0
-"""Rate of the oscillators, or a little more: over six times the highest vibration frequency."""
-
+# The hop is about 18 ms. Onsets do not wait for it, and a shorter one costs more.
 HOPS_A_WINDOW = 2.55
-"""The hop is about 18 ms. Onsets do not wait for it, and a shorter one costs more."""
-
-TICK_S = 0.002
-"""Interval at which onsets are searched and vibration is computed."""
+TICK_S = 0.002  # interval at which onsets are searched and vibration is computed
 
 ATTACK_HOPS = 0.35
 """Share of a hop in which amplitudes glide where their sum rises: an onset is felt 5 ms earlier
@@ -36,13 +32,6 @@ falls, amplitudes take the whole hop."""
 RING_OUT_CYCLES = 92.0
 """After the last partial the low-pass rings. After so many cycles of the top vibration frequency
 (0.42 s at 220 Hz) it is under 1e-8 and is cut off."""
-
-MATCH_HZ_A_WINDOW = 2.0
-"""A partial may move by half the width of the window's main lobe, 2/T in audio Hz, in one hop."""
-
-STEADY_RATIO, MERGED_STEADY_RATIO = 0.03, 0.12
-"""Changes of a partial's amplitude up to this share are averaged. Merged partials waver more: they
-hold several tones, or noise."""
 
 LOW_PASS, HIGH_PASS = ELLIPTIC_6, BUTTERWORTH_1
 """Of the samples at the low rate; the second one not in the paper's form. A steeper one turns
@@ -60,21 +49,13 @@ FOLLOWED_CEILING = 0.93
 """Where loudness is followed, amplitudes rise within 2 ms, and the low-pass overshoots by 7 %.
 With 0.98 the knee leaves -44 dB over 250 Hz of the hardest stroke instead of -64 dB."""
 
-BEGIN_S = 0.005
-"""A stream fades in over this time."""
-
+BEGIN_S = 0.005  # a stream fades in over this time
+EDGE_MARGIN = 1.01  # the pass band ends at the top vibration frequency times this
+# But in the paper's form, the pass band ends here or higher: a lower one would be later.
 LEAST_EDGE_HZ = 220.0
-"""But in the paper's form, the pass band ends here or higher: a lower one would be later."""
-
-EDGE_MARGIN = 1.01
-"""The pass band ends at the top vibration frequency times this."""
-
+# Interpolation by four samples adds less than -83 dB to any partial up to 220 Hz, for 0.7 ms.
 TAPS = 4
-"""Interpolation by four samples adds less than -83 dB to any partial up to 220 Hz, for 0.7 ms of
-delay."""
-
-FITTED_AT = 200
-"""Frequencies at which the interpolation is fitted."""
+FITTED_AT = 200  # frequencies at which the interpolation is fitted
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,22 +65,14 @@ class LiveGrid:
     Everything is a whole number of frames, so that no split of the input can shift it.
     """
 
-    window_frames: int
-    """Frames in one analysis."""
-    decimation: int
-    """Frames in one step of the low rate."""
-    tick_steps: int
-    """Steps from one search for onsets to the next."""
-    ticks: int
-    """Ticks in one hop."""
-    steps: int
-    """Steps of the low rate in one hop."""
-    tick_frames: int
-    """Frames in one tick."""
-    hop_frames: int
-    """Frames from one analysis to the next."""
-    hops_in_window: int
-    """Hops that together cover one window."""
+    window_frames: int  # frames in one analysis
+    decimation: int  # frames in one step of the low rate
+    tick_steps: int  # steps from one search for onsets to the next
+    ticks: int  # ticks in one hop
+    steps: int  # steps of the low rate in one hop
+    tick_frames: int  # frames in one tick
+    hop_frames: int  # frames from one analysis to the next
+    hops_in_window: int  # hops that together cover one window
     hop_s: float
     tick_s: float
 
@@ -130,102 +103,65 @@ class LiveGrid:
 class TrackingDesign:
     """How partials are matched, averaged and held from hop to hop."""
 
-    hold_hops: int
-    """Hops for which a partial from an onset is held."""
-    match_audio_hz: float
-    """A partial may move by this in one hop, in Hz of audio, ..."""
-    steady_ratio: float
-    """Smaller changes of amplitude are averaged, as a ratio."""
-    merge_ratio: float
-    """Partials closer than this share of their frequency are one; 0: none are."""
-    merge_hz: float = 12.0
-    """... or closer than this: their beats would be felt as a warble."""
-    merge_again: float = 0.8
-    """Share of the same distance below which two groups become one."""
+    hold_hops: int  # hops for which a partial from an onset is held
+    match_audio_hz: float  # a partial may move by this in one hop, in Hz of audio
+    steady_ratio: float  # smaller changes of amplitude are averaged, as a ratio
+    merge_ratio: float  # partials closer than this share of their frequency are one; 0: none are
+    merge_hz: float = 12.0  # and those closer than this: their beats would be felt as a warble
+    merge_again: float = 0.8  # share of the same distance below which two groups become one
+    # A partial may also move by two semitones: a chirp of three octaves a second is followed.
     match_ratio: float = 0.12
-    """... or by two semitones, whichever is more: a chirp of three octaves a second is followed."""
-    split_hz: float = 2.0
-    """A partial born this near to another, in Hz of vibration, is one that has split in two."""
-    steady_hz: float = 0.05
-    """Smaller changes of vibration frequency are averaged, larger ones are followed at once."""
-    steady_gain: float = 0.15
-    """Share of the smallest changes that is followed in one hop."""
+    split_hz: float = 2.0  # a partial born this near to another, Hz of vibration, has split off it
+    steady_hz: float = 0.05  # smaller changes of vibration frequency are averaged
+    steady_gain: float = 0.15  # share of the smallest changes that is followed in one hop
+    # Added to the distance of each further slot, in Hz of vibration, so that the first of equally
+    # near slots wins: two onsets of the same sound give birth at the same frequency.
     first_hz: float = 1e-9
-    """Added to the distance of each further slot, in Hz of vibration, so that the first of equally
-    near slots wins: two onsets of the same sound give birth at the same frequency."""
-    onset_reach: float = 2.0
-    """Factor on the reach of a partial that is held, of which little is known yet."""
-    min_held_share: float = 0.05
-    """Share of its amplitude below which a partial is no longer held."""
-    stronger: float = 1.0 + 1e-9
-    """Ratio from which on one amplitude is larger than another."""
-    joined_from: float = 1e-4
-    """Amplitude up to which a partial is as good as none to join: rounding may leave some."""
+    onset_reach: float = 2.0  # factor on the reach of a held partial, of which little is known yet
+    min_held_share: float = 0.05  # share of its amplitude below which a partial is no longer held
+    stronger: float = 1.0 + 1e-9  # ratio from which on one amplitude is larger than another
+    joined_from: float = 1e-4  # up to this amplitude no partial is joined: rounding may leave some
 
     @classmethod
     def of(cls, parameters: TransformParameters, hop_s: float) -> TrackingDesign:
         """Return the design for hops of this many seconds."""
         return cls(
             hold_hops=max(1, round(parameters.window_s / hop_s)),
-            match_audio_hz=MATCH_HZ_A_WINDOW / parameters.window_s,
+            # Half the width of the window's main lobe.
+            match_audio_hz=2.0 / parameters.window_s,
             merge_ratio=parameters.merge_ratio,
-            steady_ratio=MERGED_STEADY_RATIO if parameters.merge_ratio else STEADY_RATIO,
+            # Merged partials waver more: they hold several tones, or noise.
+            steady_ratio=0.12 if parameters.merge_ratio else 0.03,
         )
-
-    def near_hz(self, hz: float, mapping: VibrationMapping) -> float:
-        """Return how far from a new partial its true frequency may be, in Hz of vibration."""
-        ratio = max(self.match_ratio, self.match_audio_hz / mapping.audio_hz(hz))
-        near_hz = self.onset_reach * (mapping.scale_hz + mapping.scale_ratio * hz) * ratio
-        if self.merge_ratio:
-            near_hz = max(near_hz, float(self.merging_hz(hz)))
-        return near_hz
-
-    def merging_hz(self, hz: FloatArray | float) -> FloatArray:
-        """Return how close a partial must be to one at these Hz of vibration to be part of it."""
-        return np.maximum(self.merge_hz, self.merge_ratio * np.asarray(hz))
 
 
 @dataclass(frozen=True, eq=False)
 class SynthesisDesign:
     """How partials become samples: glides, low-pass, interpolation and limiter."""
 
-    ring_hops: int
-    """Hops that the low-pass rings after the last partial."""
-    attack: FloatArray
-    """Shape of a rise over one hop, 0 to 1, one entry a step."""
-    glide: FloatArray
-    """Shape of a fall: half a cosine period."""
-    seconds: FloatArray
-    """Time from the hop's start, one entry a step."""
-    glide_s: FloatArray
-    """Integral of a glide of frequency, in seconds."""
-    tick_glide: FloatArray
-    """`glide` over one tick."""
-    tick_glide_s: FloatArray
-    """`glide_s` over one tick."""
-    low_b: FloatArray
-    """Low-pass at the low rate: the numerator; empty where there are `low_sections`."""
-    low_a: FloatArray
-    """Low-pass at the low rate: the denominator."""
+    ring_hops: int  # hops that the low-pass rings after the last partial
+    attack: FloatArray  # shape of a rise over one hop, 0 to 1, one entry a step
+    glide: FloatArray  # shape of a fall: half a cosine period
+    seconds: FloatArray  # time from the hop's start, one entry a step
+    glide_s: FloatArray  # integral of a glide of frequency, in seconds
+    tick_glide: FloatArray  # `glide` over one tick
+    tick_glide_s: FloatArray  # `glide_s` over one tick
+    low_b: FloatArray  # low-pass at the low rate: numerator; empty if there are `low_sections`
+    low_a: FloatArray  # its denominator
+    # Low-pass and high-pass as second-order sections (sections, 6), which round less; empty in the
+    # paper's form, whose bits stay as they are.
     low_sections: FloatArray
-    """Low-pass and high-pass as second-order sections (sections, 6), which round less; empty in the
-    paper's form, whose bits stay as they are."""
-    begin_fade: FloatArray
-    """Factors on the first frames of a stream after `begin_frames`; empty in the paper's form."""
-    phases: FloatArray
-    """Interpolation to the samplerate, (taps, decimation): each column yields one new frame."""
-    gain_table: FloatArray
-    """Amplitude factors that undo the low-pass's ripple, by vibration frequency."""
-    begin_frames: int = 0
-    """Frames at the start of a stream that are silent: files do not have them."""
-    gain_step_hz: float = 0.25
-    """Hz between entries of `gain_table`."""
+    begin_fade: FloatArray  # on the first frames after `begin_frames`; empty in the paper's form
+    phases: FloatArray  # interpolation to the samplerate, (taps, decimation): a column a new frame
+    gain_table: FloatArray  # undoes the low-pass's ripple, by vibration frequency
+    begin_frames: int = 0  # frames at the start of a stream that are silent: files do not have them
+    gain_step_hz: float = 0.25  # between entries of `gain_table`
+    # A sum of amplitudes rises from here on: rounding must not choose between the shapes.
     still: float = 1e-9
-    """A sum of amplitudes rises from here on: rounding must not choose between the shapes."""
+    # Largest sum of a hop's amplitudes; a full-scale tone keeps its level within 0.2 dB.
     ceiling: float = 0.98
-    """Largest sum of a hop's amplitudes; a full-scale tone keeps its level within 0.2 dB."""
+    # Samples up to here pass unchanged. Above, they approach full scale and never reach it.
     knee: float = 0.985
-    """Samples up to here pass unchanged. Above, they approach full scale and never reach it."""
 
     @classmethod
     def of(
@@ -238,7 +174,7 @@ class SynthesisDesign:
         plain = not followed and parameters.strength == "flat"
         edge_hz = top_hz if plain else max(top_hz, EDGE_MARGIN * LEAST_EDGE_HZ)
         zeros, poles, gain = low_pass(LOW_PASS, edge_hz, low_rate_hz)
-        low_b, low_a, sections = np.zeros(0), np.zeros(0), np.zeros(0)
+        low_b = low_a = sections = np.zeros(0)
         if plain:
             low_b, low_a = round_filter(zeros, poles, gain)
         else:
@@ -249,11 +185,7 @@ class SynthesisDesign:
                 gain *= high.gain
             sections = round_sections(zeros, poles, gain)
         played_hz = np.arange(0.0, top_hz, cls.gain_step_hz)
-        passed = (
-            response_of_sections(sections, played_hz, low_rate_hz)
-            if sections.size
-            else response(low_b, low_a, played_hz, low_rate_hz)
-        )
+        passed = _passed(low_b, low_a, sections, played_hz, low_rate_hz)
         fade_frames = round(BEGIN_S * samplerate) if followed else 0
         time = np.arange(1, grid.steps + 1) / grid.steps
         turn, turn_glide = glide_turns(grid.steps, grid.hop_s)
@@ -281,21 +213,25 @@ class SynthesisDesign:
         step_hz = 0.01
         low_rate_hz = samplerate / self.phases.shape[1]
         either_side = np.array([hz - step_hz, hz + step_hz])
-        passed = (
-            response_of_sections(self.low_sections, either_side, low_rate_hz)
-            if self.low_sections.size
-            else response(self.low_b, self.low_a, either_side, low_rate_hz)
-        )
+        passed = _passed(self.low_b, self.low_a, self.low_sections, either_side, low_rate_hz)
         turn = np.angle(passed[0] / passed[1])
         low_pass_s = turn / (2.0 * np.pi * 2.0 * step_hz)
         interpolation_s = (self.phases.size - 1) / 2 / samplerate
         return float(low_pass_s + interpolation_s)
 
 
+def _passed(
+    b: FloatArray, a: FloatArray, sections: FloatArray, hz: FloatArray, rate_hz: float
+) -> ComplexArray:
+    """Return the response at frequencies, of the sections or, if there are none, of b and a."""
+    if sections.size:
+        return response_of_sections(sections, hz, rate_hz)
+    return response(b, a, hz, rate_hz)
+
+
 def glide_shape(steps: int) -> FloatArray:
     """Return half a cosine period from 0 to 1, (steps,): it has no kink at either end."""
-    shape: FloatArray = 0.5 - 0.5 * np.cos(np.pi * (np.arange(1, steps + 1) / steps))
-    return shape
+    return np.asarray(0.5 - 0.5 * np.cos(np.pi * (np.arange(1, steps + 1) / steps)))
 
 
 def glide_turns(steps: int, seconds: float) -> tuple[FloatArray, FloatArray]:
@@ -306,14 +242,12 @@ def glide_turns(steps: int, seconds: float) -> tuple[FloatArray, FloatArray]:
 
 
 def interpolation_phases(decimation: int, top_hz: float, low_rate_hz: float) -> FloatArray:
-    """Return the interpolation kernel, (taps, decimation).
+    """Return the kernel (taps, decimation) nearest to a delay, by least squares up to `top_hz`.
 
-    It is nearest to a delay, by least squares, at all frequencies that are played. A cubic is
-    better at the lowest ones, where it leaves nothing at all, and 13 dB worse at the top.
+    A cubic is better at the lowest frequencies, but 13 dB worse at the top.
     """
     if decimation == 1:
         return np.ones((1, 1))
-    # Between the two samples in the middle.
     between = (np.arange(decimation) + 0.5) / decimation
     turn = 2.0 * np.pi * np.linspace(0.0, top_hz, FITTED_AT)[:, None] / low_rate_hz
     taps = turn * (np.arange(TAPS) - (TAPS // 2 - 1))

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from scipy.fft import rfft
 from scipy.signal.windows import hann
 
 from audioflinger_hook.transform import FloatArray
-from audioflinger_hook.transform.arrays import strided_windows
 from tools.bench.baselines.stages import Baseline
 
 POINTS_AT_48_KHZ = 1_024
@@ -47,7 +47,7 @@ class SineBaseline(Baseline):
         heard = np.concatenate((self._heard, sound))
         hops = (heard.size - self.points) // self.hop + 1 if heard.size >= self.points else 0
         if hops:
-            windows = strided_windows(heard, self.points, self.hop)
+            windows = sliding_window_view(heard, self.points)[:: self.hop]
             amplitude = np.abs(rfft(windows * self._window, axis=1))
             hz, level = self.lead(amplitude, windows[:, -self.hop :])
             self._ready = np.concatenate((self._ready, self._sines(hz, level)))

@@ -8,9 +8,8 @@ import numpy as np
 
 from audioflinger_hook.transform import FloatArray, Frames, TransformParameters
 from audioflinger_hook.transform.design import LiveDesign
-from audioflinger_hook.transform.principal import PrincipalFinder
-from audioflinger_hook.transform.reference.transform import ReferenceTransform
-from audioflinger_hook.transform.spectrum import Spectrum, magnitude
+from audioflinger_hook.transform.principal import PrincipalFinder, Spectrum, magnitude
+from audioflinger_hook.transform.reference import ReferenceTransform
 from tools.bench.measures.vibration import (
     agreement,
     energy_above_db,

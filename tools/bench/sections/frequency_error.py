@@ -14,8 +14,7 @@ import numpy as np
 
 from audioflinger_hook.transform import FloatArray, TransformParameters
 from audioflinger_hook.transform.design import LiveDesign
-from audioflinger_hook.transform.principal import PrincipalFinder, Principals
-from audioflinger_hook.transform.spectrum import Spectrum, magnitude
+from audioflinger_hook.transform.principal import PrincipalFinder, Principals, Spectrum, magnitude
 from tools.bench.measures.windows import Found, WindowAnalysis
 from tools.bench.report import Must, Row, Section, line
 from tools.bench.workbench import LIVE, REFERENCE, Workbench

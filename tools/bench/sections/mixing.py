@@ -50,7 +50,7 @@ class TrackBank:
     def fill(self) -> None:
         """Fill every track's ring, as its client would."""
         for track in self._tracks:
-            track.write(self._sound[: track.room])
+            track.write(self._sound[: track.ring.room])
 
     def run(self) -> int:
         """Do the cycles of one timing and return how many tracks they mixed."""

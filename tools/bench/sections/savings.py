@@ -14,7 +14,7 @@ from audioflinger_hook.transform import FloatArray, TransformParameters
 from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.design.analysis import AnalysisDesign, window_tables
 from audioflinger_hook.transform.haptic import CoreStream
-from audioflinger_hook.transform.spectrum import Spectrum
+from audioflinger_hook.transform.principal import Spectrum
 from tools.bench.cost import Timings
 from tools.bench.report import Missing, Must, Row, Section
 from tools.bench.sounds.signals import (

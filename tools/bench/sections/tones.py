@@ -6,7 +6,7 @@ import numpy as np
 
 from audioflinger_hook.transform import FloatArray, TransformParameters
 from audioflinger_hook.transform.mapping import vibration_hz
-from audioflinger_hook.transform.reference.transform import ReferenceTransform
+from audioflinger_hook.transform.reference import ReferenceTransform
 from tools.bench.measures.vibration import SineFit, sine_fit
 from tools.bench.report import Must, Row, Section
 from tools.bench.sounds.signals import SAMPLERATE, tone

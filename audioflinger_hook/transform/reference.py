@@ -3,19 +3,27 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
 
-from audioflinger_hook.transform.arrays import FloatArray, IntArray
-from audioflinger_hook.transform.input_stage import BandPass, design_band_pass
+from audioflinger_hook.core.compiled_core import GLIDE_NUMBERS
+from audioflinger_hook.transform.arrays import FloatArray, Frames, IntArray
+from audioflinger_hook.transform.downmix import MonoMix
+from audioflinger_hook.transform.input_stage import (
+    BandPass,
+    channel_rows,
+    design_band_pass,
+    fit_block,
+    replace_unusable,
+)
 from audioflinger_hook.transform.mapping import VibrationMapping
 from audioflinger_hook.transform.parameters import TransformParameters
-from audioflinger_hook.transform.principal import PrincipalFinder, Principals
-from audioflinger_hook.transform.spectrum import Spectrum, magnitude
+from audioflinger_hook.transform.principal import PrincipalFinder, Principals, Spectrum, magnitude
+from device.layouts import downmix
 
 EPSILON = 2.0**-52
-
 ANGLE_ERROR = 8.0
 """`exact` and `single` each round a frame's time and angle three times, by at most half an epsilon
 of the largest angle. Both errors together are 3 epsilons; the bound is more than twice that."""
@@ -26,10 +34,7 @@ an error of at most 13 epsilons of the partial's weight."""
 
 
 class Superposition:
-    """Sums of cosines over the frames of one unit; pure, holds only its times.
-
-    frames: N; samplerate: Hz. Weights are not negative.
-    """
+    """Sums of cosines over the N frames of one unit; weights are not negative. Pure."""
 
     def __init__(self, frames: int, samplerate: int) -> None:
         self._frames = frames
@@ -39,10 +44,7 @@ class Superposition:
         self._fine_turns = self._turns[: self._fine]
 
     def exact(self, weight: FloatArray, hz: FloatArray) -> FloatArray:
-        """Return the sum of weight cos(2 pi hz t) over all partials, added in their order: (N,).
-
-        weight, hz: (partials,). t: seconds since the start of the unit.
-        """
+        """Return the sum of weight cos(2 pi hz t) over (partials,), added in their order: (N,)."""
         unit = np.zeros(self._frames)
         for partial in range(len(weight)):
             unit += weight[partial] * np.cos(hz[partial] * self._turns)
@@ -51,8 +53,7 @@ class Superposition:
     def single(self, weight: FloatArray, hz: FloatArray, edges: IntArray) -> FloatArray:
         """Return the sums of several units, (units, N). As float32 they equal those of `exact`.
 
-        weight, hz: the partials of all units, one after another; unit i has those from edges[i]
-        up to edges[i + 1].
+        weight, hz: the partials of all units; unit i has those from edges[i] up to edges[i + 1].
         """
         grid = np.zeros((len(edges) - 1, self._coarse_turns.size, self._fine))
         coarse, fine = np.multiply.outer(hz, self._coarse_turns), hz[:, None] * self._fine_turns
@@ -91,33 +92,17 @@ class Superposition:
                 sums[unit, frame] = total
 
 
-UNITS_AT_ONCE = 8
-"""Units analysed in one batch: bounds the memory of a block of any length."""
+UNITS_AT_ONCE = 8  # units analysed in one batch: bounds the memory of a block of any length
 
 
 class ReferenceTransform:
     """The reference form of one channel, continued from block to block.
 
-    `process` gives as many frames as it takes, late by `latency_frames` = one unit (N). Use from
-    one thread at a time.
+    Vibration comes `latency_frames` after its sound, one unit (N). Use from one thread at a time.
 
-    Parameters
-    ----------
-    parameters : TransformParameters
-        What the form is made of.
-    samplerate : int
-        Rate in Hz.
-    single : bool
-        Whether the caller rounds the result to float32. A faster method then gives equal values.
+    single: whether the caller rounds the result to float32. A faster method then gives equal
+    values.
     """
-
-    onset_after_frames = 0
-    """0: units are counted from the first frame of the stream, as in the paper."""
-
-    asleep = False
-
-    follower = None
-    frames_to_hop = 0
 
     def __init__(
         self, parameters: TransformParameters, samplerate: int, *, single: bool = False
@@ -130,8 +115,6 @@ class ReferenceTransform:
         self._mapping = VibrationMapping.of(parameters, parameters.unit_strength_hz(samplerate))
         self._superposition = Superposition(self._spectrum.window_frames, samplerate)
         self.latency_frames = self._spectrum.window_frames
-        self.tonal_latency_frames = self.latency_frames
-        self.limited_frames = 0
         self.reset()
 
     def reset(self) -> None:
@@ -140,11 +123,8 @@ class ReferenceTransform:
         self._pending = np.zeros(0)
         self._ready = np.zeros(self.latency_frames)
 
-    def begin_hop(self) -> None:
-        """It never does."""
-
     def process(self, mono: FloatArray) -> FloatArray:
-        """Return the next (frames,) of vibration, `latency_frames` behind the sound."""
+        """Return the next (frames,) of vibration."""
         ready = np.concatenate((self._ready, self._render(self.cut(mono))))
         self._ready = ready[mono.size :]
         return ready[: mono.size]
@@ -174,13 +154,11 @@ class ReferenceTransform:
         return self._finder.find(magnitude(self._spectrum.transform(units)))
 
     def _render(self, units: FloatArray) -> FloatArray:
-        """Return the vibration of unit sequences (units, N), end to end."""
         vibration = np.empty(units.shape)
         for first in range(0, len(units), UNITS_AT_ONCE):
-            batch = units[first : first + UNITS_AT_ONCE]
-            vibration[first : first + len(batch)] = self._superposed(
-                self.analyse(batch), len(batch)
-            )
+            batch = slice(first, first + UNITS_AT_ONCE)
+            found = self.analyse(units[batch])
+            vibration[batch] = self._superposed(found, len(units[batch]))
         return vibration.reshape(-1)
 
     def _superposed(self, found: Principals, units: int) -> FloatArray:
@@ -189,9 +167,8 @@ class ReferenceTransform:
         hz = self._mapping.vibration_hz(found.audio_hz)
         weight = np.empty(len(found))
         for first, end in pairwise(edges):
-            weight[first:end] = self._mapping.amplitudes(
-                found.amplitude[first:end], found.r[first:end]
-            )
+            unit = slice(first, end)
+            weight[unit] = self._mapping.amplitudes(found.amplitude[unit], found.r[unit])
         if self._single:
             return self._superposition.single(weight, hz, edges)
         return np.stack(
@@ -200,3 +177,59 @@ class ReferenceTransform:
                 for first, end in pairwise(edges)
             ]
         )
+
+
+class ReferenceStream:
+    """The reference form of each channel of a stream, of each source, or of the mono mix.
+
+    transforms: one for each channel of vibration. channels: of the sound. weights: (channels,
+    transforms, 2), of sources that are transformed instead of the channels; see `MonoMix`.
+    `replaced_samples` counts unusable samples, which are taken for 0.
+    """
+
+    told: tuple[tuple[float, float, float], ...] = ()
+    limited_samples = 0
+
+    def __init__(
+        self,
+        transforms: Sequence[ReferenceTransform],
+        channels: int,
+        weights: FloatArray | None = None,
+    ) -> None:
+        self.latency_frames = self.tonal_latency_frames = transforms[0].latency_frames
+        self.delivered_frames = 0
+        self.replaced_samples = 0
+        self._transforms = transforms
+        self._channels = channels
+        halves = [downmix(channels)] if len(transforms) == 1 else []
+        if weights is not None:
+            halves = [weights[:, output] for output in range(len(transforms))]
+        self._mixes = [MonoMix(half, transforms[0].samplerate) for half in halves]
+
+    def process(self, frames: Frames) -> FloatArray:
+        """Return (frames, transforms) of vibration for a block; raise as `fit_block`."""
+        usable, replaced = replace_unusable(fit_block(frames, self._channels))
+        self.replaced_samples += replaced
+        self.delivered_frames += len(usable)
+        rows = channel_rows(usable)
+        mixed = [mix.process(rows) for mix in self._mixes] or rows
+        each = zip(self._transforms, mixed, strict=True)
+        return np.stack([one.process(sound) for one, sound in each], axis=1)
+
+    def take_glides(self) -> FloatArray:
+        """Return no rows: the reference form has no glides."""
+        return np.empty((0, GLIDE_NUMBERS))
+
+    def finish(self) -> FloatArray:
+        """Return the last `latency_frames` of vibration, (frames, transforms), and restart."""
+        self.delivered_frames += self.latency_frames
+        rest = np.stack([one.finish() for one in self._transforms], axis=1)
+        self.reset()
+        return rest
+
+    def reset(self) -> None:
+        """Start a new stream; the counters keep their values."""
+        for mix in self._mixes:
+            mix.reset()
+        for one in self._transforms:
+            one.reset()
