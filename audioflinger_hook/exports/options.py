@@ -27,9 +27,9 @@ OUTPUT_RATE_MIN_HZ, OUTPUT_RATE_MAX_HZ = 1_000, 768_000
 class Format:
     """An export format.
 
-    suffixes: endings of file names that choose it; the first is the usual one. description: what a
-    file holds. parametric: it holds envelopes or partials instead of a waveform. channels_max: of
-    vibration. whole: its file is made as a whole, so that the sound may last 3 hours at most.
+    suffixes: endings of file names that choose it; the first is the usual one. parametric: it holds
+    envelopes or partials instead of a waveform. channels_max: of vibration. whole: its file is made
+    as a whole, so that the sound may last 3 hours at most.
     """
 
     suffixes: tuple[str, ...]
@@ -43,9 +43,7 @@ FORMATS: dict[str, Format] = {
     "wav": Format((".wav", ".wave", ".rf64"), "vibration, float32", channels_max=64),
     "flac": Format((".flac",), "vibration, 24 bits", channels_max=8),
     "ogg-haptic": Format(
-        (".ogg", ".oga"),
-        "the sound, with vibration as Android's haptic channels",
-        channels_max=2,
+        (".ogg", ".oga"), "the sound, with vibration as Android's haptic channels", channels_max=2
     ),
     "ahap": Format((".ahap",), "curves and transients of Core Haptics", True, whole=True),
     "haptic": Format((".haptic",), "envelopes of Meta and Lofelt", True, whole=True),
@@ -78,15 +76,15 @@ class ExportOptions:
             )
         parametric, rate = FORMATS[self.format].parametric, self.output_rate_hz
         if rate is not None:
+            reason = ""
             if parametric:
+                reason = f"no waveform; leave it out, or choose one of {_names(parametric=False)}"
+            elif self.format == "ogg-haptic":
+                reason = "the sound at its own rate; leave it out, or choose wav or flac"
+            if reason:
                 raise UsageError(
-                    f"output_rate_hz={rate} does not fit the format {self.format}, which holds no "
-                    f"waveform; leave it out, or choose one of {_names(parametric=False)}"
-                )
-            if self.format == "ogg-haptic":
-                raise UsageError(
-                    f"output_rate_hz={rate} does not fit the format ogg-haptic, which holds the "
-                    "sound at its own rate; leave it out, or choose wav or flac"
+                    f"output_rate_hz={rate} does not fit the format {self.format}, which holds "
+                    f"{reason}"
                 )
             if not OUTPUT_RATE_MIN_HZ <= rate <= OUTPUT_RATE_MAX_HZ:
                 raise UsageError(
@@ -140,16 +138,12 @@ class ExportReport:
 
 
 def format_of(path: Path) -> str:
-    """Return the name of the format that a file's ending chooses.
-
-    UsageError: no format has this ending.
-    """
+    """Return the name of the format that a file's ending chooses. UsageError: there is none."""
     known = {suffix: name for name, one in FORMATS.items() for suffix in one.suffixes}
-    name = path.name.lower()
-    fitting = [suffix for suffix in known if name.endswith(suffix)]
-    if fitting:
-        return known[max(fitting, key=len)]
-    guess = nearest(path.suffix.lower(), known)
+    ending = path.suffix.lower()
+    if name := known.get(ending or path.name.lower()):
+        return name
+    guess = nearest(ending, known)
     raise UsageError(
         f"OUT = '{path}' has no ending of a known format; "
         f"{f'did you mean {guess}? ' if guess else ''}allowed: {', '.join(known)}; "

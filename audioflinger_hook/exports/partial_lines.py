@@ -17,21 +17,19 @@ VERSION = 1
 
 
 class PartialLines(TrackWriter):
-    """Writes the tracks of all channels. Use from one thread."""
+    """Writes each track when it ends."""
 
     def __init__(self, job: Job) -> None:
         super().__init__(job)
         self._points = 0
         self._line(
-            {
-                "type": "header",
-                "format": "haptic-cushion-partials",
-                "version": VERSION,
-                "samplerate_hz": job.design.samplerate,
-                "channels": job.channels,
-                "profile": job.settings.profile,
-                "device_band_hz": list(self._band_hz) if self._band_hz else None,
-            }
+            type="header",
+            format="haptic-cushion-partials",
+            version=VERSION,
+            samplerate_hz=job.design.samplerate,
+            channels=job.channels,
+            profile=job.settings.profile,
+            device_band_hz=self._band_hz,
         )
 
     def take(self, channel: int, track: PartialTrack) -> None:
@@ -43,20 +41,14 @@ class PartialLines(TrackWriter):
             np.round(track.amplitude, 7),
             np.round(track.turns % 1.0, 4) % 1.0,
         )
-        self._line(
-            {
-                "type": "track",
-                "channel": channel,
-                "track": track.number,
-                "onset": track.onset,
-                "points": np.column_stack(columns).tolist(),
-            }
-        )
+        points = np.column_stack(columns).tolist()
+        place = {"channel": channel, "track": track.number, "onset": track.onset}
+        self._line(type="track", **place, points=points)
 
     def write_rest(self, duration_s: float) -> dict[str, int]:
         """Write the last line."""
-        self._line({"type": "end", "duration_s": duration_s, "tracks": self._tracks})
+        self._line(type="end", duration_s=duration_s, tracks=self._tracks)
         return {"points": self._points}
 
-    def _line(self, entry: dict[str, Any]) -> None:
+    def _line(self, **entry: Any) -> None:
         self._job.file.write(json_bytes(entry) + b"\n")

@@ -20,8 +20,7 @@ the caller's blocks, and the Vorbis encoder's stack stays small."""
 class LibsndfileTarget:
     """The file object that libsndfile writes to; it keeps the reason of a failure.
 
-    path: the file to create or replace. file: takes its content. UsageError, WriteError: as
-    `AtomicFile`.
+    UsageError, WriteError: as `AtomicFile`.
     """
 
     def __init__(self, path: Path) -> None:
@@ -90,22 +89,14 @@ class SoundFileOutput:
         target: LibsndfileTarget | None = None,
         level: float | None = None,
     ) -> None:
-        self.samplerate = samplerate
-        self.channels = channels
+        self.samplerate, self.channels = samplerate, channels
         self.frames = self.limited_samples = 0
         self._held = np.zeros((0, channels), np.float32)
         self._target = target or LibsndfileTarget(path)
         self._file: soundfile.SoundFile | None = None
         try:
-            self._file = soundfile.SoundFile(
-                self._target,
-                "w",
-                samplerate,
-                channels,
-                subtype,
-                format=format,
-                compression_level=level,
-            )
+            wanted = {"subtype": subtype, "format": format, "compression_level": level}
+            self._file = soundfile.SoundFile(self._target, "w", samplerate, channels, **wanted)
         except (soundfile.LibsndfileError, ValueError, TypeError) as error:
             self._target.file.abort()
             if self._target.failure:
