@@ -54,14 +54,9 @@ FORMAT = "haptic-cushion capture"
 VERSION = 1
 INDEX_NAME = "index.jsonl"
 STREAMS = ("tap", "effect", "device")
-SAMPLES_OFFSET = 94
-"""Length in bytes of the header from `device.wav_output.wav_header` without a comment."""
-
-LINE_BYTES_MAX = 65_536
-"""Longest line of an index; limits the memory that a damaged file can take."""
-
-FIRST_BYTES = f'{{"kind":"capture","format":"{FORMAT}"'.encode()
-"""Beginning of every index."""
+SAMPLES_OFFSET = 94  # bytes of the header from `device.wav_output.wav_header` without a comment
+LINE_BYTES_MAX = 65_536  # limits the memory that a damaged index can take
+FIRST_BYTES = f'{{"kind":"capture","format":"{FORMAT}"'.encode()  # of every index
 
 Facts = Mapping[str, str | int | float | bool]
 """Settings that the recorder stores, by name; a name ends in its unit."""
@@ -83,18 +78,15 @@ class Record:
     def line(self) -> bytes:
         """Return the line, with its line break. InternalError: no line can hold the fields."""
         members = {"kind": self.KIND, **asdict(self)}
+        what = f"a {self.KIND} line of a capture"
         try:
             text = json.dumps(members, separators=(",", ":"), allow_nan=False)
         except (TypeError, ValueError) as error:
-            raise InternalError(
-                f"a {self.KIND} line of a capture cannot hold {members}: {error}"
-            ) from error
+            raise InternalError(f"{what} cannot hold {members}: {error}") from error
         body = text[:-1].encode()
         line = b'%s,"crc":"%08x"}\n' % (body, zlib.crc32(body))
         if len(line) > LINE_BYTES_MAX:
-            raise InternalError(
-                f"a {self.KIND} line of a capture has {len(line)} bytes; allowed: {LINE_BYTES_MAX}"
-            )
+            raise InternalError(f"{what} has {len(line)} bytes; allowed: {LINE_BYTES_MAX}")
         return line
 
 

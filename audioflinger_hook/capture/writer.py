@@ -45,10 +45,10 @@ class CaptureWriter:
     """A new capture, written buffer by buffer.
 
     `write_buffer` passes the samples and then their line of the index to the operating system
-    before it returns; `close` syncs them to the disk. If the process is killed, the capture has
-    every buffer whose call had returned. After a failed write the capture stays readable, and the
-    writer is closed. Memory use is constant. Each call waits for the operating system, so use one
-    thread, not the audio thread (see `CaptureRecorder`).
+    before it returns; `close` syncs them to the disk. So a kill loses no buffer whose call had
+    returned. After a failed write the capture stays readable, and the writer is closed. Memory use
+    is constant. Each call waits for the operating system, so use one thread, not the audio thread
+    (see `CaptureRecorder`).
 
     folder: a new or empty one.
     streams: those that will be written, from `STREAMS`.
@@ -102,11 +102,14 @@ class CaptureWriter:
         discontinuity: whether frames are missing before it. A buffer may be empty. Another rate or
         number of channels than the last buffer's starts a new segment.
         """
-        _check_buffer(frames, time_s)
+        check_frames(frames)
+        if not math.isfinite(time_s):
+            raise InternalError(
+                f"a buffer came at time_s={time_s}: a number of seconds was expected"
+            )
         before, here = self._state_of(stream), self._streams[stream]
         with self._all_or_nothing(stream, before):
             segment = self._segment_for(stream, samplerate, frames.shape[1])
-            samples_crc = segment.append(frames)
             record = BufferRecord(
                 stream=stream,
                 buffer=here.buffers,
@@ -117,7 +120,7 @@ class CaptureWriter:
                 channels=frames.shape[1],
                 time_s=float(time_s),
                 discontinuity=bool(discontinuity),
-                samples_crc=samples_crc,
+                samples_crc=segment.append(frames),
             )
             self._append_line(record.line())
             segment.keep(len(frames))
@@ -228,14 +231,13 @@ class CaptureWriter:
             self._index_fd = -1
 
 
-def _check_buffer(frames: Float32Array, time_s: float) -> None:
+def check_frames(frames: Float32Array) -> None:
+    """Raise InternalError unless a buffer's samples are (frames, channels) of float32."""
     if frames.ndim != 2 or frames.dtype != np.float32:
         raise InternalError(
             f"a buffer of {frames.dtype} has shape {frames.shape}: "
             "(frames, channels) of float32 was expected"
         )
-    if not math.isfinite(time_s):
-        raise InternalError(f"a buffer came at time_s={time_s}: a number of seconds was expected")
 
 
 def _new_index(folder: Path, header: bytes) -> int:
@@ -264,14 +266,11 @@ def _make_folder(folder: Path) -> bool:
     try:
         folder.mkdir()
     except FileExistsError:
-        if not folder.is_dir():
-            raise UsageError(
-                f"cannot capture to {folder}: it is not a folder; name another"
-            ) from None
-        if any(folder.iterdir()):
-            raise UsageError(
-                f"cannot capture to {folder}: the folder is not empty; name a new one"
-            ) from None
+        refused = "" if folder.is_dir() else "it is not a folder; name another"
+        if not refused and any(folder.iterdir()):
+            refused = "the folder is not empty; name a new one"
+        if refused:
+            raise UsageError(f"cannot capture to {folder}: {refused}") from None
         return False
     return True
 
@@ -281,16 +280,14 @@ def _folder_failure(folder: Path, error: OSError | ValueError) -> CushionError:
         return UsageError(f"cannot capture to {str(folder)!r}: {error}; choose another name")
     if error.errno in MACHINE_FAULTS | {errno.EFBIG}:
         return WriteError(f"cannot capture to {folder}: {write_reason(error)}")
-    if isinstance(error, FileNotFoundError):
-        return UsageError(
-            f"cannot capture to {folder}: folder {folder.parent} does not exist; "
-            "create it or name another"
-        )
-    if isinstance(error, PermissionError):
-        return UsageError(f"cannot capture to {folder}: no permission to write there; name another")
-    if isinstance(error, FileExistsError):
-        return UsageError(f"cannot capture to {folder}: another capture began there; name another")
-    return UsageError(f"cannot capture to {folder}: {write_reason(error)}")
+    reasons = {
+        FileNotFoundError: f"folder {folder.parent} does not exist; create it or name another",
+        PermissionError: "no permission to write there; name another",
+        FileExistsError: "another capture began there; name another",
+    }
+    return UsageError(
+        f"cannot capture to {folder}: {reasons.get(type(error)) or write_reason(error)}"
+    )
 
 
 def _fsync(path: Path) -> None:
