@@ -120,18 +120,13 @@ def render(
     actuators. Files appear whole or not at all, and the client is closed. Memory does not depend on
     the length. Any one thread may call it.
 
-    client: plays the sound.
     target: the vibration's file. With named actuators it has the device's channels up to the last
         channel with an actuator. Without them it has one channel, or with `channels` = "each" as
         many as the mix.
-    settings: how vibration is made.
     acceleration: file for the rig's simulated acceleration, full scale 100 m/s²; None for none.
-    progress: called after every buffer.
     wait: called before every buffer, to keep a pace.
     warnings: warnings about the source, complete when it has ended.
     fade_s: length of the fade at the end in seconds; 0 keeps every sample as it was computed.
-    open_output: opens the vibration's file; default: a float32 WAV.
-    observe: called before the first step; the function that it returns is called after every step.
     UsageError: the source cannot be used, or a target cannot be written.
     WriteError: the disk is full or failed.
     InternalError: the haptic effect failed.
@@ -204,10 +199,7 @@ def _open_outputs(
 
 
 class _Driven(NamedTuple):
-    """A file, which knows its peak, the drive before it, and the output to write to instead.
-
-    The latency of transform and drive is removed.
-    """
+    """A file, the output to write to instead, without latency, and the drive between them."""
 
     file: FadedOutput
     taken: VibrationOutput
