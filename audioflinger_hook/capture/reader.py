@@ -85,8 +85,7 @@ class Capture:
     def buffers(self, stream: str = "tap") -> Buffers:
         """Return the stream's buffers in order. Several iterations may run at a time.
 
-        UsageError: there is no such stream, a file may not be read, or the index is missing and the
-            order of the segments is ambiguous.
+        UsageError: no such stream, an unreadable file, or segments whose order cannot be known.
         """
         if self.streams and stream not in self.streams:
             raise UsageError(
@@ -184,7 +183,6 @@ class _Tally:
         return missing
 
     def warnings(self, stream: str) -> Iterator[str]:
-        """Yield warnings for the user, one line each."""
         recovered = (
             f"recovered: {counted(self.taken_buffers, 'whole buffers')} "
             f"({self.taken_frames} frames) of stream {stream}"
@@ -220,7 +218,6 @@ class _Samples:
         self._segment: SegmentReader | None = None
 
     def read(self, record: BufferRecord) -> Float32Array | None:
-        """Return the buffer's samples, or None if they are incomplete."""
         path = self._folder / segment_name(record.stream, record.segment)
         if path != self._path:
             self.close()

@@ -69,8 +69,7 @@ class CaptureRecorder:
     ) -> bool:
         """Take one buffer, see `CaptureWriter.write_buffer`; return False if it was dropped.
 
-        The samples are copied, so the caller may reuse its array. Called by the audio thread; never
-        waits, and never raises for a stream of the capture.
+        The samples are copied. Called by the audio thread; never waits, and never raises.
         """
         lane = self._lanes[stream]
         try:
@@ -93,8 +92,7 @@ class CaptureRecorder:
     def close(self) -> None:
         """Write waiting buffers, complete the capture; raise the error that ended writing, if any.
 
-        Waits for the disk; may be called again. Call it when the feeding threads have stopped;
-        buffers offered later are dropped.
+        Waits for the disk; may be called again. The feeding threads have stopped before.
         """
         if self._closed:
             return
@@ -126,11 +124,9 @@ class CaptureRecorder:
             if not failure:
                 try:
                     self._write(stream, lane, handed)
-                except CushionError as error:
-                    self.error = failure = error
                 except Exception as error:
-                    failure = InternalError(f"the capture ended: {type(error).__name__}: {error}")
-                    self.error = failure
+                    ended = InternalError(f"the capture ended: {type(error).__name__}: {error}")
+                    self.error = failure = error if isinstance(error, CushionError) else ended
             if failure:
                 lane.unwritten_buffers += 1
                 lane.unwritten_frames += handed.shape[0]

@@ -38,8 +38,6 @@ class SegmentFormat:
 
 
 class _Descriptor:
-    """An open file."""
-
     _fd = -1
 
     def close(self) -> None:
@@ -101,8 +99,7 @@ class SegmentWriter(_Descriptor):
 class SegmentReader(_Descriptor):
     """Reads samples of any buffer of a segment, also while it grows. Use from one thread.
 
-    FileNotFoundError: there is no such file.
-    UsageError: no permission to read the file, or it is no regular file.
+    UsageError: no permission to read the file, or it is no regular file. FileNotFoundError.
     """
 
     def __init__(self, path: Path) -> None:

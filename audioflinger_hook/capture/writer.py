@@ -32,8 +32,6 @@ from device.units import Float32Array
 
 @dataclass
 class _Stream:
-    """Position of a stream."""
-
     buffers: int = 0
     frames: int = 0
     segments: int = 0
@@ -206,7 +204,6 @@ class CaptureWriter:
             raise
 
     def _go_back(self, stream: str, before: _Stream) -> None:
-        """Undo a buffer that was not written whole."""
         started = self._streams[stream].segment
         if started is not None and started is not before.segment:
             started.discard()

@@ -24,11 +24,11 @@ from audioflinger_hook.exports.parametric import (
     CurveWriter,
     DescribedOutput,
     Job,
+    PartialLines,
     Writer,
     check_duration,
     refuse_settings,
 )
-from audioflinger_hook.exports.partial_lines import PartialLines
 from audioflinger_hook.exports.sound_output import SoundFileOutput
 from audioflinger_hook.offline.render import Progress, render
 from audioflinger_hook.pipeline.framework import Framework
@@ -47,7 +47,6 @@ WRITERS: dict[str, Callable[[Job], Writer]] = {
     "hjif": HjifWriter,
     "partials": PartialLines,
 }
-"""The writer of each parametric format."""
 
 
 def export(
@@ -61,15 +60,11 @@ def export(
 ) -> ExportReport:
     """Write the vibration of a client's sound in any format; the file appears whole or not at all.
 
-    Equal sound, settings and options give equal bytes. The client is closed. Any one thread may
-    call it.
+    Equal sound, settings and options give equal bytes. The client is closed. Use from one thread.
 
-    target: the file to create or replace; `options` give its format, whatever its name.
-    settings, progress, warnings: as for `render`.
-    watch: called with the vibration, block by block, at the sound's rate.
-    UsageError: the format cannot hold the sound or the settings, or the target cannot be written.
-    WriteError: the disk is full or failed.
-    InternalError: the haptic effect failed.
+    options: give the format, whatever the target's name. watch: called with the vibration, block by
+    block, at the sound's rate. The rest: as for `render`.
+    UsageError: also if the format cannot hold the sound or the settings.
     """
     name = options.format
     file: VibrationOutput

@@ -24,8 +24,8 @@ ONSETS_APART_S = 0.06  # onsets closer than this are one
 RISE_FROM = 0.4  # least rise, of the level afterwards
 AUDIBLE = 0.01  # least rise, of the loudest envelope
 
+# Columns of recorded glides, see `GLIDE_COLUMNS`.
 FRAME, FRAMES, CHANNEL, SLOT, START_HZ, END_HZ, START_LEVEL, END_LEVEL, START_PHASE = range(9)
-"""Columns of recorded glides, see `GLIDE_COLUMNS`."""
 
 
 @dataclass(frozen=True)
@@ -122,12 +122,6 @@ def aligned_s(design: LiveDesign, frame: float) -> float:
     return (frame + interpolation_frames - design.latency_frames) / design.samplerate
 
 
-def low_pass_delay_s(design: LiveDesign) -> float:
-    """Return the low-pass's delay at `DELAY_AT_HZ`."""
-    delay_s = design.synthesis.delay_s(DELAY_AT_HZ, design.samplerate)
-    return delay_s - (design.synthesis.phases.size - 1) / 2 / design.samplerate
-
-
 class CurveReader:
     """Makes the curve of one channel from its glides, block by block.
 
@@ -197,7 +191,9 @@ class CurveReader:
         design, rate_hz = self._design, self._rate_hz
         first_s = aligned_s(design, (self._steps - 1) / 2 * design.grid.decimation)
         amplitude = np.sqrt(np.concatenate([*self._powers, np.zeros(1, np.float32)]))
-        late = round(low_pass_delay_s(design) * rate_hz)
+        delay_s = design.synthesis.delay_s(DELAY_AT_HZ, design.samplerate)
+        low_pass_s = delay_s - (design.synthesis.phases.size - 1) / 2 / design.samplerate
+        late = round(low_pass_s * rate_hz)
         hz = held(np.concatenate([np.full(late + 1, np.nan, np.float32), *self._hz]))
         dropped = max(0, int(np.ceil(-first_s * rate_hz)))
         kept = min(max(1, int(duration_s * rate_hz)), max(1, amplitude.size - dropped))

@@ -30,8 +30,7 @@ _PAGE_HEAD = struct.Struct("<4sBBqIIIB")
 class OggHapticOutput(WrappedOutput):
     """A `VibrationOutput` that also takes the sound, by `hear`. Use from one thread.
 
-    path: the file to create or replace. samplerate: Hz. audio_channels: 1 to 8. haptic_channels: 1
-    or 2. UsageError, WriteError: as `SoundFileOutput`.
+    audio_channels: 1 to 8. haptic_channels: 1 or 2. UsageError, WriteError: as `SoundFileOutput`.
     """
 
     def __init__(
@@ -101,7 +100,6 @@ class _HapticPages(LibsndfileTarget):
             self._take(*page)
 
     def commit(self) -> None:
-        """Give the file its name."""
         if self._pending or len(self._packets) < HEADERS:
             self.file.abort()
             raise InternalError("the Vorbis encoder wrote an incomplete stream")

@@ -13,11 +13,7 @@ from device.units import FloatArray
 from device.values import nearest
 
 VIBRATION_LOW_HZ, VIBRATION_HIGH_HZ = 20.0, 220.0
-"""Band of the vibration, which `device_band_hz` maps to another one."""
-
-Band = tuple[float, float]
-"""Lowest and highest frequency in Hz."""
-
+Band = tuple[float, float]  # lowest and highest frequency in Hz
 DEVICE_MIN_HZ, DEVICE_MAX_HZ = 20.0, 1_000.0
 DEVICE_SPAN_MIN_HZ = 10.0
 OUTPUT_RATE_MIN_HZ, OUTPUT_RATE_MAX_HZ = 1_000, 768_000
@@ -51,7 +47,6 @@ FORMATS: dict[str, Format] = {
     "hjif": Format((".hjif",), "partials of ISO/IEC 23090-31", True, channels_max=64, whole=True),
     "partials": Format((".jsonl",), "partial tracks, JSON lines", True, channels_max=64),
 }
-"""Every format by its name."""
 
 
 @dataclass(frozen=True)

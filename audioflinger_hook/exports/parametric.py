@@ -9,6 +9,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeAlias
 
+import numpy as np
+
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.exports.glides import CHANNEL, CurveReader, VibrationCurve
 from audioflinger_hook.exports.options import FORMATS, Band, ExportOptions
@@ -151,6 +153,47 @@ class TrackWriter(ABC):
     @abstractmethod
     def write_rest(self, duration_s: float) -> dict[str, int]:
         """Write the rest of the file, and return counts for the report."""
+
+
+class PartialLines(TrackWriter):
+    """Writes partial tracks as JSON lines while the sound plays: see partials.schema.json.
+
+    A header, one line for each track when it ends, and a last line, without which a file is cut.
+    """
+
+    def __init__(self, job: Job) -> None:
+        super().__init__(job)
+        self._points = 0
+        self._line(
+            type="header",
+            format="haptic-cushion-partials",
+            version=1,
+            samplerate_hz=job.design.samplerate,
+            channels=job.channels,
+            profile=job.settings.profile,
+            device_band_hz=self._band_hz,
+        )
+
+    def take(self, channel: int, track: PartialTrack) -> None:
+        """Write a track that has ended."""
+        self._points += track.time_s.size
+        columns = (
+            np.round(track.time_s, 6),
+            np.round(track.hz, 3),
+            np.round(track.amplitude, 7),
+            np.round(track.turns % 1.0, 4) % 1.0,
+        )
+        points = np.column_stack(columns).tolist()
+        place = {"channel": channel, "track": track.number, "onset": track.onset}
+        self._line(type="track", **place, points=points)
+
+    def write_rest(self, duration_s: float) -> dict[str, int]:
+        """Write the last line."""
+        self._line(type="end", duration_s=duration_s, tracks=self._tracks)
+        return {"points": self._points}
+
+    def _line(self, **entry: Any) -> None:
+        self._job.file.write(json_bytes(entry) + b"\n")
 
 
 Writer: TypeAlias = CurveWriter | TrackWriter

@@ -9,7 +9,7 @@ import numpy as np
 import soundfile
 
 from device.atomic_file import AtomicFile
-from device.errors import CushionError, InternalError, UsageError, WriteError
+from device.errors import InternalError, UsageError, WriteError
 from device.units import Float32Array, FloatArray, check_channels
 
 BLOCK_FRAMES = 4_096
@@ -38,7 +38,6 @@ class LibsndfileTarget:
         return len(content)
 
     def _store(self, content: bytes) -> None:
-        """Put bytes at the position, and move it."""
         over = content[: self._size - self._position]
         if over:
             self.file.overwrite(over, self._position)
@@ -67,15 +66,14 @@ class LibsndfileTarget:
 
 
 class SoundFileOutput:
-    """A `VibrationOutput` that writes a FLAC or Ogg Vorbis file.
+    """A `VibrationOutput` that writes a FLAC or Ogg Vorbis file. Use from one thread.
 
-    Samples beyond ±1.0 are limited and counted. Use from one thread.
+    Samples beyond ±1.0 are limited and counted.
 
-    path: the file to create or replace. samplerate: Hz. format, subtype: libsndfile's names, such
-    as "FLAC" and "PCM_24". target: takes the encoded bytes; default: the file. level: compression,
-    0 to 1; default: libsndfile's. UsageError: the format does not allow the rate or the channels,
-    or the file cannot be created. WriteError: the disk is full or failed, here or in `write` and
-    `close`; no file is left then.
+    format, subtype: libsndfile's names, such as "FLAC" and "PCM_24". target: takes the encoded
+    bytes; default: the file. level: compression, 0 to 1; default: libsndfile's.
+    UsageError: the format does not allow the rate or the channels, or the file cannot be created.
+    WriteError: the disk is full or failed, here or later; no file is left then.
     """
 
     def __init__(
@@ -144,15 +142,12 @@ class SoundFileOutput:
             try:
                 self._file.write(block)
             except (soundfile.LibsndfileError, RuntimeError) as error:
-                self._fail(WriteError(f"cannot encode the sound file ({error})"))
+                self._target.failure = WriteError(f"cannot encode the sound file ({error})")
             self.frames += len(block)
             self._raise_failure()
         self._held = self._held[frames:]
 
     def _raise_failure(self) -> None:
         if self._target.failure is not None:
-            self._fail(self._target.failure)
-
-    def _fail(self, failure: CushionError) -> None:
-        self.abort()
-        raise failure
+            self.abort()
+            raise self._target.failure

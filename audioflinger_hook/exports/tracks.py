@@ -28,10 +28,8 @@ LONGEST_TRACK_S = 10.0
 """A longer track is cut, so that memory does not depend on its length. While the filters of its
 parts settle, their sum is off."""
 
-RING_S = 0.06
-"""Time that the low-pass rings after a track; it is kept while it is above `FAINT`."""
-
-FAINT = 0.003
+# The low-pass rings after a track; that is kept while it is above `FAINT` of the loudest.
+RING_S, FAINT = 0.06, 0.003
 
 # Largest errors of the straight lines: of amplitude, as a share of the track's largest; of
 # frequency in Hz. Where the track is weak, the frequency may be off by more.

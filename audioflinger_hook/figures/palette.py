@@ -65,7 +65,6 @@ def indexed_png(rgba: NDArray[np.uint8], dots_per_inch: int, description: str = 
 
 
 def _indexed_colours() -> NDArray[np.uint8]:
-    """The 256 colours of an indexed picture, shape (256, 3)."""
     colours = [np.array(to_rgb(WHITE)), *level_map()(np.linspace(0.0, 1.0, _LEVELS))[:, :3]]
     for over, under, steps in _BLENDS:
         colours += _blend(over, np.array(to_rgb(under)), steps)

@@ -139,7 +139,6 @@ def _draw_outline(
 
 
 def _draw_audio(axes: Axes, audio: Samples, mono: Samples, samplerate: int) -> None:
-    """Panel 1: the peaks of all channels in light, the RMS of their mean in dark."""
     times_s, peak = _draw_outline(axes, audio, samplerate, palette.HEARD_LIGHT, 0.01, "full scale")
     rms = columns.short_time_rms(mono, samplerate, COLUMNS, RMS_WINDOW_S)
     axes.fill_between(times_s, -rms, rms, color=palette.HEARD, linewidth=0.0)
@@ -149,7 +148,6 @@ def _draw_audio(axes: Axes, audio: Samples, mono: Samples, samplerate: int) -> N
 def _draw_audio_spectrum(
     axes: Axes, mono: Samples, samplerate: int, found: NDArray[np.float64]
 ) -> None:
-    """Panel 2: the audio's spectrum, with the principal frequencies as dots."""
     rows_hz = np.geomspace(*AUDIO_LIMITS_HZ, AUDIO_ROWS)
     panels.use_audio_frequency_axis(axes, AUDIO_LIMITS_HZ)
     _draw_spectrum(axes, mono, samplerate, rows_hz, AUDIO_WINDOW_S, AUDIO_RANGE_DB)
@@ -159,7 +157,6 @@ def _draw_audio_spectrum(
 
 
 def _draw_vibration(axes: Axes, vibration: Samples, samplerate: int) -> None:
-    """Panel 3: the vibration's waveform."""
     signal = vibration[:, None]
     _, peak = _draw_outline(axes, signal, samplerate, palette.FELT, 0.01, "full scale")
     panels.draw_heading(axes, "Vibration", "what the amplifier is given", _peak_in_dbfs(peak))
@@ -168,7 +165,6 @@ def _draw_vibration(axes: Axes, vibration: Samples, samplerate: int) -> None:
 def _draw_vibration_spectrum(
     axes: Axes, vibration: Samples, samplerate: int, found: NDArray[np.float64]
 ) -> None:
-    """Panel 4: the vibration's spectrum and the band it is meant to stay in."""
     rows_hz = np.linspace(*VIBRATION_LIMITS_HZ, VIBRATION_ROWS)
     axes.set_ylim(*VIBRATION_LIMITS_HZ)
     window_s, range_db = VIBRATION_WINDOW_S, VIBRATION_RANGE_DB
@@ -186,7 +182,6 @@ def _draw_vibration_spectrum(
 
 
 def _draw_acceleration(axes: Axes, acceleration: Samples, samplerate: int) -> None:
-    """Panel 5: the predicted acceleration of the cushion, with its short-time RMS."""
     signal = acceleration[:, None]
     times_s, peak = _draw_outline(axes, signal, samplerate, palette.FELT_LIGHT, 0.1, "m/s²")
     rms = columns.short_time_rms(acceleration, samplerate, COLUMNS, RMS_WINDOW_S)
@@ -214,8 +209,7 @@ def _draw_spectrum(
     figure = axes.figure
     assert figure is not None
     figure.colorbar(image, cax=bar_axes)
-    for line in bar_axes.spines.values():
-        line.set_visible(False)
+    bar_axes.spines[:].set_visible(False)
     bar_axes.tick_params(
         labelsize=panels.TICK_PT - 0.5, labelcolor=palette.GREY, labelfontfamily=panels.FONT,
         length=0.0, pad=3.0,

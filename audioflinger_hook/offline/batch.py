@@ -17,9 +17,7 @@ from audioflinger_hook.offline.render import RenderReport, render_file
 from audioflinger_hook.sources.tap import named
 from device.errors import CushionError, InternalError, UsageError
 
-ReportShare = Callable[[float], None]
-"""Called with the share of the work that is done, 0 to 1."""
-
+ReportShare = Callable[[float], None]  # the share of the work that is done, 0 to 1
 SHARE_S = 0.1  # between reports of the share
 AHEAD = 4  # files under way for each process, so that none waits for `SHARE_S`
 
