@@ -74,15 +74,18 @@ class Record:
     def line(self) -> bytes:
         """Return the line, with its line break. InternalError: no line can hold the fields."""
         members = {"kind": self.KIND, **asdict(self)}
-        what = f"a {self.KIND} line of a capture"
         try:
             text = json.dumps(members, separators=(",", ":"), allow_nan=False)
         except (TypeError, ValueError) as error:
-            raise InternalError(f"{what} cannot hold {members}: {error}") from error
+            raise InternalError(
+                f"a {self.KIND} line of a capture cannot hold {members}: {error}"
+            ) from error
         body = text[:-1].encode()
         line = b'%s,"crc":"%08x"}\n' % (body, zlib.crc32(body))
         if len(line) > LINE_BYTES_MAX:
-            raise InternalError(f"{what} has {len(line)} bytes; allowed: {LINE_BYTES_MAX}")
+            raise InternalError(
+                f"a {self.KIND} line of a capture has {len(line)} bytes; allowed: {LINE_BYTES_MAX}"
+            )
         return line
 
 

@@ -263,11 +263,14 @@ def _make_folder(folder: Path) -> bool:
     try:
         folder.mkdir()
     except FileExistsError:
-        refused = "" if folder.is_dir() else "it is not a folder; name another"
-        if not refused and any(folder.iterdir()):
-            refused = "the folder is not empty; name a new one"
-        if refused:
-            raise UsageError(f"cannot capture to {folder}: {refused}") from None
+        if not folder.is_dir():
+            raise UsageError(
+                f"cannot capture to {folder}: it is not a folder; name another"
+            ) from None
+        if any(folder.iterdir()):
+            raise UsageError(
+                f"cannot capture to {folder}: the folder is not empty; name a new one"
+            ) from None
         return False
     return True
 
@@ -277,14 +280,16 @@ def _folder_failure(folder: Path, error: OSError | ValueError) -> CushionError:
         return UsageError(f"cannot capture to {str(folder)!r}: {error}; choose another name")
     if error.errno in MACHINE_FAULTS | {errno.EFBIG}:
         return WriteError(f"cannot capture to {folder}: {write_reason(error)}")
-    reasons = {
-        FileNotFoundError: f"folder {folder.parent} does not exist; create it or name another",
-        PermissionError: "no permission to write there; name another",
-        FileExistsError: "another capture began there; name another",
-    }
-    return UsageError(
-        f"cannot capture to {folder}: {reasons.get(type(error)) or write_reason(error)}"
-    )
+    if isinstance(error, FileNotFoundError):
+        return UsageError(
+            f"cannot capture to {folder}: folder {folder.parent} does not exist; "
+            "create it or name another"
+        )
+    if isinstance(error, PermissionError):
+        return UsageError(f"cannot capture to {folder}: no permission to write there; name another")
+    if isinstance(error, FileExistsError):
+        return UsageError(f"cannot capture to {folder}: another capture began there; name another")
+    return UsageError(f"cannot capture to {folder}: {write_reason(error)}")
 
 
 def _fsync(path: Path) -> None:

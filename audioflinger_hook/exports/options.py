@@ -71,15 +71,15 @@ class ExportOptions:
             )
         parametric, rate = FORMATS[self.format].parametric, self.output_rate_hz
         if rate is not None:
-            reason = ""
             if parametric:
-                reason = f"no waveform; leave it out, or choose one of {_names(parametric=False)}"
-            elif self.format == "ogg-haptic":
-                reason = "the sound at its own rate; leave it out, or choose wav or flac"
-            if reason:
                 raise UsageError(
-                    f"output_rate_hz={rate} does not fit the format {self.format}, which holds "
-                    f"{reason}"
+                    f"output_rate_hz={rate} does not fit the format {self.format}, which holds no "
+                    f"waveform; leave it out, or choose one of {_names(parametric=False)}"
+                )
+            if self.format == "ogg-haptic":
+                raise UsageError(
+                    f"output_rate_hz={rate} does not fit the format ogg-haptic, which holds the "
+                    "sound at its own rate; leave it out, or choose wav or flac"
                 )
             if not OUTPUT_RATE_MIN_HZ <= rate <= OUTPUT_RATE_MAX_HZ:
                 raise UsageError(
