@@ -54,14 +54,9 @@ FORMAT = "haptic-cushion capture"
 VERSION = 1
 INDEX_NAME = "index.jsonl"
 STREAMS = ("tap", "effect", "device")
-SAMPLES_OFFSET = 94
-"""Length in bytes of the header from `device.wav_output.wav_header` without a comment."""
-
-LINE_BYTES_MAX = 65_536
-"""Longest line of an index; limits the memory that a damaged file can take."""
-
-FIRST_BYTES = f'{{"kind":"capture","format":"{FORMAT}"'.encode()
-"""Beginning of every index."""
+SAMPLES_OFFSET = 94  # bytes of the header from `device.wav_output.wav_header` without a comment
+LINE_BYTES_MAX = 65_536  # limits the memory that a damaged index can take
+FIRST_BYTES = f'{{"kind":"capture","format":"{FORMAT}"'.encode()  # of every index
 
 Facts = Mapping[str, str | int | float | bool]
 """Settings that the recorder stores, by name; a name ends in its unit."""
@@ -75,10 +70,6 @@ class Record:
     """A valid line of the index; also one of a kind that this program does not know."""
 
     KIND: ClassVar[str] = ""
-
-    def is_valid(self) -> bool:
-        """Return whether every field has a value that a recorder writes."""
-        return True
 
     def line(self) -> bytes:
         """Return the line, with its line break. InternalError: no line can hold the fields."""
@@ -108,11 +99,6 @@ class Header(Record):
     streams: list[str] = field(default_factory=list)
     facts: dict[str, str | int | float | bool] = field(default_factory=dict)
 
-    def is_valid(self) -> bool:
-        """Return whether names of streams are texts and facts are plain values."""
-        plain = all(isinstance(fact, str | int | float | bool) for fact in self.facts.values())
-        return plain and all(isinstance(name, str) for name in self.streams)
-
 
 @dataclass(frozen=True)
 class BufferRecord(Record):
@@ -130,11 +116,6 @@ class BufferRecord(Record):
     discontinuity: bool
     samples_crc: str
 
-    def is_valid(self) -> bool:
-        """Return whether counts and time are possible."""
-        from_0, from_1 = min(self.buffer, self.first, self.frames), min(self.segment, self.channels)
-        return from_0 >= 0 and from_1 >= 1 and self.samplerate >= 1 and math.isfinite(self.time_s)
-
 
 @dataclass(frozen=True)
 class DroppedRecord(Record):
@@ -145,10 +126,6 @@ class DroppedRecord(Record):
     buffers: int
     frames: int
 
-    def is_valid(self) -> bool:
-        """Return whether the counts are possible."""
-        return min(self.buffers, self.frames) >= 0
-
 
 @dataclass(frozen=True)
 class EndRecord(Record):
@@ -156,10 +133,6 @@ class EndRecord(Record):
 
     KIND: ClassVar[str] = "end"
     buffers: dict[str, int]
-
-    def is_valid(self) -> bool:
-        """Return whether the counts are possible."""
-        return all(type(count) is int and count >= 0 for count in self.buffers.values())
 
 
 KINDS = (Header, BufferRecord, DroppedRecord, EndRecord)
@@ -169,6 +142,22 @@ TYPES: dict[type[Record], dict[str, Any]] = {
     for hints in [get_type_hints(kind)]
 }
 """The type that JSON gives to each field of a kind of record."""
+
+
+def _is_valid(record: Record) -> bool:
+    """Return whether every field has a value that a recorder writes."""
+    match record:
+        case Header():
+            plain = all(isinstance(fact, str | int | float) for fact in record.facts.values())
+            return plain and all(isinstance(name, str) for name in record.streams)
+        case BufferRecord(buffer=buffer, first=first, frames=frames):
+            least = min(record.segment, record.channels, record.samplerate)
+            return min(buffer, first, frames) >= 0 and least >= 1 and math.isfinite(record.time_s)
+        case DroppedRecord():
+            return min(record.buffers, record.frames) >= 0
+        case EndRecord():
+            return all(type(count) is int and count >= 0 for count in record.buffers.values())
+    return True
 
 
 def segment_name(stream: str, segment: int) -> str:
@@ -202,7 +191,7 @@ def parse_line(line: bytes) -> Record | None:
         given = {name: members[name] for name in TYPES[kind]}
         fitting = all(type(given[name]) is one for name, one in TYPES[kind].items())
         record = kind(**given) if fitting else None
-        return record if record and record.is_valid() else None
+        return record if record and _is_valid(record) else None
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return None
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Generator, Iterator
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from audioflinger_hook.capture.format import (
     FORMAT,
     INDEX_NAME,
+    SAMPLES_OFFSET,
     STREAMS,
     VERSION,
     BufferRecord,
@@ -24,16 +26,16 @@ from audioflinger_hook.capture.format import (
     segment_paths,
 )
 from audioflinger_hook.capture.segment import (
-    REBUILT_FRAMES,
     CaptureBuffer,
+    SegmentFormat,
     SegmentReader,
-    ordered_segments,
-    rebuilt_buffers,
     segment_format,
 )
 from device.errors import UsageError
 from device.units import Float32Array
 from device.values import counted
+
+REBUILT_FRAMES = 1_024  # frames per buffer if the recorded sizes are lost
 
 Buffers = Generator[CaptureBuffer, None, None]
 """Buffers in order; `close()` closes the files before the end."""
@@ -83,12 +85,9 @@ class Capture:
     def buffers(self, stream: str = "tap") -> Buffers:
         """Return the stream's buffers in order. Several iterations may run at a time.
 
-        UsageError: there is no such stream, a file may not be read, or the index is missing and the
-            order of the segments is ambiguous.
+        UsageError: no such stream, an unreadable file, or segments whose order cannot be known.
         """
-        if stream not in self.streams:
-            if not self.streams:
-                return _none()
+        if self.streams and stream not in self.streams:
             raise UsageError(
                 f"{self.folder} has no stream {stream!r}, only {', '.join(self.streams)}"
             )
@@ -100,6 +99,8 @@ class Capture:
         return sum(segment.frames_there for segment in found if segment is not None)
 
     def _read(self, stream: str) -> Buffers:
+        if not self.streams:  # cut off before the first buffer
+            return
         tally = _Tally()
         samples_of = _Samples(self.folder)
         try:
@@ -112,7 +113,9 @@ class Capture:
                 if isinstance(record, EndRecord):
                     tally.promised = record.buffers.get(stream, 0)
                 elif isinstance(record, DroppedRecord) and record.stream == stream:
-                    tally.drop(record)
+                    tally.dropped_buffers += record.buffers
+                    tally.dropped_frames += record.frames
+                    tally.after_drop = True
                 elif isinstance(record, BufferRecord) and record.stream == stream:
                     samples = samples_of.read(record)
                     if samples is None or record.buffer < tally.next_buffer:
@@ -125,13 +128,23 @@ class Capture:
             self._warn(f"{self.folder}: {text}")
 
     def _rebuild(self, stream: str) -> Buffers:
-        ordered_segments(self.folder, stream)  # refuses before the first buffer, not after it
+        segments = _ordered_segments(self.folder, stream)
         self._warn(
             f"{self.folder}: {INDEX_NAME} is missing or unreadable; stream {stream} is given in "
             f"buffers of {REBUILT_FRAMES} frames from time 0 on: sizes, times and discontinuities "
             "are not those recorded"
         )
-        yield from rebuilt_buffers(self.folder, stream)
+        time_s = 0.0
+        for path, segment in segments:
+            with closing(SegmentReader(path)) as reader:
+                for first in range(0, segment.frames, REBUILT_FRAMES):
+                    count = min(REBUILT_FRAMES, segment.frames - first)
+                    samples = reader.read(first, count, segment.channels)
+                    if samples is None:  # the file has become shorter since
+                        return
+                    at_s = time_s + first / segment.samplerate
+                    yield CaptureBuffer(samples, segment.samplerate, at_s, discontinuity=False)
+            time_s += segment.frames / segment.samplerate
 
     def _warn(self, text: str) -> None:
         if text not in self.warnings:
@@ -169,14 +182,11 @@ class _Tally:
         self.taken_frames += record.frames
         return missing
 
-    def drop(self, record: DroppedRecord) -> None:
-        """Count buffers that the recorder could not keep."""
-        self.dropped_buffers += record.buffers
-        self.dropped_frames += record.frames
-        self.after_drop = True
-
     def warnings(self, stream: str) -> Iterator[str]:
-        """Yield warnings for the user, one line each."""
+        recovered = (
+            f"recovered: {counted(self.taken_buffers, 'whole buffers')} "
+            f"({self.taken_frames} frames) of stream {stream}"
+        )
         if self.dropped_buffers:
             yield (
                 f"dropped while recording: {counted(self.dropped_buffers, 'buffers')} "
@@ -193,19 +203,10 @@ class _Tally:
                 f"stream {stream} is missing between others"
             )
         if self.promised is None:
-            yield (
-                "it was cut off (killed, disk full, or still being written); "
-                f"{self._recovered(stream)}"
-            )
+            yield f"it was cut off (killed, disk full, or still being written); {recovered}"
         elif self.promised > self.next_buffer:
             lost = self.promised - self.next_buffer
-            yield f"damaged at the end: {counted(lost, 'buffers')}; {self._recovered(stream)}"
-
-    def _recovered(self, stream: str) -> str:
-        return (
-            f"recovered: {counted(self.taken_buffers, 'whole buffers')} "
-            f"({self.taken_frames} frames) of stream {stream}"
-        )
+            yield f"damaged at the end: {counted(lost, 'buffers')}; {recovered}"
 
 
 class _Samples:
@@ -217,28 +218,20 @@ class _Samples:
         self._segment: SegmentReader | None = None
 
     def read(self, record: BufferRecord) -> Float32Array | None:
-        """Return the buffer's samples, or None if they are incomplete."""
         path = self._folder / segment_name(record.stream, record.segment)
         if path != self._path:
             self.close()
             self._path = path
-            try:
+            with suppress(FileNotFoundError):
                 self._segment = SegmentReader(path)
-            except FileNotFoundError:
-                self._segment = None
         if self._segment is None:
             return None
         return self._segment.read(record.first, record.frames, record.channels, record.samples_crc)
 
     def close(self) -> None:
-        """Close the segment."""
         if self._segment is not None:
             self._segment.close()
         self._segment = self._path = None
-
-
-def _none() -> Buffers:
-    yield from ()
 
 
 def _streams_there(folder: Path) -> tuple[str, ...]:
@@ -263,3 +256,24 @@ def _refuse_unless_known(folder: Path, header: Header) -> None:
             f"{folder} is a capture of version {header.version}; this program reads version "
             f"{VERSION}: use a newer one"
         )
+
+
+def _ordered_segments(folder: Path, stream: str) -> list[tuple[Path, SegmentFormat]]:
+    """Return the stream's segments in order. UsageError: the order cannot be known."""
+    paths = segment_paths(folder, stream)
+    segments = []
+    for expected, (number, path) in enumerate(paths.items(), 1):
+        if number != expected:
+            raise UsageError(
+                f"{folder} has lost {INDEX_NAME} and {segment_name(stream, expected)}: what came "
+                f"before {path.name} is not known; replay the WAV files one by one with file:PATH"
+            )
+        found = segment_format(path)
+        if found is not None:
+            segments.append((path, found))
+        elif number < len(paths) or path.stat().st_size >= SAMPLES_OFFSET:
+            raise UsageError(
+                f"{folder} has lost {INDEX_NAME}, and {path.name} is not as a capture writes it; "
+                "take the file away, or replay the WAV files one by one with file:PATH"
+            )
+    return segments

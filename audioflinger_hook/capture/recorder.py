@@ -8,13 +8,11 @@ from queue import SimpleQueue
 
 import numpy as np
 
-from audioflinger_hook.capture.writer import CaptureWriter
+from audioflinger_hook.capture.writer import CaptureWriter, check_frames
 from device.errors import CushionError, InternalError
 from device.units import Float32Array
 
-CAPACITY_SAMPLES = 1 << 22
-"""Largest number of waiting samples of a stream: 16 MB, or 43 s of 48 kHz stereo."""
-
+CAPACITY_SAMPLES = 1 << 22  # 16 MB, or 43 s of 48 kHz stereo
 CAPACITY_BUFFERS = 1 << 14
 
 
@@ -71,15 +69,13 @@ class CaptureRecorder:
     ) -> bool:
         """Take one buffer, see `CaptureWriter.write_buffer`; return False if it was dropped.
 
-        The samples are copied, so the caller may reuse its array. Called by the audio thread; never
-        waits, and never raises for a stream of the capture.
+        The samples are copied. Called by the audio thread; never waits, and never raises.
         """
         lane = self._lanes[stream]
-        if frames.ndim != 2 or frames.dtype != np.float32:
-            self.error = self.error or InternalError(
-                f"a buffer of {frames.dtype} has shape {frames.shape}: "
-                "(frames, channels) of float32 was expected"
-            )
+        try:
+            check_frames(frames)
+        except InternalError as error:
+            self.error = self.error or error
         if self._closed or self.error is not None:
             lane.drop(frames.shape[0] if frames.ndim else 0)
             return False
@@ -96,8 +92,7 @@ class CaptureRecorder:
     def close(self) -> None:
         """Write waiting buffers, complete the capture; raise the error that ended writing, if any.
 
-        Waits for the disk; may be called again. Call it when the feeding threads have stopped;
-        buffers offered later are dropped.
+        Waits for the disk; may be called again. The feeding threads have stopped before.
         """
         if self._closed:
             return
@@ -122,21 +117,17 @@ class CaptureRecorder:
 
     def _run(self) -> None:
         """Write buffers until `close`; after an error, count them."""
-        failed = False
+        failure: CushionError | None = None
         while (item := self._queue.get()) is not None:
             stream, handed = item
             lane = self._lanes[stream]
-            if not failed:
+            if not failure:
                 try:
                     self._write(stream, lane, handed)
-                except CushionError as error:
-                    self.error, failed = error, True
                 except Exception as error:
-                    self.error = InternalError(
-                        f"the capture ended: {type(error).__name__}: {error}"
-                    )
-                    failed = True
-            if failed:
+                    ended = InternalError(f"the capture ended: {type(error).__name__}: {error}")
+                    self.error = failure = error if isinstance(error, CushionError) else ended
+            if failure:
                 lane.unwritten_buffers += 1
                 lane.unwritten_frames += handed.shape[0]
             lane.release(handed)
@@ -196,16 +187,13 @@ class _Lane:
         return handed
 
     def drop(self, frames: int) -> None:
-        """Count a buffer that is not kept."""
         self.dropped_buffers += 1
         self.dropped_frames += frames
 
     def dropped(self) -> tuple[int, int]:
         """Return buffers and frames not kept so far, because of a full ring or of the writer."""
-        return (
-            self.dropped_buffers + self.unwritten_buffers,
-            self.dropped_frames + self.unwritten_frames,
-        )
+        buffers = self.dropped_buffers + self.unwritten_buffers
+        return buffers, self.dropped_frames + self.unwritten_frames
 
     def drop_unwritten(self) -> None:
         """Count unwritten buffers as dropped; both threads must have stopped."""
@@ -219,11 +207,9 @@ class _Lane:
         return self.dropped_buffers - buffers, self.dropped_frames - frames
 
     def samples_of(self, handed: _Handed) -> Float32Array:
-        """Return the buffer's samples in the ring."""
         start = handed.start % len(self._ring)
         return self._ring[start : start + handed.end - handed.start].reshape(handed.shape)
 
     def release(self, handed: _Handed) -> None:
-        """Free the buffer's place in the ring."""
         self._tail = handed.end
         self._released += 1

@@ -6,14 +6,13 @@ import os
 import stat
 import struct
 import zlib
-from collections.abc import Iterator
 from contextlib import closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from audioflinger_hook.capture.format import INDEX_NAME, SAMPLES_OFFSET, segment_name, segment_paths
+from audioflinger_hook.capture.format import SAMPLES_OFFSET
 from device.errors import InternalError, UsageError
 from device.units import Float32Array
 from device.wav_output import wav_header
@@ -39,8 +38,6 @@ class SegmentFormat:
 
 
 class _Descriptor:
-    """An open file."""
-
     _fd = -1
 
     def close(self) -> None:
@@ -63,11 +60,10 @@ class SegmentWriter(_Descriptor):
         self.samplerate = samplerate
         self.channels = channels
         self.frames = 0
-        header = wav_header(samplerate, channels, 0)
         flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC | os.O_NOFOLLOW
         self._fd = os.open(path, flags, 0o666)
         try:
-            write_at(self._fd, header, 0)
+            self.keep(0)
         except BaseException:
             self.discard()
             raise
@@ -88,7 +84,7 @@ class SegmentWriter(_Descriptor):
         self.frames = frames
         with suppress(OSError):  # bytes after the counted frames harm no reader
             os.ftruncate(self._fd, self._size())
-            write_at(self._fd, wav_header(self.samplerate, self.channels, frames), 0)
+            self.keep(0)
 
     def discard(self) -> None:
         """Close the file and remove it."""
@@ -103,8 +99,7 @@ class SegmentWriter(_Descriptor):
 class SegmentReader(_Descriptor):
     """Reads samples of any buffer of a segment, also while it grows. Use from one thread.
 
-    FileNotFoundError: there is no such file.
-    UsageError: no permission to read the file, or it is no regular file.
+    UsageError: no permission to read the file, or it is no regular file. FileNotFoundError.
     """
 
     def __init__(self, path: Path) -> None:
@@ -133,9 +128,8 @@ class SegmentReader(_Descriptor):
             return None
         samples = np.empty((frames, channels), _SAMPLE)
         content = samples.reshape(-1).view(np.uint8).data
-        if not _read_at(self._fd, content, start):
-            return None
-        if crc and f"{zlib.crc32(content):08x}" != crc:
+        whole = _read_at(self._fd, content, start)
+        if not whole or (crc and f"{zlib.crc32(content):08x}" != crc):
             return None
         return samples.astype(np.float32, copy=False)
 
@@ -205,46 +199,3 @@ class CaptureBuffer:
     def format(self) -> tuple[int, int]:
         """Samplerate in Hz and number of channels."""
         return self.samplerate, self.channels
-
-
-REBUILT_FRAMES = 1_024
-"""Frames per buffer if the recorded sizes are lost."""
-
-
-def rebuilt_buffers(folder: Path, stream: str) -> Iterator[CaptureBuffer]:
-    """Yield the stream in buffers of `REBUILT_FRAMES`; the last of each segment may be shorter.
-
-    Raises UsageError if the order of the segments is ambiguous, or a segment is not from a capture.
-    """
-    time_s = 0.0
-    for path, segment in ordered_segments(folder, stream):
-        with closing(SegmentReader(path)) as reader:
-            for first in range(0, segment.frames, REBUILT_FRAMES):
-                count = min(REBUILT_FRAMES, segment.frames - first)
-                samples = reader.read(first, count, segment.channels)
-                if samples is None:  # the file has become shorter since
-                    return
-                at_s = time_s + first / segment.samplerate
-                yield CaptureBuffer(samples, segment.samplerate, at_s, discontinuity=False)
-        time_s += segment.frames / segment.samplerate
-
-
-def ordered_segments(folder: Path, stream: str) -> list[tuple[Path, SegmentFormat]]:
-    """Return the stream's segments in order. UsageError: the order cannot be known."""
-    paths = segment_paths(folder, stream)
-    segments = []
-    for expected, (number, path) in enumerate(paths.items(), 1):
-        if number != expected:
-            raise UsageError(
-                f"{folder} has lost {INDEX_NAME} and {segment_name(stream, expected)}: what came "
-                f"before {path.name} is not known; replay the WAV files one by one with file:PATH"
-            )
-        found = segment_format(path)
-        if found is not None:
-            segments.append((path, found))
-        elif number < len(paths) or path.stat().st_size >= SAMPLES_OFFSET:
-            raise UsageError(
-                f"{folder} has lost {INDEX_NAME}, and {path.name} is not as a capture writes it; "
-                "take the file away, or replay the WAV files one by one with file:PATH"
-            )
-    return segments

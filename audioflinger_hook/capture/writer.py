@@ -32,8 +32,6 @@ from device.units import Float32Array
 
 @dataclass
 class _Stream:
-    """Position of a stream."""
-
     buffers: int = 0
     frames: int = 0
     segments: int = 0
@@ -45,10 +43,10 @@ class CaptureWriter:
     """A new capture, written buffer by buffer.
 
     `write_buffer` passes the samples and then their line of the index to the operating system
-    before it returns; `close` syncs them to the disk. If the process is killed, the capture has
-    every buffer whose call had returned. After a failed write the capture stays readable, and the
-    writer is closed. Memory use is constant. Each call waits for the operating system, so use one
-    thread, not the audio thread (see `CaptureRecorder`).
+    before it returns; `close` syncs them to the disk. So a kill loses no buffer whose call had
+    returned. After a failed write the capture stays readable, and the writer is closed. Memory use
+    is constant. Each call waits for the operating system, so use one thread, not the audio thread
+    (see `CaptureRecorder`).
 
     folder: a new or empty one.
     streams: those that will be written, from `STREAMS`.
@@ -102,11 +100,14 @@ class CaptureWriter:
         discontinuity: whether frames are missing before it. A buffer may be empty. Another rate or
         number of channels than the last buffer's starts a new segment.
         """
-        _check_buffer(frames, time_s)
+        check_frames(frames)
+        if not math.isfinite(time_s):
+            raise InternalError(
+                f"a buffer came at time_s={time_s}: a number of seconds was expected"
+            )
         before, here = self._state_of(stream), self._streams[stream]
         with self._all_or_nothing(stream, before):
             segment = self._segment_for(stream, samplerate, frames.shape[1])
-            samples_crc = segment.append(frames)
             record = BufferRecord(
                 stream=stream,
                 buffer=here.buffers,
@@ -117,7 +118,7 @@ class CaptureWriter:
                 channels=frames.shape[1],
                 time_s=float(time_s),
                 discontinuity=bool(discontinuity),
-                samples_crc=samples_crc,
+                samples_crc=segment.append(frames),
             )
             self._append_line(record.line())
             segment.keep(len(frames))
@@ -203,7 +204,6 @@ class CaptureWriter:
             raise
 
     def _go_back(self, stream: str, before: _Stream) -> None:
-        """Undo a buffer that was not written whole."""
         started = self._streams[stream].segment
         if started is not None and started is not before.segment:
             started.discard()
@@ -228,14 +228,13 @@ class CaptureWriter:
             self._index_fd = -1
 
 
-def _check_buffer(frames: Float32Array, time_s: float) -> None:
+def check_frames(frames: Float32Array) -> None:
+    """Raise InternalError unless a buffer's samples are (frames, channels) of float32."""
     if frames.ndim != 2 or frames.dtype != np.float32:
         raise InternalError(
             f"a buffer of {frames.dtype} has shape {frames.shape}: "
             "(frames, channels) of float32 was expected"
         )
-    if not math.isfinite(time_s):
-        raise InternalError(f"a buffer came at time_s={time_s}: a number of seconds was expected")
 
 
 def _new_index(folder: Path, header: bytes) -> int:

@@ -1,7 +1,7 @@
 """Whole libraries of sound, on one machine or many.
 
     manifest -> items -> run -> pool or cluster -> work -> storage
-                          '--> summary, page
+                          '--> summary
 
 | module | what it does |
 | --- | --- |
@@ -12,5 +12,5 @@
 | `measures` | exposure and course of a vibration |
 | `work` | one item: its state, record, reading, export |
 | `run`, `cluster` | the run itself; batches on a Dask cluster (`offline/pool.py`: in processes) |
-| `summary`, `page` | the report of a run |
+| `summary` | the report of a run, and its page of pictures |
 """

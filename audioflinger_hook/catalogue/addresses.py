@@ -59,10 +59,8 @@ def scrubbed(text: str) -> str:
     text = " ".join(text.split())
     for name, value in os.environ.items():
         if len(value) >= _SHORTEST_SECRET and _SECRET_NAME.search(name):
-            # Keys may hold slashes, as paths do.
-            if os.sep in value and Path(value).exists():
-                continue
-            text = text.replace(value, REMOVED)
+            is_path = os.sep in value and Path(value).exists()  # keys may hold slashes, too
+            text = text if is_path else text.replace(value, REMOVED)
     text = _USERINFO.sub(f"{REMOVED}@", text)
     text = _QUERY.sub(rf"\1?{REMOVED}", text)
     text = _SECRET_PAIR.sub(rf"\1\2{REMOVED}", text)

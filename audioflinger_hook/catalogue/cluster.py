@@ -21,7 +21,7 @@ CLOSE_S = 5.0
 
 
 class DaskCluster(Place):
-    """Workers of a Dask cluster, as a `Place`.
+    """Workers of a Dask cluster.
 
     address: of a scheduler, such as tcp://HOST:8786; "local" starts a cluster on this machine with
     `count` workers. UsageError: dask.distributed is not installed. LostError: no scheduler answers.
@@ -52,9 +52,8 @@ class DaskCluster(Place):
                     dashboard_address=":0",
                     silence_logs=logging.CRITICAL,
                 )
-            self._client = new_client(
-                self._cluster or address, timeout=CONNECT_S, set_as_default=False
-            )
+            where = self._cluster or address
+            self._client = new_client(where, timeout=CONNECT_S, set_as_default=False)
         except (OSError, ValueError, TypeError, ImportError) as error:
             said = scrubbed(f"{type(error).__name__}: {error}")
             raise LostError(
@@ -72,10 +71,9 @@ class DaskCluster(Place):
     def submit(self, work: Callable[..., T], *arguments: Any) -> Future[T]:
         """Send a batch to the scheduler."""
         try:
-            future: Future[T] = self._pool.submit(work, *arguments)
+            return self._pool.submit(work, *arguments)  # type: ignore[no-any-return]
         except Exception as error:
             raise self._gone() from error
-        return future
 
     def lost_worker(self, error: BaseException) -> bool:
         """Return whether several workers died with a batch. LostError: the scheduler is gone."""

@@ -12,30 +12,22 @@ from pathlib import PurePosixPath
 from typing import Annotated, Any, ClassVar
 from urllib.parse import urlsplit
 
-from audioflinger_hook.catalogue.addresses import (
-    NO_CREDENTIALS,
-    credentials_in,
-    is_url,
-    known_scheme,
-    scrubbed,
-)
+from audioflinger_hook.catalogue import addresses
+from audioflinger_hook.catalogue.addresses import is_url, scrubbed
 from audioflinger_hook.config.profiles import PROFILES
 from device.values import Choice, Described, Description, Number, Refusal, Text
 
 LONGEST_S = 1e7
-RESERVED = re.compile(r"catalogue|failed(-\d+-of-\d+)?")
-"""Names of the run's own files in the output folder."""
-
+RESERVED = re.compile(r"catalogue|failed(-\d+-of-\d+)?")  # the run's own files
 NAME_BYTES_MAX = 200
 
-ALIASES = {
+ALIASES = {  # names of NeMo and lhotse, and ours
     "audio_filepath": "audio",  # NeMo
     "offset": "start_s",
     "start": "start_s",  # lhotse
     "duration": "duration_s",
     "channel": "channels",
 }
-"""Names of NeMo and lhotse, and ours."""
 
 # Columns whose misspelling would change a result unseen.
 _SIMILAR = ("audio", "start_s", "duration_s", "channels", "profile", "language", "audio_filepath")
@@ -43,8 +35,6 @@ _SIMILAR = ("audio", "start_s", "duration_s", "channels", "profile", "language",
 
 @dataclass(frozen=True)
 class _Audio(Text):
-    """A path or a URL without credentials."""
-
     grammar: str = "a path, or a URL of a storage that fsspec knows"
 
     def refuse(self, value: object) -> Refusal | None:
@@ -52,10 +42,10 @@ class _Audio(Text):
             return refusal
         if "\0" in value:
             return Refusal("holds a null byte", self.allowed)
-        if credentials_in(value):
-            wrong, _, allowed = NO_CREDENTIALS.partition("; allowed: ")
+        if addresses.credentials_in(value):
+            wrong, _, allowed = addresses.NO_CREDENTIALS.partition("; allowed: ")
             return Refusal(wrong, allowed)
-        if is_url(value) and not known_scheme(value):
+        if is_url(value) and not addresses.known_scheme(value):
             return Refusal("has an unknown scheme", self.allowed)
         return None
 
@@ -81,8 +71,6 @@ class _Name(Text):
 
 @dataclass(frozen=True)
 class _Channels(Description):
-    """How channels are taken, or the channels to take."""
-
     @property
     def allowed(self) -> str:
         return "mono, each, or channel numbers counted from 0"
@@ -91,8 +79,8 @@ class _Channels(Description):
         numbers = value if isinstance(value, tuple) else ()
         if numbers and all(type(one) is int and 0 <= one < 64 for one in numbers):
             return None
-        words = ("mono", "each")
-        return None if value in words else Refusal("is not a choice of channels", self.allowed)
+        known = value in ("mono", "each")
+        return None if known else Refusal("is not a choice of channels", self.allowed)
 
     def json_schema(self) -> dict[str, Any]:
         numbers = {"type": "array", "items": {"type": "integer", "minimum": 0}}
@@ -101,10 +89,7 @@ class _Channels(Description):
 
 @dataclass(frozen=True)
 class Item(Described):
-    """One sound of a catalogue. The fields are those of a manifest's line.
-
-    line: its line in the manifest, or its number in a folder, counted from 1.
-    """
+    """One sound of a catalogue. line: in the manifest, or its number in a folder, from 1."""
 
     NAMES: ClassVar[tuple[str, ...]]
     NUMBERS: ClassVar[tuple[str, ...]] = ("start_s", "duration_s", "track")
@@ -140,7 +125,7 @@ Item.NAMES = tuple(field.name for field in fields(Item) if field.name != "line")
 def default_id(audio: str, start_s: object, root: str = "") -> str:
     """Return the name of a result that has none: the sound's path without its ending.
 
-    start_s: added to the name if it is not 0. root: beginning of the path that is left out.
+    start_s is added if it is not 0; a path that begins with `root` loses that beginning.
     """
     path = audio.removeprefix(root) if root else audio
     path = urlsplit(path).path if is_url(path) else path
@@ -165,10 +150,8 @@ def _typed(values: Mapping[str, Any]) -> dict[str, Any]:
         found["channels"] = (channels,)
     elif isinstance(channels, list):
         found["channels"] = tuple(channels)
-    for name in ("start_s", "duration_s"):
-        if type(found.get(name)) is int:
-            found[name] = float(found[name])
-    return found
+    seconds = [name for name in ("start_s", "duration_s") if type(found.get(name)) is int]
+    return found | {name: float(found[name]) for name in seconds}
 
 
 def values_of(row: dict[str, Any]) -> tuple[dict[str, Any], list[str]]:

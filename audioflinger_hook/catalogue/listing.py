@@ -11,14 +11,10 @@ from pathlib import Path, PurePosixPath
 from audioflinger_hook.sources.film import FILMS
 from device.errors import UsageError
 
-SOUNDS = FILMS.union(
-    f".{ending}"
-    for ending in (
-        "wav", "wave", "rf64", "w64", "flac", "ogg", "oga", "opus", "mp3", "aif", "aiff", "au",
-        "caf", "aac", "ac3", "eac3", "dts", "wma",
-    )
-)  # fmt: skip
-"""Endings of the files that are taken from a folder."""
+SOUNDS = FILMS | {
+    *(".wav", ".wave", ".rf64", ".w64", ".flac", ".ogg", ".oga", ".opus", ".mp3", ".aif"),
+    *(".aiff", ".au", ".caf", ".aac", ".ac3", ".eac3", ".dts", ".wma"),
+}
 
 
 def walk(folder: str, out: str) -> Iterator[str]:
@@ -63,13 +59,10 @@ def matches(path: str, pattern: str) -> bool:
 def _parts_match(path: list[str], pattern: list[str]) -> bool:
     if not pattern:
         return not path
-    if pattern[0] == "**":
-        return any(_parts_match(path[n:], pattern[1:]) for n in range(len(path) + 1))
-    return (
-        bool(path)
-        and fnmatch.fnmatchcase(path[0], pattern[0])
-        and _parts_match(path[1:], pattern[1:])
-    )
+    first, *rest = pattern
+    if first == "**":
+        return any(_parts_match(path[n:], rest) for n in range(len(path) + 1))
+    return bool(path) and fnmatch.fnmatchcase(path[0], first) and _parts_match(path[1:], rest)
 
 
 def is_sound(path: str) -> bool:

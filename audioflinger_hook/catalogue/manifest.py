@@ -21,34 +21,16 @@ from typing import IO, Any
 
 import numpy as np
 
+from audioflinger_hook.catalogue import listing
 from audioflinger_hook.catalogue.addresses import filesystem_of, is_url, parse_address, scrubbed
-from audioflinger_hook.catalogue.item import (
-    ALIASES,
-    Item,
-    cell_value,
-    default_id,
-    shown,
-    values_of,
-)
-from audioflinger_hook.catalogue.listing import (
-    SOUNDS,
-    ending_of,
-    fixed_part,
-    is_same,
-    is_sound,
-    matches,
-    walk,
-)
+from audioflinger_hook.catalogue.item import ALIASES, Item, cell_value, default_id, shown, values_of
 from device.errors import UsageError
 from device.values import counted
 
-SHOWN_MAX = 100
-"""Mistakes that are listed; all are counted."""
-
+SHOWN_MAX = 100  # mistakes that are listed; all are counted
 LINE_MAX = 1 << 20
-PARTITIONS, SPOOLED_BYTES = 64, 1 << 16
-"""All ids are divided by their hashes; more than these bytes go to temporary files."""
-
+PARTITIONS = 64  # of all ids, by their hashes
+SPOOLED_BYTES = 1 << 16  # more go to temporary files
 _ENTRY = Struct("<QQ")
 
 
@@ -70,8 +52,8 @@ class Manifest:
     """The items of a manifest, in order; each iteration reads it again.
 
     address: path or URL of a file of JSON lines (also .gz), of CSV (.csv), of a folder or of one
-    sound; or a glob. out: the folder of the results; sounds inside it are no items. UsageError:
-    there is no such manifest, or the address holds credentials.
+    sound; or a glob. out: the folder of the results; sounds inside it are no items.
+    UsageError: there is no such manifest, or the address holds credentials.
     """
 
     def __init__(self, address: str, out: str) -> None:
@@ -84,7 +66,7 @@ class Manifest:
         self.is_listing = False
         self._root = ""
         self._sources = self._kind()
-        if is_same(self.address, out):
+        if listing.is_same(self.address, out):
             raise UsageError(f"--out={scrubbed(out)} is the folder of the sounds; name another")
 
     def check(self) -> tuple[int, Mistakes]:
@@ -109,34 +91,33 @@ class Manifest:
         """Yield the items without a mistake; `mistakes` takes the others."""
         mistakes = mistakes if mistakes is not None else Mistakes()
         for line, row in self._rows(mistakes):
-            where = f"{self._name}:{line}"
-            values, wrong = values_of(row)
+            item, wrong = self._item(line, row)
             for text in wrong:
-                mistakes.add(where, text)
-            if wrong:
-                continue
-            named = "id" in values
-            if not named:
-                given = str(values.get("audio"))
-                values["id"] = default_id(given, values.get("start_s"), self._root)
-            values["line"] = line
-            if isinstance(values.get("audio"), str):
-                values["audio"] = self._absolute(values["audio"])
-            try:
-                item = Item(**values)
-            except (UsageError, TypeError):
-                refusals = Item.refusals(values)
-                if not named and "audio" in refusals:
-                    refusals.pop("id", None)  # it was made from the audio's name
-                for name, refusal in refusals.items():
-                    value = f"={shown(values[name])}" if name in values else ""
-                    mistakes.add(where, f"{name}{value} {refusal}")
-                continue
-            if self._is_in_out(item.audio):
-                audio = shown(item.audio)
-                mistakes.add(where, f"audio={audio} is in the output folder; name another")
-                continue
-            yield item
+                mistakes.add(f"{self._name}:{line}", text)
+            if item:
+                yield item
+
+    def _item(self, line: int, row: dict[str, Any]) -> tuple[Item | None, list[str]]:
+        values, wrong = values_of(row)
+        if wrong:
+            return None, wrong
+        audio, named = values.get("audio"), "id" in values
+        if not named:
+            values["id"] = default_id(str(audio), values.get("start_s"), self._root)
+        values["line"] = line
+        if isinstance(audio, str):
+            values["audio"] = self._absolute(audio)
+        try:
+            item = Item(**values)
+        except (UsageError, TypeError):
+            refusals = Item.refusals(values)
+            if not named and "audio" in refusals:
+                refusals.pop("id", None)  # it was made from the audio's name
+            given = {name: f"={shown(values[name])}" if name in values else "" for name in refusals}
+            return None, [f"{name}{given[name]} {refusal}" for name, refusal in refusals.items()]
+        if self._is_in_out(item.audio):
+            return None, [f"audio={shown(item.audio)} is in the output folder; name another"]
+        return item, []
 
     def _absolute(self, audio: str) -> str:
         """Return a sound's path or URL; a relative path is relative to the manifest."""
@@ -156,12 +137,10 @@ class Manifest:
         folder = _true_folder(audio.rpartition("/")[0])
         return f"{folder}/".startswith(f"{self._true_out.rstrip('/')}/")
 
-    # ------------------------------------------------------------------------------------- rows
-
     def _kind(self) -> str:
         """Return what the manifest is: "folder", "glob", "one", "csv" or "lines"."""
         path = self.address
-        ending = ending_of(path.removesuffix(".gz"))
+        ending = listing.ending_of(path.removesuffix(".gz"))
         if self._remote:
             filesystem, inside = self._remote
             try:
@@ -176,27 +155,26 @@ class Manifest:
             self._root, self.is_listing = f"{path}/", True
             return "folder"
         if not there and glob.has_magic(path):
-            self._root, self.is_listing = f"{fixed_part(path)}/", True
+            self._root, self.is_listing = f"{listing.fixed_part(path)}/", True
             return "glob"
         if not there:
             raise UsageError(f"{self._name} does not exist; give a manifest, a folder or a glob")
-        if ending in SOUNDS:
+        if ending in listing.SOUNDS:
             self._root, self.is_listing = f"{path.rpartition('/')[0]}/", True
             return "one"
         return "csv" if ending == ".csv" else "lines"
 
     def _rows(self, mistakes: Mistakes) -> Iterator[tuple[int, dict[str, Any]]]:
-        if self._sources in ("csv", "lines"):
-            try:
-                with self._opened() as file:
-                    rows = self._csv if self._sources == "csv" else self._lines
-                    yield from rows(file, mistakes)
-            except (OSError, EOFError, UnicodeDecodeError, zlib.error) as error:
-                said = scrubbed(getattr(error, "strerror", None) or str(error))
-                raise UsageError(f"{self._name} cannot be read ({said})") from None
+        if self.is_listing:
+            yield from ((number, {"audio": audio}) for number, audio in enumerate(self._found(), 1))
             return
-        for number, audio in enumerate(self._found(), 1):
-            yield number, {"audio": audio}
+        try:
+            with self._opened() as file:
+                rows = self._csv if self._sources == "csv" else self._lines
+                yield from rows(file, mistakes)
+        except (OSError, EOFError, UnicodeDecodeError, zlib.error) as error:
+            said = scrubbed(getattr(error, "strerror", None) or str(error))
+            raise UsageError(f"{self._name} cannot be read ({said})") from None
 
     @contextmanager
     def _opened(self) -> Iterator[IO[bytes]]:
@@ -212,9 +190,7 @@ class Manifest:
             yield raw
 
     def _lines(self, file: IO[bytes], mistakes: Mistakes) -> Iterator[tuple[int, dict[str, Any]]]:
-        line = 0
-        while text := file.readline(LINE_MAX):
-            line += 1
+        for line, text in enumerate(iter(lambda: file.readline(LINE_MAX), b""), 1):
             where = f"{self._name}:{line}"
             if len(text) == LINE_MAX and not text.endswith(b"\n"):
                 mistakes.add(where, f"is longer than {LINE_MAX} bytes; give one object a line")
@@ -225,51 +201,41 @@ class Manifest:
                 row = json.loads(text.decode("utf-8-sig" if line == 1 else "utf-8"))
             except UnicodeDecodeError:
                 mistakes.add(where, "is not UTF-8; save the manifest as UTF-8")
-                continue
             except (ValueError, RecursionError) as error:
                 said = getattr(error, "msg", "is nested too deeply")
                 mistakes.add(where, f"is not JSON ({said}); give one object a line")
-                continue
-            if not isinstance(row, dict):
+            else:
+                if isinstance(row, dict):
+                    yield line, row
+                    continue
                 mistakes.add(where, 'is not an object; allowed: {"audio": "PATH or URL", ...}')
-                continue
-            yield line, row
 
     def _csv(self, file: IO[bytes], mistakes: Mistakes) -> Iterator[tuple[int, dict[str, Any]]]:
         with io.TextIOWrapper(file, "utf-8-sig", errors="surrogateescape", newline="") as text:
-            yield from self._table(csv.reader(text, strict=True), mistakes)
-
-    def _table(self, reader: Any, mistakes: Mistakes) -> Iterator[tuple[int, dict[str, Any]]]:
-        header: list[str] = []
-        while True:
-            where = f"{self._name}:{reader.line_num + 1}"
-            try:
-                row = next(reader, None)
-            except csv.Error as error:
-                mistakes.add(where, f"is not CSV ({error})")
-                return
-            if row is None:
-                return
-            if not header:
-                header = [name.strip() for name in row]
-                named = [ALIASES.get(name, name) for name in header]
-                if "audio" not in named:
-                    mistakes.add(where, f"the header has no column audio; it is {shown(header)}")
+            reader, header = csv.reader(text, strict=True), list[str]()
+            while True:
+                where = f"{self._name}:{reader.line_num + 1}"
+                try:
+                    row = next(reader, None)
+                except csv.Error as error:
+                    mistakes.add(where, f"is not CSV ({error})")
                     return
-                continue
-            if not row:
-                continue
-            if len(row) != len(header):
-                expected = counted(len(header), "columns")
-                mistakes.add(
-                    where, f"has {counted(len(row), 'columns')}; the header has {expected}"
-                )
-                continue
-            cells = dict(zip(header, row, strict=True))
-            yield (
-                reader.line_num,
-                {name: cell_value(name, cell) for name, cell in cells.items() if cell},
-            )
+                if row is None:
+                    return
+                if not header:
+                    header = [name.strip() for name in row]
+                    if "audio" not in (ALIASES.get(name, name) for name in header):
+                        mistakes.add(
+                            where, f"the header has no column audio; it is {shown(header)}"
+                        )
+                        return
+                elif row and len(row) != len(header):
+                    has, expected = (counted(len(one), "columns") for one in (row, header))
+                    mistakes.add(where, f"has {has}; the header has {expected}")
+                elif row:
+                    cells = zip(header, row, strict=True)
+                    values = {name: cell_value(name, cell) for name, cell in cells if cell}
+                    yield reader.line_num, values
 
     def _found(self) -> Iterator[str]:
         """Yield the sounds of a folder or a glob, in order of their names."""
@@ -281,18 +247,17 @@ class Manifest:
             names = filesystem.glob(inside) if pattern else filesystem.find(inside)
             for name in sorted(names):
                 audio = str(filesystem.unstrip_protocol(name))
-                if (pattern or is_sound(name)) and not audio.startswith(f"{self.out}/"):
+                if (pattern or listing.is_sound(name)) and not audio.startswith(f"{self.out}/"):
                     yield audio
         elif self._sources == "glob":
-            paths = walk(self._root.rstrip("/"), self.out)
-            yield from (path for path in paths if matches(path, self.address))
+            paths = listing.walk(self._root.rstrip("/"), self.out)
+            yield from (path for path in paths if listing.matches(path, self.address))
         else:
-            yield from filter(is_sound, walk(self.address, self.out))
+            yield from filter(listing.is_sound, listing.walk(self.address, self.out))
 
     def _find_duplicates(
         self, part: tempfile.SpooledTemporaryFile[bytes], mistakes: Mistakes
     ) -> None:
-        """Find two items with one id, in one partition of all ids."""
         part.seek(0)
         entries = np.frombuffer(part.read(), [("name", "<u8"), ("line", "<u8")])
         entries = entries[np.lexsort((entries["line"], entries["name"]))]
@@ -307,5 +272,4 @@ class Manifest:
 
 @lru_cache(maxsize=1024)
 def _true_folder(folder: str) -> str:
-    """Return a folder's path without links."""
     return os.path.realpath(folder)

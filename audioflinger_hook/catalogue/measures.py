@@ -16,31 +16,22 @@ from device.rig.equations import seat_sections
 from device.units import Float32Array, FloatArray
 
 DAY_S = 8 * 3600.0
-HIGHEST_HZ = 1_000.0
-"""Vibration above is negligible."""
-
+HIGHEST_HZ = 1_000.0  # vibration above is negligible
 RESPONSE_HZ = 6_000
 POINT_S = 0.02
-POINTS = 120
-"""Points of the picture, at least if the sound is longer than 2.4 s; at most twice as many."""
+POINTS = 120  # least points of the picture from 2.4 s on; at most twice as many
 
 
 class VibrationMeter:
-    """Measures a vibration in blocks of any length; memory does not grow.
-
-    rig: name or file of the rig that would play it.
-    """
+    """Measures a vibration in blocks of any length, as a rig would play it; memory is constant."""
 
     def __init__(self, rig: str) -> None:
         self._rig = rig
-        self._rate = 0
         self._energy: FloatArray = np.zeros(0)
         self._block: Float32Array = np.zeros((0, 0), np.float32)
-        self._filled = 0
         self._peaks: list[float] = []
-        self._point_frames = 0
+        self._rate = self._filled = self._point_frames = self._in_point = 0
         self._fold = 1  # points of POINT_S in one of the picture's points
-        self._in_point = 0
 
     def watch(self, vibration: FloatArray | Float32Array, samplerate: int) -> None:
         """Take a block, (frames, channels)."""

@@ -26,8 +26,6 @@ class Recipe:
     """How every result of a run is made.
 
     out: folder of the results, path or URL.
-    settings: how vibration is made.
-    options: format of the results.
     track, language: of films, for items that name none.
     verify: whether sounds are known by their SHA-256, not by path, size and time.
     version: version of the program that made the recipe.
@@ -51,17 +49,9 @@ class Recipe:
         return _chosen(self.settings, item.profile, channels)
 
     def key(self, item: Item, identity: Mapping[str, Any]) -> str:
-        """Return the hash of everything that decides a result's bytes, 32 hexadecimal digits.
-
-        identity: what the sound is known by.
-        """
-        part = [
-            item.start_s,
-            item.duration_s,
-            item.picked,
-            item.track or self.track,
-            item.language or self.language,
-        ]
+        """Return the hash of everything that decides a result's bytes, 32 hexadecimal digits."""
+        film = [item.track or self.track, item.language or self.language]
+        part = [item.start_s, item.duration_s, item.picked, *film]
         mine = json.dumps([self._digest_of(self.settings_of(item)), part, identity], sort_keys=True)
         return hashlib.sha256(mine.encode()).hexdigest()[:32]
 
@@ -76,12 +66,8 @@ class Recipe:
     def _digest_of(self, settings: Settings) -> str:
         known = self._digests
         if settings not in known:
-            document = [
-                self.version,
-                asdict(self.options),
-                asdict(settings),
-                [_content_of(path) for path in _files_of(settings)],
-            ]
+            files = [_content_of(path) for path in _files_of(settings)]
+            document = [self.version, asdict(self.options), asdict(settings), files]
             text = json.dumps(document, sort_keys=True, default=str)
             known[settings] = hashlib.sha256(text.encode()).hexdigest()
         return known[settings]
@@ -93,8 +79,8 @@ class Recipe:
 
 @lru_cache(maxsize=64)
 def _chosen(settings: Settings, profile: str | None, channels: str | None) -> Settings:
-    given = {"profile": profile, "channels": channels}
-    given = {name: value for name, value in given.items() if value is not None}
+    named = {"profile": profile, "channels": channels}
+    given = {name: value for name, value in named.items() if value is not None}
     return settings.choosing(**given) if given else settings
 
 

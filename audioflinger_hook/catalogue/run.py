@@ -16,17 +16,10 @@ from audioflinger_hook.offline.pool import DIED, Place
 from device.errors import InternalError
 
 BATCH_MAX = 256
-BATCH_S = 0.5
-"""A batch should take this long: then sending it costs little, and all workers end together."""
-
-AHEAD = 2
-"""Batches per slot that are under way or wait for a slot."""
-
-POLL_S = 2.0
-"""Time between two checks whether the place has other slots, or is gone."""
-
-DEATHS_MAX = 2
-"""An item with which this many workers died, while nothing else ran, has failed."""
+BATCH_S = 0.5  # sending a batch of this length costs little, and all workers end together
+AHEAD = 2  # batches per slot that are under way or wait for a slot
+POLL_S = 2.0  # between two checks whether the place has other slots, or is gone
+DEATHS_MAX = 2  # an item with which this many workers died, while nothing else ran, has failed
 
 Batch = list[Item]
 
@@ -40,11 +33,9 @@ class Run:
     """Works on all items of a run. Iterate over `outcomes` once, from one thread.
 
     If workers die, the batches that they may have had run again, one at a time. So an item that
-    ends its worker is found and fails, and no other item does. Finished items of a repeated batch
-    are skipped by their records.
+    ends its worker is found and fails, and no other item does.
 
-    items: read one batch at a time. place: where batches run. timing: clock and pauses of the
-    workers.
+    items: read one batch at a time. timing: clock and pauses of the workers.
     """
 
     def __init__(self, recipe: Recipe, items: Iterable[Item], place: Place, timing: Timing) -> None:
@@ -59,19 +50,14 @@ class Run:
         self._deaths: dict[int, int] = {}
 
     def outcomes(self) -> Iterator[list[Outcome]]:
-        """Yield the outcomes of each batch, as they come.
-
-        LostError: the place is gone.
-        """
+        """Yield the outcomes of each batch, as they come. LostError: the place is gone."""
         self._submit_more()
         while self._under_way:
             done, _ = wait(self._under_way, POLL_S, FIRST_COMPLETED)
             # Asked before a batch is taken off the list: it raises if the place is gone.
             self._place.slots()
             for future in done:
-                batch = self._under_way.pop(future)
-                found = self._result(future, batch)
-                if found:
+                if found := self._result(future, self._under_way.pop(future)):
                     yield found
             self._submit_more()
 
@@ -105,7 +91,10 @@ class Run:
                     f"a batch failed ({type(error).__name__}: {error}); run the command again"
                 ) from error
             return self._suspect(batch, alone=alone)
-        self._adapt(found)
+        # The size of the next batches follows from the time that items take.
+        mean_s = sum(outcome.seconds for outcome in found) / len(found)
+        wanted = BATCH_S / max(mean_s, BATCH_S / BATCH_MAX)
+        self._size = max(1, min(BATCH_MAX, round(wanted), 2 * self._size))
         return found
 
     def _suspect(self, batch: Batch, *, alone: bool) -> list[Outcome]:
@@ -123,9 +112,3 @@ class Run:
             return []
         error = f"{item.audio}: its worker died {DEATHS_MAX} times, {DIED}"
         return [Outcome(item, "failed", 0.0, error=error, exit_code=InternalError.exit_code)]
-
-    def _adapt(self, found: list[Outcome]) -> None:
-        """Choose the size of the next batches by the time that items take."""
-        mean_s = sum(outcome.seconds for outcome in found) / len(found)
-        wanted = BATCH_S / max(mean_s, BATCH_S / BATCH_MAX)
-        self._size = max(1, min(BATCH_MAX, round(wanted), 2 * self._size))

@@ -1,8 +1,8 @@
 """The folder of the results and the sounds, on this machine or in a remote storage.
 
-A result is made under a hidden name and renamed, or uploaded in one request: it appears whole or
-not at all. Its record is deleted before a new result appears, and written after it. A record also
-has the result's stamp, so it never describes another file's bytes.
+A result appears whole or not at all: it is renamed, or uploaded in one request. Its record is
+deleted before that and written after it, with the result's stamp, so it never describes another
+file's bytes.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ import os
 import secrets
 import socket
 import tempfile
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
@@ -27,15 +26,14 @@ from device.errors import UsageError, WriteError
 
 T = TypeVar("T")
 
-RECORD = ".json"
-"""Ending of a record's name, after the name of its result."""
+RECORD = ".json"  # ending of a record's name, after the name of its result
 
+# Beginning of the name of an unfinished result. Host, process namespace, process and a random
+# number follow, because containers of one host number their processes separately.
 PART = ".part+"
-"""Beginning of the name of an unfinished result. Host, process namespace, process and a random
-number follow, because containers of one host number their processes separately."""
 
+# Storages in which an upload appears whole; elsewhere it is uploaded and then renamed.
 ATOMIC = frozenset({"s3", "s3a", "gs", "gcs", "az", "abfs", "abfss", "adl", "memory"})
-"""Storages in which an upload appears whole; elsewhere it is uploaded and then renamed."""
 
 ETAGS = (
     "ETag", "etag", "md5Hash", "content_md5", "generation", "version", "VersionId", "mtime",
@@ -61,53 +59,18 @@ class Made:
     sha256: str
 
 
-class Storage(ABC):
-    """A folder of results. Any thread; names are relative paths. Errors are `CushionError`s."""
+class LocalStorage:
+    """A folder of results. Any thread; names are relative paths. Errors are `CushionError`s.
 
-    @abstractmethod
-    def prepare(self) -> None:
-        """Make the folder if it is missing. UsageError: this is not possible."""
-
-    @abstractmethod
-    def stamp(self, name: str) -> Stamp | None:
-        """Return what identifies a file, None if there is none."""
-
-    @abstractmethod
-    def read(self, name: str) -> bytes | None:
-        """Return the content of a small file, None if there is none."""
-
-    @abstractmethod
-    def write(self, name: str, content: bytes) -> None:
-        """Write a small file, whole or not at all."""
-
-    @abstractmethod
-    def delete(self, name: str) -> None:
-        """Delete a file, if there is one."""
-
-    @abstractmethod
-    def put(self, name: str, make: Callable[[Path], T]) -> tuple[T, Made]:
-        """Make a result and put it in its place; its record is deleted before.
-
-        make: writes the file at a path, which has the ending of the name.
-        """
-
-    def restamped(self, name: str, sha256: str) -> str | None:
-        """Return the stamp of a file that has this SHA-256; None if it has not, or is remote.
-
-        Rendering a sound again costs hardly more than to download its result.
-        """
-        return None
-
-
-class LocalStorage(Storage):
-    """A folder of this machine. root: its absolute path."""
+    root: its absolute path.
+    """
 
     def __init__(self, root: Path) -> None:
         self._root = root
         self._tidy: set[Path] = set()  # folders without parts of dead processes
 
     def prepare(self) -> None:
-        """Make the folder, if the folder above it exists."""
+        """Make the folder if it is missing. UsageError: this is not possible."""
         root = self._root
         try:
             root.mkdir(exist_ok=True)
@@ -120,30 +83,33 @@ class LocalStorage(Storage):
             raise UsageError(f"the output folder {root} is not writable; name another")
 
     def stamp(self, name: str) -> Stamp | None:
-        """Return size, time and inode number of a file."""
+        """Return size, time and inode number of a file, None if there is none."""
         with suppress(FileNotFoundError, NotADirectoryError):
             return _local_stamp(self._root / name)
         return None
 
     def read(self, name: str) -> bytes | None:
-        """Return a file's content."""
+        """Return the content of a small file, None if there is none."""
         with suppress(FileNotFoundError, NotADirectoryError):
             return (self._root / name).read_bytes()
         return None
 
     def write(self, name: str, content: bytes) -> None:
-        """Write a file without waiting for the disk, since torn records are recognised."""
+        """Write a small file; do not wait for the disk, since torn records are recognised."""
         file = AtomicFile(self._root / name)
         file.write(content)
         file.commit(sync=False)
 
     def delete(self, name: str) -> None:
-        """Delete a file."""
+        """Delete a file, if there is one."""
         with suppress(FileNotFoundError, NotADirectoryError):
             (self._root / name).unlink()
 
     def put(self, name: str, make: Callable[[Path], T]) -> tuple[T, Made]:
-        """Make a result beside its place, and rename it."""
+        """Make a result beside its place, delete its record, and rename it.
+
+        make: writes the file at a path, which has the ending of the name.
+        """
         target = self._root / name
         try:
             target.parent.mkdir(parents=True, exist_ok=True)
@@ -164,7 +130,7 @@ class LocalStorage(Storage):
         return result, Made(stamp.size or 0, stamp.stamp, sha256)
 
     def restamped(self, name: str, sha256: str) -> str | None:
-        """Return the stamp of a copy of the same bytes."""
+        """Return the stamp of a file that has this SHA-256, None if it has not."""
         path = self._root / name
         return _local_stamp(path).stamp if digest(path) == sha256 else None
 
@@ -181,8 +147,11 @@ class LocalStorage(Storage):
                 part.unlink(missing_ok=True)
 
 
-class RemoteStorage(Storage):
-    """A folder behind a URL that fsspec knows. url: the folder, without credentials."""
+class RemoteStorage:
+    """A folder behind a URL that fsspec knows, used as `LocalStorage`.
+
+    url: the folder, without credentials.
+    """
 
     def __init__(self, url: str) -> None:
         self._url = url
@@ -232,6 +201,9 @@ class RemoteStorage(Storage):
             raise StorageError(f"{self._shown(name)} is not whole after its upload; try again")
         return result, Made(size, found.stamp, sha256)
 
+    def restamped(self, _name: str, _sha256: str) -> None:
+        """Return None: rendering a sound again costs hardly more than to download its result."""
+
     def _upload(self, path: Path, name: str) -> None:
         target = self._path(name)
         with self._errors(name):
@@ -257,6 +229,9 @@ class RemoteStorage(Storage):
 
     def _errors(self, name: str) -> AbstractContextManager[None]:
         return remote_errors(self._shown(name), StorageError)
+
+
+Storage = LocalStorage | RemoteStorage
 
 
 def storage_of(address: str) -> Storage:

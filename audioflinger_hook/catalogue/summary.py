@@ -1,27 +1,43 @@
-"""The summary of a run: counts, the slowest and the strangest items, and the failed ones."""
+"""The report of a run: counts, extreme items, the failed ones, and a page of pictures."""
 
 from __future__ import annotations
 
 import heapq
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from html import escape
+from pathlib import Path
 from shutil import copyfile
-from tempfile import NamedTemporaryFile
-from typing import Any
+from tempfile import NamedTemporaryFile, TemporaryFile
+from typing import IO, Any
 
 from audioflinger_hook.catalogue.storage import Storage
 from audioflinger_hook.catalogue.work import Outcome
+from device.atomic_file import AtomicFile
 from device.values import counted
 
-LISTED = 10
-"""Slowest and strangest items that are listed."""
+LISTED = 10  # slowest and strangest items
+STRANGE_LEAK_DB = -30.0  # energy above 250 Hz that even white noise does not reach
+PICTURES_MAX = 5_000  # a browser shows no more with ease; strange and failed items come always
+WIDTH, HEIGHT = 240, 48
 
-STRANGE_LEAK_DB = -30.0
-"""Energy above 250 Hz that even white noise does not reach."""
+_HEAD = """<!doctype html>
+<html lang="en"><meta charset="utf-8"><title>Vibration catalogue</title>
+<meta name="viewport" content="width=device-width">
+<style>
+:root { color-scheme: light dark; --line: #88888855; --wave: #2a6fb0; --bad: #c0392b; }
+body { font: 15px/1.4 system-ui, sans-serif; margin: 1.5em; }
+h1 { font-size: 1.3em } h2 { font-size: 1.1em }
+.items { display: grid; grid-template-columns: repeat(auto-fill, minmax(250px, 1fr)); gap: .7em }
+figure { margin: 0; padding: .4em; border: 1px solid var(--line); border-radius: 4px }
+figcaption { overflow-wrap: anywhere } small { display: block; opacity: .75 }
+svg { width: 100%; height: 48px; display: block } path { fill: var(--wave) }
+.strange { border-color: var(--bad) } .strange b, .failed b { color: var(--bad) }
+</style>
+"""
 
-Ranked = tuple[float, int, str, str]
-"""An item of a heap: rank, -count, the item's id, text."""
+Ranked = tuple[float, int, str, str]  # of a heap: rank, -count, the item's id, text
 
 
 @dataclass
@@ -29,7 +45,7 @@ class Summary:
     """The result of a run so far; its size does not grow with the number of items.
 
     sound_s, worker_s: length of the rendered sounds, and the time of workers for them.
-    exit_code: of the worst failure. slowest, strangest: heaps.
+    exit_code: of the worst failure.
     """
 
     items: int = 0
@@ -62,12 +78,8 @@ class Summary:
             **{name: getattr(self, name) for name in counts},
             "sound_s": round(self.sound_s, 3),
             "worker_s": round(self.worker_s, 3),
-            "slowest": [
-                {"id": name, "seconds": rank} for rank, _, name, _ in _descending(self.slowest)
-            ],
-            "strangest": [
-                {"id": name, "reason": text} for *_, name, text in _descending(self.strangest)
-            ],
+            "slowest": [{"id": one[2], "seconds": one[0]} for one in _descending(self.slowest)],
+            "strangest": [{"id": one[2], "reason": one[3]} for one in _descending(self.strangest)],
         }
 
     def lines(self) -> list[str]:
@@ -86,11 +98,9 @@ class Summary:
 
     def _keep(self, heap: list[Ranked], rank: float, outcome: Outcome, text: str) -> None:
         # Of equal ranks the first item counts more; -items makes entries different.
-        entry = (rank, -self.items, outcome.item.id, text)
-        if len(heap) < LISTED:
-            heapq.heappush(heap, entry)
-        else:
-            heapq.heappushpop(heap, entry)
+        heapq.heappush(heap, (rank, -self.items, outcome.item.id, text))
+        if len(heap) > LISTED:
+            heapq.heappop(heap)
 
 
 def strangeness(record: Mapping[str, Any]) -> tuple[float, str]:
@@ -138,3 +148,85 @@ class Failures:
 
     def __exit__(self, *_error: object) -> None:
         self._file.close()
+
+
+class Page:
+    """Collects pictures while a run goes on; memory does not grow. A context manager."""
+
+    def __init__(self) -> None:
+        self._ordinary: IO[bytes] = TemporaryFile()  # noqa: SIM115
+        self._strange: IO[bytes] = TemporaryFile()  # noqa: SIM115
+        self._pictures = self._left_out = 0
+
+    def add(self, outcome: Outcome) -> None:
+        """Add the picture of an item."""
+        _, reason = strangeness(outcome.record)
+        if reason or outcome.state == "failed":
+            self._strange.write(_figure(outcome, reason).encode("utf-8", "replace"))
+        elif self._pictures < PICTURES_MAX:
+            self._pictures += 1
+            self._ordinary.write(_figure(outcome, "").encode("utf-8", "replace"))
+        else:
+            self._left_out += 1
+
+    def write(self, folder: Path, summary: Summary) -> Path:
+        """Write the page to index.html in a folder, which is made if needed; return its path."""
+        folder.mkdir(exist_ok=True)
+        path = folder / "index.html"
+        with AtomicFile(path) as file:
+            text = "".join(f"<p>{escape(line)}</p>\n" for line in summary.lines())
+            file.write(f"{_HEAD}<h1>Vibration catalogue</h1>\n{text}".encode("utf-8", "replace"))
+            for title, part in (("To look at", self._strange), ("All others", self._ordinary)):
+                if not part.tell():
+                    continue
+                file.write(f'<h2>{title}</h2>\n<div class="items">\n'.encode())
+                part.seek(0)
+                while piece := part.read(1 << 20):
+                    file.write(piece)
+                file.write(b"</div>\n")
+            if self._left_out:
+                file.write(f"<p>{self._left_out} more items have no picture here.</p>\n".encode())
+        return path
+
+    def __enter__(self) -> Page:
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        self._ordinary.close()
+        self._strange.close()
+
+
+def _figure(outcome: Outcome, reason: str) -> str:
+    name = escape(outcome.item.id)
+    if outcome.state == "failed":
+        return (
+            f'<figure class="failed"><figcaption>{name}<small><b>failed</b>: '
+            f"{escape(outcome.error)}</small></figcaption></figure>\n"
+        )
+    record = outcome.record
+    length_s = record["frames"] / record["samplerate"]
+    said = f"<b>{escape(reason)}</b>, " if reason else ""
+    leak = record.get("leak_above_250_hz_db")
+    figures = [f"{length_s:.1f} s", f"peak {record['peak']:.3f}"]
+    figures += [f"leak {leak:.0f} dB"] if leak is not None else []
+    exposure = record.get("exposure_a8_m_s2")
+    figures += ["A(8) " + ("unknown" if exposure is None else f"{exposure:.2g} m/s²")]
+    kind = ' class="strange"' if reason else ""
+    return (
+        f"<figure{kind}>{_picture(record.get('course') or [])}<figcaption>{name}"
+        f"<small>{said}{', '.join(figures)}</small></figcaption></figure>\n"
+    )
+
+
+def _picture(course: Sequence[int]) -> str:
+    """Return the peaks over time as SVG, mirrored about the middle; full scale fills the height."""
+    middle = HEIGHT / 2
+    step = WIDTH / max(1, len(course))
+    bars = "".join(
+        f"M{index * step:.1f} {middle - high:.1f}h{step:.1f}v{2 * high:.1f}h-{step:.1f}z"
+        for index, peak in enumerate(course)
+        if (high := middle * min(1.0, peak / 1e3)) > 0.0
+    )
+    return (
+        f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" preserveAspectRatio="none"><path d="{bars}"/></svg>'
+    )

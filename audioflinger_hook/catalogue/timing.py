@@ -11,8 +11,7 @@ from device.errors import CushionError
 
 T = TypeVar("T")
 
-BACK_OFF_S = 0.5
-"""Pause before the second attempt; each later pause is three times as long."""
+BACK_OFF_S = 0.5  # before the second attempt; each later pause is three times as long
 
 TRANSIENT = frozenset(
     getattr(errno, name)
@@ -36,10 +35,7 @@ class UnreadableError(StorageError):
 
 @dataclass(frozen=True)
 class Timing:
-    """A clock, a way to wait, and the number of repetitions of failed I/O.
-
-    clock: seconds, from any origin. sleep: waits for seconds. retries: repetitions.
-    """
+    """A clock in seconds, a way to wait for seconds, and the repetitions of failed I/O."""
 
     clock: Callable[[], float]
     sleep: Callable[[float], None]
@@ -71,7 +67,6 @@ def has_errno(error: BaseException | None, *numbers: int) -> bool:
 
 
 def _chain(error: BaseException | None) -> Iterator[BaseException]:
-    """Yield an error and those that led to it."""
     while error is not None:
         yield error
         error = error.__cause__ or error.__context__

@@ -7,7 +7,7 @@ import json
 import math
 import pickle
 import platform
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -34,6 +34,7 @@ from audioflinger_hook.sources.tap import PartTap, SteadyTap
 from device.errors import CushionError, InternalError, UsageError
 
 State = Literal["rendered", "skipped", "failed"]
+_cached_storage = lru_cache(maxsize=4)(storage_of)
 
 FIGURES = (
     "frames", "samplerate", "channels", "peak", "leak_above_250_hz_db", "limited_samples",
@@ -47,7 +48,6 @@ class Outcome:
     """The result of one item.
 
     record: the content of the file beside the result; empty if the item failed.
-    error, exit_code: why it failed, in one line, and the exit code of that kind of error.
     stops: whether every other item would fail in the same way, as on a full disk.
     """
 
@@ -63,8 +63,7 @@ class Outcome:
 class ItemStatus(NamedTuple):
     """What a run would do with one item, and the error of an unreadable one.
 
-    done: skip it. outdated: replace a result or record that is not right. missing: render it.
-    unreadable: fail, since the sound cannot be read.
+    done: skip it. outdated: replace its result or record. missing: render it. unreadable: fail.
     """
 
     state: Literal["done", "outdated", "missing", "unreadable"]
@@ -72,18 +71,12 @@ class ItemStatus(NamedTuple):
 
 
 def do_batch(recipe: bytes, items: Sequence[Item], timing: Timing) -> list[Outcome]:
-    """Return the outcomes of some items, in order. Any thread of any process.
-
-    recipe: a pickled `Recipe`.
-    """
+    """Return the outcomes of some items, in order. recipe: pickled. Any thread of any process."""
     unpickled = _unpickled(recipe)
     return [do_item(unpickled, item, timing) for item in items]
 
 
-@lru_cache(maxsize=4)
-def _unpickled(recipe: bytes) -> Recipe:
-    found: Recipe = pickle.loads(recipe)
-    return found
+_unpickled: Callable[[bytes], Recipe] = lru_cache(maxsize=4)(pickle.loads)
 
 
 def do_item(recipe: Recipe, item: Item, timing: Timing) -> Outcome:
@@ -103,29 +96,23 @@ def do_item(recipe: Recipe, item: Item, timing: Timing) -> Outcome:
         said = f"{type(error).__name__}: {error}; this is a fault of cushion, please report it"
         found = InternalError(said)
         found.__cause__ = error
-    text = scrubbed(str(found))
-    shown = scrubbed(item.audio)
-    full = has_errno(found, errno.ENOSPC, errno.EDQUOT)
-    return Outcome(
-        item,
-        "failed",
-        timing.clock() - start_s,
-        error=text if shown in text else f"{shown}: {text}",
-        exit_code=found.exit_code,
-        stops=full or recipe.version != VERSION,
-    )
+    text, shown = scrubbed(str(found)), scrubbed(item.audio)
+    text = text if shown in text else f"{shown}: {text}"
+    stops = has_errno(found, errno.ENOSPC, errno.EDQUOT) or recipe.version != VERSION
+    seconds = timing.clock() - start_s
+    return Outcome(item, "failed", seconds, error=text, exit_code=found.exit_code, stops=stops)
 
 
 def status_of(recipe: Recipe, items: Iterable[Item], timing: Timing) -> Iterator[ItemStatus]:
     """Yield the state of each item, in order. LostError or UsageError: the storage is gone."""
     storage = storage_of(recipe.out)
     for item in items:
+        name = recipe.name(item)
         try:
             key, record = timing.repeated(lambda: _record_of(recipe, item, storage))  # noqa: B023
         except CushionError as error:
             yield ItemStatus("unreadable", str(error))
             continue
-        name = recipe.name(item)
         if record:
             yield ItemStatus("done")
         elif key is None or storage.stamp(name) or storage.stamp(name + RECORD):
@@ -137,15 +124,14 @@ def status_of(recipe: Recipe, items: Iterable[Item], timing: Timing) -> Iterator
 def _record_of(recipe: Recipe, item: Item, storage: Storage) -> tuple[str | None, dict[str, Any]]:
     """Return the key that an item's result must have, and the record of a result that has it.
 
-    The key is None if the sound's SHA-256 must be known and the sound is remote; the record is
-    empty if there is no right and whole result.
+    The key is None if only a download tells it. The record is empty if no whole result has the key.
     """
     key = _key(recipe, item)
     return key, {} if key is None else _right_record(storage, recipe.name(item), key)
 
 
 def _do(recipe: Recipe, item: Item, timing: Timing) -> tuple[State, dict[str, Any]]:
-    storage = _storage(recipe.out)
+    storage = _cached_storage(recipe.out)
     key, record = _record_of(recipe, item, storage)
     if record:
         return "skipped", record
@@ -160,7 +146,6 @@ def _do(recipe: Recipe, item: Item, timing: Timing) -> tuple[State, dict[str, An
 def _render(
     recipe: Recipe, item: Item, storage: Storage, path: Path, key: str, timing: Timing
 ) -> dict[str, Any]:
-    """Make an item's result and its record, and return the record."""
     start_s = timing.clock()
     settings = recipe.settings_of(item)
     name = recipe.name(item)
@@ -232,11 +217,6 @@ def _open(path: Path, item: Item, recipe: Recipe) -> tuple[SteadyTap, int]:
     return FileTap(path, first=first), first
 
 
-@lru_cache(maxsize=4)
-def _storage(address: str) -> Storage:
-    return storage_of(address)
-
-
 def _key(recipe: Recipe, item: Item) -> str | None:
     if recipe.verify:
         if is_url(item.audio):
@@ -263,20 +243,18 @@ def _right_record(storage: Storage, name: str, key: str) -> dict[str, Any]:
         return {}
     try:
         record = json.loads(text)
-        if record["key"] != key:
-            return {}
+        right = record["key"] == key
         size, stamp, sha256 = record["bytes"], record["stamp"], record["sha256"]
     except (ValueError, TypeError, KeyError, RecursionError):
         return {}  # torn, or not ours
-    found = storage.stamp(name)
+    found = storage.stamp(name) if right else None
     if found is None or found.size not in (None, size):
         return {}
     if found.stamp != stamp:
         # A copied folder has other times, but may hold the same bytes.
-        restamped = storage.restamped(name, sha256)
-        if restamped is None:
+        record["stamp"] = storage.restamped(name, sha256)
+        if record["stamp"] is None:
             return {}
-        record["stamp"] = restamped
         _write_record(storage, name, record)
     return dict(record)
 

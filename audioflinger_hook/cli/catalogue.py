@@ -16,17 +16,16 @@ from audioflinger_hook.catalogue.cluster import LOCAL_CLUSTER, DaskCluster
 from audioflinger_hook.catalogue.item import Item
 from audioflinger_hook.catalogue.listing import is_same
 from audioflinger_hook.catalogue.manifest import Manifest
-from audioflinger_hook.catalogue.page import Page
 from audioflinger_hook.catalogue.recipe import Recipe
 from audioflinger_hook.catalogue.run import Run, shard_of
 from audioflinger_hook.catalogue.storage import storage_of
-from audioflinger_hook.catalogue.summary import Failures, Summary
+from audioflinger_hook.catalogue.summary import Failures, Page, Summary
 from audioflinger_hook.catalogue.timing import Timing
 from audioflinger_hook.catalogue.work import Outcome, do_batch, status_of
 from audioflinger_hook.cli.render import chosen_settings, chosen_workers
 from audioflinger_hook.cli.terminal import Advance, complain, progress_bar, warn
 from audioflinger_hook.exports.options import ExportOptions
-from audioflinger_hook.offline.pool import LocalWorkers, Place, ThisProcess
+from audioflinger_hook.offline.pool import LocalWorkers, Place
 from device.errors import CushionError, InternalError, UsageError
 from device.values import counted
 
@@ -150,7 +149,7 @@ def _place(options: argparse.Namespace, total: int) -> Place:
     if options.dask:
         return DaskCluster(options.dask, workers)
     workers = min(workers, total)
-    return LocalWorkers(workers, do_batch.__module__) if workers > 1 else ThisProcess()
+    return LocalWorkers(workers, do_batch.__module__) if workers > 1 else Place()
 
 
 def _reason_to_stop(batch: list[Outcome], summary: Summary, most: int | None) -> str:

@@ -79,9 +79,7 @@ def _curves(name: str, time_s: FloatArray, values: FloatArray) -> list[dict[str,
     first = 0
     while first < time_s.size - 1:
         step = np.flatnonzero(np.diff(time_s[first : first + CURVE_POINTS_MAX]) <= 0.0)
-        end = min(first + CURVE_POINTS_MAX, time_s.size)
-        if step.size:
-            end = first + int(step[0]) + 1
+        end = min([first + CURVE_POINTS_MAX, time_s.size, *(first + 1 + step[:1])])
         start_s = rounded(time_s[first])
         points = [
             {"Time": rounded(at - start_s), "ParameterValue": rounded(value)}
@@ -120,11 +118,11 @@ def _parameters(intensity: float, sharpness: float) -> list[dict[str, Any]]:
 
 
 def _warnings(envelope: Envelope, hz: FloatArray) -> tuple[str, ...]:
-    found = []
     low = float(np.average(hz < SHARPNESS_LOW_HZ, weights=envelope.level + 1e-12))
-    if low > 0.1 and envelope.level.any():
-        found.append(
-            f"{low:.0%} of the vibration is under {SHARPNESS_LOW_HZ:g} Hz, where AHAP's sharpness "
-            "is 0; --device-band 80:230 keeps its frequencies apart"
-        )
-    return (*found, *envelope.warnings)
+    if low <= 0.1 or not envelope.level.any():
+        return envelope.warnings
+    warning = (
+        f"{low:.0%} of the vibration is under {SHARPNESS_LOW_HZ:g} Hz, where AHAP's sharpness "
+        "is 0; --device-band 80:230 keeps its frequencies apart"
+    )
+    return (warning, *envelope.warnings)

@@ -13,17 +13,15 @@ from device.output import VibrationOutput
 from device.units import Float32Array, FloatArray, amplitude_to_db, check_channels
 
 AUDIBLE_FROM_HZ = 250.0
-PIECE_FRAMES = 8_192
-"""Frames fed to the resampler at once: its memory does not depend on the caller's blocks."""
+PIECE_FRAMES = 8_192  # fed to the resampler at once, so that its memory is bounded
 
 
 class ResampledOutput(WrappedOutput):
     """Converts the rate before an output by a linear-phase low-pass, without any delay.
 
-    The pass band ends at 0.45 of the lower rate, the stop band starts at half of it: see
-    `Resampler`. n frames become ceil(n rate_out / rate_in). The delivering thread calls it.
+    The filter is that of `Resampler`. n frames become ceil(n rate_out / rate_in). The delivering
+    thread calls it.
 
-    output: gets the converted frames.
     samplerate: rate in Hz of the frames that come.
     """
 

@@ -20,11 +20,7 @@ TRANSIENT_S = 0.02
 """Length of a transient, which falls to 0 in a straight line. It has half of an onset's rise; the
 envelope starts with the other half and has all of it after this time."""
 
-LEVEL_TOLERANCE = 0.012
-"""Largest error of the envelope, of its largest written value."""
-
-FREQUENCY_TOLERANCE_HZ = 4.0
-"""Largest error of the frequency where the envelope is largest; more where it is weak."""
+FREQUENCY_TOLERANCE_HZ = 4.0  # where the envelope is largest; more where it is weak
 
 
 @dataclass(frozen=True)
@@ -41,7 +37,7 @@ class Limits:
     spacing_s: float
     longest_s: float
     square_root: bool = False
-    tolerance: float = LEVEL_TOLERANCE
+    tolerance: float = 0.012
     transients: bool = True
 
 
@@ -63,7 +59,6 @@ class Envelope:
     transients: in order of time.
     error: `envelope_error_db`, r.m.s. error of the smoothed envelope with its transients, in dB of
         its r.m.s.; `frequency_error_hz`, r.m.s., weighted by power; counts `points`, `transients`.
-    warnings: what the user should know.
     """
 
     time_s: FloatArray
@@ -95,8 +90,7 @@ def envelope_of(curve: VibrationCurve, duration_s: float, limits: Limits) -> Env
             lowered[cut : cut + after.size] -= pulse * fall
             found[cut] = Transient(0, at[cut].time_s, pulse, at[cut].hz)
     written = np.sqrt(lowered) if limits.square_root else lowered
-    clipped = written > 1.0
-    written = np.minimum(written, 1.0)
+    clipped, written = written > 1.0, np.minimum(written, 1.0)
     points = np.column_stack((written, curve.hz.astype(np.float64)))
     loudest = max(1e-9, float(points[:, 0].max()))
     share = np.maximum(1e-3, lowered / max(1e-12, float(lowered.max())))
@@ -122,8 +116,7 @@ def envelope_of(curve: VibrationCurve, duration_s: float, limits: Limits) -> Env
         if first in found:
             one = found[first]
             transients.append(Transient(len(time_s), begins, one.amplitude, one.hz))
-        inner = times[chosen[1:-1]]
-        time_s += [begins, *np.clip(inner, begins, ends).tolist(), ends]
+        time_s += [begins, *np.clip(times[chosen[1:-1]], begins, ends).tolist(), ends]
         levels.append(np.clip(fitted(times[part], written[part], times[chosen]), 0.0, 1.0))
         kept.append(chosen)
     places = np.concatenate(kept)
@@ -197,14 +190,11 @@ def _smoothed(amplitude: FloatArray, rate_hz: float) -> FloatArray:
     place = np.arange(square.size)
     share = np.minimum(1.0, np.minimum(place, place[::-1]) / half)
     whole, short = _mean(square, half), _mean(square, max(1, half // 3))
-    smooth: FloatArray = np.sqrt(share * whole + (1.0 - share) * short)
-    return smooth
+    return np.sqrt(share * whole + (1.0 - share) * short)
 
 
 def _mean(square: FloatArray, half: int) -> FloatArray:
     window = np.hanning(2 * half + 3)[1:-1]
     part = slice(half, half + square.size)
-    mean: FloatArray = (
-        np.convolve(square, window)[part] / np.convolve(np.ones(square.size), window)[part]
-    )
-    return mean
+    weight = np.convolve(np.ones(square.size), window)[part]
+    return np.convolve(square, window)[part] / weight

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 
 from audioflinger_hook.config.settings import Settings
@@ -24,11 +24,11 @@ from audioflinger_hook.exports.parametric import (
     CurveWriter,
     DescribedOutput,
     Job,
+    PartialLines,
     Writer,
     check_duration,
     refuse_settings,
 )
-from audioflinger_hook.exports.partial_lines import PartialLines
 from audioflinger_hook.exports.sound_output import SoundFileOutput
 from audioflinger_hook.offline.render import Progress, render
 from audioflinger_hook.pipeline.framework import Framework
@@ -47,7 +47,6 @@ WRITERS: dict[str, Callable[[Job], Writer]] = {
     "hjif": HjifWriter,
     "partials": PartialLines,
 }
-"""The writer of each parametric format."""
 
 
 def export(
@@ -61,19 +60,37 @@ def export(
 ) -> ExportReport:
     """Write the vibration of a client's sound in any format; the file appears whole or not at all.
 
-    Equal sound, settings and options give equal bytes. The client is closed. Any one thread may
-    call it.
+    Equal sound, settings and options give equal bytes. The client is closed. Use from one thread.
 
-    client: plays the sound.
-    target: the file to create or replace; `options` give its format, whatever its name.
-    settings, progress, warnings: as for `render`.
-    watch: called with the vibration, block by block, at the sound's rate.
-    UsageError: the format cannot hold the sound or the settings, or the target cannot be written.
-    WriteError: the disk is full or failed.
-    InternalError: the haptic effect failed.
+    options: give the format, whatever the target's name. watch: called with the vibration, block by
+    block, at the sound's rate. The rest: as for `render`.
+    UsageError: also if the format cannot hold the sound or the settings.
     """
     name = options.format
-    opener = _Opener(settings, options, client.channels, watch)
+    file: VibrationOutput
+    meter: LeakMeter
+
+    def open_file(path: Path, samplerate: int, channels: int) -> VibrationOutput:
+        nonlocal file, meter
+        check_channel_count(name, channels)
+        rate = options.output_rate_hz or samplerate
+        if name in WRITERS:
+            file = DescribedOutput(path, samplerate, channels, settings, options, WRITERS[name])
+        elif name == "flac":
+            file = SoundFileOutput(path, rate, channels, "FLAC", "PCM_24")
+        elif name == "ogg-haptic":
+            file = OggHapticOutput(path, rate, client.channels, channels)
+        else:
+            file = WavOutput(path, rate, channels)
+        meter = LeakMeter(file if rate == samplerate else ResampledOutput(file, samplerate), watch)
+        return meter
+
+    def observe(framework: Framework) -> Callable[[Step], None] | None:
+        if isinstance(file, OggHapticOutput):
+            hear = file.hear
+            return lambda step: hear(step.audio)
+        return file.observe(framework) if isinstance(file, DescribedOutput) else None
+
     with closing(client):
         if name in WRITERS:
             refuse_settings(name, settings)
@@ -88,10 +105,9 @@ def export(
             progress=progress,
             warnings=warnings,
             fade_s=0.0 if name in WRITERS else FADE_S,
-            open_output=opener.open,
-            observe=opener.observe,
+            open_output=open_file,
+            observe=observe,
         )
-    file = opener.file
     limited = getattr(file, "limited_samples", 0)
     more = [f"{limited} samples beyond full scale were limited"] if limited else []
     composed = file.composed if isinstance(file, DescribedOutput) else Composed()
@@ -103,7 +119,7 @@ def export(
         duration_s=report.frames / report.samplerate,
         profile=report.profile,
         peak=report.peak,
-        leak_above_250_hz_db=opener.meter.leak_db,
+        leak_above_250_hz_db=meter.leak_db,
         limited_samples=report.limited_samples + limited,
         replaced_samples=report.replaced_samples,
         bytes=target.stat().st_size,
@@ -111,42 +127,3 @@ def export(
         error=composed.error,
         warnings=[*report.warnings, *more, *composed.warnings],
     )
-
-
-@dataclass
-class _Opener:
-    """Opens the file of a format for `render`; then `file` and `meter` are set."""
-
-    settings: Settings
-    options: ExportOptions
-    audio_channels: int
-    watch: Watch | None
-    file: VibrationOutput = field(init=False)
-    meter: LeakMeter = field(init=False)
-
-    def open(self, path: Path, samplerate: int, channels: int) -> VibrationOutput:
-        """Return the output for vibration at this rate in Hz. Errors are those of `export`."""
-        name = self.options.format
-        check_channel_count(name, channels)
-        rate = self.options.output_rate_hz or samplerate
-        if name in WRITERS:
-            job = (self.settings, self.options, WRITERS[name])
-            self.file = DescribedOutput(path, samplerate, channels, *job)
-        elif name == "flac":
-            self.file = SoundFileOutput(path, rate, channels, "FLAC", "PCM_24")
-        elif name == "ogg-haptic":
-            self.file = OggHapticOutput(path, rate, self.audio_channels, channels)
-        else:
-            self.file = WavOutput(path, rate, channels)
-        converted = self.file if rate == samplerate else ResampledOutput(self.file, samplerate)
-        self.meter = LeakMeter(converted, self.watch)
-        return self.meter
-
-    def observe(self, framework: Framework) -> Callable[[Step], None] | None:
-        """Return the function that takes every step, for files that hold more than vibration."""
-        if isinstance(self.file, DescribedOutput):
-            return self.file.observe(framework)
-        if isinstance(self.file, OggHapticOutput):
-            hear = self.file.hear
-            return lambda step: hear(step.audio)
-        return None

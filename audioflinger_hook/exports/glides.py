@@ -15,26 +15,17 @@ from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.design.synthesis import glide_shape, glide_turns
 from device.units import FloatArray
 
-CURVE_RATE_HZ = 500.0
-"""Rate of the curves, or a little more."""
+CURVE_RATE_HZ = 500.0  # or a little more
+DELAY_AT_HZ = 60.0  # vibration frequency whose delay all partials get
 
-DELAY_AT_HZ = 60.0
-"""Vibration frequency whose delay all partials get."""
-
+# An onset is where the envelope rises most, within this time of the birth of its partials.
 ONSET_REACH_S = 0.014
-"""An onset is where the envelope rises most, within this time of the birth of its partials."""
+ONSETS_APART_S = 0.06  # onsets closer than this are one
+RISE_FROM = 0.4  # least rise, of the level afterwards
+AUDIBLE = 0.01  # least rise, of the loudest envelope
 
-ONSETS_APART_S = 0.06
-"""Onsets closer than this are one."""
-
-RISE_FROM = 0.4
-"""An onset must raise the envelope by this share of its level afterwards, ..."""
-
-AUDIBLE = 0.01
-"""... and by this share of the loudest envelope."""
-
+# Columns of recorded glides, see `GLIDE_COLUMNS`.
 FRAME, FRAMES, CHANNEL, SLOT, START_HZ, END_HZ, START_LEVEL, END_LEVEL, START_PHASE = range(9)
-"""Columns of recorded glides, see `GLIDE_COLUMNS`."""
 
 
 @dataclass(frozen=True)
@@ -131,27 +122,52 @@ def aligned_s(design: LiveDesign, frame: float) -> float:
     return (frame + interpolation_frames - design.latency_frames) / design.samplerate
 
 
-def low_pass_delay_s(design: LiveDesign) -> float:
-    """Return the low-pass's delay at `DELAY_AT_HZ`."""
-    delay_s = design.synthesis.delay_s(DELAY_AT_HZ, design.samplerate)
-    return delay_s - (design.synthesis.phases.size - 1) / 2 / design.samplerate
+class CurveReader:
+    """Makes the curve of one channel from its glides, block by block.
 
-
-class AnalyticVibration:
-    """The analytic signal of one channel's glides, at the low rate of the oscillators.
-
-    Its real part is the vibration before interpolation. Use from one thread.
+    Memory: 4 kB a second. gain: factor on all amplitudes. Use from one thread.
     """
 
-    def __init__(self, design: LiveDesign) -> None:
-        self._design = design
-        self._next = 0
-        # Rows: the signal; the sum of the partials' powers; that sum, each times its frequency.
+    def __init__(self, design: LiveDesign, gain: float) -> None:
+        self._design, self._gain = design, gain
+        # Rows from the next step on, at the low rate of the oscillators: the analytic signal; the
+        # sum of the partials' powers; that sum, each times its frequency.
         self._sums = np.zeros((3, 0), np.complex128)
+        self._next = 0
         self._state = at_rest(design)
+        low_rate_hz = design.samplerate / design.grid.decimation
+        self._steps = max(1, round(low_rate_hz / CURVE_RATE_HZ))
+        self._rate_hz = low_rate_hz / self._steps
+        self._powers: list[NDArray[np.float32]] = []
+        self._hz: list[NDArray[np.float32]] = []
+        self._births: list[tuple[float, float]] = []
+        self._samples = 0
 
-    def add(self, rows: FloatArray) -> None:
-        """Take all rows of some whole hops and ticks of this channel."""
+    def add(self, rows: FloatArray, frame: int) -> None:
+        """Take this channel's rows; all that begin before this frame are there."""
+        of_onset = rows[:, SLOT] >= first_onset_slot(self._design)
+        born = rows[of_onset & (rows[:, START_LEVEL] == 0.0) & (rows[:, END_LEVEL] > 0.0)]
+        self._births += [(row[FRAME], row[START_HZ]) for row in born.tolist()]
+        self._add_glides(rows)
+        sample_frames = self._design.grid.decimation * self._steps
+        samples = int(frame // sample_frames) - self._samples
+        if samples <= 0:
+            return
+        self._samples += samples
+        steps = samples * self._steps
+        self._reserve(steps)
+        taken, self._sums = self._sums[:, :steps], self._sums[:, steps:]
+        self._next += steps
+        signal, self._state = low_pass(self._design, taken[0], self._state)
+        squares = (signal.real**2 + signal.imag**2).reshape(-1, self._steps).mean(axis=1)
+        power, moment = taken[1:].real.reshape(2, -1, self._steps).sum(axis=2)
+        silent = power <= 0.0
+        hz = np.where(silent, np.nan, moment / np.where(silent, 1.0, power))
+        self._powers.append((self._gain**2 * squares).astype(np.float32))
+        self._hz.append(hz.astype(np.float32))
+
+    def _add_glides(self, rows: FloatArray) -> None:
+        """Add all rows of some whole hops and ticks to the sums."""
         if not len(rows):
             return
         design = self._design
@@ -166,63 +182,18 @@ class AnalyticVibration:
             for one, place in zip(added, first[chosen].tolist(), strict=True):
                 self._sums[:, place : place + one.shape[1]] += one
 
-    def take(self, steps: int) -> tuple[NDArray[np.complex128], FloatArray, FloatArray]:
-        """Return the next steps: signal, sum of the partials' powers, and that times frequency."""
-        self._reserve(steps)
-        taken, self._sums = self._sums[:, :steps], self._sums[:, steps:]
-        self._next += steps
-        smooth, self._state = low_pass(self._design, taken[0], self._state)
-        return smooth, taken[1].real, taken[2].real
-
     def _reserve(self, steps: int) -> None:
         lacking = max(0, steps - self._sums.shape[1])
         self._sums = np.pad(self._sums, ((0, 0), (0, lacking)))
-
-
-class CurveReader:
-    """Makes the curve of one channel from its glides, block by block.
-
-    Memory: 4 kB a second. gain: factor on all amplitudes. Use from one thread.
-    """
-
-    def __init__(self, design: LiveDesign, gain: float) -> None:
-        self._design = design
-        self._vibration = AnalyticVibration(design)
-        self._gain = gain
-        low_rate_hz = design.samplerate / design.grid.decimation
-        self._steps = max(1, round(low_rate_hz / CURVE_RATE_HZ))
-        self._rate_hz = low_rate_hz / self._steps
-        self._powers: list[NDArray[np.float32]] = []
-        self._hz: list[NDArray[np.float32]] = []
-        self._births: list[tuple[float, float]] = []
-        self._samples = 0
-
-    def add(self, rows: FloatArray, frame: int) -> None:
-        """Take this channel's rows; all that begin before this frame are there."""
-        of_onset = rows[:, SLOT] >= first_onset_slot(self._design)
-        born = rows[of_onset & (rows[:, START_LEVEL] == 0.0) & (rows[:, END_LEVEL] > 0.0)]
-        self._births += [(row[FRAME], row[START_HZ]) for row in born.tolist()]
-        self._vibration.add(rows)
-        sample_frames = self._design.grid.decimation * self._steps
-        samples = int(frame // sample_frames) - self._samples
-        if samples <= 0:
-            return
-        self._samples += samples
-        signal, power, moment = self._vibration.take(samples * self._steps)
-        squares = (signal.real**2 + signal.imag**2).reshape(-1, self._steps).mean(axis=1)
-        power = power.reshape(-1, self._steps).sum(axis=1)
-        moment = moment.reshape(-1, self._steps).sum(axis=1)
-        silent = power <= 0.0
-        hz = np.where(silent, np.nan, moment / np.where(silent, 1.0, power))
-        self._powers.append((self._gain**2 * squares).astype(np.float32))
-        self._hz.append(hz.astype(np.float32))
 
     def curve(self, duration_s: float) -> VibrationCurve:
         """Return the curve from the start to the end of the sound."""
         design, rate_hz = self._design, self._rate_hz
         first_s = aligned_s(design, (self._steps - 1) / 2 * design.grid.decimation)
         amplitude = np.sqrt(np.concatenate([*self._powers, np.zeros(1, np.float32)]))
-        late = round(low_pass_delay_s(design) * rate_hz)
+        delay_s = design.synthesis.delay_s(DELAY_AT_HZ, design.samplerate)
+        low_pass_s = delay_s - (design.synthesis.phases.size - 1) / 2 / design.samplerate
+        late = round(low_pass_s * rate_hz)
         hz = held(np.concatenate([np.full(late + 1, np.nan, np.float32), *self._hz]))
         dropped = max(0, int(np.ceil(-first_s * rate_hz)))
         kept = min(max(1, int(duration_s * rate_hz)), max(1, amplitude.size - dropped))
@@ -237,8 +208,8 @@ class CurveReader:
         loudest = float(level.max(initial=0.0))
         reach = max(2, round(ONSET_REACH_S * curve.rate_hz))
         for frame, hz in sorted(self._births):
-            place = round((aligned_s(self._design, frame) - curve.start_s) * curve.rate_hz)
-            place = max(1, place)
+            after_s = aligned_s(self._design, frame) - curve.start_s
+            place = max(1, round(after_s * curve.rate_hz))
             window = level[place - 1 : place + reach].astype(np.float64)
             if window.size < 3:
                 continue
@@ -247,11 +218,10 @@ class CurveReader:
             before = float(level[max(0, steepest - reach) : steepest].min())
             after = float(level[steepest : steepest + reach].max())
             rise = after - before
-            if rise < max(RISE_FROM * after, AUDIBLE * loudest) or time_s <= 0.0:
-                continue
-            if found and time_s - found[-1].time_s < ONSETS_APART_S:
-                continue
-            found.append(Onset(time_s, before, after, hz))
+            last_s = found[-1].time_s if found else -np.inf
+            strong = rise >= max(RISE_FROM * after, AUDIBLE * loudest)
+            if strong and time_s > 0.0 and time_s - last_s >= ONSETS_APART_S:
+                found.append(Onset(time_s, before, after, hz))
         return tuple(found)
 
 

@@ -33,7 +33,7 @@ def compose(
     amplitude = _points("amplitude", envelope.time_s, envelope.level)
     for one in envelope.transients:
         point = amplitude[one.place]
-        strength = min(1.0, max(point["amplitude"], point["amplitude"] + one.amplitude))
+        strength = min(1.0, point["amplitude"] + one.amplitude)
         hz = float(_relative(np.array(one.hz)))
         point["emphasis"] = {"amplitude": rounded(strength), "frequency": rounded(hz)}
     frequency = _points("frequency", envelope.time_s, _relative(envelope.hz))

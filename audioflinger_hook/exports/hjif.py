@@ -26,12 +26,11 @@ envelope of an engine correlates by 0.80 with the vibration's, and by 0.97 at 0.
 
 BODY_PART_UNSPECIFIED = 0
 VERSION = "2024"
-DATE = "2024-01-01"
-"""Date of the description, fixed so that equal sounds give equal files."""
+DATE = "2024-01-01"  # fixed so that equal sounds give equal files
 
 
 class HjifWriter(TrackWriter):
-    """Collects the tracks of all channels and writes them at the end. Use from one thread."""
+    """Collects the tracks of all channels and writes them at the end."""
 
     def __init__(self, job: Job) -> None:
         super().__init__(job)
@@ -76,6 +75,15 @@ class HjifWriter(TrackWriter):
             }
             for number, mine in enumerate(bands)
         ]
+        perception = {
+            "id": 0,
+            "avatar_id": 0,
+            "description": "vibration of a seat",
+            "perception_modality": "Vibrotactile",
+            "reference_devices": [self._device(low_hz, high_hz)],
+            "channels": channels,
+            "effect_library": [],
+        }
         return {
             "version": VERSION,
             "profile": "Main",
@@ -87,17 +95,7 @@ class HjifWriter(TrackWriter):
             ),
             "timescale": TICKS_A_SECOND,
             "avatars": [{"id": 0, "lod": 0, "type": "Vibration"}],
-            "perceptions": [
-                {
-                    "id": 0,
-                    "avatar_id": 0,
-                    "description": "vibration of a seat",
-                    "perception_modality": "Vibrotactile",
-                    "reference_devices": [self._device(low_hz, high_hz)],
-                    "channels": channels,
-                    "effect_library": [],
-                }
-            ],
+            "perceptions": [perception],
             "syncs": [{"timestamp": 0}],
         }
 
@@ -135,26 +133,25 @@ def effects_of(track: PartialTrack) -> list[dict[str, Any]]:
         whole_hz = max(1, round(float(at_hz[begin : begin + 50].mean())))
         drift = turns[begin:] - turns[begin] - whole_hz * (seconds[begin:] - seconds[begin])
         beyond = np.flatnonzero(np.abs(drift) > DRIFT_TURNS)
-        length = int(beyond[0]) if beyond.size else ticks.size - 1 - begin
-        end = begin + max(1, length)
+        end = begin + max(1, int(beyond[0])) if beyond.size else ticks.size - 1
         # Half of the drift before and half after the true phase.
         phase = turns[begin] + 0.5 * float(drift[end - begin])
         inside = knees[(knees > begin) & (knees < end)]
-        places = np.unique([begin, *inside.tolist(), end])
+        keyframes = [
+            {
+                "relative_position": int(one - begin),
+                "amplitude_modulation": round(float(level[one]), 6),
+                "frequency_modulation": whole_hz,
+            }
+            for one in np.unique([begin, *inside.tolist(), end])
+        ]
         effects.append(
             {
                 "effect_type": "Basis",
                 "position": int(ticks[begin]),
                 "phase": round(2.0 * math.pi * ((phase + 0.25) % 1.0), 5),
                 "base_signal": "Sine",
-                "keyframes": [
-                    {
-                        "relative_position": int(one - begin),
-                        "amplitude_modulation": round(float(level[one]), 6),
-                        "frequency_modulation": whole_hz,
-                    }
-                    for one in places
-                ],
+                "keyframes": keyframes,
             }
         )
         begin = end
@@ -164,13 +161,14 @@ def effects_of(track: PartialTrack) -> list[dict[str, Any]]:
 def _banded(effects: list[dict[str, Any]]) -> list[list[dict[str, Any]]]:
     """Spread effects over as few bands as possible; in a band none overlap."""
     bands: list[list[dict[str, Any]]] = []
-    ends: list[int] = []
     for effect in sorted(effects, key=lambda one: (one["position"], one["phase"])):
-        free = next((band for band, end in enumerate(ends) if end <= effect["position"]), None)
+        free = next((band for band in bands if _end_of(band[-1]) <= effect["position"]), None)
         if free is None:
-            free = len(bands)
-            bands.append([])
-            ends.append(0)
-        bands[free].append(effect)
-        ends[free] = effect["position"] + effect["keyframes"][-1]["relative_position"]
+            bands.append([effect])
+        else:
+            free.append(effect)
     return bands
+
+
+def _end_of(effect: dict[str, Any]) -> int:
+    return int(effect["position"] + effect["keyframes"][-1]["relative_position"])

@@ -20,12 +20,8 @@ from device.errors import InternalError, UsageError
 from device.units import Float32Array, FloatArray
 
 AUDIO_CHANNELS_MAX = 8
-COMPRESSION_LEVEL = 0.1
-"""An 80 Hz tone then has THD+N of -44 dB; with 0.5 it has -41 dB."""
-
-SERIAL = 0x48435553
-"""Number of the stream: the same in every file, so that equal sounds give equal files."""
-
+COMPRESSION_LEVEL = 0.1  # an 80 Hz tone then has THD+N of -44 dB; with 0.5 it has -41 dB
+SERIAL = 0x48435553  # of every stream, so that equal sounds give equal files
 HEADERS = 3
 _BITS_REVERSED = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
 _PAGE_HEAD = struct.Struct("<4sBBqIIIB")
@@ -34,8 +30,7 @@ _PAGE_HEAD = struct.Struct("<4sBBqIIIB")
 class OggHapticOutput(WrappedOutput):
     """A `VibrationOutput` that also takes the sound, by `hear`. Use from one thread.
 
-    path: the file to create or replace. samplerate: Hz. audio_channels: 1 to 8. haptic_channels: 1
-    or 2. UsageError, WriteError: as `SoundFileOutput`.
+    audio_channels: 1 to 8. haptic_channels: 1 or 2. UsageError, WriteError: as `SoundFileOutput`.
     """
 
     def __init__(
@@ -105,7 +100,6 @@ class _HapticPages(LibsndfileTarget):
             self._take(*page)
 
     def commit(self) -> None:
-        """Give the file its name."""
         if self._pending or len(self._packets) < HEADERS:
             self.file.abort()
             raise InternalError("the Vorbis encoder wrote an incomplete stream")

@@ -13,11 +13,7 @@ from device.units import FloatArray
 from device.values import nearest
 
 VIBRATION_LOW_HZ, VIBRATION_HIGH_HZ = 20.0, 220.0
-"""Band of the vibration, which `device_band_hz` maps to another one."""
-
-Band = tuple[float, float]
-"""Lowest and highest frequency in Hz."""
-
+Band = tuple[float, float]  # lowest and highest frequency in Hz
 DEVICE_MIN_HZ, DEVICE_MAX_HZ = 20.0, 1_000.0
 DEVICE_SPAN_MIN_HZ = 10.0
 OUTPUT_RATE_MIN_HZ, OUTPUT_RATE_MAX_HZ = 1_000, 768_000
@@ -27,9 +23,9 @@ OUTPUT_RATE_MIN_HZ, OUTPUT_RATE_MAX_HZ = 1_000, 768_000
 class Format:
     """An export format.
 
-    suffixes: endings of file names that choose it; the first is the usual one. description: what a
-    file holds. parametric: it holds envelopes or partials instead of a waveform. channels_max: of
-    vibration. whole: its file is made as a whole, so that the sound may last 3 hours at most.
+    suffixes: endings of file names that choose it; the first is the usual one. parametric: it holds
+    envelopes or partials instead of a waveform. channels_max: of vibration. whole: its file is made
+    as a whole, so that the sound may last 3 hours at most.
     """
 
     suffixes: tuple[str, ...]
@@ -43,9 +39,7 @@ FORMATS: dict[str, Format] = {
     "wav": Format((".wav", ".wave", ".rf64"), "vibration, float32", channels_max=64),
     "flac": Format((".flac",), "vibration, 24 bits", channels_max=8),
     "ogg-haptic": Format(
-        (".ogg", ".oga"),
-        "the sound, with vibration as Android's haptic channels",
-        channels_max=2,
+        (".ogg", ".oga"), "the sound, with vibration as Android's haptic channels", channels_max=2
     ),
     "ahap": Format((".ahap",), "curves and transients of Core Haptics", True, whole=True),
     "haptic": Format((".haptic",), "envelopes of Meta and Lofelt", True, whole=True),
@@ -53,7 +47,6 @@ FORMATS: dict[str, Format] = {
     "hjif": Format((".hjif",), "partials of ISO/IEC 23090-31", True, channels_max=64, whole=True),
     "partials": Format((".jsonl",), "partial tracks, JSON lines", True, channels_max=64),
 }
-"""Every format by its name."""
 
 
 @dataclass(frozen=True)
@@ -140,16 +133,12 @@ class ExportReport:
 
 
 def format_of(path: Path) -> str:
-    """Return the name of the format that a file's ending chooses.
-
-    UsageError: no format has this ending.
-    """
+    """Return the name of the format that a file's ending chooses. UsageError: there is none."""
     known = {suffix: name for name, one in FORMATS.items() for suffix in one.suffixes}
-    name = path.name.lower()
-    fitting = [suffix for suffix in known if name.endswith(suffix)]
-    if fitting:
-        return known[max(fitting, key=len)]
-    guess = nearest(path.suffix.lower(), known)
+    ending = path.suffix.lower()
+    if name := known.get(ending or path.name.lower()):
+        return name
+    guess = nearest(ending, known)
     raise UsageError(
         f"OUT = '{path}' has no ending of a known format; "
         f"{f'did you mean {guess}? ' if guess else ''}allowed: {', '.join(known)}; "

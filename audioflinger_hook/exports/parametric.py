@@ -7,7 +7,9 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, TypeAlias
+
+import numpy as np
 
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.exports.glides import CHANNEL, CurveReader, VibrationCurve
@@ -20,11 +22,8 @@ from device.atomic_file import AtomicFile
 from device.errors import UsageError
 from device.units import Float32Array, FloatArray, db_to_amplitude
 
-DURATION_MAX_S = 3 * 3600.0
-"""Longest sound of formats whose file must be made as a whole."""
-
+DURATION_MAX_S = 3 * 3600.0  # of formats whose file must be made as a whole
 SHORTEST_S = 0.001
-DECIMALS = 5
 
 
 @dataclass(frozen=True)
@@ -36,6 +35,7 @@ class Composed:
 
 
 Compose = Callable[[VibrationCurve, float, Band | None], tuple[bytes, Composed]]
+"""Makes a file's content from the curve, the duration in seconds and the device's band."""
 
 
 @dataclass(frozen=True)
@@ -50,23 +50,10 @@ class Job:
     gain: float
 
 
-class Writer(Protocol):
-    """Makes a file from the glides of all channels of vibration. Use from one thread."""
-
-    def add(self, channel: int, rows: FloatArray, frame: int) -> None:
-        """Take a channel's glides; all that begin before the frame are there."""
-        ...
-
-    def finish(self, duration_s: float) -> Composed:
-        """Write the rest of the file."""
-        ...
-
-
 class DescribedOutput:
     """A `VibrationOutput` whose file is made from glides instead of samples. Use from one thread.
 
-    path: the file to create or replace. samplerate: Hz. channels: of vibration. composed: errors
-    and warnings, once it is closed. UsageError, WriteError: as for `AtomicFile`.
+    composed: errors and warnings, once it is closed. UsageError, WriteError: as for `AtomicFile`.
     """
 
     def __init__(
@@ -116,17 +103,14 @@ class DescribedOutput:
 
 
 class CurveWriter:
-    """Writes a format that is made from the curve of one channel.
-
-    compose: makes the file's content from the curve, the duration in seconds and the device's band.
-    """
+    """Writes a format that is made from the curve of one channel. Use from one thread."""
 
     def __init__(self, job: Job, compose: Compose) -> None:
         self._job, self._compose = job, compose
         self._reader = CurveReader(job.design, job.gain)
 
     def add(self, channel: int, rows: FloatArray, frame: int) -> None:
-        """Take glides."""
+        """Take glides; all that begin before the frame are there."""
         self._reader.add(rows, frame)
 
     def finish(self, duration_s: float) -> Composed:
@@ -138,7 +122,7 @@ class CurveWriter:
 
 
 class TrackWriter(ABC):
-    """Writes a format that is made from partial tracks."""
+    """Writes a format that is made from the partial tracks of all channels, on one thread."""
 
     def __init__(self, job: Job) -> None:
         self._job = job
@@ -147,7 +131,7 @@ class TrackWriter(ABC):
         self._tracks = 0
 
     def add(self, channel: int, rows: FloatArray, frame: int) -> None:
-        """Take glides and the tracks that have ended."""
+        """Take a channel's glides; all that begin before the frame are there."""
         self._take_all(channel, self._readers[channel].add(rows, frame))
 
     def finish(self, duration_s: float) -> Composed:
@@ -171,6 +155,50 @@ class TrackWriter(ABC):
         """Write the rest of the file, and return counts for the report."""
 
 
+class PartialLines(TrackWriter):
+    """Writes partial tracks as JSON lines while the sound plays: see partials.schema.json.
+
+    A header, one line for each track when it ends, and a last line, without which a file is cut.
+    """
+
+    def __init__(self, job: Job) -> None:
+        super().__init__(job)
+        self._points = 0
+        self._line(
+            type="header",
+            format="haptic-cushion-partials",
+            version=1,
+            samplerate_hz=job.design.samplerate,
+            channels=job.channels,
+            profile=job.settings.profile,
+            device_band_hz=self._band_hz,
+        )
+
+    def take(self, channel: int, track: PartialTrack) -> None:
+        """Write a track that has ended."""
+        self._points += track.time_s.size
+        columns = (
+            np.round(track.time_s, 6),
+            np.round(track.hz, 3),
+            np.round(track.amplitude, 7),
+            np.round(track.turns % 1.0, 4) % 1.0,
+        )
+        points = np.column_stack(columns).tolist()
+        place = {"channel": channel, "track": track.number, "onset": track.onset}
+        self._line(type="track", **place, points=points)
+
+    def write_rest(self, duration_s: float) -> dict[str, int]:
+        """Write the last line."""
+        self._line(type="end", duration_s=duration_s, tracks=self._tracks)
+        return {"points": self._points}
+
+    def _line(self, **entry: Any) -> None:
+        self._job.file.write(json_bytes(entry) + b"\n")
+
+
+Writer: TypeAlias = CurveWriter | TrackWriter
+
+
 def json_bytes(document: dict[str, Any]) -> bytes:
     """Return a document as JSON without spaces."""
     return json.dumps(document, separators=(",", ":")).encode()
@@ -178,7 +206,7 @@ def json_bytes(document: dict[str, Any]) -> bytes:
 
 def rounded(value: float) -> float:
     """Return a value with 5 decimals, and 0 for -0."""
-    return round(float(value), DECIMALS) + 0.0
+    return round(float(value), 5) + 0.0
 
 
 def check_duration(duration_s: float, name: str) -> None:

@@ -11,8 +11,7 @@ from scipy.linalg import solveh_banded
 
 from device.units import FloatArray
 
-TIED = 1e-3
-"""Weight of the curve's own value at a point, in samples, against the least-squares fit."""
+TIED = 1e-3  # weight of the curve's own value at a point, in samples, against the fit
 
 
 def simplify(

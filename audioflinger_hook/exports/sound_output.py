@@ -9,7 +9,7 @@ import numpy as np
 import soundfile
 
 from device.atomic_file import AtomicFile
-from device.errors import CushionError, InternalError, UsageError, WriteError
+from device.errors import InternalError, UsageError, WriteError
 from device.units import Float32Array, FloatArray, check_channels
 
 BLOCK_FRAMES = 4_096
@@ -20,8 +20,7 @@ the caller's blocks, and the Vorbis encoder's stack stays small."""
 class LibsndfileTarget:
     """The file object that libsndfile writes to; it keeps the reason of a failure.
 
-    path: the file to create or replace. file: takes its content. UsageError, WriteError: as
-    `AtomicFile`.
+    UsageError, WriteError: as `AtomicFile`.
     """
 
     def __init__(self, path: Path) -> None:
@@ -39,7 +38,6 @@ class LibsndfileTarget:
         return len(content)
 
     def _store(self, content: bytes) -> None:
-        """Put bytes at the position, and move it."""
         over = content[: self._size - self._position]
         if over:
             self.file.overwrite(over, self._position)
@@ -68,15 +66,14 @@ class LibsndfileTarget:
 
 
 class SoundFileOutput:
-    """A `VibrationOutput` that writes a FLAC or Ogg Vorbis file.
+    """A `VibrationOutput` that writes a FLAC or Ogg Vorbis file. Use from one thread.
 
-    Samples beyond ±1.0 are limited and counted. Use from one thread.
+    Samples beyond ±1.0 are limited and counted.
 
-    path: the file to create or replace. samplerate: Hz. format, subtype: libsndfile's names, such
-    as "FLAC" and "PCM_24". target: takes the encoded bytes; default: the file. level: compression,
-    0 to 1; default: libsndfile's. UsageError: the format does not allow the rate or the channels,
-    or the file cannot be created. WriteError: the disk is full or failed, here or in `write` and
-    `close`; no file is left then.
+    format, subtype: libsndfile's names, such as "FLAC" and "PCM_24". target: takes the encoded
+    bytes; default: the file. level: compression, 0 to 1; default: libsndfile's.
+    UsageError: the format does not allow the rate or the channels, or the file cannot be created.
+    WriteError: the disk is full or failed, here or later; no file is left then.
     """
 
     def __init__(
@@ -90,22 +87,14 @@ class SoundFileOutput:
         target: LibsndfileTarget | None = None,
         level: float | None = None,
     ) -> None:
-        self.samplerate = samplerate
-        self.channels = channels
+        self.samplerate, self.channels = samplerate, channels
         self.frames = self.limited_samples = 0
         self._held = np.zeros((0, channels), np.float32)
         self._target = target or LibsndfileTarget(path)
         self._file: soundfile.SoundFile | None = None
         try:
-            self._file = soundfile.SoundFile(
-                self._target,
-                "w",
-                samplerate,
-                channels,
-                subtype,
-                format=format,
-                compression_level=level,
-            )
+            wanted = {"subtype": subtype, "format": format, "compression_level": level}
+            self._file = soundfile.SoundFile(self._target, "w", samplerate, channels, **wanted)
         except (soundfile.LibsndfileError, ValueError, TypeError) as error:
             self._target.file.abort()
             if self._target.failure:
@@ -153,15 +142,12 @@ class SoundFileOutput:
             try:
                 self._file.write(block)
             except (soundfile.LibsndfileError, RuntimeError) as error:
-                self._fail(WriteError(f"cannot encode the sound file ({error})"))
+                self._target.failure = WriteError(f"cannot encode the sound file ({error})")
             self.frames += len(block)
             self._raise_failure()
         self._held = self._held[frames:]
 
     def _raise_failure(self) -> None:
         if self._target.failure is not None:
-            self._fail(self._target.failure)
-
-    def _fail(self, failure: CushionError) -> None:
-        self.abort()
-        raise failure
+            self.abort()
+            raise self._target.failure

@@ -28,17 +28,13 @@ LONGEST_TRACK_S = 10.0
 """A longer track is cut, so that memory does not depend on its length. While the filters of its
 parts settle, their sum is off."""
 
-RING_S = 0.06
-"""Time that the low-pass rings after a track; it is kept while it is above `FAINT`."""
+# The low-pass rings after a track; that is kept while it is above `FAINT` of the loudest.
+RING_S, FAINT = 0.06, 0.003
 
-FAINT = 0.003
-POINT_S = 0.002
+# Largest errors of the straight lines: of amplitude, as a share of the track's largest; of
+# frequency in Hz. Where the track is weak, the frequency may be off by more.
 LEVEL_TOLERANCE, HZ_TOLERANCE = 0.01, 0.3
-"""Largest errors of the straight lines: of amplitude, as a share of the track's largest; of
-frequency in Hz. Where the track is weak, the frequency may be off by more."""
-
-LONGEST_S = 0.1
-"""Points are at most this far apart, so that straight lines of frequency keep the phase."""
+POINT_S, LONGEST_S = 0.002, 0.1  # least and largest distance of points; more would lose the phase
 
 
 @dataclass(frozen=True)
@@ -141,13 +137,8 @@ class TrackReader:
             (np.full(hz.size, LEVEL_TOLERANCE * loudest),
              HZ_TOLERANCE * np.sqrt(loudest / amplitude))
         )  # fmt: skip
-        kept = simplify(
-            times,
-            np.column_stack((amplitude, hz)),
-            tolerance,
-            max(1, round(POINT_S * low_rate_hz)),
-            round(LONGEST_S * low_rate_hz),
-        )
+        spacing, longest = max(1, round(POINT_S * low_rate_hz)), round(LONGEST_S * low_rate_hz)
+        kept = simplify(times, np.column_stack((amplitude, hz)), tolerance, spacing, longest)
         onset = slot >= first_onset_slot(design)
         columns = (values[kept] for values in (times, hz, amplitude, turns))
         yield PartialTrack(self._count, onset, *columns)

@@ -21,18 +21,11 @@ from device.errors import UsageError
 
 POINTS_MAX, POINT_MIN_MS, POINT_MAX_MS = 16, 20, 1_000
 AMPLITUDE_MAX = 255
-STEP_MS = 10
-"""Shortest step of a waveform."""
-
-STEPS_MAX = 20_000
-"""Most steps of a waveform: the system takes an effect in one transaction of 1 MB."""
-
-SILENT_MS = 200
-"""Shorter rests keep amplitude 1: a motor that is switched off and on clicks."""
-
+STEP_MS = 10  # shortest step of a waveform
+STEPS_MAX = 20_000  # of a waveform: the system takes an effect in one transaction of 1 MB
+SILENT_MS = 200  # shorter rests keep amplitude 1: a motor that is switched off and on clicks
 TOLERANCES = (0.012, 0.025, 0.05)
-FOLLOWS_DB = -20.0
-"""Largest error of an envelope effect; beyond it a waveform is written."""
+FOLLOWS_DB = -20.0  # largest error of an envelope effect; beyond it a waveform is written
 
 LIMITS = Limits(spacing_s=1e-3 * POINT_MIN_MS, longest_s=0.9, transients=False)
 STEP_TOLERANCE = 0.02
@@ -52,9 +45,8 @@ def compose(
         levels = np.array([0.0, *(level for _, level, _ in points)])
         error = envelope_error(curve, np.interp(curve.times_s, ends_s, levels))
         if error.get("envelope_error_db", -120.0) <= FOLLOWS_DB:
-            return _envelope_effect(points, envelope, band_hz), Composed(
-                {**error, "points": float(len(points))}
-            )
+            composed = Composed({**error, "points": float(len(points))})
+            return _envelope_effect(points, envelope, band_hz), composed
     return _waveform_effect(curve, length_s, band_hz)
 
 
@@ -93,9 +85,7 @@ def _points(envelope: Envelope) -> list[tuple[int, float, float]]:
 
 
 def _envelope_effect(
-    points: list[tuple[int, float, float]],
-    envelope: Envelope,
-    band_hz: Band | None,
+    points: list[tuple[int, float, float]], envelope: Envelope, band_hz: Band | None
 ) -> bytes:
     hz = to_device_hz(np.array([envelope.hz[0], *(one[2] for one in points)]), band_hz)
     lines = [
@@ -130,9 +120,8 @@ def _waveform_effect(
         "frequencies; the phone's motor vibrates at its own"
     )
     body = ["  <waveform-effect>", *lines, "  </waveform-effect>"]
-    return _document(body, "amplitude 255 is full scale"), Composed(
-        {**error, "steps": float(len(steps))}, (warning,)
-    )
+    composed = Composed({**error, "steps": float(len(steps))}, (warning,))
+    return _document(body, "amplitude 255 is full scale"), composed
 
 
 def _steps(curve: VibrationCurve, duration_s: float) -> list[tuple[int, int]]:

@@ -10,14 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import next_fast_len, rfft
 
-# Amplitudes below this are shown as this: 20 log10 of it is -200 dB, under any colour scale.
-AMPLITUDE_FLOOR = 1e-10
-
-# Blocks for the short-time RMS, each column's share of the signal cut this fine.
-_BLOCKS_PER_COLUMN = 8
-
-# Windows transformed at once: bounds the memory (some 10 MB) whatever the samplerate.
-_WINDOWS_PER_BATCH = 128
+AMPLITUDE_FLOOR = 1e-10  # -200 dB, under any colour scale
+_BLOCKS_PER_COLUMN = 8  # of the short-time RMS
+_WINDOWS_PER_BATCH = 128  # windows transformed at once, in some 10 MB at any samplerate
 
 
 def column_times_s(duration_s: float, columns: int) -> NDArray[np.float64]:
@@ -32,7 +27,8 @@ def envelope(
 
     Each column also sees the first sample of the next one, so that a drawn outline has no gaps.
     """
-    edges = _edges(signal.size, columns)
+    # In whole numbers, so that the last edge is exactly the end.
+    edges = np.arange(columns + 1, dtype=np.int64) * signal.size // columns
     lowest = np.minimum.reduceat(signal, edges[:-1])
     highest = np.maximum.reduceat(signal, edges[:-1])
     following = signal[np.minimum(edges[1:], signal.size - 1)]
@@ -118,12 +114,3 @@ class _RowsOfBins:
             largest = np.maximum.reduceat(amplitude, self._pairs, axis=0)[::2]
             picked[self._coarse] = np.maximum(picked[self._coarse], largest)
         return np.asarray(picked)
-
-
-def _edges(frames: int, columns: int) -> NDArray[np.int64]:
-    """The frame where each column starts and, last, the number of frames, shape (columns + 1,).
-
-    With fewer frames than columns some columns start at the same frame.
-    """
-    # In whole numbers, so that the last edge is exactly the end.
-    return np.arange(columns + 1, dtype=np.int64) * frames // columns

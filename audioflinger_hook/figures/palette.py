@@ -36,9 +36,7 @@ _BLENDS = (
     (HEARD_LIGHT, WHITE, 6), (HEARD, HEARD_LIGHT, 4), (FELT, WHITE, 14), (FELT_LIGHT, WHITE, 6),
     (INK, FELT_LIGHT, 8),
 )  # fmt: skip
-_LEVELS = 110
-_LEVELS_UNDER_FELT = 10
-_STEPS_ON_LEVELS = 6
+_LEVELS, _LEVELS_UNDER_FELT, _STEPS_ON_LEVELS = 110, 10, 6
 
 
 def level_map() -> LinearSegmentedColormap:
@@ -49,8 +47,8 @@ def level_map() -> LinearSegmentedColormap:
 def indexed_png(rgba: NDArray[np.uint8], dots_per_inch: int, description: str = "") -> bytes:
     """Return a PNG of the opaque picture `rgba` (height, width, 4) in 256 colours.
 
-    The colours are those of this module and their blends; any other becomes the nearest of them.
-    One byte a pixel makes the file a third as large, since a PNG cannot compress a spectrogram.
+    Each pixel gets the nearest of this module's colours and their blends. One byte a pixel makes
+    the file a third as large, since a PNG cannot compress a spectrogram.
 
     description: its text chunk of that name, if any.
     """
@@ -67,13 +65,11 @@ def indexed_png(rgba: NDArray[np.uint8], dots_per_inch: int, description: str = 
 
 
 def _indexed_colours() -> NDArray[np.uint8]:
-    """The 256 colours of an indexed picture, shape (256, 3)."""
-    levels = [np.array(colour[:3]) for colour in level_map()(np.linspace(0.0, 1.0, _LEVELS))]
-    colours = [np.array(to_rgb(WHITE)), *levels]
+    colours = [np.array(to_rgb(WHITE)), *level_map()(np.linspace(0.0, 1.0, _LEVELS))[:, :3]]
     for over, under, steps in _BLENDS:
         colours += _blend(over, np.array(to_rgb(under)), steps)
     for level in level_map()(np.linspace(0.0, 0.95, _LEVELS_UNDER_FELT)):
-        colours += _blend(FELT, np.array(level[:3]), _STEPS_ON_LEVELS)
+        colours += _blend(FELT, level[:3], _STEPS_ON_LEVELS)
     # Pillow wants all 256; the rest repeats the last.
     colours += [colours[-1]] * (256 - len(colours))
     return np.round(255.0 * np.array(colours)).astype(np.uint8)

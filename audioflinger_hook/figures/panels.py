@@ -33,10 +33,8 @@ LARGEST_DOT_PT = 5.0  # the diameter at strength 1
 
 def style_axes(axes: Axes) -> None:
     """Gives `axes` the frame that all panels share: quiet spines and ticks."""
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
-    for side in ("left", "bottom"):
-        axes.spines[side].set_color(HAIRLINE)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.spines[["left", "bottom"]].set_color(HAIRLINE)
     axes.tick_params(
         which="both", color=HAIRLINE, labelcolor=GREY, labelsize=TICK_PT, labelfontfamily=FONT,
         length=3.5, width=0.8,

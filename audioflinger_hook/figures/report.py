@@ -1,8 +1,7 @@
 """The report: one picture of sound, principal frequencies, vibration and acceleration.
 
-Five panels share a time axis, as in the paper's Figures 7 and 8. They show the audio, its spectrum
-with the principal frequencies, the vibration, its spectrum, and the cushion's acceleration. Needs
-matplotlib, an optional extra, but neither pyplot nor settings that another figure would see.
+Five panels share a time axis, as in the paper's Figures 7 and 8. matplotlib, an optional extra,
+draws them, without pyplot and without settings that another figure would see.
 """
 
 from __future__ import annotations
@@ -10,19 +9,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import scipy.constants
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.font_manager import findfont, get_font
 from numpy.typing import NDArray
 
-from audioflinger_hook.figures import palette, panels
-from audioflinger_hook.figures.columns import (
-    column_times_s,
-    envelope,
-    short_time_rms,
-    spectrogram_db,
-)
+from audioflinger_hook.figures import columns, palette, panels
 from audioflinger_hook.figures.panels import Event, Principal
 
 WIDTH_PX, HEIGHT_PX, DPI = 1600, 1500, 150
@@ -46,7 +40,6 @@ VIBRATION_WINDOW_S = 0.16
 VIBRATION_RANGE_DB = 50.0
 
 RMS_WINDOW_S = 0.05
-STANDARD_GRAVITY_M_S2 = 9.80665
 
 Samples = NDArray[np.floating]
 
@@ -106,9 +99,9 @@ def report_png(
     found = np.array(principals, dtype=np.float64).reshape(-1, 4)
     mono = audio.mean(axis=1)
     _draw_audio(panel_axes[0], audio, mono, samplerate)
-    _draw_audio_spectrum(figure, panel_axes[1], mono, samplerate, found)
+    _draw_audio_spectrum(panel_axes[1], mono, samplerate, found)
     _draw_vibration(panel_axes[2], vibration, samplerate)
-    _draw_vibration_spectrum(figure, panel_axes[3], vibration, samplerate, found)
+    _draw_vibration_spectrum(panel_axes[3], vibration, samplerate, found)
     _draw_acceleration(panel_axes[4], acceleration, samplerate)
 
     # matplotlib's canvas is not typed yet everywhere
@@ -136,8 +129,8 @@ def _draw_outline(
 
     at_least: the least reach of the vertical axis.
     """
-    times_s = column_times_s(len(signal) / samplerate, COLUMNS)
-    outlines = [envelope(channel, COLUMNS) for channel in signal.T]
+    times_s = columns.column_times_s(len(signal) / samplerate, COLUMNS)
+    outlines = [columns.envelope(channel, COLUMNS) for channel in signal.T]
     lowest = np.min([low for low, _ in outlines], axis=0)
     highest = np.max([high for _, high in outlines], axis=0)
     panels.draw_waveform(axes, times_s, lowest, highest, colour, at_least=at_least)
@@ -146,76 +139,59 @@ def _draw_outline(
 
 
 def _draw_audio(axes: Axes, audio: Samples, mono: Samples, samplerate: int) -> None:
-    """Panel 1: the peaks of all channels in light, the RMS of their mean in dark."""
     times_s, peak = _draw_outline(axes, audio, samplerate, palette.HEARD_LIGHT, 0.01, "full scale")
-    rms = short_time_rms(mono, samplerate, COLUMNS, RMS_WINDOW_S)
+    rms = columns.short_time_rms(mono, samplerate, COLUMNS, RMS_WINDOW_S)
     axes.fill_between(times_s, -rms, rms, color=palette.HEARD, linewidth=0.0)
     panels.draw_heading(axes, "Audio", "peaks, and in dark the RMS", _peak_in_dbfs(peak))
 
 
 def _draw_audio_spectrum(
-    figure: Figure, axes: Axes, mono: Samples, samplerate: int, found: NDArray[np.float64]
+    axes: Axes, mono: Samples, samplerate: int, found: NDArray[np.float64]
 ) -> None:
-    """Panel 2: the audio's spectrum, with the principal frequencies as dots."""
     rows_hz = np.geomspace(*AUDIO_LIMITS_HZ, AUDIO_ROWS)
     panels.use_audio_frequency_axis(axes, AUDIO_LIMITS_HZ)
-    _draw_spectrum(figure, axes, mono, samplerate, rows_hz, AUDIO_WINDOW_S, AUDIO_RANGE_DB)
+    _draw_spectrum(axes, mono, samplerate, rows_hz, AUDIO_WINDOW_S, AUDIO_RANGE_DB)
     if found.size:
         panels.draw_principals(axes, found[:, 0], found[:, 1], found[:, 3])
     panels.draw_heading(axes, "Audio spectrum", "dots: principal frequencies, larger is stronger")
 
 
 def _draw_vibration(axes: Axes, vibration: Samples, samplerate: int) -> None:
-    """Panel 3: the vibration's waveform."""
-    columns = vibration[:, None]
-    _, peak = _draw_outline(axes, columns, samplerate, palette.FELT, 0.01, "full scale")
+    signal = vibration[:, None]
+    _, peak = _draw_outline(axes, signal, samplerate, palette.FELT, 0.01, "full scale")
     panels.draw_heading(axes, "Vibration", "what the amplifier is given", _peak_in_dbfs(peak))
 
 
 def _draw_vibration_spectrum(
-    figure: Figure, axes: Axes, vibration: Samples, samplerate: int, found: NDArray[np.float64]
+    axes: Axes, vibration: Samples, samplerate: int, found: NDArray[np.float64]
 ) -> None:
-    """Panel 4: the vibration's spectrum and the band it is meant to stay in."""
     rows_hz = np.linspace(*VIBRATION_LIMITS_HZ, VIBRATION_ROWS)
     axes.set_ylim(*VIBRATION_LIMITS_HZ)
     window_s, range_db = VIBRATION_WINDOW_S, VIBRATION_RANGE_DB
-    _draw_spectrum(figure, axes, vibration, samplerate, rows_hz, window_s, range_db)
+    _draw_spectrum(axes, vibration, samplerate, rows_hz, window_s, range_db)
     if found.size:
-        strongest = _strongest_of_each_moment(found)
+        # Of the rows that share a time, the one with the largest strength.
+        ordered = found[np.lexsort((-found[:, 3], found[:, 0]))]
+        strongest = ordered[np.unique(ordered[:, 0], return_index=True)[1]]
         panels.draw_principals(axes, strongest[:, 0], strongest[:, 2], strongest[:, 3])
     for edge_hz in VIBRATION_BAND_HZ:
         axes.axhline(edge_hz, color=palette.FELT, linewidth=0.9)
     axes.set_yticks([20.0, 60.0, 100.0, 140.0, 180.0, 220.0, 260.0])
-    low_hz, high_hz = VIBRATION_BAND_HZ
-    panels.draw_heading(
-        axes,
-        "Vibration spectrum",
-        f"dots: the strongest frequency; lines: {low_hz:.0f} and {high_hz:.0f} Hz",
-    )
+    legend = "dots: the strongest frequency; lines: {:.0f} and {:.0f} Hz".format(*VIBRATION_BAND_HZ)
+    panels.draw_heading(axes, "Vibration spectrum", legend)
 
 
 def _draw_acceleration(axes: Axes, acceleration: Samples, samplerate: int) -> None:
-    """Panel 5: the predicted acceleration of the cushion, with its short-time RMS."""
-    columns = acceleration[:, None]
-    times_s, peak = _draw_outline(axes, columns, samplerate, palette.FELT_LIGHT, 0.1, "m/s²")
-    rms = short_time_rms(acceleration, samplerate, COLUMNS, RMS_WINDOW_S)
+    signal = acceleration[:, None]
+    times_s, peak = _draw_outline(axes, signal, samplerate, palette.FELT_LIGHT, 0.1, "m/s²")
+    rms = columns.short_time_rms(acceleration, samplerate, COLUMNS, RMS_WINDOW_S)
     axes.plot(times_s, rms, color=palette.INK, linewidth=1.2)
-    panels.draw_heading(
-        axes,
-        "Acceleration",
-        f"of the cushion, predicted; dark line: RMS over {1000.0 * RMS_WINDOW_S:.0f} ms",
-        f"peak {peak:.3g} m/s² ({peak / STANDARD_GRAVITY_M_S2:.2g} g)",
-    )
-
-
-def _strongest_of_each_moment(found: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Of the rows of `found` that share a time, the one with the largest strength."""
-    ordered = found[np.lexsort((-found[:, 3], found[:, 0]))]
-    return ordered[np.unique(ordered[:, 0], return_index=True)[1]]
+    legend = f"of the cushion, predicted; dark line: RMS over {1000.0 * RMS_WINDOW_S:.0f} ms"
+    in_g = peak / scipy.constants.g
+    panels.draw_heading(axes, "Acceleration", legend, f"peak {peak:.3g} m/s² ({in_g:.2g} g)")
 
 
 def _draw_spectrum(
-    figure: Figure,
     axes: Axes,
     signal: Samples,
     samplerate: int,
@@ -224,15 +200,16 @@ def _draw_spectrum(
     range_db: float,
 ) -> None:
     """Draw a spectrogram on a prepared frequency axis, with a slim colour bar at its right."""
-    level_db = spectrogram_db(
+    level_db = columns.spectrogram_db(
         signal, samplerate, window_s=window_s, columns=SPECTRUM_COLUMNS, rows_hz=rows_hz
     )
     panels.label_values(axes, "frequency (Hz)")
     image = panels.draw_spectrogram(axes, level_db, signal.size / samplerate, range_db=range_db)
     bar_axes = axes.inset_axes((1.008, 0.0, 0.0075, 1.0))
+    figure = axes.figure
+    assert figure is not None
     figure.colorbar(image, cax=bar_axes)
-    for line in bar_axes.spines.values():
-        line.set_visible(False)
+    bar_axes.spines[:].set_visible(False)
     bar_axes.tick_params(
         labelsize=panels.TICK_PT - 0.5, labelcolor=palette.GREY, labelfontfamily=panels.FONT,
         length=0.0, pad=3.0,

@@ -17,14 +17,9 @@ from audioflinger_hook.offline.render import RenderReport, render_file
 from audioflinger_hook.sources.tap import named
 from device.errors import CushionError, InternalError, UsageError
 
-ReportShare = Callable[[float], None]
-"""Called with the share of the work that is done, 0 to 1."""
-
-SHARE_S = 0.1
-"""Time between reports of the share."""
-
-AHEAD = 4
-"""Files under way for each process: those that wait are small, and none waits for `SHARE_S`."""
+ReportShare = Callable[[float], None]  # the share of the work that is done, 0 to 1
+SHARE_S = 0.1  # between reports of the share
+AHEAD = 4  # files under way for each process, so that none waits for `SHARE_S`
 
 
 @dataclass(frozen=True)
@@ -77,16 +72,13 @@ def render_files(
     An error in one file does not affect the others. Ending the iteration early discards unfinished
     files. Memory grows with the workers, not with the files.
 
-    sources, targets: the sound files, and the file for the vibration of each.
-    settings: used for all files.
     workers: processes at once; 1 for this process alone.
     report_share: called with the share of all files that is done.
     """
-
     count = len(sources)
     if min(workers, count) <= 1:
         for item in range(count):
-            share = _share_of(item, count, report_share)
+            share = partial(_report_one, report_share, item, count) if report_share else None
             yield _try_file(sources[item], targets[item], settings, share)
         return
     with LocalWorkers(min(workers, count), __name__, count) as pool:
@@ -123,35 +115,30 @@ def render_files(
                     # Whose process died is not known, so each file under way is tried alone.
                     came = result(submit(item), alone=True)
             except BrokenExecutor:
-                error = f"{sources[item]}: its process died twice, {DIED}"
-                code = InternalError.exit_code
-                came = Rendered(sources[item], targets[item], error=error, exit_code=code)
+                died = InternalError(f"{sources[item]}: its process died twice, {DIED}")
+                came = _failed(sources[item], targets[item], died)
             yield came
 
 
 def _try_file(
-    source: Path, target: Path, settings: Settings, report_share: ReportShare
+    source: Path, target: Path, settings: Settings, report_share: ReportShare | None
 ) -> Rendered:
     def progress(frames: int, expected: int | None) -> None:
-        if expected:
+        if expected and report_share:
             report_share(min(1.0, frames / expected))
 
     try:
-        report = render_file(source, target, settings, progress=progress)
+        return Rendered(source, target, render_file(source, target, settings, progress=progress))
     except CushionError as error:
-        return Rendered(source, target, error=str(named(error, source)), exit_code=error.exit_code)
+        return _failed(source, target, named(error, source))
     except Exception as error:
         said = f"{type(error).__name__}: {error}; this is a fault of cushion, please report it"
-        wrapped = InternalError(f"{source}: {said}")
-        return Rendered(source, target, error=str(wrapped), exit_code=wrapped.exit_code)
-    return Rendered(source, target, report)
+        return _failed(source, target, InternalError(f"{source}: {said}"))
 
 
-def _share_of(item: int, items: int, report_share: ReportShare | None) -> ReportShare:
-    """Return a function that takes the share of one item and reports the share of all items."""
+def _failed(source: Path, target: Path, error: CushionError) -> Rendered:
+    return Rendered(source, target, error=str(error), exit_code=error.exit_code)
 
-    def one(share: float) -> None:
-        if report_share:
-            report_share((item + share) / items)
 
-    return one
+def _report_one(report_share: ReportShare, item: int, items: int, share: float) -> None:
+    report_share((item + share) / items)

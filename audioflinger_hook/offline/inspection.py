@@ -19,11 +19,8 @@ from audioflinger_hook.transform.reference import ReferenceTransform
 from device.errors import UsageError
 from device.layouts import downmix
 
-LONGEST_S = 1e9
-"""Thirty years: no sound is longer, and its frames still fit a float."""
-
-PRINTED_S = 0.6e-6
-"""A time printed with six decimals may be too small by this much."""
+LONGEST_S = 1e9  # thirty years: no sound is longer, and its frames still fit a float
+PRINTED_S = 0.6e-6  # a time printed with six decimals may be too small by this much
 
 
 @dataclass(frozen=True)
@@ -98,8 +95,7 @@ def inspect_tap(
             frames += len(buffer)
             units = transform.cut(mix.process(channel_rows(replace_unusable(buffer)[0])))
         if exact is None or wanted is None:
-            for number, unit in enumerate(units, start=done):
-                yield unit_of(number, unit)
+            yield from (unit_of(number, unit) for number, unit in enumerate(units, start=done))
         elif wanted < done + len(units) and exact < frames:
             yield unit_of(wanted, units[wanted - done])
             return

@@ -1,6 +1,6 @@
-"""The one pool of processes: several files and whole catalogues are worked on there.
+"""Where batches of work run: this process, or a pool of processes.
 
-`catalogue/cluster.py` offers the same interface for a cluster.
+`catalogue/cluster.py` adds a cluster.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ import multiprocessing
 import os
 import signal
 import threading
-from abc import ABC, abstractmethod
 from collections.abc import Callable, MutableSequence
 from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
 from multiprocessing import forkserver
@@ -21,7 +20,6 @@ T = TypeVar("T")
 
 WORKERS_MAX = 256
 DIED = "for lack of memory or by a fault of a decoder; look at the file and the machine's log"
-"""Why a worker dies, as far as is known."""
 
 _shares: MutableSequence[float] = []  # in a worker: the pool's
 
@@ -31,51 +29,32 @@ def usable_cores() -> int:
     return len(os.sched_getaffinity(0))
 
 
-class Place(ABC):
-    """A place where batches run; a context manager. Use it from one thread."""
+class Place:
+    """A place where batches run, itself this process; a context manager. Use from one thread."""
 
-    @abstractmethod
     def slots(self) -> int:
         """Return how many batches run at once now."""
-
-    @abstractmethod
-    def submit(self, work: Callable[..., T], *arguments: Any) -> Future[T]:
-        """Start a batch, or let it wait for a slot."""
-
-    @abstractmethod
-    def lost_worker(self, error: BaseException) -> bool:
-        """Return whether a batch failed because its worker died. The place then works again."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    @abstractmethod
-    def __exit__(self, kind: object, error: object, trace: object) -> None: ...
-
-
-class ThisProcess(Place):
-    """Runs each batch at once, in this process."""
-
-    def slots(self) -> int:
-        """Return 1."""
         return 1
 
     def submit(self, work: Callable[..., T], *arguments: Any) -> Future[T]:
-        """Return a future that is done."""
+        """Start a batch, or let it wait for a slot; this process does it at once."""
         future: Future[T] = Future()
         future.set_result(work(*arguments))
         return future
 
     def lost_worker(self, error: BaseException) -> bool:
-        """Return False: only this process hands out work."""
+        """Return whether a batch failed because its worker died. The place then works again."""
         return False
+
+    def __enter__(self) -> Self:
+        return self
 
     def __exit__(self, kind: object, error: object, trace: object) -> None:
         pass
 
 
 class LocalWorkers(Place):
-    """Processes of this machine; when one dies, all are started again.
+    """Processes of this machine; when one dies, the next `submit` starts all again.
 
     count: processes at once. preload: the module of the work, imported once for all processes.
     items: number of items that may `report_share`. shares: share of each item that is done, 0 to 1.
@@ -108,11 +87,12 @@ class LocalWorkers(Place):
         try:
             return self._pool.submit(_unless_ended, work, *arguments)
         except BrokenExecutor:
-            self._renew()
+            self._pool.shutdown(wait=True, cancel_futures=True)
+            self._pool = self._new_pool()
             return self._pool.submit(_unless_ended, work, *arguments)
 
     def lost_worker(self, error: BaseException) -> bool:
-        """Return whether the pool broke; it is replaced by the next `submit`."""
+        """Return whether the pool broke."""
         return isinstance(error, BrokenExecutor)
 
     def __exit__(self, kind: object, error: object, trace: object) -> None:
@@ -124,10 +104,6 @@ class LocalWorkers(Place):
 
     def _new_pool(self) -> ProcessPoolExecutor:
         return ProcessPoolExecutor(self._count, self._context, _begin_worker, (self.shares,))
-
-    def _renew(self) -> None:
-        self._pool.shutdown(wait=True, cancel_futures=True)
-        self._pool = self._new_pool()
 
 
 def report_share(item: int, share: float) -> None:
@@ -141,13 +117,11 @@ def _begin_worker(shares: MutableSequence[float]) -> None:
     _shares = shares
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    parent = multiprocessing.parent_process()
-    if parent is None:
-        return
 
     def end_with_parent() -> None:
-        wait([parent.sentinel])
-        os._exit(1)
+        if parent := multiprocessing.parent_process():
+            wait([parent.sentinel])
+            os._exit(1)
 
     threading.Thread(target=end_with_parent, daemon=True).start()
 

@@ -6,7 +6,6 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
 
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.drive.drive import Drive
@@ -120,18 +119,13 @@ def render(
     actuators. Files appear whole or not at all, and the client is closed. Memory does not depend on
     the length. Any one thread may call it.
 
-    client: plays the sound.
     target: the vibration's file. With named actuators it has the device's channels up to the last
         channel with an actuator. Without them it has one channel, or with `channels` = "each" as
         many as the mix.
-    settings: how vibration is made.
     acceleration: file for the rig's simulated acceleration, full scale 100 m/s²; None for none.
-    progress: called after every buffer.
     wait: called before every buffer, to keep a pace.
     warnings: warnings about the source, complete when it has ended.
     fade_s: length of the fade at the end in seconds; 0 keeps every sample as it was computed.
-    open_output: opens the vibration's file; default: a float32 WAV.
-    observe: called before the first step; the function that it returns is called after every step.
     UsageError: the source cannot be used, or a target cannot be written.
     WriteError: the disk is full or failed.
     InternalError: the haptic effect failed.
@@ -143,8 +137,22 @@ def render(
             client.samplerate, client.channels, settings, hal_frames=OFFLINE_HAL_FRAMES
         )
         rate = framework.samplerate
-        rig, written = _open_outputs(outputs, target, acceleration, framework, fade_s, open_output)
-        chain = Pipeline(client, framework, [one.taken for one in written])
+        channel_map = channel_map_of(settings, framework.haptic_channels)
+        outputs.append(open_output(target, rate, channel_map.channels))
+        rig: SimulatedRig | None = None
+        if acceleration is not None:
+            recorder = WavOutput(
+                acceleration, rate, channel_map.channels, comment=ACCELERATION_COMMENT
+            )
+            rig = simulated_rig_of(settings, rate, channel_map, recorder)
+            outputs.append(rig)
+        faded = [FadedOutput(output, round(fade_s * rate)) for output in outputs]
+        drives = [drive_of(settings, rate, framework.haptic_channels) for _ in faded]
+        driven = [
+            _driven(output, drive, channel_map, framework.latency_frames)
+            for output, drive in zip(faded, drives, strict=True)
+        ]
+        chain = Pipeline(client, framework, driven)
         take = observe(framework) if observe else None
         frames = 0
         while step := chain.step():
@@ -163,7 +171,7 @@ def render(
         raise
     finally:
         client.close()
-    readings = [processor.exposure() for processor in written[0].drive.processors if processor]
+    readings = [processor.exposure() for processor in drives[0].processors if processor]
     return RenderReport(
         frames=frames,
         samplerate=rate,
@@ -171,57 +179,27 @@ def render(
         transform=settings.form,
         profile=settings.profile,
         latency_s=framework.latency_s,
-        peak=written[0].file.peak,
+        peak=faded[0].peak,
         limited_samples=framework.limited_samples,
         replaced_samples=framework.replaced_samples,
         peak_acceleration_m_s2=rig.peak_acceleration_m_s2 if rig else None,
-        strength_db=written[0].drive.strength_db,
+        strength_db=drives[0].strength_db,
         exposure=max(readings, key=lambda reading: reading.a8_m_s2, default=None),
         models=rig.seconds if rig else [],
         warnings=[*framework.warnings, *framework.bypass_warnings(), *warnings],
     )
 
 
-def _open_outputs(
-    outputs: list[VibrationOutput],
-    target: Path,
-    acceleration: Path | None,
-    framework: Framework,
-    fade_s: float,
-    open_output: OpenOutput,
-) -> tuple[SimulatedRig | None, list[_Driven]]:
-    """Add the files to `outputs`; return the simulated rig, and how each file is driven."""
-    rate, settings = framework.samplerate, framework.settings
-    channel_map = channel_map_of(settings, framework.haptic_channels)
-    outputs.append(open_output(target, rate, channel_map.channels))
-    rig: SimulatedRig | None = None
-    if acceleration is not None:
-        recorder = WavOutput(acceleration, rate, channel_map.channels, comment=ACCELERATION_COMMENT)
-        rig = simulated_rig_of(settings, rate, channel_map, recorder)
-        outputs.append(rig)
-    frames = round(fade_s * rate)
-    return rig, [_driven(FadedOutput(output, frames), channel_map, framework) for output in outputs]
-
-
-class _Driven(NamedTuple):
-    """A file, which knows its peak, the drive before it, and the output to write to instead.
-
-    The latency of transform and drive is removed.
-    """
-
-    file: FadedOutput
-    taken: VibrationOutput
-    drive: Drive
-
-
-def _driven(written: FadedOutput, channel_map: ChannelMap, framework: Framework) -> _Driven:
-    drive = drive_of(framework.settings, framework.samplerate, framework.haptic_channels)
+def _driven(
+    output: VibrationOutput, drive: Drive, channel_map: ChannelMap, latency_frames: int
+) -> VibrationOutput:
+    """Return the output with the drive before it; the latency of transform and drive is removed."""
     if drive.sources:
         # After the drive: a delayed actuator starts with frames from before the sound.
-        aligned = AlignedOutput(written, framework.latency_frames + drive.latency_frames)
-        return _Driven(written, DrivenOutput(aligned, drive, channel_map), drive)
-    driven = DrivenOutput(AlignedOutput(written, drive.latency_frames), drive, channel_map)
-    return _Driven(written, AlignedOutput(driven, framework.latency_frames), drive)
+        aligned = AlignedOutput(output, latency_frames + drive.latency_frames)
+        return DrivenOutput(aligned, drive, channel_map)
+    driven = DrivenOutput(AlignedOutput(output, drive.latency_frames), drive, channel_map)
+    return AlignedOutput(driven, latency_frames)
 
 
 def refuse_same_file(source: Path, target: Path, acceleration: Path | None) -> None:

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from audioflinger_hook.scenes.shaping import (
-    Signal,
     band,
     curve,
     finished,
@@ -14,8 +12,9 @@ from audioflinger_hook.scenes.shaping import (
     phase_of,
     ring,
     room,
-    time_axis,
+    times_s,
 )
+from device.units import Float32Array, FloatArray
 
 DURATION_S = 3.1
 RELEASE_S = 2.35  # the keys are let go here
@@ -35,9 +34,9 @@ PAD_NOTES_HZ = (73.42, 146.83, 220.00, 369.99)
 INHARMONICITY = 4e-4  # stiff strings: partial n lies at n sqrt(1 + B n^2)
 
 
-def chord(samplerate: int, rng: np.random.Generator, peak: float) -> NDArray[np.float32]:
+def chord(samplerate: int, rng: np.random.Generator, peak: float) -> Float32Array:
     """The chord, 3.1 s, float32 of shape (frames, 2), with its largest sample at `peak`."""
-    time_s = time_axis(DURATION_S, samplerate)
+    time_s = times_s(DURATION_S, samplerate)
     frames = np.zeros((time_s.size, 2))
     for onset_s, frequency_hz, velocity in NOTES:
         start = round(onset_s * samplerate)
@@ -55,7 +54,7 @@ def chord(samplerate: int, rng: np.random.Generator, peak: float) -> NDArray[np.
 
 def _piano(
     frames: int, frequency_hz: float, velocity: float, samplerate: int, rng: np.random.Generator
-) -> Signal:
+) -> FloatArray:
     """One struck note, shape (frames, 2): two strings a little apart, so that they beat."""
     hammer = np.zeros(frames)
     width = max(2, round(0.0015 * samplerate))
@@ -77,7 +76,7 @@ def _piano(
     return strings
 
 
-def _pad(frames: int, samplerate: int, rng: np.random.Generator) -> Signal:
+def _pad(frames: int, samplerate: int, rng: np.random.Generator) -> FloatArray:
     """Soft strings on `PAD_NOTES_HZ`, shape (frames, 2): detuned, and low-passed."""
     time_s = np.arange(frames) / samplerate
     pad = np.zeros((frames, 2))

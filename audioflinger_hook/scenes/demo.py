@@ -8,9 +8,8 @@
                                                      explosion ------>
                                                               chord ------------>
 
-Each sound has its own rate and sample format, as an application would. The engine is paused and
-resumed. Each sound plays alone for some time, and neighbours overlap a little. A second of digital
-silence precedes the explosion.
+Each sound has its own rate and sample format, as an application would. Neighbours overlap a
+little. A second of digital silence precedes the explosion.
 """
 
 from __future__ import annotations
@@ -29,8 +28,7 @@ from audioflinger_hook.scenes.speech import speech
 from device.units import Float32Array
 
 DEMO_DURATION_S = 15.0
-SAMPLERATE = 48_000
-"""Rate of the mix in Hz."""
+SAMPLERATE = 48_000  # of the mix, Hz
 
 # A string, so that importing this does not import numpy.random.
 Voice: TypeAlias = "Callable[[int, np.random.Generator, float], Float32Array]"
@@ -64,8 +62,7 @@ class SceneTrack:
 class Scene:
     """Tracks on a common time axis.
 
-    name: of the scene. samplerate, channels: of the mix; Hz. tracks: the sounds. duration_s: length
-    of the scene in seconds.
+    name, duration_s: of the scene. samplerate, channels: of the mix; Hz. tracks: the sounds.
     """
 
     name: str

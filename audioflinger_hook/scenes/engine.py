@@ -7,11 +7,11 @@ two banks gives the burble between them.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
-from numpy.typing import NDArray
 
 from audioflinger_hook.scenes.shaping import (
-    Signal,
     band,
     curve,
     finished,
@@ -19,8 +19,9 @@ from audioflinger_hook.scenes.shaping import (
     phase_of,
     ring,
     room,
-    time_axis,
+    times_s,
 )
+from device.units import Float32Array, FloatArray
 
 DURATION_S = 4.4
 
@@ -49,13 +50,15 @@ HIGHEST_ORDER = 64
 RESONANCES = ((92.0, 0.10, 1.1), (205.0, 0.07, 0.9), (470.0, 0.035, 0.5), (1150.0, 0.015, 0.35))
 
 
-def engine(samplerate: int, rng: np.random.Generator, peak: float) -> NDArray[np.float32]:
+def engine(samplerate: int, rng: np.random.Generator, peak: float) -> Float32Array:
     """The engine, 4.4 s, float32 of shape (frames, 2), with its largest sample at `peak`."""
-    time_s = time_axis(DURATION_S, samplerate)
+    time_s = times_s(DURATION_S, samplerate)
     load = curve(time_s, LOAD)
 
     doppler = 1.0 - 0.07 * np.tanh((time_s - PASS_S) / 0.35)
-    unsteady = 1.0 + 0.02 * _slow_noise(time_s.size, samplerate, rng) * (1.2 - load)
+    # Noise below 9 Hz with a standard deviation near 1: no engine runs quite evenly.
+    wander = band(rng.standard_normal(time_s.size), None, 9.0, samplerate)
+    unsteady = 1.0 + 0.02 * (wander / np.std(wander)) * (1.2 - load)
     cycle_phase = phase_of(0.5 * curve(time_s, CRANK_HZ) * doppler * unsteady, samplerate)
 
     combustion = _orders(cycle_phase, rng) * (0.06 + load)
@@ -76,38 +79,27 @@ def engine(samplerate: int, rng: np.random.Generator, peak: float) -> NDArray[np
     return finished(placed, samplerate, peak=peak, fade_in_s=0.02, fade_out_s=0.35)
 
 
-def _orders(cycle_phase: Signal, rng: np.random.Generator) -> Signal:
+def _orders(cycle_phase: FloatArray, rng: np.random.Generator) -> FloatArray:
     """The sum of the engine's orders, by repeated multiplication with one phasor (no sin each)."""
     phasor = np.exp(1j * cycle_phase)
     power = np.ones_like(phasor)
     total = np.zeros(cycle_phase.size)
     for order in range(1, HIGHEST_ORDER + 1):
         power *= phasor
-        if order % 8 == 0:
-            evenness = 1.0
-        elif order % 4 == 0:
-            evenness = 0.6
-        else:
-            evenness = 0.10 if order % 2 == 0 else 0.04
+        evenness = {1: 0.04, 2: 0.10, 4: 0.6, 8: 1.0}[math.gcd(order, 8)]
         weight = evenness * (order / 8.0) ** -0.9 * np.exp(2j * np.pi * rng.random())
         total += power.real * weight.real - power.imag * weight.imag
     return total
 
 
-def _pulses(cycle_phase: Signal, *, orders: int, sharpness: int) -> Signal:
+def _pulses(cycle_phase: FloatArray, *, orders: int, sharpness: int) -> FloatArray:
     """A train of `orders` pulses a cycle, each from 0 to 1; sharper with `sharpness`."""
     return (0.5 + 0.5 * np.cos(orders * cycle_phase)) ** sharpness
 
 
-def _slow_noise(frames: int, samplerate: int, rng: np.random.Generator) -> Signal:
-    """Noise below 9 Hz with a standard deviation near 1: no engine runs quite evenly."""
-    wander = band(rng.standard_normal(frames), None, 9.0, samplerate)
-    return wander / np.std(wander)
-
-
 def _starter(
-    time_s: Signal, cycle_phase: Signal, samplerate: int, rng: np.random.Generator
-) -> Signal:
+    time_s: FloatArray, cycle_phase: FloatArray, samplerate: int, rng: np.random.Generator
+) -> FloatArray:
     """The starter motor: a whine that labours against each compression, and the chug of it."""
     on = curve(time_s, ((0.0, 0.0), (0.03, 1.0), (CATCH_S - 0.04, 1.0), (CATCH_S + 0.06, 0.0)))
     compression = _pulses(cycle_phase, orders=8, sharpness=2)

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from audioflinger_hook.scenes.shaping import (
-    Signal,
     band,
     curve,
     finished,
@@ -14,13 +12,12 @@ from audioflinger_hook.scenes.shaping import (
     phase_of,
     ring,
     room,
-    time_axis,
+    times_s,
 )
+from device.units import Float32Array, FloatArray
 
 FOOTSTEPS_DURATION_S = 2.5
-FIRST_STEP_S = 0.03
-STEP_INTERVAL_S = 0.42
-TOE_DELAY_S = 0.11
+FIRST_STEP_S, STEP_INTERVAL_S, TOE_DELAY_S = 0.03, 0.42, 0.11
 
 EXPLOSION_DURATION_S = 3.1
 
@@ -35,7 +32,7 @@ BLAST_BANDS = (
 DEBRIS_PIECES = 34
 
 
-def footsteps(samplerate: int, rng: np.random.Generator, peak: float) -> NDArray[np.float32]:
+def footsteps(samplerate: int, rng: np.random.Generator, peak: float) -> Float32Array:
     """Six steps that come nearer, left and right in turn, float32 of shape (frames, 2)."""
     frames = np.zeros((round(FOOTSTEPS_DURATION_S * samplerate), 2))
     for step in range(6):
@@ -50,9 +47,9 @@ def footsteps(samplerate: int, rng: np.random.Generator, peak: float) -> NDArray
     return finished(frames, samplerate, peak=peak, fade_in_s=0.002, fade_out_s=0.15)
 
 
-def explosion(samplerate: int, rng: np.random.Generator, peak: float) -> NDArray[np.float32]:
+def explosion(samplerate: int, rng: np.random.Generator, peak: float) -> Float32Array:
     """Crack, boom, a tail of 3 s and falling debris, float32 of shape (frames, 2)."""
-    time_s = time_axis(EXPLOSION_DURATION_S, samplerate)
+    time_s = times_s(EXPLOSION_DURATION_S, samplerate)
 
     # The boom falls in pitch as the ball of gas expands; driven hard, it gains harmonics.
     boom_hz = curve(time_s, ((0.0, 240.0), (0.06, 150.0), (0.3, 86.0), (1.2, 58.0), (3.1, 52.0)))
@@ -80,9 +77,9 @@ def explosion(samplerate: int, rng: np.random.Generator, peak: float) -> NDArray
     return finished(frames, samplerate, peak=peak, fade_in_s=0.001, fade_out_s=0.9)
 
 
-def _step(samplerate: int, rng: np.random.Generator, pitch: float) -> Signal:
+def _step(samplerate: int, rng: np.random.Generator, pitch: float) -> FloatArray:
     """One shoe on gravel, 0.25 s: a low thud whose pitch falls, and the crunch of the stones."""
-    time_s = time_axis(0.25, samplerate)
+    time_s = times_s(0.25, samplerate)
     thud_hz = pitch * curve(time_s, ((0.0, 170.0), (0.015, 105.0), (0.08, 72.0), (0.25, 62.0)))
     thud = np.sin(phase_of(thud_hz, samplerate)) * 10.0 ** (-3.0 * time_s / 0.2)
     sole = band(rng.standard_normal(time_s.size), 90.0, 500.0, samplerate, order=1)
@@ -96,7 +93,7 @@ def _step(samplerate: int, rng: np.random.Generator, pitch: float) -> Signal:
     return thud + 0.8 * sole + 0.42 * crunch
 
 
-def _debris(samplerate: int, rng: np.random.Generator) -> Signal:
+def _debris(samplerate: int, rng: np.random.Generator) -> FloatArray:
     """Stones and metal that come down from 0.5 s on, fewer and smaller, spread left to right."""
     frames = np.zeros((round(EXPLOSION_DURATION_S * samplerate), 2))
     strike = np.zeros(round(0.22 * samplerate))
@@ -113,7 +110,9 @@ def _debris(samplerate: int, rng: np.random.Generator) -> Signal:
     return frames
 
 
-def _add(frames: Signal, mono: Signal, position: float, start_s: float, samplerate: int) -> None:
+def _add(
+    frames: FloatArray, mono: FloatArray, position: float, start_s: float, samplerate: int
+) -> None:
     """Adds `mono` at `position` to `frames` from `start_s` on; samples after the end are cut."""
     start = round(start_s * samplerate)
     stop = min(start + mono.size, frames.shape[0])

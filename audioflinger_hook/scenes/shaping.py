@@ -9,17 +9,16 @@ from collections.abc import Sequence
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
-Signal = NDArray[np.float64]
+from device.units import Float32Array, FloatArray
 
 
-def time_axis(duration_s: float, samplerate: int) -> Signal:
+def times_s(duration_s: float, samplerate: int) -> FloatArray:
     """The time in seconds of each frame of `duration_s` seconds, shape (frames,)."""
     return np.arange(round(duration_s * samplerate)) / samplerate
 
 
-def curve(time_s: Signal, points: Sequence[tuple[float, float]]) -> Signal:
+def curve(time_s: FloatArray, points: Sequence[tuple[float, float]]) -> FloatArray:
     """A smooth curve through (seconds, value) `points` at each of `time_s`; held outside of them.
 
     Monotone between neighbours (PCHIP), so it never overshoots a value that was asked for.
@@ -30,14 +29,14 @@ def curve(time_s: Signal, points: Sequence[tuple[float, float]]) -> Signal:
     return np.asarray(smooth(inside_s), dtype=np.float64)
 
 
-def phase_of(frequency_hz: Signal, samplerate: int) -> Signal:
+def phase_of(frequency_hz: FloatArray, samplerate: int) -> FloatArray:
     """The phase in radians of an oscillator that follows `frequency_hz` frame by frame."""
     return np.cumsum(frequency_hz) * (2.0 * np.pi / samplerate)
 
 
 def band(
-    signal: Signal, low_hz: float | None, high_hz: float | None, samplerate: int, order: int = 2
-) -> Signal:
+    signal: FloatArray, low_hz: float | None, high_hz: float | None, samplerate: int, order: int = 2
+) -> FloatArray:
     """`signal` between two corners (Butterworth, along axis 0); None leaves that side open."""
     high_hz = None if high_hz is None or high_hz >= 0.45 * samplerate else high_hz
     corners_hz = [hz for hz in (low_hz, high_hz) if hz is not None]
@@ -48,7 +47,9 @@ def band(
     return np.asarray(scipy.signal.sosfilt(sos, signal, axis=0), dtype=np.float64)
 
 
-def ring(excitation: Signal, frequency_hz: float, decay_s: float, samplerate: int) -> Signal:
+def ring(
+    excitation: FloatArray, frequency_hz: float, decay_s: float, samplerate: int
+) -> FloatArray:
     """The sound of a mode of `frequency_hz` struck by `excitation`; -60 dB after `decay_s`.
 
     A two-pole resonator: an impulse of height 1 gives a decaying sine that starts at amplitude 1.
@@ -60,26 +61,26 @@ def ring(excitation: Signal, frequency_hz: float, decay_s: float, samplerate: in
     return np.asarray(scipy.signal.lfilter(numerator, denominator, excitation), dtype=np.float64)
 
 
-def pan(mono: Signal, position: Signal | float) -> Signal:
+def pan(mono: FloatArray, position: FloatArray | float) -> FloatArray:
     """`mono` placed from -1 (left) to 1 (right) at constant power, shape (frames, 2)."""
     angle = (np.clip(position, -1.0, 1.0) + 1.0) * (np.pi / 4.0)
     return np.stack([mono * np.cos(angle), mono * np.sin(angle)], axis=1)
 
 
 def room(
-    dry: Signal,
+    dry: FloatArray,
     samplerate: int,
     rng: np.random.Generator,
     *,
     decay_s: float,
     level: float,
     high_hz: float = 5000.0,
-) -> Signal:
+) -> FloatArray:
     """`dry` (frames, 2) with the diffuse tail of a room added; the length stays that of `dry`.
 
     `decay_s` is the tail's time to -60 dB, `level` its energy against the direct sound's.
     """
-    time_s = time_axis(decay_s, samplerate)
+    time_s = times_s(decay_s, samplerate)
     tail = rng.standard_normal((time_s.size, 2)) * 10.0 ** (-3.0 * time_s / decay_s)[:, None]
     tail = band(tail, 120.0, high_hz, samplerate, order=1)
     # Walls are some metres away, so the tail starts after 8 ms.
@@ -90,8 +91,8 @@ def room(
 
 
 def finished(
-    frames: Signal, samplerate: int, *, peak: float, fade_in_s: float, fade_out_s: float
-) -> NDArray[np.float32]:
+    frames: FloatArray, samplerate: int, *, peak: float, fade_in_s: float, fade_out_s: float
+) -> Float32Array:
     """`frames` with raised-cosine ends, scaled to `peak` (full scale is 1), as float32.
 
     The first and the last frame are exactly zero, so that a track can start and stop anywhere.

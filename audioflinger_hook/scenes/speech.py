@@ -9,18 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from audioflinger_hook.scenes.shaping import (
-    Signal,
-    band,
-    curve,
-    finished,
-    pan,
-    phase_of,
-    room,
-    time_axis,
-)
+from audioflinger_hook.scenes.shaping import band, curve, finished, pan, phase_of, room, times_s
+from device.units import Float32Array, FloatArray
 
 DURATION_S = 2.15
 
@@ -70,22 +61,16 @@ CONTROL_INTERVAL_S = 0.004
 HIGHEST_HARMONIC_HZ = 4800.0
 
 
-def speech(samplerate: int, rng: np.random.Generator, peak: float) -> NDArray[np.float32]:
+def speech(samplerate: int, rng: np.random.Generator, peak: float) -> Float32Array:
     """Seven syllables in 2.15 s, float32 of shape (frames, 2), the largest sample at `peak`."""
-    time_s = time_axis(DURATION_S, samplerate)
+    time_s = times_s(DURATION_S, samplerate)
     loudness = np.zeros(time_s.size)
     hiss = np.zeros(time_s.size)
     for syllable in SYLLABLES:
         stop_s = syllable.start_s + syllable.length_s
-        loudness += syllable.stress * curve(
-            time_s,
-            (
-                (syllable.start_s - 0.012, 0.0),
-                (syllable.start_s + 0.025, 1.0),
-                (syllable.start_s + 0.6 * syllable.length_s, 0.8),
-                (stop_s + 0.03, 0.0),
-            ),
-        )
+        start_s, middle_s = syllable.start_s, syllable.start_s + 0.6 * syllable.length_s
+        swell = ((start_s - 0.012, 0.0), (start_s + 0.025, 1.0), (middle_s, 0.8))
+        loudness += syllable.stress * curve(time_s, (*swell, (stop_s + 0.03, 0.0)))
         if syllable.consonant:
             hiss += _hiss(time_s, syllable, samplerate, rng)
 
@@ -96,7 +81,7 @@ def speech(samplerate: int, rng: np.random.Generator, peak: float) -> NDArray[np
     return finished(spoken, samplerate, peak=peak, fade_in_s=0.005, fade_out_s=0.08)
 
 
-def _voice(time_s: Signal, samplerate: int, rng: np.random.Generator) -> Signal:
+def _voice(time_s: FloatArray, samplerate: int, rng: np.random.Generator) -> FloatArray:
     """The voiced sound without its syllables' loudness: harmonics weighed by gliding formants."""
     pitch_points, formant_points = _articulation()
     jitter = band(rng.standard_normal(time_s.size), None, 25.0, samplerate)
@@ -133,30 +118,21 @@ def _articulation() -> tuple[
     """The pitch and the formants over time, as points for `curve`."""
     pitch: list[tuple[float, float]] = []
     tract: list[tuple[float, tuple[float, float, float, float]]] = []
-    for syllable in SYLLABLES:
-        stop_s = syllable.start_s + syllable.length_s
-        pitch += [(syllable.start_s, syllable.pitch_hz), (stop_s, 0.9 * syllable.pitch_hz)]
-        first, last = syllable.vowels
-        tract += [
-            (syllable.start_s + 0.25 * syllable.length_s, FORMANTS_HZ[first]),
-            (syllable.start_s + 0.85 * syllable.length_s, FORMANTS_HZ[last]),
-        ]
+    for one in SYLLABLES:
+        pitch += [(one.start_s, one.pitch_hz), (one.start_s + one.length_s, 0.9 * one.pitch_hz)]
+        for vowel, share in zip(one.vowels, (0.25, 0.85), strict=True):
+            tract.append((one.start_s + share * one.length_s, FORMANTS_HZ[vowel]))
     return pitch, tract
 
 
-def _hiss(time_s: Signal, syllable: Syllable, samplerate: int, rng: np.random.Generator) -> Signal:
+def _hiss(
+    time_s: FloatArray, syllable: Syllable, samplerate: int, rng: np.random.Generator
+) -> FloatArray:
     """The noise of the consonant that leads into `syllable`, over the whole of `time_s`."""
     low_hz, high_hz, length_s, gain = HISSES[syllable.consonant]
     noise = band(rng.standard_normal(time_s.size), low_hz, high_hz, samplerate)
     stop_s = syllable.start_s + 0.01
     start_s = stop_s - length_s
-    shape = curve(
-        time_s,
-        (
-            (start_s, 0.0),
-            (start_s + min(0.004, 0.2 * length_s), 1.0),
-            (start_s + 0.7 * length_s, 0.8),
-            (stop_s, 0.0),
-        ),
-    )
+    rise_s, fall_s = start_s + min(0.004, 0.2 * length_s), start_s + 0.7 * length_s
+    shape = curve(time_s, ((start_s, 0.0), (rise_s, 1.0), (fall_s, 0.8), (stop_s, 0.0)))
     return gain * syllable.stress * shape * noise / (3.0 * np.std(noise))

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from audioflinger_hook.scenes.shaping import Signal, band, curve, finished, pan, ring, room
+from audioflinger_hook.scenes.shaping import band, curve, finished, pan, ring, room
+from device.units import FloatArray
 
 SAMPLERATE = 48_000
 DURATION_S = 2.6
@@ -59,7 +60,7 @@ STRIKES = (
 def recording() -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
     """Stereo sound of 2.6 s, (frames, 2) float32 at 48 kHz, peak 0.5; always the same bytes."""
     rng = np.random.default_rng(SEED)
-    frames: Signal = np.zeros((round(DURATION_S * SAMPLERATE), 2))
+    frames: FloatArray = np.zeros((round(DURATION_S * SAMPLERATE), 2))
     for strike in STRIKES:
         first = round(strike.start_s * SAMPLERATE)
         sound = _struck(strike, len(frames) - first, rng)
@@ -70,7 +71,7 @@ def recording() -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
     return finished(frames, SAMPLERATE, peak=PEAK, fade_in_s=0.02, fade_out_s=0.1)
 
 
-def _struck(strike: Strike, frames: int, rng: np.random.Generator) -> Signal:
+def _struck(strike: Strike, frames: int, rng: np.random.Generator) -> FloatArray:
     """The modes that ring on, and the short noise of the contact; (frames,)."""
     blow = np.zeros(frames)
     blow[0] = 1.0
