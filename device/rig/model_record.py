@@ -13,7 +13,7 @@ import numpy as np
 from device.errors import UsageError
 from device.rig.actuator import Motion, Quantity
 from device.rig.adaptive_actuator import FLOOR, AdaptiveActuator
-from device.rig.parameters import Model, check_tolerance
+from device.rig.parameters import Model
 from device.rig.rig import Rig
 from device.units import FloatArray
 
@@ -27,7 +27,6 @@ def actuator_of(rig: Rig, samplerate: float, model: Model, tolerance: float) -> 
 
     UsageError: the rig lacks what the non-linear model needs; the message names the values.
     """
-    check_tolerance(tolerance)
     if model == "nonlinear" and rig.large_signal is None:
         raise UsageError(
             f"rig {rig.name!r} has no data for the non-linear model: large_signal.stop_m is "
