@@ -9,7 +9,7 @@ import numpy as np
 import scipy.fft
 from scipy.signal import sosfilt
 
-from device.drive.exposure.dose import wk_sections
+from device.drive.exposure import wk_sections
 from device.rig import rig_by_name
 from device.rig.actuator import LinearActuator
 from device.rig.equations import seat_sections

@@ -15,7 +15,7 @@ from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.exports.options import FORMATS, ExportOptions
 from audioflinger_hook.transform import TRANSFORM_VERSION
 from device.errors import UsageError
-from device.rig.rig_file import SHIPPED
+from device.rig.rig import SHIPPED
 
 VERSION = f"{TRANSFORM_VERSION}.2"
 """Version of the transform, and of everything else that decides a result's bytes."""

@@ -17,8 +17,8 @@ from device.identification.calibration import STEPS, Calibration, calibrate
 from device.identification.live.laboratory import Devices
 from device.identification.mechanics import write_rig
 from device.identification.output_error import Estimate
+from device.identification.recording import Sweep
 from device.identification.simulated_laboratory import USUAL_SHARE, SimulatedLaboratory
-from device.identification.sweep import Sweep
 from device.identification.transfer import LOW_COHERENCE, Quality
 from device.rig import Rig, rig_by_name
 

@@ -21,8 +21,8 @@ from device.errors import NotFoundError, UsageError
 from device.identification.calibration import Calibration, calibrate
 from device.identification.live.laboratory import UNUSED, Devices, Inputs, LiveLaboratory
 from device.identification.output_error import Estimate
+from device.identification.recording import Sweep
 from device.identification.simulated_laboratory import LARGEST_SHARE, sweep_at_excursion
-from device.identification.sweep import Sweep
 from device.rig import Rig
 from device.server import PulseConnection, ServerSnapshot
 from device.server.identity import find_source, is_cushion_stream

@@ -29,7 +29,7 @@ from audioflinger_hook.sources import FramesTap, SceneClient, mixdown
 from device.atomic_file import write_bytes_atomically
 from device.drive.outputs import FADE_S, AlignedOutput, FadedOutput
 from device.errors import UsageError
-from device.rig.instruments import ACCELERATION_FULL_SCALE_M_S2
+from device.rig.electronics import ACCELERATION_FULL_SCALE_M_S2
 from device.rig.model_record import in_words
 from device.rig.simulated_rig import SimulatedRig
 from device.units import amplitude_to_db

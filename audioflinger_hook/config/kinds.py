@@ -9,7 +9,7 @@ from typing import Any
 
 from audioflinger_hook.sources import parse_tap
 from device.errors import UsageError
-from device.rig.rig_file import SHIPPED, SUFFIX, read_rig
+from device.rig.rig import SHIPPED, SUFFIX, read_rig
 from device.values import Description, Refusal, Text
 
 

@@ -23,10 +23,10 @@ from device.drive import (
     wiring_of,
     wiring_refusals,
 )
-from device.drive.damping.design import resonance_as_damped
+from device.drive.damping import resonance_as_damped
 from device.drive.settings import DAMPING, EXPOSURE_CAP, GAIN_MAX_DB, GAIN_MIN_DB, PROTECTION
 from device.rig.parameters import LEAST_TOLERANCE, MODELS, Model
-from device.rig.rig_file import SHIPPED, rig_by_name
+from device.rig.rig import SHIPPED, rig_by_name
 from device.server.forwarding import MAX_DELAY_S
 from device.values import Choice, Described, Number, Refusal, Switch
 

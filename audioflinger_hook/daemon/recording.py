@@ -20,7 +20,7 @@ from audioflinger_hook.daemon.engine import OnMix, OnStep
 from audioflinger_hook.transform import TransformParameters
 from device.drive import ActuatorSettings
 from device.errors import CushionError, UsageError
-from device.rig.rig_file import SHIPPED
+from device.rig.rig import SHIPPED
 from device.units import Float32Array
 from device.values import counted
 

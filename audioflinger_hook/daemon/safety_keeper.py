@@ -17,7 +17,7 @@ from typing import Any
 
 from audioflinger_hook.drive.driven_rig import DrivenRig
 from device.atomic_file import AtomicFile, make_private_folder
-from device.drive.exposure.dose import DoseSums
+from device.drive.exposure import DoseSums
 from device.drive.safety import SafetyState
 from device.errors import CushionError
 

@@ -23,7 +23,7 @@ from device.drive.exposure import Exposure
 from device.drive.outputs import FADE_S, AlignedOutput, DrivenOutput, FadedOutput
 from device.errors import UsageError
 from device.output import VibrationOutput
-from device.rig.instruments import ACCELERATION_FULL_SCALE_M_S2
+from device.rig.electronics import ACCELERATION_FULL_SCALE_M_S2
 from device.rig.model_record import SecondReport, in_words
 from device.rig.simulated_rig import SimulatedRig
 from device.wav_output import WavOutput

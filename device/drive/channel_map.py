@@ -11,19 +11,16 @@ import numpy as np
 from device.errors import UsageError
 from device.units import Float32Array, FloatArray
 
-CHANNELS_MAX = 32
-"""Largest number of channels of a stream."""
+CHANNELS_MAX = 32  # largest number of channels of a stream
 
-Wiring = tuple[tuple[int | str, ...], ...]
-"""The device's channels for each actuator: numbers from 0, or positions such as "front-left"."""
+Wiring = tuple[tuple[int | str, ...], ...]  # for each actuator: numbers from 0, or positions
 
 
 @dataclass(frozen=True)
 class ChannelMap:
     """Which actuator each channel of a device plays. Any thread may use it.
 
-    actuators: their number.
-    sources: the actuator of every channel of the device, counted from 0; None for silence.
+    actuators: their number. sources: the actuator of every channel, from 0; None for silence.
     """
 
     actuators: int
@@ -40,8 +37,7 @@ class ChannelMap:
     ) -> ChannelMap:
         """Return a map whose actuators repeat over the channels with coils; others are silent.
 
-        coils: these channels, counted from 0; empty where all channels have coils.
-        UsageError: the device's profile lacks such a channel.
+        coils: counted from 0; empty for all. UsageError: the device's profile lacks a channel.
         """
         if not coils:
             return cls.repeated(actuators, channels)
@@ -66,8 +62,7 @@ class ChannelMap:
     ) -> ChannelMap:
         """Return the map for the actuators' channels; channels without an actuator are silent.
 
-        wiring: the channels of each actuator. channels, positions, device: the device's number of
-        channels, their names in order, empty if they have none, and its name for messages.
+        positions: names of the channels in order, empty if they have none. device: for messages.
         UsageError: an actuator has no channel, a channel has two actuators, or the device has no
             such channel.
         """

@@ -27,7 +27,6 @@ def sink_channel_map(
     """Return which actuator each channel of a stream to this sink plays.
 
     haptic_channels: channels of the vibration; without named actuators they repeat over the sink's.
-
     UsageError: the sink has no such channel, or a stream cannot reach its channels one by one.
     """
     wanted = actuators_of_channels(sink, actuators, haptic_channels)
@@ -52,7 +51,6 @@ def actuators_of_channels(
     """Return which actuator each channel of a sink plays, in the sink's own order.
 
     Without named actuators, channels of a known device that drive no coils are silent.
-
     UsageError: the sink has no such channel.
     """
     name = f"the sink {sink.name!r}"

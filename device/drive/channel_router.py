@@ -11,15 +11,13 @@ from device.drive.settings import ActuatorSettings
 from device.errors import InternalError
 from device.units import Float32Array
 
-Fill = Callable[[Float32Array, float], None]
-"""Called with (out, now_s); writes the next vibration, (frames, actuators), into `out`."""
+Fill = Callable[[Float32Array, float], None]  # (out, now_s): writes (frames, actuators) into out
 
 
 class ChannelRouter:
-    """Routes actuators to one output's channels; outlives the output's streams.
+    """Routes named actuators to one output's channels; outlives the output's streams.
 
-    For the supervising thread alone. actuators: those that are named; if there are none, the
-    vibration's channels repeat over the device's.
+    For the supervising thread alone.
     """
 
     def __init__(self, actuators: Sequence[ActuatorSettings]) -> None:
@@ -32,20 +30,14 @@ class ChannelRouter:
         return self._routed.fill
 
     def change(self, actuators: Sequence[ActuatorSettings], channel_map: ChannelMap | None) -> bool:
-        """Change the actuators; return whether the open stream can continue with them.
-
-        channel_map: of the new actuators on the open channels, None if there is none.
-        """
+        """Change the actuators; return whether the open stream can continue with the new map."""
         before, self.actuators = self.actuators, actuators
         if before == actuators:
             return True
         routed = self._routed
-        if (
-            routed is None
-            or channel_map is None
-            or len(before) != len(actuators)
-            or routed.channels != channel_map.channels
-        ):
+        if not (routed and channel_map) or len(before) != len(actuators):
+            return False
+        if routed.channels != channel_map.channels:
             return False
         routed.change(channel_map)
         return True
@@ -54,9 +46,8 @@ class ChannelRouter:
 class RoutedFill:
     """Fills a device's channels from a `Fill` that has one column for each actuator.
 
-    The output's thread calls `fill`; any thread may call `change`.
-
-    block_frames: usual length of a block; another length allocates new memory.
+    The output's thread calls `fill`, which allocates memory only for another length than
+    block_frames; any thread may call `change`.
     """
 
     def __init__(self, fill: Fill, channel_map: ChannelMap, block_frames: int) -> None:

@@ -10,8 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from device.drive.damping import Damping, choose_damping
-from device.drive.exposure import DoseSums
-from device.drive.exposure.design import exposure_records, worst_second
+from device.drive.exposure import DoseSums, exposure_records, worst_second
 from device.drive.protection.design import latency_frames, protection_records
 from device.drive.protection.limits import Limits
 from device.drive.safety import SafetyBounds
@@ -24,8 +23,7 @@ from device.units import Records, amplitude_to_db
 class DriveDesign:
     """Damping, protection and exposure meter of one rig. Immutable; any thread may use it.
 
-    The damping makes up for the strength that it takes. Protection is always on, since a damped
-    signal exceeds full scale and must not be clipped.
+    Protection is always on, since a damped signal exceeds full scale and must not be clipped.
 
     samplerate: Hz, 6000 or more. damping: None for none. exposure_cap: one of `CAPS`; above half of
     the cap's dose the gain falls slowly. limits: None for those of the rig. records: numbers and
@@ -96,8 +94,7 @@ def drive_design(
 ) -> DriveDesign | None:
     """Return the design for these choices; None if all three are "off".
 
-    rig: a name or a file, see `rig_by_name`. UsageError: there is no such rig, or the sample rate
-    is too low for the processing.
+    rig: a name or a file. UsageError: there is no such rig, or the sample rate is too low.
     """
     plan = DrivePlan.of(rig, samplerate, damping, protection, exposure_cap)
     return plan and plan.design()
@@ -116,15 +113,12 @@ class DrivePlan(NamedTuple):
         cls, rig: str, samplerate: int, damping: str, protection: str, exposure_cap: str
     ) -> DrivePlan | None:
         """Return the plan for the choices of `drive_design`. UsageError: there is no such rig."""
-        if (damping, protection, exposure_cap) == ("off", "off", "off"):
+        if {damping, protection, exposure_cap} == {"off"}:
             return None
         return cls(rig_by_name(rig), samplerate, damping != "off", exposure_cap)
 
     def design(self) -> DriveDesign:
-        """Return the design. The first one of a rig takes half a second and loads SciPy.
-
-        UsageError: the sample rate is too low for the processing.
-        """
+        """Return the design; a rig's first takes half a second. UsageError: the rate is too low."""
         return _designed(self)
 
 

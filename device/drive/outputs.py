@@ -11,8 +11,7 @@ from device.errors import InternalError
 from device.output import VibrationOutput
 from device.units import Float32Array, FloatArray
 
-FADE_S = 0.005
-"""Length of the fade at the end of a file: a tone that lasts to the end stops without a click."""
+FADE_S = 0.005  # at the end of a file, so that a tone that lasts to it stops without a click
 
 
 class Driver(Protocol):
@@ -48,10 +47,7 @@ class WrappedOutput:
 
 
 class AlignedOutput(WrappedOutput):
-    """Drops the first `latency_frames`, so that vibration starts with its sound.
-
-    For files; a playing device uses the delay line instead.
-    """
+    """Drops the first `latency_frames`, so that vibration in a file starts with its sound."""
 
     def __init__(self, output: VibrationOutput, latency_frames: int) -> None:
         super().__init__(output)
@@ -66,12 +62,10 @@ class AlignedOutput(WrappedOutput):
 
 
 class DrivenOutput(WrappedOutput):
-    """Applies a drive before an output that is not live.
+    """Applies a drive before an output that is not live; its latency stays in the vibration.
 
-    The drive's latency stays in the vibration. `close` first writes the frames that the rigs'
-    processing still holds, but no frames that a `delay_ms` moves past the end.
-
-    channel_map: which of the drive's columns each channel of the output plays.
+    `close` first writes the frames that the rigs' processing still holds, but no frames that a
+    `delay_ms` moves past the end.
     """
 
     def __init__(self, output: VibrationOutput, drive: Driver, channel_map: ChannelMap) -> None:
@@ -107,11 +101,10 @@ class DrivenOutput(WrappedOutput):
 
 
 class FadedOutput(WrappedOutput):
-    """Fades the last frames before it closes an output, by a raised cosine, at the same length.
+    """Fades the last frames before it closes an output, by a raised cosine.
 
-    For files whose end cuts the sound off. A file that is shorter than the fade is faded from its
-    first frame on. frames: length of the fade, 0 for none. peak: largest magnitude that was written
-    so far; 1.0 is full scale.
+    For files whose end cuts the sound off. A shorter file is faded from its first frame on.
+    frames: length of the fade, 0 for none. peak: largest magnitude written so far.
     """
 
     def __init__(self, output: VibrationOutput, frames: int) -> None:

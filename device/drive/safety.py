@@ -5,15 +5,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from device.drive.exposure.dose import DoseSums
+from device.drive.exposure import DoseSums
 from device.drive.protection.limits import APPROACH_S, limits_of
 from device.rig import Rig
 from device.rig.thermal import Temperatures
 
-_STEP_S = 0.01
-"""Step in which the protection's law of power is followed; it changes over 2 s."""
-
 NO_DOSE = DoseSums()
+_STEP_S = 0.01  # step in which the protection's law of power is followed; it changes over 2 s
 
 
 @dataclass(frozen=True)

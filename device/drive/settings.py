@@ -11,22 +11,16 @@ from device.units import db_to_amplitude
 from device.values import Choice, Described, Description, Number, Refusal, Text
 
 SOURCES = ("mix", "left", "right", "front", "back")
-"""Sources that an actuator may play; "all" means the same as "mix"."""
-
 POLARITIES = ("normal", "inverted")
 DAMPING = ("off", "auto")
 PROTECTION = ("off", "on")
 EXPOSURE_CAP = ("off", "action", "limit")
 
-GAIN_MIN_DB, GAIN_MAX_DB = -60.0, 0.0
-"""Largest gain: 0 dB makes full-scale vibration full scale of the device; more would clip."""
+GAIN_MIN_DB, GAIN_MAX_DB = -60.0, 0.0  # above 0 dB full-scale vibration would clip
 
-DELAY_MAX_MS = 500.0
-"""Longest delay. Sound travels 170 m in this time, further than two seats are apart. The limit sets
-the memory that is allocated at the start."""
+DELAY_MAX_MS = 500.0  # sound travels 170 m in this time; it sets the memory allocated at the start
 
-ACTUATORS_MAX = CHANNELS_MAX
-"""Largest number of actuators: one for each channel."""
+ACTUATORS_MAX = CHANNELS_MAX  # largest number of actuators: one for each channel
 
 LIKE_ALL = "; default: the top-level value"
 
@@ -126,17 +120,11 @@ def wiring_refusals(wired: Sequence[Sequence[int | str]]) -> dict[int, Refusal]:
 
 
 def sources_of(actuators: Sequence[ActuatorSettings]) -> tuple[str, ...]:
-    """Return the sources that the actuators play, without repeats, in the order of `SOURCES`.
-
-    actuators: all of a run.
-    """
+    """Return the sources that are played, once each, in the order of `SOURCES`. actuators: all."""
     played = {actuator.source for actuator in actuators}
     return tuple(source for source in SOURCES if source in played)
 
 
 def wiring_of(actuators: Sequence[ActuatorSettings]) -> Wiring:
-    """Return the channels of every actuator.
-
-    actuators: all of a run.
-    """
+    """Return the channels of every actuator. actuators: all of a run."""
     return tuple(actuator.channels for actuator in actuators)

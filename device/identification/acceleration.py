@@ -12,23 +12,13 @@ from device.identification.output_error import (
     Estimate,
     Extra,
     Fit,
-    check_converged,
-    check_misfit,
+    check_fit,
     fit,
     fit_with_extras,
     require,
 )
 from device.identification.recording import ComplexArray, IdentificationError, Recording
-from device.identification.responses import (
-    DELAY,
-    EDDY,
-    LAG,
-    MODE,
-    SEAT,
-    Factor,
-    high_pass,
-    product,
-)
+from device.identification.responses import DELAY, EDDY, LAG, MODE, SEAT, Factor, high_pass, product
 from device.identification.transfer import check_recording
 from device.units import FloatArray
 
@@ -36,28 +26,22 @@ WIDEST_F0, WIDEST_Q, WIDEST_SENSITIVITY = 0.02, 0.2, 0.2
 """Half the widest accepted 95 % interval, as a share."""
 
 F0_BY_LEVEL, Q_BY_LEVEL = 0.19, 0.4
-"""Shares by which f0 and Q rise, per square of the level in Xmax.
+"""Shares by which f0 and Q rise, per square of the level in Xmax, and intervals are extended down.
 
 If stiffness is 50 % higher at Xmax, f0 rises by 3/8 of that (describing function). Q rises with it,
-and because Bl falls by a quarter. Intervals, which are for the rig at rest, are extended down by
-this much.
+and because Bl falls by a quarter.
 """
 HARDENING = 0.5
 """Largest r.m.s. share by which a hardening spring changes the response, per square of the level in
 Xmax. A seat must change it more, even without noise."""
+# Starts for an unknown delay; the measured one may be a quarter of a period too long.
 _DELAYS_S = np.arange(-8e-3, 4e-3, 0.25e-3)
-"""Starts for an unknown delay. The measured delay is that of the impulse response's peak, up to a
-quarter of a period after its beginning."""
 _ADVICE = "raise the level a little, make the sweep longer or bring it closer to the resonance"
 
 
 @dataclass(frozen=True)
 class Mode:
-    """The mode that an acceleration sweep shows.
-
-    Against current, f0 and Q are the mechanical ones (f0, Qms). Against voltage, they are those of
-    the poles under that drive, including the electrical damping.
-    """
+    """The mode that an acceleration sweep shows; against voltage it has the electrical damping."""
 
     f0_hz: Estimate
     q: Estimate
@@ -72,7 +56,7 @@ class Mode:
 def identify_mode(recording: Recording, x_max_m: float, *, on_seat: bool | None = None) -> Mode:
     """Return the mode that a recording of acceleration, for a current or a voltage, shows.
 
-    x_max_m gives the level. on_seat: whether there is a seat, if another recording shows it.
+    on_seat: whether there is a seat, if another recording shows it.
     """
     check_recording(recording)
     mode, shown = _identify(recording, x_max_m, on_seat)
@@ -96,14 +80,11 @@ def _identify(
     level_known = math.isfinite(x_max_m)
     recording, found, extras, inverted = _fit_mode(recording, factors, on_seat, level_known)
     on_seat = any(extra.name == "seat" for extra in extras)
-    check_converged(recording, found)
-    refuse_outside(recording, found.logs[1])
-    check_misfit(
-        recording,
-        found,
+    advice = (
         "more than one resonance and a seat are in the band, or this is another channel; check "
-        "the input, fasten what rattles, or sweep a narrower band around the resonance",
+        "the input, fasten what rattles, or sweep a narrower band around the resonance"
     )
+    check_fit(recording, found, advice)
     sensitivity, f0, q = (found.estimate({index: 1.0}) for index in range(3))
     require("sensitivity", sensitivity, WIDEST_SENSITIVITY, _ADVICE)
     require("f0_hz", f0, WIDEST_F0, _ADVICE)
@@ -130,8 +111,7 @@ def _fit_mode(
         candidates.append(replace(recording, response=-recording.response))
     found = []
     for candidate in candidates:
-        starts = _starts(candidate, factors)
-        simple = fit(candidate, product(*factors), starts)
+        simple = fit(candidate, product(*factors), _starts(candidate, factors))
         extras = [_eddy()] if LAG in factors else []
         if recording.high_pass_hz is not None:
             extras.append(high_pass_extra(recording))
@@ -160,8 +140,7 @@ def high_pass_extra(recording: Recording) -> Extra:
 
 
 _SAME_CORNER = 0.01
-LOWEST_CORNER = 0.02
-"""As a share of the sweep's lowest frequency; a lower corner is negligible."""
+LOWEST_CORNER = 0.02  # as a share of the sweep's lowest frequency; a lower corner is negligible
 
 
 def corner_of(found: Fit, extras: Sequence[Extra], first: int, known_hz: float) -> Estimate | None:
@@ -182,19 +161,15 @@ def corner_of(found: Fit, extras: Sequence[Extra], first: int, known_hz: float) 
 
 
 def excursion_square(level_of_x_max: float, on_seat: bool) -> float:
-    """Return the largest square of the spring's excursion in Xmax.
-
-    On a seat the frame also moves, by m / M, which the mass alone does not show. Twice the square
-    covers any frame of at least 2.4 times the moving mass.
-    """
+    """Return the largest square of the spring's excursion in Xmax."""
+    # On a seat the frame moves too; 2 covers any of at least 2.4 times the moving mass.
     return level_of_x_max**2 * (2.0 if on_seat else 1.0)
 
 
 def seat_extra(log_hz: float, *, level_known: bool) -> Extra | None:
     """Return the seat of an actuator by its log f0; None if none fits below such a mode.
 
-    A seat's mode must be damped and below that of the actuator. A hardening spring has a similar
-    effect. If the level is unknown, a seat must therefore explain far more than noise would.
+    A hardening spring has a similar effect: if the level is unknown, a seat must explain more.
     """
     own = log_hz - math.log(4.0)
     highest = np.array([log_hz - math.log(1.5), math.log(5.0)] * 2)
@@ -233,16 +208,3 @@ def find_delay_s(f: FloatArray, turned: ComplexArray) -> float:
     """Return the delay, s, that makes a cross-spectrum, (bins,), most positive."""
     agreements = [np.sum(turned * np.exp(1j * math.tau * f * s)).real for s in _DELAYS_S]
     return float(_DELAYS_S[int(np.argmax(agreements))])
-
-
-def refuse_outside(recording: Recording, log_hz: float) -> None:
-    """Refuse a resonance, by log f0, outside the sweep or too close to its ends."""
-    sweep = recording.sweep
-    low, high = 1.1 * sweep.low_hz, 0.9 * sweep.high_hz
-    if log_hz <= math.log(low) or log_hz >= math.log(high):
-        end, to = ("lower", "start lower") if log_hz <= math.log(low) else ("upper", "go higher")
-        raise IdentificationError(
-            f"the resonance is outside the band, {low:.4g} to {high:.4g} Hz of a sweep from "
-            f"{sweep.low_hz:.4g} to {sweep.high_hz:.4g} Hz: it is beyond the {end} end; {to}, or "
-            "check the inputs"
-        )

@@ -1,8 +1,4 @@
-"""Calibration: sweeps at a quarter, half and all of a level, and the values that they identify.
-
-A problem at a low level ends the calibration before anything gets loud. A `Laboratory` measures;
-its channels decide which values can be identified.
-"""
+"""Calibration: sweeps at a quarter, half and all of a level, and the values that they identify."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -11,12 +7,7 @@ from typing import Protocol
 import numpy as np
 
 from device.identification.acceleration import Mode, identify_mode
-from device.identification.impedance import (
-    Drive,
-    Impedance,
-    identify_drive,
-    identify_impedance,
-)
+from device.identification.impedance import Drive, Impedance, identify_drive, identify_impedance
 from device.identification.mechanics import (
     Values,
     add_values,
@@ -25,9 +16,8 @@ from device.identification.mechanics import (
     solve_mechanics,
 )
 from device.identification.output_error import Estimate
-from device.identification.recording import PLAYED, IdentificationError, Recording
+from device.identification.recording import PLAYED, IdentificationError, Recording, Sweep
 from device.identification.simulated_laboratory import LARGEST_SHARE
-from device.identification.sweep import Sweep
 from device.identification.transfer import (
     Quality,
     assess_quality,
@@ -37,11 +27,9 @@ from device.identification.transfer import (
 from device.rig.parameters import DriveMode
 from device.rig.rig import MIN_CURRENT_DRIVE_RATIO, Rig, Source
 
-STEPS = (0.25, 0.5, 1.0)
-"""The levels in order, as shares of the wanted level."""
+STEPS = (0.25, 0.5, 1.0)  # the levels in order, as shares of the wanted level
 TOO_FAR = 1.1 * LARGEST_SHARE
-_UNEXPECTED = 1.3
-"""A response may grow by this factor more or less than the level."""
+_UNEXPECTED = 1.3  # a response may grow by this factor more or less than the level
 
 
 class Laboratory(Protocol):
@@ -84,7 +72,6 @@ def play_steps(
 
 
 def _compare(quiet: Recording, loud: Recording) -> None:
-    """Refuse a response that does not grow with the level."""
     ratio = loud.sweep.level / quiet.sweep.level
     grown = float(np.std(loud.response) / np.std(quiet.response))
     if not ratio / _UNEXPECTED <= grown <= ratio * _UNEXPECTED:
@@ -144,8 +131,7 @@ def calibrate(
 
     on_level: called with each level before it is played. pairs: of ALL_PAIRS and ("drive",
     "acceleration"), those that the laboratory can measure. scaled: whether accelerations are in
-    m/s^2. weighed: the moving mass, kg, if it was weighed.
-
+    m/s^2. weighed: the moving mass, kg.
     IdentificationError: a measurement is unexpected; nothing louder is played.
     """
     recordings = play_steps(laboratory, rig, sweep, pairs, on_level, scaled=scaled)
@@ -224,7 +210,6 @@ def _add_by_coil(
 
 
 def _without_eddy(rig: Rig) -> Rig:
-    """Return the rig without its file's eddy currents."""
     plain = replace(rig.actuator, inductance_eddy_h=0.0, resistance_eddy_ohm=0.0)
     sources = tuple(s for s in rig.sources if not s.parameter.endswith(("eddy_h", "eddy_ohm")))
     return replace(rig, actuator=plain, sources=sources)

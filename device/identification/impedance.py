@@ -1,8 +1,4 @@
-"""The electrical side of a rig, with intervals.
-
-The coil's impedance gives Re, inductance, f0, Qms and Qes; its voltage for the played signal gives
-the drive: volts per full scale, high-pass, source impedance.
-"""
+"""The coil's Re, inductance, f0, Qms and Qes, and the amplifier's values, with intervals."""
 
 import itertools
 import math
@@ -21,25 +17,14 @@ from device.identification.acceleration import (
     excursion_square,
     find_delay_s,
     high_pass_extra,
-    refuse_outside,
     seat_extra,
-)
-from device.identification.coil_laws import (
-    DOUBLE,
-    LAWS,
-    MIXED,
-    PARALLEL,
-    PLAIN,
-    CoilLaw,
-    closest_parallel,
 )
 from device.identification.output_error import (
     Estimate,
     Extra,
     Fit,
     Known,
-    check_converged,
-    check_misfit,
+    check_fit,
     fit,
     fit_with_extras,
     penalty,
@@ -47,15 +32,15 @@ from device.identification.output_error import (
     unlimited,
 )
 from device.identification.recording import ComplexArray, IdentificationError, Recording
+from device.identification.responses import CoilLaw, closest_parallel
 from device.identification.transfer import check_recording
 from device.rig.rig import Rig
 from device.units import FloatArray
 
+# Half the widest accepted 95 % interval, as a share.
 WIDEST = {"resistance_ohm": 0.05, "f0_hz": 0.03, "q_mechanical": 0.3, "q_electrical": 0.3}
 WIDEST_VOLTS = 0.05
-"""Half the widest accepted 95 % interval, as a share."""
-COIL_OHM = 0.3, 150.0
-"""Resistances of coils that an amplifier for loudspeakers drives, with room on both sides."""
+COIL_OHM = 0.3, 150.0  # of coils that an amplifier for loudspeakers drives, with room on both sides
 _ADVICE = (
     "its rise at the resonance is small against the noise: raise the level a little, make the "
     "sweep longer, or measure the acceleration"
@@ -85,10 +70,10 @@ class Impedance:
         Laws other than L1 + (L2 || R2) become the closest of that kind between both frequencies.
         """
         first, last = 4, 4 + self.law.parameters
-        if self.law is PLAIN:
+        if self.law is responses.PLAIN:
             return {"inductance_h": self.fit.estimate({first: 1.0})}
         logs, covariance = self.fit.logs[first:last], self.fit.covariance[first:last, first:last]
-        if self.law is not PARALLEL:
+        if self.law is not responses.PARALLEL:
             logs, covariance = closest_parallel(self.law, logs, covariance, low_hz, high_hz)
         found = replace(self.fit, logs=logs, covariance=covariance)
         return {
@@ -107,19 +92,16 @@ def identify_impedance(
 ) -> Impedance:
     """Return the electrical side from a recording of current for the coil's voltage.
 
-    The intervals of f0 and Q are extended down by the shift at level_of_x_max. mode: that of the
-    acceleration for the current, which is independent of the coil; None if it was not measured.
+    level_of_x_max: by its shift the intervals of f0 and Q are extended down. mode: that of the
+    acceleration for the current; None if it was not measured.
     """
     check_recording(recording)
     found, law, on_seat = _choose(recording, mode, level_of_x_max)
-    check_converged(recording, found)
-    refuse_outside(recording, found.logs[1])
-    check_misfit(
-        recording,
-        found,
+    advice = (
         "this is not a coil with one resonance; check the connections, and that voltage and "
-        "current are not swapped",
+        "current are not swapped"
     )
+    check_fit(recording, found, advice)
     ohm = math.exp(found.logs[0])
     if not COIL_OHM[0] <= ohm <= COIL_OHM[1]:
         raise IdentificationError(
@@ -163,8 +145,11 @@ def _choose(
         near = mode.fit.logs[1:3]
         noise = np.diag(mode.fit.covariance)[1:3]
         known = Known(1, near, np.sqrt(noise + np.array([_SAME_F0, _SAME_Q]) ** 2))
-    for law in LAWS:
-        if law in (MIXED, DOUBLE) and min(tried, key=lambda one: one[:2])[3] is PLAIN:
+    for law in responses.LAWS:
+        if (
+            law in (responses.MIXED, responses.DOUBLE)
+            and min(tried, key=lambda one: one[:2])[3] is responses.PLAIN
+        ):
             break
         model = partial(responses.admittance, law=law)
         low, high = unlimited(4 + law.parameters)
@@ -181,7 +166,7 @@ def _choose(
             price += seat.doubt * penalty(seat.factor.parameters, found.bins)
             tried.append((not found.converged, found.cost + price, found, law, True))
     best = min(tried, key=lambda one: one[:2])
-    plain = min((one for one in tried if one[3] is PLAIN), key=lambda one: one[:2])
+    plain = min((one for one in tried if one[3] is responses.PLAIN), key=lambda one: one[:2])
     f = recording.frequencies_hz[recording.band]
     least = _LEAST_EDDY + HARDENING * level_of_x_max**2
     if not plain[0]:  # without noise, every small difference would be evidence
@@ -221,8 +206,7 @@ def _starts(recording: Recording, law: CoilLaw, near: FloatArray | None) -> list
     return starts
 
 
-LEAST_SOURCE = 1e-3
-"""A source impedance below this share of the coil's resistance is negligible."""
+LEAST_SOURCE = 1e-3  # a source impedance below this share of the coil's resistance is negligible
 
 
 @dataclass(frozen=True)
@@ -237,8 +221,8 @@ class Drive:
 def identify_drive(recording: Recording, rig: Rig, impedance: Impedance | None) -> Drive:
     """Return the drive from a recording of the coil's voltage for the played signal.
 
-    The response must be divided by the band of the rig's amplifier. impedance: that of the coil,
-    which reveals the source impedance; None if the current was not measured.
+    The response must be divided by the band of the rig's amplifier. impedance: None if the current
+    was not measured.
     """
     f = recording.frequencies_hz[recording.band][recording.usable]
     factors = [responses.GAIN, *([responses.DELAY] if recording.delayed else [])]
@@ -249,20 +233,16 @@ def identify_drive(recording: Recording, rig: Rig, impedance: Impedance | None) 
         ends = np.log([1e-3 * r]), np.log([1e4 * r])
         extras.append(Extra("source", responses.load(impedance.admittance(f)), starts, *ends))
     found, chosen, _ = fit_with_extras(recording, factors, [_drive_start(recording)], extras)
-    check_converged(recording, found)
-    check_misfit(
-        recording,
-        found,
-        "this is not an amplifier with one high-pass; switch off equalisers, and check the inputs",
+    advice = (
+        "this is not an amplifier with one high-pass; switch off equalisers, and check the inputs"
     )
+    check_fit(recording, found, advice, resonance=False)
     volts, source = found.estimate({0: 1.0}), None
-    first = len(factors)
-    for extra in chosen:
-        if extra.name == "source" and impedance:
-            source = found.estimate({first: 1.0})
-            if source.value < LEAST_SOURCE * impedance.resistance_ohm.value:
-                source = None
-        first += extra.factor.parameters
+    names = [extra.name for extra in chosen]
+    if impedance and "source" in names:  # each extra here has one parameter
+        source = found.estimate({len(factors) + names.index("source"): 1.0})
+        if source.value < LEAST_SOURCE * impedance.resistance_ohm.value:
+            source = None
     if source is None:
         volts = volts.scaled(1.0 + rig.amplifier.source_impedance_ohm / rig.actuator.resistance_ohm)
     require("volts per full scale", volts, WIDEST_VOLTS, "raise the level a little")
@@ -272,10 +252,10 @@ def identify_drive(recording: Recording, rig: Rig, impedance: Impedance | None) 
 
 def _drive_start(recording: Recording) -> FloatArray:
     """Return the logarithm of the gain and, if there is one, the delay."""
-    f = recording.frequencies_hz[recording.band]
-    played = recording.reference_spectrum[recording.band]
-    measured = recording.response_spectrum[recording.band]
-    gain = math.log(float(np.linalg.norm(measured) / np.linalg.norm(played)))
-    if not recording.delayed:
-        return np.array([gain])
-    return np.array([gain, find_delay_s(f, played.conj() * measured) / responses.DELAY_S])
+    band = recording.band
+    played, measured = recording.reference_spectrum[band], recording.response_spectrum[band]
+    start = [math.log(float(np.linalg.norm(measured) / np.linalg.norm(played)))]
+    if recording.delayed:
+        delay_s = find_delay_s(recording.frequencies_hz[band], played.conj() * measured)
+        start.append(delay_s / responses.DELAY_S)
+    return np.array(start)

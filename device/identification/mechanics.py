@@ -28,8 +28,7 @@ from device.identification.recording import IdentificationError
 from device.rig.rig import Rig, Source
 from device.units import FloatArray
 
-Values = dict[str, Estimate]
-"""By parameter of the rig, such as "actuator.resonance_hz"."""
+Values = dict[str, Estimate]  # by parameter, such as "actuator.resonance_hz"
 
 
 def add_values(rig: Rig, values: Values, words: str, *, assumed: bool = False) -> Rig:
@@ -99,11 +98,8 @@ def solve_mechanics(mode: Mode, rig: Rig) -> Values:
     ]
     slopes = np.column_stack(columns)
     covariance = slopes @ mode.fit.covariance[1:3, 1:3] @ slopes.T
-    reach = 1.96 * np.sqrt(np.diag(covariance))
-    f0, q = (
-        Estimate(math.exp(log), math.exp(log - r), math.exp(log + r))
-        for log, r in zip(logs, np.minimum(reach, 50.0), strict=True)
-    )
+    reach = np.minimum(1.96 * np.sqrt(np.diag(covariance)), 50.0)
+    f0, q = (Estimate(*one) for one in np.exp([logs, logs - reach, logs + reach]).T.tolist())
     share = excursion_square(mode.level_of_x_max, mode.on_seat)
     require("f0_hz", f0, WIDEST_F0, "measure the current as well")
     require("q_mechanical", q, 2.0 * WIDEST_Q, "measure the current as well")

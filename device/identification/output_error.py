@@ -12,12 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
-from device.identification.recording import (
-    ComplexArray,
-    IdentificationError,
-    Recording,
-    box_mean,
-)
+from device.identification.recording import ComplexArray, IdentificationError, Recording, box_mean
 from device.identification.responses import Factor, Response, product
 from device.units import FloatArray
 
@@ -25,13 +20,10 @@ Model = Callable[[FloatArray, FloatArray], Response]
 
 MOST_MISFIT = 0.1
 _NORMAL_95 = 1.959964
-_WEIGHTINGS = 4
-"""How often a fit and the noise's spectrum, which each needs, are computed in turn."""
+_WEIGHTINGS = 4  # how often a fit and the noise's spectrum, which each needs, are computed in turn
 _SMOOTH_BINS = 101
-_LEFT_OUT = 1e-4
-"""Standard deviation of each parameter without noise, due to resampling, converters and level."""
-_FAR = 25.0
-"""The bound of all logarithms; it keeps exponentials finite."""
+_LEFT_OUT = 1e-4  # standard deviation of a parameter without noise: resampling, converters
+_FAR = 25.0  # the bound of all logarithms; it keeps exponentials finite
 
 
 @dataclass(frozen=True)
@@ -69,7 +61,7 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Fit:
-    """The result of a fit."""
+    """Parameters that explain a response."""
 
     logs: FloatArray  # logarithms of the parameters, (parameters,)
     covariance: FloatArray  # of the logarithms
@@ -84,16 +76,14 @@ class Fit:
 
 
 def multiply_powers(parts: Sequence[tuple[Fit, dict[int, float]]], factor: float = 1.0) -> Estimate:
-    """Return factor times a product of powers of parameters, of one or several independent fits.
-
-    Powers are linear in logarithms, so the interval follows without linearisation.
-    """
+    """Return factor times a product of powers of parameters, of one or several independent fits."""
     log, variance = math.log(factor), 0.0
     for fit, powers in parts:
         row = np.zeros(len(fit.logs))
         row[list(powers)] = list(powers.values())
         log += float(row @ fit.logs)
         variance += float(row @ fit.covariance @ row)
+    # Powers are linear in logarithms: no linearisation.
     reach = _NORMAL_95 * math.sqrt(variance) if variance >= 0.0 else math.inf
     if reach > 5.0:
         return Estimate(math.exp(log), 0.0, math.inf)
@@ -127,8 +117,8 @@ def fit(
 ) -> Fit:
     """Return the parameters of a model that explain a checked recording best.
 
-    The fit begins at the best two starts. The limits are the lowest and highest logarithms; a
-    parameter at a limit is fixed and has no variance. Only a converged fit is valid.
+    The fit begins at the best two starts. limits: the lowest and highest logarithms; a parameter at
+    a limit is fixed and has no variance. Only a converged fit is valid.
     """
     low, high = limits or unlimited(len(starts[0]))
     band, usable = recording.band, recording.usable
@@ -163,11 +153,10 @@ def fit(
         return float(found.cost), np.asarray(found.x), bool(found.success) and not lost
 
     ranked = sorted(starts, key=lambda start: float(np.sum(np.abs(left(start)) ** 2)))
-    tried = [solved(start) for start in ranked[:2]]
-    logs = min(tried, key=lambda one: one[0])[1]
-    converged = False
+    _, logs, converged = min(map(solved, ranked[:2]), key=lambda one: one[0])
     for _ in range(_WEIGHTINGS):
-        deviation = deviation * np.sqrt(_smooth(np.abs(left(logs)) ** 2))
+        power = box_mean(np.abs(left(logs)) ** 2, min(_SMOOTH_BINS, len(f)))
+        deviation = deviation * np.sqrt(np.maximum(power, 1e-12 * float(power.max()) + 1e-300))
         _, logs, converged = solved(logs)
     e = left(logs)
     slopes = measured_slopes(logs)
@@ -185,8 +174,8 @@ def fit(
         information[np.ix_(free, free)], rcond=1e-14, hermitian=True
     )
     covariance[free, free] += _LEFT_OUT**2
-    power = float(np.sum(np.abs(measured) ** 2))
-    misfit = math.sqrt(held * float(np.sum(np.abs(e * deviation) ** 2)) / power)
+    whole = float(np.sum(np.abs(measured) ** 2))
+    misfit = math.sqrt(held * float(np.sum(np.abs(e * deviation) ** 2)) / whole)
     likelihood = float(np.sum(np.log(deviation**2))) + float(np.sum(np.abs(e) ** 2))
     if known:
         likelihood += 0.5 * float(np.sum(known.misses(logs) ** 2))
@@ -198,18 +187,27 @@ def unlimited(parameters: int) -> tuple[FloatArray, FloatArray]:
     return np.full(parameters, -_FAR), np.full(parameters, _FAR)
 
 
-def check_converged(recording: Recording, found: Fit) -> None:
-    """Refuse a fit that did not converge."""
+def check_fit(recording: Recording, found: Fit, advice: str, *, resonance: bool = True) -> None:
+    """Refuse a fit that did not converge or leaves too much of the response unexplained.
+
+    resonance: refuse also a log f0, the second parameter, outside the sweep or close to its ends.
+    """
     if not found.converged:
         raise IdentificationError(
             f"the fit of {recording.names[1]} for {recording.names[0]} does not converge: its "
             "response is not that of one resonance; check the inputs, fasten loose parts, and "
             "sweep around the resonance"
         )
-
-
-def check_misfit(recording: Recording, found: Fit, advice: str) -> None:
-    """Refuse a fit that leaves too much of the response unexplained."""
+    sweep = recording.sweep
+    low, high = 1.1 * sweep.low_hz, 0.9 * sweep.high_hz
+    if resonance and not math.log(low) < found.logs[1] < math.log(high):
+        below = found.logs[1] <= math.log(low)
+        end, to = ("lower", "start lower") if below else ("upper", "go higher")
+        raise IdentificationError(
+            f"the resonance is outside the band, {low:.4g} to {high:.4g} Hz of a sweep from "
+            f"{sweep.low_hz:.4g} to {sweep.high_hz:.4g} Hz: it is beyond the {end} end; {to}, or "
+            "check the inputs"
+        )
     if found.misfit > MOST_MISFIT:
         raise IdentificationError(
             f"the fit leaves {100 * found.misfit:.0f} % of the {recording.names[1]} unexplained, "
@@ -242,8 +240,7 @@ def fit_with_extras(
 ) -> tuple[Fit, tuple[Extra, ...], float]:
     """Return the fit, the extras that the evidence supports, and the cost with penalties.
 
-    The extra that explains most comes first. Parameters of extras follow those of the factors, in
-    the order of the second result.
+    Parameters of the extras, in this order, follow those of the factors.
     """
     found = fit(recording, product(*factors), starts)
     chosen: tuple[Extra, ...] = ()
@@ -278,8 +275,3 @@ def require(name: str, estimate: Estimate, relative: float, advice: str) -> None
             f"{name} is not identified: its interval of 95 % is ±{100 * width:.3g} %, at most "
             f"±{100 * relative:.3g} % is allowed; {advice}"
         )
-
-
-def _smooth(power: FloatArray) -> FloatArray:
-    mean = box_mean(power, min(_SMOOTH_BINS, len(power)))
-    return np.asarray(np.maximum(mean, 1e-12 * float(mean.max()) + 1e-300))

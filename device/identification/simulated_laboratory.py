@@ -7,12 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from device.errors import UsageError
-from device.identification.recording import PLAYED, Recording
-from device.identification.sweep import Sweep
+from device.identification.recording import PLAYED, Recording, Sweep
 from device.rig.actuator import Motion
 from device.rig.adaptive_actuator import AdaptiveActuator
-from device.rig.electronics import Amplifier, Band, Dac
-from device.rig.instruments import Daq, InstrumentChain
+from device.rig.electronics import Amplifier, Band, Dac, Daq, InstrumentChain
 from device.rig.parameters import AmplifierParameters, DaqParameters, Model
 from device.rig.rig import Rig
 from device.units import FloatArray
@@ -25,8 +23,7 @@ USUAL_SHARE = 0.05
 class SimulatedLaboratory:
     """One rig with its instruments; every run begins at rest. One thread uses it.
 
-    snr_db: of white noise that is added to each response, relative to it during the sweep.
-    move(volts, samplerate): replaces the rig's models, for coils that these do not describe.
+    snr_db: of added white noise during the sweep. move(volts, samplerate): replaces the models.
     """
 
     def __init__(
@@ -116,10 +113,7 @@ def through_amplifier(recording: Recording, amplifier: AmplifierParameters) -> R
 
 
 def sweep_at_excursion(rig: Rig, sweep: Sweep, share: float, *, seat: bool = False) -> Sweep:
-    """Return the sweep whose linear excursion is that share of the rig's Xmax.
-
-    Its level is at most full scale.
-    """
+    """Return the sweep, up to full scale, whose linear excursion is that share of Xmax."""
     if not 0.0 < share <= LARGEST_SHARE:
         raise UsageError(
             f"share={share!r} of Xmax must be above 0, up to {LARGEST_SHARE}: louder, f0 "

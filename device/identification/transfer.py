@@ -18,10 +18,8 @@ _CLIPPED_RUN, _CLIPPED_RUNS = 3, 4
 """Samples in a row at the peak, and number of such runs, that mean clipping. One crest may stay
 within a converter's step, but the crests of a sweep differ."""
 _AT_THE_LIMIT = 0.999
-_MIN_SIGNAL = 1.5
-"""A signal's r.m.s. must exceed that of the silence before it by this factor."""
-ORDERS = 5
-"""The highest order of distortion that is measured."""
+_MIN_SIGNAL = 1.5  # r.m.s. of a signal over that of the silence before it
+ORDERS = 5  # the highest order of distortion that is measured
 _BEFORE_S = 0.05
 _FADE_SHARE = 0.2
 _SMOOTH_BINS = 15
@@ -39,15 +37,13 @@ class Transfer:
 def estimate_transfer(recording: Recording) -> Transfer:
     """Return the transfer function without harmonics and without noise outside its time.
 
-    The impulse response is cut from shortly before its start to the length of the silence after
-    the sweep. Coherence compares means over 15 bins with and without the residual.
+    Coherence compares means over 15 bins with and without the residual.
     """
     rate = recording.sweep.samplerate
     impulse = _impulse_response(recording)
-    before, after = round(_BEFORE_S * rate), round(recording.sweep.tail_s * rate)
+    after, before = (_fade_out(round(s * rate)) for s in (recording.sweep.tail_s, _BEFORE_S))
     gate = np.zeros(recording.length)
-    gate[:after] = _fade_out(after)
-    gate[-before:] = _fade_out(before)[::-1]
+    gate[: len(after)], gate[-len(before) :] = after, before[::-1]
     response = np.asarray(rfft(impulse * gate))
     band = recording.band
     measured = recording.response_spectrum[band]
@@ -70,9 +66,8 @@ class Distortion:
 def measure_distortion(recording: Recording) -> list[Distortion]:
     """Return the distortion of orders 2 to ORDERS at drives whose harmonic is in the band.
 
-    A sweep's harmonic of order n precedes it by rise ln n, so its impulse response is separate
-    (Farina 2000). The floor is the larger value half way to either neighbouring order, because a
-    response that rings at the ends of the band spreads far ahead.
+    The floor is the larger value half way to either neighbouring order, because a response that
+    rings at the ends of the band spreads far ahead.
     """
     sweep, rate = recording.sweep, recording.sweep.samplerate
     impulse = _impulse_response(recording)
@@ -118,15 +113,12 @@ def _fade_out(frames: int) -> FloatArray:
     return window
 
 
-LOW_COHERENCE = 0.9
-"""Below this, over a tenth of the response's power is not linear."""
+LOW_COHERENCE = 0.9  # below this, over a tenth of the response's power is not linear
 
-ABOVE_FLOOR = 3.0
-"""Distortion must exceed its floor by this factor."""
+ABOVE_FLOOR = 3.0  # distortion must exceed its floor by this factor
 
 _JOINED_HZ = 2.0
-_SMOOTH_HZ = 5.0
-"""Shares are r.m.s. values over this width, because the largest of many bins would be noise."""
+_SMOOTH_HZ = 5.0  # shares are r.m.s. over this width: the largest of many bins is noise
 
 
 @dataclass(frozen=True)
@@ -152,12 +144,9 @@ def assess_quality(recording: Recording) -> Quality:
     """Return coherence and distortion of a recording."""
     found = estimate_transfer(recording)
     f = found.frequencies_hz
-    ranges: list[tuple[float, float]] = []
-    for hz in f[found.coherence < LOW_COHERENCE]:
-        if ranges and hz - ranges[-1][1] <= _JOINED_HZ:
-            ranges[-1] = ranges[-1][0], float(hz)
-        else:
-            ranges.append((float(hz), float(hz)))
+    low = f[found.coherence < LOW_COHERENCE]
+    parts = np.split(low, np.flatnonzero(np.diff(low) > _JOINED_HZ) + 1)
+    ranges = tuple((float(part[0]), float(part[-1])) for part in parts if len(part))
     harmonics = []
     sweep = recording.sweep
     for one in measure_distortion(recording):
@@ -171,7 +160,7 @@ def assess_quality(recording: Recording) -> Quality:
         hz = float(one.frequencies_hz[at]) if clear[at] > 0.0 else 0.0
         harmonics.append(Harmonic(one.order, float(clear[at]), hz))
     coherence = float(np.median(found.coherence))
-    return Quality(recording.names, coherence, tuple(ranges), tuple(harmonics))
+    return Quality(recording.names, coherence, ranges, tuple(harmonics))
 
 
 def check_recording(recording: Recording) -> None:

@@ -1,5 +1,5 @@
 /* The rig's two models: the linear one, exact, and Runge and Kutta's fourth order on the full equations.
- * rig/equations.py has the equations, rig/model_design.py the numbers and tables. */
+ * rig/equations.py has the equations, rig/adaptive_actuator.py the numbers and tables. */
 
 #ifndef DEVICE_RIG_STEPS_H
 #define DEVICE_RIG_STEPS_H
@@ -15,7 +15,7 @@
 enum { Y, U, Q, FRAME, FRAME_SPEED };
 enum { FORCE, VOLTS };
 
-/* In SI units; rig/model_design.py writes them in this order. */
+/* In SI units; rig/adaptive_actuator.py writes them in this order. */
 typedef struct {
     double mass, damping, stiffness, force_factor, inductance; /* at rest */
     double ohm, ohm_at_rest;

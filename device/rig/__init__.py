@@ -2,11 +2,10 @@
 
 | module | holds |
 | --- | --- |
-| parameters, rig, rig_file | what a rig is, variants of it, and its TOML file |
-| electronics, actuator, instruments | DAC and amplifier; linear actuator; accelerometer to DAQ |
+| parameters, rig | what a rig is, variants of it, and its TOML file |
+| electronics, actuator | DAC and amplifier, accelerometer to DAQ; linear actuator |
 | simulated_rig | all stages behind `VibrationOutput` |
-| shapes, co_energy, equations, thermal | the physics beyond the linear actuator, and the seat |
-| model_design | numbers and tables of the two models, for compiled code |
+| co_energy, equations, thermal | the physics beyond the linear actuator, and the seat |
 | adaptive_actuator | the cheapest model that suffices, block by block |
 | model_record | which model ran, its cost and its true error |
 
@@ -14,7 +13,6 @@ Only the descriptions are imported here, because SciPy takes half a second to lo
 """
 
 from device.rig.parameters import ActuatorParameters
-from device.rig.rig import Rig
-from device.rig.rig_file import CONSUMER, PAPER, read_rig, rig_by_name
+from device.rig.rig import CONSUMER, PAPER, Rig, read_rig, rig_by_name
 
 __all__ = ["CONSUMER", "PAPER", "ActuatorParameters", "Rig", "read_rig", "rig_by_name"]

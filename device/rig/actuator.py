@@ -5,19 +5,15 @@ follows from the same co-energy:
 
     m x'' + c x' + k x = Bl i            v = (R + Rs) i + L di/dt + Bl x'
 
-The solution is exact for a voltage that is a straight line between samples (first-order hold).
-Before the first sample it was 0. All quantities share three poles: the voltage passes through them
-once, and each quantity is a sum of the last four results. The order of all sums is fixed, so the
-bytes do not depend on how the signal is split into blocks.
-
-One compiled function computes all quantities; where it could not be built, SciPy and NumPy compute
-the same sums in the same order.
+The solution is exact for a voltage that is a straight line between samples, and 0 before the first.
+All quantities share three poles: the voltage passes through them once, and each quantity is a sum
+of the last four results. The order of all sums is fixed, so the bytes do not depend on how the
+signal is split into blocks, nor on whether compiled code or NumPy computes them.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Literal, get_args
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 import scipy
@@ -73,27 +69,21 @@ _TAPS = 4
 _ABSURD_V = 1e100
 _SILENT_V = 1e-30
 _PART_FRAMES = 32_768
-"""The signal is computed in parts that end at multiples of this. There a decayed state is set to 0:
-at fixed places, so that the result does not depend on the blocks."""
+"""A decayed state is set to 0 at multiples of this, so that results do not depend on the blocks."""
 
 
-def _nothing() -> FloatArray:
-    return np.empty(0)
-
-
-@dataclass(frozen=True)
-class Motion:
+class Motion(NamedTuple):
     """Motion at each sample, float64, (frames,); quantities that were not asked for have length 0.
 
     Displacement and velocity are relative to the frame; a positive current pushes to positive
     displacement. The seat's acceleration is that of the frame.
     """
 
-    displacement_m: FloatArray = field(default_factory=_nothing)
-    velocity_m_s: FloatArray = field(default_factory=_nothing)
-    current_a: FloatArray = field(default_factory=_nothing)
-    acceleration_m_s2: FloatArray = field(default_factory=_nothing)
-    seat_acceleration_m_s2: FloatArray = field(default_factory=_nothing)
+    displacement_m: FloatArray = np.empty(0)
+    velocity_m_s: FloatArray = np.empty(0)
+    current_a: FloatArray = np.empty(0)
+    acceleration_m_s2: FloatArray = np.empty(0)
+    seat_acceleration_m_s2: FloatArray = np.empty(0)
 
 
 class LinearActuator:
@@ -103,10 +93,7 @@ class LinearActuator:
     """
 
     def __init__(
-        self,
-        parameters: ActuatorParameters,
-        samplerate: float,
-        source_impedance_ohm: float = 0.0,
+        self, parameters: ActuatorParameters, samplerate: float, source_impedance_ohm: float = 0.0
     ) -> None:
         if not (np.isfinite(samplerate) and samplerate > 0):
             raise UsageError(f"samplerate={samplerate!r} Hz must be above 0; choose another rate")
@@ -117,10 +104,7 @@ class LinearActuator:
         self.parameters = parameters
         self.samplerate = samplerate
         self.source_impedance_ohm = source_impedance_ohm
-        self._poles, self._taps = _filters(parameters, samplerate, source_impedance_ohm)
-        self._weights: dict[tuple[Quantity, ...], FloatArray] = {}
-        self._filtered = np.empty(_TAPS + _PART_FRAMES)
-        self._product = np.empty(_PART_FRAMES)
+        self._poles, self._taps = motion_filters(parameters, samplerate, source_impedance_ohm)
         self._state = np.zeros(2 * len(self._poles) + _TAPS)
         self._sections = self._state[: 2 * len(self._poles)].reshape(-1, 2)
         self._last = self._state[2 * len(self._poles) :]
@@ -140,76 +124,47 @@ class LinearActuator:
         """
         volts = np.ascontiguousarray(volts, dtype=np.float64)
         moved = np.empty((len(outputs), len(volts)))
-        wanted, start, frames = tuple(outputs), 0, len(volts)
+        taps = np.array([self._taps[name] for name in outputs]).reshape(-1, _TAPS)
+        start, frames = 0, len(volts)
         while start < frames:
             stop = min(start + self._frames_to_check, frames)
             if blocks.compiled is not None:
-                taps = self._taps_of(wanted)
                 self.replaced_samples += blocks.compiled.linear_motion(
                     volts, self._poles, self._state, taps, moved, start, stop, _ABSURD_V
                 )
             else:
-                recent = self._pass_poles(volts[start:stop])
-                for name, row in zip(wanted, moved, strict=True):
-                    self._weigh(name, recent, row[start:stop])
-            self._let_decay(stop - start)
+                self._move_part(volts[start:stop], taps, moved[:, start:stop])
+            self._frames_to_check -= stop - start
+            if self._frames_to_check == 0:
+                self._frames_to_check = _PART_FRAMES
+                if np.abs(self._sections).max() < _SILENT_V:
+                    self._sections[:] = 0.0
             start = stop
         return Motion(**dict(zip(outputs, moved, strict=True)))
 
-    def _taps_of(self, wanted: tuple[Quantity, ...]) -> FloatArray:
-        """Return the taps of these quantities, (quantities, 4)."""
-        if wanted not in self._weights:
-            rows = np.array([self._taps[name] for name in wanted])
-            self._weights[wanted] = rows.reshape(len(wanted), _TAPS)
-        return self._weights[wanted]
-
-    def _pass_poles(self, volts: FloatArray) -> FloatArray:
-        """Return (frames + 3,): three earlier results, then those of these volts."""
+    def _move_part(self, volts: FloatArray, taps: FloatArray, moved: FloatArray) -> None:
+        """Do what `linear_motion` does, in the same order."""
         drive, replaced = finite_or_zero(volts, _ABSURD_V)
         self.replaced_samples += replaced
-        end = _TAPS + len(drive)
-        self._filtered[:_TAPS] = self._last
-        self._filtered[_TAPS:end], self._sections[:] = scipy.signal.sosfilt(
-            self._poles, drive, zi=self._sections
-        )
-        self._last[:] = self._filtered[end - _TAPS : end]
-        return self._filtered[1:end]
-
-    def _let_decay(self, frames: int) -> None:
-        """Set a decayed state to 0 if a part ends with these frames."""
-        self._frames_to_check -= frames
-        if self._frames_to_check == 0:
-            self._frames_to_check = _PART_FRAMES
-            if np.abs(self._sections).max() < _SILENT_V:
-                self._sections[:] = 0.0
-
-    def _weigh(self, quantity: Quantity, recent: FloatArray, out: FloatArray) -> None:
-        """Compute a quantity, (frames,), from the filtered drive, (frames + 3,)."""
-        taps, frames = self._taps[quantity], len(out)
-        product = self._product[:frames]
-        np.multiply(recent[:frames], taps[_TAPS - 1], out=out)
+        filtered, self._sections[:] = scipy.signal.sosfilt(self._poles, drive, zi=self._sections)
+        recent = np.concatenate([self._last, filtered])
+        self._last[:] = recent[-_TAPS:]
         # np.convolve may vary its order of summation within the array.
+        moved[:] = taps[:, -1:] * recent[1 : 1 - _TAPS]
         for delay in reversed(range(_TAPS - 1)):
-            start = _TAPS - 1 - delay
-            np.multiply(recent[start : start + frames], taps[delay], out=product)
-            out += product
-
-
-def motion_filter(
-    p: ActuatorParameters, samplerate: float, source_impedance_ohm: float, quantity: Quantity
-) -> tuple[FloatArray, FloatArray]:
-    """Return sections, (2, 6), and taps, (4,), newest first, from volts to a quantity."""
-    poles, taps = _filters(p, samplerate, source_impedance_ohm)
-    return poles.copy(), taps[quantity].copy()
+            moved += taps[:, delay, None] * recent[_TAPS - delay : len(recent) - delay]
 
 
 # The same few actuators are created repeatedly, and a matrix exponential waits for all threads of
-# its library. Cached arrays are never written to.
+# its library.
 @lru_cache(maxsize=256)
-def _filters(
+def motion_filters(
     p: ActuatorParameters, samplerate: float, source_impedance_ohm: float
 ) -> tuple[FloatArray, dict[Quantity, FloatArray]]:
-    """Return the poles' sections, (2, 6), with gain 1 at 0 Hz, and each quantity's taps, (4,)."""
+    """Return sections, (2, 6), gain 1 at 0 Hz, and taps, (4,), newest first, of each quantity.
+
+    They lead from volts to the quantity. The cached arrays must not be changed.
+    """
     rate, drive, rows = state_space(p, source_impedance_ohm)
     step, from_last, from_new = first_order_hold(rate, drive, 1.0 / samplerate)
     # The real pole, then the pair: complex, or the two slower real ones if it is overdamped. One

@@ -8,20 +8,96 @@ d^2W'/di^2. V is the energy in spring and stops.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
 from device.rig.parameters import ActuatorParameters, LargeSignalParameters
-from device.rig.shapes import Arctangent, Hardening, Line, Shape, Stops, Tanh
 from device.units import FloatArray
 
-_TABLE_REACH = 4.0
-"""Tables reach to this multiple of Xmax or of the stops."""
-_TABLE_ERROR = 1e-9
-"""Largest error of a table, as a share of the function's largest value."""
+_TABLE_REACH = 4.0  # tables reach to this multiple of Xmax or of the stops
+_TABLE_ERROR = 1e-9  # largest error of a table, as a share of the function's largest value
 _MOST_INTERVALS = 1 << 15
+
+Jet = tuple[FloatArray, FloatArray, FloatArray]
+Shape = Callable[[FloatArray], Jet]
+"""A function of the excursion x, m: f, f' and f'', of the shape of x."""
+
+
+@dataclass(frozen=True)
+class Line:
+    """f = slope x."""
+
+    slope: float
+
+    def __call__(self, x: FloatArray) -> Jet:
+        """f, f' and f''."""
+        return self.slope * x, np.full_like(x, self.slope), np.zeros_like(x)
+
+
+@dataclass(frozen=True)
+class Hardening:
+    """f = stiffness x^2 / 2 + rise x^4 / 4: the energy in a spring that hardens, N/m and N/m^3."""
+
+    stiffness: float
+    rise: float
+
+    def __call__(self, x: FloatArray) -> Jet:
+        """f, f' and f''."""
+        square = x * x
+        risen = self.rise * square
+        first = (self.stiffness + risen) * x
+        value = (0.5 * self.stiffness + 0.25 * risen) * square
+        return value, first, self.stiffness + 3.0 * risen
+
+
+@dataclass(frozen=True)
+class Arctangent:
+    """f = slope reach atan(x / reach): the flux of a coil that leaves its gap, f' = Bl."""
+
+    slope: float  # f' at rest
+    reach: float  # m, above 0: there f' has halved
+
+    def __call__(self, x: FloatArray) -> Jet:
+        """f, f' and f''."""
+        z = x / self.reach
+        share = 1.0 / (1.0 + z * z)
+        first = self.slope * share
+        second = first * share * z * (-2.0 / self.reach)
+        return self.slope * self.reach * np.arctan(z), first, second
+
+
+@dataclass(frozen=True)
+class Tanh:
+    """f = level (1 - share tanh(x / reach)): an inductance that falls outside the iron."""
+
+    level: float
+    share: float  # 0 to below 1
+    reach: float  # m, above 0
+
+    def __call__(self, x: FloatArray) -> Jet:
+        """f, f' and f''."""
+        t = np.tanh(x / self.reach)
+        depth = self.level * self.share
+        first = (t * t - 1.0) * (depth / self.reach)
+        return self.level - depth * t, first, first * t * (-2.0 / self.reach)
+
+
+@dataclass(frozen=True)
+class Stops:
+    """f = hardness / 3 indentation^3 beyond ±start: the energy in two end stops."""
+
+    start: float  # m, above 0
+    hardness: float  # N/m^2, 0 or more
+
+    def __call__(self, x: FloatArray) -> Jet:
+        """f, f' and f''."""
+        depth = np.maximum(np.abs(x) - self.start, 0.0)
+        pressed = self.hardness * depth
+        force = pressed * depth
+        return force * depth / 3.0, np.copysign(force, x), 2.0 * pressed
 
 
 @dataclass(frozen=True)
@@ -37,13 +113,8 @@ class Energies:
 
 def linear_energies(p: ActuatorParameters) -> Energies:
     """Return those of the linear actuator: Phi = Bl x, L constant, V = k x^2 / 2, no stops."""
-    return Energies(
-        Line(p.force_factor_n_per_a),
-        Tanh(p.inductance_h, 0.0, p.x_max_m),
-        Hardening(p.stiffness_n_per_m, 0.0),
-        Stops(math.inf, 0.0),
-        0.0,
-    )
+    constant, spring = Tanh(p.inductance_h, 0.0, p.x_max_m), Hardening(p.stiffness_n_per_m, 0.0)
+    return Energies(Line(p.force_factor_n_per_a), constant, spring, Stops(math.inf, 0.0), 0.0)
 
 
 def energies(p: ActuatorParameters, large: LargeSignalParameters | None) -> Energies:
@@ -89,10 +160,8 @@ def table_of(e: Energies, x_max_m: float) -> Table:
         knots = np.linspace(-reach_m, reach_m, intervals + 1)
         middles = np.linspace(-reach_m, reach_m, 2 * intervals + 1)[1::2]
         step_m = 2.0 * reach_m / intervals
-        values, slopes = _tabled(e, knots)
-        rows = np.concatenate(
-            [_cubics(v, s * step_m) for v, s in zip(values, slopes, strict=True)], axis=1
-        )
+        functions = zip(*_tabled(e, knots), strict=True)
+        rows = np.concatenate([_cubics(v, s * step_m) for v, s in functions], axis=1)
         found = rows.reshape(-1, 4, 4) @ (0.5 ** np.arange(4))
         worst = max(
             np.abs(got - value).max() / max(np.abs(value).max(), 1e-300)
@@ -105,9 +174,9 @@ def table_of(e: Energies, x_max_m: float) -> Table:
 
 def _tabled(e: Energies, x: FloatArray) -> tuple[list[FloatArray], list[FloatArray]]:
     """Return the four functions at x and their slopes."""
-    _, force_factor, force_factor_slope = e.magnet.jet(x)
-    inductance, slope, curvature = e.inductance.jet(x)
-    _, spring_n, spring_n_m = e.spring.jet(x)
+    _, force_factor, force_factor_slope = e.magnet(x)
+    inductance, slope, curvature = e.inductance(x)
+    _, spring_n, spring_n_m = e.spring(x)
     values = [force_factor, 1.0 / inductance, 0.5 * slope, spring_n]
     return values, [force_factor_slope, -slope / inductance**2, 0.5 * curvature, spring_n_m]
 

@@ -1,20 +1,31 @@
-"""DAC and power amplifier: from vibration samples to the voltage that drives the actuator."""
+"""Electronics around the actuator: DAC and amplifier before it, accelerometer to DAQ behind it."""
+
+import math
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from device.rig.parameters import AmplifierParameters, DacParameters
+from device.errors import UsageError
+from device.rig.parameters import AmplifierParameters, DacParameters, DaqParameters
+from device.rig.rig import Rig
 from device.units import Float32Array, FloatArray, finite_or_zero
 
-_MAX_CORNER = 0.45
-"""Corners above this share of the sample rate are left out."""
+_MAX_CORNER = 0.45  # corners above this share of the sample rate are left out
+
+CONDITIONING_V_PER_M_S2 = 0.01  # of the conditioning amplifier (Type 2692 class)
+
+ACCELERATION_FULL_SCALE_M_S2 = 1.0 / CONDITIONING_V_PER_M_S2
+"""A recorded sample of 1.0 is 1 V, which is 100 m/s^2."""
+
+_NOISE_BAND = math.pi / (2.0 * math.sqrt(2.0))
+"""Noise bandwidth of a Butterworth low-pass of second order, as a multiple of its corner."""
 
 
 class Band:
-    """A high-pass and a low-pass, Butterworth of second order. One thread calls `filter`.
+    """Butterworth high-pass and low-pass of second order; 0 and infinity leave an end open.
 
-    The corners are at -3 dB; 0 and infinity leave an end open.
+    One thread calls `filter`.
     """
 
     def __init__(self, low_cut_hz: float, high_cut_hz: float, samplerate: float) -> None:
@@ -49,10 +60,10 @@ class Band:
 
 
 class Dac:
-    """A converter that rounds to its steps, saturates at full scale, and gives volts.
+    """A converter from samples to volts. One thread calls it.
 
     Codes are two's complement: -1.0 to 1.0 less one step, rounded to nearest, ties to even,
-    without dither. 1.0 saturates by one step and does not count as clipped. One thread calls it.
+    without dither. 1.0 saturates by one step and does not count as clipped.
     """
 
     def __init__(self, parameters: DacParameters) -> None:
@@ -102,3 +113,66 @@ class Amplifier:
         self.clipped_samples += int(np.count_nonzero(np.abs(output) > limit))
         np.clip(output, -limit, limit, out=output)
         return output
+
+
+class Daq:
+    """Volts in, quantised volts out, with noise. One thread calls it."""
+
+    def __init__(self, parameters: DaqParameters, samplerate: float, seed: int) -> None:
+        if samplerate > parameters.max_samplerate_hz:
+            raise UsageError(
+                f"samplerate={samplerate!r} Hz is beyond the DAQ's "
+                f"max_samplerate_hz={parameters.max_samplerate_hz!r}; choose a lower one"
+            )
+        self._parameters = parameters
+        self._random = np.random.default_rng(seed)
+        self.clipped_samples = 0
+
+    def volts(self, volts: FloatArray) -> FloatArray:
+        """Return what it reads, (frames,) or (frames, channels), in a new array."""
+        p = self._parameters
+        step_v = p.range_v / 2.0 ** (p.bits - 1)
+        noisy = volts + p.noise_v * self._random.standard_normal(volts.shape)
+        self.clipped_samples += int(np.count_nonzero(np.abs(noisy) > p.range_v))
+        return np.asarray(np.rint(np.clip(noisy, -p.range_v, p.range_v - step_v) / step_v) * step_v)
+
+
+class InstrumentChain:
+    """Acceleration in, the laboratory's reading of it out, however it is cut. One thread calls it.
+
+    The accelerometer's resonance is not simulated: at 220 Hz that omits 7e-6.
+    """
+
+    def __init__(self, rig: Rig, samplerate: float, seed: int = 0) -> None:
+        if not (rig.accelerometer and rig.conditioning and rig.daq):
+            chain = ("accelerometer", "conditioning", "daq")
+            absent = ", ".join(f"[{name}]" for name in chain if getattr(rig, name) is None)
+            raise UsageError(f"rig {rig.name!r} describes no {absent}; add it to its file")
+        self._sensor = rig.accelerometer
+        p = self._conditioning = rig.conditioning
+        self.band = Band(p.low_cut_hz, p.high_cut_hz, samplerate)
+        self._random = np.random.default_rng(seed)
+        # The sample rate shows only a part of the noise in its whole band.
+        whole_hz = _NOISE_BAND * p.high_cut_hz if math.isfinite(p.high_cut_hz) else samplerate / 2
+        self._noise_pc = p.noise_pc * math.sqrt(samplerate / 2.0 / whole_hz)
+        self._daq = Daq(rig.daq, samplerate, seed + 1)
+        self._clipped_samples = 0
+        self.v_per_m_s2 = self._sensor.sensitivity_pc_per_m_s2 * p.gain_v_per_pc
+
+    @property
+    def clipped_samples(self) -> int:
+        """Samples so far that any of them clipped."""
+        return self._clipped_samples + self._daq.clipped_samples
+
+    def acceleration_m_s2(self, acceleration_m_s2: FloatArray) -> FloatArray:
+        """Return the reading, m/s^2, of (frames,) or (frames, channels), in a new array."""
+        sensor, p = self._sensor, self._conditioning
+        charge_pc = self._clip(acceleration_m_s2, sensor.limit_m_s2)
+        charge_pc *= sensor.sensitivity_pc_per_m_s2
+        charge_pc += self._noise_pc * self._random.standard_normal(charge_pc.shape)
+        volts = self._clip(self.band.filter(charge_pc * p.gain_v_per_pc), p.output_limit_v)
+        return np.asarray(self._daq.volts(volts) / self.v_per_m_s2)
+
+    def _clip(self, samples: FloatArray, limit: float) -> FloatArray:
+        self._clipped_samples += int(np.count_nonzero(np.abs(samples) > limit))
+        return np.clip(samples, -limit, limit)

@@ -27,8 +27,8 @@ FORCE, VOLTS = range(2)
 class Equations:
     """Linear part and remainder of one actuator with the amplifier's impedance in its circuit.
 
-    resistance_ohm: of source and coil at rest. rate: A, (states, states). entry: (states, 2), where
-    a force and a voltage that are left out act; its last column is B.
+    rate: A, (states, states). entry: (states, 2), where a force and a voltage that are left out
+    act; its last column is B.
     """
 
     actuator: ActuatorParameters
@@ -39,13 +39,13 @@ class Equations:
     def __post_init__(self) -> None:
         p, seat = self.actuator, self.seat
         self.resistance_ohm = p.resistance_ohm + self.source_impedance_ohm
-        self.mass, self.damping = p.moving_mass_kg, p.damping_n_s_per_m
-        self.stiffness, self.force_factor = p.stiffness_n_per_m, p.force_factor_n_per_a
-        self.inductance = p.inductance_h
-        m, c, k = self.mass, self.damping, self.stiffness
+        m = self.mass = p.moving_mass_kg
+        c = self.damping = p.damping_n_s_per_m
+        k = self.stiffness = p.stiffness_n_per_m
+        self.force_factor, self.inductance = p.force_factor_n_per_a, p.inductance_h
         pull = self.force_factor / self.inductance
-        self.rate = np.zeros((5, 5) if seat else (3, 3))
-        self.entry = np.zeros((5, 2) if seat else (3, 2))
+        states = 5 if seat else 3
+        self.rate, self.entry = np.zeros((states, states)), np.zeros((states, 2))
         self.rate[EXCURSION, SPEED] = 1.0
         self.rate[SPEED, :3] = [-k / m, -c / m, pull / m]
         self.rate[FLUX, SPEED] = -self.force_factor
@@ -74,10 +74,7 @@ class Equations:
 def seat_sections(
     p: ActuatorParameters, seat: SeatParameters, samplerate: float, source_impedance_ohm: float
 ) -> FloatArray:
-    """Return second-order sections, (3, 6), from volts to the seat's acceleration, m/s^2.
-
-    They are exact for a voltage that is a straight line between samples.
-    """
+    """Return sections, (3, 6), from volts, linear between samples, to seat acceleration, m/s^2."""
     equations = Equations(p, linear_energies(p), source_impedance_ohm, seat)
     # In coordinates whose squares are energies, entries do not differ by factors of millions.
     scale = equations.scale
@@ -87,7 +84,6 @@ def seat_sections(
     step, from_last, from_new = first_order_hold(rate, drive, 1.0 / samplerate)
     # The state takes the last volt only; the output takes the new one.
     entered = (step @ from_new + from_last)[:, None]
-    zeros, poles, gain = scipy.signal.ss2zpk(
-        step, entered, shown[None], np.array([[shown @ from_new]])
-    )
-    return np.asarray(scipy.signal.zpk2sos(zeros, poles, gain))
+    through = np.array([[shown @ from_new]])
+    zeros_poles_gain = scipy.signal.ss2zpk(step, entered, shown[None], through)
+    return np.asarray(scipy.signal.zpk2sos(*zeros_poles_gain))

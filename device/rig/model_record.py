@@ -1,7 +1,6 @@
 """What a simulated rig's models did, second by second: which ran, their cost and their true error.
 
-The true error is the difference from the non-linear model with steps of half the length; each
-block of the signal is solved by both.
+The true error is the difference from the non-linear model with steps of half the length.
 """
 
 from collections import deque
@@ -13,16 +12,14 @@ import numpy as np
 
 from device.errors import UsageError
 from device.rig.actuator import Motion, Quantity
-from device.rig.adaptive_actuator import AdaptiveActuator
-from device.rig.model_design import FLOOR
-from device.rig.parameters import Model, check_tolerance
+from device.rig.adaptive_actuator import FLOOR, AdaptiveActuator
+from device.rig.parameters import Model
 from device.rig.rig import Rig
 from device.units import FloatArray
 
 SHOWN: tuple[Quantity, ...] = ("acceleration_m_s2", "displacement_m", "current_a")
 
-_SECONDS = 86_400
-"""So many seconds are kept at most, a day."""
+_SECONDS = 86_400  # kept at most
 
 
 def actuator_of(rig: Rig, samplerate: float, model: Model, tolerance: float) -> AdaptiveActuator:
@@ -30,7 +27,6 @@ def actuator_of(rig: Rig, samplerate: float, model: Model, tolerance: float) -> 
 
     UsageError: the rig lacks what the non-linear model needs; the message names the values.
     """
-    check_tolerance(tolerance)
     if model == "nonlinear" and rig.large_signal is None:
         raise UsageError(
             f"rig {rig.name!r} has no data for the non-linear model: large_signal.stop_m is "
@@ -56,20 +52,16 @@ class _Compared:
 
     def __init__(self, actuator: AdaptiveActuator) -> None:
         self.actuator = actuator
-        self._true = AdaptiveActuator(
-            actuator.rig, actuator.samplerate, model="nonlinear", refine=1
-        )
-        p = actuator.rig.actuator
+        rig, p = actuator.rig, actuator.rig.actuator
+        self._true = AdaptiveActuator(rig, actuator.samplerate, model="nonlinear", refine=1)
         self._least = np.array([p.resonance_rad_s**2, 1.0]) * (FLOOR * p.x_max_m)
         self.begin()
 
     def begin(self) -> None:
-        """Begin another second."""
         self._wrong, self._peaks = np.zeros(2), self._least
         self._nonlinear = self.actuator.frames_by_model["nonlinear"]
 
     def compare(self, volts: FloatArray, motion: Motion) -> None:
-        """Take the motion under some volts."""
         true = self._true.move(volts, SHOWN[:2])
         found, expected = (
             np.array([one.acceleration_m_s2, one.displacement_m]) for one in (motion, true)
@@ -78,15 +70,12 @@ class _Compared:
         self._wrong = np.maximum(self._wrong, wrong)
         self._peaks = np.maximum(self._peaks, np.abs(expected).max(axis=1, initial=0.0))
 
-    @property
-    def error(self) -> float:
-        """The largest error of this second as a share of its peak."""
-        return float((self._wrong / self._peaks).max())
-
-    @property
-    def nonlinear_frames(self) -> int:
-        """Frames of this second that the non-linear model computed."""
-        return self.actuator.frames_by_model["nonlinear"] - self._nonlinear
+    def end(self) -> tuple[float, int]:
+        """Return the second's largest error as a share of its peak, and its non-linear frames."""
+        nonlinear = self.actuator.frames_by_model["nonlinear"] - self._nonlinear
+        error = float((self._wrong / self._peaks).max())
+        self.begin()
+        return error, nonlinear
 
 
 class ModelRecord:
@@ -132,14 +121,11 @@ class ModelRecord:
 
     def _finish(self, second: int) -> None:
         frames, self._begun = self._frames - self._begun, self._frames
-        nonlinear = sum(one.nonlinear_frames for one in self._compared)
-        share = min(1.0, nonlinear / max(1, frames * len(self._compared)))
-        error = max((one.error for one in self._compared), default=0.0)
-        numbers = (100.0 * share, 1e3 * self._cost_s, 100.0 * error)
+        errors, nonlinear = zip(*(one.end() for one in self._compared), strict=True)
+        share = min(1.0, sum(nonlinear) / max(1, frames * len(errors)))
+        numbers = (100.0 * share, 1e3 * self._cost_s, 100.0 * max(errors))
         self.seconds.append(SecondReport(second, *(float(f"{x:.4g}") for x in numbers)))
         self._cost_s = 0.0
-        for one in self._compared:
-            one.begin()
 
 
 def in_words(seconds: Iterable[SecondReport]) -> list[str]:
@@ -147,11 +133,12 @@ def in_words(seconds: Iterable[SecondReport]) -> list[str]:
     lines = []
     for kind, group in groupby(seconds, key=_kind):
         part = list(group)
-        first, last = part[0].second, part[-1].second + 1
         cost_ms = sum(one.cost_ms for one in part) / len(part)
         error = max(one.error_percent for one in part)
-        cost = f"{cost_ms:.2g} ms of CPU a second"
-        lines.append(f"{first} to {last} s: {kind}, {cost}, true error up to {error:.2g} %")
+        lines.append(
+            f"{part[0].second} to {part[-1].second + 1} s: {kind}, {cost_ms:.2g} ms of CPU a "
+            f"second, true error up to {error:.2g} %"
+        )
     return lines
 
 

@@ -1,8 +1,7 @@
 """The parameters of each stage between the vibration signal and the seat, with units and limits.
 
 Symbols are those of Thiele and Small for moving-coil transducers (Qms, Qes, Qts) and of the paper
-(equations 8-10): m x'' + c x' + k x = F with k = m w0^2. The rig's file (rig_file.py) says where
-each value comes from.
+(equations 8-10): m x'' + c x' + k x = F with k = m w0^2.
 """
 
 import math
@@ -48,11 +47,9 @@ Celsius = Annotated[float, Limit(lambda t: -50 <= t <= 150, "from -50 to 150")]
 Bits = Annotated[int, _whole(8, 32)]
 DriveMode = Literal["voltage", "current"]
 
-Model = Literal["auto", "linear", "nonlinear"]
-"""Which model of the actuator a user chose."""
+Model = Literal["auto", "linear", "nonlinear"]  # which model of the actuator a user chose
 MODELS: tuple[Model, ...] = get_args(Model)
-LEAST_TOLERANCE = 1e-5
-"""The smallest error, as a share of the peak, that a user may ask for."""
+LEAST_TOLERANCE = 1e-5  # the smallest error, as a share of the peak, that a user may ask for
 
 
 def check_tolerance(tolerance: float) -> None:
@@ -64,7 +61,7 @@ def check_tolerance(tolerance: float) -> None:
 
 
 class Stage:
-    """Base of all stages; each field is annotated with its limit."""
+    """Base of all stages. Each field is annotated with its limit."""
 
     def __post_init__(self) -> None:
         if wrong := self.problems(vars(self)):
@@ -115,8 +112,7 @@ class AmplifierParameters(Stage):
     channels: Annotated[int, _whole(1, 64)] = 1  # how many actuators it drives
 
 
-EDDY = ("inductance_eddy_h", "resistance_eddy_ohm")
-"""Parameters of eddy currents, of which there are both or none."""
+EDDY = ("inductance_eddy_h", "resistance_eddy_ohm")  # there are both or none
 
 
 @dataclass(frozen=True)
@@ -126,8 +122,7 @@ class ActuatorParameters(Stage):
     moving_mass_kg: m. resonance_hz: f0, undamped. q_mechanical: Qms, the Q with the coil open.
     force_factor_n_per_a: Bl. resistance_ohm, inductance_h: R and L of the coil. x_max_m: excursion,
     either way, up to which the linear model holds. inductance_eddy_h, resistance_eddy_ohm: L2 and
-    R2 of eddy currents, R2 parallel to L2, in series with L; 0: none. Calibration uses them; the
-    models of the rig leave them out.
+    R2 of eddy currents, R2 parallel to L2, in series with L; 0: none. Only calibration uses them.
     UsageError: a parameter is out of range.
     """
 
@@ -205,18 +200,14 @@ def vary(
 
 @dataclass(frozen=True)
 class LargeSignalParameters(Stage):
-    """How an actuator departs from the linear one towards Xmax, and its end stops.
-
-    The stops push back with stop_n_per_m2 times the square of the indentation. That force grows by
-    stop_loss_s_per_m times the speed inwards (Hunt and Crossley 1975).
-    """
+    """How an actuator departs from the linear one towards Xmax, and its end stops."""
 
     stop_m: Positive  # excursion, in both directions, at which the stops begin
     stiffness_rise: NotNegative = 0.5  # share that k gains at Xmax
     force_factor_loss: Share = 0.25  # share that Bl loses at Xmax
     inductance_change: Share = 0.3  # L is L0 (1 - change tanh(x / Xmax))
-    stop_n_per_m2: NotNegative = 1.3e9
-    stop_loss_s_per_m: NotNegative = 0.5
+    stop_n_per_m2: NotNegative = 1.3e9  # force over the square of the indentation
+    stop_loss_s_per_m: NotNegative = 0.5  # its rise by the speed inwards (Hunt and Crossley 1975)
 
 
 @dataclass(frozen=True)
@@ -232,10 +223,7 @@ class ThermalParameters(Stage):
 
 @dataclass(frozen=True)
 class SeatParameters(Stage):
-    """Frame, cushion and sitter: a second mass on a spring and damper to the ground.
-
-    A soft spring comes close to a free frame.
-    """
+    """Frame, cushion and sitter: a second mass on a spring and damper to the ground."""
 
     mass_kg: Positive
     stiffness_n_per_m: Positive

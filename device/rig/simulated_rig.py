@@ -10,8 +10,7 @@ from device.errors import InternalError, UsageError
 from device.output import VibrationOutput
 from device.rig.actuator import LinearActuator, Motion
 from device.rig.adaptive_actuator import AdaptiveActuator
-from device.rig.electronics import Amplifier, Dac
-from device.rig.instruments import CONDITIONING_V_PER_M_S2
+from device.rig.electronics import CONDITIONING_V_PER_M_S2, Amplifier, Dac
 from device.rig.model_record import SHOWN, ModelRecord, SecondReport, actuator_of
 from device.rig.parameters import Model
 from device.rig.rig import Rig
@@ -22,19 +21,15 @@ class SimulatedRig:
     """A `VibrationOutput` that moves one simulated actuator for each channel.
 
     One thread writes; any thread may read the attributes at any time. Actuators that choose a model
-    move by blocks of 0.1 s counted from the start, and by the rest at `close`. The bytes of a
-    record therefore do not depend on how the vibration was cut.
+    move by blocks of 0.1 s from the start, and by the rest at `close`, however vibration is cut.
 
     rig: of all channels, or of each, None where nothing is connected. channels: 1 or more; None for
-    as many as rigs are listed. recorder: gets what the accelerometers show, at the same rate and
-    channels, with 1.0 for ACCELERATION_FULL_SCALE_M_S2; it is closed or aborted with the rig.
-    tolerance: None for linear actuators, else the error that `AdaptiveActuator` may make, with the
-    `model`. clock: CPU time, s; with it, `seconds` says second by second which model ran, its cost
-    and its true error, for about 5 ms more of CPU a second and actuator. acceleration_m_s2:
-    (frames, channels) of what the last `write` or `close` moved, a new array each time; 0 without a
-    rig. peak_acceleration_m_s2, peak_displacement_m, peak_current_a: largest magnitudes of any
-    channel since the start or `reset`. overcurrent_samples: those beyond the amplifier's current
-    limit; a real one would limit it or switch off.
+    as many as rigs are listed. recorder: gets the accelerations, with 1.0 for
+    ACCELERATION_FULL_SCALE_M_S2; it is closed or aborted with the rig. tolerance: None for linear
+    actuators, else that of `AdaptiveActuator`, with the `model`. clock: CPU time, s, for `seconds`.
+    acceleration_m_s2: (frames, channels) of the last `write` or `close`; 0 without a rig.
+    peak_acceleration_m_s2, peak_displacement_m, peak_current_a: largest magnitudes since the start
+    or `reset`. overcurrent_samples: those beyond the amplifier's current limit, which is not kept.
     """
 
     def __init__(
@@ -58,10 +53,8 @@ class SimulatedRig:
                 f"the recorder needs {recorder.channels} channels at {recorder.samplerate} Hz, "
                 f"the simulated rig gives {len(rigs)} at {samplerate} Hz"
             )
-        self.samplerate = samplerate
-        self.channels = len(rigs)
-        self._recorder = recorder
-        self._closed = False
+        self.samplerate, self.channels = samplerate, len(rigs)
+        self._recorder, self._closed = recorder, False
         self._stages: list[_Stage] = []
         for one in dict.fromkeys(filter(None, rigs)):
             columns = [column for column, other in enumerate(rigs) if other == one]
@@ -90,10 +83,8 @@ class SimulatedRig:
     def seconds(self) -> list[SecondReport]:
         """What the models did in each whole second so far, of the rig with the largest error."""
         records = [stage.record.seconds for stage in self._stages if stage.record]
-        return [
-            max(several, key=lambda one: one.error_percent)
-            for several in zip(*records, strict=False)
-        ]
+        together = zip(*records, strict=False)
+        return [max(several, key=lambda one: one.error_percent) for several in together]
 
     def reset(self) -> None:
         """Return to rest and forget peaks and counts; recorded frames stay."""
@@ -120,14 +111,13 @@ class SimulatedRig:
         self.acceleration_m_s2 = np.concatenate([np.zeros((0, self.channels)), *moved])
 
     def _move(self, vibration: FloatArray | Float32Array) -> FloatArray:
-        """Move the actuators, and record; return the acceleration."""
         # Channels as rows: each actuator then reads and writes contiguous memory.
         acceleration = np.zeros(vibration.shape[::-1])
         for stage in self._stages:
             volts = stage.volts(vibration)
             limit_a = stage.rig.amplifier.current_limit_a
-            for channel, actuator, drive in zip(stage.columns, stage.actuators, volts, strict=True):
-                motion = stage.move(actuator, drive)
+            for index, channel in enumerate(stage.columns):
+                motion = stage.move(index, volts[index])
                 acceleration[channel] = motion.acceleration_m_s2
                 self.peak_displacement_m = _larger(self.peak_displacement_m, motion.displacement_m)
                 self.peak_current_a = _larger(self.peak_current_a, motion.current_a)
@@ -193,10 +183,10 @@ class _Stage:
         if self._clock and chosen:
             self.record = ModelRecord(chosen, self._samplerate, self._clock)
 
-    def move(self, actuator: LinearActuator | AdaptiveActuator, volts: FloatArray) -> Motion:
+    def move(self, index: int, volts: FloatArray) -> Motion:
         if self.record:
-            return self.record.move(self.actuators.index(actuator), volts)
-        return actuator.move(volts, SHOWN)
+            return self.record.move(index, volts)
+        return self.actuators[index].move(volts, SHOWN)
 
     def volts(self, vibration: FloatArray | Float32Array) -> FloatArray:
         """Return the amplifier's output, (columns, frames), contiguous."""
@@ -205,5 +195,4 @@ class _Stage:
 
 
 def _larger(peak: float, samples: FloatArray) -> float:
-    """Return the larger of a peak and the largest magnitude among the samples."""
     return max(peak, float(np.max(np.abs(samples), initial=0.0)))

@@ -7,8 +7,7 @@ import numpy as np
 from device.rig.parameters import ThermalParameters
 from device.units import FloatArray
 
-COPPER_PER_K = 0.00393
-"""Rise of copper's resistance, as a share of that at 20 degrees Celsius, per kelvin (IEC 60028)."""
+COPPER_PER_K = 0.00393  # rise of resistance over that at 20 °C (IEC 60028)
 
 
 class Temperatures:
@@ -40,10 +39,7 @@ class Temperatures:
         return resistance_ohm * (1.0 + COPPER_PER_K * self.coil_k / ambient)
 
     def step(self, duration_s: float) -> list[float]:
-        """Return the six factors of a step of a duration, s, from a small cache.
-
-        Those of the coil's temperature come first: by coil, by magnet, K, and by power, W.
-        """
+        """Return the cached factors of a step, s: of coil, magnet (K) and power (W), for each."""
         if duration_s not in self._steps:
             if len(self._steps) > 64:  # ever new block lengths must not fill the memory
                 self._steps.clear()

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from audioflinger_hook.transform import TransformParameters
-from device.rig.rig_file import SHIPPED
+from device.rig.rig import SHIPPED
 from tools.bench.measures.classes import features, told_apart
 from tools.bench.measures.contrasts import (
     added_db,

@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from device.drive.damping import choose_damping
-from device.drive.damping.residual import undamped
+from device.drive.damping import choose_damping, undamped
 from device.errors import UsageError
 from device.rig import CONSUMER, PAPER, Rig
 from device.rig.actuator import LinearActuator

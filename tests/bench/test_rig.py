@@ -38,7 +38,7 @@ def test_a_blocks_error_is_the_larger_one_over_its_own_peak():
     volts = 5.0 * np.sin(np.pi * times) ** 2 * np.sin(2 * np.pi * 70.0 * times)
     true = AdaptiveActuator(PAPER, 48_000, model="linear").move(volts)
     blocks = [BlockReport(frame, 4_800, "linear", 0.0) for frame in range(0, len(volts), 4_800)]
-    moved = replace(true, displacement_m=true.displacement_m.copy())
+    moved = true._replace(displacement_m=true.displacement_m.copy())
     moved.displacement_m[70_000] += 0.02 * np.abs(true.displacement_m[67_200:72_000]).max()
     errors = block_errors(blocks, moved, true, PAPER.actuator)
     assert errors[14] == pytest.approx(0.02)

@@ -16,8 +16,8 @@ from audioflinger_hook.cli.calibrate_live import levelled
 from device.errors import UsageError
 from device.identification import IdentificationError
 from device.identification.calibration import STEPS, calibrate
+from device.identification.recording import Sweep
 from device.identification.simulated_laboratory import SimulatedLaboratory
-from device.identification.sweep import Sweep
 from device.rig import PAPER, read_rig
 from tests.support.commands import call, noise, sound
 

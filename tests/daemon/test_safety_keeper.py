@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from audioflinger_hook.daemon.safety_keeper import FILE, MARK, SAVE_S, Moment, SafetyKeeper
 from audioflinger_hook.drive.drive import Drive
-from device.drive.exposure.design import worst_second
+from device.drive.exposure import worst_second
 from device.drive.protection.limits import limits_of
 from device.drive.safety import SafetyBounds, SafetyState, power_to_limit_w
 from device.rig import CONSUMER, PAPER, Rig

@@ -10,5 +10,5 @@ from device.rig.co_energy import Energies
 
 def stored_energy_j(e: Energies, x: FloatArray, i: FloatArray) -> FloatArray:
     """Return the energy in spring, stops and field, J: V + i dW'/di - W' = V + L i^2 / 2."""
-    field_j = e.inductance.jet(x)[0] * i * i / 2.0
-    return np.asarray(e.spring.jet(x)[0] + e.stops.jet(x)[0] + field_j)
+    field_j = e.inductance(x)[0] * i * i / 2.0
+    return np.asarray(e.spring(x)[0] + e.stops(x)[0] + field_j)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.signal import butter, sosfilt
 
-from device.drive.exposure.dose import ACTION_A8_M_S2, ACTION_VDV, DAY_S, DoseSums, Exposure
+from device.drive.exposure import ACTION_A8_M_S2, ACTION_VDV, DAY_S, DoseSums, Exposure
 from device.drive.safety import SafetyState
 from device.rig import CONSUMER, PAPER, Rig
 from device.rig.actuator import LinearActuator

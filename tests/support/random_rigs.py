@@ -13,8 +13,8 @@ import numpy as np
 
 from device.identification.acceleration import Mode, identify_mode
 from device.identification.output_error import Estimate
+from device.identification.recording import Sweep
 from device.identification.simulated_laboratory import SimulatedLaboratory
-from device.identification.sweep import Sweep
 from device.rig import PAPER, ActuatorParameters, Rig
 from device.rig.parameters import LargeSignalParameters, SeatParameters
 from tools.soak_record import F0_ERROR, HELD, Q_ERROR, SNR_DB

@@ -11,7 +11,7 @@ from audioflinger_hook.transform import FloatArray, HapticTransform
 from device.drive.damping import Damping
 from device.drive.design import damping_for
 from device.rig import Rig
-from device.rig.instruments import InstrumentChain
+from device.rig.electronics import InstrumentChain
 from device.rig.simulated_rig import SimulatedRig
 
 BAND_HZ = (20.0, 220.0)

@@ -17,8 +17,7 @@ from audioflinger_hook.transform import FloatArray
 from device.errors import InternalError
 from device.rig import Rig
 from device.rig.adaptive_actuator import AdaptiveActuator
-from device.rig.electronics import Amplifier, Dac
-from device.rig.instruments import Daq, InstrumentChain
+from device.rig.electronics import Amplifier, Dac, Daq, InstrumentChain
 
 SAMPLERATE = 48_000
 SWEEP_HZ = (1.0, 500.0)

@@ -6,33 +6,30 @@ import math
 
 import numpy as np
 
-from device.drive.protection.bounding_models import RESERVE, bounding_models
-from device.drive.protection.drive_model import DriveModel, amplifier_sections
-from device.drive.protection.limits import APPROACH_S, Limits, limits_of
-from device.drive.protection.prediction import LANES, prediction_records
+from device.drive.protection.limits import APPROACH_S, RESERVE, Limits, bounding_models, limits_of
+from device.drive.protection.prediction import (
+    LANES,
+    DriveModel,
+    amplifier_sections,
+    prediction_records,
+)
 from device.errors import UsageError
 from device.rig import Rig
 from device.rig.thermal import COPPER_PER_K, Temperatures
 from device.units import Records
 
 BLOCK_S = 0.002
-BLOCKS_AHEAD = 2
-"""A block leaves when the next block is known: two block lengths after its start."""
+BLOCKS_AHEAD = 2  # a block leaves when the next block is known: two block lengths after its start
 
-RECOVERY_S = 0.02
-"""Time in which the gain recovers from 0 to what the demand allows."""
-HOLD_S = 0.06
-"""Demand is held at least this long: more than a period of 20 Hz, so that the gain is steady."""
+RECOVERY_S = 0.02  # time in which the gain recovers from 0 to what the demand allows
+HOLD_S = 0.06  # demand is held so long: more than a period of 20 Hz, for a steady gain
 CAUTION = 1.03
 """Factor on the demand after each block in which the bound limited the gain. That limit makes the
 actuator swing, and the bound would act again in every period."""
-RELEASE_S = 0.5
-"""Time constant of the demand's decay after that."""
-WANTED_RISE_S, WANTED_FALL_S = 0.03, 2.0
-"""Time constants of the wanted power's rise, over a few periods of vibration, and decay."""
+RELEASE_S = 0.5  # time constant of the demand's decay after that
+WANTED_RISE_S, WANTED_FALL_S = 0.03, 2.0  # time constants of the wanted power's rise and decay
 
-_FINE_HZ = 32_000
-"""From here on a block has whole groups."""
+_FINE_HZ = 32_000  # from here on a block has whole groups
 
 
 def latency_frames(samplerate: int) -> int:
@@ -43,8 +40,7 @@ def latency_frames(samplerate: int) -> int:
 def protection_records(rig: Rig, samplerate: int, limits: Limits | None = None) -> Records:
     """Return the design of the protection of a rig, by name; see `ProtectionDesign` of the core.
 
-    The result keeps the rig inside its limits by gain alone, ahead of time. While no limit is near,
-    every sample leaves unchanged, `latency_frames` later.
+    While no limit is near, every sample leaves unchanged, `latency_frames` later.
 
     samplerate: Hz, 1000 or more. limits: None for the limits of the rig.
     UsageError: the coil's temperature is limited and the rig does not describe how it warms up.

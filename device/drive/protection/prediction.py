@@ -1,25 +1,174 @@
 """What a block of drive does to several linear models of one actuator, as tables.
 
+Each model is the amplifier's band and one actuator behind it, as one step from sample to sample.
 Half the square of the first three states is the actuator's stored energy.
 """
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
+import scipy
 
-from device.drive.protection.drive_model import LAST, DriveModel
+from device.rig import ActuatorParameters
+from device.rig.actuator import LinearActuator, Quantity, first_order_hold, state_space
+from device.rig.electronics import Band
+from device.rig.parameters import AmplifierParameters
 from device.units import FloatArray, Records
 
-LANES = 8
-"""The core reads groups of this many frames."""
+ACTUATOR_STATES = 3
+LAST = ACTUATOR_STATES
+"""Index in a state: x sqrt(k), x' sqrt(m), i sqrt(L), then the amplifier's last output as a share
+of full scale, then two values for each of its sections."""
 
-_WATCHED_HZ = 6_000.0
-"""Excursion is computed at least this often; `_slacks_m` bounds it in between."""
+_FAR_ABOVE = 20.0
+"""A low-pass this many times above the resonance is left out: it changes the level by 3e-6."""
+
+_DECAYED = 25.0
+_HORIZON_FRAMES = 1 << 20
+LANES = 8  # the core reads groups of this many frames
+
+_WATCHED_HZ = 6_000.0  # excursion is computed at least this often; `_slacks_m` bounds it in between
 _TAIL_POINTS = 32
 _TAIL_PERIODS = 1.25
-_UNREACHABLE = 1e30
-"""In place of infinity, for a reach that is not computed."""
+_UNREACHABLE = 1e30  # in place of infinity, for a reach that is not computed
+
+
+def amplifier_sections(
+    amplifier: AmplifierParameters, models: Sequence[ActuatorParameters], samplerate: float
+) -> FloatArray:
+    """Return the sections of the amplifier's band that matter here: (n, 6), n 0 to 2."""
+    highest_hz = max(model.resonance_hz for model in models)
+    far = amplifier.high_cut_hz > _FAR_ABOVE * highest_hz
+    high_cut_hz = np.inf if far else amplifier.high_cut_hz
+    return Band(amplifier.low_cut_hz, high_cut_hz, samplerate).sections
+
+
+class DriveModel:
+    """One actuator model behind the amplifier: S[n] = step S[n-1] + drive u[n]. Immutable.
+
+    Exact for a voltage that is straight between samples. Any thread may use it.
+
+    sections: of the amplifier's band, (n, 6). volts: at the actuator for full scale.
+    step, drive: (states, states) and (states,), for a drive of full scale 1.
+    x_row, i_row: (states,): excursion in m and current in A of a state.
+    last_kick: norm of the actuator's state after a last output of 1: the root of twice its energy.
+    """
+
+    def __init__(
+        self,
+        model: ActuatorParameters,
+        samplerate: float,
+        source_impedance_ohm: float,
+        sections: FloatArray,
+        volts: float,
+    ) -> None:
+        self.model, self.samplerate, self.volts = model, samplerate, volts
+        self.source_impedance_ohm, self._sections = source_impedance_ohm, sections
+        hold, from_last, from_new, x_row, i_row = _held(model, samplerate, source_impedance_ohm)
+        turn, enter, leave, through = _cascade(sections)
+        self.states = LAST + 1 + len(turn)
+        n = ACTUATOR_STATES
+        self.step: FloatArray = np.zeros((self.states, self.states))
+        self.step[:n, :n] = hold
+        self.step[:n, LAST] = volts * from_last
+        self.step[:n, LAST + 1 :] = volts * np.outer(from_new, leave)
+        self.step[LAST, LAST + 1 :] = leave
+        self.step[LAST + 1 :, LAST + 1 :] = turn
+        self.drive: FloatArray = np.concatenate([volts * through * from_new, [through], enter])
+        self.x_row: FloatArray = np.pad(x_row, (0, self.states - n))
+        self.i_row: FloatArray = np.pad(i_row, (0, self.states - n))
+        self.last_kick = float(np.linalg.norm(self.step[:n, LAST]))
+
+    def reach(self, quantity: Quantity) -> float:
+        """Return the largest |quantity| per volt of peak drive: the sum of |impulse response|.
+
+        Infinity if it decays too slowly; then every block is computed.
+        """
+        frames = self._horizon()
+        if not frames:
+            return math.inf
+        impulse = np.zeros(frames)
+        impulse[0] = 1.0
+        if len(self._sections):
+            impulse = scipy.signal.sosfilt(self._sections, impulse)
+        # The remaining e^-25 is not in the sum.
+        return float(np.abs(self._moved(impulse, quantity)).sum()) * (1.0 + 1e-9)
+
+    def ring(self) -> float:
+        """Return the largest |x|, m per volt, after an amplifier's state of length 1, undriven."""
+        if not len(self._sections):
+            return 0.0
+        frames = self._horizon()
+        if not frames:
+            return math.inf
+        squares = np.zeros(frames)
+        for at, section in enumerate(self._sections):
+            for column in _section(section)[4].T:
+                state = np.zeros((len(self._sections), 2))
+                state[at] = column
+                volts, _ = scipy.signal.sosfilt(self._sections, np.zeros(frames), zi=state)
+                squares += self._moved(volts, "displacement_m") ** 2
+        return math.sqrt(float(squares.max()))
+
+    def _moved(self, volts: FloatArray, quantity: Quantity) -> FloatArray:
+        actuator = LinearActuator(self.model, self.samplerate, self.source_impedance_ohm)
+        moved: FloatArray = getattr(actuator.move(volts, (quantity,)), quantity)
+        return moved
+
+    def _horizon(self) -> int:
+        """Return the frames until all ringing has fallen to e^-25; 0 if too long to compute."""
+        decay = math.pi * self.model.resonance_hz / self.model.q_total(self.source_impedance_ohm)
+        # The amplifier's slowest pair of poles shrinks by e^-slow a second.
+        radii = [math.sqrt(float(a2)) for a2 in self._sections[:, 5]]
+        slow = min((-math.log(radius) * self.samplerate for radius in radii), default=math.inf)
+        # The actuator rings after the amplifier.
+        frames = math.ceil(_DECAYED * self.samplerate * (1.0 / decay + 1.0 / slow))
+        return frames if frames <= _HORIZON_FRAMES else 0
+
+
+@lru_cache(maxsize=64)
+def _held(
+    p: ActuatorParameters, samplerate: float, source_impedance_ohm: float
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return the actuator's step, its input from the last and new volt, and the rows of x and i."""
+    rate, drive, rows = state_space(p, source_impedance_ohm)
+    held = first_order_hold(rate, drive, 1.0 / samplerate)
+    return *held, rows["displacement_m"], rows["current_a"]
+
+
+def _cascade(sections: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, float]:
+    """Return (turn, enter, leave, through): q' = turn q + enter u, y = leave q + through u."""
+    turn, enter, leave, through = np.zeros((0, 0)), np.zeros(0), np.zeros(0), 1.0
+    for section in sections:
+        own, entered, left, direct, _ = _section(section)
+        corner = np.outer(entered, leave)
+        turn = np.block([[turn, np.zeros((len(turn), 2))], [corner, own]])
+        enter = np.concatenate([enter, entered * through])
+        leave = np.concatenate([leave * direct, left])
+        through *= direct
+    return turn, enter, leave, through
+
+
+def _section(
+    section: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray, float, FloatArray]:
+    """Return a section as turn, enter, leave, through, and the base of its two states.
+
+    In this base the state rotates and shrinks, and its length bounds the output.
+    """
+    b0, b1, b2, _, a1, a2 = section.tolist()
+    own = np.array([[-a1, 1.0], [-a2, 0.0]])
+    entered = np.array([b1 - a1 * b0, b2 - a2 * b0])
+    values, vectors = np.linalg.eig(own)
+    if abs(values[0].imag) > 0.0:
+        shape = np.column_stack([vectors[:, 0].real, vectors[:, 0].imag])
+    else:
+        shape = vectors.real
+    shape = shape / np.linalg.norm(shape[0])
+    back = np.linalg.inv(shape)
+    return back @ own @ shape, back @ entered, shape[0], b0, shape
 
 
 def prediction_records(
@@ -28,19 +177,17 @@ def prediction_records(
     """Return what a block of drive does to the models, by name; see `ProtectionDesign` of the core.
 
     Excursion is a share of the limit, less what it may rise between two frames; current is in A.
-    Impulse responses are stored last frame first, and matrices by their columns, as the core uses
-    them: a state times a matrix is a sum of columns. Zeros fill whole groups of `LANES`.
+    Impulse responses are stored last frame first, and matrices by their columns.
 
-    drives: rigs that the actuator may be; the believed one first. block_frames: length of a block,
-    1 or more. excursion_m: limit, either way. current_models: number whose current is limited.
+    drives: rigs that the actuator may be; the believed one first. current_models: number whose
+    current is limited.
 
     states: of one model. stride: frames between two whose excursion is computed, the last of a
         block among them; watched: their number. tail_points: of the free swing after a block.
     excursion_by_drive: (models, block_frames). excursion_by_state: (models, states, watched).
     state_by_drive: (models, states, block_frames). state_by_state: (models, states, states).
     current_by_drive: (currents, block_frames), currents = 1 + current_models; the first is of a
-        coil that nothing but its resistance holds back. Whatever the actuator is, its coil gets no
-        warmer.
+        coil that nothing but its resistance holds back: no actuator's coil gets warmer.
     current_by_state: (currents, states, block_frames).
     tail_by_state: (models, states, tail_points): excursion after a state without drive.
     reach: (models,): largest excursion from rest that a drive within ±1 can cause.
@@ -117,9 +264,8 @@ def _slacks_m(drives: Sequence[DriveModel], limit_m: float, stride: int) -> tupl
     """Return by how much excursion may rise between computed frames of a block, and of the tail, m.
 
     Half a step from a computed frame that is at most half the acceleration times the time squared.
-    The spring and the coil give the acceleration. Friction gives none in the tail, since the speed
-    is 0 at the largest excursion. Later blocks compute the tail again at smaller steps, so that it
-    needs both margins.
+    In the tail friction gives none, since the speed is 0 at the largest excursion. Later blocks
+    compute the tail again at smaller steps, so that it needs both margins.
     """
     worst_m, tail_m = 0.0, 0.0
     for drive in drives:
@@ -139,9 +285,8 @@ def _slacks_m(drives: Sequence[DriveModel], limit_m: float, stride: int) -> tupl
 def _tail(drive: DriveModel, block_frames: int) -> FloatArray:
     """Return x over one period of a free swing in m, (points, states); later it is smaller.
 
-    The coil's current and the last output act only at its start. An amplifier swings back for
-    longer, but with a fifth of the effect. The distance of two points divides the length of a
-    block: the next block computes the same points and gets the same values if nothing new came.
+    An amplifier swings back for longer, but with a fifth of the effect. The distance of two points
+    divides the length of a block, so that the next block computes the same points.
     """
     rate, hz = drive.samplerate, drive.model.resonance_hz
     wanted = max(1.0, rate / hz / _TAIL_POINTS)

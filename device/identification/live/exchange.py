@@ -1,8 +1,7 @@
 """One measurement in the streams' callbacks: listen, play once, record, and stop on any problem.
 
 Two streams' threads call `fill` and `on_frames`. Neither blocks, raises or allocates more than a
-block; the arrays of the whole recording are allocated before. The first problem becomes the
-measurement's error. From then on `fill` writes nothing, so the very next block is silent.
+block. The first problem becomes the measurement's error; the very next block is then silent.
 """
 
 import math

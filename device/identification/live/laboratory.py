@@ -19,18 +19,21 @@ from device.identification.live.two_clocks import (
     find_drift,
     resample_to_played,
 )
-from device.identification.recording import PLAYED, IdentificationError, Recording
+from device.identification.recording import (
+    PLAYED,
+    Excitation,
+    IdentificationError,
+    Recording,
+    Sweep,
+)
 from device.identification.simulated_laboratory import through_amplifier
-from device.identification.sweep import Excitation, Sweep
 from device.rig.parameters import AmplifierParameters
 from device.units import FloatArray
 
 QUANTITIES = ("acceleration", "current", "voltage", "loopback")
 UNUSED = "-"
-SHUNT_OHM = 1e-3, 10.0
-"""A larger resistor takes too much of the coil's voltage; a smaller one gives no signal."""
-DRIVE = "drive"
-"""The name of the played signal, and of its loop-back."""
+SHUNT_OHM = 1e-3, 10.0  # a larger one takes too much voltage; a smaller one gives no signal
+DRIVE = "drive"  # the name of the played signal, and of its loop-back
 
 MOST_CHANNELS = 32
 
@@ -124,11 +127,8 @@ class Inputs:
         return tuple(pair for pair in possible if known.issuperset(pair))
 
 
-MOST_CHANGE_PPM = 40.0
-"""Largest change of the drift between two sweeps. Crystals do not change more; lost frames do."""
-
-MOST_TRIES = 3
-"""Attempts per sweep; a busy machine loses some frames."""
+MOST_CHANGE_PPM = 40.0  # of the drift between two sweeps; more means lost frames
+MOST_TRIES = 3  # per sweep; a busy machine loses some frames
 
 _MIN_SIGNAL = 1.5
 _MAX_AFTER = 0.1
@@ -139,10 +139,8 @@ HARMONICS = 8
 MOST_HUM = 0.05
 """Largest r.m.s. of the hum as a share of that during the sweep. Fits leave out its lines; louder
 hum hides the marks that compare the clocks."""
-_CLEAR = 0.02
-"""Smallest share of the silence's power that counts as hum; in white noise it is 0.1 %."""
-_MOST = 0.3
-"""From this share on, the silence is hum; below, it is noise with some hum."""
+_CLEAR = 0.02  # least share of the silence's power that counts as hum; in white noise it is 0.1 %
+_MOST = 0.3  # from this share on, the silence is hum; below, it is noise with some hum
 
 
 class Transport(Protocol):
@@ -169,10 +167,7 @@ class Devices:
 
 
 class LiveLaboratory:
-    """A `Laboratory` of real devices. One thread uses it.
-
-    The amplifier's band is divided out of a response to the played signal.
-    """
+    """A `Laboratory` of real devices, the amplifier's band divided out. One thread uses it."""
 
     def __init__(
         self,
@@ -196,8 +191,7 @@ class LiveLaboratory:
     def measure(self, sweep: Sweep, pairs: Sequence[tuple[str, str]]) -> list[Recording]:
         """Return a recording per pair (reference, response) of one sweep, in physical units.
 
-        "drive" is the loop-back, or else the played signal, whose unknown delay is then fitted as
-        well (`Recording.delayed`).
+        "drive" is the loop-back, or else the played signal with an unknown delay.
         """
         for _ in range(MOST_TRIES - 1):
             try:
@@ -207,13 +201,10 @@ class LiveLaboratory:
         return self._measure_once(sweep, pairs)
 
     def _measure_once(self, sweep: Sweep, pairs: Sequence[tuple[str, str]]) -> list[Recording]:
-        excitation = Excitation(sweep)
-        exchange = Exchange(
-            excitation.samples, sweep.samplerate, self._inputs.names, self._output_channel
-        )
+        excitation, names = Excitation(sweep), self._inputs.names
+        exchange = Exchange(excitation.samples, sweep.samplerate, names, self._output_channel)
         self._transport.run(exchange)
-        recorded = exchange.recorded.astype(np.float64)
-        channels = dict(zip(self._inputs.names, recorded.T, strict=True))
+        channels = dict(zip(names, exchange.recorded.T.astype(np.float64), strict=True))
         channels.pop(UNUSED, None)
         if exchange.error is not None:
             if not exchange.played:  # the background was too loud; hum has its own remedy
@@ -226,9 +217,7 @@ class LiveLaboratory:
             for name, samples in channels.items()
         }
         # The channel that shows the playback with the least effect of the rig.
-        clearest = next(
-            n for n in ("loopback", "voltage", "current", "acceleration") if n in channels
-        )
+        clearest = next(name for name in reversed(QUANTITIES) if name in channels)
         after = channels[clearest][background:]
         check_latency(excitation, after, clearest)
         for name, samples in channels.items():

@@ -11,19 +11,13 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
 from device.identification.live.exchange import MOST_LATENCY_S
-from device.identification.recording import IdentificationError
-from device.identification.sweep import Excitation
+from device.identification.recording import Excitation, IdentificationError
 from device.units import FloatArray
 
-MOST_DRIFT_PPM = 200.0
-"""Two crystals of ±100 ppm. A larger drift means lost or inserted frames."""
-
+MOST_DRIFT_PPM = 200.0  # two crystals of ±100 ppm; a larger drift means lost or inserted frames
 MOST_UNSURE_PPM = 20.0
 """Half the 95 % interval of the drift; after 5 s at 400 Hz it is less than a tenth of a turn."""
-
-CLEAREST = 8.0
-"""Smallest peak of an impulse response over its r.m.s. Noise of this length has 5."""
-
+CLEAREST = 8.0  # smallest peak of an impulse response over its r.m.s.; noise has 5
 _RING_S = 0.2
 _EARLY_S = 0.6
 _BELOW = 1e-2
@@ -137,10 +131,9 @@ def find_drift(excitation: Excitation, channel: FloatArray, delay: int, name: st
 def resample_to_played(
     channel: FloatArray, first: float, drift_ppm: float, frames: int
 ) -> FloatArray:
-    """Resample a recorded channel to the instants of the played frames, (frames,).
+    """Resample a recorded channel to the instants of the played frames, (frames,), from `first` on.
 
-    The first one is at frame `first` of the recording. A Lagrange cubic through four frames has an
-    error of -137 dB at 500 Hz and 48 kHz.
+    A Lagrange cubic through four frames has an error of -137 dB at 500 Hz and 48 kHz.
     """
     step = 1.0 + 1e-6 * drift_ppm
     position = first + step * np.arange(frames)

@@ -8,14 +8,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from device.drive.damping import Damping, choose_damping
-from device.drive.damping.design import (
+from device.drive.damping import (
+    CURRENT_DRIVE_OHM,
+    Damping,
     Resonance,
+    burst_response,
+    choose_damping,
     inverse_damping,
-    no_damping,
     resonance_of,
+    undamped,
 )
-from device.drive.damping.residual import CURRENT_DRIVE_OHM, burst_response, undamped
 from device.errors import UsageError
 from device.rig import CONSUMER, PAPER
 from device.rig.actuator import LinearActuator
@@ -27,7 +29,7 @@ ACTUATOR = PAPER.actuator
 STRONG = replace(ACTUATOR, force_factor_n_per_a=16.0)
 CURRENT = CURRENT_DRIVE_OHM
 EVERY = [
-    no_damping(),
+    Damping(),
     inverse_damping(ACTUATOR, 0.5),
     replace(inverse_damping(ACTUATOR, 0.7, CURRENT, caution=0.8), gain=3.0),
 ]
@@ -43,7 +45,7 @@ def residual(p, damping, detuning=0.0):
 
 
 def test_undamped_current_drive_is_its_own_reference():
-    shown = residual(ACTUATOR, no_damping(CURRENT))
+    shown = residual(ACTUATOR, Damping(CURRENT))
     assert (shown.residual_db, shown.peak_volts_db) == (0.0, 0.0)
     # e^(-pi f0 t / Q) = 0.1: 65 ms; the sample that is over it last lies within half a period
     expected_s = 8 * math.log(10) / (math.pi * 90)
@@ -61,7 +63,7 @@ def test_voltage_drive_damps_as_the_ratio_of_the_qs_foretells():
 
     expected_db = 10 * math.log10(share(ACTUATOR.q_total()) / share(8.0))
     # The coil's inductance and the start of the sine are left out of it.
-    assert residual(ACTUATOR, no_damping()).residual_db == pytest.approx(expected_db, abs=0.5)
+    assert residual(ACTUATOR, Damping()).residual_db == pytest.approx(expected_db, abs=0.5)
 
 
 @pytest.mark.sweep
@@ -80,7 +82,7 @@ def test_the_choice_holds_the_limits_of_residual_and_volts(p):
     ("p", "damping", "exact_db", "worse_of_ten_percent_db"),
     [
         (ACTUATOR, inverse_damping(ACTUATOR, 0.7, CURRENT), -13.1, -0.5),
-        (ACTUATOR, no_damping(), -5.4, -4.4),
+        (ACTUATOR, Damping(), -5.4, -4.4),
         (ACTUATOR, inverse_damping(ACTUATOR, 0.7), -11.6, -7.9),
         (STRONG, inverse_damping(STRONG, 0.5), -12.8, -11.0),
     ],
@@ -188,7 +190,7 @@ def worst_against_none(p, source, shares, by_mass):
     for share in shares:
         true = {"mass": 1.0 / (1.0 + share) ** 2} if by_mass else {"detuning": share}
         with_it, without = (
-            burst_response(p, one, **true).residual for one in (damping, no_damping(source))
+            burst_response(p, one, **true).residual for one in (damping, Damping(source))
         )
         worst = max(worst, 10 * math.log10(with_it / without))
     return worst
@@ -206,7 +208,7 @@ def test_a_filter_that_is_sure_of_f0_would_be_worse_than_none_where_the_choice_i
     rig, _ = random_rig(14)
     source = rig.amplifier.source_impedance_ohm
     sure = inverse_damping(rig.actuator, 0.35, source, caution=0.5)
-    without = burst_response(rig.actuator, no_damping(source), detuning=0.2).residual
+    without = burst_response(rig.actuator, Damping(source), detuning=0.2).residual
     assert burst_response(rig.actuator, sure, detuning=0.2).residual > 1.2 * without
     assert worst_against_none(rig.actuator, source, (-0.2, 0.2), by_mass=False) < 0.0
 
@@ -244,7 +246,7 @@ def test_the_makeup_gives_a_burst_as_strong_as_without_damping():
     chosen = choose_damping(ACTUATOR)[0]
     damping = replace(chosen.damping, gain=chosen.makeup)
     made_up = burst_response(ACTUATOR, damping).rms_m_s2
-    assert made_up == pytest.approx(burst_response(ACTUATOR, no_damping()).rms_m_s2, rel=1e-9)
+    assert made_up == pytest.approx(burst_response(ACTUATOR, Damping()).rms_m_s2, rel=1e-9)
 
 
 def test_a_detuned_rig_has_the_same_mass_and_friction():

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from device.drive.design import damping_for, drive_design
-from device.drive.exposure.dose import ACTION_A8_M_S2, DAY_S, DoseSums
+from device.drive.exposure import ACTION_A8_M_S2, DAY_S, DoseSums
 from device.drive.safety import SafetyState
 from device.errors import InternalError, UsageError
 from device.rig import CONSUMER, PAPER, Rig

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from scipy.signal import butter, sosfilt, sosfreqz
 
-from device.drive.exposure.design import decimation_taps
-from device.drive.exposure.dose import (
+from device.drive.exposure import (
     ACTION_A8_M_S2,
     ACTION_VDV,
     DAY_S,
@@ -17,6 +16,7 @@ from device.drive.exposure.dose import (
     PARTS,
     DoseSums,
     Exposure,
+    decimation_taps,
     wk_sections,
 )
 from device.drive.safety import SafetyState

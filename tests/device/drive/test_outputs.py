@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from device.drive.channel_map import ChannelMap
-from device.drive.damping.design import inverse_damping, no_damping
+from device.drive.damping import Damping, inverse_damping
 from device.drive.outputs import DrivenOutput
 from device.errors import InternalError
 from device.rig import PAPER
@@ -44,7 +44,7 @@ def test_what_is_written_is_not_changed_and_a_simulated_rig_may_lie_behind():
 
 def test_after_its_end_nothing_can_be_written_and_ending_again_does_no_harm():
     kept = KeptOutput(RATE, 2)
-    output = driven(kept, no_damping())
+    output = driven(kept, Damping())
     output.abort()
     assert kept.ended == ["aborted"]
     with pytest.raises(InternalError, match="closed"):
@@ -55,4 +55,4 @@ def test_after_its_end_nothing_can_be_written_and_ending_again_does_no_harm():
 
 def test_a_channel_map_for_other_channels_is_refused():
     with pytest.raises(InternalError, match="2 channels, the channel map 3"):
-        DrivenOutput(KeptOutput(RATE, 2), InSeries(no_damping()), ChannelMap.repeated(2, 3))
+        DrivenOutput(KeptOutput(RATE, 2), InSeries(Damping()), ChannelMap.repeated(2, 3))

@@ -11,10 +11,9 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import linprog
 from scipy.signal import sosfilt
 
-from device.drive.damping.design import inverse_damping
-from device.drive.exposure.dose import ACTION_A8_M_S2, DAY_S, DoseSums
-from device.drive.protection.bounding_models import RESERVE, bounding_models
-from device.drive.protection.limits import Limits, limits_of
+from device.drive.damping import inverse_damping
+from device.drive.exposure import ACTION_A8_M_S2, DAY_S, DoseSums
+from device.drive.protection.limits import RESERVE, Limits, bounding_models, limits_of
 from device.drive.safety import SafetyState
 from device.errors import InternalError, UsageError
 from device.rig import CONSUMER, PAPER

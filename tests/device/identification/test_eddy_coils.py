@@ -16,15 +16,14 @@ import pytest
 
 from device.errors import UsageError
 from device.identification.calibration import Calibration, calibrate
-from device.identification.coil_laws import MIXED, PARALLEL, POWER, closest_parallel
 from device.identification.mechanics import format_rig
 from device.identification.output_error import fit
-from device.identification.recording import Recording
+from device.identification.recording import Recording, Sweep
+from device.identification.responses import MIXED, PARALLEL, POWER, closest_parallel
 from device.identification.simulated_laboratory import SimulatedLaboratory
-from device.identification.sweep import Sweep
 from device.rig import PAPER
 from device.rig.parameters import ActuatorParameters
-from device.rig.rig_file import parse_rig
+from device.rig.rig import parse_rig
 from tests.support.eddy_coils import CoilRig, random_coil_rig
 from tests.support.random_rigs import truth
 

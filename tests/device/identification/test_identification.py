@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from device.errors import UsageError
 from device.identification import IdentificationError, acceleration, responses
 from device.identification.acceleration import identify_mode
-from device.identification.coil_laws import DOUBLE, MIXED, PARALLEL, PLAIN, POWER
 from device.identification.impedance import identify_impedance
 from device.identification.mechanics import (
     add_values,
@@ -22,23 +21,27 @@ from device.identification.mechanics import (
     write_rig,
 )
 from device.identification.output_error import Estimate
-from device.identification.recording import Recording
+from device.identification.recording import Recording, Sweep
 from device.identification.responses import (
     DELAY,
+    DOUBLE,
     EDDY,
     LAG,
+    MIXED,
     MODE,
+    PARALLEL,
+    PLAIN,
+    POWER,
     SEAT,
     high_pass,
     load,
     product,
 )
 from device.identification.simulated_laboratory import SimulatedLaboratory
-from device.identification.sweep import Sweep
 from device.identification.transfer import assess_quality, estimate_transfer, measure_distortion
 from device.rig import CONSUMER, PAPER, read_rig
 from device.rig.parameters import Model
-from device.rig.rig_file import parse_rig
+from device.rig.rig import parse_rig
 from tests.support.random_rigs import identified, truth
 
 EXHAUSTIVE = pytest.mark.exhaustive

@@ -14,7 +14,7 @@ from device.identification.live.laboratory import MOST_TRIES, Inputs, LiveLabora
 from device.identification.live.two_clocks import find_delay, find_drift, resample_to_played
 from device.identification.mechanics import write_rig
 from device.identification.output_error import Estimate
-from device.identification.sweep import Excitation, Sweep
+from device.identification.recording import Excitation, Sweep
 from device.rig import CONSUMER, PAPER, read_rig
 from device.rig.actuator import LinearActuator
 from device.rig.electronics import Amplifier, Dac

@@ -12,8 +12,7 @@ from scipy.signal import butter, sosfilt
 
 from device.errors import UsageError
 from device.rig import CONSUMER, PAPER
-from device.rig.adaptive_actuator import AdaptiveActuator
-from device.rig.model_design import MARGIN
+from device.rig.adaptive_actuator import MARGIN, AdaptiveActuator
 from device.rig.thermal import COPPER_PER_K, Temperatures
 from tests.device.rig.test_rig_models import FS, columns, errors, times_of, tones
 from tools.bench.sections.model_selection import block_errors

@@ -6,8 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from device.rig import CONSUMER, PAPER
-from device.rig.co_energy import energies
-from device.rig.shapes import Arctangent, Hardening, Line, Stops, Tanh
+from device.rig.co_energy import Arctangent, Hardening, Line, Stops, Tanh, energies
 from tests.support.co_energy import stored_energy_j
 
 PAPERS = energies(PAPER.actuator, PAPER.large_signal)
@@ -29,7 +28,7 @@ EXCURSIONS = st.floats(-3e-3, 3e-3)
 def test_each_derivative_of_a_shape_is_the_slope_of_the_one_before(shape):
     x = np.linspace(-2.9e-3, 2.9e-3, 801)
     step = 1e-7
-    before, after, here = shape.jet(x - step), shape.jet(x + step), shape.jet(x)
+    before, after, here = shape(x - step), shape(x + step), shape(x)
     for order in range(2):
         slope = (after[order] - before[order]) / (2 * step)
         # Central differences: (step / 1.5 mm)^2 = 4e-9, and rounding of the difference, 1e-16
@@ -46,11 +45,11 @@ def test_each_derivative_of_a_shape_is_the_slope_of_the_one_before(shape):
 def test_at_x_max_the_shapes_have_changed_as_the_table_of_the_rig_says(rig):
     e = energies(rig.actuator, rig.large_signal)
     x = np.array([0.0, rig.actuator.x_max_m, -rig.actuator.x_max_m])
-    force_factor = e.magnet.jet(x)[1] / rig.actuator.force_factor_n_per_a
+    force_factor = e.magnet(x)[1] / rig.actuator.force_factor_n_per_a
     assert force_factor == pytest.approx([1.0, 0.75, 0.75])
-    stiffness = e.spring.jet(x)[1][1:] / x[1:]
+    stiffness = e.spring(x)[1][1:] / x[1:]
     assert stiffness / rig.actuator.stiffness_n_per_m == pytest.approx([1.5, 1.5])
-    inductance = e.inductance.jet(x)[0] / rig.actuator.inductance_h
+    inductance = e.inductance(x)[0] / rig.actuator.inductance_h
     assert inductance == pytest.approx([1.0, 0.77, 1.23], abs=0.002)
 
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from device.errors import UsageError
 from device.rig import CONSUMER, PAPER, read_rig, rig_by_name
-from device.rig.rig_file import STAGES, parse_rig
+from device.rig.rig import STAGES, parse_rig
 
 PLAIN = """
 [dac]

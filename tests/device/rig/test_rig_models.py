@@ -16,10 +16,9 @@ from device import blocks
 from device.errors import UsageError
 from device.rig import CONSUMER, PAPER
 from device.rig.actuator import QUANTITIES, LinearActuator
-from device.rig.adaptive_actuator import AdaptiveActuator
+from device.rig.adaptive_actuator import STATE_NUMBERS, AdaptiveActuator, ModelDesign
 from device.rig.co_energy import energies, linear_energies, table_of
 from device.rig.equations import Equations
-from device.rig.model_design import STATE_NUMBERS, ModelDesign
 from tests.support.co_energy import stored_energy_j
 from tools.bench.measures.solved_motion import solved_motion
 from tools.bench.sections.model_selection import hard_drives
@@ -145,9 +144,9 @@ def test_the_tables_say_what_the_energies_say(change):
     share = place - np.floor(place)
     cubics = table.rows[place.astype(int)].reshape(-1, 4, 4)
     got = np.einsum("pfk,pk->fp", cubics, share[:, None] ** np.arange(4))
-    _, force_factor, _ = e.magnet.jet(x)
-    inductance, slope, _ = e.inductance.jet(x)
-    spring = e.spring.jet(x)[1]
+    _, force_factor, _ = e.magnet(x)
+    inductance, slope, _ = e.inductance(x)
+    spring = e.spring(x)[1]
     for one, expected in zip(got, (force_factor, 1 / inductance, slope / 2, spring), strict=True):
         assert np.abs(one - expected).max() < 3e-9 * np.abs(expected).max()
 
@@ -165,7 +164,7 @@ def balance_of(actuator, e, volts, fine):
     lines = np.interp(np.arange(1, frames * fine + 1) / fine, np.arange(frames + 1), [0.0, *volts])
     motion = actuator.move(lines)
     y, w, i = motion.displacement_m, motion.velocity_m_s, motion.current_a
-    drag = p.damping_n_s_per_m + e.stop_loss_s_per_m * np.abs(e.stops.jet(y)[1])
+    drag = p.damping_n_s_per_m + e.stop_loss_s_per_m * np.abs(e.stops(y)[1])
     stored_j = np.append(0.0, stored_energy_j(e, y, i) + p.moving_mass_kg * w**2 / 2)[::fine]
     weights_s = np.full(fine + 1, 2.0)
     weights_s[1::2], weights_s[[0, -1]] = 4.0, 1.0

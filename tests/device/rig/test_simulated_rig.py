@@ -13,8 +13,12 @@ from device.errors import InternalError, UsageError, WriteError
 from device.output import VibrationOutput
 from device.rig import PAPER
 from device.rig.actuator import LinearActuator
-from device.rig.electronics import Amplifier, Dac
-from device.rig.instruments import ACCELERATION_FULL_SCALE_M_S2, CONDITIONING_V_PER_M_S2
+from device.rig.electronics import (
+    ACCELERATION_FULL_SCALE_M_S2,
+    CONDITIONING_V_PER_M_S2,
+    Amplifier,
+    Dac,
+)
 from device.rig.parameters import AmplifierParameters, DacParameters
 from device.rig.simulated_rig import SimulatedRig
 from device.wav_output import WavOutput

@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from device.errors import UsageError
 from device.rig import CONSUMER, PAPER
 from device.rig.adaptive_actuator import AdaptiveActuator
-from device.rig.electronics import Amplifier
-from device.rig.instruments import InstrumentChain
+from device.rig.electronics import Amplifier, InstrumentChain
 from device.rig.simulated_rig import SimulatedRig
 
 FS = 48_000

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.signal import lfilter, sosfilt
 
 from audioflinger_hook.transform import FloatArray
-from device.drive.exposure.dose import PARTS, wk_sections
+from device.drive.exposure import PARTS, wk_sections
 
 BAND_LIMIT_HZ = 100.0
 """The upper band limit in Wk: of what is measured, not of what is felt."""

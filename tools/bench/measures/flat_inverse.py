@@ -66,11 +66,11 @@ class FlatInverse:
         self.beyond_samples += int(np.count_nonzero(np.abs(x) > self._stop_m))
 
         # Without the stops, against which no drive helps.
-        _, spring_n, spring_n_m = self._energies.spring.jet(x)
+        _, spring_n, spring_n_m = self._energies.spring(x)
         force_n = p.moving_mass_kg * a + friction * v + spring_n
         force_slope = p.moving_mass_kg * jerk + friction * a + spring_n_m * v
-        _, force_factor, force_factor_slope = self._energies.magnet.jet(x)
-        inductance, gradient, curvature = self._energies.inductance.jet(x)
+        _, force_factor, force_factor_slope = self._energies.magnet(x)
+        inductance, gradient, curvature = self._energies.inductance(x)
         # Equals F / Bl for a constant inductance; in this form no digits cancel.
         least = (_WEAKEST * force_factor) ** 2
         root = np.sqrt(np.maximum(force_factor**2 + 2.0 * gradient * force_n, least))

@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from device.drive.damping.design import Damping, no_damping
-from device.drive.damping.residual import (
+from device.drive.damping import (
     BURST_S,
     SAMPLERATE,
     BurstResponse,
+    Damping,
     decay_s,
     measured,
     sine_burst,
@@ -70,4 +70,4 @@ def large_burst_response(
 
 def undamped_large(rig: Rig, excursion_m: float, *, detuning: float = 0.0) -> LargeBurst:
     """Return the reference: current drive of the same rig at the same intended excursion."""
-    return large_burst_response(rig, no_damping(CURRENT_DRIVE_OHM), excursion_m, detuning=detuning)
+    return large_burst_response(rig, Damping(CURRENT_DRIVE_OHM), excursion_m, detuning=detuning)

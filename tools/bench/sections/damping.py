@@ -10,13 +10,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache
 
-from device.drive.damping import Damping, choose_damping
-from device.drive.damping.design import inverse_damping, no_damping
-from device.drive.damping.residual import (
+from device.drive.damping import (
     CURRENT_DRIVE_OHM,
     BurstResponse,
+    Damping,
     Residual,
     burst_response,
+    choose_damping,
+    inverse_damping,
     undamped,
 )
 from device.rig import CONSUMER, PAPER, ActuatorParameters
@@ -58,12 +59,12 @@ def drives() -> tuple[Drive, ...]:
     """Return all drives that are compared on the linear model, the reference first."""
     p, current = PAPER.actuator, CURRENT_DRIVE_OHM
     return (
-        Drive("current drive, undamped", no_damping(current)),
-        Drive("voltage drive", no_damping()),
+        Drive("current drive, undamped", Damping(current)),
+        Drive("voltage drive", Damping()),
         Drive("current drive, inverse to Q 0.7", inverse_damping(p, 0.7, current)),
         Drive("voltage drive, inverse to Q 0.7", inverse_damping(p, 0.7)),
         Drive(CHOSEN, choose_damping(p)[0].damping, asked=True),
-        Drive("Bl 16, voltage drive", no_damping(), actuator=STRONG),
+        Drive("Bl 16, voltage drive", Damping(), actuator=STRONG),
         Drive("Bl 16, automatic", choose_damping(STRONG)[0].damping, asked=True, actuator=STRONG),
     )
 
@@ -109,7 +110,7 @@ def _rows_by_level() -> Iterator[Row]:
     """Yield the same of the non-linear model, for voltage drive without and with damping."""
     chosen = choose_damping(PAPER.actuator)[0].damping
     ways = {
-        "voltage drive": (no_damping(), False),
+        "voltage drive": (Damping(), False),
         "automatic": (chosen, False),
         "automatic and flat inverse": (chosen, True),
     }
@@ -135,7 +136,7 @@ def _rows_against_none() -> Iterator[Row]:
     for rig in RIGS:
         p, source = rig.actuator, rig.amplifier.source_impedance_ohm
         chosen = choose_damping(p, source_impedance_ohm=source)[0]
-        none = no_damping(source)
+        none = Damping(source)
         worst_db = max(
             amplitude_to_db(
                 math.sqrt(

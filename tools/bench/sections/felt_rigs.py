@@ -14,8 +14,8 @@ from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.offline.render import render_file
 from audioflinger_hook.transform import FloatArray, TransformParameters
 from device.drive.settings import DAMPING
-from device.rig.instruments import ACCELERATION_FULL_SCALE_M_S2
-from device.rig.rig_file import SHIPPED
+from device.rig.electronics import ACCELERATION_FULL_SCALE_M_S2
+from device.rig.rig import SHIPPED
 from tools.bench.measures.contrasts import (
     STEPS_A_SECOND,
     felt_levels_db,

@@ -13,8 +13,7 @@ from scipy.signal import butter, sosfilt
 from audioflinger_hook.transform import FloatArray, HapticTransform
 from device.rig import PAPER, Rig
 from device.rig.actuator import Motion
-from device.rig.adaptive_actuator import AdaptiveActuator, BlockReport
-from device.rig.model_design import FLOOR
+from device.rig.adaptive_actuator import FLOOR, AdaptiveActuator, BlockReport
 from device.rig.parameters import ActuatorParameters
 from tools.bench.cost import Timings, in_ffts, interleaved
 from tools.bench.measures.solved_motion import solved_motion
