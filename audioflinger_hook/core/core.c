@@ -1,8 +1,6 @@
 /* The core: a transform, drives of actuators, or both. */
 
-#include "core.h"
-
-#include "core_sound.h"
+#include "core_parts.h"
 
 /* Wanted words, which another thread may be writing, are loaded once. */
 INLINED double load_number(const double *place) { return *(const volatile double *)place; }
@@ -82,7 +80,7 @@ static void transform(Core *core, CoreSound sound, double *vibration, size_t fra
     for (size_t done = 0; core->design.weights && done < frames;) {
         const size_t left = frames - done, part = left < PIECE_FRAMES ? left : PIECE_FRAMES;
         sound_mix(core, later(sound, done), part);
-        live_process(&core->live, sound_of(mixed_sound(core), vibrations), part,
+        live_process(&core->live, sound_of(interleaved(core->mixed, vibrations), vibrations), part,
                      vibration + done * vibrations);
         done += part;
     }

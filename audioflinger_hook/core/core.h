@@ -5,8 +5,7 @@
  * same design and the same sound give the same bytes in every host and on every machine, however the
  * sound is split into calls. audioflinger_hook/core/compiled_core.py says the same in Python. */
 
-#ifndef CUSHION_CORE_H
-#define CUSHION_CORE_H
+#pragma once
 
 #include <stddef.h>
 #include <stdint.h>
@@ -127,5 +126,3 @@ CORE_API size_t core_glides_max(const Core *core, size_t frames);
 /* Record glides into the host's rows from now on; NULL ends the recording. Return how many were written
  * into the rows of before. */
 CORE_API size_t core_record(Core *core, CoreGlide *rows, size_t room);
-
-#endif

@@ -1,6 +1,6 @@
 /* Reads all that a core is made for; core/design.py writes it. */
 
-#include "core_design.h"
+#include "core_parts.h"
 
 #define HIGHEST_RATE 768000
 #define DELAY_MAX_S 10.0

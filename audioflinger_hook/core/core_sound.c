@@ -1,6 +1,6 @@
 /* Sound as a host hands it over: measured, scaled and mixed. */
 
-#include "core_sound.h"
+#include "core_parts.h"
 
 #include "../transform/native/exact.h"
 

@@ -1,7 +1,6 @@
 /* What is done to blocks of frames; device/compiled_blocks.py calls it by ctypes. */
 
-#ifndef DEVICE_BLOCKS_H
-#define DEVICE_BLOCKS_H
+#pragma once
 
 #include <stddef.h>
 #include <stdint.h>
@@ -80,5 +79,3 @@ API const char *blocks_linear_motion(const View views[5], size_t start, size_t s
  * numbers: start, stop, length of the first block and of the others, model (0: the cheapest that suffices,
  * 1: linear, 2: non-linear). */
 API const char *blocks_move_rig(const View views[9], const size_t numbers[5]);
-
-#endif

@@ -1,8 +1,7 @@
 /* The rig's two models: the linear one, exact, and Runge and Kutta's fourth order on the full equations.
  * rig/equations.py has the equations, rig/model_design.py the numbers and tables. */
 
-#ifndef DEVICE_RIG_STEPS_H
-#define DEVICE_RIG_STEPS_H
+#pragma once
 
 #include <math.h>
 #include <stddef.h>
@@ -295,5 +294,3 @@ INLINE void run_linear(const int n, const Work *w, State *at, size_t start, size
     peaks[0] = peak_y;
     peaks[1] = peak_a;
 }
-
-#endif

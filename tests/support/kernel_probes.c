@@ -6,7 +6,6 @@
 #include "analysis.h"
 #include "exact.h"
 #include "fft.h"
-#include "functions.h"
 
 enum { SPECTRA, TABLE, TURN, ROW, FOUND, ARRAYS };
 

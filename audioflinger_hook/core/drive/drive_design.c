@@ -1,6 +1,6 @@
 /* Reads the drives of a design; device/drive/design.py writes them. */
 
-#include "drive_design.h"
+#include "actuator.h"
 
 #define COUNT_MAX 65536
 

@@ -1,14 +1,9 @@
 /* Exposure to one actuator's vibration (ISO 2631-1): the seat's acceleration that the drive causes,
  * weighted and added up over a day, and the gain that caps the dose. device/drive/exposure/ designs it. */
 
-#ifndef CUSHION_EXPOSURE_H
-#define CUSHION_EXPOSURE_H
+#pragma once
 
-#include <stddef.h>
-#include <stdint.h>
-
-#include "../../transform/native/arena.h"
-#include "../../transform/native/filter_cascade.h"
+#include "../../transform/native/filter.h"
 
 enum { DECIMATION_TAPS_MAX = 1024, MOTION_TAPS_MAX = 8 };
 
@@ -54,5 +49,3 @@ DoseSums exposure_dose(const Exposure *exposure);
 
 /* Continue a day with these sums. */
 void exposure_set_sums(Exposure *exposure, DoseSums sums);
-
-#endif

@@ -6,11 +6,9 @@
  * after that. All of this is a + g b, so every frame bounds g. What the ungoverned models exceed the limits
  * by is the demand. */
 
-#ifndef CUSHION_GOVERNOR_H
-#define CUSHION_GOVERNOR_H
+#pragma once
 
-#include "lanes.h"
-#include "protection_design.h"
+#include "protection.h"
 
 /* A state of every model, or what lies at some frames of all of them. */
 typedef double *Column;
@@ -75,5 +73,3 @@ void governor_next(Governor *governor);
 
 /* The amplitude in metres for which the energy of the rig as identified is enough. */
 double governor_excursion_m(const Governor *governor);
-
-#endif

@@ -1,7 +1,6 @@
 /* Sums over several numbers side by side, with the same bits on every processor. */
 
-#ifndef CUSHION_LANES_H
-#define CUSHION_LANES_H
+#pragma once
 
 #include "../../transform/native/common.h"
 
@@ -105,5 +104,3 @@ INLINED double largest(const double *numbers, size_t count)
         found = larger(most[lane], found);
     return found;
 }
-
-#endif

@@ -1,8 +1,6 @@
 /* Protection of one actuator: what its models allow, what is remembered of their demand, and the coil's
  * temperature. */
 
-#include "protection.h"
-
 #include "governor.h"
 
 #define CAUTION_MAX 2.0

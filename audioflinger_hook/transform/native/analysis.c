@@ -11,10 +11,7 @@
 
 #include "analysis.h"
 
-#include "common.h"
 #include "exact.h"
-#include "peaks.h"
-#include "arena.h"
 
 /* Bins before the first and after the last that may be read: the first steps of a walk. */
 #define EDGE 3

@@ -1,10 +1,8 @@
 /* The live form's analysis of one window: its spectrum in, principal frequencies out. */
 
-#ifndef CUSHION_ANALYSIS_H
-#define CUSHION_ANALYSIS_H
+#pragma once
 
-#include <stddef.h>
-#include <stdint.h>
+#include "common.h"
 
 /* Bins to either side of a peak that are cleared of its image: its main lobe, and the half-power
  * walk on it. */
@@ -57,4 +55,47 @@ size_t analysis_work(size_t bins);
 int32_t find_principal(const PeakCriteria *criteria, const Window *window, Spectrum spectrum,
                        Principals found, void *work);
 
-#endif
+/* 1/sqrt(2). */
+#define HALF_POWER 0.70710678118654752440
+
+/* The bins beside a peak count as this share of it at least. Where the window's spectrum has a
+ * zero, A^0.2 would make 1e-3 of a rounding of 1e-16, and ln A even more. */
+#define FLOOR 1e-6
+
+/* Where the walk down one side of each peak falls under half power, parallel arrays. */
+typedef struct {
+    double *near, *far;    /* bins from the refined top to the bins before and after that step */
+    double *above, *under; /* amplitudes there, no less and no more than half power */
+    double *bound;         /* of the bins to half power, from above */
+} Side;
+
+/* Peaks, parallel arrays ascending in frequency; bins fit into 32 bits. */
+typedef struct {
+    int32_t count;
+    int32_t *left, *bin, *right;  /* the peak's bin and those of the valleys beside it */
+    double *before, *top, *after; /* amplitudes around it */
+    double *offset, *height;      /* of its refined top: bins from its own, and amplitude */
+    double *level;                /* of half power */
+    Side down, up;
+    double *bandwidth_hz, *r; /* r under 0 where it is not known yet */
+    double *rank;             /* by which the strongest are chosen: r, a little less higher up */
+    double *bound;            /* of both, from above */
+} Peaks;
+
+/* Where a spectrum turns from falling to rising, and back. */
+typedef struct {
+    int32_t *bin;    /* a valley, a peak, a valley ...; room for bins + 1 */
+    uint8_t *rising; /* for each bin, whether the next is higher; room for bins */
+} Turns;
+
+/* Write the amplitudes of so many bins. */
+void peaks_amplitudes(Spectrum spectrum, double *amplitude, int32_t bins);
+
+/* Clear the low amplitudes of what the images of strong peaks add; `peaks` is work space. */
+void peaks_clear_images(const Window *window, Spectrum spectrum, double *amplitude, Peaks *peaks);
+
+/* List the peaks of the band that can be principal: bins, and those of the valleys. */
+void peaks_list(const PeakCriteria *criteria, const double *amplitude, Turns turns, Peaks *peaks);
+
+/* Set offset, height and level of all peaks. */
+void peaks_refine(const double *amplitude, Peaks *peaks);

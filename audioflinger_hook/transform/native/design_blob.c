@@ -2,8 +2,6 @@
 
 #include "design_blob.h"
 
-#include "common.h"
-
 #define MAGIC "CUSHLIVE"
 #define FORMAT_VERSION 4
 #define HEADER_BYTES 24

@@ -1,9 +1,6 @@
 /* A design, read from the bytes that Python made (core/blob.py). */
 
-#ifndef CUSHION_DESIGN_BLOB_H
-#define CUSHION_DESIGN_BLOB_H
-
-#include <stddef.h>
+#pragma once
 
 #include "settings.h"
 
@@ -34,5 +31,3 @@ typedef struct {
 
 /* Read a transform; return NULL, or what is wrong with it. All values are checked. */
 const char *design_open(Design *design, Records records);
-
-#endif

@@ -2,8 +2,6 @@
 
 #include "downmix.h"
 
-#include "common.h"
-
 /* ------------------------------------------------------------------------------------- weights */
 
 /* The table holds one layout after another: the number of its channels, then both rows. */

@@ -1,9 +1,6 @@
 /* The mono mix of a sound's channels, and the sum of powers where it cancels; as in downmix.py. */
 
-#ifndef CUSHION_DOWNMIX_H
-#define CUSHION_DOWNMIX_H
-
-#include <stddef.h>
+#pragma once
 
 #include "settings.h"
 
@@ -41,5 +38,3 @@ void downmix_rest(const Settings *settings, DownmixState *powers, size_t frames)
 
 /* Whether the numbers are such as powers can be. */
 int downmix_is_possible(const DownmixState *powers);
-
-#endif

@@ -14,8 +14,6 @@
 
 #include "fft.h"
 
-#include "common.h"
-
 /* --------------------------------------------------------------------------------------- stages */
 
 /* Turned back by an angle: (real, imaginary) times (cosine, -sine). */

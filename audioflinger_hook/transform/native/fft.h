@@ -1,11 +1,8 @@
 /* The spectrum of a window of real samples, which may be padded with as many zeros or more. */
 
-#ifndef CUSHION_FFT_H
-#define CUSHION_FFT_H
+#pragma once
 
-#include <stddef.h>
-
-#include "arena.h"
+#include "common.h"
 
 #define FACTORS_MAX 24
 
@@ -45,5 +42,3 @@ size_t fft_work(const Fft *fft);
  * length / 2 other than 0 where it was said to be padded. bins: length / 2 + 1 at most. */
 void fft_spectrum(const Fft *fft, const double *samples, size_t bins, double *real,
                   double *imaginary, double *work);
-
-#endif

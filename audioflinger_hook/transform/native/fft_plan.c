@@ -1,7 +1,7 @@
 /* How a spectrum of one length is made: its division into factors, and the twiddle factors. */
 
-#include "common.h"
 #include "exact.h"
+
 #include "fft.h"
 
 /* The cosine and the sine of part/whole of a turn; exact where one of them is 0 or 1. */

@@ -3,7 +3,6 @@
 
 #include "input_stage.h"
 
-#include "common.h"
 #include "filter.h"
 
 INLINED double sample_at(const char *place, int is_float)

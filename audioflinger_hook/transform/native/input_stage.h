@@ -1,9 +1,6 @@
 /* What arrives, made safe, mixed and band-passed. */
 
-#ifndef CUSHION_INPUT_STAGE_H
-#define CUSHION_INPUT_STAGE_H
-
-#include <stddef.h>
+#pragma once
 
 #include "settings.h"
 
@@ -34,5 +31,3 @@ double input_band_pass(const Settings *settings, double *state, double *mono, si
 /* The same of so many frames of silence, one at least. */
 double input_band_pass_silence(const Settings *settings, double *state, double *mono,
                                 size_t frames);
-
-#endif

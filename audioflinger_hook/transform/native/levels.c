@@ -1,8 +1,7 @@
 /* How strong each partial of a hop is: the amplitude mapping, loudness, speech and the ceiling. */
 
-#include "levels.h"
+#include "live.h"
 
-#include "common.h"
 #include "scaling.h"
 
 /* Set the amplitudes of what was found: P_k r_k over that of a full-scale tone, or by

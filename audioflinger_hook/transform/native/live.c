@@ -8,8 +8,6 @@
 
 #include "live.h"
 
-#include "common.h"
-#include "levels.h"
 #include "scaling.h"
 
 /* ------------------------------------------------------------------------------------- analysis */

@@ -1,26 +1,13 @@
 /* The live form of one stream: sound in, vibration out, a tick behind. */
 
-#ifndef CUSHION_LIVE_H
-#define CUSHION_LIVE_H
-
-#include <stddef.h>
-#include <stdint.h>
+#pragma once
 
 #include "analysis.h"
-#include "arena.h"
-#include "band_powers.h"
 #include "downmix.h"
-#include "fft.h"
-#include "glide_log.h"
-#include "onset_partials.h"
 #include "input_stage.h"
-#include "onsets.h"
+#include "onset_partials.h"
 #include "oscillators.h"
-#include "settings.h"
-#include "speech.h"
 #include "strength.h"
-#include "synthesis.h"
-#include "tracking.h"
 
 /* One channel of vibration. Everything in it is state, and lies in Live's `state`. */
 typedef struct {
@@ -98,4 +85,13 @@ void live_process(Live *live, Sound sound, size_t frames, double *vibration);
 /* Whether what stands in `state`, `filled`, `tick`, `oldest` and `silent` can be gone on with. */
 int live_state_is_valid(const Live *live);
 
-#endif
+/* Set the amplitudes of what was found. Where loudness is followed only their proportion matters, and
+ * what speech loses is noted for the strength; else they are scaled down where their sum would pass the
+ * ceiling: return whether it would. */
+int levels_set(Live *live, Channel *channel, size_t count);
+
+/* The factor that makes amplitudes as strong as is wanted, as far as the ceiling allows. */
+double levels_gain(const Live *live, double wanted, size_t count);
+
+/* What the law leaves of the level of what was found, 1 of one tone. */
+double levels_left_by_law(const Live *live, size_t count);

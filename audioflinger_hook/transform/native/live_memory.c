@@ -2,8 +2,6 @@
 
 #include "live.h"
 
-#include "common.h"
-
 #define SLOT_NUMBERS 11
 #define ONSET_PARTIAL_NUMBERS (sizeof(OnsetPartial) / sizeof(double))
 #define GLIDE_NUMBERS 5
@@ -28,7 +26,7 @@ static size_t onset_numbers(const Settings *s)
     return s->short_ticks + (s->back_ticks + 2) * bands + s->short_bins + 3;
 }
 
-static size_t older_powers(const Settings *s) { return (s->average_ticks - 1) * band_powers_high(s); }
+static size_t older_powers(const Settings *s) { return (s->average_ticks - 1) * s->high_weights.length; }
 
 /* What is remembered only where loudness is followed. */
 static size_t followed_numbers(const Settings *s)

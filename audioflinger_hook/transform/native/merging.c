@@ -1,6 +1,6 @@
 /* Partials that a body cannot tell apart become one. */
 
-#include "merging.h"
+#include "tracking.h"
 
 #include "scaling.h"
 

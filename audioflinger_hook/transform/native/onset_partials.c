@@ -2,7 +2,6 @@
 
 #include "onset_partials.h"
 
-#include "common.h"
 #include "loudness.h"
 #include "scaling.h"
 #include "synthesis.h"

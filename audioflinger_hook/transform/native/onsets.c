@@ -2,7 +2,6 @@
 
 #include "onsets.h"
 
-#include "common.h"
 #include "loudness.h"
 
 size_t onsets_bands(const Settings *settings) { return settings->band_edges.length - 1; }

@@ -1,9 +1,6 @@
 /* Onsets: what begins, by a short window every tick. */
 
-#ifndef CUSHION_ONSETS_H
-#define CUSHION_ONSETS_H
-
-#include <stddef.h>
+#pragma once
 
 #include "fft.h"
 #include "settings.h"
@@ -58,5 +55,3 @@ OnsetTone onsets_estimate(const Settings *settings, const Onsets *onsets, Group 
 
 /* Return the power that a group of bands has had of late. */
 double onsets_loudness(const Settings *settings, const Onsets *onsets, Group group);
-
-#endif

@@ -6,9 +6,6 @@
 
 #include "oscillators.h"
 
-#include "common.h"
-#include "exact.h"
-#include "functions.h"
 #include "scaling.h"
 
 /* Amplitudes whose sum is smaller are silent. */

@@ -1,9 +1,8 @@
 /* The peaks of a spectrum: its amplitudes, cleared of images, and where they rise and fall. */
 
-#include "peaks.h"
+#include "analysis.h"
 
-#include "common.h"
-#include "functions.h"
+#include "exact.h"
 
 /* Two amplitudes are told apart from this ratio on, so that rounding decides nothing between
  * equals: the spectrum of a single sample is flat. */

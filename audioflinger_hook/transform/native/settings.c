@@ -2,12 +2,9 @@
 
 #include "settings.h"
 
-#include <math.h>
-
 #include "analysis.h"
-#include "band_powers.h"
 #include "downmix.h"
-#include "filter_cascade.h"
+#include "filter.h"
 #include "loudness.h"
 #include "speech.h"
 

@@ -1,9 +1,8 @@
 /* What one kernel is made for: numbers and tables, all of them made in Python. */
 
-#ifndef CUSHION_SETTINGS_H
-#define CUSHION_SETTINGS_H
+#pragma once
 
-#include <stddef.h>
+#include "common.h"
 
 /* Whole numbers: frames, bins, hops and other counts. */
 #define COUNTS(ENTRY)                                                                              \
@@ -250,5 +249,3 @@ typedef struct {
 
 /* Return what of the settings does not fit the rest; NULL where all of it does. */
 const char *settings_error(const Settings *settings);
-
-#endif

@@ -3,9 +3,7 @@
 
 #include "speech.h"
 
-#include "common.h"
 #include "exact.h"
-#include "functions.h"
 
 /* The vowels' octaves, of which the level is taken. */
 #define VOWELS_FIRST 1

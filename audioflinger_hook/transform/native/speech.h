@@ -1,7 +1,6 @@
 /* Speech heard in the sound, and what is left of each partial while it is. */
 
-#ifndef CUSHION_SPEECH_H
-#define CUSHION_SPEECH_H
+#pragma once
 
 #include "settings.h"
 
@@ -40,5 +39,3 @@ double speech_coarse_gain(const Settings *settings, const Speech *speech, double
 
 /* Whether its memory is empty. */
 int speech_is_at_rest(const Speech *speech);
-
-#endif

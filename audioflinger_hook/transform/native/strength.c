@@ -2,7 +2,6 @@
 
 #include "strength.h"
 
-#include "common.h"
 #include "exact.h"
 
 /* Decibels of a level that doubles with every 10 phon, for each factor 10 of sone. */
@@ -64,7 +63,7 @@ static void move_programme(const Settings *s, Strength *strength, double gate)
 static double wanted_rise(const Settings *s, Strength *strength, const Heard *heard)
 {
     double wanted = 0.0;
-    for (size_t group = 0; group < loudness_groups(s); group++) {
+    for (size_t group = 0; group + 1 < s->loudness_groups.length; group++) {
         double *smooth = &strength->smooth[group], *deviation = &strength->deviation[group];
         *smooth += s->group_smooth * (heard->groups[group] - *smooth);
         if (*smooth < STILL)

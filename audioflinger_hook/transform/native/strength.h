@@ -1,10 +1,8 @@
 /* How strong a channel vibrates, tick by tick, by how loud its sound is. */
 
-#ifndef CUSHION_STRENGTH_H
-#define CUSHION_STRENGTH_H
+#pragma once
 
 #include "loudness.h"
-#include "settings.h"
 
 /* What is remembered of one channel: state, doubles alone. Levels in dB of loudness. */
 typedef struct {
@@ -37,5 +35,3 @@ double strength_follow(const Settings *settings, Strength *strength, const Heard
 
 /* Whether the numbers are such as can be. */
 int strength_is_possible(const Settings *settings, const Strength *strength);
-
-#endif

@@ -5,10 +5,7 @@
 
 #include "tracking.h"
 
-#include "common.h"
-#include "merging.h"
 #include "scaling.h"
-#include "arena.h"
 
 /* Where a partial goes. */
 typedef struct {

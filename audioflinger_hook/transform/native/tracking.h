@@ -1,10 +1,8 @@
 /* Partials followed from hop to hop. */
 
-#ifndef CUSHION_TRACKING_H
-#define CUSHION_TRACKING_H
+#pragma once
 
 #include "onsets.h"
-#include "settings.h"
 
 /* The slots of one channel's oscillators: two sets of partials_max and
  * onset_partials_max, as one set may live while another fades. Frequencies in Hz of vibration,
@@ -81,4 +79,24 @@ void tracking_fade(const Settings *settings, Slots *slots, Glides *glides);
 /* Write one hop of glides in which every slot is idle. */
 void tracking_rest(const Settings *settings, Glides *glides);
 
-#endif
+/* Partials that are one: sums of their powers, and of power times frequency. */
+typedef struct {
+    double power, weighted_hz, strongest;
+} PartialGroup;
+
+/* Work space, and the merged partials with the share of the strongest in each. */
+typedef struct {
+    double *centres;        /* what sounds, then what has begun: most_alive + partials_max */
+    PartialGroup *gathered; /* as many */
+    double *audio_hz, *hz, *amplitude, *dominance; /* partials_max each */
+} Merging;
+
+/* How close a partial must be to one at this frequency to be part of it, in Hz of vibration. */
+INLINED double merging_hz(const Settings *s, double hz)
+{
+    return larger(s->merge_hz, s->merge_ratio * hz);
+}
+
+/* Merge partials. The first `sounding` centres are frequencies that sound. */
+Partials merging_merge(const Settings *settings, Merging *merging, size_t sounding,
+                       Partials partials);
