@@ -34,11 +34,15 @@ typedef struct {
     int is_double; /* else float */
 } CoreSound;
 
-/* What must outlive a process. Temperatures in degrees Celsius; sums of the day's weighted
- * acceleration, integrated over time. */
+/* Sums of a day's weighted acceleration, integrated over time. */
+typedef struct {
+    double time_s, squares, fourths, above;
+} CoreDose;
+
+/* What must outlive a process. Temperatures in degrees Celsius. */
 typedef struct {
     double coil_c, magnet_c;
-    double time_s, squares, fourths, above;
+    CoreDose dose;
 } ActuatorSafety;
 
 /* Wanted of one actuator; every change fades. */
@@ -66,7 +70,7 @@ typedef struct {
     double audible; /* factor of the fade, 0 to 1 */
     double gain, least_gain, exposure_gain; /* of the protection, and of the dose's cap */
     double excursion_m, coil_c, magnet_c;
-    double time_s, squares, fourths, above; /* of the day's weighted acceleration */
+    CoreDose dose;
     double running_m_s2;                    /* of the last second */
     double undamped_squares; /* as squares, without damping and protection */
     uint64_t blocks, limited_blocks, infeasible_blocks, replaced;

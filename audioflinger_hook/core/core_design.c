@@ -5,8 +5,6 @@
 #define HIGHEST_RATE 768000
 #define DELAY_MAX_S 10.0
 
-static int within(size_t count, size_t least, size_t most) { return count >= least && count <= most; }
-
 /* The count of a record, 0 if there is none. */
 static size_t count_or_none(Records records, const char *name)
 {
@@ -70,8 +68,8 @@ const char *core_design_read(CoreDesign *design, DriveDesign *drives, const void
     const char *misfit = records_open(&records, (void *)(uintptr_t)bytes, size);
     if (misfit)
         return misfit;
-    if (!record_count(records, "samplerate", &samplerate) || !within(samplerate, 1, HIGHEST_RATE) ||
-        !record_count(records, "inputs", &inputs) || !within(inputs, 1, CORE_ACTUATORS))
+    if (!record_count(records, "samplerate", &samplerate) || !is_within(samplerate, 1, HIGHEST_RATE) ||
+        !record_count(records, "inputs", &inputs) || !is_within(inputs, 1, CORE_ACTUATORS))
         return "it lacks samplerate or inputs";
     design->info.samplerate = (uint32_t)samplerate;
     design->info.inputs = design->info.vibrations = (uint32_t)inputs;

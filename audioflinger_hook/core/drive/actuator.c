@@ -171,22 +171,9 @@ void actuator_report(const Actuator *a, ActuatorReadings *r)
     r->replaced = a->replaced;
     if (!a->protection)
         return;
-    const ProtectionReadings p = protection_readings(a->protection);
-    const DoseSums dose = exposure_dose(&a->exposure);
-    r->gain = p.gain;
-    r->least_gain = p.least_gain;
+    protection_report(a->protection, r);
     r->exposure_gain = a->exposure.gain;
-    r->excursion_m = p.excursion_m;
-    r->coil_c = a->design->protection.ambient_c + p.coil_k;
-    r->magnet_c = a->design->protection.ambient_c + p.magnet_k;
-    r->blocks = p.blocks;
-    r->limited_blocks = p.limited_blocks;
-    r->infeasible_blocks = p.infeasible_blocks;
-    r->limited_by = (uint64_t)p.limited_by;
-    r->time_s = dose.time_s;
-    r->squares = dose.squares;
-    r->fourths = dose.fourths;
-    r->above = dose.above;
+    r->dose = exposure_dose(&a->exposure);
     r->running_m_s2 = sqrt(larger(0.0, a->exposure.running));
     r->undamped_squares = a->undamped.sums.squares;
 }
@@ -201,8 +188,8 @@ void actuator_set_safety(Actuator *a, const ActuatorSafety *safety)
     const double ambient_c = a->design->protection.ambient_c;
     protection_set_temperatures(a->protection, safety->coil_c - ambient_c,
                                 safety->magnet_c - ambient_c);
-    const DoseSums sums = {usable_sum(safety->time_s), usable_sum(safety->squares),
-                           usable_sum(safety->fourths), usable_sum(safety->above)};
+    const CoreDose dose = safety->dose, sums = {usable_sum(dose.time_s), usable_sum(dose.squares),
+                                                usable_sum(dose.fourths), usable_sum(dose.above)};
     exposure_set_sums(&a->exposure, sums);
     if (a->design->damping_gain > 0.0)
         exposure_set_sums(&a->undamped, sums); /* the ratio begins at 1 */
@@ -210,7 +197,7 @@ void actuator_set_safety(Actuator *a, const ActuatorSafety *safety)
 
 void actuator_begin_day(Actuator *a)
 {
-    const DoseSums none = {0.0, 0.0, 0.0, 0.0};
+    const CoreDose none = {0.0, 0.0, 0.0, 0.0};
     if (!a->protection)
         return;
     exposure_set_sums(&a->exposure, none);

@@ -77,25 +77,15 @@ static const char *record_name(char *name, size_t number, const char *field)
     return name;
 }
 
-static int are_finite(Table table)
-{
-    for (size_t at = 0; at < table.length; at++)
-        if (!isfinite(table.at[at]))
-            return 0;
-    return 1;
-}
-
-static int within(size_t count, size_t least, size_t most) { return count >= least && count <= most; }
-
 static const char *protection_misfit(const ProtectionDesign *p)
 {
     if (!p->models)
         return NULL;
-    if (!within(p->models, 1, MODELS_MAX) || !within(p->states, 4, STATES_MAX) ||
-        !within(p->frames, 1, BLOCK_FRAMES_MAX) || !within(p->stride, 1, p->frames) ||
-        !within(p->watched, 1, p->frames) || (p->watched - 1) * p->stride >= p->frames ||
-        !within(p->tail_points, 1, TAIL_POINTS_MAX) || !within(p->currents, 1, p->models + 1) ||
-        !within(p->hold_blocks, 1, COUNT_MAX))
+    if (!is_within(p->models, 1, MODELS_MAX) || !is_within(p->states, 4, STATES_MAX) ||
+        !is_within(p->frames, 1, BLOCK_FRAMES_MAX) || !is_within(p->stride, 1, p->frames) ||
+        !is_within(p->watched, 1, p->frames) || (p->watched - 1) * p->stride >= p->frames ||
+        !is_within(p->tail_points, 1, TAIL_POINTS_MAX) || !is_within(p->currents, 1, p->models + 1) ||
+        !is_within(p->hold_blocks, 1, COUNT_MAX))
         return "protection: a count does not fit";
     if (!(p->level > 0.0) || !(p->resistance_ohm > 0.0) || !(p->hottest_k >= 0.0) ||
         !(p->current_a >= 0.0) || !(p->recovery > 0.0))
@@ -105,10 +95,10 @@ static const char *protection_misfit(const ProtectionDesign *p)
 
 static const char *exposure_misfit(const ExposureDesign *e)
 {
-    if (!within(e->factor, 1, COUNT_MAX) || !within(e->decimation_taps, 1, DECIMATION_TAPS_MAX) ||
+    if (!is_within(e->factor, 1, COUNT_MAX) || !is_within(e->decimation_taps, 1, DECIMATION_TAPS_MAX) ||
         e->motion_taps > MOTION_TAPS_MAX || e->motion.count > SECTIONS_MAX ||
         e->weighting.count > SECTIONS_MAX || e->above.count > SECTIONS_MAX ||
-        !within(e->reading_frames, 1, COUNT_MAX))
+        !is_within(e->reading_frames, 1, COUNT_MAX))
         return "exposure: a count does not fit";
     if (!(e->period_s > 0.0) || (e->cap_a8_m_s2 > 0.0) != (e->cap_vdv > 0.0))
         return "exposure: a number does not fit";
@@ -142,13 +132,13 @@ const char *drive_design_read(Records records, size_t number, DriveDesign *d)
     Table table;
 #define ENTRY(field, count)                                                                        \
     if (!record_table(records, record_name(name, number, #field), &table) ||                       \
-        table.length != (count) || !are_finite(table))                                             \
+        table.length != (count) || !table_is_finite(table))                                             \
         return "a drive lacks the table " #field;                                                  \
     d->field = table.at;
     DRIVE_TABLES(ENTRY)
 #undef ENTRY
     if (!record_table(records, record_name(name, number, "protection.thermal"), &table) ||
-        (table.length != 6 && table.length != 0) || !are_finite(table))
+        (table.length != 6 && table.length != 0) || !table_is_finite(table))
         return "a drive lacks the table protection.thermal";
     p->thermal = table.length ? table.at : NULL;
     if (p->thermal && (!(p->coil_k_per_w > 0.0) || !(p->coil_j_per_k > 0.0) || !(p->approach_s > 0.0) ||

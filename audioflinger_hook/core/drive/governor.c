@@ -11,11 +11,6 @@ enum { FIXED, PER_GAIN, UNGOVERNED };
 
 /* ----------------------------------------------------------------------------------- the memory */
 
-static double *numbers(Arena *arena, size_t count)
-{
-    return arena_alloc(arena, count, sizeof(double));
-}
-
 void governor_layout(Governor *g, const ProtectionDesign *d, Arena *arena)
 {
     const size_t states = d->models * WHOLE_LANES(d->states);
@@ -24,29 +19,29 @@ void governor_layout(Governor *g, const ProtectionDesign *d, Arena *arena)
     const size_t longest = points > frames ? points : frames;
     const size_t quantities = moved + 2 * frames * (1 + d->currents);
     g->design = d;
-    g->state = numbers(arena, states);
-    g->ungoverned = numbers(arena, states);
+    g->state = arena_doubles(arena, states);
+    g->ungoverned = arena_doubles(arena, states);
     for (size_t part = 0; part < PARTS; part++) {
-        g->end[part] = numbers(arena, states);
-        g->ends[part] = numbers(arena, WHOLE_LANES(d->states));
+        g->end[part] = arena_doubles(arena, states);
+        g->ends[part] = arena_doubles(arena, WHOLE_LANES(d->states));
     }
-    g->column = numbers(arena, longest);
-    g->spare = numbers(arena, longest);
-    g->fixed = numbers(arena, quantities);
-    g->per_gain = numbers(arena, quantities);
+    g->column = arena_doubles(arena, longest);
+    g->spare = arena_doubles(arena, longest);
+    g->fixed = arena_doubles(arena, quantities);
+    g->per_gain = arena_doubles(arena, quantities);
     for (size_t which = 0; which < 2; which++) {
         Block *block = &g->blocks[which];
-        g->scaled[which] = numbers(arena, ROW_FRAMES(d->frames));
-        block->drive = numbers(arena, ROW_FRAMES(d->frames));
+        g->scaled[which] = arena_doubles(arena, ROW_FRAMES(d->frames));
+        block->drive = arena_doubles(arena, ROW_FRAMES(d->frames));
         for (size_t half = 0; half < 2; half++) {
-            block->excursion[half] = numbers(arena, d->models * watched);
-            block->state[half] = numbers(arena, states);
-            block->current[half] = numbers(arena, d->currents * frames);
+            block->excursion[half] = arena_doubles(arena, d->models * watched);
+            block->state[half] = arena_doubles(arena, states);
+            block->current[half] = arena_doubles(arena, d->currents * frames);
         }
     }
 }
 
-static void clear_states(Governor *g)
+void governor_rest(Governor *g)
 {
     const size_t states = g->design->models * WHOLE_LANES(g->design->states);
     memset(g->state, 0, states * sizeof(double));
@@ -58,7 +53,7 @@ static void clear_states(Governor *g)
 void governor_reset(Governor *g)
 {
     const size_t row_bytes = ROW_FRAMES(g->design->frames) * sizeof(double);
-    clear_states(g);
+    governor_rest(g);
     for (size_t which = 0; which < 2; which++) {
         memset(g->blocks[which].drive, 0, row_bytes);
         memset(g->scaled[which], 0, row_bytes);
@@ -72,11 +67,6 @@ void governor_take(Governor *g)
 {
     coming_block(g)->loudest = largest(coming_block(g)->drive, WHOLE_LANES(g->design->frames));
     coming_block(g)->has_responses = 0;
-}
-
-void governor_next(Governor *g)
-{
-    g->known = !g->known;
 }
 
 /* Compute what a block does on its way to 0, and on its way from 0. */
@@ -301,20 +291,22 @@ INLINED double highest_gain(const Governor *g)
     return found;
 }
 
-/* Return the largest gain up to the requested one with which everything can still be stopped. */
-SIMD_CLONES static GainDecision decide(Governor *g, double requested)
+SIMD_CLONES GainDecision governor_decide(Governor *g, double requested_gain)
 {
     const ProtectionDesign *d = g->design;
     const double *ungoverned = g->is_ungoverned_equal ? g->state : g->ungoverned;
-    GainDecision found = {.gain = requested};
+    GainDecision found = {.gain = requested_gain};
+    for (size_t block = 0; block < 2; block++)
+        if (!g->blocks[block].has_responses)
+            compute_responses(d, &g->blocks[block], g->scaled[FALL], g->scaled[RISE]);
     g->quantities = 0;
     limit_excursion(g, ungoverned, &found.demand);
     if (larger(known_block(g)->loudest, coming_block(g)->loudest) > d->level)
         limit_level(g, &found.demand);
     limit_current(g, ungoverned, &found);
-    if (worst_at(g, requested) <= 1.0)
+    if (worst_at(g, requested_gain) <= 1.0)
         return found;
-    const double highest = smaller(highest_gain(g), requested);
+    const double highest = smaller(highest_gain(g), requested_gain);
     found.gain = highest;
     if (!(worst_at(g, highest) <= 1.0 + ROUNDING)) {
         found.gain = 0.0;
@@ -325,7 +317,7 @@ SIMD_CLONES static GainDecision decide(Governor *g, double requested)
 
 /* --------------------------------------------------------------------------------------- advances */
 
-SIMD_CLONES static int advance_unlimited(Governor *g, double *mean_a2)
+SIMD_CLONES int governor_advance_unlimited(Governor *g, double *mean_a2)
 {
     const ProtectionDesign *d = g->design;
     const size_t states = d->states, frames = d->frames, last = frames - 1;
@@ -351,17 +343,6 @@ SIMD_CLONES static int advance_unlimited(Governor *g, double *mean_a2)
     return 1;
 }
 
-int governor_advance_unlimited(Governor *g, double *mean_a2) { return advance_unlimited(g, mean_a2); }
-
-GainDecision governor_decide(Governor *g, double requested)
-{
-    if (!known_block(g)->has_responses)
-        compute_responses(g->design, known_block(g), g->scaled[FALL], g->scaled[RISE]);
-    if (!coming_block(g)->has_responses)
-        compute_responses(g->design, coming_block(g), g->scaled[FALL], g->scaled[RISE]);
-    return decide(g, requested);
-}
-
 void governor_advance(Governor *g, double gain)
 {
     const size_t states = g->design->models * WHOLE_LANES(g->design->states);
@@ -382,8 +363,6 @@ int governor_is_at_rest(const Governor *g)
            free_excursion(d, g->state, NULL, 0.0) <= TOGETHER &&
            (g->is_ungoverned_equal || free_excursion(d, g->ungoverned, NULL, 0.0) <= TOGETHER);
 }
-
-void governor_rest(Governor *g) { clear_states(g); }
 
 double governor_excursion_m(const Governor *g)
 {

@@ -63,13 +63,13 @@ int governor_advance_unlimited(Governor *governor, double *mean_a2);
 
 /* Return the largest gain of the known block up to the requested one with which everything can still be
  * stopped. */
-GainDecision governor_decide(Governor *governor, double requested);
+GainDecision governor_decide(Governor *governor, double requested_gain);
 
 /* Advance by the known block with a gain, at most the decided one. */
 void governor_advance(Governor *governor, double gain);
 
 /* Let the coming block become the known one. */
-void governor_next(Governor *governor);
+INLINED void governor_next(Governor *g) { g->known = !g->known; }
 
 /* The amplitude in metres for which the energy of the rig as identified is enough. */
 double governor_excursion_m(const Governor *governor);

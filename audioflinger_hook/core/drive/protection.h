@@ -6,6 +6,7 @@
 
 #pragma once
 
+#include "../core.h"
 #include "lanes.h"
 
 /* Largest counts of a design. */
@@ -58,15 +59,7 @@ void protection_reset(Protection *protection, int as_new);
 /* Take one finite sample of drive and return the one that leaves now. gain_ceiling: largest gain, 0 to 1. */
 double protection_step(Protection *protection, double sample, double gain_ceiling);
 
-typedef struct {
-    double gain, least_gain; /* now, and since the reset */
-    double excursion_m;      /* amplitude that the stored energy allows */
-    double coil_k, magnet_k; /* above their surroundings */
-    uint64_t blocks, limited_blocks, infeasible_blocks;
-    LimitedBy limited_by;
-} ProtectionReadings;
-
-ProtectionReadings protection_readings(const Protection *protection);
+void protection_report(const Protection *protection, ActuatorReadings *readings);
 
 /* Continue with these temperatures, K above the surroundings. */
 void protection_set_temperatures(Protection *protection, double coil_k, double magnet_k);

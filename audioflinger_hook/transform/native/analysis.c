@@ -40,19 +40,16 @@ static size_t layout_work(void *memory, size_t bins, Work *work)
 {
     const size_t most = bins / 2 + 1;
     Peaks *peaks = &work->peaks;
-    double **numbers[] = {
-        &peaks->before,       &peaks->top,        &peaks->after,      &peaks->offset,
-        &peaks->height,       &peaks->level,      &peaks->down.near,  &peaks->down.far,
-        &peaks->down.above,   &peaks->down.under, &peaks->down.bound, &peaks->up.near,
-        &peaks->up.far,       &peaks->up.above,   &peaks->up.under,   &peaks->up.bound,
-        &peaks->bandwidth_hz, &peaks->r,          &peaks->rank,       &peaks->bound,
-        &work->sorted,        &work->sorting,
-    };
+    double **numbers[] = {&peaks->before,       &peaks->top,  &peaks->after, &peaks->offset, &peaks->height,
+                          &peaks->level,        &peaks->r,    &peaks->rank,  &peaks->bound,
+                          &peaks->bandwidth_hz, &work->sorted, &work->sorting};
     int32_t **places[] = {&peaks->left, &peaks->bin, &peaks->right, &work->chosen.place};
     Arena arena = {memory, 0};
-    work->edges = arena_alloc(&arena, bins + 2 * EDGE, sizeof(double));
+    work->edges = arena_doubles(&arena, bins + 2 * EDGE);
+    arena_arrays(&arena, ARRAYS(peaks->down), most);
+    arena_arrays(&arena, ARRAYS(peaks->up), most);
     for (size_t which = 0; which < sizeof numbers / sizeof *numbers; which++)
-        *numbers[which] = arena_alloc(&arena, most, sizeof(double));
+        *numbers[which] = arena_doubles(&arena, most);
     for (size_t which = 0; which < sizeof places / sizeof *places; which++)
         *places[which] = arena_alloc(&arena, most, sizeof(int32_t));
     work->turns.bin = arena_alloc(&arena, bins + 1, sizeof(int32_t));

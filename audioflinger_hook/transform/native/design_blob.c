@@ -104,18 +104,10 @@ static const char *read_settings(Records records, Settings *settings)
     return settings_error(settings);
 }
 
-static int is_big_endian(void)
-{
-    const uint32_t one = 1;
-    char first;
-    memcpy(&first, &one, 1);
-    return first == 0;
-}
-
 const char *records_open(Records *records, void *bytes, size_t size)
 {
     const char *at = bytes;
-    if (is_big_endian())
+    if (__BYTE_ORDER__ != __ORDER_LITTLE_ENDIAN__)
         return "this processor is big-endian";
     if (size < HEADER_BYTES + CHECKSUM_BYTES || memcmp(at, MAGIC, 8))
         return "it is not a design";

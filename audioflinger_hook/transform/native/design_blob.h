@@ -17,6 +17,8 @@ typedef struct {
  * whatever the bytes are, nothing beyond them is read. */
 const char *records_open(Records *records, void *bytes, size_t size);
 
+INLINED int is_within(size_t count, size_t least, size_t most) { return count >= least && count <= most; }
+
 /* Read a count, a number or a table; return 0 if there is no such record of this kind. */
 int record_count(Records records, const char *name, size_t *count);
 int record_number(Records records, const char *name, double *number);

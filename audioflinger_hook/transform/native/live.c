@@ -95,11 +95,9 @@ static void follow(Live *live, Channel *channel, Glides *glides, double wanted, 
     if (levels_set(live, channel, count))
         live->limited += s->hop_frames;
     publish_partials(live, wanted, count);
-    double total = 0.0;
-    for (size_t one = 0; one < count; one++) {
-        total += live->amplitude[one];
+    const double total = sum(live->amplitude, count);
+    for (size_t one = 0; one < count; one++)
         live->amplitude[one] *= smoothing_gain(s, live->hz[one]);
-    }
     const Partials partials = {live->found.audio_hz, live->hz, live->amplitude, count};
     const double room = loudness_is_on(s) ? INFINITY : larger(0.0, s->ceiling - total);
     tracking_follow(s, &channel->slots, glides, partials, room, left, &channel->onsets,

@@ -59,23 +59,6 @@ static double sounding_near(const Settings *settings, const OnsetPartial *partia
     return base;
 }
 
-/* Return the first slot of a young one, or the count where there is none. */
-static size_t young_one(const Settings *s, const OnsetPartial *partials, const int *young)
-{
-    size_t slot = 0;
-    while (slot < s->onset_partials_max && !(partials[slot].sounds != 0.0 && young[slot]))
-        slot++;
-    return slot;
-}
-
-static size_t free_one(const Settings *s, const OnsetPartial *partials)
-{
-    size_t slot = 0;
-    while (slot < s->onset_partials_max && partials[slot].sounds != 0.0)
-        slot++;
-    return slot;
-}
-
 void onset_partials_start(const Settings *s, OnsetPartial *partials, OnsetSources sources,
                          const Slots *slots, size_t ticks_left)
 {
@@ -94,12 +77,15 @@ void onset_partials_start(const Settings *s, OnsetPartial *partials, OnsetSource
         const double lacking = smaller(found.amplitude - base, room(s, partials, slots));
         if (!(lacking > s->min_gain_share * found.amplitude))
             continue;
-        size_t slot = young_one(s, partials, young);
+        size_t slot = 0;
+        while (slot < s->onset_partials_max && !young[slot])
+            slot++;
         if (slot < s->onset_partials_max) {
             young[slot] = 0;
             partials[slot].age = 1.0;
         } else {
-            slot = free_one(s, partials);
+            for (slot = 0; slot < s->onset_partials_max && partials[slot].sounds != 0.0;)
+                slot++;
             if (slot == s->onset_partials_max)
                 break;
             partials[slot] = (OnsetPartial){.sounds = 1.0, .hz = found.hz, .phase = s->start_phase};

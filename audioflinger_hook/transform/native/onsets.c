@@ -56,14 +56,6 @@ SIMD_CLONES static void powers(const double *restrict real, const double *restri
         power[bin] = (real[bin] * real[bin] + imaginary[bin] * imaginary[bin]) * scale;
 }
 
-static double sum(const double *values, size_t count)
-{
-    double total = 0.0;
-    for (size_t one = 0; one < count; one++)
-        total += values[one];
-    return total;
-}
-
 /* Write the powers of bins and bands; what stays under the quietest onset is taken for silence. */
 static void power_of_bands(const Settings *s, const Fft *fft, double loudest, const double *samples,
                 double *power, double *bands, double *work)

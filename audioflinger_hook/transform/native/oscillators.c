@@ -196,14 +196,6 @@ static void log_tick(const Settings *s, OscillatorTick now, const Glides *glides
     }
 }
 
-/* Let nothing sound; what follows begins with the strength that is wanted now. */
-static void rest(Drive *drive, double wanted)
-{
-    drive->wanted = wanted;
-    drive->beat = 1.0;
-    drive->moved = drive->gain = 0.0;
-}
-
 size_t oscillators_play(const Settings *s, const Oscillators *oscillators, OscillatorTick now,
                         double *low_rate, double *work)
 {
@@ -218,7 +210,8 @@ size_t oscillators_play(const Settings *s, const Oscillators *oscillators, Oscil
             add(s, &sounding, now.onset_partials, s->onset_partials_max, tick);
     }
     if (!sounding.count) {
-        rest(drive, now.wanted);
+        /* What follows begins with the strength that is wanted now. */
+        *drive = (Drive){.wanted = now.wanted, .beat = 1.0, .rises = drive->rises};
         return 0;
     }
     oscillate(sounding.turns, sounding.count * steps, sounding.wave);

@@ -226,6 +226,14 @@ typedef struct {
     size_t length;
 } Table;
 
+INLINED int table_is_finite(Table table)
+{
+    size_t at = 0;
+    while (at < table.length && isfinite(table.at[at]))
+        at++;
+    return at == table.length;
+}
+
 typedef struct {
 #define ENTRY(name) size_t name;
     COUNTS(ENTRY)

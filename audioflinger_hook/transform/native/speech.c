@@ -21,11 +21,6 @@
 /* In the order in which speech_ramps has them. */
 enum { VOICED, QUIET, VOICING, SWING, BALANCE, RESTING, SPARED, EXCESS, BACKGROUND, BETWEEN, RAMPS };
 
-static double clip(double value, double low, double high)
-{
-    return larger(low, smaller(high, value));
-}
-
 static double ramp(const Settings *s, int which, double value)
 {
     const double *ends = s->speech_ramps.at + 2 * which;

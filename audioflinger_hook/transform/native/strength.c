@@ -10,11 +10,6 @@
 /* A smaller deviation is set to 0, before it becomes denormal and slow. */
 #define STILL 1e-30
 
-static double within(double number, double low, double high)
-{
-    return larger(low, smaller(high, number));
-}
-
 void strength_reset(const Settings *s, Strength *strength)
 {
     strength->programme = s->programme_start;
@@ -49,14 +44,14 @@ static double open_gate(const Settings *s, const Strength *strength)
 static void move_programme(const Settings *s, Strength *strength, double gate)
 {
     const double above = strength->loud - strength->programme;
-    const double missing = within(above, -s->far, s->far);
-    double move = within(above, -1.0, 1.0) * s->programme_step +
+    const double missing = clip(above, -s->far, s->far);
+    double move = clip(above, -1.0, 1.0) * s->programme_step +
                   missing * (missing > 0.0 ? s->programme_rise : s->programme_fall);
     if (strength->heard < s->start_ticks) {
         strength->heard += 1.0;
-        move += within(above + s->start_near, -s->far, 0.0) / (s->start_weight + strength->heard);
+        move += clip(above + s->start_near, -s->far, 0.0) / (s->start_weight + strength->heard);
     }
-    strength->programme = within(strength->programme + gate * move, s->programme_min, s->programme_top);
+    strength->programme = clip(strength->programme + gate * move, s->programme_min, s->programme_top);
 }
 
 /* Return what is wanted for the group of bands that rose most, in dB, and let all go on. */
@@ -73,7 +68,7 @@ static double wanted_rise(const Settings *s, Strength *strength, const Heard *he
         const double over = rise - s->boost_deviations * *deviation;
         if (over > 0.0) {
             const double share = heard->groups[group] / (heard->sone + s->nothing);
-            const double counts = within((share - s->boost_share_from) / s->boost_share_width, 0.0, 1.0);
+            const double counts = clip((share - s->boost_share_from) / s->boost_share_width, 0.0, 1.0);
             wanted = larger(wanted, smaller(s->boost_max, s->boost_slope * counts * over));
         }
         *deviation += s->group_deviates * (smaller(s->deviation_max, fabs(rise)) - *deviation);
@@ -107,7 +102,7 @@ double strength_follow(const Settings *s, Strength *strength, const Heard *heard
     if (change > s->jump)
         strength->attack_ticks = s->attack_ticks;
     const double jitter = strength->attack_ticks > 0.0 ? 0.0 : s->jitter;
-    const double small = within(change, -jitter, jitter);
+    const double small = clip(change, -jitter, jitter);
     strength->attack_ticks = larger(0.0, strength->attack_ticks - 1.0);
     strength->steady += (change - small) + s->jitter_followed * small;
     strength->slow += s->slow_followed * (strength->steady - strength->slow);

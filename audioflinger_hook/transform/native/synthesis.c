@@ -33,38 +33,22 @@ size_t synthesis_work(const Settings *settings)
 
 /* ---------------------------------------------------------------------------------- oscillators */
 
-/* A partial in one hop: frequency and amplitude glide, phase is the integral of frequency. */
-typedef struct {
-    double hz, rise_hz, amplitude, rise, phase;
-} Glide;
-
-SIMD_CLONES static void add_partial(Glide glide, const double *restrict seconds,
-                             const double *restrict glide_s, const double *restrict shape,
-                             size_t steps, double *restrict low_rate)
-{
-    for (size_t step = 0; step < steps; step++) {
-        const double turns = glide.hz * seconds[step] + glide.rise_hz * glide_s[step] + glide.phase;
-        low_rate[step] += cosine_of_turns(turns) * (glide.rise * shape[step] + glide.amplitude);
-    }
-}
-
-/* Shapes of a glide, one entry a step. */
-typedef struct {
-    const double *shape, *seconds, *glide_s;
-    size_t steps;
-} Shapes;
-
-/* Slots are added in their order; those at amplitude 0 add nothing. */
-static void add_partials(const Glides *glides, size_t count, Shapes shapes, double *low_rate)
+/* Add partials whose frequency and amplitude glide; phase is the integral of frequency. Slots are added in
+ * their order; those at amplitude 0 add nothing. shape, glide_s: one entry a step. */
+SIMD_CLONES static void add_partials(const Glides *glides, size_t count, const double *restrict seconds,
+                                     const double *restrict shape, const double *restrict glide_s,
+                                     size_t steps, double *restrict low_rate)
 {
     for (size_t slot = 0; slot < count; slot++) {
-        const double start = glides->start_amplitude[slot], end = glides->end_amplitude[slot];
-        if (start == 0.0 && end == 0.0)
+        const double start = glides->start_amplitude[slot], rise = glides->end_amplitude[slot] - start;
+        const double hz = glides->start_hz[slot], rise_hz = glides->end_hz[slot] - hz;
+        const double phase = glides->start_phase[slot];
+        if (start == 0.0 && glides->end_amplitude[slot] == 0.0)
             continue;
-        const double hz = glides->start_hz[slot];
-        const Glide glide = {hz, glides->end_hz[slot] - hz, start, end - start,
-                             glides->start_phase[slot]};
-        add_partial(glide, shapes.seconds, shapes.glide_s, shapes.shape, shapes.steps, low_rate);
+        for (size_t step = 0; step < steps; step++) {
+            const double turns = hz * seconds[step] + rise_hz * glide_s[step] + phase;
+            low_rate[step] += cosine_of_turns(turns) * (rise * shape[step] + start);
+        }
     }
 }
 
@@ -77,16 +61,14 @@ void synthesis_hop(const Settings *settings, const Glides *glides, double *low_r
     for (size_t slot = 0; slot < count; slot++)
         rise += glides->end_amplitude[slot] - glides->start_amplitude[slot];
     const Table shape = rise > settings->still ? settings->attack : settings->glide;
-    const Shapes shapes = {shape.at, settings->seconds.at, settings->glide_s.at, settings->steps};
     memset(low_rate, 0, settings->steps * sizeof(double));
-    add_partials(glides, count, shapes, low_rate);
+    add_partials(glides, count, settings->seconds.at, shape.at, settings->glide_s.at, settings->steps, low_rate);
 }
 
 void synthesis_add_onsets(const Settings *settings, const Glides *onset_partials, double *low_rate)
 {
-    const Shapes shapes = {settings->tick_glide.at, settings->seconds.at,
-                           settings->tick_glide_s.at, settings->tick_steps};
-    add_partials(onset_partials, settings->onset_partials_max, shapes, low_rate);
+    add_partials(onset_partials, settings->onset_partials_max, settings->seconds.at, settings->tick_glide.at,
+                 settings->tick_glide_s.at, settings->tick_steps, low_rate);
 }
 
 /* ------------------------------------------------------------------------------------ smoothing */

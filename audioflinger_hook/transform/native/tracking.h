@@ -11,14 +11,16 @@ typedef struct {
     double *hz, *amplitude, *phase;
     double *alive; /* 1 or 0 */
     /* Of partials that were born of an onset, and are held: */
-    double *held_amplitude;           /* while they are heard */
-    double *held_weight;              /* what the law was taken to leave of the sound's level */
-    double *held_first, *held_last;   /* bands by which they are */
-    double *held_loudness;            /* the power of those at their birth */
-    double *held_hops;                /* that are left, and one; 0 of all others */
-    double *lacking;                  /* to that amplitude, within one call */
-    double *start_sum;                /* of the amplitudes at the hop's start */
+    double *held_first, *held_last; /* bands by which they are heard */
+    double *held_loudness;          /* the power of those at their birth */
+    double *held_hops;              /* that are left, and one; 0 of all others */
+    double *held_amplitude;         /* while they are heard */
+    double *held_weight;            /* what the law was taken to leave of the sound's level */
+    double *lacking;                /* to that amplitude, within one call */
+    double *start_sum;              /* one number: of the amplitudes at the hop's start */
 } Slots;
+
+enum { SLOT_ARRAYS = 11 }; /* all but start_sum */
 
 /* What keeps a partial that was born of an onset. */
 typedef struct {
@@ -88,7 +90,9 @@ typedef struct {
 typedef struct {
     double *centres;        /* what sounds, then what has begun: most_alive + partials_max */
     PartialGroup *gathered; /* as many */
-    double *audio_hz, *hz, *amplitude, *dominance; /* partials_max each */
+    struct {
+        double *audio_hz, *hz, *amplitude, *dominance;
+    } merged;
 } Merging;
 
 /* How close a partial must be to one at this frequency to be part of it, in Hz of vibration. */
