@@ -33,10 +33,7 @@ static inline unsigned long long flush_tiny_numbers(void)
     return before;
 }
 
-static inline void usual_numbers(unsigned long long before)
-{
-    _mm_setcsr((unsigned int)before);
-}
+static inline void usual_numbers(unsigned long long before) { _mm_setcsr((unsigned int)before); }
 #elif defined(__aarch64__) && defined(__GNUC__)
 static inline unsigned long long flush_tiny_numbers(void)
 {
@@ -51,15 +48,9 @@ static inline void usual_numbers(unsigned long long before)
     __asm__ __volatile__("msr fpcr, %0" : : "r"(before));
 }
 #else
-static inline unsigned long long flush_tiny_numbers(void)
-{
-    return 0;
-}
+static inline unsigned long long flush_tiny_numbers(void) { return 0; }
 
-static inline void usual_numbers(unsigned long long before)
-{
-    (void)before;
-}
+static inline void usual_numbers(unsigned long long before) { (void)before; }
 #endif
 
 /* The largest magnitude; NaN if any sample is none. */

@@ -10,11 +10,6 @@
 #define DOSE_MAX 1e30 /* of what is no part of a dose */
 #define DAMAGED 1e6 /* a larger sample is damage, as is one that is not finite */
 
-size_t drive_latency_frames(const DriveDesign *design)
-{
-    return design->protection.models ? 2 * design->protection.frames : 0;
-}
-
 void history_add(History *history, const double *vibration, size_t frames)
 {
     for (size_t frame = 0; frame < frames; frame++) {

@@ -17,7 +17,10 @@ typedef struct {
 } DriveDesign;
 
 /* Frames by which protection delays. */
-size_t drive_latency_frames(const DriveDesign *design);
+INLINED size_t drive_latency_frames(const DriveDesign *design)
+{
+    return design->protection.models ? 2 * design->protection.frames : 0;
+}
 
 /* The last frames of all sources, rounded: a ring of `frames` for each. */
 typedef struct {

@@ -6,64 +6,41 @@
 
 /* Lengths of tables, in which `d` is the drive, `p` its protection and `e` its exposure. */
 #define DRIVE_COUNTS(ENTRY)                                                                        \
-    ENTRY(damping.count)                                                                           \
-    ENTRY(protection.models)                                                                       \
-    ENTRY(protection.states)                                                                       \
-    ENTRY(protection.frames)                                                                       \
-    ENTRY(protection.watched)                                                                      \
-    ENTRY(protection.stride)                                                                       \
-    ENTRY(protection.tail_points)                                                                  \
-    ENTRY(protection.currents)                                                                     \
-    ENTRY(protection.hold_blocks)                                                                  \
-    ENTRY(exposure.factor)                                                                         \
-    ENTRY(exposure.decimation_taps)                                                                \
-    ENTRY(exposure.motion_taps)                                                                    \
-    ENTRY(exposure.motion.count)                                                                   \
-    ENTRY(exposure.weighting.count)                                                                \
-    ENTRY(exposure.above.count)                                                                    \
+    ENTRY(damping.count) ENTRY(protection.models) ENTRY(protection.states)                         \
+    ENTRY(protection.frames) ENTRY(protection.watched) ENTRY(protection.stride)                    \
+    ENTRY(protection.tail_points) ENTRY(protection.currents) ENTRY(protection.hold_blocks)         \
+    ENTRY(exposure.factor) ENTRY(exposure.decimation_taps) ENTRY(exposure.motion_taps)             \
+    ENTRY(exposure.motion.count) ENTRY(exposure.weighting.count) ENTRY(exposure.above.count)       \
     ENTRY(exposure.reading_frames)
 
 #define DRIVE_NUMBERS(ENTRY)                                                                       \
-    ENTRY(damping_gain)                                                                            \
-    ENTRY(protection.swing_m)                                                                      \
-    ENTRY(protection.level)                                                                        \
-    ENTRY(protection.current_a)                                                                    \
-    ENTRY(protection.recovery)                                                                     \
-    ENTRY(protection.release)                                                                      \
-    ENTRY(protection.notice)                                                                       \
-    ENTRY(protection.forget)                                                                       \
-    ENTRY(protection.caution)                                                                      \
-    ENTRY(protection.hottest_k)                                                                    \
-    ENTRY(protection.ambient_c)                                                                    \
-    ENTRY(protection.resistance_ohm)                                                               \
-    ENTRY(protection.resistance_per_k)                                                             \
-    ENTRY(protection.coil_k_per_w)                                                                 \
-    ENTRY(protection.coil_j_per_k)                                                                 \
-    ENTRY(protection.approach_s)                                                                   \
-    ENTRY(exposure.m_s2_per_full_scale)                                                            \
-    ENTRY(exposure.period_s)                                                                       \
-    ENTRY(exposure.running_share)                                                                  \
-    ENTRY(exposure.cap_a8_m_s2)                                                                    \
-    ENTRY(exposure.cap_vdv)
+    ENTRY(damping_gain) ENTRY(protection.swing_m) ENTRY(protection.level)                          \
+    ENTRY(protection.current_a) ENTRY(protection.recovery) ENTRY(protection.release)               \
+    ENTRY(protection.notice) ENTRY(protection.forget) ENTRY(protection.caution)                    \
+    ENTRY(protection.hottest_k) ENTRY(protection.ambient_c) ENTRY(protection.resistance_ohm)       \
+    ENTRY(protection.resistance_per_k) ENTRY(protection.coil_k_per_w)                              \
+    ENTRY(protection.coil_j_per_k) ENTRY(protection.approach_s)                                    \
+    ENTRY(exposure.m_s2_per_full_scale) ENTRY(exposure.period_s) ENTRY(exposure.running_share)     \
+    ENTRY(exposure.cap_a8_m_s2) ENTRY(exposure.cap_vdv)
 
 #define DRIVE_TABLES(ENTRY)                                                                        \
-    ENTRY(damping.sections, SECTION_NUMBERS *d->damping.count)                                     \
-    ENTRY(protection.excursion_by_drive, p->models *ROW_FRAMES(p->frames))                                     \
-    ENTRY(protection.excursion_by_state, p->models *p->states *WHOLE_LANES(p->watched))                         \
-    ENTRY(protection.state_by_drive, p->models *p->states *ROW_FRAMES(p->frames))                              \
-    ENTRY(protection.state_by_state, p->models *p->states *WHOLE_LANES(p->states))                              \
-    ENTRY(protection.current_by_drive, p->currents *ROW_FRAMES(p->frames))                                     \
-    ENTRY(protection.current_by_state, p->currents *p->states *WHOLE_LANES(p->frames))                          \
-    ENTRY(protection.tail_by_state, p->models *p->states *WHOLE_LANES(p->tail_points))                          \
+    ENTRY(damping.sections, SECTION_NUMBERS * d->damping.count)                                    \
+    ENTRY(protection.excursion_by_drive, p->models * ROW_FRAMES(p->frames))                        \
+    ENTRY(protection.excursion_by_state, p->models * p->states * WHOLE_LANES(p->watched))          \
+    ENTRY(protection.state_by_drive, p->models * p->states * ROW_FRAMES(p->frames))                \
+    ENTRY(protection.state_by_state, p->models * p->states * WHOLE_LANES(p->states))               \
+    ENTRY(protection.current_by_drive, p->currents * ROW_FRAMES(p->frames))                        \
+    ENTRY(protection.current_by_state, p->currents * p->states * WHOLE_LANES(p->frames))           \
+    ENTRY(protection.tail_by_state, p->models * p->states * WHOLE_LANES(p->tail_points))           \
     ENTRY(protection.reach, p->models)                                                             \
     ENTRY(protection.swing, p->models)                                                             \
     ENTRY(protection.last_kick, p->models)                                                         \
     ENTRY(protection.ring, p->models)                                                              \
     ENTRY(exposure.decimation, e->decimation_taps)                                                 \
-    ENTRY(exposure.motion.sections, SECTION_NUMBERS *e->motion.count)                              \
+    ENTRY(exposure.motion.sections, SECTION_NUMBERS * e->motion.count)                             \
     ENTRY(exposure.motion_fir, e->motion_taps)                                                     \
-    ENTRY(exposure.weighting.sections, SECTION_NUMBERS *e->weighting.count)                        \
-    ENTRY(exposure.above.sections, SECTION_NUMBERS *e->above.count)
+    ENTRY(exposure.weighting.sections, SECTION_NUMBERS * e->weighting.count)                       \
+    ENTRY(exposure.above.sections, SECTION_NUMBERS * e->above.count)
 
 /* The name of a drive's record, such as "2/exposure.factor". */
 static const char *record_name(char *name, size_t number, const char *field)

@@ -2,7 +2,7 @@
 
 #pragma once
 
-#include "common.h"
+#include "settings.h"
 
 /* Bins to either side of a peak that are cleared of its image: its main lobe, and the half-power
  * walk on it. */
@@ -16,30 +16,9 @@
  * lobe. */
 #define TABLE_BINS_A_BIN 32
 
-/* The window's own spectrum, by which images are known. */
-typedef struct {
-    const double *table; /* real, 1 at 0, TABLE_BINS_A_BIN entries a bin; without the first sample, */
-    double first_sample; /* which is this share of the others' sum */
-    int32_t entries;
-    const double *cosine, *sine; /* of the turn of a bin's phase to the window's centre */
-    int32_t low_bins;            /* peaks under this bin are cleared */
-    double weakest;              /* peaks up to this amplitude are left alone, */
-    double weakest_share;        /* and those up to this share of the highest */
-} Window;
-
-/* What makes a peak principal, and which of them are kept. */
-typedef struct {
-    int32_t bins, first, last; /* bins looked at; the first and last on which a peak counts */
-    double bin_hz, threshold_hz;
-    double peak_span_min; /* amplitude times bins between valleys from which r can pass */
-    double side_lobe;     /* share of the highest amplitude that the others must exceed */
-    int32_t most;         /* of more than these the ones with the largest r stay */
-} PeakCriteria;
-
-/* Bins, real and imaginary parts, each `step` after the last. */
+/* Real and imaginary parts of bins. */
 typedef struct {
     const double *real, *imaginary;
-    int32_t step;
 } Spectrum;
 
 /* Principal frequencies, parallel arrays ascending in frequency. */
@@ -50,10 +29,9 @@ typedef struct {
 /* Bytes of work space for so many bins. */
 size_t analysis_work(size_t bins);
 
-/* Find what is principal in a spectrum; return how many, at most `criteria->most` or bins / 2.
+/* Find what is principal in a spectrum; return how many, at most partials_max or bins / 2.
  * found: room for as many. work: aligned as malloc does. */
-int32_t find_principal(const PeakCriteria *criteria, const Window *window, Spectrum spectrum,
-                       Principals found, void *work);
+int32_t find_principal(const Settings *settings, Spectrum spectrum, Principals found, void *work);
 
 /* 1/sqrt(2). */
 #define HALF_POWER 0.70710678118654752440
@@ -92,10 +70,10 @@ typedef struct {
 void peaks_amplitudes(Spectrum spectrum, double *amplitude, int32_t bins);
 
 /* Clear the low amplitudes of what the images of strong peaks add; `peaks` is work space. */
-void peaks_clear_images(const Window *window, Spectrum spectrum, double *amplitude, Peaks *peaks);
+void peaks_clear_images(const Settings *settings, Spectrum spectrum, double *amplitude, Peaks *peaks);
 
 /* List the peaks of the band that can be principal: bins, and those of the valleys. */
-void peaks_list(const PeakCriteria *criteria, const double *amplitude, Turns turns, Peaks *peaks);
+void peaks_list(const Settings *settings, const double *amplitude, Turns turns, Peaks *peaks);
 
 /* Set offset, height and level of all peaks. */
 void peaks_refine(const double *amplitude, Peaks *peaks);

@@ -144,32 +144,31 @@ static inline double exact_tanh(double x)
     return copysign(grown < 1.0 ? grown / (grown + 2.0) : 1.0 - 2.0 / (grown + 2.0), x);
 }
 
+/* The sum of coefficients[k] y^(count - 1 - k). */
+INLINED double exact_polynomial(double y, const double *coefficients, int count)
+{
+    double sum = coefficients[0];
+    for (int one = 1; one < count; one++)
+        sum = sum * y + coefficients[one];
+    return sum;
+}
+
 /* sin(x), within 1 unit, for |x| up to pi/4. */
 static inline double exact_sin(double x)
 {
+    static const double SERIES[] = {1.0 / 355687428096000.0, -1.0 / 1307674368000.0, 1.0 / 6227020800.0,
+                                    -1.0 / 39916800.0,       1.0 / 362880.0,         -1.0 / 5040.0,
+                                    1.0 / 120.0,             -1.0 / 6.0};
     const double y = x * x;
-    double sum = 1.0 / 355687428096000.0;
-    sum = sum * y - 1.0 / 1307674368000.0;
-    sum = sum * y + 1.0 / 6227020800.0;
-    sum = sum * y - 1.0 / 39916800.0;
-    sum = sum * y + 1.0 / 362880.0;
-    sum = sum * y - 1.0 / 5040.0;
-    sum = sum * y + 1.0 / 120.0;
-    sum = sum * y - 1.0 / 6.0;
-    return x + x * y * sum;
+    return x + x * y * exact_polynomial(y, SERIES, 8);
 }
 
 /* cos(x), within 1 unit, for |x| up to pi/4. */
 static inline double exact_cos(double x)
 {
+    static const double SERIES[] = {1.0 / 20922789888000.0, -1.0 / 87178291200.0, 1.0 / 479001600.0,
+                                    -1.0 / 3628800.0,       1.0 / 40320.0,        -1.0 / 720.0,
+                                    1.0 / 24.0,             -1.0 / 2.0};
     const double y = x * x;
-    double sum = 1.0 / 20922789888000.0;
-    sum = sum * y - 1.0 / 87178291200.0;
-    sum = sum * y + 1.0 / 479001600.0;
-    sum = sum * y - 1.0 / 3628800.0;
-    sum = sum * y + 1.0 / 40320.0;
-    sum = sum * y - 1.0 / 720.0;
-    sum = sum * y + 1.0 / 24.0;
-    sum = sum * y - 1.0 / 2.0;
-    return 1.0 + y * sum;
+    return 1.0 + y * exact_polynomial(y, SERIES, 8);
 }

@@ -36,7 +36,7 @@ typedef struct {
 int fft_open(Fft *fft, size_t length, int padded, Arena *arena);
 
 /* Doubles of work space that `fft_spectrum` needs. */
-size_t fft_work(const Fft *fft);
+INLINED size_t fft_work(const Fft *fft) { return 4 * (fft->points * fft->lanes + FREE); }
 
 /* Write the first `bins` bins, real and imaginary parts. samples: `frames` of them, no more than
  * length / 2 other than 0 where it was said to be padded. bins: length / 2 + 1 at most. */

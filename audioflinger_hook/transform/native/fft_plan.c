@@ -114,4 +114,3 @@ int fft_open(Fft *fft, size_t length, int padded, Arena *arena)
     return 1;
 }
 
-size_t fft_work(const Fft *fft) { return 4 * (fft->points * fft->lanes + FREE); }

@@ -32,33 +32,12 @@ SIMD_CLONES static void apply_window(const Live *live, const Channel *channel, d
 static size_t analyse_window(Live *live, const Channel *channel, double wanted)
 {
     const Settings *s = &live->settings;
-    const PeakCriteria criteria = {
-        .bins = (int32_t)s->bins,
-        .first = (int32_t)s->first_bin,
-        .last = (int32_t)s->last_bin,
-        .bin_hz = s->bin_hz,
-        .threshold_hz = s->threshold_hz,
-        .peak_span_min = s->peak_span_min,
-        .side_lobe = s->side_lobe,
-        .most = (int32_t)s->partials_max,
-    };
-    const size_t turned = s->image_turn.length / 2;
-    const Window window = {
-        .table = s->image_table.at,
-        .entries = (int32_t)s->image_table.length,
-        .cosine = s->image_turn.at,
-        .sine = s->image_turn.at + turned,
-        .low_bins = turned > NEIGHBOURS ? (int32_t)turned - NEIGHBOURS : 0,
-        .first_sample = s->image_first,
-        .weakest = s->weakest_image,
-        .weakest_share = s->weakest_share,
-    };
-    const Spectrum spectrum = {live->real, live->imaginary, 1};
     apply_window(live, channel, live->windowed);
     fft_spectrum(&live->fft, live->windowed, s->bins, live->real, live->imaginary, live->fft_space);
     if (!(wanted > 0.0))
         return 0;
-    return (size_t)find_principal(&criteria, &window, spectrum, live->found, live->analysis_space);
+    const Spectrum spectrum = {live->real, live->imaginary};
+    return (size_t)find_principal(s, spectrum, live->found, live->analysis_space);
 }
 
 /* -------------------------------------------------------------------------------------- one hop */

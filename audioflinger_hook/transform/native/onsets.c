@@ -4,8 +4,6 @@
 
 #include "loudness.h"
 
-size_t onsets_bands(const Settings *settings) { return settings->band_edges.length - 1; }
-
 static size_t edge(const Settings *settings, size_t band)
 {
     return (size_t)settings->band_edges.at[band];
@@ -144,11 +142,6 @@ int onsets_detect(const Settings *s, const Fft *fft, const Onsets *onsets, const
     return onset;
 }
 
-int onsets_are_measured(const Settings *settings, const Onsets *onsets)
-{
-    return *onsets->since < (double)settings->heard_ticks;
-}
-
 /* --------------------------------------------------------------------------------- what begins */
 
 /* The power since the onset of a band that rose. */
@@ -200,11 +193,6 @@ size_t onsets_groups(const Settings *s, const Onsets *onsets, Group *groups)
         groups[kept++] = group;
     }
     return kept;
-}
-
-double onsets_level(const Onsets *onsets)
-{
-    return smaller(sqrt(2.0 * *onsets->newest), *onsets->peak);
 }
 
 OnsetTone onsets_estimate(const Settings *s, const Onsets *onsets, Group group)

@@ -27,7 +27,7 @@ typedef struct {
     double hz, weight;
 } OnsetTone;
 
-size_t onsets_bands(const Settings *settings);
+INLINED size_t onsets_bands(const Settings *s) { return s->band_edges.length - 1; }
 
 /* Doubles of work space that `onsets_detect` needs. */
 size_t onsets_work(const Settings *settings, const Fft *fft);
@@ -42,13 +42,19 @@ int onsets_detect(const Settings *settings, const Fft *fft, const Onsets *onsets
                 const double *samples, double *work);
 
 /* Whether the last onset's sound is told better by this tick than by the one before. */
-int onsets_are_measured(const Settings *settings, const Onsets *onsets);
+INLINED int onsets_are_measured(const Settings *s, const Onsets *onsets)
+{
+    return *onsets->since < (double)s->heard_ticks;
+}
 
 /* Write the bands of each thing that begins, by frequency; return how many, `groups_max` at most. */
 size_t onsets_groups(const Settings *settings, const Onsets *onsets, Group *groups);
 
 /* Amplitude of the sound that begins, as that of one tone. */
-double onsets_level(const Onsets *onsets);
+INLINED double onsets_level(const Onsets *onsets)
+{
+    return smaller(sqrt(2.0 * *onsets->newest), *onsets->peak);
+}
 
 /* Tell what begins in a group of bands; with weight 0 what is too weak to be principal. */
 OnsetTone onsets_estimate(const Settings *settings, const Onsets *onsets, Group group);

@@ -54,8 +54,6 @@ const char *speech_misfit(const Settings *s)
     return NULL;
 }
 
-size_t speech_work(const Settings *s) { return s->bins + pitches(s); }
-
 /* ----------------------------------------------------------------------------------------- pitch */
 
 /* What stands at a comb's teeth, on lines between bins. */
@@ -230,8 +228,6 @@ void speech_pause(const Settings *s, Speech *speech)
     speech->voiced = 0.0;
     follow(s, speech, NOTHING, speech->log_pitch, 0);
 }
-
-int speech_is_at_rest(const Speech *speech) { return !(speech->hops_to_rest > 0.0); }
 
 /* ------------------------------------------------------------------------------------------ gain */
 

@@ -2,33 +2,10 @@
 
 #include "synthesis.h"
 
-#include "filter.h"
-#include "scaling.h"
-
-size_t smoothing_states(const Settings *settings)
-{
-    return settings->low_sections.length ? sizeof(Cascade) / sizeof(double) : settings->low_b.length - 1;
-}
-
-size_t smoothing_tail(const Settings *settings)
-{
-    return settings->phases.length / settings->decimation - 1;
-}
-
 void smoothing_reset(const Settings *settings, Smoothing *smoothing)
 {
     memset(smoothing->state, 0, smoothing_states(settings) * sizeof(double));
     memset(smoothing->tail, 0, smoothing_tail(settings) * sizeof(double));
-}
-
-double smoothing_gain(const Settings *settings, double hz)
-{
-    return table_at(settings->gain_table, settings->gain_step_hz, hz);
-}
-
-size_t synthesis_work(const Settings *settings)
-{
-    return smoothing_tail(settings) + settings->tick_steps;
 }
 
 /* ---------------------------------------------------------------------------------- oscillators */

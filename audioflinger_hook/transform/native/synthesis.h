@@ -2,6 +2,8 @@
 
 #pragma once
 
+#include "filter.h"
+#include "scaling.h"
 #include "tracking.h"
 
 /* What the low-pass and the interpolation remember of one channel. */
@@ -10,17 +12,24 @@ typedef struct {
     double *tail;  /* the last samples at the low rate: one less than taps */
 } Smoothing;
 
-size_t smoothing_states(const Settings *settings);
-size_t smoothing_tail(const Settings *settings);
+INLINED size_t smoothing_states(const Settings *s)
+{
+    return s->low_sections.length ? sizeof(Cascade) / sizeof(double) : s->low_b.length - 1;
+}
+
+INLINED size_t smoothing_tail(const Settings *s) { return s->phases.length / s->decimation - 1; }
 
 /* Return to rest. */
 void smoothing_reset(const Settings *settings, Smoothing *smoothing);
 
 /* The factor that undoes the low-pass's ripple at a vibration frequency. */
-double smoothing_gain(const Settings *settings, double hz);
+INLINED double smoothing_gain(const Settings *s, double hz)
+{
+    return table_at(s->gain_table, s->gain_step_hz, hz);
+}
 
 /* Doubles of work space that `synthesis_play` needs. */
-size_t synthesis_work(const Settings *settings);
+INLINED size_t synthesis_work(const Settings *s) { return smoothing_tail(s) + s->tick_steps; }
 
 /* Write one hop at the low rate, (steps,). */
 void synthesis_hop(const Settings *settings, const Glides *glides, double *low_rate);

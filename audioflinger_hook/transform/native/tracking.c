@@ -32,8 +32,6 @@ static size_t most_alive(const Settings *settings)
     return settings->partials_max + settings->onset_partials_max;
 }
 
-size_t tracking_slots(const Settings *settings) { return 2 * most_alive(settings); }
-
 /* Give every part its place in the memory, or count how much that is where there is none. */
 static size_t layout_work(void *memory, const Settings *settings, Match **matches, Alive *alive,
                       Merging *merging)

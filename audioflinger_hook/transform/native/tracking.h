@@ -45,8 +45,7 @@ size_t tracking_work(const Settings *settings);
 /* Whether any slot sounds after the last hop. */
 int tracking_sounds(const Settings *settings, const Slots *slots);
 
-/* Slots in all. */
-size_t tracking_slots(const Settings *settings);
+INLINED size_t tracking_slots(const Settings *s) { return 2 * (s->partials_max + s->onset_partials_max); }
 
 /* Whether a partial is held that no window has shown yet. */
 int tracking_holds(const Settings *settings, const Slots *slots);
