@@ -76,11 +76,15 @@ const char *core_design_read(CoreDesign *design, DriveDesign *drives, const void
     design->per_channel = count_or_none(records, "per_channel") != 0;
     design->has_transform = count_or_none(records, "window_frames") != 0;
     if (design->has_transform) {
-        misfit = design_open(&design->transform, records);
+        size_t latency, tonal_latency;
+        if (!record_count(records, "latency_frames", &latency) ||
+            !record_count(records, "tonal_latency_frames", &tonal_latency))
+            return "it lacks latency_frames or tonal_latency_frames";
+        misfit = settings_read(&design->settings, records);
         if (misfit)
             return misfit;
-        design->info.latency_frames = (uint32_t)design->transform.latency_frames;
-        design->info.tonal_latency_frames = (uint32_t)design->transform.tonal_latency_frames;
+        design->info.latency_frames = (uint32_t)latency;
+        design->info.tonal_latency_frames = (uint32_t)tonal_latency;
         if (!design->per_channel)
             design->info.vibrations = 1;
     }

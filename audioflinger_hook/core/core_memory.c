@@ -19,7 +19,7 @@ static int layout(Core *core, Arena *arena)
     if (core->design.has_transform) {
         const int per_channel = mixes || core->design.per_channel;
         const size_t channels = mixes ? mixes : info->inputs;
-        if (!live_open(&core->live, &core->design.transform.settings, channels, per_channel, arena))
+        if (!live_open(&core->live, &core->design.settings, channels, per_channel, arena))
             return 0;
     }
     core->driven = *arena;

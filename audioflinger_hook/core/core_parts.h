@@ -9,7 +9,7 @@
 typedef struct {
     CoreInfo info; /* without memory_bytes */
     int has_transform, per_channel; /* one vibration for each channel */
-    Design transform;
+    Settings settings; /* of the transform */
     const double *weights; /* (vibrations, 2, inputs): in the mean, and in half the difference; or NULL */
     size_t drives;
     size_t drive_of[CORE_ACTUATORS]; /* DRIVES_MAX: none */

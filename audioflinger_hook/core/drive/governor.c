@@ -144,6 +144,18 @@ INLINED void next_quantities(Governor *g, size_t count, double **fixed, double *
     g->quantities += count;
 }
 
+/* Compute the fixed and the ungoverned part of what a model does in the known block, by its state before it
+ * and by the block's fall and rise. */
+INLINED void pass_block(const Governor *g, const double *by_state, size_t rows, const double *state,
+                        const double *ungoverned, const double *fall, const double *rise, double *const *out)
+{
+    apply(by_state, rows, g->design->states, state, out[FIXED]);
+    apply(by_state, rows, g->design->states, ungoverned, out[UNGOVERNED]);
+    add(out[FIXED], fall, g->gain, rows);
+    add(out[UNGOVERNED], fall, 1.0, rows);
+    add(out[UNGOVERNED], rise, 1.0, rows);
+}
+
 /* Excursion during the known block, during the next one's fall, and in the free swing after it. */
 INLINED void limit_excursion(Governor *g, const double *ungoverned, double *demand)
 {
@@ -162,20 +174,13 @@ INLINED void limit_excursion(Governor *g, const double *ungoverned, double *dema
         const double *const last[PARTS] = {g->ends[0], g->ends[1], g->ends[2]};
 
         next_quantities(g, watched, &out[FIXED], &out[PER_GAIN]);
-        apply(by_state, watched, states, g->state + first, out[FIXED]);
-        apply(by_state, watched, states, ungoverned + first, out[UNGOVERNED]);
-        add(out[FIXED], fall, g->gain, watched);
+        pass_block(g, by_state, watched, g->state + first, ungoverned + first, fall, rise, out);
         memcpy(out[PER_GAIN], rise, watched * sizeof(double));
-        add(out[UNGOVERNED], fall, 1.0, watched);
-        add(out[UNGOVERNED], rise, 1.0, watched);
         *demand = larger(largest(out[UNGOVERNED], watched), *demand);
 
-        apply(advance, state_rows, states, g->state + first, end[FIXED]);
-        apply(advance, state_rows, states, ungoverned + first, end[UNGOVERNED]);
-        add(end[FIXED], known_block(g)->state[FALL] + first, g->gain, state_rows);
-        memcpy(end[PER_GAIN], known_block(g)->state[RISE] + first, state_rows * sizeof(double));
-        add(end[UNGOVERNED], known_block(g)->state[FALL] + first, 1.0, state_rows);
-        add(end[UNGOVERNED], known_block(g)->state[RISE] + first, 1.0, state_rows);
+        const double *to_0 = known_block(g)->state[FALL] + first, *from_0 = known_block(g)->state[RISE] + first;
+        pass_block(g, advance, state_rows, g->state + first, ungoverned + first, to_0, from_0, end);
+        memcpy(end[PER_GAIN], from_0, state_rows * sizeof(double));
 
         next_quantities(g, watched, &out[FIXED], &out[PER_GAIN]);
         apply_to_parts(by_state, watched, states, from, out);
@@ -225,11 +230,7 @@ INLINED void limit_current(Governor *g, const double *ungoverned, GainDecision *
         const double *rise = known_block(g)->current[RISE] + model * frames;
         const double *const from[PARTS] = {g->end[0] + first, g->end[1] + first, g->end[2] + first};
         double *out[PARTS] = {g->spare, NULL, g->column}, *fixed, *per_gain;
-        apply(by_state, frames, states, g->state + first, out[FIXED]);
-        apply(by_state, frames, states, ungoverned + first, out[UNGOVERNED]);
-        add(out[FIXED], fall, g->gain, frames);
-        add(out[UNGOVERNED], fall, 1.0, frames);
-        add(out[UNGOVERNED], rise, 1.0, frames);
+        pass_block(g, by_state, frames, g->state + first, ungoverned + first, fall, rise, out);
         if (model == 0) {
             const double share = 1.0 / (double)d->frames;
             decision->power[0] = share * product(out[FIXED], out[FIXED], frames);

@@ -24,12 +24,6 @@ int record_count(Records records, const char *name, size_t *count);
 int record_number(Records records, const char *name, double *number);
 int record_table(Records records, const char *name, Table *table);
 
-/* The transform of a design. */
-typedef struct {
-    Settings settings; /* its tables lie in the bytes that were read */
-    size_t samplerate; /* Hz */
-    size_t latency_frames, tonal_latency_frames;
-} Design;
-
-/* Read a transform; return NULL, or what is wrong with it. All values are checked. */
-const char *design_open(Design *design, Records records);
+/* Read the transform of a design, whose tables stay where they are; return NULL, or what is wrong with it.
+ * All values are checked. */
+const char *settings_read(Settings *settings, Records records);

@@ -294,3 +294,10 @@ void fft_spectrum(const Fft *fft, const double *samples, size_t bins, double *re
         memcpy(imaginary, other.im, bins * sizeof(double));
     }
 }
+
+SIMD_CLONES void apply_window(const double *restrict samples, const double *restrict window,
+                              size_t count, double *restrict out)
+{
+    for (size_t one = 0; one < count; one++)
+        out[one] = samples[one] * window[one];
+}

@@ -42,3 +42,6 @@ INLINED size_t fft_work(const Fft *fft) { return 4 * (fft->points * fft->lanes +
  * length / 2 other than 0 where it was said to be padded. bins: length / 2 + 1 at most. */
 void fft_spectrum(const Fft *fft, const double *samples, size_t bins, double *real,
                   double *imaginary, double *work);
+
+/* Write `count` samples times those of a window. */
+void apply_window(const double *samples, const double *window, size_t count, double *out);

@@ -12,19 +12,13 @@
 
 /* ------------------------------------------------------------------------------------- analysis */
 
-/* Put the window in order, the oldest frame first, and take it through the window function. */
-SIMD_CLONES static void apply_window(const Live *live, const Channel *channel, double *restrict samples)
+/* Copy the last `count` frames of a channel, in order, into live->newest. */
+static void copy_newest(const Live *live, const Channel *channel, size_t count)
 {
-    const size_t frames = live->settings.window_frames, first = frames - live->oldest;
-    const double *restrict window = live->settings.window.at;
-    const double *restrict past = channel->past + live->oldest;
-    for (size_t frame = 0; frame < first; frame++)
-        samples[frame] = past[frame] * window[frame];
-    past = channel->past;
-    window += first;
-    samples += first;
-    for (size_t frame = 0; frame < frames - first; frame++)
-        samples[frame] = past[frame] * window[frame];
+    const size_t last = live->oldest ? live->oldest : live->settings.window_frames;
+    const size_t wrapped = last < count ? count - last : 0;
+    memcpy(live->newest, channel->past + live->settings.window_frames - wrapped, wrapped * sizeof(double));
+    memcpy(live->newest + wrapped, channel->past + last + wrapped - count, (count - wrapped) * sizeof(double));
 }
 
 /* Find the principal tones of the window; return how many, 0 where none vibrates. wanted: strength of
@@ -32,7 +26,8 @@ SIMD_CLONES static void apply_window(const Live *live, const Channel *channel, d
 static size_t analyse_window(Live *live, const Channel *channel, double wanted)
 {
     const Settings *s = &live->settings;
-    apply_window(live, channel, live->windowed);
+    copy_newest(live, channel, s->window_frames);
+    apply_window(live->newest, s->window.at, s->window_frames, live->windowed);
     fft_spectrum(&live->fft, live->windowed, s->bins, live->real, live->imaginary, live->fft_space);
     if (!(wanted > 0.0))
         return 0;
@@ -123,8 +118,7 @@ static void end_hop(Live *live, Channel *channel, double wanted)
         oscillators_begin_hop(s, &channel->oscillators);
         return;
     }
-    const GlidePlace place = {number_of(live, channel), 0, tracking_slots(s), s->hop_frames};
-    glide_log_add_all(&live->log, place, glides);
+    glide_log_add_all(&live->log, glides, number_of(live, channel), 0, tracking_slots(s), s->hop_frames);
     synthesis_hop(s, glides, channel->hop_low_rate);
 }
 
@@ -134,15 +128,7 @@ static void end_hop(Live *live, Channel *channel, double wanted)
 static int find_onset(Live *live, const Channel *channel)
 {
     const Settings *s = &live->settings;
-    const size_t count = s->short_frames;
-    const size_t last = live->oldest ? live->oldest : s->window_frames;
-    if (last >= count) {
-        memcpy(live->newest, channel->past + last - count, count * sizeof(double));
-    } else {
-        const size_t wrapped = count - last;
-        memcpy(live->newest, channel->past + s->window_frames - wrapped, wrapped * sizeof(double));
-        memcpy(live->newest + wrapped, channel->past, last * sizeof(double));
-    }
+    copy_newest(live, channel, s->short_frames);
     return onsets_detect(s, &live->short_fft, &channel->onsets, live->newest, live->onset_space);
 }
 
@@ -164,9 +150,8 @@ static void play_levels(Live *live, const Channel *channel, int onset_sounds, in
     const double *hop = channel->hop_low_rate + (full ? 0 : (live->tick + 1) * s->tick_steps);
     memset(live->low_rate, 0, s->tick_steps * sizeof(double));
     if (onset_sounds) {
-        const GlidePlace place = {number_of(live, channel), tracking_slots(s),
-                                  s->onset_partials_max, s->tick_frames};
-        glide_log_add_all(&live->log, place, &live->onset_glides);
+        glide_log_add_all(&live->log, &live->onset_glides, number_of(live, channel), tracking_slots(s),
+                          s->onset_partials_max, s->tick_frames);
         synthesis_add_onsets(s, &live->onset_glides, live->low_rate);
     }
     for (size_t step = 0; step < s->tick_steps; step++)

@@ -42,7 +42,7 @@ typedef struct {
  * `live_open`. */
 typedef struct {
     Settings settings;
-    size_t sound_channels, channels_count;
+    size_t channels_count;
     int per_channel; /* a vibration for each channel of sound, else one of their mix */
     Fft fft, short_fft;
     Channel *channels;
@@ -60,7 +60,7 @@ typedef struct {
 
     double *mono, *side, *windowed, *real, *imaginary, *fft_space, *synthesis_space, *onset_space;
     double *speech_space;
-    double *newest; /* the last short_frames, in order */
+    double *newest; /* the last short_frames, or window_frames, in order */
     double *low_rate; /* the tick under way */
     double *oscillator_space;
     void *analysis_space, *tracking_space;

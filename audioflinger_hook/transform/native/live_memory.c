@@ -67,7 +67,7 @@ static void layout_work(Live *live, Arena *arena)
     const Settings *s = &live->settings;
     live->mono = arena_doubles(arena, s->tick_frames);
     live->side = arena_doubles(arena, s->tick_frames);
-    live->newest = arena_doubles(arena, s->short_frames);
+    live->newest = arena_doubles(arena, s->window_frames);
     live->onset_space = arena_doubles(arena, onsets_work(s, &live->short_fft));
     live->windowed = arena_doubles(arena, live->fft.frames);
     live->real = arena_doubles(arena, s->bins);
@@ -92,7 +92,6 @@ int live_open(Live *live, const Settings *settings, size_t channels, int per_cha
     State state = {NULL, 0};
     memset(live, 0, sizeof *live);
     live->settings = *settings;
-    live->sound_channels = channels;
     live->per_channel = per_channel;
     live->channels_count = per_channel ? channels : 1;
     live->mix_weights = per_channel ? NULL : downmix_weights(&live->settings, channels);

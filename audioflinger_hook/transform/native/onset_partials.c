@@ -16,25 +16,18 @@ int onset_partials_sounds(const Settings *settings, const OnsetPartial *partials
 
 static Group group_of(const OnsetPartial *one)
 {
-    const Group group = {(size_t)one->first_band, (size_t)one->last_band};
-    return group;
+    return (Group){(size_t)one->first_band, (size_t)one->last_band};
 }
 
-/* Frequency, weight and amplitude of an onset. */
-typedef struct {
-    double hz, weight, amplitude;
-} Estimate;
-
-static Estimate estimate(const Settings *s, OnsetSources sources, Group group)
+static OnsetTone estimate(const Settings *s, OnsetSources sources, Group group)
 {
-    const OnsetTone told = onsets_estimate(s, sources.onsets, group);
-    const double level = onsets_level(sources.onsets);
-    double amplitude = told.weight * level;
+    OnsetTone tone = onsets_estimate(s, sources.onsets, group);
     if (loudness_is_on(s))
-        amplitude *= tilt(s, told.hz);
+        tone.amplitude *= tilt(s, tone.hz);
     if (s->speech_db > 0.0)
-        amplitude *= speech_coarse_gain(s, sources.speech, audio_hz(s, told.hz));
-    return (Estimate){told.hz, told.weight, amplitude * smoothing_gain(s, told.hz)};
+        tone.amplitude *= speech_coarse_gain(s, sources.speech, audio_hz(s, tone.hz));
+    tone.amplitude *= smoothing_gain(s, tone.hz);
+    return tone;
 }
 
 /* What all sums of amplitudes leave under the ceiling; where loudness is followed, that is for the
@@ -71,7 +64,7 @@ void onset_partials_start(const Settings *s, OnsetPartial *partials, OnsetSource
             partials[slot].goal = 0.0;
     }
     for (size_t which = 0; which < count; which++) {
-        const Estimate found = estimate(s, sources, groups[which]);
+        const OnsetTone found = estimate(s, sources, groups[which]);
         const double base = tracking_sounding_near(s, slots, found.hz) +
                             sounding_near(s, partials, found.hz);
         const double lacking = smaller(found.amplitude - base, room(s, partials, slots));
@@ -110,7 +103,7 @@ static double follow(const Settings *s, OnsetPartial *partials, OnsetPartial *on
     const int is_young = one->age > 0.0 && one->age < (double)s->heard_ticks;
     if (!is_young || !onsets_are_measured(s, sources.onsets))
         return one->hz;
-    const Estimate found = estimate(s, sources, group_of(one));
+    const OnsetTone found = estimate(s, sources, group_of(one));
     /* Of a sound that is there already rounding leaves nothing, or next to nothing. */
     const double lacking = found.amplitude - one->base;
     const int little = lacking < s->min_held_share * found.amplitude || lacking < 0.0;

@@ -40,13 +40,6 @@ static double loudest_of(const Settings *s, const Onsets *onsets)
     return loudest;
 }
 
-SIMD_CLONES static void apply_window(const double *restrict samples, const double *restrict window,
-                          size_t count, double *restrict out)
-{
-    for (size_t one = 0; one < count; one++)
-        out[one] = samples[one] * window[one];
-}
-
 SIMD_CLONES static void powers(const double *restrict real, const double *restrict imaginary, double scale,
                         size_t bins, double *restrict power)
 {
@@ -217,9 +210,8 @@ OnsetTone onsets_estimate(const Settings *s, const Onsets *onsets, Group group)
         purity = 1.0;
     const double level = onsets_level(onsets), by_power = sqrt(share * purity);
     const double weight = s->energy_mapping ? by_power : share * sqrt(share) * purity;
-    const int weak = by_power * level < s->weakest;
-    const OnsetTone found = {weighted / larger(squares, TINY), weak ? 0.0 : weight};
-    return found;
+    const double left = by_power * level < s->weakest ? 0.0 : weight;
+    return (OnsetTone){weighted / larger(squares, TINY), left, left * level};
 }
 
 double onsets_loudness(const Settings *s, const Onsets *onsets, Group group)

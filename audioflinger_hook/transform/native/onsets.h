@@ -22,9 +22,9 @@ typedef struct {
     size_t first, last;
 } Group;
 
-/* Vibration frequency in Hz, and what the law would leave of the level. */
+/* Vibration frequency in Hz, what the law would leave of the level, and that amplitude. */
 typedef struct {
-    double hz, weight;
+    double hz, weight, amplitude;
 } OnsetTone;
 
 INLINED size_t onsets_bands(const Settings *s) { return s->band_edges.length - 1; }

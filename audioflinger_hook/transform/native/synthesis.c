@@ -134,23 +134,15 @@ size_t synthesis_keep_below_full_scale(const Settings *settings, double *vibrati
     return (size_t)rounded;
 }
 
-void glide_log_add(GlideLog *log, GlideRow row)
+void glide_log_add_all(GlideLog *log, const Glides *glides, size_t channel, size_t first_slot, size_t slots,
+                       size_t frames)
 {
-    if (log->count == log->room)
-        log->incomplete = 1;
-    else
-        log->rows[log->count++] = row;
-}
-
-void glide_log_add_all(GlideLog *log, GlidePlace place, const Glides *glides)
-{
-    for (size_t slot = 0; log->on && slot < place.slots; slot++) {
+    for (size_t slot = 0; log->on && slot < slots; slot++) {
         if (glides->start_amplitude[slot] == 0.0 && glides->end_amplitude[slot] == 0.0)
             continue;
         glide_log_add(log, (GlideRow){
-            (double)log->frame,      (double)place.frames,          (double)place.channel,
-            (double)(place.first_slot + slot),
-            glides->start_hz[slot],  glides->end_hz[slot],
+            (double)log->frame, (double)frames, (double)channel, (double)(first_slot + slot),
+            glides->start_hz[slot], glides->end_hz[slot],
             glides->start_amplitude[slot], glides->end_amplitude[slot], glides->start_phase[slot],
         });
     }

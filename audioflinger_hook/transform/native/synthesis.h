@@ -54,19 +54,18 @@ typedef struct {
 
 typedef struct {
     int on;         /* live streams never switch it on */
-    int incomplete; /* there was no room */
     uint64_t frame; /* frames since it was switched on */
     size_t count, room;
     GlideRow *rows; /* the host's */
 } GlideLog;
 
-/* What part of a stream some glides belong to. first_slot: number of the first of them. */
-typedef struct {
-    size_t channel, first_slot, slots, frames;
-} GlidePlace;
+/* Add a row if there is room. */
+INLINED void glide_log_add(GlideLog *log, GlideRow row)
+{
+    if (log->count < log->room)
+        log->rows[log->count++] = row;
+}
 
-/* Add one row. */
-void glide_log_add(GlideLog *log, GlideRow row);
-
-/* Add the glides that sound. */
-void glide_log_add_all(GlideLog *log, GlidePlace place, const Glides *glides);
+/* Add the glides that sound. first_slot: number of the first of these slots; frames: of the hop or tick. */
+void glide_log_add_all(GlideLog *log, const Glides *glides, size_t channel, size_t first_slot, size_t slots,
+                       size_t frames);
