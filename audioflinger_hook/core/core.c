@@ -18,7 +18,8 @@ static void take_controls(Core *core, size_t which, const ActuatorControls *cont
     const CoreInfo *info = &core->design.info;
     const size_t drive = core->design.drive_of[which];
     const size_t own = drive < DRIVES_MAX ? drive_latency_frames(&core->drives[drive]) : 0;
-    const double wanted_gain = load_number(&controls->gain), wanted_delay = load_number(&controls->delay_frames);
+    const double wanted_gain = load_number(&controls->gain);
+    const double wanted_delay = load_number(&controls->delay_frames);
     const uint64_t source = load_count(&controls->source);
     const double gain = fabs(wanted_gain) <= 1.0 ? wanted_gain : 0.0;
     const double delay =

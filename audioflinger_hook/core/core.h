@@ -104,8 +104,8 @@ CORE_API Core *core_open(const void *design, size_t bytes, void *memory);
 CORE_API void core_reset(Core *core, int doses_too);
 
 /* Take frames of sound and write as many of each output, (frames, outputs), interleaved. */
-CORE_API void core_process(Core *core, const CoreControls *controls, CoreSound sound, float *out, size_t frames,
-                  CoreReadings *readings);
+CORE_API void core_process(Core *core, const CoreControls *controls, CoreSound sound, float *out,
+                           size_t frames, CoreReadings *readings);
 
 /* The transform alone: write the vibration before it is rounded, (frames, vibrations). No levels. */
 CORE_API void core_vibrate(Core *core, CoreSound sound, double *vibration, size_t frames,

@@ -15,8 +15,8 @@ typedef struct {
     size_t drive_of[CORE_ACTUATORS]; /* DRIVES_MAX: none */
 } CoreDesign;
 
-/* core_design.c. Read a design, and its drives into room for DRIVES_MAX of them, NULL to check them only. Return NULL,
- * or what is wrong with it. */
+/* core_design.c. Read a design, and its drives into room for DRIVES_MAX of them, NULL to check them only.
+ * Return NULL, or what is wrong with it. */
 const char *core_design_read(CoreDesign *design, DriveDesign *drives, const void *bytes, size_t size);
 
 #define PIECE_FRAMES 1024 /* sound is processed in pieces of up to this */

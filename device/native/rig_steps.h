@@ -30,7 +30,7 @@ typedef struct {
 typedef struct {
     double s[MOST_STATES], volts, correction[MOST_STATES], residual[2], since;
     double is_linear; /* the flux is that of the linear model */
-    double failed_peak_y, blocks_to_skip; /* excursion of a block too loud for it; blocks until the next try */
+    double failed_peak_y, blocks_to_skip; /* excursion of a block too loud for it; until the next try */
     double unresolved; /* frames in which a stop was too hard for the shortest step */
 } State;
 

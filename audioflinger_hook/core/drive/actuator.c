@@ -34,11 +34,6 @@ static size_t frames_in(double seconds, double samplerate)
     return frames > 1.0 ? (size_t)frames : 1;
 }
 
-static void ramp_reset(Ramp *ramp, double value, size_t frames)
-{
-    *ramp = (Ramp){value, value, frames, frames};
-}
-
 static double ramp_now(const Ramp *ramp)
 {
     if (ramp->done == ramp->frames)
@@ -92,8 +87,10 @@ void actuator_begin(Actuator *a, TapPoint tap, double factor, int audible)
 {
     a->tap = a->next_tap = a->wanted_tap = tap;
     a->tap_fade_frames = a->tap_faded = frames_in(FADE_S, a->samplerate);
-    ramp_reset(&a->level, factor, a->tap_fade_frames);
-    ramp_reset(&a->audible, audible ? 1.0 : 0.0, frames_in(AUDIBLE_S, a->samplerate));
+    a->level = (Ramp){factor, factor, a->tap_fade_frames, a->tap_fade_frames};
+    const double open = audible ? 1.0 : 0.0;
+    const size_t frames = frames_in(AUDIBLE_S, a->samplerate);
+    a->audible = (Ramp){open, open, frames, frames};
 }
 
 void actuator_change(Actuator *a, TapPoint tap, double factor, int audible)

@@ -2,6 +2,8 @@
 
 #include "actuator.h"
 
+#include <stdio.h>
+
 #define COUNT_MAX 65536
 
 /* Lengths of tables, in which `d` is the drive, `p` its protection and `e` its exposure. */
@@ -45,12 +47,7 @@
 /* The name of a drive's record, such as "2/exposure.factor". */
 static const char *record_name(char *name, size_t number, const char *field)
 {
-    size_t at = 0;
-    if (number > 9)
-        name[at++] = (char)('0' + number / 10);
-    name[at++] = (char)('0' + number % 10);
-    name[at++] = '/';
-    strncpy(name + at, field, RECORD_NAME_BYTES - at);
+    snprintf(name, RECORD_NAME_BYTES + 1, "%zu/%s", number, field);
     return name;
 }
 

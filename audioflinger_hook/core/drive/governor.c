@@ -167,7 +167,8 @@ INLINED void limit_excursion(Governor *g, const double *ungoverned, double *dema
         const double *by_state = d->excursion_by_state + model * states * watched;
         const double *advance = d->state_by_state + model * states * state_rows;
         const double *tail = d->tail_by_state + model * states * points;
-        const double *fall = known_block(g)->excursion[FALL] + row, *rise = known_block(g)->excursion[RISE] + row;
+        const Block *known = known_block(g);
+        const double *fall = known->excursion[FALL] + row, *rise = known->excursion[RISE] + row;
         double *out[PARTS] = {NULL, NULL, g->column};
         double *const end[PARTS] = {g->end[0] + first, g->end[1] + first, g->end[2] + first};
         const double *const from[PARTS] = {end[0], end[1], end[2]};
@@ -178,13 +179,13 @@ INLINED void limit_excursion(Governor *g, const double *ungoverned, double *dema
         memcpy(out[PER_GAIN], rise, watched * sizeof(double));
         *demand = larger(largest(out[UNGOVERNED], watched), *demand);
 
-        const double *to_0 = known_block(g)->state[FALL] + first, *from_0 = known_block(g)->state[RISE] + first;
+        const double *to_0 = known->state[FALL] + first, *from_0 = known->state[RISE] + first;
         pass_block(g, advance, state_rows, g->state + first, ungoverned + first, to_0, from_0, end);
         memcpy(end[PER_GAIN], from_0, state_rows * sizeof(double));
 
         next_quantities(g, watched, &out[FIXED], &out[PER_GAIN]);
-        apply_to_parts(by_state, watched, states, from, out);
-        apply_to_parts(advance, state_rows, states, from, g->ends);
+        apply_to(PARTS, by_state, watched, states, from, out);
+        apply_to(PARTS, advance, state_rows, states, from, g->ends);
         for (size_t part = PER_GAIN; part <= UNGOVERNED; part++) {
             add(out[part], coming_block(g)->excursion[FALL] + row, 1.0, watched);
             add(g->ends[part], coming_block(g)->state[FALL] + first, 1.0, state_rows);
@@ -192,7 +193,7 @@ INLINED void limit_excursion(Governor *g, const double *ungoverned, double *dema
         *demand = larger(largest(out[UNGOVERNED], watched), *demand);
 
         next_quantities(g, points, &out[FIXED], &out[PER_GAIN]);
-        apply_to_parts(tail, points, states, last, out);
+        apply_to(PARTS, tail, points, states, last, out);
         *demand = larger(largest(out[UNGOVERNED], points), *demand);
     }
 }
@@ -247,7 +248,7 @@ INLINED void limit_current(Governor *g, const double *ungoverned, GainDecision *
         decision->demand = larger(per_limit * largest(out[UNGOVERNED], frames), decision->demand);
         next_quantities(g, frames, &fixed, &per_gain);
         out[PER_GAIN] = per_gain;
-        apply_to_parts(by_state, frames, states, from, out);
+        apply_to(PARTS, by_state, frames, states, from, out);
         for (size_t part = PER_GAIN; part <= UNGOVERNED; part++)
             add(out[part], coming_block(g)->current[FALL] + model * frames, 1.0, frames);
         for (size_t frame = 0; frame < frames; frame++) {

@@ -4,18 +4,6 @@
 
 #include "settings.h"
 
-/* Bins to either side of a peak that are cleared of its image: its main lobe, and the half-power
- * walk on it. */
-#define NEIGHBOURS 7
-
-/* Peaks under this bin are cleared twice: the first time their images are looked up in a place that
- * those very images have moved. */
-#define TWICE_BELOW 20
-
-/* Entries of the window's table a bin: between them a straight line is within 0.2 % of a side
- * lobe. */
-#define TABLE_BINS_A_BIN 32
-
 /* Real and imaginary parts of bins. */
 typedef struct {
     const double *real, *imaginary;
@@ -32,9 +20,6 @@ size_t analysis_work(size_t bins);
 /* Find what is principal in a spectrum; return how many, at most partials_max or bins / 2.
  * found: room for as many. work: aligned as malloc does. */
 int32_t find_principal(const Settings *settings, Spectrum spectrum, Principals found, void *work);
-
-/* 1/sqrt(2). */
-#define HALF_POWER 0.70710678118654752440
 
 /* The bins beside a peak count as this share of it at least. Where the window's spectrum has a
  * zero, A^0.2 would make 1e-3 of a rounding of 1e-16, and ln A even more. */

@@ -81,7 +81,10 @@ INLINED void *arena_alloc(Arena *arena, size_t count, size_t bytes)
     return here;
 }
 
-INLINED double *arena_doubles(Arena *arena, size_t count) { return arena_alloc(arena, count, sizeof(double)); }
+INLINED double *arena_doubles(Arena *arena, size_t count)
+{
+    return arena_alloc(arena, count, sizeof(double));
+}
 
 /* Where the arrays of a structure stand that consists of pointers to them, and how many they are. */
 #define ARRAYS(structure) ((double **)&(structure)), sizeof(structure) / sizeof(double *)

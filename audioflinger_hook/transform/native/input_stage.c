@@ -186,8 +186,7 @@ double input_band_pass(const Settings *settings, double *state, double *mono, si
     return filter_band(settings, state, order, mono, frames);
 }
 
-double input_band_pass_silence(const Settings *settings, double *state, double *mono,
-                                size_t frames)
+double input_band_pass_silence(const Settings *settings, double *state, double *mono, size_t frames)
 {
     const size_t bytes = (settings->band_b.length - 1) * sizeof(double);
     double before[ORDER_MAX];

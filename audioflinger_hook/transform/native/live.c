@@ -15,10 +15,10 @@
 /* Copy the last `count` frames of a channel, in order, into live->newest. */
 static void copy_newest(const Live *live, const Channel *channel, size_t count)
 {
-    const size_t last = live->oldest ? live->oldest : live->settings.window_frames;
-    const size_t wrapped = last < count ? count - last : 0;
-    memcpy(live->newest, channel->past + live->settings.window_frames - wrapped, wrapped * sizeof(double));
-    memcpy(live->newest + wrapped, channel->past + last + wrapped - count, (count - wrapped) * sizeof(double));
+    const size_t frames = live->settings.window_frames, last = live->oldest ? live->oldest : frames;
+    const size_t wrapped = last < count ? count - last : 0, rest = count - wrapped;
+    memcpy(live->newest, channel->past + frames - wrapped, wrapped * sizeof(double));
+    memcpy(live->newest + wrapped, channel->past + last - rest, rest * sizeof(double));
 }
 
 /* Find the principal tones of the window; return how many, 0 where none vibrates. wanted: strength of
@@ -139,8 +139,8 @@ static double find_strength(const Live *live, const Channel *channel)
     double excitation[BANDS_MAX];
     band_powers_update(s, &channel->powers, live->newest + (s->short_frames - s->tick_frames),
                      live->onset_space, excitation);
-    const Heard heard = loudness_of(s, excitation);
-    return strength_follow(s, channel->strength, &heard);
+    const Loudness loudness = loudness_of(s, excitation);
+    return strength_follow(s, channel->strength, &loudness);
 }
 
 /* Write the next tick at the low rate: all partials by their own amplitudes. */
@@ -194,7 +194,7 @@ static void advance(Live *live, Channel *channel)
         synthesis_play(s, live->low_rate, &channel->smoothing, channel->output_tick, live->synthesis_space);
         live->limited += synthesis_keep_below_full_scale(s, channel->output_tick);
     } else {
-        /* What sleeps is exactly 0 and forgets its ringing. */
+        /* What sleeps is exactly 0 and forgets its tail. */
         smoothing_reset(s, &channel->smoothing);
         memset(channel->output_tick, 0, s->tick_frames * sizeof(double));
     }
@@ -304,10 +304,10 @@ static void share_programme(Live *live)
     for (size_t which = 1; which < live->channels_count; which++)
         if (live->channels[which].strength->loud > loudest->loud)
             loudest = live->channels[which].strength;
-    const double programme = loudest->programme, heard = loudest->heard;
+    const double programme = loudest->programme, sound_ticks = loudest->sound_ticks;
     for (size_t which = 0; which < live->channels_count; which++) {
         live->channels[which].strength->programme = programme;
-        live->channels[which].strength->heard = heard;
+        live->channels[which].strength->sound_ticks = sound_ticks;
     }
 }
 

@@ -43,8 +43,9 @@ INLINED void resonate(const Poles *poles, LowBands *low, double real, double ima
         double x = real, y = imaginary;
         for (size_t pole = 0; pole < 2; pole++) {
             const double re = low->real[pole][band], im = low->imaginary[pole][band];
-            const double next = poles->feed[band] * x + (poles->real[band] * re - poles->imaginary[band] * im);
-            y = poles->feed[band] * y + (poles->real[band] * im + poles->imaginary[band] * re);
+            const double a = poles->real[band], b = poles->imaginary[band], feed = poles->feed[band];
+            const double next = feed * x + (a * re - b * im);
+            y = feed * y + (a * im + b * re);
             x = next;
             low->real[pole][band] = x;
             low->imaginary[pole][band] = y;
@@ -64,8 +65,8 @@ static void drop_decayed(LowBands *low)
         memset(low, 0, sizeof *low);
 }
 
-SIMD_CLONES_NARROW static void hear_low(const Settings *s, LowBands *low, const double *samples,
-                                        double *restrict squares)
+SIMD_CLONES_NARROW static void update_low(const Settings *s, LowBands *low, const double *samples,
+                                          double *restrict squares)
 {
     const CascadeDesign design = {s->low_smooth.at, s->low_smooth.length / SECTION_NUMBERS};
     const double *chain = s->quadrature.at;
@@ -96,7 +97,7 @@ void band_powers_update(const Settings *s, const BandPowers *powers, const doubl
     const size_t low = s->low_weights.length, high = s->high_weights.length, older = s->average_ticks - 1;
     double squares[LOW_MAX] = {0.0}, now[BANDS_MAX];
     memset(excitation, 0, s->loudness_scale.length * sizeof(double));
-    hear_low(s, powers->low, samples, squares);
+    update_low(s, powers->low, samples, squares);
     for (size_t band = 0; band < low; band++)
         excitation[(size_t)s->low_band_of.at[band]] += s->low_weights.at[band] * squares[band];
     double *above = excitation + (s->loudness_scale.length - high);
@@ -124,9 +125,9 @@ void band_powers_update(const Settings *s, const BandPowers *powers, const doubl
 
 static double fourth_root(double number) { return sqrt(sqrt(number)); }
 
-Heard loudness_of(const Settings *s, const double *excitation)
+Loudness loudness_of(const Settings *s, const double *excitation)
 {
-    Heard heard = {0.0, 0.0, {0.0}};
+    Loudness now = {0.0, 0.0, {0.0}};
     double above = 0.0;
     size_t group = 0;
     for (size_t band = 0; band < s->loudness_scale.length; band++) {
@@ -139,14 +140,14 @@ Heard loudness_of(const Settings *s, const double *excitation)
             left = above * exact_exp(-slope * width);
             tail = (above - left) / slope;
         }
-        heard.sone += larger(core * width, tail);
+        now.sone += larger(core * width, tail);
         above = larger(core, left);
         if ((double)band >= s->loudness_groups.at[group + 1])
             group++;
-        heard.groups[group] += core * width;
+        now.groups[group] += core * width;
     }
-    const double phon = heard.sone >= 1.0 ? 40.0 + 10.0 * exact_log2(heard.sone)
-                                          : 40.0 * exact_pow(heard.sone + 5e-4, 0.35);
-    heard.db = phon - FULL_SCALE_PHON;
-    return heard;
+    const double phon = now.sone >= 1.0 ? 40.0 + 10.0 * exact_log2(now.sone)
+                                          : 40.0 * exact_pow(now.sone + 5e-4, 0.35);
+    now.db = phon - FULL_SCALE_PHON;
+    return now;
 }

@@ -12,13 +12,13 @@ typedef struct {
     double db;   /* 0 for a full-scale tone of 1 kHz */
     double sone; /* of all bands */
     double groups[GROUPS_OF_BANDS_MAX]; /* sone of each, without what other bands mask */
-} Heard;
+} Loudness;
 
 /* Whether loudness is followed at all. */
 INLINED int loudness_is_on(const Settings *s) { return s->loudness_scale.length != 0; }
 
 /* excitation: of each band, over its threshold in quiet. */
-Heard loudness_of(const Settings *settings, const double *excitation);
+Loudness loudness_of(const Settings *settings, const double *excitation);
 
 /* The most bands under those that the onset search's spectra show, and of all. */
 #define LOW_MAX 8

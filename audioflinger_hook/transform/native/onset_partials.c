@@ -1,5 +1,3 @@
-/* Onset partials: they are born of an onset and play until the analysis knows what has begun. */
-
 #include "onset_partials.h"
 
 #include "loudness.h"
@@ -36,10 +34,10 @@ static double room(const Settings *settings, const OnsetPartial *partials, const
 {
     if (loudness_is_on(settings))
         return INFINITY;
-    double taken = 0.0;
+    double goals = 0.0;
     for (size_t slot = 0; slot < settings->onset_partials_max; slot++)
-        taken += partials[slot].sounds != 0.0 ? partials[slot].goal : 0.0;
-    return larger(0.0, settings->ceiling - (tracking_loudest_sum(settings, slots) + taken));
+        goals += partials[slot].sounds != 0.0 ? partials[slot].goal : 0.0;
+    return larger(0.0, settings->ceiling - (tracking_loudest_sum(settings, slots) + goals));
 }
 
 static double sounding_near(const Settings *settings, const OnsetPartial *partials, double hz)

@@ -5,7 +5,7 @@
 #include "fft.h"
 #include "settings.h"
 
-/* What one channel has heard of late. All of it is state. */
+/* What is remembered of one channel. All of it is state. */
 typedef struct {
     double *peaks;   /* largest magnitude of the ticks that the window touches, the last the newest */
     double *past;    /* the bands' powers in the last back_ticks, the oldest first */

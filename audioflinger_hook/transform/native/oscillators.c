@@ -64,8 +64,9 @@ static void add(const Settings *s, Sounding *sounding, const Glides *glides, siz
         double *turns = sounding->turns + sounding->count * steps;
         double *level = sounding->level + sounding->count * steps;
         for (size_t step = 0; step < steps; step++) {
-            turns[step] = hz * shapes.seconds[shapes.at + step] + rise_hz * shapes.glide_s[shapes.at + step] + phase;
-            level[step] = rise * shapes.shape[shapes.at + step] + start;
+            const size_t at = shapes.at + step;
+            turns[step] = hz * shapes.seconds[at] + rise_hz * shapes.glide_s[at] + phase;
+            level[step] = rise * shapes.shape[at] + start;
         }
         const double end_hz = hz + rise_hz * shapes.whole[shapes.at + steps - 1];
         const double felt = table_at(s->felt_weights, s->gain_step_hz, end_hz);

@@ -4,6 +4,17 @@
 
 #include "exact.h"
 
+#define HALF_POWER 0.70710678118654752440 /* 1/sqrt(2) */
+
+/* Bins to either side of a peak that are cleared of its image: main lobe, and half-power walk on it. */
+#define NEIGHBOURS 7
+
+/* Peaks under this bin are cleared twice, as images move the places where they are looked up. */
+#define TWICE_BELOW 20
+
+/* Entries of the window's table a bin; lines between them are within 0.2 % of a side lobe. */
+#define TABLE_BINS_A_BIN 32
+
 /* Two amplitudes are told apart from this ratio on, so that rounding decides nothing between
  * equals: the spectrum of a single sample is flat. */
 #define APART_FROM (1.0 + 1e-9)

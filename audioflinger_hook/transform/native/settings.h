@@ -167,7 +167,7 @@
     ENTRY(band_edges)  /* bins: the first of each band, and past the last */                       \
     ENTRY(one_tone)    /* purity of a tone, by ticks since its onset */                            \
     ENTRY(rise_shares) /* of its amplitude that an onset partial has after each tick */             \
-    ENTRY(low_sections) /* low-pass and high-pass as second-order sections; then low_b and low_a are empty */ \
+    ENTRY(low_sections) /* low-pass and high-pass in sections, then without low_b and low_a */     \
     ENTRY(begin_fade) /* of the first frames of a stream, after begin_frames of silence */         \
     ENTRY(low_smooth) /* sections before the low rate, for the low bands */                        \
     ENTRY(quadrature) /* squares of the all-passes: of one chain, then of the other */             \

@@ -137,7 +137,7 @@ static void note_pitch(const Settings *s, Speech *speech, double log_pitch, doub
     speech->steady += weight * (steady - speech->steady);
 }
 
-static void believe(const Settings *s, Speech *speech)
+static void update_probability(const Settings *s, Speech *speech)
 {
     const double resting = speech->steady / (speech->voicing + HARDLY_VOICED);
     const double likely =
@@ -193,7 +193,7 @@ static void follow(const Settings *s, Speech *speech, const double *octaves, dou
     const double weight = ramp(s, QUIET, loudness);
     note_swing(s, speech, levels, s->speech_average * larger(weight, s->speech_quiet_share));
     note_pitch(s, speech, log_pitch, s->speech_average * weight);
-    believe(s, speech);
+    update_probability(s, speech);
     learn(s, speech);
 }
 

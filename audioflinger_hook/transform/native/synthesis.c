@@ -39,7 +39,8 @@ void synthesis_hop(const Settings *settings, const Glides *glides, double *low_r
         rise += glides->end_amplitude[slot] - glides->start_amplitude[slot];
     const Table shape = rise > settings->still ? settings->attack : settings->glide;
     memset(low_rate, 0, settings->steps * sizeof(double));
-    add_partials(glides, count, settings->seconds.at, shape.at, settings->glide_s.at, settings->steps, low_rate);
+    add_partials(glides, count, settings->seconds.at, shape.at, settings->glide_s.at, settings->steps,
+                 low_rate);
 }
 
 void synthesis_add_onsets(const Settings *settings, const Glides *onset_partials, double *low_rate)

@@ -4,9 +4,8 @@
 
 #include "onsets.h"
 
-/* The slots of one channel's oscillators: two sets of partials_max and
- * onset_partials_max, as one set may live while another fades. Frequencies in Hz of vibration,
- * amplitudes in full scale, phases in cycles. */
+/* The slots of one channel's oscillators: two sets of partials_max and onset_partials_max, as one may live
+ * while another fades. Frequencies in Hz of vibration, amplitudes in full scale, phases in cycles. */
 typedef struct {
     double *hz, *amplitude, *phase;
     double *alive; /* 1 or 0 */
@@ -74,10 +73,10 @@ void tracking_adopt(const Settings *settings, Slots *slots, double hz, double ph
 void tracking_follow(const Settings *settings, Slots *slots, Glides *glides, Partials partials,
                      double room, double left, const Onsets *onsets, void *work);
 
-/* Write one hop of glides in which every partial that sounds dies away. */
+/* Write one hop in which every partial that sounds dies away. */
 void tracking_fade(const Settings *settings, Slots *slots, Glides *glides);
 
-/* Write one hop of glides in which every slot is idle. */
+/* Write one hop in which every slot is idle. */
 void tracking_rest(const Settings *settings, Glides *glides);
 
 /* Partials that are one: sums of their powers, and of power times frequency. */
@@ -101,5 +100,4 @@ INLINED double merging_hz(const Settings *s, double hz)
 }
 
 /* Merge partials. The first `sounding` centres are frequencies that sound. */
-Partials merging_merge(const Settings *settings, Merging *merging, size_t sounding,
-                       Partials partials);
+Partials merging_merge(const Settings *settings, Merging *merging, size_t sounding, Partials partials);
