@@ -117,7 +117,7 @@ MUTATIONS = (
     Mutation(
         "what would swing on after a stop is limited",
         GOVERNOR,
-        "apply_to_parts(tail, points, states, last, out);",
+        "apply_to(PARTS, tail, points, states, last, out);",
         "memset(out[FIXED], 0, points * 8), memset(out[PER_GAIN], 0, points * 8),"
         " memset(out[UNGOVERNED], 0, points * 8), (void)tail, (void)last;",
         PROTECTION,

@@ -1,8 +1,6 @@
 /* The core: a transform, drives of actuators, or both. */
 
-#include "core.h"
-
-#include "core_sound.h"
+#include "core_parts.h"
 
 /* Wanted words, which another thread may be writing, are loaded once. */
 INLINED double load_number(const double *place) { return *(const volatile double *)place; }
@@ -20,7 +18,8 @@ static void take_controls(Core *core, size_t which, const ActuatorControls *cont
     const CoreInfo *info = &core->design.info;
     const size_t drive = core->design.drive_of[which];
     const size_t own = drive < DRIVES_MAX ? drive_latency_frames(&core->drives[drive]) : 0;
-    const double wanted_gain = load_number(&controls->gain), wanted_delay = load_number(&controls->delay_frames);
+    const double wanted_gain = load_number(&controls->gain);
+    const double wanted_delay = load_number(&controls->delay_frames);
     const uint64_t source = load_count(&controls->source);
     const double gain = fabs(wanted_gain) <= 1.0 ? wanted_gain : 0.0;
     const double delay =
@@ -82,7 +81,7 @@ static void transform(Core *core, CoreSound sound, double *vibration, size_t fra
     for (size_t done = 0; core->design.weights && done < frames;) {
         const size_t left = frames - done, part = left < PIECE_FRAMES ? left : PIECE_FRAMES;
         sound_mix(core, later(sound, done), part);
-        live_process(&core->live, sound_of(mixed_sound(core), vibrations), part,
+        live_process(&core->live, sound_of(interleaved(core->mixed, vibrations), vibrations), part,
                      vibration + done * vibrations);
         done += part;
     }

@@ -5,8 +5,7 @@
  * same design and the same sound give the same bytes in every host and on every machine, however the
  * sound is split into calls. audioflinger_hook/core/compiled_core.py says the same in Python. */
 
-#ifndef CUSHION_CORE_H
-#define CUSHION_CORE_H
+#pragma once
 
 #include <stddef.h>
 #include <stdint.h>
@@ -35,11 +34,15 @@ typedef struct {
     int is_double; /* else float */
 } CoreSound;
 
-/* What must outlive a process. Temperatures in degrees Celsius; sums of the day's weighted
- * acceleration, integrated over time. */
+/* Sums of a day's weighted acceleration, integrated over time. */
+typedef struct {
+    double time_s, squares, fourths, above;
+} CoreDose;
+
+/* What must outlive a process. Temperatures in degrees Celsius. */
 typedef struct {
     double coil_c, magnet_c;
-    double time_s, squares, fourths, above;
+    CoreDose dose;
 } ActuatorSafety;
 
 /* Wanted of one actuator; every change fades. */
@@ -67,7 +70,7 @@ typedef struct {
     double audible; /* factor of the fade, 0 to 1 */
     double gain, least_gain, exposure_gain; /* of the protection, and of the dose's cap */
     double excursion_m, coil_c, magnet_c;
-    double time_s, squares, fourths, above; /* of the day's weighted acceleration */
+    CoreDose dose;
     double running_m_s2;                    /* of the last second */
     double undamped_squares; /* as squares, without damping and protection */
     uint64_t blocks, limited_blocks, infeasible_blocks, replaced;
@@ -101,8 +104,8 @@ CORE_API Core *core_open(const void *design, size_t bytes, void *memory);
 CORE_API void core_reset(Core *core, int doses_too);
 
 /* Take frames of sound and write as many of each output, (frames, outputs), interleaved. */
-CORE_API void core_process(Core *core, const CoreControls *controls, CoreSound sound, float *out, size_t frames,
-                  CoreReadings *readings);
+CORE_API void core_process(Core *core, const CoreControls *controls, CoreSound sound, float *out,
+                           size_t frames, CoreReadings *readings);
 
 /* The transform alone: write the vibration before it is rounded, (frames, vibrations). No levels. */
 CORE_API void core_vibrate(Core *core, CoreSound sound, double *vibration, size_t frames,
@@ -127,5 +130,3 @@ CORE_API size_t core_glides_max(const Core *core, size_t frames);
 /* Record glides into the host's rows from now on; NULL ends the recording. Return how many were written
  * into the rows of before. */
 CORE_API size_t core_record(Core *core, CoreGlide *rows, size_t room);
-
-#endif

@@ -1,11 +1,9 @@
 /* Reads all that a core is made for; core/design.py writes it. */
 
-#include "core_design.h"
+#include "core_parts.h"
 
 #define HIGHEST_RATE 768000
 #define DELAY_MAX_S 10.0
-
-static int within(size_t count, size_t least, size_t most) { return count >= least && count <= most; }
 
 /* The count of a record, 0 if there is none. */
 static size_t count_or_none(Records records, const char *name)
@@ -70,19 +68,23 @@ const char *core_design_read(CoreDesign *design, DriveDesign *drives, const void
     const char *misfit = records_open(&records, (void *)(uintptr_t)bytes, size);
     if (misfit)
         return misfit;
-    if (!record_count(records, "samplerate", &samplerate) || !within(samplerate, 1, HIGHEST_RATE) ||
-        !record_count(records, "inputs", &inputs) || !within(inputs, 1, CORE_ACTUATORS))
+    if (!record_count(records, "samplerate", &samplerate) || !is_within(samplerate, 1, HIGHEST_RATE) ||
+        !record_count(records, "inputs", &inputs) || !is_within(inputs, 1, CORE_ACTUATORS))
         return "it lacks samplerate or inputs";
     design->info.samplerate = (uint32_t)samplerate;
     design->info.inputs = design->info.vibrations = (uint32_t)inputs;
     design->per_channel = count_or_none(records, "per_channel") != 0;
     design->has_transform = count_or_none(records, "window_frames") != 0;
     if (design->has_transform) {
-        misfit = design_open(&design->transform, records);
+        size_t latency, tonal_latency;
+        if (!record_count(records, "latency_frames", &latency) ||
+            !record_count(records, "tonal_latency_frames", &tonal_latency))
+            return "it lacks latency_frames or tonal_latency_frames";
+        misfit = settings_read(&design->settings, records);
         if (misfit)
             return misfit;
-        design->info.latency_frames = (uint32_t)design->transform.latency_frames;
-        design->info.tonal_latency_frames = (uint32_t)design->transform.tonal_latency_frames;
+        design->info.latency_frames = (uint32_t)latency;
+        design->info.tonal_latency_frames = (uint32_t)tonal_latency;
         if (!design->per_channel)
             design->info.vibrations = 1;
     }

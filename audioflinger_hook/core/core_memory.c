@@ -6,7 +6,8 @@ const uint64_t core_sizes[6] = {sizeof(CoreInfo),         sizeof(CoreSound),
                                 sizeof(CoreControls),     sizeof(ActuatorControls),
                                 sizeof(CoreReadings),     sizeof(ActuatorReadings)};
 
-static void layout(Core *core, Arena *arena)
+/* Return 0 where the transform's lengths do not fit its spectrum. */
+static int layout(Core *core, Arena *arena)
 {
     const CoreInfo *info = &core->design.info;
     const size_t vibrations = info->vibrations;
@@ -17,12 +18,14 @@ static void layout(Core *core, Arena *arena)
     core->vibration = arena_alloc(arena, PIECE_FRAMES * vibrations, sizeof(double));
     if (core->design.has_transform) {
         const int per_channel = mixes || core->design.per_channel;
-        live_open(&core->live, &core->design.transform.settings, mixes ? mixes : info->inputs, per_channel,
-                  arena);
+        const size_t channels = mixes ? mixes : info->inputs;
+        if (!live_open(&core->live, &core->design.settings, channels, per_channel, arena))
+            return 0;
     }
     core->driven = *arena;
     core_layout_driven(core, arena);
     core->driven_bytes = arena->used - core->driven.used;
+    return 1;
 }
 
 void core_layout_driven(Core *core, Arena *arena)
@@ -42,24 +45,6 @@ void core_layout_driven(Core *core, Arena *arena)
     }
 }
 
-/* Lay out core and drives, whose designs `drives` are; without memory, return how much is needed. */
-static size_t layout_core(Core *core, DriveDesign *drives, Arena *arena)
-{
-    core->drives = drives;
-    layout(core, arena);
-    return arena->used;
-}
-
-/* Whether the transform's lengths fit its spectrum. */
-static const char *spectrum_misfit(const CoreDesign *design)
-{
-    Arena counted = {NULL, 0};
-    Live live;
-    if (design->has_transform && !live_open(&live, &design->transform.settings, 1, 0, &counted))
-        return "fft_length: has other factors than 2, 3 and 5";
-    return NULL;
-}
-
 const char *core_check(const void *bytes, size_t size, CoreInfo *info)
 {
     Core core = {0};
@@ -68,12 +53,13 @@ const char *core_check(const void *bytes, size_t size, CoreInfo *info)
     arena_alloc(&arena, 1, sizeof(Core));
     arena_alloc(&arena, DRIVES_MAX, sizeof(DriveDesign));
     const char *misfit = core_design_read(&core.design, drives, bytes, size);
-    if (!misfit)
-        misfit = spectrum_misfit(&core.design);
+    core.drives = drives;
+    if (!misfit && !layout(&core, &arena))
+        misfit = "fft_length: has other factors than 2, 3 and 5";
     if (misfit)
         return misfit;
     *info = core.design.info;
-    info->memory_bytes = layout_core(&core, drives, &arena);
+    info->memory_bytes = arena.used;
     return NULL;
 }
 
@@ -85,9 +71,9 @@ Core *core_open(const void *bytes, size_t size, void *memory)
     memset(memory, 0, info.memory_bytes);
     Arena arena = {memory, 0};
     Core *core = arena_alloc(&arena, 1, sizeof(Core));
-    DriveDesign *drives = arena_alloc(&arena, DRIVES_MAX, sizeof(DriveDesign));
-    core_design_read(&core->design, drives, bytes, size);
-    layout_core(core, drives, &arena);
+    core->drives = arena_alloc(&arena, DRIVES_MAX, sizeof(DriveDesign));
+    core_design_read(&core->design, core->drives, bytes, size);
+    layout(core, &arena);
     core->fingerprint = fnv_1a(bytes, size);
     core->is_opened = 1;
     core->sound_gain = 1.0;

@@ -1,6 +1,6 @@
 /* Sound as a host hands it over: measured, scaled and mixed. */
 
-#include "core_sound.h"
+#include "core_parts.h"
 
 #include "../transform/native/exact.h"
 
@@ -42,7 +42,7 @@ void sound_scale(Core *core, CoreSound sound, size_t frames, double from, double
     const size_t inputs = core->design.info.inputs;
     const int amplifies = from > 1.0 || to > 1.0;
     const CoreDesign *design = &core->design;
-    const double usable = design->has_transform ? design->transform.settings.magnitude_max : INFINITY;
+    const double usable = design->has_transform ? design->settings.magnitude_max : INFINITY;
     double *out = core->sound;
     for (size_t frame = 0; frame < frames; frame++) {
         const double share = (first + (double)frame + 1.0) / call_frames;
@@ -60,7 +60,7 @@ void sound_scale(Core *core, CoreSound sound, size_t frames, double from, double
 void sound_mix(Core *core, CoreSound sound, size_t frames)
 {
     const size_t inputs = core->design.info.inputs, sources = core->design.info.vibrations;
-    const Settings *settings = &core->design.transform.settings;
+    const Settings *settings = &core->design.settings;
     double *mean = core->mixed + PIECE_FRAMES * sources, *side = mean + PIECE_FRAMES;
     for (size_t source = 0; source < sources; source++) {
         const double *in_mean = core->design.weights + 2 * source * inputs;

@@ -41,7 +41,7 @@ static size_t mix_bytes(const Core *core)
     return core->design.weights ? core->design.info.vibrations * sizeof(DownmixState) : 0;
 }
 
-static size_t voices_bytes(const Core *core)
+static size_t channels_bytes(const Core *core)
 {
     return core->design.has_transform ? core->live.state_length * sizeof(double) : 0;
 }
@@ -63,7 +63,7 @@ static Counters counters_of(const Core *core)
 
 size_t core_state(const Core *core, void *state, size_t room)
 {
-    const size_t numbers = voices_bytes(core), mixes = mix_bytes(core);
+    const size_t numbers = channels_bytes(core), mixes = mix_bytes(core);
     const size_t bytes = sizeof(Counters) + numbers + mixes + driven_bytes(core);
     const Counters counters = counters_of(core);
     char *place = state;
@@ -135,7 +135,7 @@ int core_set_state(Core *core, const void *state, size_t bytes)
     Counters counters;
     const Counters before = counters_of(core);
     const char *place = (const char *)state + sizeof counters;
-    const size_t numbers = voices_bytes(core), mixes = mix_bytes(core);
+    const size_t numbers = channels_bytes(core), mixes = mix_bytes(core);
     const int drives = core->design.info.actuators > 0;
     if (bytes != core_state(core, NULL, 0) || (drives && !is_driven(core, place + numbers + mixes))) {
         core_reset(core, 0);

@@ -1,7 +1,6 @@
 /* What is done to blocks of frames; device/blocks.py calls it by ctypes. */
 
-#ifndef DEVICE_BLOCKS_H
-#define DEVICE_BLOCKS_H
+#pragma once
 
 #include <stddef.h>
 #include <stdint.h>
@@ -34,10 +33,7 @@ static inline unsigned long long flush_tiny_numbers(void)
     return before;
 }
 
-static inline void usual_numbers(unsigned long long before)
-{
-    _mm_setcsr((unsigned int)before);
-}
+static inline void usual_numbers(unsigned long long before) { _mm_setcsr((unsigned int)before); }
 #elif defined(__aarch64__) && defined(__GNUC__)
 static inline unsigned long long flush_tiny_numbers(void)
 {
@@ -52,15 +48,9 @@ static inline void usual_numbers(unsigned long long before)
     __asm__ __volatile__("msr fpcr, %0" : : "r"(before));
 }
 #else
-static inline unsigned long long flush_tiny_numbers(void)
-{
-    return 0;
-}
+static inline unsigned long long flush_tiny_numbers(void) { return 0; }
 
-static inline void usual_numbers(unsigned long long before)
-{
-    (void)before;
-}
+static inline void usual_numbers(unsigned long long before) { (void)before; }
 #endif
 
 /* The largest magnitude; NaN if any sample is none. */
@@ -80,5 +70,3 @@ API const char *blocks_linear_motion(const View views[5], size_t start, size_t s
  * numbers: start, stop, length of the first block and of the others, model (0: the cheapest that suffices,
  * 1: linear, 2: non-linear). */
 API const char *blocks_move_rig(const View views[9], const size_t numbers[5]);
-
-#endif

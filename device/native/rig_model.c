@@ -186,7 +186,8 @@ static const char *misfit_of(const View *v, const size_t numbers[5])
         (double)v[STEPS].shape[0] != m->levels || !(m->first_level >= 0.0 && m->first_level < m->levels))
         return "steps: not (levels, 12)";
     const size_t n = v[MOVED].shape[0] == 5 ? 5 : 3;
-    if (v[BY_SAMPLE].len != n * (n + 2) * sizeof(double) || v[BY_COARSE].len != n * (n + 4) * sizeof(double) ||
+    if (v[BY_SAMPLE].len != n * (n + 2) * sizeof(double) ||
+        v[BY_COARSE].len != n * (n + 4) * sizeof(double) ||
         !(m->coarse >= 1.0 && m->coarse < 1e6 && at->since >= 0.0 && at->since < m->coarse))
         return "maps: for another number of states, or of no grid";
     const size_t reports = stop > start + first ? 2 + (stop - start - first - 1) / each : 1;

@@ -1,8 +1,7 @@
 /* The rig's two models: the linear one, exact, and Runge and Kutta's fourth order on the full equations.
  * rig/equations.py has the equations, rig/adaptive_actuator.py the numbers and tables. */
 
-#ifndef DEVICE_RIG_STEPS_H
-#define DEVICE_RIG_STEPS_H
+#pragma once
 
 #include <math.h>
 #include <stddef.h>
@@ -31,7 +30,7 @@ typedef struct {
 typedef struct {
     double s[MOST_STATES], volts, correction[MOST_STATES], residual[2], since;
     double is_linear; /* the flux is that of the linear model */
-    double failed_peak_y, blocks_to_skip; /* excursion of a block too loud for it; blocks until the next try */
+    double failed_peak_y, blocks_to_skip; /* excursion of a block too loud for it; until the next try */
     double unresolved; /* frames in which a stop was too hard for the shortest step */
 } State;
 
@@ -295,5 +294,3 @@ INLINE void run_linear(const int n, const Work *w, State *at, size_t start, size
     peaks[0] = peak_y;
     peaks[1] = peak_a;
 }
-
-#endif

@@ -6,7 +6,6 @@
 #include "analysis.h"
 #include "exact.h"
 #include "fft.h"
-#include "functions.h"
 
 enum { SPECTRA, TABLE, TURN, ROW, FOUND, ARRAYS };
 
@@ -46,29 +45,23 @@ static const char *misfit(const Py_buffer *views, Py_ssize_t bins, Py_ssize_t fi
     return NULL;
 }
 
-static Py_ssize_t found_in_rows(const Py_buffer *views, const PeakCriteria *criteria, double first_sample,
-                                double weakest, void *work)
+static Py_ssize_t found_in_rows(const Py_buffer *views, const Settings *settings, void *work)
 {
-    const double *turn = views[TURN].buf;
-    const Py_ssize_t turned = views[TURN].shape[1], pitch = views[FOUND].shape[1];
-    const Window window = {
-        .table = views[TABLE].buf,
-        .entries = (int32_t)views[TABLE].shape[0],
-        .cosine = turn,
-        .sine = turn + turned,
-        .low_bins = turned > NEIGHBOURS ? (int32_t)turned - NEIGHBOURS : 0,
-        .first_sample = first_sample,
-        .weakest = weakest,
-    };
+    const Py_ssize_t pitch = views[FOUND].shape[1];
+    double *real = (double *)((char *)work + analysis_work(settings->bins));
+    double *imaginary = real + settings->bins;
     int64_t *row_of = views[ROW].buf;
     Py_ssize_t total = 0;
     for (Py_ssize_t row = 0; row < views[SPECTRA].shape[0]; row++) {
-        const double *real = (double *)views[SPECTRA].buf + 2 * views[SPECTRA].shape[1] * row;
-        const Spectrum spectrum = {real, real + 1, 2};
+        const double *bins = (double *)views[SPECTRA].buf + 2 * views[SPECTRA].shape[1] * row;
+        for (size_t bin = 0; bin < settings->bins; bin++) {
+            real[bin] = bins[2 * bin];
+            imaginary[bin] = bins[2 * bin + 1];
+        }
         double *numbers = (double *)views[FOUND].buf + total;
         const Principals found = {numbers, numbers + pitch, numbers + 2 * pitch,
                                   numbers + 3 * pitch};
-        const int32_t count = find_principal(criteria, &window, spectrum, found, work);
+        const int32_t count = find_principal(settings, (Spectrum){real, imaginary}, found, work);
         for (int32_t one = 0; one < count; one++)
             row_of[total++] = row;
     }
@@ -95,23 +88,28 @@ static PyObject *find(PyObject *Py_UNUSED(module), PyObject *arguments)
     Py_ssize_t count = -1;
     if (open == ARRAYS) {
         const char *wrong = misfit(views, bins, first, last, most);
-        void *work = wrong ? NULL : PyMem_Malloc(analysis_work((size_t)bins));
-        const PeakCriteria criteria = {
-            .bins = (int32_t)bins,
-            .first = (int32_t)first,
-            .last = last < first ? 0 : (int32_t)last,
+        const size_t pairs = 2 * (size_t)bins * sizeof(double);
+        void *work = wrong ? NULL : PyMem_Malloc(analysis_work((size_t)bins) + pairs);
+        const Settings settings = {
+            .bins = (size_t)bins,
+            .first_bin = (size_t)first,
+            .last_bin = last < first ? 0 : (size_t)last,
             .bin_hz = bin_hz,
             .threshold_hz = threshold_hz,
             .peak_span_min = peak_span_min,
             .side_lobe = side_lobe,
-            .most = (int32_t)(most < bins ? most : bins),
+            .partials_max = (size_t)(most < bins ? most : bins),
+            .image_table = {views[TABLE].buf, (size_t)views[TABLE].shape[0]},
+            .image_turn = {views[TURN].buf, 2 * (size_t)views[TURN].shape[1]},
+            .image_first = first_sample,
+            .weakest_image = weakest,
         };
         if (wrong)
             PyErr_SetString(PyExc_ValueError, wrong);
         else if (!work)
             PyErr_NoMemory();
         else
-            count = found_in_rows(views, &criteria, first_sample, weakest, work);
+            count = found_in_rows(views, &settings, work);
         PyMem_Free(work);
     }
     while (open-- > 0)

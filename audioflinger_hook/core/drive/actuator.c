@@ -10,11 +10,6 @@
 #define DOSE_MAX 1e30 /* of what is no part of a dose */
 #define DAMAGED 1e6 /* a larger sample is damage, as is one that is not finite */
 
-size_t drive_latency_frames(const DriveDesign *design)
-{
-    return design->protection.models ? 2 * design->protection.frames : 0;
-}
-
 void history_add(History *history, const double *vibration, size_t frames)
 {
     for (size_t frame = 0; frame < frames; frame++) {
@@ -37,11 +32,6 @@ static size_t frames_in(double seconds, double samplerate)
 {
     const double frames = floor(seconds * samplerate + 0.5);
     return frames > 1.0 ? (size_t)frames : 1;
-}
-
-static void ramp_reset(Ramp *ramp, double value, size_t frames)
-{
-    *ramp = (Ramp){value, value, frames, frames};
 }
 
 static double ramp_now(const Ramp *ramp)
@@ -97,8 +87,10 @@ void actuator_begin(Actuator *a, TapPoint tap, double factor, int audible)
 {
     a->tap = a->next_tap = a->wanted_tap = tap;
     a->tap_fade_frames = a->tap_faded = frames_in(FADE_S, a->samplerate);
-    ramp_reset(&a->level, factor, a->tap_fade_frames);
-    ramp_reset(&a->audible, audible ? 1.0 : 0.0, frames_in(AUDIBLE_S, a->samplerate));
+    a->level = (Ramp){factor, factor, a->tap_fade_frames, a->tap_fade_frames};
+    const double open = audible ? 1.0 : 0.0;
+    const size_t frames = frames_in(AUDIBLE_S, a->samplerate);
+    a->audible = (Ramp){open, open, frames, frames};
 }
 
 void actuator_change(Actuator *a, TapPoint tap, double factor, int audible)
@@ -171,22 +163,9 @@ void actuator_report(const Actuator *a, ActuatorReadings *r)
     r->replaced = a->replaced;
     if (!a->protection)
         return;
-    const ProtectionReadings p = protection_readings(a->protection);
-    const DoseSums dose = exposure_dose(&a->exposure);
-    r->gain = p.gain;
-    r->least_gain = p.least_gain;
+    protection_report(a->protection, r);
     r->exposure_gain = a->exposure.gain;
-    r->excursion_m = p.excursion_m;
-    r->coil_c = a->design->protection.ambient_c + p.coil_k;
-    r->magnet_c = a->design->protection.ambient_c + p.magnet_k;
-    r->blocks = p.blocks;
-    r->limited_blocks = p.limited_blocks;
-    r->infeasible_blocks = p.infeasible_blocks;
-    r->limited_by = (uint64_t)p.limited_by;
-    r->time_s = dose.time_s;
-    r->squares = dose.squares;
-    r->fourths = dose.fourths;
-    r->above = dose.above;
+    r->dose = exposure_dose(&a->exposure);
     r->running_m_s2 = sqrt(larger(0.0, a->exposure.running));
     r->undamped_squares = a->undamped.sums.squares;
 }
@@ -201,8 +180,8 @@ void actuator_set_safety(Actuator *a, const ActuatorSafety *safety)
     const double ambient_c = a->design->protection.ambient_c;
     protection_set_temperatures(a->protection, safety->coil_c - ambient_c,
                                 safety->magnet_c - ambient_c);
-    const DoseSums sums = {usable_sum(safety->time_s), usable_sum(safety->squares),
-                           usable_sum(safety->fourths), usable_sum(safety->above)};
+    const CoreDose dose = safety->dose, sums = {usable_sum(dose.time_s), usable_sum(dose.squares),
+                                                usable_sum(dose.fourths), usable_sum(dose.above)};
     exposure_set_sums(&a->exposure, sums);
     if (a->design->damping_gain > 0.0)
         exposure_set_sums(&a->undamped, sums); /* the ratio begins at 1 */
@@ -210,7 +189,7 @@ void actuator_set_safety(Actuator *a, const ActuatorSafety *safety)
 
 void actuator_begin_day(Actuator *a)
 {
-    const DoseSums none = {0.0, 0.0, 0.0, 0.0};
+    const CoreDose none = {0.0, 0.0, 0.0, 0.0};
     if (!a->protection)
         return;
     exposure_set_sums(&a->exposure, none);

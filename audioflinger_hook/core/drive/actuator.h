@@ -1,12 +1,11 @@
 /* From vibration to the signal of one actuator: source and delay, level, damping, protection, exposure,
  * and the fade of what may be felt, in this order. */
 
-#ifndef CUSHION_ACTUATOR_H
-#define CUSHION_ACTUATOR_H
+#pragma once
 
 #include "../core.h"
+#include "../../transform/native/design_blob.h"
 #include "exposure.h"
-#include "../../transform/native/filter_cascade.h"
 #include "protection.h"
 
 /* What is done for one rig. */
@@ -18,7 +17,10 @@ typedef struct {
 } DriveDesign;
 
 /* Frames by which protection delays. */
-size_t drive_latency_frames(const DriveDesign *design);
+INLINED size_t drive_latency_frames(const DriveDesign *design)
+{
+    return design->protection.models ? 2 * design->protection.frames : 0;
+}
 
 /* The last frames of all sources, rounded: a ring of `frames` for each. */
 typedef struct {
@@ -77,4 +79,8 @@ void actuator_set_safety(Actuator *actuator, const ActuatorSafety *safety);
 /* Begin a new day's dose. */
 void actuator_begin_day(Actuator *actuator);
 
-#endif
+enum { DRIVES_MAX = CORE_ACTUATORS };
+
+/* Read the drive of this number. Return NULL, or what is wrong with it. Whatever the
+ * records hold, nothing beyond them is read later. */
+const char *drive_design_read(Records records, size_t number, DriveDesign *design);

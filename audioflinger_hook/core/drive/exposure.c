@@ -45,17 +45,17 @@ void exposure_reset(Exposure *e, int doses_too)
     e->until_reading = e->design->reading_frames;
     e->running = 0.0;
     if (doses_too)
-        exposure_set_sums(e, (DoseSums){0.0, 0.0, 0.0, 0.0});
+        exposure_set_sums(e, (CoreDose){0.0, 0.0, 0.0, 0.0});
 }
 
-DoseSums exposure_dose(const Exposure *e)
+CoreDose exposure_dose(const Exposure *e)
 {
-    DoseSums dose = e->sums;
+    CoreDose dose = e->sums;
     dose.time_s += (double)e->frames * e->design->period_s;
     return dose;
 }
 
-void exposure_set_sums(Exposure *e, DoseSums sums)
+void exposure_set_sums(Exposure *e, CoreDose sums)
 {
     e->sums = sums;
     e->frames = 0;

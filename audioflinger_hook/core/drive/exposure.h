@@ -1,14 +1,10 @@
 /* Exposure to one actuator's vibration (ISO 2631-1): the seat's acceleration that the drive causes,
  * weighted and added up over a day, and the gain that caps the dose. device/drive/exposure/ designs it. */
 
-#ifndef CUSHION_EXPOSURE_H
-#define CUSHION_EXPOSURE_H
+#pragma once
 
-#include <stddef.h>
-#include <stdint.h>
-
-#include "../../transform/native/arena.h"
-#include "../../transform/native/filter_cascade.h"
+#include "../../transform/native/filter.h"
+#include "../core.h"
 
 enum { DECIMATION_TAPS_MAX = 1024, MOTION_TAPS_MAX = 8 };
 
@@ -24,18 +20,13 @@ typedef struct {
     size_t reading_frames;       /* from one gain to the next */
 } ExposureDesign;
 
-/* Weighted acceleration of a day, integrated over time. */
-typedef struct {
-    double time_s, squares, fourths, above;
-} DoseSums;
-
 typedef struct {
     const ExposureDesign *design;
     double *past; /* the last decimation_taps of drive, a ring */
     size_t next, phase, until_reading;
     double recent[MOTION_TAPS_MAX];
     Cascade motion, weighting, above;
-    DoseSums sums;   /* its time_s: of before */
+    CoreDose sums;   /* its time_s: of before */
     uint64_t frames; /* of the decimated signal, since then */
     double running, gain;
 } Exposure;
@@ -50,9 +41,7 @@ void exposure_reset(Exposure *exposure, int doses_too);
 void exposure_step(Exposure *exposure, double sample);
 
 /* The dose of the day. */
-DoseSums exposure_dose(const Exposure *exposure);
+CoreDose exposure_dose(const Exposure *exposure);
 
 /* Continue a day with these sums. */
-void exposure_set_sums(Exposure *exposure, DoseSums sums);
-
-#endif
+void exposure_set_sums(Exposure *exposure, CoreDose sums);

@@ -6,11 +6,9 @@
  * after that. All of this is a + g b, so every frame bounds g. What the ungoverned models exceed the limits
  * by is the demand. */
 
-#ifndef CUSHION_GOVERNOR_H
-#define CUSHION_GOVERNOR_H
+#pragma once
 
-#include "lanes.h"
-#include "protection_design.h"
+#include "protection.h"
 
 /* A state of every model, or what lies at some frames of all of them. */
 typedef double *Column;
@@ -65,15 +63,13 @@ int governor_advance_unlimited(Governor *governor, double *mean_a2);
 
 /* Return the largest gain of the known block up to the requested one with which everything can still be
  * stopped. */
-GainDecision governor_decide(Governor *governor, double requested);
+GainDecision governor_decide(Governor *governor, double requested_gain);
 
 /* Advance by the known block with a gain, at most the decided one. */
 void governor_advance(Governor *governor, double gain);
 
 /* Let the coming block become the known one. */
-void governor_next(Governor *governor);
+INLINED void governor_next(Governor *g) { g->known = !g->known; }
 
 /* The amplitude in metres for which the energy of the rig as identified is enough. */
 double governor_excursion_m(const Governor *governor);
-
-#endif

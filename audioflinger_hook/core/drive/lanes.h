@@ -1,7 +1,6 @@
 /* Sums over several numbers side by side, with the same bits on every processor. */
 
-#ifndef CUSHION_LANES_H
-#define CUSHION_LANES_H
+#pragma once
 
 #include "../../transform/native/common.h"
 
@@ -58,31 +57,25 @@ INLINED double product(const double *one, const double *other, size_t count)
 
 enum { PARTS = 3 };
 
-/* out = the matrix (rows, states), stored by columns, times the state of each part. */
-INLINED void apply_to_parts(const double *matrix, size_t rows, size_t states,
-                            const double *const *state, double *const *out)
+/* out = the matrix (rows, states), stored by columns, times the state of each of up to PARTS parts. */
+INLINED void apply_to(size_t parts, const double *matrix, size_t rows, size_t states,
+                      const double *const *state, double *const *out)
 {
     for (size_t row = 0; row < rows; row += LANES) {
         Lanes sums[PARTS] = {{0.0}};
         for (size_t one = 0; one < states; one++) {
             const Lanes weights = CONST_LANES_AT(matrix + one * rows + row);
-            for (size_t part = 0; part < PARTS; part++)
+            for (size_t part = 0; part < parts; part++)
                 sums[part] += weights * state[part][one];
         }
-        for (size_t part = 0; part < PARTS; part++)
+        for (size_t part = 0; part < parts; part++)
             LANES_AT(out[part] + row) = sums[part];
     }
 }
 
-/* The same of one state. */
 INLINED void apply(const double *matrix, size_t rows, size_t states, const double *state, double *out)
 {
-    for (size_t row = 0; row < rows; row += LANES) {
-        Lanes sums = {0.0};
-        for (size_t one = 0; one < states; one++)
-            sums += CONST_LANES_AT(matrix + one * rows + row) * state[one];
-        LANES_AT(out + row) = sums;
-    }
+    apply_to(1, matrix, rows, states, &state, &out);
 }
 
 /* out += factor * more */
@@ -105,5 +98,3 @@ INLINED double largest(const double *numbers, size_t count)
         found = larger(most[lane], found);
     return found;
 }
-
-#endif

@@ -1,8 +1,6 @@
 /* Protection of one actuator: what its models allow, what is remembered of their demand, and the coil's
  * temperature. */
 
-#include "protection.h"
-
 #include "governor.h"
 
 #define CAUTION_MAX 2.0
@@ -164,12 +162,12 @@ static void advance_limited(Protection *p, double gain_ceiling)
     const double ceiling = gain_ceiling >= 0.0 ? smaller(gain_ceiling, 1.0) : 0.0;
     const double allowed_w = limits_heat(d) ? power_allowed_w(p) : INFINITY;
     const double thermal = p->wanted_w > allowed_w ? sqrt(allowed_w / p->wanted_w) : 1.0;
-    double requested = smaller(1.0, before + d->recovery);
-    requested = smaller(requested, 1.0 / larger(1.0, p->caution * p->demand));
-    requested = smaller(requested, smaller(ceiling, thermal));
-    const GainDecision found = governor_decide(&p->governor, requested);
+    double requested_gain = smaller(1.0, before + d->recovery);
+    requested_gain = smaller(requested_gain, 1.0 / larger(1.0, p->caution * p->demand));
+    requested_gain = smaller(requested_gain, smaller(ceiling, thermal));
+    const GainDecision found = governor_decide(&p->governor, requested_gain);
     remember(p, found.demand);
-    if (found.gain < requested)
+    if (found.gain < requested_gain)
         p->caution = smaller(CAUTION_MAX, d->caution * p->caution);
     /* The ceiling lowers what the limits allow: of a drive beyond them, it would lower nothing. */
     const double capped = ceiling / larger(1.0, p->demand);
@@ -221,19 +219,17 @@ double protection_step(Protection *p, double sample, double gain_ceiling)
     return leaves;
 }
 
-ProtectionReadings protection_readings(const Protection *p)
+void protection_report(const Protection *p, ActuatorReadings *readings)
 {
-    return (ProtectionReadings){
-        .gain = p->governor.gain,
-        .least_gain = p->least_gain,
-        .excursion_m = governor_excursion_m(&p->governor),
-        .coil_k = p->coil_k,
-        .magnet_k = p->magnet_k,
-        .blocks = p->count,
-        .limited_blocks = p->limited_blocks,
-        .infeasible_blocks = p->infeasible_blocks,
-        .limited_by = p->limited_by,
-    };
+    readings->gain = p->governor.gain;
+    readings->least_gain = p->least_gain;
+    readings->excursion_m = governor_excursion_m(&p->governor);
+    readings->coil_c = p->design->ambient_c + p->coil_k;
+    readings->magnet_c = p->design->ambient_c + p->magnet_k;
+    readings->blocks = p->count;
+    readings->limited_blocks = p->limited_blocks;
+    readings->infeasible_blocks = p->infeasible_blocks;
+    readings->limited_by = (uint64_t)p->limited_by;
 }
 
 void protection_set_temperatures(Protection *p, double coil_k, double magnet_k)

@@ -2,11 +2,13 @@
 
 #include "daemon_core.h"
 
+#include <fcntl.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-
-#include "design_file.h"
+#include <sys/mman.h>
+#include <sys/stat.h>
+#include <unistd.h>
 
 #define PIECE_FRAMES 1024
 
@@ -17,6 +19,29 @@ struct DaemonCore {
     int is_silent; /* the design cannot be used, or is for another samplerate: the daemon acts */
     float sound[PIECE_FRAMES * DAEMON_INPUTS], signals[PIECE_FRAMES * CORE_ACTUATORS];
 };
+
+/* The page that the environment names, NULL if it names none or nothing that fits. */
+static Page *page_open(void)
+{
+    const char *path = getenv("HAPTIC_CUSHION_PAGE");
+    struct stat facts;
+    if (!path || !*path)
+        return NULL;
+    const int file = open(path, O_RDWR | O_CLOEXEC);
+    if (file < 0)
+        return NULL;
+    Page *page = NULL;
+    if (!fstat(file, &facts) && facts.st_size == sizeof(Page)) {
+        void *place = mmap(NULL, sizeof(Page), PROT_READ | PROT_WRITE, MAP_SHARED, file, 0);
+        page = place == MAP_FAILED ? NULL : place;
+    }
+    close(file);
+    if (page && (page->magic != PAGE_MAGIC || page->size != sizeof(Page))) {
+        munmap(page, sizeof(Page));
+        return NULL;
+    }
+    return page;
+}
 
 /* Read the daemon's design. A host that runs at another rate than the daemon expected says so in the
  * page, and gets silence until the daemon has made a chain for its rate. With a design that cannot be
@@ -69,7 +94,8 @@ void daemon_core_close(DaemonCore *daemon)
     if (!daemon)
         return;
     core_unload(&daemon->loaded);
-    page_close(daemon->page);
+    if (daemon->page)
+        munmap(daemon->page, sizeof(Page));
     free(daemon);
 }
 

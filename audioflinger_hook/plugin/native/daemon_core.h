@@ -1,10 +1,8 @@
 /* The daemon's core: a tap's channels in, the signals of all actuators out, as the page says. */
 
-#ifndef CUSHION_DAEMON_CORE_H
-#define CUSHION_DAEMON_CORE_H
+#pragma once
 
-#include <stddef.h>
-
+#include "design_file.h"
 #include "page.h"
 
 enum { DAEMON_INPUTS = CORE_CHANNELS, DAEMON_OUTPUTS = 32 };
@@ -21,5 +19,3 @@ void daemon_core_reset(DaemonCore *daemon);
 /* Process any number of frames. Real-time safe. Ports that are not in use are ignored or silent. */
 void daemon_core_process(DaemonCore *daemon, float *const inputs[DAEMON_INPUTS],
                          float *const outputs[DAEMON_OUTPUTS], size_t frames);
-
-#endif

@@ -1,7 +1,6 @@
 /* Cores of design files. */
 
-#ifndef CUSHION_DESIGN_FILE_H
-#define CUSHION_DESIGN_FILE_H
+#pragma once
 
 #include "../../core/core.h"
 
@@ -21,5 +20,3 @@ const char *core_load(LoadedCore *loaded, const char *path);
 int core_find(LoadedCore *loaded, const char *profile, unsigned long samplerate);
 
 void core_unload(LoadedCore *loaded);
-
-#endif

@@ -14,6 +14,84 @@
 #define BYPASS_FADE_S 0.04
 #define FLOOR_DBFS (-150.0)
 #define DELAY_MAX_S 1.0
+#define DELAY_FADE_S 0.02
+
+/* --------------------------------------------------------------------------------- gain and delay */
+
+/* Reach a goal in so many frames from now, 1 at least. */
+static void fade_to(Fade *fade, double goal, size_t frames)
+{
+    if (goal == fade->goal)
+        return;
+    fade->goal = goal;
+    fade->step = (goal - fade->now) / (double)(frames ? frames : 1);
+}
+
+static double fade_step(Fade *fade)
+{
+    const double next = fade->now + fade->step;
+    const int past = fade->step > 0.0 ? next >= fade->goal : next <= fade->goal;
+    fade->now = past ? fade->goal : next;
+    return fade->now;
+}
+
+/* Multiply samples; a factor of exactly 1 leaves them as they are. smooth: between 0 and 1 without a bend
+ * at either end. */
+static void fade_apply(Fade *fade, float *samples, size_t count, int smooth)
+{
+    size_t at = 0;
+    for (; at < count && fade->now != fade->goal; at++) {
+        const double x = fade_step(fade);
+        samples[at] = (float)((smooth ? x * x * (3.0 - 2.0 * x) : x) * samples[at]);
+    }
+    if (fade->now != 1.0)
+        for (; at < count; at++)
+            samples[at] = (float)(fade->now * samples[at]);
+}
+
+/* Make a line of up to so many seconds; return 0 where memory is lacking. */
+static int delay_open(DelayLine *line, double longest_s, double samplerate)
+{
+    memset(line, 0, sizeof *line);
+    const double frames = longest_s * samplerate + 1.0;
+    for (line->capacity = 1; (double)line->capacity < frames;)
+        line->capacity *= 2;
+    line->fade_frames = (size_t)(DELAY_FADE_S * samplerate) + 1;
+    line->past = calloc(line->capacity, sizeof(float));
+    return line->past != NULL;
+}
+
+/* Forget the past, and take a delay at once. */
+static void delay_reset(DelayLine *line, size_t frames)
+{
+    memset(line->past, 0, line->capacity * sizeof(float));
+    line->next = line->fading = 0;
+    line->delay = line->before = frames < line->capacity ? frames : line->capacity - 1;
+}
+
+/* Delay samples in place, from now on by so many frames. */
+static void delay_process(DelayLine *line, float *samples, size_t count, size_t frames)
+{
+    const size_t mask = line->capacity - 1;
+    frames = frames < mask ? frames : mask;
+    for (size_t at = 0; at < count; at++) {
+        if (frames != line->delay && !line->fading) {
+            line->before = line->delay;
+            line->delay = frames;
+            line->fading = line->fade_frames;
+        }
+        line->past[line->next] = samples[at];
+        float sample = line->past[(line->next - line->delay) & mask];
+        if (line->fading) {
+            const float share = (float)line->fading-- / (float)line->fade_frames;
+            sample += share * (line->past[(line->next - line->before) & mask] - sample);
+        }
+        samples[at] = sample;
+        line->next = (line->next + 1) & mask;
+    }
+}
+
+/* ------------------------------------------------------------------------------------ the effect */
 
 Effect *effect_open(const char *profile, unsigned long samplerate)
 {
@@ -39,7 +117,7 @@ void effect_close(Effect *effect)
 {
     if (!effect)
         return;
-    delay_close(&effect->delay);
+    free(effect->delay.past);
     core_unload(&effect->loaded);
     free(effect);
 }
@@ -75,8 +153,8 @@ void effect_process(Effect *effect, EffectControls controls, const float *const 
         return;
     if (effect->fresh) {
         delay_reset(&effect->delay, delay);
-        fade_reset(&effect->gain, gain);
-        fade_reset(&effect->open, open);
+        effect->gain = (Fade){gain, gain, 0.0};
+        effect->open = (Fade){open, open, 0.0};
         effect->fresh = 0;
     }
     fade_to(&effect->gain, gain, frames);
@@ -91,9 +169,9 @@ void effect_process(Effect *effect, EffectControls controls, const float *const 
         const CoreSound sound = {effect->sound, EFFECT_CHANNELS * sizeof(float), sizeof(float), 0};
         core_process(effect->loaded.core, &effect->controls, sound, effect->vibration, part,
                      &effect->readings);
-        fade_apply(&effect->gain, effect->vibration, part);
+        fade_apply(&effect->gain, effect->vibration, part, 0);
         delay_process(&effect->delay, effect->vibration, part, delay);
-        fade_apply_smoothly(&effect->open, effect->vibration, part);
+        fade_apply(&effect->open, effect->vibration, part, 1);
         for (size_t output = 0; output < outputs_count; output++)
             if (outputs[output])
                 memcpy(outputs[output] + done, effect->vibration, part * sizeof(float));

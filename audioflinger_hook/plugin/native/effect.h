@@ -1,11 +1,24 @@
 /* The plugin as any host uses it: sound in, vibration out, with level, delay and bypass. */
 
-#ifndef CUSHION_EFFECT_H
-#define CUSHION_EFFECT_H
+#pragma once
 
-#include "delay_line.h"
 #include "design_file.h"
-#include "fade.h"
+
+/* A factor that moves to each new goal: in a straight line, or from 0 to 1 and back smoothly. */
+typedef struct {
+    double now, goal, step;
+} Fade;
+
+/* A delay of samples, changed without a click. */
+typedef struct {
+    float *past;     /* a ring */
+    size_t capacity; /* of the ring, a power of 2 */
+    size_t next;     /* where the next sample goes */
+    size_t delay;    /* frames */
+    size_t before;   /* the delay that is faded out */
+    size_t fading;   /* frames of the cross-fade that are left */
+    size_t fade_frames;
+} DelayLine;
 
 enum { EFFECT_CHANNELS = 2, EFFECT_PIECE_FRAMES = 1024 };
 
@@ -44,5 +57,3 @@ double effect_latency_frames(const Effect *effect);
 /* The peaks of sound and vibration in dBFS, -150 at least. */
 double effect_sound_dbfs(const Effect *effect);
 double effect_vibration_dbfs(const Effect *effect);
-
-#endif

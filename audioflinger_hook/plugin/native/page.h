@@ -3,8 +3,7 @@
  * The daemon names the file in HAPTIC_CUSHION_PAGE. Each value has one writer and is written at once,
  * so neither side waits for the other: controls are the daemon's, all else is the plugin's. */
 
-#ifndef CUSHION_PAGE_H
-#define CUSHION_PAGE_H
+#pragma once
 
 #include "../../core/core.h"
 
@@ -18,11 +17,3 @@ typedef struct {
     CoreControls controls;
     CoreReadings readings;
 } Page;
-
-/* The page that the environment names, NULL if it names none or nothing that fits. Each call maps it
- * anew. */
-Page *page_open(void);
-
-void page_close(Page *page);
-
-#endif

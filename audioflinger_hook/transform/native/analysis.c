@@ -11,10 +11,7 @@
 
 #include "analysis.h"
 
-#include "common.h"
 #include "exact.h"
-#include "peaks.h"
-#include "arena.h"
 
 /* Bins before the first and after the last that may be read: the first steps of a walk. */
 #define EDGE 3
@@ -43,19 +40,16 @@ static size_t layout_work(void *memory, size_t bins, Work *work)
 {
     const size_t most = bins / 2 + 1;
     Peaks *peaks = &work->peaks;
-    double **numbers[] = {
-        &peaks->before,       &peaks->top,        &peaks->after,      &peaks->offset,
-        &peaks->height,       &peaks->level,      &peaks->down.near,  &peaks->down.far,
-        &peaks->down.above,   &peaks->down.under, &peaks->down.bound, &peaks->up.near,
-        &peaks->up.far,       &peaks->up.above,   &peaks->up.under,   &peaks->up.bound,
-        &peaks->bandwidth_hz, &peaks->r,          &peaks->rank,       &peaks->bound,
-        &work->sorted,        &work->sorting,
-    };
+    double **numbers[] = {&peaks->before,       &peaks->top,  &peaks->after, &peaks->offset, &peaks->height,
+                          &peaks->level,        &peaks->r,    &peaks->rank,  &peaks->bound,
+                          &peaks->bandwidth_hz, &work->sorted, &work->sorting};
     int32_t **places[] = {&peaks->left, &peaks->bin, &peaks->right, &work->chosen.place};
     Arena arena = {memory, 0};
-    work->edges = arena_alloc(&arena, bins + 2 * EDGE, sizeof(double));
+    work->edges = arena_doubles(&arena, bins + 2 * EDGE);
+    arena_arrays(&arena, ARRAYS(peaks->down), most);
+    arena_arrays(&arena, ARRAYS(peaks->up), most);
     for (size_t which = 0; which < sizeof numbers / sizeof *numbers; which++)
-        *numbers[which] = arena_alloc(&arena, most, sizeof(double));
+        *numbers[which] = arena_doubles(&arena, most);
     for (size_t which = 0; which < sizeof places / sizeof *places; which++)
         *places[which] = arena_alloc(&arena, most, sizeof(int32_t));
     work->turns.bin = arena_alloc(&arena, bins + 1, sizeof(int32_t));
@@ -130,7 +124,7 @@ INLINED void bound_side(Side side, const double *restrict level, int32_t count)
 }
 
 /* Bound the r of all peaks from above; the bound is a number even where the amplitudes are none. */
-SIMD_CLONES static void bound(const PeakCriteria *criteria, Peaks *peaks)
+SIMD_CLONES static void bound(const Settings *s, Peaks *peaks)
 {
     bound_side(peaks->down, peaks->level, peaks->count);
     bound_side(peaks->up, peaks->level, peaks->count);
@@ -138,30 +132,30 @@ SIMD_CLONES static void bound(const PeakCriteria *criteria, Peaks *peaks)
     const double *restrict down = peaks->down.bound, *restrict up = peaks->up.bound;
     double *restrict bounds = peaks->bound;
     for (int32_t one = 0; one < peaks->count; one++) {
-        const double r = height[one] * ((down[one] + up[one]) * criteria->bin_hz) * SLACK;
+        const double r = height[one] * ((down[one] + up[one]) * s->bin_hz) * SLACK;
         bounds[one] = r > 0.0 ? r : 0.0;
     }
 }
 
 /* Measure a peak's r, unless that is done; return whether it is principal. */
-static int measure_peak(const PeakCriteria *criteria, Peaks *peaks, int32_t one)
+static int measure_peak(const Settings *s, Peaks *peaks, int32_t one)
 {
     if (peaks->r[one] < 0.0) {
         const double level = peaks->level[one];
         const double bins =
             side_on_bell(peaks->down, one, level) + side_on_bell(peaks->up, one, level);
-        peaks->bandwidth_hz[one] = bins * criteria->bin_hz;
+        peaks->bandwidth_hz[one] = bins * s->bin_hz;
         const double r = peaks->height[one] * peaks->bandwidth_hz[one];
         peaks->r[one] = r;
         peaks->rank[one] = r - r * (LOWER_FIRST * (double)peaks->bin[one]);
     }
-    return peaks->r[one] > criteria->threshold_hz;
+    return peaks->r[one] > s->threshold_hz;
 }
 
 /* ------------------------------------------------------------------------------------ selection */
 
 /* Choose those above a share of the highest principal one: the others may be its side lobes. */
-static void choose_no_side_lobes(const PeakCriteria *criteria, Peaks *peaks, Chosen *chosen)
+static void choose_no_side_lobes(const Settings *s, Peaks *peaks, Chosen *chosen)
 {
     double highest = 0.0;
     while (highest == 0.0) {
@@ -174,12 +168,12 @@ static void choose_no_side_lobes(const PeakCriteria *criteria, Peaks *peaks, Cho
             }
         if (which < 0)
             break;
-        if (measure_peak(criteria, peaks, which))
+        if (measure_peak(s, peaks, which))
             highest = height;
         else
             peaks->r[which] = 0.0;
     }
-    const double under = highest > 0.0 ? criteria->side_lobe * highest : INFINITY;
+    const double under = highest > 0.0 ? s->side_lobe * highest : INFINITY;
     int32_t count = 0;
     for (int32_t one = 0; one < peaks->count; one++) {
         chosen->place[count] = one;
@@ -227,24 +221,25 @@ SIMD_CLONES static int32_t few_largest(double *restrict numbers, int32_t count, 
 
 /* Of more than `most` rule out what cannot be among those with the largest r: first those that have
  * the largest bounds are measured, then it is known what the others must exceed. */
-static void rule_out(const PeakCriteria *criteria, Work *work)
+static void rule_out(const Settings *s, Work *work)
 {
+    const int32_t most = (int32_t)s->partials_max;
     Peaks *peaks = &work->peaks;
     Chosen *chosen = &work->chosen;
-    bound(criteria, peaks);
+    bound(s, peaks);
     for (int32_t one = 0; one < chosen->count; one++)
         work->sorting[one] = peaks->bound[chosen->place[one]];
-    const int32_t few = few_largest(work->sorting, chosen->count, criteria->most, work->sorted);
-    const double likely = nth_largest(work->sorting, few, criteria->most, work->sorted);
+    const int32_t few = few_largest(work->sorting, chosen->count, most, work->sorted);
+    const double likely = nth_largest(work->sorting, few, most, work->sorted);
     int32_t known = 0;
     for (int32_t one = 0; one < chosen->count; one++) {
         const int32_t place = chosen->place[one];
-        if (peaks->bound[place] >= likely && measure_peak(criteria, peaks, place))
+        if (peaks->bound[place] >= likely && measure_peak(s, peaks, place))
             work->sorting[known++] = peaks->rank[place];
     }
     /* What is not principal may stay for now. */
     const double least =
-        known < criteria->most ? 0.0 : nth_largest(work->sorting, known, criteria->most, work->sorted);
+        known < most ? 0.0 : nth_largest(work->sorting, known, most, work->sorted);
     int32_t count = 0;
     for (int32_t one = 0; one < chosen->count; one++) {
         const int32_t place = chosen->place[one];
@@ -255,24 +250,25 @@ static void rule_out(const PeakCriteria *criteria, Work *work)
 }
 
 /* Choose what is principal of the chosen, the `most` with the largest r. */
-static void choose_strongest(const PeakCriteria *criteria, Work *work)
+static void choose_strongest(const Settings *s, Work *work)
 {
+    const int32_t most = (int32_t)s->partials_max;
     Peaks *peaks = &work->peaks;
     Chosen *chosen = &work->chosen;
-    if (chosen->count > criteria->most)
-        rule_out(criteria, work);
+    if (chosen->count > most)
+        rule_out(s, work);
     int32_t count = 0;
     for (int32_t one = 0; one < chosen->count; one++)
-        if (measure_peak(criteria, peaks, chosen->place[one])) {
+        if (measure_peak(s, peaks, chosen->place[one])) {
             work->sorting[count] = peaks->rank[chosen->place[one]];
             chosen->place[count++] = chosen->place[one];
         }
     chosen->count = count;
-    if (count <= criteria->most)
+    if (count <= most)
         return;
-    const double least = nth_largest(work->sorting, count, criteria->most, work->sorted);
+    const double least = nth_largest(work->sorting, count, most, work->sorted);
     int32_t equals = 0;
-    while (equals < criteria->most && work->sorted[criteria->most - 1 - equals] == least)
+    while (equals < most && work->sorted[most - 1 - equals] == least)
         equals++;
     int32_t kept = 0;
     for (int32_t one = 0; one < count; one++) {
@@ -283,25 +279,25 @@ static void choose_strongest(const PeakCriteria *criteria, Work *work)
     chosen->count = kept;
 }
 
-int32_t find_principal(const PeakCriteria *criteria, const Window *window, Spectrum spectrum,
-                       Principals found, void *memory)
+int32_t find_principal(const Settings *s, Spectrum spectrum, Principals found, void *memory)
 {
+    const int32_t bins = (int32_t)s->bins;
     Work work;
-    layout_work(memory, (size_t)criteria->bins, &work);
+    layout_work(memory, s->bins, &work);
     double *amplitude = work.edges + EDGE;
     for (int32_t edge = 1; edge <= EDGE; edge++)
-        amplitude[-edge] = amplitude[criteria->bins - 1 + edge] = 0.0;
+        amplitude[-edge] = amplitude[bins - 1 + edge] = 0.0;
     Peaks *peaks = &work.peaks;
-    peaks_amplitudes(spectrum, amplitude, criteria->bins);
-    peaks_clear_images(window, spectrum, amplitude, peaks);
-    peaks_list(criteria, amplitude, work.turns, peaks);
+    peaks_amplitudes(spectrum, amplitude, bins);
+    peaks_clear_images(s, spectrum, amplitude, peaks);
+    peaks_list(s, amplitude, work.turns, peaks);
     peaks_refine(amplitude, peaks);
     find_steps(amplitude, peaks);
-    choose_no_side_lobes(criteria, peaks, &work.chosen);
-    choose_strongest(criteria, &work);
+    choose_no_side_lobes(s, peaks, &work.chosen);
+    choose_strongest(s, &work);
     for (int32_t one = 0; one < work.chosen.count; one++) {
         const int32_t place = work.chosen.place[one];
-        found.audio_hz[one] = ((double)peaks->bin[place] + peaks->offset[place]) * criteria->bin_hz;
+        found.audio_hz[one] = ((double)peaks->bin[place] + peaks->offset[place]) * s->bin_hz;
         found.amplitude[one] = peaks->height[place];
         found.bandwidth_hz[one] = peaks->bandwidth_hz[place];
         found.r[one] = peaks->r[place];

@@ -1,47 +1,12 @@
 /* The live form's analysis of one window: its spectrum in, principal frequencies out. */
 
-#ifndef CUSHION_ANALYSIS_H
-#define CUSHION_ANALYSIS_H
+#pragma once
 
-#include <stddef.h>
-#include <stdint.h>
+#include "settings.h"
 
-/* Bins to either side of a peak that are cleared of its image: its main lobe, and the half-power
- * walk on it. */
-#define NEIGHBOURS 7
-
-/* Peaks under this bin are cleared twice: the first time their images are looked up in a place that
- * those very images have moved. */
-#define TWICE_BELOW 20
-
-/* Entries of the window's table a bin: between them a straight line is within 0.2 % of a side
- * lobe. */
-#define TABLE_BINS_A_BIN 32
-
-/* The window's own spectrum, by which images are known. */
-typedef struct {
-    const double *table; /* real, 1 at 0, TABLE_BINS_A_BIN entries a bin; without the first sample, */
-    double first_sample; /* which is this share of the others' sum */
-    int32_t entries;
-    const double *cosine, *sine; /* of the turn of a bin's phase to the window's centre */
-    int32_t low_bins;            /* peaks under this bin are cleared */
-    double weakest;              /* peaks up to this amplitude are left alone, */
-    double weakest_share;        /* and those up to this share of the highest */
-} Window;
-
-/* What makes a peak principal, and which of them are kept. */
-typedef struct {
-    int32_t bins, first, last; /* bins looked at; the first and last on which a peak counts */
-    double bin_hz, threshold_hz;
-    double peak_span_min; /* amplitude times bins between valleys from which r can pass */
-    double side_lobe;     /* share of the highest amplitude that the others must exceed */
-    int32_t most;         /* of more than these the ones with the largest r stay */
-} PeakCriteria;
-
-/* Bins, real and imaginary parts, each `step` after the last. */
+/* Real and imaginary parts of bins. */
 typedef struct {
     const double *real, *imaginary;
-    int32_t step;
 } Spectrum;
 
 /* Principal frequencies, parallel arrays ascending in frequency. */
@@ -52,9 +17,48 @@ typedef struct {
 /* Bytes of work space for so many bins. */
 size_t analysis_work(size_t bins);
 
-/* Find what is principal in a spectrum; return how many, at most `criteria->most` or bins / 2.
+/* Find what is principal in a spectrum; return how many, at most partials_max or bins / 2.
  * found: room for as many. work: aligned as malloc does. */
-int32_t find_principal(const PeakCriteria *criteria, const Window *window, Spectrum spectrum,
-                       Principals found, void *work);
+int32_t find_principal(const Settings *settings, Spectrum spectrum, Principals found, void *work);
 
-#endif
+/* The bins beside a peak count as this share of it at least. Where the window's spectrum has a
+ * zero, A^0.2 would make 1e-3 of a rounding of 1e-16, and ln A even more. */
+#define FLOOR 1e-6
+
+/* Where the walk down one side of each peak falls under half power, parallel arrays. */
+typedef struct {
+    double *near, *far;    /* bins from the refined top to the bins before and after that step */
+    double *above, *under; /* amplitudes there, no less and no more than half power */
+    double *bound;         /* of the bins to half power, from above */
+} Side;
+
+/* Peaks, parallel arrays ascending in frequency; bins fit into 32 bits. */
+typedef struct {
+    int32_t count;
+    int32_t *left, *bin, *right;  /* the peak's bin and those of the valleys beside it */
+    double *before, *top, *after; /* amplitudes around it */
+    double *offset, *height;      /* of its refined top: bins from its own, and amplitude */
+    double *level;                /* of half power */
+    Side down, up;
+    double *bandwidth_hz, *r; /* r under 0 where it is not known yet */
+    double *rank;             /* by which the strongest are chosen: r, a little less higher up */
+    double *bound;            /* of both, from above */
+} Peaks;
+
+/* Where a spectrum turns from falling to rising, and back. */
+typedef struct {
+    int32_t *bin;    /* a valley, a peak, a valley ...; room for bins + 1 */
+    uint8_t *rising; /* for each bin, whether the next is higher; room for bins */
+} Turns;
+
+/* Write the amplitudes of so many bins. */
+void peaks_amplitudes(Spectrum spectrum, double *amplitude, int32_t bins);
+
+/* Clear the low amplitudes of what the images of strong peaks add; `peaks` is work space. */
+void peaks_clear_images(const Settings *settings, Spectrum spectrum, double *amplitude, Peaks *peaks);
+
+/* List the peaks of the band that can be principal: bins, and those of the valleys. */
+void peaks_list(const Settings *settings, const double *amplitude, Turns turns, Peaks *peaks);
+
+/* Set offset, height and level of all peaks. */
+void peaks_refine(const double *amplitude, Peaks *peaks);

@@ -1,7 +1,6 @@
 /* What all parts of the live form's kernel share. */
 
-#ifndef CUSHION_COMMON_H
-#define CUSHION_COMMON_H
+#pragma once
 
 #include <math.h>
 #include <stddef.h>
@@ -45,4 +44,54 @@ INLINED double larger(double one, double other) { return one > other ? one : oth
 
 INLINED double smaller(double one, double other) { return one < other ? one : other; }
 
+INLINED double clip(double number, double low, double high) { return larger(low, smaller(high, number)); }
+
+/* Added one after the other: the same bits everywhere. */
+INLINED double sum(const double *numbers, size_t count)
+{
+    double total = 0.0;
+    for (size_t one = 0; one < count; one++)
+        total += numbers[one];
+    return total;
+}
+
+#ifdef __SANITIZE_ADDRESS__
+#include <sanitizer/asan_interface.h>
+#define GAP 32
+#else
+#define GAP 0
+#define ASAN_POISON_MEMORY_REGION(place, bytes) ((void)0)
 #endif
+
+/* Without a base, the bytes are only counted. */
+typedef struct {
+    char *base;
+    size_t used;
+} Arena;
+
+/* Return room for `count` elements of `bytes` bytes, at a multiple of 16; NULL without a base. Under a
+ * sanitizer, a gap follows that nobody may touch. */
+INLINED void *arena_alloc(Arena *arena, size_t count, size_t bytes)
+{
+    const size_t size = (count * bytes + 15) / 16 * 16;
+    char *here = arena->base ? arena->base + arena->used : NULL;
+    if (here)
+        ASAN_POISON_MEMORY_REGION(here + size, GAP);
+    arena->used += size + GAP;
+    return here;
+}
+
+INLINED double *arena_doubles(Arena *arena, size_t count)
+{
+    return arena_alloc(arena, count, sizeof(double));
+}
+
+/* Where the arrays of a structure stand that consists of pointers to them, and how many they are. */
+#define ARRAYS(structure) ((double **)&(structure)), sizeof(structure) / sizeof(double *)
+
+/* Allocate arrays of `length` doubles each. */
+INLINED void arena_arrays(Arena *arena, double **arrays, size_t count, size_t length)
+{
+    for (size_t which = 0; which < count; which++)
+        arrays[which] = arena_doubles(arena, length);
+}

@@ -2,15 +2,12 @@
 
 #include "design_blob.h"
 
-#include "common.h"
-
 #define MAGIC "CUSHLIVE"
 #define FORMAT_VERSION 4
 #define HEADER_BYTES 24
 #define CHECKSUM_BYTES 8
 #define NAME_BYTES RECORD_NAME_BYTES
 #define RECORD_BYTES 48
-#define HIGHEST_RATE 768000
 
 enum { KIND_COUNT, KIND_NUMBER, KIND_ARRAY };
 
@@ -86,38 +83,24 @@ int record_table(Records records, const char *name, Table *table)
     return table->at != NULL;
 }
 
-static const char *read_settings(Records records, Settings *settings)
+const char *settings_read(Settings *settings, Records records)
 {
-#define ENTRY(name)                                                                                \
-    if (!record_count(records, #name, &settings->name))                                                \
-        return "it lacks the count " #name;
-    COUNTS(ENTRY)
-#undef ENTRY
-#define ENTRY(name)                                                                                \
-    if (!record_number(records, #name, &settings->name))                                               \
-        return "it lacks the number " #name;
-    NUMBERS(ENTRY)
-#undef ENTRY
-#define ENTRY(name)                                                                                \
-    if (!record_table(records, #name, &settings->name))                                                \
-        return "it lacks the table " #name;
-    TABLES(ENTRY)
-#undef ENTRY
+#define READ(kind, name)                                                                            \
+    if (!record_##kind(records, #name, &settings->name))                                            \
+        return "it lacks the " #kind " " #name;
+#define READ_COUNT(name) READ(count, name)
+#define READ_NUMBER(name) READ(number, name)
+#define READ_TABLE(name) READ(table, name)
+    COUNTS(READ_COUNT)
+    NUMBERS(READ_NUMBER)
+    TABLES(READ_TABLE)
     return settings_error(settings);
-}
-
-static int is_big_endian(void)
-{
-    const uint32_t one = 1;
-    char first;
-    memcpy(&first, &one, 1);
-    return first == 0;
 }
 
 const char *records_open(Records *records, void *bytes, size_t size)
 {
     const char *at = bytes;
-    if (is_big_endian())
+    if (__BYTE_ORDER__ != __ORDER_LITTLE_ENDIAN__)
         return "this processor is big-endian";
     if (size < HEADER_BYTES + CHECKSUM_BYTES || memcmp(at, MAGIC, 8))
         return "it is not a design";
@@ -134,13 +117,3 @@ const char *records_open(Records *records, void *bytes, size_t size)
     return NULL;
 }
 
-const char *design_open(Design *design, Records records)
-{
-    memset(design, 0, sizeof *design);
-    if (!record_count(records, "samplerate", &design->samplerate) || design->samplerate < 1 ||
-        design->samplerate > HIGHEST_RATE ||
-        !record_count(records, "latency_frames", &design->latency_frames) ||
-        !record_count(records, "tonal_latency_frames", &design->tonal_latency_frames))
-        return "it lacks samplerate, latency_frames or tonal_latency_frames";
-    return read_settings(records, &design->settings);
-}

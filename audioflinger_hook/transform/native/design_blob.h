@@ -1,9 +1,6 @@
 /* A design, read from the bytes that Python made (core/blob.py). */
 
-#ifndef CUSHION_DESIGN_BLOB_H
-#define CUSHION_DESIGN_BLOB_H
-
-#include <stddef.h>
+#pragma once
 
 #include "settings.h"
 
@@ -20,19 +17,13 @@ typedef struct {
  * whatever the bytes are, nothing beyond them is read. */
 const char *records_open(Records *records, void *bytes, size_t size);
 
+INLINED int is_within(size_t count, size_t least, size_t most) { return count >= least && count <= most; }
+
 /* Read a count, a number or a table; return 0 if there is no such record of this kind. */
 int record_count(Records records, const char *name, size_t *count);
 int record_number(Records records, const char *name, double *number);
 int record_table(Records records, const char *name, Table *table);
 
-/* The transform of a design. */
-typedef struct {
-    Settings settings; /* its tables lie in the bytes that were read */
-    size_t samplerate; /* Hz */
-    size_t latency_frames, tonal_latency_frames;
-} Design;
-
-/* Read a transform; return NULL, or what is wrong with it. All values are checked. */
-const char *design_open(Design *design, Records records);
-
-#endif
+/* Read the transform of a design, whose tables stay where they are; return NULL, or what is wrong with it.
+ * All values are checked. */
+const char *settings_read(Settings *settings, Records records);

@@ -2,8 +2,6 @@
 
 #include "downmix.h"
 
-#include "common.h"
-
 /* ------------------------------------------------------------------------------------- weights */
 
 /* The table holds one layout after another: the number of its channels, then both rows. */
@@ -146,14 +144,12 @@ void downmix_rest(const Settings *settings, DownmixState *powers, size_t frames)
 
 int downmix_is_possible(const DownmixState *powers)
 {
+    const double *numbers = (const double *)powers;
     const MixBalance *now = &powers->balance;
-    const double numbers[] = {now->mean, now->side, now->newest, now->start, now->end};
-    for (size_t which = 0; which < sizeof numbers / sizeof numbers[0]; which++)
-        if (!(isfinite(numbers[which]) && numbers[which] >= 0.0))
+    for (size_t which = 0; which < DOWNMIX_STATE_NUMBERS; which++)
+        if (!isfinite(numbers[which]))
             return 0;
-    for (size_t frame = 0; frame < GROUP; frame++)
-        if (!isfinite(powers->of_mean[frame]) || !isfinite(powers->of_side[frame]))
-            return 0;
-    return powers->frames >= 0.0 && powers->frames < GROUP &&
-           powers->frames == floor(powers->frames) && now->start <= 1.0 && now->end <= 1.0;
+    return now->mean >= 0.0 && now->side >= 0.0 && now->newest >= 0.0 && now->start >= 0.0 &&
+           now->start <= 1.0 && now->end >= 0.0 && now->end <= 1.0 && powers->frames >= 0.0 &&
+           powers->frames < GROUP && powers->frames == floor(powers->frames);
 }

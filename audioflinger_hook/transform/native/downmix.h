@@ -1,9 +1,6 @@
 /* The mono mix of a sound's channels, and the sum of powers where it cancels; as in downmix.py. */
 
-#ifndef CUSHION_DOWNMIX_H
-#define CUSHION_DOWNMIX_H
-
-#include <stddef.h>
+#pragma once
 
 #include "settings.h"
 
@@ -22,7 +19,6 @@ typedef struct {
     double frames, of_mean[MIX_GROUP], of_side[MIX_GROUP];
 } DownmixState;
 
-/* Numbers in it. */
 #define DOWNMIX_STATE_NUMBERS (sizeof(DownmixState) / sizeof(double))
 
 /* Return the weights of so many channels in the mean, then those in half the difference of the left
@@ -36,10 +32,8 @@ int downmix_is_table(Table table);
 void downmix_restore(const Settings *settings, DownmixState *powers, double *mono, const double *side,
                      size_t frames);
 
-/* Take note of so many frames of silence. */
+/* Take so many frames of silence. */
 void downmix_rest(const Settings *settings, DownmixState *powers, size_t frames);
 
 /* Whether the numbers are such as powers can be. */
 int downmix_is_possible(const DownmixState *powers);
-
-#endif

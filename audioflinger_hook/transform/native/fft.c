@@ -14,8 +14,6 @@
 
 #include "fft.h"
 
-#include "common.h"
-
 /* --------------------------------------------------------------------------------------- stages */
 
 /* Turned back by an angle: (real, imaginary) times (cosine, -sine). */
@@ -160,22 +158,6 @@ SIMD_CLONES static void pass_through(const FftStages *stages, Complexes *from, C
     }
 }
 
-/* The same for 120 complex numbers, those of the short window at 44.1 and 48 kHz. There loops are so
- * short that a quarter is won where the compiler knows how long they are and what is how far away. */
-SIMD_CLONES_NARROW static void pass_through_columns_of_10(const FftStages *stages, Complexes *from,
-                                                    Complexes *to)
-{
-    const double *twiddle = pass_once(3, 12, 10, stages->twiddles, from, to);
-    pass_once(4, 4, 30, twiddle, from, to);
-}
-
-SIMD_CLONES_NARROW static void pass_through_rows_of_12(const FftStages *stages, Complexes *from,
-                                                 Complexes *to)
-{
-    const double *twiddle = pass_once(5, 10, 12, stages->twiddles, from, to);
-    pass_once(2, 2, 60, twiddle, from, to);
-}
-
 /* Two numbers in one register. */
 typedef double Pair __attribute__((vector_size(2 * sizeof(double))));
 
@@ -233,10 +215,15 @@ SIMD_CLONES static void exchange(const Fft *fft, Complexes from, Complexes to)
         exchanged_one(fft->grid_turn, fft->columns.size, fft->rows.size, from, to);
 }
 
-/* The same of 12 rows and 10 columns. */
-SIMD_CLONES_NARROW static void exchanged_12_10(const Fft *fft, Complexes from, Complexes to)
+/* Leave the spectrum of 120 complex numbers, the short window's at 44.1 and 48 kHz, in `to`. There loops
+ * are so short that a quarter is won where the compiler knows how long they are and what is how far away. */
+SIMD_CLONES_NARROW static void transform_120(const Fft *fft, Complexes *from, Complexes *to)
 {
-    exchanged_one(fft->grid_turn, 12, 10, from, to);
+    const double *twiddle = pass_once(3, 12, 10, fft->columns.twiddles, from, to);
+    pass_once(4, 4, 30, twiddle, from, to);
+    exchanged_one(fft->grid_turn, 12, 10, *from, *to);
+    twiddle = pass_once(5, 10, 12, fft->rows.twiddles, to, from);
+    pass_once(2, 2, 60, twiddle, to, from);
 }
 
 /* ------------------------------------------------------------------------------ real to complex */
@@ -292,25 +279,25 @@ void fft_spectrum(const Fft *fft, const double *samples, size_t bins, double *re
 {
     const size_t size = fft->points * fft->lanes + FREE;
     Complexes one = {work, work + size}, other = {work + 2 * size, work + 3 * size};
-    const int few = fft->points == 120 && fft->lanes == 1;
     pair_samples(fft, samples, one);
-    if (few)
-        pass_through_columns_of_10(&fft->columns, &one, &other);
-    else
+    if (fft->points == 120 && fft->lanes == 1) {
+        transform_120(fft, &one, &other);
+    } else {
         pass_through(&fft->columns, &one, &other);
-    if (few)
-        exchanged_12_10(fft, one, other);
-    else
         exchange(fft, one, other);
-    if (few)
-        pass_through_rows_of_12(&fft->rows, &other, &one);
-    else
         pass_through(&fft->rows, &other, &one);
-    if (fft->halved)
+    }
+    if (fft->halved) {
         join_halves(fft, other, bins, real, imaginary);
-    else
-        for (size_t bin = 0; bin < bins; bin++) {
-            real[bin] = other.re[bin];
-            imaginary[bin] = other.im[bin];
-        }
+    } else {
+        memcpy(real, other.re, bins * sizeof(double));
+        memcpy(imaginary, other.im, bins * sizeof(double));
+    }
+}
+
+SIMD_CLONES void apply_window(const double *restrict samples, const double *restrict window,
+                              size_t count, double *restrict out)
+{
+    for (size_t one = 0; one < count; one++)
+        out[one] = samples[one] * window[one];
 }

@@ -1,11 +1,8 @@
 /* The spectrum of a window of real samples, which may be padded with as many zeros or more. */
 
-#ifndef CUSHION_FFT_H
-#define CUSHION_FFT_H
+#pragma once
 
-#include <stddef.h>
-
-#include "arena.h"
+#include "common.h"
 
 #define FACTORS_MAX 24
 
@@ -39,11 +36,12 @@ typedef struct {
 int fft_open(Fft *fft, size_t length, int padded, Arena *arena);
 
 /* Doubles of work space that `fft_spectrum` needs. */
-size_t fft_work(const Fft *fft);
+INLINED size_t fft_work(const Fft *fft) { return 4 * (fft->points * fft->lanes + FREE); }
 
 /* Write the first `bins` bins, real and imaginary parts. samples: `frames` of them, no more than
  * length / 2 other than 0 where it was said to be padded. bins: length / 2 + 1 at most. */
 void fft_spectrum(const Fft *fft, const double *samples, size_t bins, double *real,
                   double *imaginary, double *work);
 
-#endif
+/* Write `count` samples times those of a window. */
+void apply_window(const double *samples, const double *window, size_t count, double *out);

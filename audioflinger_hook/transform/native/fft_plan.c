@@ -1,7 +1,7 @@
 /* How a spectrum of one length is made: its division into factors, and the twiddle factors. */
 
-#include "common.h"
 #include "exact.h"
+
 #include "fft.h"
 
 /* The cosine and the sine of part/whole of a turn; exact where one of them is 0 or 1. */
@@ -114,4 +114,3 @@ int fft_open(Fft *fft, size_t length, int padded, Arena *arena)
     return 1;
 }
 
-size_t fft_work(const Fft *fft) { return 4 * (fft->points * fft->lanes + FREE); }

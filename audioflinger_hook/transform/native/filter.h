@@ -1,9 +1,7 @@
 /* A linear filter as one recursion, continued from block to block. */
 
-#ifndef CUSHION_FILTER_H
-#define CUSHION_FILTER_H
+#pragma once
 
-#include "common.h"
 #include "settings.h"
 
 /* The transposed direct form II, with the operations of scipy.signal.lfilter in the same order.
@@ -18,4 +16,37 @@ INLINED double filter_step(const double *b, const double *a, double *state, size
     return y;
 }
 
-#endif
+#define SECTION_NUMBERS 6
+#define SECTIONS_MAX 8
+#define DECAYED 1e-30 /* a smaller state is set to 0, before numbers become denormal and slow */
+
+typedef struct {
+    const double *sections;
+    size_t count;
+} CascadeDesign;
+
+typedef struct {
+    double state[SECTIONS_MAX][2];
+} Cascade;
+
+INLINED double cascade_step(Cascade *cascade, CascadeDesign design, double sample)
+{
+    for (size_t one = 0; one < design.count; one++) {
+        const double *section = design.sections + SECTION_NUMBERS * one;
+        double *state = cascade->state[one];
+        const double filtered = section[0] * sample + state[0];
+        state[0] = section[1] * sample - section[4] * filtered + state[1];
+        state[1] = section[2] * sample - section[5] * filtered;
+        sample = filtered;
+    }
+    return sample;
+}
+
+INLINED void cascade_drop_decayed(Cascade *cascade, CascadeDesign design)
+{
+    double most = 0.0;
+    for (size_t one = 0; one < design.count; one++)
+        most = larger(larger(fabs(cascade->state[one][0]), fabs(cascade->state[one][1])), most);
+    if (most < DECAYED)
+        memset(cascade, 0, sizeof *cascade);
+}

@@ -3,7 +3,6 @@
 
 #include "input_stage.h"
 
-#include "common.h"
 #include "filter.h"
 
 INLINED double sample_at(const char *place, int is_float)
@@ -96,22 +95,8 @@ INLINED double usable_at(const char *place, int is_float, double limit, size_t *
     return usable && fabs(sample) >= TINY ? sample : 0.0;
 }
 
-/* Channels are added one by one, then divided by their number: the same order for any block. */
-INLINED size_t mean(Sound sound, int is_float, double limit, size_t frames, double *restrict mono)
-{
-    const size_t channels = sound.channels;
-    size_t unusable = 0;
-    for (size_t frame = 0; frame < frames; frame++) {
-        const char *place = sound.at + (ptrdiff_t)frame * sound.frame_bytes;
-        double total = 0.0;
-        for (size_t channel = 0; channel < channels; channel++, place += sound.channel_bytes)
-            total += usable_at(place, is_float, limit, &unusable);
-        mono[frame] = channels == 1 ? total : total / (double)channels;
-    }
-    return unusable;
-}
-
-/* The same by weights. */
+/* Channels are added one by one, times their weights, or divided by their number: the same order for any
+ * block. */
 INLINED size_t mix(Sound sound, int is_float, const double *weights, double limit, size_t frames,
                    double *restrict mono, double *restrict side)
 {
@@ -122,11 +107,12 @@ INLINED size_t mix(Sound sound, int is_float, const double *weights, double limi
         double of_mean = 0.0, of_side = 0.0;
         for (size_t channel = 0; channel < channels; channel++, place += sound.channel_bytes) {
             const double sample = usable_at(place, is_float, limit, &unusable);
-            of_mean += sample * weights[channel];
-            of_side += sample * weights[channels + channel];
+            of_mean += weights ? sample * weights[channel] : sample;
+            of_side += weights ? sample * weights[channels + channel] : 0.0;
         }
-        mono[frame] = of_mean;
-        side[frame] = of_side;
+        mono[frame] = weights || channels == 1 ? of_mean : of_mean / (double)channels;
+        if (weights)
+            side[frame] = of_side;
     }
     return unusable;
 }
@@ -164,8 +150,8 @@ size_t input_mix(const Settings *settings, Sound sound, const double *weights, s
 {
     const double limit = settings->magnitude_max;
     if (!weights)
-        return sound.is_float ? mean(sound, 1, limit, frames, mono)
-                              : mean(sound, 0, limit, frames, mono);
+        return sound.is_float ? mix(sound, 1, NULL, limit, frames, mono, NULL)
+                              : mix(sound, 0, NULL, limit, frames, mono, NULL);
     if (is_usable_stereo(sound, frames, limit)) {
         /* The weights of stereo are halves: the same bits as theirs. */
         mix_pairs((const float *)sound.at, frames, mono, side);
@@ -200,8 +186,7 @@ double input_band_pass(const Settings *settings, double *state, double *mono, si
     return filter_band(settings, state, order, mono, frames);
 }
 
-double input_band_pass_silence(const Settings *settings, double *state, double *mono,
-                                size_t frames)
+double input_band_pass_silence(const Settings *settings, double *state, double *mono, size_t frames)
 {
     const size_t bytes = (settings->band_b.length - 1) * sizeof(double);
     double before[ORDER_MAX];

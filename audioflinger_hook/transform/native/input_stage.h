@@ -1,9 +1,6 @@
 /* What arrives, made safe, mixed and band-passed. */
 
-#ifndef CUSHION_INPUT_STAGE_H
-#define CUSHION_INPUT_STAGE_H
-
-#include <stddef.h>
+#pragma once
 
 #include "settings.h"
 
@@ -27,12 +24,8 @@ size_t input_silent_last(Sound sound, size_t frames);
 size_t input_mix(const Settings *settings, Sound sound, const double *weights, size_t frames,
                  double *mono, double *side);
 
-/* Band-pass so many frames in place; return the largest magnitude among them. state: as many as the
- * filter's order. */
+/* Band-pass frames in place; return the largest magnitude. state: as many as the filter's order. */
 double input_band_pass(const Settings *settings, double *state, double *mono, size_t frames);
 
 /* The same of so many frames of silence, one at least. */
-double input_band_pass_silence(const Settings *settings, double *state, double *mono,
-                                size_t frames);
-
-#endif
+double input_band_pass_silence(const Settings *settings, double *state, double *mono, size_t frames);

@@ -1,8 +1,7 @@
 /* How strong each partial of a hop is: the amplitude mapping, loudness, speech and the ceiling. */
 
-#include "levels.h"
+#include "live.h"
 
-#include "common.h"
 #include "scaling.h"
 
 /* Set the amplitudes of what was found: P_k r_k over that of a full-scale tone, or by
@@ -10,9 +9,7 @@
 static void strengthen(Live *live, size_t count)
 {
     const Settings *s = &live->settings;
-    double sum_r = 0.0;
-    for (size_t one = 0; one < count; one++)
-        sum_r += live->found.r[one];
+    const double sum_r = sum(live->found.r, count);
     for (size_t one = 0; one < count; one++) {
         const double r = live->found.r[one];
         live->amplitude[one] = s->energy_mapping ? sqrt(live->found.amplitude[one] * r / s->full_scale_r)
@@ -47,7 +44,6 @@ int levels_set(Live *live, Channel *channel, size_t count)
 {
     const Settings *s = &live->settings;
     const int followed = loudness_is_on(s), lowered = s->speech_db > 0.0;
-    double total = 0.0;
     strengthen(live, count);
     /* Before the amplitude mapping, so that what speech loses is not missing from the rest. */
     if (lowered) {
@@ -57,8 +53,7 @@ int levels_set(Live *live, Channel *channel, size_t count)
         if (followed && before > 0.0)
             channel->strength->speech_left = smaller(1.0, sqrt(felt_power(live, count) / before));
     }
-    for (size_t one = 0; one < count; one++)
-        total += live->amplitude[one];
+    const double total = sum(live->amplitude, count);
     const int limited = !followed && !(total <= s->ceiling);
     if (limited)
         for (size_t one = 0; one < count; one++)
@@ -69,13 +64,8 @@ int levels_set(Live *live, Channel *channel, size_t count)
 double levels_gain(const Live *live, double wanted, size_t count)
 {
     const Settings *s = &live->settings;
-    double total = 0.0;
-    for (size_t one = 0; one < count; one++)
-        total += live->amplitude[one];
-    const double power = felt_power(live, count);
-    if (!(power > 0.0))
-        return 0.0;
-    return smaller(smaller(s->gain_max, wanted / sqrt(power)), s->ceiling / total);
+    const double power = felt_power(live, count), total = sum(live->amplitude, count);
+    return power > 0.0 ? smaller(smaller(s->gain_max, wanted / sqrt(power)), s->ceiling / total) : 0.0;
 }
 
 double levels_left_by_law(const Live *live, size_t count)

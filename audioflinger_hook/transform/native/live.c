@@ -8,25 +8,17 @@
 
 #include "live.h"
 
-#include "common.h"
-#include "levels.h"
 #include "scaling.h"
 
 /* ------------------------------------------------------------------------------------- analysis */
 
-/* Put the window in order, the oldest frame first, and take it through the window function. */
-SIMD_CLONES static void apply_window(const Live *live, const Channel *channel, double *restrict samples)
+/* Copy the last `count` frames of a channel, in order, into live->newest. */
+static void copy_newest(const Live *live, const Channel *channel, size_t count)
 {
-    const size_t frames = live->settings.window_frames, first = frames - live->oldest;
-    const double *restrict window = live->settings.window.at;
-    const double *restrict past = channel->past + live->oldest;
-    for (size_t frame = 0; frame < first; frame++)
-        samples[frame] = past[frame] * window[frame];
-    past = channel->past;
-    window += first;
-    samples += first;
-    for (size_t frame = 0; frame < frames - first; frame++)
-        samples[frame] = past[frame] * window[frame];
+    const size_t frames = live->settings.window_frames, last = live->oldest ? live->oldest : frames;
+    const size_t wrapped = last < count ? count - last : 0, rest = count - wrapped;
+    memcpy(live->newest, channel->past + frames - wrapped, wrapped * sizeof(double));
+    memcpy(live->newest + wrapped, channel->past + last - rest, rest * sizeof(double));
 }
 
 /* Find the principal tones of the window; return how many, 0 where none vibrates. wanted: strength of
@@ -34,33 +26,13 @@ SIMD_CLONES static void apply_window(const Live *live, const Channel *channel, d
 static size_t analyse_window(Live *live, const Channel *channel, double wanted)
 {
     const Settings *s = &live->settings;
-    const PeakCriteria criteria = {
-        .bins = (int32_t)s->bins,
-        .first = (int32_t)s->first_bin,
-        .last = (int32_t)s->last_bin,
-        .bin_hz = s->bin_hz,
-        .threshold_hz = s->threshold_hz,
-        .peak_span_min = s->peak_span_min,
-        .side_lobe = s->side_lobe,
-        .most = (int32_t)s->partials_max,
-    };
-    const size_t turned = s->image_turn.length / 2;
-    const Window window = {
-        .table = s->image_table.at,
-        .entries = (int32_t)s->image_table.length,
-        .cosine = s->image_turn.at,
-        .sine = s->image_turn.at + turned,
-        .low_bins = turned > NEIGHBOURS ? (int32_t)turned - NEIGHBOURS : 0,
-        .first_sample = s->image_first,
-        .weakest = s->weakest_image,
-        .weakest_share = s->weakest_share,
-    };
-    const Spectrum spectrum = {live->real, live->imaginary, 1};
-    apply_window(live, channel, live->windowed);
+    copy_newest(live, channel, s->window_frames);
+    apply_window(live->newest, s->window.at, s->window_frames, live->windowed);
     fft_spectrum(&live->fft, live->windowed, s->bins, live->real, live->imaginary, live->fft_space);
     if (!(wanted > 0.0))
         return 0;
-    return (size_t)find_principal(&criteria, &window, spectrum, live->found, live->analysis_space);
+    const Spectrum spectrum = {live->real, live->imaginary};
+    return (size_t)find_principal(s, spectrum, live->found, live->analysis_space);
 }
 
 /* -------------------------------------------------------------------------------------- one hop */
@@ -97,11 +69,9 @@ static void follow(Live *live, Channel *channel, Glides *glides, double wanted, 
     if (levels_set(live, channel, count))
         live->limited += s->hop_frames;
     publish_partials(live, wanted, count);
-    double total = 0.0;
-    for (size_t one = 0; one < count; one++) {
-        total += live->amplitude[one];
+    const double total = sum(live->amplitude, count);
+    for (size_t one = 0; one < count; one++)
         live->amplitude[one] *= smoothing_gain(s, live->hz[one]);
-    }
     const Partials partials = {live->found.audio_hz, live->hz, live->amplitude, count};
     const double room = loudness_is_on(s) ? INFINITY : larger(0.0, s->ceiling - total);
     tracking_follow(s, &channel->slots, glides, partials, room, left, &channel->onsets,
@@ -148,8 +118,7 @@ static void end_hop(Live *live, Channel *channel, double wanted)
         oscillators_begin_hop(s, &channel->oscillators);
         return;
     }
-    const GlidePlace place = {number_of(live, channel), 0, tracking_slots(s), s->hop_frames};
-    glide_log_add_all(&live->log, place, glides);
+    glide_log_add_all(&live->log, glides, number_of(live, channel), 0, tracking_slots(s), s->hop_frames);
     synthesis_hop(s, glides, channel->hop_low_rate);
 }
 
@@ -159,15 +128,7 @@ static void end_hop(Live *live, Channel *channel, double wanted)
 static int find_onset(Live *live, const Channel *channel)
 {
     const Settings *s = &live->settings;
-    const size_t count = s->short_frames;
-    const size_t last = live->oldest ? live->oldest : s->window_frames;
-    if (last >= count) {
-        memcpy(live->newest, channel->past + last - count, count * sizeof(double));
-    } else {
-        const size_t wrapped = count - last;
-        memcpy(live->newest, channel->past + s->window_frames - wrapped, wrapped * sizeof(double));
-        memcpy(live->newest + wrapped, channel->past, last * sizeof(double));
-    }
+    copy_newest(live, channel, s->short_frames);
     return onsets_detect(s, &live->short_fft, &channel->onsets, live->newest, live->onset_space);
 }
 
@@ -178,8 +139,8 @@ static double find_strength(const Live *live, const Channel *channel)
     double excitation[BANDS_MAX];
     band_powers_update(s, &channel->powers, live->newest + (s->short_frames - s->tick_frames),
                      live->onset_space, excitation);
-    const Heard heard = loudness_of(s, excitation);
-    return strength_follow(s, channel->strength, &heard);
+    const Loudness loudness = loudness_of(s, excitation);
+    return strength_follow(s, channel->strength, &loudness);
 }
 
 /* Write the next tick at the low rate: all partials by their own amplitudes. */
@@ -189,9 +150,8 @@ static void play_levels(Live *live, const Channel *channel, int onset_sounds, in
     const double *hop = channel->hop_low_rate + (full ? 0 : (live->tick + 1) * s->tick_steps);
     memset(live->low_rate, 0, s->tick_steps * sizeof(double));
     if (onset_sounds) {
-        const GlidePlace place = {number_of(live, channel), tracking_slots(s),
-                                  s->onset_partials_max, s->tick_frames};
-        glide_log_add_all(&live->log, place, &live->onset_glides);
+        glide_log_add_all(&live->log, &live->onset_glides, number_of(live, channel), tracking_slots(s),
+                          s->onset_partials_max, s->tick_frames);
         synthesis_add_onsets(s, &live->onset_glides, live->low_rate);
     }
     for (size_t step = 0; step < s->tick_steps; step++)
@@ -234,7 +194,7 @@ static void advance(Live *live, Channel *channel)
         synthesis_play(s, live->low_rate, &channel->smoothing, channel->output_tick, live->synthesis_space);
         live->limited += synthesis_keep_below_full_scale(s, channel->output_tick);
     } else {
-        /* What sleeps is exactly 0 and forgets its ringing. */
+        /* What sleeps is exactly 0 and forgets its tail. */
         smoothing_reset(s, &channel->smoothing);
         memset(channel->output_tick, 0, s->tick_frames * sizeof(double));
     }
@@ -344,10 +304,10 @@ static void share_programme(Live *live)
     for (size_t which = 1; which < live->channels_count; which++)
         if (live->channels[which].strength->loud > loudest->loud)
             loudest = live->channels[which].strength;
-    const double programme = loudest->programme, heard = loudest->heard;
+    const double programme = loudest->programme, sound_ticks = loudest->sound_ticks;
     for (size_t which = 0; which < live->channels_count; which++) {
         live->channels[which].strength->programme = programme;
-        live->channels[which].strength->heard = heard;
+        live->channels[which].strength->sound_ticks = sound_ticks;
     }
 }
 

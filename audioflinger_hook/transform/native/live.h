@@ -1,26 +1,13 @@
 /* The live form of one stream: sound in, vibration out, a tick behind. */
 
-#ifndef CUSHION_LIVE_H
-#define CUSHION_LIVE_H
-
-#include <stddef.h>
-#include <stdint.h>
+#pragma once
 
 #include "analysis.h"
-#include "arena.h"
-#include "band_powers.h"
 #include "downmix.h"
-#include "fft.h"
-#include "glide_log.h"
-#include "onset_partials.h"
 #include "input_stage.h"
-#include "onsets.h"
+#include "onset_partials.h"
 #include "oscillators.h"
-#include "settings.h"
-#include "speech.h"
 #include "strength.h"
-#include "synthesis.h"
-#include "tracking.h"
 
 /* One channel of vibration. Everything in it is state, and lies in Live's `state`. */
 typedef struct {
@@ -28,8 +15,7 @@ typedef struct {
     double *past;   /* the last window_frames, a ring that begins at Live's `oldest` */
     double *peaks;  /* of the last hops_in_window, the one under way the last */
     double *output_tick; /* the tick that is being delivered */
-    double *hop_low_rate;    /* of the partials, at the low rate, of which that is a part; where loudness */
-                    /* is followed, `oscillators` has them instead */
+    double *hop_low_rate; /* partials at the low rate; where loudness is followed, `oscillators` has them */
     Onsets onsets;
     OnsetPartial *onset_partials;
     Slots slots;
@@ -51,11 +37,10 @@ typedef struct {
     double audio_hz[DISPLAY_PARTIALS_MAX], hz[DISPLAY_PARTIALS_MAX], amplitude[DISPLAY_PARTIALS_MAX];
 } DisplayPartials;
 
-/* A kernel: settings, work space, and the state of every channel. Nothing is allocated after
- * `live_open`. */
+/* Settings, work space, and the state of every channel. Nothing is allocated after `live_open`. */
 typedef struct {
     Settings settings;
-    size_t sound_channels, channels_count;
+    size_t channels_count;
     int per_channel; /* a vibration for each channel of sound, else one of their mix */
     Fft fft, short_fft;
     Channel *channels;
@@ -72,10 +57,8 @@ typedef struct {
     GlideLog log; /* no state: off until Python switches it on */
 
     double *mono, *side, *windowed, *real, *imaginary, *fft_space, *synthesis_space, *onset_space;
-    double *speech_space;
-    double *newest; /* the last short_frames, in order */
-    double *low_rate; /* the tick under way */
-    double *oscillator_space;
+    double *speech_space, *oscillator_space, *low_rate; /* low_rate: the tick under way */
+    double *newest; /* the last short_frames, or window_frames, in order */
     void *analysis_space, *tracking_space;
     Principals found;
     double *hz, *amplitude;
@@ -98,4 +81,12 @@ void live_process(Live *live, Sound sound, size_t frames, double *vibration);
 /* Whether what stands in `state`, `filled`, `tick`, `oldest` and `silent` can be gone on with. */
 int live_state_is_valid(const Live *live);
 
-#endif
+/* Set the amplitudes of what was found; return whether they were scaled down to the ceiling. Where loudness
+ * is followed only their proportion matters, and what speech loses is noted for the strength. */
+int levels_set(Live *live, Channel *channel, size_t count);
+
+/* The factor that makes amplitudes as strong as is wanted, as far as the ceiling allows. */
+double levels_gain(const Live *live, double wanted, size_t count);
+
+/* What the law leaves of the level of what was found, 1 of one tone. */
+double levels_left_by_law(const Live *live, size_t count);

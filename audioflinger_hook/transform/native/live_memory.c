@@ -2,157 +2,113 @@
 
 #include "live.h"
 
-#include "common.h"
-
-#define SLOT_NUMBERS 11
 #define ONSET_PARTIAL_NUMBERS (sizeof(OnsetPartial) / sizeof(double))
-#define GLIDE_NUMBERS 5
-#define FOUND_NUMBERS 4
 
-/* Take the next numbers of the state, which is one piece, so that it can be kept and returned to. */
-static double *next_state(double **next, size_t count)
+/* The state, which is one piece, so that it can be kept and returned to; without memory, only counted. */
+typedef struct {
+    double *at;
+    size_t used;
+} State;
+
+static double *next_state(State *state, size_t count)
 {
-    double *here = *next;
-    *next += count;
-    return here;
+    state->used += count;
+    return state->at ? state->at + state->used - count : NULL;
 }
 
-static double *numbers(Arena *arena, size_t count)
+static void next_states(State *state, double **arrays, size_t arrays_count, size_t count)
 {
-    return arena_alloc(arena, count, sizeof(double));
+    for (size_t which = 0; which < arrays_count; which++)
+        arrays[which] = next_state(state, count);
 }
 
-static size_t onset_numbers(const Settings *s)
+/* Lay out what is remembered only where loudness is followed. */
+static void layout_followed(const Settings *s, Channel *channel, State *state)
+{
+    channel->powers.low = (LowBands *)next_state(state, LOW_STATES);
+    channel->powers.recent = next_state(state, (s->average_ticks - 1) * s->high_weights.length);
+    channel->strength = (Strength *)next_state(state, STRENGTH_STATES);
+    channel->oscillators.drive = (Drive *)next_state(state, DRIVE_STATES);
+    next_states(state, ARRAYS(channel->oscillators.hop), tracking_slots(s));
+}
+
+static void layout_channel(const Settings *s, Channel *channel, State *state)
 {
     const size_t bands = onsets_bands(s);
-    return s->short_ticks + (s->back_ticks + 2) * bands + s->short_bins + 3;
-}
-
-static size_t older_powers(const Settings *s) { return (s->average_ticks - 1) * band_powers_high(s); }
-
-/* What is remembered only where loudness is followed. */
-static size_t followed_numbers(const Settings *s)
-{
-    return LOW_STATES + older_powers(s) + STRENGTH_STATES + DRIVE_STATES + GLIDE_NUMBERS * tracking_slots(s);
-}
-
-static size_t channel_numbers(const Settings *s)
-{
-    return s->band_b.length - 1 + s->window_frames + s->hops_in_window + s->tick_frames +
-           onset_numbers(s) + ONSET_PARTIAL_NUMBERS * s->onset_partials_max +
-           SLOT_NUMBERS * tracking_slots(s) + SPEECH_STATES + smoothing_states(s) + smoothing_tail(s) + 3 +
-           (loudness_is_on(s) ? followed_numbers(s) : s->steps);
-}
-
-static void layout_followed(const Settings *s, Channel *channel, double **next)
-{
-    Glides *hop = &channel->oscillators.hop;
-    double **of_hop[GLIDE_NUMBERS] = {&hop->start_hz, &hop->end_hz, &hop->start_amplitude,
-                                      &hop->end_amplitude, &hop->start_phase};
-    channel->powers.low = (LowBands *)next_state(next, LOW_STATES);
-    channel->powers.recent = next_state(next, older_powers(s));
-    channel->strength = (Strength *)next_state(next, STRENGTH_STATES);
-    channel->oscillators.drive = (Drive *)next_state(next, DRIVE_STATES);
-    for (size_t which = 0; which < GLIDE_NUMBERS; which++)
-        *of_hop[which] = next_state(next, tracking_slots(s));
-}
-
-static void layout_channel(const Settings *s, Channel *channel, double **next)
-{
-    const size_t slots = tracking_slots(s), bands = onsets_bands(s);
-    channel->band = next_state(next, s->band_b.length - 1);
-    channel->past = next_state(next, s->window_frames);
-    channel->peaks = next_state(next, s->hops_in_window);
-    channel->output_tick = next_state(next, s->tick_frames);
-    channel->onsets.peaks = next_state(next, s->short_ticks);
-    channel->onsets.past = next_state(next, s->back_ticks * bands);
-    channel->onsets.highest = next_state(next, bands);
-    channel->onsets.rising = next_state(next, bands);
-    channel->onsets.power = next_state(next, s->short_bins);
-    channel->onsets.since = next_state(next, 1);
-    channel->onsets.newest = next_state(next, 1);
-    channel->onsets.peak = next_state(next, 1);
-    channel->onset_partials = (OnsetPartial *)next_state(next, ONSET_PARTIAL_NUMBERS * s->onset_partials_max);
-    double **of_slots[SLOT_NUMBERS] = {
-        &channel->slots.hz,            &channel->slots.amplitude,  &channel->slots.phase,
-        &channel->slots.alive,         &channel->slots.held_first, &channel->slots.held_last,
-        &channel->slots.held_loudness, &channel->slots.held_hops,  &channel->slots.held_amplitude,
-        &channel->slots.held_weight,   &channel->slots.lacking,
-    };
-    for (size_t which = 0; which < SLOT_NUMBERS; which++)
-        *of_slots[which] = next_state(next, slots);
-    channel->slots.start_sum = next_state(next, 1);
-    channel->begun = next_state(next, 1);
-    channel->smoothing.state = next_state(next, smoothing_states(s));
-    channel->smoothing.tail = next_state(next, smoothing_tail(s));
-    channel->tail = next_state(next, 1);
-    channel->speech = (Speech *)next_state(next, SPEECH_STATES);
+    channel->band = next_state(state, s->band_b.length - 1);
+    channel->past = next_state(state, s->window_frames);
+    channel->peaks = next_state(state, s->hops_in_window);
+    channel->output_tick = next_state(state, s->tick_frames);
+    channel->onsets.peaks = next_state(state, s->short_ticks);
+    channel->onsets.past = next_state(state, s->back_ticks * bands);
+    channel->onsets.highest = next_state(state, bands);
+    channel->onsets.rising = next_state(state, bands);
+    channel->onsets.power = next_state(state, s->short_bins);
+    channel->onsets.since = next_state(state, 1);
+    channel->onsets.newest = next_state(state, 1);
+    channel->onsets.peak = next_state(state, 1);
+    channel->onset_partials =
+        (OnsetPartial *)next_state(state, ONSET_PARTIAL_NUMBERS * s->onset_partials_max);
+    next_states(state, (double **)&channel->slots, SLOT_ARRAYS, tracking_slots(s));
+    channel->slots.start_sum = next_state(state, 1);
+    channel->begun = next_state(state, 1);
+    channel->smoothing.state = next_state(state, smoothing_states(s));
+    channel->smoothing.tail = next_state(state, smoothing_tail(s));
+    channel->tail = next_state(state, 1);
+    channel->speech = (Speech *)next_state(state, SPEECH_STATES);
     if (loudness_is_on(s))
-        layout_followed(s, channel, next);
+        layout_followed(s, channel, state);
     else
-        channel->hop_low_rate = next_state(next, s->steps);
+        channel->hop_low_rate = next_state(state, s->steps);
 }
 
-/* Lay out the work space. */
 static void layout_work(Live *live, Arena *arena)
 {
     const Settings *s = &live->settings;
-    const size_t slots = tracking_slots(s);
-    live->mono = numbers(arena, s->tick_frames);
-    live->side = numbers(arena, s->tick_frames);
-    live->newest = numbers(arena, s->short_frames);
-    live->onset_space = numbers(arena, onsets_work(s, &live->short_fft));
-    live->windowed = numbers(arena, live->fft.frames);
-    live->real = numbers(arena, s->bins);
-    live->imaginary = numbers(arena, s->bins);
-    live->fft_space = numbers(arena, fft_work(&live->fft));
+    live->mono = arena_doubles(arena, s->tick_frames);
+    live->side = arena_doubles(arena, s->tick_frames);
+    live->newest = arena_doubles(arena, s->window_frames);
+    live->onset_space = arena_doubles(arena, onsets_work(s, &live->short_fft));
+    live->windowed = arena_doubles(arena, live->fft.frames);
+    live->real = arena_doubles(arena, s->bins);
+    live->imaginary = arena_doubles(arena, s->bins);
+    live->fft_space = arena_doubles(arena, fft_work(&live->fft));
     live->tracking_space = arena_alloc(arena, tracking_work(s), 1);
-    live->synthesis_space = numbers(arena, synthesis_work(s));
-    live->low_rate = numbers(arena, s->tick_steps);
-    live->oscillator_space = numbers(arena, oscillators_work(s));
-    live->speech_space = numbers(arena, speech_work(s));
+    live->synthesis_space = arena_doubles(arena, synthesis_work(s));
+    live->low_rate = arena_doubles(arena, s->tick_steps);
+    live->oscillator_space = arena_doubles(arena, oscillators_work(s));
+    live->speech_space = arena_doubles(arena, speech_work(s));
     live->analysis_space = arena_alloc(arena, analysis_work(s->bins), 1);
-    double **found[FOUND_NUMBERS] = {&live->found.audio_hz, &live->found.amplitude,
-                                     &live->found.bandwidth_hz, &live->found.r};
-    for (size_t which = 0; which < FOUND_NUMBERS; which++)
-        *found[which] = numbers(arena, s->partials_max);
-    live->hz = numbers(arena, s->partials_max);
-    live->amplitude = numbers(arena, s->partials_max);
-    double **glides[GLIDE_NUMBERS] = {&live->glides.start_hz, &live->glides.end_hz,
-                                      &live->glides.start_amplitude, &live->glides.end_amplitude,
-                                      &live->glides.start_phase};
-    for (size_t which = 0; which < GLIDE_NUMBERS; which++)
-        *glides[which] = numbers(arena, slots);
-    double **onset_glides[GLIDE_NUMBERS] = {
-        &live->onset_glides.start_hz,      &live->onset_glides.end_hz,
-        &live->onset_glides.start_amplitude, &live->onset_glides.end_amplitude,
-        &live->onset_glides.start_phase,
-    };
-    for (size_t which = 0; which < GLIDE_NUMBERS; which++)
-        *onset_glides[which] = numbers(arena, s->onset_partials_max);
+    arena_arrays(arena, ARRAYS(live->found), s->partials_max);
+    live->hz = arena_doubles(arena, s->partials_max);
+    live->amplitude = arena_doubles(arena, s->partials_max);
+    arena_arrays(arena, ARRAYS(live->glides), tracking_slots(s));
+    arena_arrays(arena, ARRAYS(live->onset_glides), s->onset_partials_max);
 }
 
 int live_open(Live *live, const Settings *settings, size_t channels, int per_channel, Arena *arena)
 {
+    Channel counted;
+    State state = {NULL, 0};
     memset(live, 0, sizeof *live);
     live->settings = *settings;
-    live->sound_channels = channels;
     live->per_channel = per_channel;
     live->channels_count = per_channel ? channels : 1;
     live->mix_weights = per_channel ? NULL : downmix_weights(&live->settings, channels);
-    live->state_length = live->channels_count * channel_numbers(settings) + DOWNMIX_STATE_NUMBERS;
+    layout_channel(settings, &counted, &state);
+    live->state_length = live->channels_count * state.used + DOWNMIX_STATE_NUMBERS;
     if (!fft_open(&live->fft, settings->fft_length, 1, arena) ||
         !fft_open(&live->short_fft, settings->short_length, 0, arena))
         return 0;
     live->channels = arena_alloc(arena, live->channels_count, sizeof(Channel));
-    live->state = numbers(arena, live->state_length);
+    live->state = arena_doubles(arena, live->state_length);
     layout_work(live, arena);
     if (!live->state)
         return 1;
-    double *next = live->state;
+    state = (State){live->state, 0};
     for (size_t channel = 0; channel < live->channels_count; channel++)
-        layout_channel(settings, &live->channels[channel], &next);
-    live->downmix_state = (DownmixState *)next_state(&next, DOWNMIX_STATE_NUMBERS);
+        layout_channel(settings, &live->channels[channel], &state);
+    live->downmix_state = (DownmixState *)next_state(&state, DOWNMIX_STATE_NUMBERS);
     live_reset(live);
     return 1;
 }

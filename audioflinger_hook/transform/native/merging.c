@@ -1,6 +1,6 @@
 /* Partials that a body cannot tell apart become one. */
 
-#include "merging.h"
+#include "tracking.h"
 
 #include "scaling.h"
 
@@ -83,10 +83,10 @@ Partials merging_merge(const Settings *s, Merging *merging, size_t sounding, Par
     const size_t centres = gather(s, merging, sounding, partials);
     const size_t count = join(s, groups, sort(groups, centres));
     for (size_t one = 0; one < count; one++) {
-        merging->hz[one] = group_hz(&groups[one]);
-        merging->audio_hz[one] = audio_hz(s, merging->hz[one]);
-        merging->amplitude[one] = sqrt(groups[one].power);
-        merging->dominance[one] = groups[one].strongest / groups[one].power;
+        merging->merged.hz[one] = group_hz(&groups[one]);
+        merging->merged.audio_hz[one] = audio_hz(s, merging->merged.hz[one]);
+        merging->merged.amplitude[one] = sqrt(groups[one].power);
+        merging->merged.dominance[one] = groups[one].strongest / groups[one].power;
     }
-    return (Partials){merging->audio_hz, merging->hz, merging->amplitude, count};
+    return (Partials){merging->merged.audio_hz, merging->merged.hz, merging->merged.amplitude, count};
 }

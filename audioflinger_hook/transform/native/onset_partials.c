@@ -1,8 +1,5 @@
-/* Onset partials: they are born of an onset and play until the analysis knows what has begun. */
-
 #include "onset_partials.h"
 
-#include "common.h"
 #include "loudness.h"
 #include "scaling.h"
 #include "synthesis.h"
@@ -17,25 +14,18 @@ int onset_partials_sounds(const Settings *settings, const OnsetPartial *partials
 
 static Group group_of(const OnsetPartial *one)
 {
-    const Group group = {(size_t)one->first_band, (size_t)one->last_band};
-    return group;
+    return (Group){(size_t)one->first_band, (size_t)one->last_band};
 }
 
-/* Frequency, weight and amplitude of an onset. */
-typedef struct {
-    double hz, weight, amplitude;
-} Estimate;
-
-static Estimate estimate(const Settings *s, OnsetSources sources, Group group)
+static OnsetTone estimate(const Settings *s, OnsetSources sources, Group group)
 {
-    const OnsetTone told = onsets_estimate(s, sources.onsets, group);
-    const double level = onsets_level(sources.onsets);
-    double amplitude = told.weight * level;
+    OnsetTone tone = onsets_estimate(s, sources.onsets, group);
     if (loudness_is_on(s))
-        amplitude *= tilt(s, told.hz);
+        tone.amplitude *= tilt(s, tone.hz);
     if (s->speech_db > 0.0)
-        amplitude *= speech_coarse_gain(s, sources.speech, audio_hz(s, told.hz));
-    return (Estimate){told.hz, told.weight, amplitude * smoothing_gain(s, told.hz)};
+        tone.amplitude *= speech_coarse_gain(s, sources.speech, audio_hz(s, tone.hz));
+    tone.amplitude *= smoothing_gain(s, tone.hz);
+    return tone;
 }
 
 /* What all sums of amplitudes leave under the ceiling; where loudness is followed, that is for the
@@ -44,10 +34,10 @@ static double room(const Settings *settings, const OnsetPartial *partials, const
 {
     if (loudness_is_on(settings))
         return INFINITY;
-    double taken = 0.0;
+    double goals = 0.0;
     for (size_t slot = 0; slot < settings->onset_partials_max; slot++)
-        taken += partials[slot].sounds != 0.0 ? partials[slot].goal : 0.0;
-    return larger(0.0, settings->ceiling - (tracking_loudest_sum(settings, slots) + taken));
+        goals += partials[slot].sounds != 0.0 ? partials[slot].goal : 0.0;
+    return larger(0.0, settings->ceiling - (tracking_loudest_sum(settings, slots) + goals));
 }
 
 static double sounding_near(const Settings *settings, const OnsetPartial *partials, double hz)
@@ -58,23 +48,6 @@ static double sounding_near(const Settings *settings, const OnsetPartial *partia
         if (partials[slot].sounds != 0.0 && fabs(partials[slot].hz - hz) < near_hz)
             base += partials[slot].goal;
     return base;
-}
-
-/* Return the first slot of a young one, or the count where there is none. */
-static size_t young_one(const Settings *s, const OnsetPartial *partials, const int *young)
-{
-    size_t slot = 0;
-    while (slot < s->onset_partials_max && !(partials[slot].sounds != 0.0 && young[slot]))
-        slot++;
-    return slot;
-}
-
-static size_t free_one(const Settings *s, const OnsetPartial *partials)
-{
-    size_t slot = 0;
-    while (slot < s->onset_partials_max && partials[slot].sounds != 0.0)
-        slot++;
-    return slot;
 }
 
 void onset_partials_start(const Settings *s, OnsetPartial *partials, OnsetSources sources,
@@ -89,18 +62,21 @@ void onset_partials_start(const Settings *s, OnsetPartial *partials, OnsetSource
             partials[slot].goal = 0.0;
     }
     for (size_t which = 0; which < count; which++) {
-        const Estimate found = estimate(s, sources, groups[which]);
+        const OnsetTone found = estimate(s, sources, groups[which]);
         const double base = tracking_sounding_near(s, slots, found.hz) +
                             sounding_near(s, partials, found.hz);
         const double lacking = smaller(found.amplitude - base, room(s, partials, slots));
         if (!(lacking > s->min_gain_share * found.amplitude))
             continue;
-        size_t slot = young_one(s, partials, young);
+        size_t slot = 0;
+        while (slot < s->onset_partials_max && !young[slot])
+            slot++;
         if (slot < s->onset_partials_max) {
             young[slot] = 0;
             partials[slot].age = 1.0;
         } else {
-            slot = free_one(s, partials);
+            for (slot = 0; slot < s->onset_partials_max && partials[slot].sounds != 0.0;)
+                slot++;
             if (slot == s->onset_partials_max)
                 break;
             partials[slot] = (OnsetPartial){.sounds = 1.0, .hz = found.hz, .phase = s->start_phase};
@@ -125,7 +101,7 @@ static double follow(const Settings *s, OnsetPartial *partials, OnsetPartial *on
     const int is_young = one->age > 0.0 && one->age < (double)s->heard_ticks;
     if (!is_young || !onsets_are_measured(s, sources.onsets))
         return one->hz;
-    const Estimate found = estimate(s, sources, group_of(one));
+    const OnsetTone found = estimate(s, sources, group_of(one));
     /* Of a sound that is there already rounding leaves nothing, or next to nothing. */
     const double lacking = found.amplitude - one->base;
     const int little = lacking < s->min_held_share * found.amplitude || lacking < 0.0;

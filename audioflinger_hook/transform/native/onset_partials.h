@@ -1,10 +1,7 @@
 /* Onset partials: they are born of an onset and play until the analysis knows what has begun. */
 
-#ifndef CUSHION_ONSET_PARTIALS_H
-#define CUSHION_ONSET_PARTIALS_H
+#pragma once
 
-#include "onsets.h"
-#include "settings.h"
 #include "speech.h"
 #include "tracking.h"
 
@@ -41,5 +38,3 @@ void onset_partials_play(const Settings *settings, OnsetPartial *partials, Onset
 /* Let those that are told as well as they can be go over to the tracker. */
 void onset_partials_hand_over(const Settings *settings, OnsetPartial *partials, const Onsets *onsets,
                               Slots *slots);
-
-#endif

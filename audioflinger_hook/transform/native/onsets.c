@@ -2,10 +2,7 @@
 
 #include "onsets.h"
 
-#include "common.h"
 #include "loudness.h"
-
-size_t onsets_bands(const Settings *settings) { return settings->band_edges.length - 1; }
 
 static size_t edge(const Settings *settings, size_t band)
 {
@@ -43,26 +40,11 @@ static double loudest_of(const Settings *s, const Onsets *onsets)
     return loudest;
 }
 
-SIMD_CLONES static void apply_window(const double *restrict samples, const double *restrict window,
-                          size_t count, double *restrict out)
-{
-    for (size_t one = 0; one < count; one++)
-        out[one] = samples[one] * window[one];
-}
-
 SIMD_CLONES static void powers(const double *restrict real, const double *restrict imaginary, double scale,
                         size_t bins, double *restrict power)
 {
     for (size_t bin = 0; bin < bins; bin++)
         power[bin] = (real[bin] * real[bin] + imaginary[bin] * imaginary[bin]) * scale;
-}
-
-static double sum(const double *values, size_t count)
-{
-    double total = 0.0;
-    for (size_t one = 0; one < count; one++)
-        total += values[one];
-    return total;
 }
 
 /* Write the powers of bins and bands; what stays under the quietest onset is taken for silence. */
@@ -153,11 +135,6 @@ int onsets_detect(const Settings *s, const Fft *fft, const Onsets *onsets, const
     return onset;
 }
 
-int onsets_are_measured(const Settings *settings, const Onsets *onsets)
-{
-    return *onsets->since < (double)settings->heard_ticks;
-}
-
 /* --------------------------------------------------------------------------------- what begins */
 
 /* The power since the onset of a band that rose. */
@@ -211,11 +188,6 @@ size_t onsets_groups(const Settings *s, const Onsets *onsets, Group *groups)
     return kept;
 }
 
-double onsets_level(const Onsets *onsets)
-{
-    return smaller(sqrt(2.0 * *onsets->newest), *onsets->peak);
-}
-
 OnsetTone onsets_estimate(const Settings *s, const Onsets *onsets, Group group)
 {
     double weighted = 0.0, squares = 0.0, power = 0.0;
@@ -238,9 +210,8 @@ OnsetTone onsets_estimate(const Settings *s, const Onsets *onsets, Group group)
         purity = 1.0;
     const double level = onsets_level(onsets), by_power = sqrt(share * purity);
     const double weight = s->energy_mapping ? by_power : share * sqrt(share) * purity;
-    const int weak = by_power * level < s->weakest;
-    const OnsetTone found = {weighted / larger(squares, TINY), weak ? 0.0 : weight};
-    return found;
+    const double left = by_power * level < s->weakest ? 0.0 : weight;
+    return (OnsetTone){weighted / larger(squares, TINY), left, left * level};
 }
 
 double onsets_loudness(const Settings *s, const Onsets *onsets, Group group)

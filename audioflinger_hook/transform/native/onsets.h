@@ -1,14 +1,11 @@
 /* Onsets: what begins, by a short window every tick. */
 
-#ifndef CUSHION_ONSETS_H
-#define CUSHION_ONSETS_H
-
-#include <stddef.h>
+#pragma once
 
 #include "fft.h"
 #include "settings.h"
 
-/* What one channel has heard of late. All of it is state. */
+/* What is remembered of one channel. All of it is state. */
 typedef struct {
     double *peaks;   /* largest magnitude of the ticks that the window touches, the last the newest */
     double *past;    /* the bands' powers in the last back_ticks, the oldest first */
@@ -25,12 +22,12 @@ typedef struct {
     size_t first, last;
 } Group;
 
-/* Vibration frequency in Hz, and what the law would leave of the level. */
+/* Vibration frequency in Hz, what the law would leave of the level, and that amplitude. */
 typedef struct {
-    double hz, weight;
+    double hz, weight, amplitude;
 } OnsetTone;
 
-size_t onsets_bands(const Settings *settings);
+INLINED size_t onsets_bands(const Settings *s) { return s->band_edges.length - 1; }
 
 /* Doubles of work space that `onsets_detect` needs. */
 size_t onsets_work(const Settings *settings, const Fft *fft);
@@ -45,18 +42,22 @@ int onsets_detect(const Settings *settings, const Fft *fft, const Onsets *onsets
                 const double *samples, double *work);
 
 /* Whether the last onset's sound is told better by this tick than by the one before. */
-int onsets_are_measured(const Settings *settings, const Onsets *onsets);
+INLINED int onsets_are_measured(const Settings *s, const Onsets *onsets)
+{
+    return *onsets->since < (double)s->heard_ticks;
+}
 
 /* Write the bands of each thing that begins, by frequency; return how many, `groups_max` at most. */
 size_t onsets_groups(const Settings *settings, const Onsets *onsets, Group *groups);
 
 /* Amplitude of the sound that begins, as that of one tone. */
-double onsets_level(const Onsets *onsets);
+INLINED double onsets_level(const Onsets *onsets)
+{
+    return smaller(sqrt(2.0 * *onsets->newest), *onsets->peak);
+}
 
 /* Tell what begins in a group of bands; with weight 0 what is too weak to be principal. */
 OnsetTone onsets_estimate(const Settings *settings, const Onsets *onsets, Group group);
 
 /* Return the power that a group of bands has had of late. */
 double onsets_loudness(const Settings *settings, const Onsets *onsets, Group group);
-
-#endif

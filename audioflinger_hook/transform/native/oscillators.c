@@ -6,9 +6,6 @@
 
 #include "oscillators.h"
 
-#include "common.h"
-#include "exact.h"
-#include "functions.h"
 #include "scaling.h"
 
 /* Amplitudes whose sum is smaller are silent. */
@@ -67,8 +64,9 @@ static void add(const Settings *s, Sounding *sounding, const Glides *glides, siz
         double *turns = sounding->turns + sounding->count * steps;
         double *level = sounding->level + sounding->count * steps;
         for (size_t step = 0; step < steps; step++) {
-            turns[step] = hz * shapes.seconds[shapes.at + step] + rise_hz * shapes.glide_s[shapes.at + step] + phase;
-            level[step] = rise * shapes.shape[shapes.at + step] + start;
+            const size_t at = shapes.at + step;
+            turns[step] = hz * shapes.seconds[at] + rise_hz * shapes.glide_s[at] + phase;
+            level[step] = rise * shapes.shape[at] + start;
         }
         const double end_hz = hz + rise_hz * shapes.whole[shapes.at + steps - 1];
         const double felt = table_at(s->felt_weights, s->gain_step_hz, end_hz);
@@ -199,14 +197,6 @@ static void log_tick(const Settings *s, OscillatorTick now, const Glides *glides
     }
 }
 
-/* Let nothing sound; what follows begins with the strength that is wanted now. */
-static void rest(Drive *drive, double wanted)
-{
-    drive->wanted = wanted;
-    drive->beat = 1.0;
-    drive->moved = drive->gain = 0.0;
-}
-
 size_t oscillators_play(const Settings *s, const Oscillators *oscillators, OscillatorTick now,
                         double *low_rate, double *work)
 {
@@ -221,7 +211,8 @@ size_t oscillators_play(const Settings *s, const Oscillators *oscillators, Oscil
             add(s, &sounding, now.onset_partials, s->onset_partials_max, tick);
     }
     if (!sounding.count) {
-        rest(drive, now.wanted);
+        /* What follows begins with the strength that is wanted now. */
+        *drive = (Drive){.wanted = now.wanted, .beat = 1.0, .rises = drive->rises};
         return 0;
     }
     oscillate(sounding.turns, sounding.count * steps, sounding.wave);

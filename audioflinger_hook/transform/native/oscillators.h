@@ -1,11 +1,8 @@
 /* The oscillators of one tick, played so that they are felt as strongly as is wanted. */
 
-#ifndef CUSHION_OSCILLATORS_H
-#define CUSHION_OSCILLATORS_H
+#pragma once
 
-#include "glide_log.h"
-#include "settings.h"
-#include "tracking.h"
+#include "synthesis.h"
 
 /* What goes on from tick to tick; all of it is state. At the end of the last tick: */
 typedef struct {
@@ -46,5 +43,3 @@ size_t oscillators_play(const Settings *settings, const Oscillators *oscillators
 
 /* Whether the numbers are such as can be. */
 int oscillators_are_possible(const Settings *settings, const Drive *drive);
-
-#endif

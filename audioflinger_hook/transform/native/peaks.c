@@ -1,9 +1,19 @@
 /* The peaks of a spectrum: its amplitudes, cleared of images, and where they rise and fall. */
 
-#include "peaks.h"
+#include "analysis.h"
 
-#include "common.h"
-#include "functions.h"
+#include "exact.h"
+
+#define HALF_POWER 0.70710678118654752440 /* 1/sqrt(2) */
+
+/* Bins to either side of a peak that are cleared of its image: main lobe, and half-power walk on it. */
+#define NEIGHBOURS 7
+
+/* Peaks under this bin are cleared twice, as images move the places where they are looked up. */
+#define TWICE_BELOW 20
+
+/* Entries of the window's table a bin; lines between them are within 0.2 % of a side lobe. */
+#define TABLE_BINS_A_BIN 32
 
 /* Two amplitudes are told apart from this ratio on, so that rounding decides nothing between
  * equals: the spectrum of a single sample is flat. */
@@ -18,14 +28,8 @@
 SIMD_CLONES void peaks_amplitudes(Spectrum spectrum, double *restrict amplitude, int32_t bins)
 {
     const double *restrict real = spectrum.real, *restrict imaginary = spectrum.imaginary;
-    if (spectrum.step == 1)
-        for (int32_t bin = 0; bin < bins; bin++)
-            amplitude[bin] = sqrt(real[bin] * real[bin] + imaginary[bin] * imaginary[bin]);
-    else
-        for (int32_t bin = 0; bin < bins; bin++) {
-            const double re = real[bin * spectrum.step], im = imaginary[bin * spectrum.step];
-            amplitude[bin] = sqrt(re * re + im * im);
-        }
+    for (int32_t bin = 0; bin < bins; bin++)
+        amplitude[bin] = sqrt(real[bin] * real[bin] + imaginary[bin] * imaginary[bin]);
 }
 
 /* Bins from a peak's own to its refined top, of the fifth roots of the amplitudes around. */
@@ -68,25 +72,26 @@ SIMD_CLONES void peaks_refine(const double *amplitude, Peaks *peaks)
 /* --------------------------------------------------------------------------------------- images */
 
 /* The window's spectrum this many bins from its middle, on a line between the table's entries. */
-INLINED double window_at(const Window *window, double distance_bins)
+INLINED double window_at(Table window, double distance_bins)
 {
     const double position = distance_bins * TABLE_BINS_A_BIN;
-    if (!(position < (double)(window->entries - 1)))
-        return window->table[window->entries - 1];
+    if (!(position < (double)(window.length - 1)))
+        return window.at[window.length - 1];
     const int32_t below = (int32_t)position;
-    const double here = window->table[below];
-    return here + (position - (double)below) * (window->table[below + 1] - here);
+    const double here = window.at[below];
+    return here + (position - (double)below) * (window.at[below + 1] - here);
 }
 
 /* List the peaks whose images are worth clearing. */
-static void strong_low_peaks(const Window *window, const double *amplitude, Peaks *peaks)
+static void strong_low_peaks(const Settings *s, const double *amplitude, Peaks *peaks)
 {
+    const int32_t low_bins = (int32_t)(s->image_turn.length / 2) - NEIGHBOURS;
     int32_t count = 0;
     double highest = 0.0;
-    for (int32_t bin = 1; bin < window->low_bins; bin++)
+    for (int32_t bin = 1; bin < low_bins; bin++)
         highest = larger(amplitude[bin], highest);
-    const double weakest = larger(window->weakest, window->weakest_share * highest);
-    for (int32_t bin = 1; bin < window->low_bins; bin++) {
+    const double weakest = larger(s->weakest_image, s->weakest_share * highest);
+    for (int32_t bin = 1; bin < low_bins; bin++) {
         const double here = amplitude[bin];
         peaks->bin[count] = bin;
         count += (here > weakest) & (here > APART_FROM * amplitude[bin - 1]) &
@@ -102,39 +107,39 @@ static void strong_low_peaks(const Window *window, const double *amplitude, Peak
  * has no partner. There the image is the tone's conjugate, on the window's spectrum around minus the
  * tone's frequency. Of the first sample it adds the same number to all bins.
  */
-static void without_image(const Window *window, Spectrum spectrum, int32_t peak, double offset,
+static void without_image(const Settings *s, Spectrum spectrum, int32_t peak, double offset,
                           int32_t first, int32_t end, double *cleared)
 {
-    const double height = window_at(window, fabs(offset));
-    const double re = spectrum.real[peak * spectrum.step];
-    const double im = spectrum.imaginary[peak * spectrum.step];
-    const double cosine = window->cosine[peak], sine = window->sine[peak];
+    const double *cosines = s->image_turn.at, *sines = cosines + s->image_turn.length / 2;
+    const double height = window_at(s->image_table, fabs(offset));
+    const double re = spectrum.real[peak], im = spectrum.imaginary[peak];
+    const double cosine = cosines[peak], sine = sines[peak];
     const double tone_real = (re * cosine - im * sine) / height;
     const double tone_imaginary = (re * sine + im * cosine) / height;
     /* A bin is a quarter of a turn there, or a little less. */
     const double angle = (0.5 * PI) * offset, square = angle * angle;
     const double across = 1.0 - square * (0.5 - square / 24.0), along = angle * (1.0 - square / 6.0);
-    const double share = window->first_sample / height;
+    const double share = s->image_first / height;
     const double first_real = share * (re * across + im * along);
     const double first_imaginary = share * (re * along - im * across);
     for (int32_t bin = first; bin < end; bin++) {
-        const double image = window_at(window, (double)(bin + peak) + offset);
-        const double x = spectrum.real[bin * spectrum.step] - first_real;
-        const double y = spectrum.imaginary[bin * spectrum.step] - first_imaginary;
-        const double c = window->cosine[bin], s = window->sine[bin];
-        const double real = x * c - y * s - tone_real * image;
-        const double imaginary = x * s + y * c + tone_imaginary * image;
+        const double image = window_at(s->image_table, (double)(bin + peak) + offset);
+        const double x = spectrum.real[bin] - first_real;
+        const double y = spectrum.imaginary[bin] - first_imaginary;
+        const double turn_re = cosines[bin], turn_im = sines[bin];
+        const double real = x * turn_re - y * turn_im - tone_real * image;
+        const double imaginary = x * turn_im + y * turn_re + tone_imaginary * image;
         cleared[bin - first] = sqrt(real * real + imaginary * imaginary);
     }
 }
 
 /* Refine the tops of the lowest peaks once more, without the images that the first places tell of. */
-static void refine_without_images(const Window *window, Spectrum spectrum, Peaks *peaks)
+static void refine_without_images(const Settings *s, Spectrum spectrum, Peaks *peaks)
 {
     for (int32_t one = 0; one < peaks->count && peaks->bin[one] < TWICE_BELOW; one++) {
         const int32_t peak = peaks->bin[one];
         double around[3];
-        without_image(window, spectrum, peak, peaks->offset[one], peak - 1, peak + 2, around);
+        without_image(s, spectrum, peak, peaks->offset[one], peak - 1, peak + 2, around);
         if (!(around[1] > around[0]) || !(around[1] >= around[2]))
             continue;
         const double least = FLOOR * around[1];
@@ -148,18 +153,18 @@ static void refine_without_images(const Window *window, Spectrum spectrum, Peaks
  * Where the neighbourhoods of two peaks overlap, in the valley between, the upper one's stands. All
  * peaks are those of the amplitudes as they were.
  */
-void peaks_clear_images(const Window *window, Spectrum spectrum, double *amplitude, Peaks *peaks)
+void peaks_clear_images(const Settings *s, Spectrum spectrum, double *amplitude, Peaks *peaks)
 {
-    strong_low_peaks(window, amplitude, peaks);
+    strong_low_peaks(s, amplitude, peaks);
     peaks_refine(amplitude, peaks);
-    refine_without_images(window, spectrum, peaks);
+    refine_without_images(s, spectrum, peaks);
     for (int32_t one = 0; one < peaks->count; one++) {
         const int32_t peak = peaks->bin[one];
         const int32_t first = peak > NEIGHBOURS ? peak - NEIGHBOURS : 0;
         int32_t end = peak + NEIGHBOURS + 1;
         if (one + 1 < peaks->count && end > peaks->bin[one + 1] - NEIGHBOURS)
             end = peaks->bin[one + 1] - NEIGHBOURS;
-        without_image(window, spectrum, peak, peaks->offset[one], first, end, amplitude + first);
+        without_image(s, spectrum, peak, peaks->offset[one], first, end, amplitude + first);
     }
 }
 
@@ -179,9 +184,9 @@ SIMD_CLONES static void mark_rising(const double *restrict amplitude, uint8_t *r
  * No bandwidth exceeds the span between the valleys, and refinement raises a peak by a bounded
  * factor: what stays under the threshold at that bound is left out before anything costly.
  */
-void peaks_list(const PeakCriteria *criteria, const double *amplitude, Turns turns, Peaks *peaks)
+void peaks_list(const Settings *s, const double *amplitude, Turns turns, Peaks *peaks)
 {
-    const int32_t top_bin = criteria->bins - 1;
+    const int32_t top_bin = (int32_t)s->bins - 1, first = (int32_t)s->first_bin, last = (int32_t)s->last_bin;
     int32_t count = 0;
     uint8_t was = 0;
     mark_rising(amplitude, turns.rising, top_bin);
@@ -199,8 +204,8 @@ void peaks_list(const PeakCriteria *criteria, const double *amplitude, Turns tur
         peaks->left[able] = left;
         peaks->bin[able] = bin;
         peaks->right[able] = right;
-        able += (bin >= criteria->first) & (bin <= criteria->last) &
-                (amplitude[bin] * (double)(right - left) > criteria->peak_span_min);
+        able += (bin >= first) & (bin <= last) &
+                (amplitude[bin] * (double)(right - left) > s->peak_span_min);
     }
     peaks->count = able;
 }

@@ -1,9 +1,7 @@
 /* Audio frequency to vibration frequency and back; mapping.py has the equations. */
 
-#ifndef CUSHION_SCALING_H
-#define CUSHION_SCALING_H
+#pragma once
 
-#include "common.h"
 #include "exact.h"
 #include "settings.h"
 
@@ -42,5 +40,3 @@ INLINED double tilt(const Settings *s, double hz)
 {
     return sqrt(table_at(s->felt_weights, s->gain_step_hz, hz));
 }
-
-#endif

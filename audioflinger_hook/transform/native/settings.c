@@ -2,12 +2,9 @@
 
 #include "settings.h"
 
-#include <math.h>
-
 #include "analysis.h"
-#include "band_powers.h"
 #include "downmix.h"
-#include "filter_cascade.h"
+#include "filter.h"
 #include "loudness.h"
 #include "speech.h"
 
@@ -17,14 +14,6 @@
 /* The largest average_ticks. */
 #define AVERAGE_MAX 64
 
-static int finite_table(Table table)
-{
-    for (size_t entry = 0; entry < table.length; entry++)
-        if (!isfinite(table.at[entry]))
-            return 0;
-    return 1;
-}
-
 static int is_recursion(Table b, Table a)
 {
     return b.length == a.length && b.length >= 2 && b.length <= ORDER_MAX + 1 && a.at[0] == 1.0;
@@ -32,24 +21,15 @@ static int is_recursion(Table b, Table a)
 
 static int is_share(double number) { return number >= 0.0 && number <= 1.0; }
 
-/* Whole numbers from 1 to the count of bins, each more than the last; at least two. */
-static int are_edges(Table edges, size_t bins)
+/* Whole numbers from `least` to `most`, each more than the last. */
+static int ascend(Table edges, double least, size_t most)
 {
     for (size_t one = 0; one < edges.length; one++) {
-        const double edge = edges.at[one], least = one ? edges.at[one - 1] + 1.0 : 1.0;
-        if (!(edge >= least && edge <= (double)bins && edge == floor(edge)))
+        const double edge = edges.at[one];
+        if (!(edge >= least && edge <= (double)most && edge == floor(edge)))
             return 0;
+        least = edge + 1.0;
     }
-    return edges.length >= 2;
-}
-
-/* Whole numbers from 0 on, each more than the last, up to `most`. */
-static int ascend(Table edges, double most)
-{
-    for (size_t one = 0; one < edges.length; one++)
-        if (!(edges.at[one] >= (one ? edges.at[one - 1] + 1.0 : 0.0) && edges.at[one] <= most &&
-              edges.at[one] == floor(edges.at[one])))
-            return 0;
     return 1;
 }
 
@@ -65,13 +45,13 @@ static const char *loudness_misfit(const Settings *s)
     for (size_t one = 0; one < low; one++)
         if (!(s->low_band_of.at[one] >= 0.0 && s->low_band_of.at[one] < (double)bands))
             return "low_band_of: a band that is not there";
-    if (s->high_edges.length != (high ? high + 1 : 0) || !ascend(s->high_edges, (double)s->short_bins))
+    if (s->high_edges.length != (high ? high + 1 : 0) || !ascend(s->high_edges, 0.0, s->short_bins))
         return "high_edges: not one more than bands, or not ascending within the bins";
     if (s->low_smooth.length % SECTION_NUMBERS || s->low_smooth.length / SECTION_NUMBERS > SECTIONS_MAX ||
         s->quadrature.length != 2 * CHAIN)
         return "low_smooth, quadrature: not sections, or not of two chains";
     if (groups < 2 || groups > GROUPS_OF_BANDS_MAX + 1 || s->loudness_groups.at[0] != 0.0 ||
-        !ascend(s->loudness_groups, (double)bands) || s->loudness_groups.at[groups - 1] != (double)bands)
+        !ascend(s->loudness_groups, 0.0, bands) || s->loudness_groups.at[groups - 1] != (double)bands)
         return "loudness_groups: not ascending from the first band to the last";
     if (s->average_ticks < 1 || s->average_ticks > AVERAGE_MAX)
         return "average_ticks: none, or too many";
@@ -94,7 +74,7 @@ const char *settings_error(const Settings *s)
     NUMBERS(ENTRY)
 #undef ENTRY
 #define ENTRY(name)                                                                                \
-    if (s->name.length > COUNT_MAX || !finite_table(s->name))                                      \
+    if (s->name.length > COUNT_MAX || !table_is_finite(s->name))                                      \
         return #name ": too long, or not finite";
     TABLES(ENTRY)
 #undef ENTRY
@@ -139,7 +119,7 @@ const char *settings_error(const Settings *s)
     if (s->short_bins < 1 || s->short_bins > s->short_length / 2 + 1 ||
         s->short_hz.length != s->short_bins)
         return "short_hz: not one entry a bin within the spectrum";
-    if (!are_edges(s->band_edges, s->short_bins))
+    if (s->band_edges.length < 2 || !ascend(s->band_edges, 1.0, s->short_bins))
         return "band_edges: not ascending within the bins";
     if (s->newest_frames < 1 || s->newest_frames > s->tick_frames)
         return "newest_frames: not within a tick";
@@ -180,10 +160,6 @@ const char *settings_error(const Settings *s)
         return "nothing: not above 0";
     if (!(s->programme_min <= s->programme_start && s->programme_start <= s->programme_top))
         return "programme_start: not from programme_min to programme_top";
-    if (s->loudness_scale.length) {
-        const char *misfit = loudness_misfit(s);
-        if (misfit)
-            return misfit;
-    }
-    return speech_misfit(s);
+    const char *misfit = s->loudness_scale.length ? loudness_misfit(s) : NULL;
+    return misfit ? misfit : speech_misfit(s);
 }

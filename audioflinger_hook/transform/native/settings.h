@@ -1,9 +1,8 @@
 /* What one kernel is made for: numbers and tables, all of them made in Python. */
 
-#ifndef CUSHION_SETTINGS_H
-#define CUSHION_SETTINGS_H
+#pragma once
 
-#include <stddef.h>
+#include "common.h"
 
 /* Whole numbers: frames, bins, hops and other counts. */
 #define COUNTS(ENTRY)                                                                              \
@@ -100,8 +99,7 @@
     ENTRY(nothing) /* loudness that counts as none */                                              \
     ENTRY(silence_db) /* level of a group in silence */                                            \
     ENTRY(programme_start) /* level of the programme before anything is heard, */                  \
-    ENTRY(programme_min)                                                                           \
-    ENTRY(programme_top)                                                                           \
+    ENTRY(programme_min) ENTRY(programme_top)                                                      \
     ENTRY(programme_step) /* how it moves, */                                                      \
     ENTRY(programme_rise) /* and the share of its distance */                                      \
     ENTRY(programme_fall)                                                                          \
@@ -125,8 +123,7 @@
     ENTRY(group_up) /* share by which what is usual follows a rise */                              \
     ENTRY(group_down) /* or a fall */                                                              \
     ENTRY(group_deviates) /* and the mean deviation follows */                                     \
-    ENTRY(deviation_max)                                                                           \
-    ENTRY(deviation_start)                                                                         \
+    ENTRY(deviation_max) ENTRY(deviation_start)                                                    \
     ENTRY(boost_deviations) /* a rise is more than so many of them; */                             \
     ENTRY(boost_slope) /* dB that are wanted for each more, */                                     \
     ENTRY(boost_max) /* up to so many, */                                                          \
@@ -165,13 +162,12 @@
     ENTRY(phases)     /* of the interpolation: taps rows of decimation */                          \
     ENTRY(gain_table) /* that undoes the low-pass's ripple, by vibration frequency */              \
     ENTRY(tick_glide) /* shape of a glide within a tick */                                         \
-    ENTRY(tick_glide_s)                                                                            \
-    ENTRY(short_window)                                                                            \
+    ENTRY(tick_glide_s) ENTRY(short_window)                                                        \
     ENTRY(short_hz)    /* vibration frequency of each bin */                                       \
     ENTRY(band_edges)  /* bins: the first of each band, and past the last */                       \
     ENTRY(one_tone)    /* purity of a tone, by ticks since its onset */                            \
     ENTRY(rise_shares) /* of its amplitude that an onset partial has after each tick */             \
-    ENTRY(low_sections) /* low-pass and high-pass as second-order sections; then low_b and low_a are empty */ \
+    ENTRY(low_sections) /* low-pass and high-pass in sections, then without low_b and low_a */     \
     ENTRY(begin_fade) /* of the first frames of a stream, after begin_frames of silence */         \
     ENTRY(low_smooth) /* sections before the low rate, for the low bands */                        \
     ENTRY(quadrature) /* squares of the all-passes: of one chain, then of the other */             \
@@ -190,30 +186,13 @@
  * a hop, other changes are those of a hop. */
 #define SPEECH_NUMBERS(ENTRY)                                                                      \
     ENTRY(speech_db) /* by how much speech is lowered; 0 for off */                                \
-    ENTRY(speech_average)                                                                          \
-    ENTRY(speech_fast)                                                                             \
-    ENTRY(speech_slow)                                                                             \
-    ENTRY(speech_learnt)                                                                           \
-    ENTRY(speech_background_fall)                                                                  \
-    ENTRY(speech_background_rise_db)                                                               \
-    ENTRY(speech_voice_fall_db)                                                                    \
-    ENTRY(speech_peak_fall)                                                                        \
-    ENTRY(speech_attack)                                                                           \
-    ENTRY(speech_release)                                                                          \
-    ENTRY(speech_rest_hops)                                                                        \
-    ENTRY(speech_quiet_share)                                                                      \
-    ENTRY(speech_swing_max_db)                                                                     \
-    ENTRY(speech_silent_power)                                                                     \
-    ENTRY(speech_unheard)                                                                          \
-    ENTRY(speech_even)                                                                             \
-    ENTRY(speech_equal)                                                                            \
-    ENTRY(speech_flat)                                                                             \
-    ENTRY(speech_steady_pitch)                                                                     \
-    ENTRY(speech_likely)                                                                           \
-    ENTRY(speech_likely_still)                                                                     \
-    ENTRY(speech_sure)                                                                             \
-    ENTRY(speech_clear_db)                                                                         \
-    ENTRY(speech_apart)
+    ENTRY(speech_average) ENTRY(speech_fast) ENTRY(speech_slow) ENTRY(speech_learnt)               \
+    ENTRY(speech_background_fall) ENTRY(speech_background_rise_db) ENTRY(speech_voice_fall_db)     \
+    ENTRY(speech_peak_fall) ENTRY(speech_attack) ENTRY(speech_release) ENTRY(speech_rest_hops)     \
+    ENTRY(speech_quiet_share) ENTRY(speech_swing_max_db) ENTRY(speech_silent_power)                \
+    ENTRY(speech_unheard) ENTRY(speech_even) ENTRY(speech_equal) ENTRY(speech_flat)                \
+    ENTRY(speech_steady_pitch) ENTRY(speech_likely) ENTRY(speech_likely_still)                     \
+    ENTRY(speech_sure) ENTRY(speech_clear_db) ENTRY(speech_apart)
 
 #define SPEECH_TABLES(ENTRY)                                                                       \
     ENTRY(speech_edges)       /* bins at which octaves begin, and the last ends */                 \
@@ -227,28 +206,27 @@ typedef struct {
     size_t length;
 } Table;
 
+INLINED int table_is_finite(Table table)
+{
+    size_t at = 0;
+    while (at < table.length && isfinite(table.at[at]))
+        at++;
+    return at == table.length;
+}
+
+#define COUNT_FIELD(name) size_t name;
+#define NUMBER_FIELD(name) double name;
+#define TABLE_FIELD(name) Table name;
+
 typedef struct {
-#define ENTRY(name) size_t name;
-    COUNTS(ENTRY)
-#undef ENTRY
-#define ENTRY(name) double name;
-    NUMBERS(ENTRY)
-#undef ENTRY
-#define ENTRY(name) Table name;
-    TABLES(ENTRY)
-#undef ENTRY
+    COUNTS(COUNT_FIELD)
+    NUMBERS(NUMBER_FIELD)
+    TABLES(TABLE_FIELD)
 } Settings;
 
-/* The longest recursion of a filter. */
-#define ORDER_MAX 12
-
-/* The largest onset_partials_max. */
-#define FRESH_MAX 16
-
-/* The largest back_ticks. */
-#define BACK_MAX 64
+#define ORDER_MAX 12 /* the longest recursion of a filter */
+#define FRESH_MAX 16 /* the largest onset_partials_max */
+#define BACK_MAX 64  /* the largest back_ticks */
 
 /* Return what of the settings does not fit the rest; NULL where all of it does. */
 const char *settings_error(const Settings *settings);
-
-#endif

@@ -3,9 +3,7 @@
 
 #include "speech.h"
 
-#include "common.h"
 #include "exact.h"
-#include "functions.h"
 
 /* The vowels' octaves, of which the level is taken. */
 #define VOWELS_FIRST 1
@@ -22,11 +20,6 @@
 
 /* In the order in which speech_ramps has them. */
 enum { VOICED, QUIET, VOICING, SWING, BALANCE, RESTING, SPARED, EXCESS, BACKGROUND, BETWEEN, RAMPS };
-
-static double clip(double value, double low, double high)
-{
-    return larger(low, smaller(high, value));
-}
 
 static double ramp(const Settings *s, int which, double value)
 {
@@ -60,8 +53,6 @@ const char *speech_misfit(const Settings *s)
         return "speech_ramps: not so many";
     return NULL;
 }
-
-size_t speech_work(const Settings *s) { return s->bins + pitches(s); }
 
 /* ----------------------------------------------------------------------------------------- pitch */
 
@@ -146,7 +137,7 @@ static void note_pitch(const Settings *s, Speech *speech, double log_pitch, doub
     speech->steady += weight * (steady - speech->steady);
 }
 
-static void believe(const Settings *s, Speech *speech)
+static void update_probability(const Settings *s, Speech *speech)
 {
     const double resting = speech->steady / (speech->voicing + HARDLY_VOICED);
     const double likely =
@@ -202,7 +193,7 @@ static void follow(const Settings *s, Speech *speech, const double *octaves, dou
     const double weight = ramp(s, QUIET, loudness);
     note_swing(s, speech, levels, s->speech_average * larger(weight, s->speech_quiet_share));
     note_pitch(s, speech, log_pitch, s->speech_average * weight);
-    believe(s, speech);
+    update_probability(s, speech);
     learn(s, speech);
 }
 
@@ -237,8 +228,6 @@ void speech_pause(const Settings *s, Speech *speech)
     speech->voiced = 0.0;
     follow(s, speech, NOTHING, speech->log_pitch, 0);
 }
-
-int speech_is_at_rest(const Speech *speech) { return !(speech->hops_to_rest > 0.0); }
 
 /* ------------------------------------------------------------------------------------------ gain */
 

@@ -1,7 +1,6 @@
 /* Speech heard in the sound, and what is left of each partial while it is. */
 
-#ifndef CUSHION_SPEECH_H
-#define CUSHION_SPEECH_H
+#pragma once
 
 #include "settings.h"
 
@@ -23,7 +22,7 @@ typedef struct {
 const char *speech_misfit(const Settings *settings);
 
 /* Doubles of work space that `speech_update` needs. */
-size_t speech_work(const Settings *settings);
+INLINED size_t speech_work(const Settings *s) { return s->bins + s->speech_log_pitches.length; }
 
 /* Take the next hop's spectrum, `bins` real and imaginary parts. */
 void speech_update(const Settings *settings, Speech *speech, const double *real,
@@ -39,6 +38,4 @@ double speech_gain(const Settings *settings, const Speech *speech, double audio_
 double speech_coarse_gain(const Settings *settings, const Speech *speech, double audio_hz);
 
 /* Whether its memory is empty. */
-int speech_is_at_rest(const Speech *speech);
-
-#endif
+INLINED int speech_is_at_rest(const Speech *speech) { return !(speech->hops_to_rest > 0.0); }

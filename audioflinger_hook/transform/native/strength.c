@@ -2,7 +2,6 @@
 
 #include "strength.h"
 
-#include "common.h"
 #include "exact.h"
 
 /* Decibels of a level that doubles with every 10 phon, for each factor 10 of sone. */
@@ -11,24 +10,19 @@
 /* A smaller deviation is set to 0, before it becomes denormal and slow. */
 #define STILL 1e-30
 
-static double within(double number, double low, double high)
-{
-    return larger(low, smaller(high, number));
-}
-
 void strength_reset(const Settings *s, Strength *strength)
 {
     strength->programme = s->programme_start;
-    strength->heard = 0.0;
+    strength->sound_ticks = 0.0;
     strength_rest(s, strength);
 }
 
 void strength_rest(const Settings *s, Strength *strength)
 {
-    const double programme = strength->programme, heard = strength->heard;
+    const double programme = strength->programme, sound_ticks = strength->sound_ticks;
     memset(strength, 0, sizeof *strength);
     strength->programme = programme;
-    strength->heard = heard;
+    strength->sound_ticks = sound_ticks;
     strength->floor = strength->loud = strength->steady = strength->slow = s->floor_min;
     strength->speech_left = 1.0;
     strength->usual = s->silence_db;
@@ -50,31 +44,31 @@ static double open_gate(const Settings *s, const Strength *strength)
 static void move_programme(const Settings *s, Strength *strength, double gate)
 {
     const double above = strength->loud - strength->programme;
-    const double missing = within(above, -s->far, s->far);
-    double move = within(above, -1.0, 1.0) * s->programme_step +
+    const double missing = clip(above, -s->far, s->far);
+    double move = clip(above, -1.0, 1.0) * s->programme_step +
                   missing * (missing > 0.0 ? s->programme_rise : s->programme_fall);
-    if (strength->heard < s->start_ticks) {
-        strength->heard += 1.0;
-        move += within(above + s->start_near, -s->far, 0.0) / (s->start_weight + strength->heard);
+    if (strength->sound_ticks < s->start_ticks) {
+        strength->sound_ticks += 1.0;
+        move += clip(above + s->start_near, -s->far, 0.0) / (s->start_weight + strength->sound_ticks);
     }
-    strength->programme = within(strength->programme + gate * move, s->programme_min, s->programme_top);
+    strength->programme = clip(strength->programme + gate * move, s->programme_min, s->programme_top);
 }
 
 /* Return what is wanted for the group of bands that rose most, in dB, and let all go on. */
-static double wanted_rise(const Settings *s, Strength *strength, const Heard *heard)
+static double wanted_rise(const Settings *s, Strength *strength, const Loudness *loudness)
 {
     double wanted = 0.0;
-    for (size_t group = 0; group < loudness_groups(s); group++) {
+    for (size_t group = 0; group + 1 < s->loudness_groups.length; group++) {
         double *smooth = &strength->smooth[group], *deviation = &strength->deviation[group];
-        *smooth += s->group_smooth * (heard->groups[group] - *smooth);
+        *smooth += s->group_smooth * (loudness->groups[group] - *smooth);
         if (*smooth < STILL)
             *smooth = 0.0;
         const double level = DB_A_DECADE * exact_log10(*smooth + s->group_sone);
         const double rise = level - strength->usual_of[group];
         const double over = rise - s->boost_deviations * *deviation;
         if (over > 0.0) {
-            const double share = heard->groups[group] / (heard->sone + s->nothing);
-            const double counts = within((share - s->boost_share_from) / s->boost_share_width, 0.0, 1.0);
+            const double share = loudness->groups[group] / (loudness->sone + s->nothing);
+            const double counts = clip((share - s->boost_share_from) / s->boost_share_width, 0.0, 1.0);
             wanted = larger(wanted, smaller(s->boost_max, s->boost_slope * counts * over));
         }
         *deviation += s->group_deviates * (smaller(s->deviation_max, fabs(rise)) - *deviation);
@@ -102,13 +96,13 @@ static void boost(const Settings *s, Strength *strength, double wanted)
         strength->boost = larger(extra, strength->boost - s->boost_fall);
 }
 
-double strength_follow(const Settings *s, Strength *strength, const Heard *heard)
+double strength_follow(const Settings *s, Strength *strength, const Loudness *loudness)
 {
-    const double change = heard->db - strength->steady;
+    const double change = loudness->db - strength->steady;
     if (change > s->jump)
         strength->attack_ticks = s->attack_ticks;
     const double jitter = strength->attack_ticks > 0.0 ? 0.0 : s->jitter;
-    const double small = within(change, -jitter, jitter);
+    const double small = clip(change, -jitter, jitter);
     strength->attack_ticks = larger(0.0, strength->attack_ticks - 1.0);
     strength->steady += (change - small) + s->jitter_followed * small;
     strength->slow += s->slow_followed * (strength->steady - strength->slow);
@@ -117,7 +111,7 @@ double strength_follow(const Settings *s, Strength *strength, const Heard *heard
     const double gate = open_gate(s, strength);
     if (gate > 0.0)
         move_programme(s, strength, gate);
-    boost(s, strength, wanted_rise(s, strength, heard));
+    boost(s, strength, wanted_rise(s, strength, loudness));
     if (!(gate > 0.0))
         return 0.0;
     const double level = s->target + s->slope * (strength->steady - strength->programme);
@@ -132,6 +126,6 @@ int strength_is_possible(const Settings *s, const Strength *strength)
             return 0;
     return strength->programme >= s->programme_min && strength->programme <= s->programme_top &&
            strength->attack_ticks >= 0.0 && strength->boost >= 0.0 &&
-           strength->boost <= s->boost_max && strength->heard >= 0.0 &&
+           strength->boost <= s->boost_max && strength->sound_ticks >= 0.0 &&
            strength->speech_left >= 0.0 && strength->speech_left <= 1.0;
 }

@@ -1,15 +1,13 @@
 /* How strong a channel vibrates, tick by tick, by how loud its sound is. */
 
-#ifndef CUSHION_STRENGTH_H
-#define CUSHION_STRENGTH_H
+#pragma once
 
 #include "loudness.h"
-#include "settings.h"
 
 /* What is remembered of one channel: state, doubles alone. Levels in dB of loudness. */
 typedef struct {
     double programme; /* the usual level of what is played */
-    double heard;     /* ticks of sound so far, up to start_ticks */
+    double sound_ticks; /* of sound so far, up to start_ticks */
     double floor;     /* of the background noise */
     double loud;      /* falls slowly */
     double steady;    /* loudness without its jitter */
@@ -33,9 +31,7 @@ void strength_rest(const Settings *settings, Strength *strength);
 
 /* Take the next tick; return how strong it vibrates, the root of its felt partials' sum of squares; 0
  * where the gate is closed. */
-double strength_follow(const Settings *settings, Strength *strength, const Heard *heard);
+double strength_follow(const Settings *settings, Strength *strength, const Loudness *loudness);
 
 /* Whether the numbers are such as can be. */
 int strength_is_possible(const Settings *settings, const Strength *strength);
-
-#endif

@@ -2,73 +2,30 @@
 
 #include "synthesis.h"
 
-#include "common.h"
-#include "exact.h"
-#include "scaling.h"
-#include "filter.h"
-#include "filter_cascade.h"
-#include "functions.h"
-
-size_t smoothing_states(const Settings *settings)
-{
-    return settings->low_sections.length ? sizeof(Cascade) / sizeof(double) : settings->low_b.length - 1;
-}
-
-size_t smoothing_tail(const Settings *settings)
-{
-    return settings->phases.length / settings->decimation - 1;
-}
-
 void smoothing_reset(const Settings *settings, Smoothing *smoothing)
 {
     memset(smoothing->state, 0, smoothing_states(settings) * sizeof(double));
     memset(smoothing->tail, 0, smoothing_tail(settings) * sizeof(double));
 }
 
-double smoothing_gain(const Settings *settings, double hz)
-{
-    return table_at(settings->gain_table, settings->gain_step_hz, hz);
-}
-
-size_t synthesis_work(const Settings *settings)
-{
-    return smoothing_tail(settings) + settings->tick_steps;
-}
-
 /* ---------------------------------------------------------------------------------- oscillators */
 
-/* A partial in one hop: frequency and amplitude glide, phase is the integral of frequency. */
-typedef struct {
-    double hz, rise_hz, amplitude, rise, phase;
-} Glide;
-
-SIMD_CLONES static void add_partial(Glide glide, const double *restrict seconds,
-                             const double *restrict glide_s, const double *restrict shape,
-                             size_t steps, double *restrict low_rate)
-{
-    for (size_t step = 0; step < steps; step++) {
-        const double turns = glide.hz * seconds[step] + glide.rise_hz * glide_s[step] + glide.phase;
-        low_rate[step] += cosine_of_turns(turns) * (glide.rise * shape[step] + glide.amplitude);
-    }
-}
-
-/* Shapes of a glide, one entry a step. */
-typedef struct {
-    const double *shape, *seconds, *glide_s;
-    size_t steps;
-} Shapes;
-
-/* Slots are added in their order; those at amplitude 0 add nothing. */
-static void add_partials(const Glides *glides, size_t count, Shapes shapes, double *low_rate)
+/* Add partials whose frequency and amplitude glide; phase is the integral of frequency. Slots are added in
+ * their order; those at amplitude 0 add nothing. shape, glide_s: one entry a step. */
+SIMD_CLONES static void add_partials(const Glides *glides, size_t count, const double *restrict seconds,
+                                     const double *restrict shape, const double *restrict glide_s,
+                                     size_t steps, double *restrict low_rate)
 {
     for (size_t slot = 0; slot < count; slot++) {
-        const double start = glides->start_amplitude[slot], end = glides->end_amplitude[slot];
-        if (start == 0.0 && end == 0.0)
+        const double start = glides->start_amplitude[slot], rise = glides->end_amplitude[slot] - start;
+        const double hz = glides->start_hz[slot], rise_hz = glides->end_hz[slot] - hz;
+        const double phase = glides->start_phase[slot];
+        if (start == 0.0 && glides->end_amplitude[slot] == 0.0)
             continue;
-        const double hz = glides->start_hz[slot];
-        const Glide glide = {hz, glides->end_hz[slot] - hz, start, end - start,
-                             glides->start_phase[slot]};
-        add_partial(glide, shapes.seconds, shapes.glide_s, shapes.shape, shapes.steps, low_rate);
+        for (size_t step = 0; step < steps; step++) {
+            const double turns = hz * seconds[step] + rise_hz * glide_s[step] + phase;
+            low_rate[step] += cosine_of_turns(turns) * (rise * shape[step] + start);
+        }
     }
 }
 
@@ -81,16 +38,15 @@ void synthesis_hop(const Settings *settings, const Glides *glides, double *low_r
     for (size_t slot = 0; slot < count; slot++)
         rise += glides->end_amplitude[slot] - glides->start_amplitude[slot];
     const Table shape = rise > settings->still ? settings->attack : settings->glide;
-    const Shapes shapes = {shape.at, settings->seconds.at, settings->glide_s.at, settings->steps};
     memset(low_rate, 0, settings->steps * sizeof(double));
-    add_partials(glides, count, shapes, low_rate);
+    add_partials(glides, count, settings->seconds.at, shape.at, settings->glide_s.at, settings->steps,
+                 low_rate);
 }
 
 void synthesis_add_onsets(const Settings *settings, const Glides *onset_partials, double *low_rate)
 {
-    const Shapes shapes = {settings->tick_glide.at, settings->seconds.at,
-                           settings->tick_glide_s.at, settings->tick_steps};
-    add_partials(onset_partials, settings->onset_partials_max, shapes, low_rate);
+    add_partials(onset_partials, settings->onset_partials_max, settings->seconds.at, settings->tick_glide.at,
+                 settings->tick_glide_s.at, settings->tick_steps, low_rate);
 }
 
 /* ------------------------------------------------------------------------------------ smoothing */
@@ -177,4 +133,18 @@ size_t synthesis_keep_below_full_scale(const Settings *settings, double *vibrati
             vibration[frame] = copysign(lower, vibration[frame]);
     }
     return (size_t)rounded;
+}
+
+void glide_log_add_all(GlideLog *log, const Glides *glides, size_t channel, size_t first_slot, size_t slots,
+                       size_t frames)
+{
+    for (size_t slot = 0; log->on && slot < slots; slot++) {
+        if (glides->start_amplitude[slot] == 0.0 && glides->end_amplitude[slot] == 0.0)
+            continue;
+        glide_log_add(log, (GlideRow){
+            (double)log->frame, (double)frames, (double)channel, (double)(first_slot + slot),
+            glides->start_hz[slot], glides->end_hz[slot],
+            glides->start_amplitude[slot], glides->end_amplitude[slot], glides->start_phase[slot],
+        });
+    }
 }

@@ -5,10 +5,7 @@
 
 #include "tracking.h"
 
-#include "common.h"
-#include "merging.h"
 #include "scaling.h"
-#include "arena.h"
 
 /* Where a partial goes. */
 typedef struct {
@@ -35,8 +32,6 @@ static size_t most_alive(const Settings *settings)
     return settings->partials_max + settings->onset_partials_max;
 }
 
-size_t tracking_slots(const Settings *settings) { return 2 * most_alive(settings); }
-
 /* Give every part its place in the memory, or count how much that is where there is none. */
 static size_t layout_work(void *memory, const Settings *settings, Match **matches, Alive *alive,
                       Merging *merging)
@@ -45,17 +40,14 @@ static size_t layout_work(void *memory, const Settings *settings, Match **matche
     const size_t partials_max = settings->partials_max, living = most_alive(settings);
     *matches = arena_alloc(&arena, partials_max, sizeof(Match));
     alive->slot = arena_alloc(&arena, living, sizeof(size_t));
-    alive->hz = arena_alloc(&arena, living, sizeof(double));
+    alive->hz = arena_doubles(&arena, living);
     alive->of_slots.nearest = arena_alloc(&arena, living, sizeof(uint64_t));
-    alive->of_slots.gap_hz = arena_alloc(&arena, living, sizeof(double));
+    alive->of_slots.gap_hz = arena_doubles(&arena, living);
     alive->of_partials.nearest = arena_alloc(&arena, partials_max, sizeof(uint64_t));
-    alive->of_partials.gap_hz = arena_alloc(&arena, partials_max, sizeof(double));
-    merging->centres = arena_alloc(&arena, living + partials_max, sizeof(double));
+    alive->of_partials.gap_hz = arena_doubles(&arena, partials_max);
+    merging->centres = arena_doubles(&arena, living + partials_max);
     merging->gathered = arena_alloc(&arena, living + partials_max, sizeof(PartialGroup));
-    merging->audio_hz = arena_alloc(&arena, partials_max, sizeof(double));
-    merging->hz = arena_alloc(&arena, partials_max, sizeof(double));
-    merging->amplitude = arena_alloc(&arena, partials_max, sizeof(double));
-    merging->dominance = arena_alloc(&arena, partials_max, sizeof(double));
+    arena_arrays(&arena, ARRAYS(merging->merged), partials_max);
     return arena.used;
 }
 
@@ -67,14 +59,6 @@ size_t tracking_work(const Settings *settings)
     return layout_work(NULL, settings, &matches, &alive, &merging);
 }
 
-int tracking_sounds(const Settings *settings, const Slots *slots)
-{
-    for (size_t slot = 0; slot < tracking_slots(settings); slot++)
-        if (slots->alive[slot] != 0.0)
-            return 1;
-    return 0;
-}
-
 static size_t living(const Settings *settings, const Slots *slots)
 {
     size_t count = 0;
@@ -83,12 +67,14 @@ static size_t living(const Settings *settings, const Slots *slots)
     return count;
 }
 
+int tracking_sounds(const Settings *settings, const Slots *slots) { return living(settings, slots) != 0; }
+
 int tracking_holds(const Settings *settings, const Slots *slots)
 {
+    size_t count = 0;
     for (size_t slot = 0; slot < tracking_slots(settings); slot++)
-        if (slots->held_hops[slot] != 0.0)
-            return 1;
-    return 0;
+        count += slots->held_hops[slot] != 0.0;
+    return count != 0;
 }
 
 double tracking_near_hz(const Settings *settings, double hz)
@@ -236,17 +222,9 @@ static void bear(const Settings *settings, Slots *slots, Partials partials, Matc
     }
 }
 
-static double amplitudes(const Settings *settings, const Slots *slots)
-{
-    double total = 0.0;
-    for (size_t slot = 0; slot < tracking_slots(settings); slot++)
-        total += slots->amplitude[slot];
-    return total;
-}
-
 double tracking_loudest_sum(const Settings *settings, const Slots *slots)
 {
-    return larger(*slots->start_sum, amplitudes(settings, slots));
+    return larger(*slots->start_sum, sum(slots->amplitude, tracking_slots(settings)));
 }
 
 static void start_hop(const Settings *settings, const Slots *slots, Glides *glides)
@@ -255,7 +233,7 @@ static void start_hop(const Settings *settings, const Slots *slots, Glides *glid
     memcpy(glides->start_hz, slots->hz, bytes);
     memcpy(glides->start_amplitude, slots->amplitude, bytes);
     memcpy(glides->start_phase, slots->phase, bytes);
-    *slots->start_sum = amplitudes(settings, slots);
+    *slots->start_sum = sum(slots->amplitude, tracking_slots(settings));
     memset(slots->amplitude, 0, bytes);
     memset(slots->alive, 0, bytes);
 }
@@ -344,7 +322,7 @@ void tracking_follow(const Settings *settings, Slots *slots, Glides *glides, Par
         const size_t slot = matches[one].slot;
         const double hz = slots->hz[slot], change_hz = partials.hz[one] - hz;
         const double share = weigh_change(settings, change_hz / settings->steady_hz);
-        slots->hz[slot] = hz + change_hz * share * (merges ? merging.dominance[one] : 1.0);
+        slots->hz[slot] = hz + change_hz * share * (merges ? merging.merged.dominance[one] : 1.0);
         const double level = glides->start_amplitude[slot];
         const double change = partials.amplitude[one] - level;
         const double steady = settings->steady_ratio * partials.amplitude[one];

@@ -1,26 +1,25 @@
 /* Partials followed from hop to hop. */
 
-#ifndef CUSHION_TRACKING_H
-#define CUSHION_TRACKING_H
+#pragma once
 
 #include "onsets.h"
-#include "settings.h"
 
-/* The slots of one channel's oscillators: two sets of partials_max and
- * onset_partials_max, as one set may live while another fades. Frequencies in Hz of vibration,
- * amplitudes in full scale, phases in cycles. */
+/* The slots of one channel's oscillators: two sets of partials_max and onset_partials_max, as one may live
+ * while another fades. Frequencies in Hz of vibration, amplitudes in full scale, phases in cycles. */
 typedef struct {
     double *hz, *amplitude, *phase;
     double *alive; /* 1 or 0 */
     /* Of partials that were born of an onset, and are held: */
-    double *held_amplitude;           /* while they are heard */
-    double *held_weight;              /* what the law was taken to leave of the sound's level */
-    double *held_first, *held_last;   /* bands by which they are */
-    double *held_loudness;            /* the power of those at their birth */
-    double *held_hops;                /* that are left, and one; 0 of all others */
-    double *lacking;                  /* to that amplitude, within one call */
-    double *start_sum;                /* of the amplitudes at the hop's start */
+    double *held_first, *held_last; /* bands by which they are heard */
+    double *held_loudness;          /* the power of those at their birth */
+    double *held_hops;              /* that are left, and one; 0 of all others */
+    double *held_amplitude;         /* while they are heard */
+    double *held_weight;            /* what the law was taken to leave of the sound's level */
+    double *lacking;                /* to that amplitude, within one call */
+    double *start_sum;              /* one number: of the amplitudes at the hop's start */
 } Slots;
+
+enum { SLOT_ARRAYS = 11 }; /* all but start_sum */
 
 /* What keeps a partial that was born of an onset. */
 typedef struct {
@@ -45,8 +44,7 @@ size_t tracking_work(const Settings *settings);
 /* Whether any slot sounds after the last hop. */
 int tracking_sounds(const Settings *settings, const Slots *slots);
 
-/* Slots in all. */
-size_t tracking_slots(const Settings *settings);
+INLINED size_t tracking_slots(const Settings *s) { return 2 * (s->partials_max + s->onset_partials_max); }
 
 /* Whether a partial is held that no window has shown yet. */
 int tracking_holds(const Settings *settings, const Slots *slots);
@@ -75,10 +73,31 @@ void tracking_adopt(const Settings *settings, Slots *slots, double hz, double ph
 void tracking_follow(const Settings *settings, Slots *slots, Glides *glides, Partials partials,
                      double room, double left, const Onsets *onsets, void *work);
 
-/* Write one hop of glides in which every partial that sounds dies away. */
+/* Write one hop in which every partial that sounds dies away. */
 void tracking_fade(const Settings *settings, Slots *slots, Glides *glides);
 
-/* Write one hop of glides in which every slot is idle. */
+/* Write one hop in which every slot is idle. */
 void tracking_rest(const Settings *settings, Glides *glides);
 
-#endif
+/* Partials that are one: sums of their powers, and of power times frequency. */
+typedef struct {
+    double power, weighted_hz, strongest;
+} PartialGroup;
+
+/* Work space, and the merged partials with the share of the strongest in each. */
+typedef struct {
+    double *centres;        /* what sounds, then what has begun: most_alive + partials_max */
+    PartialGroup *gathered; /* as many */
+    struct {
+        double *audio_hz, *hz, *amplitude, *dominance;
+    } merged;
+} Merging;
+
+/* How close a partial must be to one at this frequency to be part of it, in Hz of vibration. */
+INLINED double merging_hz(const Settings *s, double hz)
+{
+    return larger(s->merge_hz, s->merge_ratio * hz);
+}
+
+/* Merge partials. The first `sounding` centres are frequencies that sound. */
+Partials merging_merge(const Settings *settings, Merging *merging, size_t sounding, Partials partials);
