@@ -15,8 +15,7 @@ from audioflinger_hook.cli.usb import mixer_of, volume_now
 from audioflinger_hook.cli.usb_formats import format_text, formats_of
 from audioflinger_hook.service.one_line import one_line
 from device.alsa import list_cards
-from device.alsa.cards import list_devices
-from device.alsa.cards import why_blocked
+from device.alsa.cards import list_devices, why_blocked
 from device.errors import CushionError
 from device.server import PulseConnection, ServerSnapshot
 from device.server.app_rules import is_application

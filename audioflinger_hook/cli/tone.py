@@ -15,9 +15,8 @@ import numpy as np
 from audioflinger_hook.cli.terminal import choose
 from device.address import DeviceAddress
 from device.alsa import choose_setup, find_playback
-from device.alsa.cards import AlsaDevice
+from device.alsa.cards import AlsaDevice, why_blocked
 from device.alsa.offers import CardSetup, list_offers
-from device.alsa.cards import why_blocked
 from device.drive import ActuatorSettings, ChannelMap, channels_needed, wiring_of
 from device.drive.channel_positions import sink_channel_map
 from device.errors import LostError, NotFoundError

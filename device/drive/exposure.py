@@ -20,11 +20,10 @@ import numpy as np
 import scipy
 
 from device.errors import UsageError
-from device.units import Records
 from device.rig import Rig
 from device.rig.actuator import motion_filters
 from device.rig.equations import seat_sections
-from device.units import FloatArray
+from device.units import FloatArray, Records
 
 HIGHEST_HZ = 80.0  # end of the standard's weighting; above it the same formula is an extrapolation
 
