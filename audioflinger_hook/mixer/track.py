@@ -192,8 +192,11 @@ class Track:
         ring, rows = self.ring, self._rows(samples)
         taken = min(len(rows), ring.room)
         first, second = ring.spans(ring.written, taken)
-        decode_rows(rows[: len(first)], self.format, first)
-        decode_rows(rows[len(first) : taken], self.format, second)
+        if self.format is PcmFormat.FLOAT:
+            first[...], second[...] = rows[: len(first)], rows[len(first) : taken]
+        else:
+            decode_rows(rows[: len(first)], self.format, first)
+            decode_rows(rows[len(first) : taken], self.format, second)
         ring.written += taken
         return taken
 
