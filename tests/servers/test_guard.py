@@ -38,8 +38,8 @@ class RecordedGuard(StreamGuard):
         self._holds = holds
         super().__init__(connection, stream, name)
 
-    def _judge(self, change: Callable[[StreamPlacement], StreamPlacement]) -> None:
-        before = self.hold
+    def _judge(self, change: Callable[[], StreamPlacement]) -> None:
+        before = getattr(self, "hold", None)
         super()._judge(change)
         if self.hold is not before and not self._released:
             self._holds.append(self.hold)
