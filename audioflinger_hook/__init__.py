@@ -1,8 +1,8 @@
-"""Feel what a computer plays: sound in, vibration of 20-220 Hz out.
+"""Compute vibration, by default with frequencies of 21.5 to 220 Hz, from a computer's sound.
 
     taps -> clients -> mixer -> effect (transform) -> device.drive -> device outputs
 
-`render_file` renders a whole file; `HapticTransform` works on arrays, block by block.
+`render_file` renders a whole file. `HapticTransform` processes arrays block by block.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _HOMES = {
 
 
 def __getattr__(name: str) -> Any:
-    """Import a public name when it is first used: `cushion --help` needs no signal processing."""
+    """Import a public name when it is first used, so that `cushion --help` does not load NumPy."""
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module

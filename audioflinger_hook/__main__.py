@@ -1,4 +1,4 @@
-"""`python -m audioflinger_hook` is the `cushion` command."""
+"""Run the `cushion` command as `python -m audioflinger_hook`."""
 
 import sys
 

@@ -1,6 +1,4 @@
-"""The device that a user names: the grammar of `--device`."""
-
-from __future__ import annotations
+"""The device that a user names with the option `--device`, and the option's grammar."""
 
 from dataclasses import dataclass
 from typing import Literal, get_args
@@ -22,7 +20,7 @@ GRAMMAR = f"sink:NAME, {USB_GRAMMAR}, hw:CARD[,DEVICE], wav:FILE, twin, or the n
 
 @dataclass(frozen=True)
 class DeviceAddress:
-    """One device: its kind, and its name, USB ids or file (empty for `twin`)."""
+    """One output device. kind: one of `KINDS`. name: as in "kind:name"; "" for `twin`."""
 
     kind: Kind
     name: str = ""
@@ -32,17 +30,11 @@ class DeviceAddress:
 
     @property
     def usb(self) -> UsbIdentity | None:
-        """Identity of the USB device; None for another kind.
-
-        UsageError: the name has not the form VID:PID. `parse_device` refuses such names.
-        """
+        """The USB ids, serial and port in the name; None unless `kind` is "usb"."""
         return UsbIdentity.parse(str(self)) if self.kind == "usb" else None
 
     def sink(self, snapshot: ServerSnapshot) -> Sink:
-        """Return the sound server's sink of this device.
-
-        NotFoundError: no sink matches, or more than one does. No other sink is used instead.
-        """
+        """Return the sink of this device. NotFoundError: no sink matches, or several match."""
         if self.kind == "sink":
             return find_sink(snapshot, self.name)
         identity = self.usb
@@ -67,24 +59,16 @@ class DeviceAddress:
 
 
 def parse_device(text: str) -> DeviceAddress:
-    """Return the device that a text names. A word without a colon is the name of a sink.
+    """Return the device that a text names. A text without a colon, except `twin`, names a sink.
 
-    Names must match exactly; there are no wildcards.
-
-    UsageError: the kind is not one of `KINDS`, a name is missing, or `twin` has a name.
+    UsageError: the kind is unknown, the name is missing or malformed, or `twin` has a name.
     """
     if text == "twin":
         return DeviceAddress("twin")
     before, colon, name = text.partition(":")
     kind, name = (before, name) if colon else ("sink", text)
     if kind == "usb" and name:
-        try:
-            UsbIdentity.parse(text)
-        except UsageError:
-            raise UsageError(
-                f"device {text!r} is not {USB_GRAMMAR} with four hexadecimal digits each for VID "
-                "and PID, and a port such as 1-2 or 1-2.3"
-            ) from None
+        UsbIdentity.parse(text)
     if kind == "hw" and name.strip():
         parse_card_address(name)
     for known in KINDS:

@@ -1,9 +1,8 @@
 """Files that appear complete at their path, or not at all.
 
-On Linux the content is written to a file without a name (O_TMPFILE), which gets its name last, so
-even kill -9 leaves nothing behind. If the filesystem cannot do that (some overlay and network
-filesystems), the content goes to a hidden `.NAME.XXXX.part` in the same folder. Only kill -9 leaves
-it.
+On Linux the content is first written to an unnamed file (O_TMPFILE). The file gets its name last,
+so that even kill -9 leaves no partial file. If the filesystem does not support O_TMPFILE, a hidden
+file `.NAME.XXXX.part` is written first. This hidden file may remain after kill -9.
 """
 
 import contextlib
@@ -11,11 +10,12 @@ import errno
 import os
 import stat
 from pathlib import Path
-from types import TracebackType
 
 from device.errors import CushionError, UsageError, WriteError
 
-_NOT_THE_USERS_FAULT = {errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EMFILE, errno.ENFILE}
+# errors of the disk or the machine, not of the user
+MACHINE_FAULTS = {errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EMFILE, errno.ENFILE}
+
 _REASONS = {
     errno.ENOSPC: "the disk is full; free some space or name another folder",
     errno.EDQUOT: "the disk quota is used up; free some space or name another folder",
@@ -24,28 +24,19 @@ _REASONS = {
     errno.ENAMETOOLONG: "the name is too long; choose a shorter one",
 }
 _FLAGS = os.O_RDWR | os.O_CLOEXEC
+_FOLDER_FLAGS = getattr(os, "O_PATH", os.O_RDONLY) | os.O_DIRECTORY | os.O_CLOEXEC
 _MODE = 0o666  # reduced by the umask
 
 
 class AtomicFile:
-    """A new file that appears at `path` only after `commit` returns.
+    """A new file that appears at `path` only when `commit` succeeds.
 
-    Until then, and after `abort` or kill -9, the folder is unchanged, and so is an existing file of
-    that name. As a context manager, it commits, or aborts on an exception. A link is followed: the
-    file it points to is replaced. Use from one thread at a time.
-
-    Parameters
-    ----------
-    path : path-like
-        Path of the finished file.
-
-    Raises
-    ------
-    UsageError
-        The folder does not exist, is not a folder or not writable; the path is a folder or a
-        device; the file there is write-protected.
-    WriteError
-        The disk is full or failed. Methods raise it, too, and have then aborted.
+    Before `commit`, and after `abort` or kill -9, an existing file at `path` is unchanged. A `with`
+    block calls `commit` at its end, or `abort` after an exception. If `path` is a symbolic link,
+    the target of the link is replaced. One thread at a time may use the object.
+    UsageError: no file can be written at `path`, for example because its folder is missing.
+    WriteError: writing failed, for example because the disk is full. A method that raises
+    WriteError has already called `abort`.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
@@ -56,14 +47,11 @@ class AtomicFile:
             _refuse_unless_regular(self.path)
             target = self.path.resolve()
             self._name = target.name
-            self._folder_fd = _open_folder(target.parent, self.path)
+            self._folder_fd = os.open(target.parent, _FOLDER_FLAGS)
             self._open_file()
         except (OSError, ValueError) as error:
             self.abort()
             raise _open_failure(self.path, error) from error
-        except CushionError:
-            self.abort()
-            raise
 
     def write(self, content: bytes | memoryview) -> None:
         """Append all of the content, or raise WriteError."""
@@ -75,7 +63,7 @@ class AtomicFile:
             raise self._failure(error) from error
 
     def overwrite(self, content: bytes, position: int = 0) -> None:
-        """Overwrite bytes from a position on; later writes still go to the file's end."""
+        """Overwrite the file from offset `position` on; later calls of `write` still append."""
         try:
             written = os.pwrite(self._file_fd, content, position)
         except OSError as error:
@@ -84,15 +72,11 @@ class AtomicFile:
             raise self._failure(OSError(errno.EIO, "short write"))
 
     def size(self) -> int:
-        """Bytes in the file, as the filesystem counts them."""
+        """Length of the file in bytes."""
         return os.fstat(self._file_fd).st_size
 
     def commit(self, *, sync: bool = True) -> None:
-        """Give the file its name: sync the content, then replace the old file in one step.
-
-        sync: whether to wait until the content is on the disk. Without it, a power failure soon
-        after may leave a file of that name that is not whole.
-        """
+        """Put the file at `path`. Without `sync`, a power failure may leave an incomplete file."""
         if self._file_fd < 0:
             raise WriteError(f"cannot write {self.path}: it was closed before")
         folder = self._folder_fd
@@ -114,9 +98,9 @@ class AtomicFile:
         self.abort()  # nothing is left to discard, so this only closes
 
     def abort(self) -> None:
-        """Discard everything; no effect after `commit` or `abort`."""
+        """Discard the new file. After `commit` or `abort`, this has no effect."""
         if self._part is not None:
-            with contextlib.suppress(OSError):  # the file may be gone with its folder
+            with contextlib.suppress(OSError):  # the folder may be deleted
                 os.unlink(self._part, dir_fd=self._folder_fd)
             self._part = None
         for fd in (self._file_fd, self._folder_fd):
@@ -127,12 +111,7 @@ class AtomicFile:
     def __enter__(self) -> "AtomicFile":
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if kind is None:
             self.commit()
         else:
@@ -145,7 +124,7 @@ class AtomicFile:
                 self._file_fd = os.open(".", nameless | _FLAGS, _MODE, dir_fd=self._folder_fd)
                 return
             except OSError as error:
-                # EISDIR: a kernel that does not know the flag; EINVAL, ENOENT: FUSE and others.
+                # EISDIR: the kernel does not know O_TMPFILE. EINVAL, ENOENT: FUSE and others.
                 unsupported = {errno.EOPNOTSUPP, errno.EISDIR, errno.ENOSYS, errno.EINVAL}
                 if error.errno not in unsupported | {errno.ENOENT}:
                     raise
@@ -155,30 +134,22 @@ class AtomicFile:
         self._part = part
 
     def _part_name(self) -> str:
-        # The name may already have the 255 bytes that a folder entry can have.
+        # The name may already have the maximum length of 255 bytes.
         start = os.fsdecode(os.fsencode(self._name)[:200])
         return f".{start}.{os.urandom(4).hex()}.part"
 
     def _link_as(self, name: str) -> None:
-        # Only linkat(2) follows the link in /proc; Python calls it only if given a folder.
+        # linkat(2) must follow the link in /proc; Python calls linkat only if dst_dir_fd is given.
         source = f"/proc/self/fd/{self._file_fd}"
         os.link(source, name, dst_dir_fd=self._folder_fd, follow_symlinks=True)
 
     def _failure(self, error: OSError) -> WriteError:
         self.abort()
-        return WriteError(f"cannot write {self.path}: {_reason(error)}")
+        return WriteError(f"cannot write {self.path}: {write_reason(error)}")
 
 
 def write_bytes_atomically(path: str | os.PathLike[str], content: bytes) -> None:
-    """Write a complete file, or leave it unchanged and raise an error of `AtomicFile`.
-
-    Parameters
-    ----------
-    path : path-like
-        The file to create or replace.
-    content : bytes
-        The new content.
-    """
+    """Write `content` with an `AtomicFile`: after an error, an existing file is unchanged."""
     with AtomicFile(path) as file:
         file.write(content)
 
@@ -190,46 +161,43 @@ def _refuse_unless_regular(path: Path) -> None:
         mode = path.stat().st_mode
     except FileNotFoundError:
         return
-    except NotADirectoryError as error:
-        raise UsageError(
-            f"cannot write {path}: {path.parent} is not a folder; name a folder"
-        ) from error
     if stat.S_ISDIR(mode):
         raise UsageError(f"cannot write {path}: it is a folder; name a file in it")
     if not stat.S_ISREG(mode):
         raise UsageError(f"cannot write {path}: it is not a regular file; name another file")
-    effective = os.access in os.supports_effective_ids
-    if not os.access(path, os.W_OK, effective_ids=effective):
+    if not os.access(path, os.W_OK, effective_ids=os.access in os.supports_effective_ids):
         raise UsageError(f"cannot write {path}: it is write-protected; name another file")
-
-
-def _open_folder(folder: Path, path: Path) -> int:
-    try:
-        return os.open(folder, getattr(os, "O_PATH", os.O_RDONLY) | os.O_DIRECTORY | os.O_CLOEXEC)
-    except FileNotFoundError as error:
-        raise UsageError(
-            f"cannot write {path}: folder {folder} does not exist; create it or name another"
-        ) from error
 
 
 def _open_failure(path: Path, error: OSError | ValueError) -> CushionError:
     if not isinstance(error, OSError):  # a name with a null byte
         return UsageError(f"cannot write {str(path)!r}: {error}; choose another name")
-    if error.errno in _NOT_THE_USERS_FAULT:
-        return WriteError(f"cannot write {path}: {_reason(error)}")
+    if error.errno == errno.ENOENT:
+        folder = path.resolve().parent
+        return UsageError(
+            f"cannot write {path}: folder {folder} does not exist; create it or name another"
+        )
+    if error.errno == errno.ENOTDIR:
+        return UsageError(f"cannot write {path}: {path.parent} is not a folder; name a folder")
     if error.errno in (errno.EACCES, errno.EPERM):
         return UsageError(
             f"cannot write {path}: no permission to write in folder {path.parent}; name another"
         )
-    return UsageError(f"cannot write {path}: {_reason(error)}")
+    if error.errno in MACHINE_FAULTS:
+        return WriteError(f"cannot write {path}: {write_reason(error)}")
+    return UsageError(f"cannot write {path}: {write_reason(error)}")
 
 
-def _reason(error: OSError) -> str:
+def write_reason(error: OSError) -> str:
+    """Return why a file cannot be written, and the remedy."""
     return _REASONS.get(error.errno or 0, f"{error.strerror or error}; name another folder")
 
 
 def make_private_folder(folder: Path) -> None:
-    """Make a folder, and those above it, for this user alone. UsageError: it cannot be made."""
+    """Make a folder that only this user can access; missing parents get the default rights.
+
+    An existing folder keeps its rights. UsageError: the folder cannot be made.
+    """
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     except OSError as error:

@@ -1,16 +1,14 @@
 """The errors that a user may see, and the exit code of a command for each error.
 
-A message is one line: what is wrong, which value, what is allowed, what to do. Any exception that
-is no `CushionError` is a mistake of the program.
+A message is one line. It states the mistake and, for a `UsageError`, the remedy. An exception of
+any other class is a defect of the program.
 """
-
-from __future__ import annotations
 
 
 class CushionError(Exception):
     """Base class of all errors of this project; `str(error)` is always one line.
 
-    exit_code: exit code of the command line, 2 to 5.
+    exit_code: exit code of a command that ends with this error, 2 to 5.
     """
 
     exit_code = 5
@@ -21,31 +19,29 @@ class CushionError(Exception):
 
 
 class UsageError(CushionError):
-    """Wrong usage, config, rig or input, which the user can correct."""
+    """A wrong option, config file, rig file or input, which the user can correct."""
 
     exit_code = 2
 
 
 class NotFoundError(CushionError):
-    """No such tap or device."""
+    """A required device, sound source, library or daemon is missing or not accessible."""
 
     exit_code = 3
 
 
 class LostError(CushionError):
-    """The sound server or the device was lost and did not return in the time allowed."""
+    """The sound server, the device or a child process does not answer, was lost or failed."""
 
     exit_code = 4
 
 
 class InternalError(CushionError):
-    """The program failed; base class of errors at run time."""
-
-    exit_code = 5
+    """The program failed at run time, for example because a file cannot be written."""
 
 
 class WriteError(InternalError):
-    """Writing failed: the disk is full, or a quota or a file-size limit is reached."""
+    """Writing a file failed, for example because the disk is full."""
 
 
 class NoUsbBusError(NotFoundError):
@@ -53,12 +49,17 @@ class NoUsbBusError(NotFoundError):
 
 
 class NoUsbDeviceError(NotFoundError):
-    """There is a USB bus, but the wanted device is not on it."""
+    """The kernel shows a USB bus, but the wanted device is not on it."""
 
 
 class NoLibusbError(NotFoundError):
-    """PyUSB, or the library libusb that it calls, is not installed."""
+    """PyUSB or the library libusb is not installed."""
 
 
 class UsbAccessError(NotFoundError):
-    """The device is connected, but cannot be opened (permission) or does not answer."""
+    """The USB device is connected, but it does not answer, is in use or needs a permission."""
+
+
+def not_installed(package: str, extra: str) -> str:
+    """Return a message that a package is missing, and the pip command that installs `extra`."""
+    return f'{package} is not installed; install it: pip install "haptic-cushion[{extra}]"'

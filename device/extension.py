@@ -1,19 +1,19 @@
-"""Checks libraries in C before the system loads them."""
-
-from __future__ import annotations
+"""Checks C libraries before the system loads them."""
 
 import struct
 from pathlib import Path
 
-LOADED = 1
-"""PT_LOAD, the type of a part of an ELF file that is mapped into memory."""
+LOADED = 1  # PT_LOAD: type of an ELF segment that is mapped into memory
+
+# struct formats: offset, length and count of the program headers; then one program header.
+_OF_32_BITS, _OF_64_BITS = ("28xI10xHH", "II8xI"), ("32xQ14xHH", "I4xQ16xQ")
 
 
 def refuse_cut_off(path: Path) -> None:
-    """Raise ImportError for an ELF file that ends before the end of a part to be mapped.
+    """Raise ImportError for an unreadable file, and for an ELF file that lacks a part of a segment.
 
-    The system's loader does not check this: it maps the missing part, and the process ends by
-    SIGBUS. The loader reports all other faults itself.
+    The system's loader does not report the missing part. Access to this part would later end the
+    process with SIGBUS.
     """
     try:
         with path.open("rb") as file:
@@ -21,11 +21,7 @@ def refuse_cut_off(path: Path) -> None:
             if len(head) < 64 or head[:4] != b"\x7fELF":
                 return
             order = "<" if head[5] == 1 else ">"
-            # Offset, length and count of the program headers; each header tells what is mapped.
-            if head[4] == 2:
-                place, part = "32xQ14xHH", "I4xQ16xQ"
-            else:
-                place, part = "28xI10xHH", "II8xI"
+            place, part = _OF_64_BITS if head[4] == 2 else _OF_32_BITS
             where, length, count = struct.unpack_from(order + place, head)
             file.seek(where)
             headers = file.read(length * count)
@@ -37,6 +33,6 @@ def refuse_cut_off(path: Path) -> None:
             struct.unpack_from(order + part, headers, first)
             for first in range(0, len(headers), max(1, length))
         )
-        if all(first + taken <= size for kind, first, taken in parts if kind == LOADED):
+        if all(first + mapped <= size for kind, first, mapped in parts if kind == LOADED):
             return
     raise ImportError(f"{path} is cut off")

@@ -1,6 +1,4 @@
-"""Positions of channels by their number, as on Android, and the down-mix of each layout to two."""
-
-from __future__ import annotations
+"""Channel positions for each channel count, as on Android, and the down-mix to two channels."""
 
 from functools import cache
 
@@ -8,9 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 MINUS_3_DB = 0.5**0.5
-
-CHANNELS_MAX = 64
-"""Largest channel count; Android stops at 32, sound files do not."""
+CHANNELS_MAX = 64  # largest channel count; Android allows 32, sound files allow more
 
 # AOSP's canonical positions by channel count, in the order of their mask bits.
 _FRONT = "FL FR FC LFE BL BR SL SR"
@@ -29,16 +25,15 @@ _CANONICAL = {
     24: "FL FR FC LFE BL BR FLC FRC BC SL SR TC TFL TFC TFR TBL TBC TBR TSL TSR BFL BFC BFR LFE2",
 }
 
-KNOWN = tuple(_CANONICAL)
-"""Channel counts whose positions are known; other counts may be any sounds side by side."""
+KNOWN = tuple(_CANONICAL)  # channel counts with known positions
 
 
 @cache
 def layout(channels: int) -> tuple[str, ...]:
-    """The positions of 1 to 64 channels, from AOSP if AOSP has a layout for that count.
+    """Return the positions of 1 to 64 channels, from Android (AOSP) if it has a layout for them.
 
-    Other counts (9 to 11, 13, 15, 17 to 23, from 25) have the positions of 7.1, then pairs `L9
-    R10`, ... and, for an odd count, one `C`.
+    Every other count has the positions of 7.1, followed by pairs `L9 R10`, `L11 R12` and so on. If
+    the count is odd, the last channel is a centre channel, for example `C9`.
     """
     if channels in _CANONICAL:
         return tuple(_CANONICAL[channels].split())
@@ -48,52 +43,42 @@ def layout(channels: int) -> tuple[str, ...]:
     return (*positions, f"C{channels}") if len(positions) < channels else tuple(positions)
 
 
-_OF_ALSA = "FL FR BL BR FC LFE SL SR"
-
-
 def order_from_alsa(channels: int) -> tuple[int, ...] | None:
-    """The numbers of ALSA's channels in the order of `layout`; None if they need no other order.
-
-    ALSA, and so its plugin for sound servers, has the surrounds before the centre in 5.0, 5.1 and
-    7.1.
-    """
+    """Return ALSA's channel number of each `layout` position; None unless 5, 6 or 8 channels."""
     if channels not in (5, 6, 8):
         return None
-    theirs = _OF_ALSA.split()
+    theirs = ("FL", "FR", "BL", "BR", "FC", "LFE", "SL", "SR")
     return tuple(theirs.index(position) for position in layout(channels))
 
 
 @cache
 def sides(channels: int) -> str:
-    """One letter per channel: the volume that it follows, L, R, or C for the mean of both.
+    """Return one letter per channel: L for left, R for right, C for centre.
 
-    As in AudioFlinger, except for the one channel of a mono mix: it is C here and L there, since a
-    sound panned right must not vanish. With two LFE channels (22.2) the first is L, the second R.
+    The volume of a channel C is the mean of the left and the right volume. The letters follow
+    AudioFlinger, except that AudioFlinger treats a mono channel as L. A mono sound that is panned
+    right would then be silent. With two LFE channels (22.2), the first is L and the second is R.
     """
     positions = layout(channels)
-    two_lfe = "LFE2" in positions
-    return "".join(
-        {"LFE": "L", "LFE2": "R"}[position] if two_lfe and "LFE" in position else _side(position)
-        for position in positions
-    )
-
-
-def _side(position: str) -> str:
-    name = position.rstrip("0123456789")
-    if name in ("FLC", "FRC"):
-        return name[1]
-    return name[-1] if name[-1] in "LR" else "C"
+    known = {"FLC": "L", "FRC": "R"}
+    if "LFE2" in positions:
+        known |= {"LFE": "L", "LFE2": "R"}
+    letters = []
+    for position in positions:
+        last = position.rstrip("0123456789")[-1]
+        letters.append(known.get(position, last if last in "LR" else "C"))
+    return "".join(letters)
 
 
 @cache
 def downmix(channels: int) -> NDArray[np.float64]:
-    """How much each channel counts in the two halves, left and right, of the mix: (channels, 2).
+    """Return each channel's weights in the left and the right output channel: (channels, 2).
 
-    The mix is the mean of both halves. After ITU-R BS.775-3, table 2: the front pair counts fully
-    on its side; every other channel of a side, the centre and the bass channel count 3 dB less,
-    the latter two on both sides. A centre that is behind or above counts 6 dB less on both.
-    Nothing is scaled to fit full scale: the same stereo has the same level in every layout.
-    Of a count whose positions are not known, the mix and both halves are the mean of all channels.
+    The weights of the 5.0 channels follow ITU-R BS.775-3, table 2. FL and FR have 0 dB in the
+    output of their side, all other side channels -3 dB. FC and a single LFE channel have -3 dB in
+    both outputs. All other centre channels, such as BC, have -6 dB in both outputs. No weights are
+    reduced to avoid clipping, so that a stereo sound has the same level in every layout. For one
+    channel, or a count without known positions, both outputs are the mean of all channels.
     """
     if channels == 1 or channels not in KNOWN:
         return np.full((channels, 2), 1.0 / channels)

@@ -1,4 +1,4 @@
-"""The interface of everything that takes vibration."""
+"""The interface of all outputs that take vibration."""
 
 from typing import Protocol
 
@@ -6,41 +6,29 @@ from device.units import Float32Array, FloatArray
 
 
 class VibrationOutput(Protocol):
-    """Takes vibration block by block; then `close` keeps it or `abort` discards it.
+    """Takes vibration in blocks; at the end, `close` keeps the output and `abort` discards it.
 
-    WAV files and the simulated rig implement it. Sound-card outputs can be used instead. Use from
-    one thread at a time; after that thread has ended, another one may call `close` or `abort`. Only
-    the first of these calls has an effect.
+    One thread at a time may use it. After that thread has ended, another thread may call `close`
+    or `abort`. Only the first call of `close` or `abort` has an effect.
     """
 
     @property
     def samplerate(self) -> int:
-        """Rate in Hz that the vibration must have."""
-        ...
+        """Required sample rate of the vibration in Hz."""
 
     @property
     def channels(self) -> int:
-        """Number of columns that a block must have."""
-        ...
+        """Required number of channels of a block."""
 
     def write(self, vibration: FloatArray | Float32Array) -> None:
-        """Take one block: (frames, channels), full scale ±1.0, any number of frames, also 0.
+        """Take one block: (frames, channels), full scale ±1.0, 0 or more frames.
 
-        The array is not kept: the caller may reuse it after the return.
-
-        Raises
-        ------
-        InternalError
-            The block has another shape, or the output is closed.
-        WriteError
-            The disk is full or failed; the output has discarded everything, as `abort` does.
+        After the call, the caller may reuse the array. InternalError: the block has another shape,
+        or the output is closed. WriteError: writing failed, and the output is discarded.
         """
-        ...
 
     def close(self) -> None:
-        """Finish: all frames written are kept; a file appears under its name."""
-        ...
+        """Keep all written frames and finish. A file appears under its name only now."""
 
     def abort(self) -> None:
-        """Discard everything, as if the output had never been opened. Raises nothing."""
-        ...
+        """Discard everything, as if the output had never been opened. Raises no exception."""

@@ -1,14 +1,12 @@
-"""Allowed values of a field: described at the field, and checked by a common mechanism.
+"""Allowed values of dataclass fields: each field has a description, which checks its values.
 
     @dataclass(frozen=True)
     class Gate(Described):
         floor_db: Annotated[float, Number("level of a shut gate", -90, -30, "dB")] = -60.0
 
-`Gate(floor_db=0)` raises a UsageError that names every refused field. `Gate.refusals(values)`
-returns the refusals as a dict. Pure; any thread.
+`Gate(floor_db=0)` raises a UsageError that names every invalid field. `Gate.refusals(values)`
+returns the errors as a dict. Pure functions; any thread may call them.
 """
-
-from __future__ import annotations
 
 import inspect
 from abc import ABC, abstractmethod
@@ -24,14 +22,14 @@ OFF = "off"
 
 
 def no_such(kind: str, name: str, names: Iterable[str], where_none: str) -> str:
-    """Return an error text of one line. where_none: advice if nothing of that kind exists.
+    """Return a one-line message that a name is unknown, with similar or existing names.
 
-    kind: such as "sink"; name: the requested name; names: those that exist. Any thread.
+    kind: kind of the named object, such as "sink". names: names of the existing objects.
+    where_none: advice if no object of this kind exists.
     """
     known = sorted(names)
-    nearest = get_close_matches(name, known, n=3, cutoff=0.5)
-    if nearest:
-        offer = f"did you mean {' or '.join(repr(near) for near in nearest)}?"
+    if similar := get_close_matches(name, known, n=3, cutoff=0.5):
+        offer = f"did you mean {' or '.join(map(repr, similar))}?"
     elif known:
         offer = f"there are {', '.join(repr(one) for one in known[:8])}"
         offer += " and others" if len(known) > 8 else ""
@@ -41,19 +39,19 @@ def no_such(kind: str, name: str, names: Iterable[str], where_none: str) -> str:
 
 
 def counted(count: int, things: str) -> str:
-    """Return a count with its noun, singular for 1: "1 buffer", "2 buffers"."""
+    """Return a count with its noun: "1 buffer", "2 buffers"."""
     one = f"{things[:-3]}y" if things.endswith("ies") else things.removesuffix("s")
     return f"{count} {one if count == 1 else things}"
 
 
 def nearest(name: str, names: Iterable[str]) -> str:
-    """Return the known name most similar to another name, "" if none is similar."""
+    """Return the known name that is most similar to `name`, "" if none is similar."""
     return next(iter(get_close_matches(name, list(names), n=1)), "")
 
 
 @dataclass(frozen=True)
 class Refusal:
-    """Why a value is refused, what is allowed instead, and the most similar allowed name."""
+    """Why a value is refused, the allowed values, and the most similar allowed name."""
 
     wrong: str
     allowed: str
@@ -68,9 +66,9 @@ class Refusal:
 class Description(ABC):
     """Meaning and allowed values of one field.
 
-    meaning: what the field is for, in a few words. name: the field's name for users, if different.
-    section: the field's section in a config file, if not the section of its class. change: the
-    effect of a change while the program runs, if not that of the whole class.
+    meaning: the purpose of the field, in a few words. name: the field's name for users, if
+    different. section: the field's section in a config file, if not the section of its class.
+    change: the effect of a new value while the program runs, if not the default of the class.
     """
 
     meaning: str
@@ -86,14 +84,14 @@ class Description(ABC):
 
     @abstractmethod
     def refuse(self, value: object) -> Refusal | None:
-        """Return why a value is refused, None if it is accepted. The value may have any type."""
+        """Return why the value is refused, None if it is accepted. value: of any type."""
 
     @abstractmethod
     def json_schema(self) -> dict[str, Any]:
-        """Return the JSON Schema of the values that are accepted."""
+        """Return the JSON Schema of the accepted values."""
 
     def resolved(self, value: object, folder: Path) -> object:
-        """Return the value; a relative path in it is resolved against the folder."""
+        """Return the value; a relative path in it is resolved against `folder`."""
         return value
 
     def typed(self, value: Any) -> Any:
@@ -103,10 +101,7 @@ class Description(ABC):
 
 @dataclass(frozen=True)
 class Number(Description):
-    """A number from low to high, both included. With `whole`, only whole numbers are allowed.
-
-    `off`: the word "off" is allowed as well, and stands for None.
-    """
+    """A number from low to high, both included. off: whether "off" is allowed and means None."""
 
     low: float
     high: float
@@ -120,7 +115,7 @@ class Number(Description):
         return f"{self.low:g} to {self.high:g} {self.unit}".rstrip() + ", or off" * self.off
 
     def refuse(self, value: object) -> Refusal | None:
-        """Refuse values that are no numbers (also True) or out of range (also NaN)."""
+        """Refuse NaN, numbers outside the range, booleans and other types."""
         if self.off and value == OFF:
             return None
         if isinstance(value, bool) or not isinstance(value, int if self.whole else (int, float)):
@@ -128,12 +123,12 @@ class Number(Description):
         return None if self.low <= value <= self.high else Refusal("is out of range", self.allowed)
 
     def json_schema(self) -> dict[str, Any]:
-        """Return a number with its limits; the word "off" is not in it."""
+        """Return the schema of a number in the range, without the word "off"."""
         kind = "integer" if self.whole else "number"
         return {"type": kind, "minimum": self.low, "maximum": self.high}
 
     def typed(self, value: Any) -> Any:
-        """Return a float, or the whole number; None for "off"."""
+        """Return the number as a float or an int, and None for "off"."""
         if self.off and value == OFF:
             return None
         return value if self.whole else float(value)
@@ -141,7 +136,7 @@ class Number(Description):
 
 @dataclass(frozen=True)
 class Choice(Description):
-    """One of several words or whole numbers. `aliases` are accepted but not listed."""
+    """One of several words or whole numbers. `aliases` are accepted but not named in messages."""
 
     words: tuple[str, ...] | tuple[int, ...]
     unit: str = ""
@@ -149,11 +144,11 @@ class Choice(Description):
 
     @property
     def allowed(self) -> str:
-        """All words."""
+        """All words except the aliases, and the unit."""
         return f"{', '.join(map(str, self.words))} {self.unit}".rstrip()
 
     def refuse(self, value: object) -> Refusal | None:
-        """Refuse values that are none of the words, or of another type."""
+        """Refuse unknown words and values of another type."""
         if type(value) is type(self.words[0]) and value in (*self.words, *self.aliases):
             return None
         guess = nearest(value, map(str, self.words)) if isinstance(value, str) else ""
@@ -170,11 +165,11 @@ class Switch(Description):
 
     @property
     def allowed(self) -> str:
-        """Both words of TOML."""
+        """The two boolean words of TOML."""
         return "true, false"
 
     def refuse(self, value: object) -> Refusal | None:
-        """Refuse everything but True and False, 0 and 1 included."""
+        """Refuse everything except True and False; 0 and 1 are refused."""
         return None if isinstance(value, bool) else Refusal("is not true or false", self.allowed)
 
     def json_schema(self) -> dict[str, Any]:
@@ -184,7 +179,7 @@ class Switch(Description):
 
 @dataclass(frozen=True)
 class Text(Description):
-    """A text that is not empty. `grammar` describes its form in words."""
+    """A non-empty text. `grammar` describes its form in words."""
 
     grammar: str = "a text that is not empty"
 
@@ -202,18 +197,11 @@ class Text(Description):
         return {"type": "string", "minLength": 1}
 
 
-def _type_name(kind: Any) -> str:
-    """Return a type as it is written; Python 3.13 puts Path into pathlib._local."""
-    name = kind.__name__ if isinstance(kind, type) else str(kind)
-    return name.replace("pathlib._local.", "pathlib.")
-
-
 class Described:
-    """Base of dataclasses whose fields are described: `Annotated[type, Number(...)]`.
+    """Base class of dataclasses whose fields have descriptions: `Annotated[type, Number(...)]`.
 
-    The descriptions are appended to the class's docstring.
-
-    UsageError: the constructor got refused values; the message names all of them.
+    The descriptions are appended to the class's docstring. UsageError: the constructor received
+    invalid values; the message names all of them.
     """
 
     DESCRIPTIONS: ClassVar[Mapping[str, Description]] = {}
@@ -226,7 +214,9 @@ class Described:
         text = inspect.cleandoc(cls.__doc__ or "")
         text += "" if "\nAttributes\n---" in text else "\n\nAttributes\n----------"
         for name, described in cls.DESCRIPTIONS.items():
-            kind = _type_name(hints[name].__origin__)
+            kind = hints[name].__origin__
+            kind = kind.__name__ if isinstance(kind, type) else str(kind)
+            kind = kind.replace("pathlib._local.", "pathlib.")  # Python 3.13 renames the module
             meaning = f"{described.meaning[0].upper()}{described.meaning[1:]}"
             text += f"\n{name} : {kind}\n    {meaning}. Allowed: {described.allowed}."
         cls.__doc__ = text
@@ -243,14 +233,15 @@ class Described:
 
     @classmethod
     def defaults(cls) -> dict[str, Any]:
-        """Return the default of every described field that has one."""
+        """Return the defaults of all described fields that have a default."""
         return {name: getattr(cls, name) for name in cls.DESCRIPTIONS if hasattr(cls, name)}
 
     @classmethod
     def refusals(cls, values: Mapping[str, Any]) -> dict[str, Refusal]:
-        """Return why values of any type are refused, by field; missing fields have their defaults.
+        """Return the error of each invalid field, by name; values may have any type.
 
-        None is accepted if it is the default. The caller must report unknown names.
+        A field without a value has its default. None is accepted if it is the default. Names that
+        belong to no field are not reported.
         """
         found: dict[str, Refusal] = {}
         accepted = {**values}
@@ -267,15 +258,12 @@ class Described:
 
     @classmethod
     def contradictions(cls, values: Mapping[str, Any]) -> dict[str, Refusal]:
-        """Return the fields that contradict others. values: those accepted by themselves."""
+        """Return an error for each value that contradicts another. values: each valid by itself."""
         return {}
 
     @classmethod
     def from_values(cls, values: Mapping[str, Any]) -> Self:
-        """Return an instance made of values from a config file or a capture.
-
-        UsageError: a value is refused.
-        """
+        """Return an instance. Values are converted by `typed`. UsageError: a value is invalid."""
         if found := cls.refusals(values):
             raise UsageError("; ".join(f"{name} {refusal}" for name, refusal in found.items()))
         known = cls.DESCRIPTIONS

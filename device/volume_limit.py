@@ -1,23 +1,19 @@
 """The limit for every volume that this program sets on a device."""
 
-from __future__ import annotations
-
 import math
 
 from device.errors import UsageError
 
-MAX_VOLUME_DB = 0.0
-"""Highest level that is ever set: above it, a device amplifies full-scale signals."""
+MAX_VOLUME_DB = 0.0  # highest level that is ever set; a higher level would amplify the signal
 
 
 def limit_volume_db(
     wanted_db: float, lowest_db: float, what: str, limit_db: float = MAX_VOLUME_DB
 ) -> float:
-    """Return the level in dB to set: at most wanted_db, limit_db and 0 dB.
+    """Return the level in dB to set: the lowest of wanted_db, limit_db and 0 dB (no gain).
 
-    lowest_db: the lowest level that the device has. what: its name for messages.
-
-    UsageError: wanted_db is NaN, or even the lowest level is above the limit.
+    lowest_db: lowest level that the device allows. what: name of the volume control, for messages.
+    UsageError: wanted_db is NaN, or lowest_db is above limit_db or 0 dB.
     """
     most_db = min(MAX_VOLUME_DB, limit_db)
     if math.isnan(wanted_db):

@@ -1,9 +1,7 @@
 """Writes vibration or simulated acceleration to a float32 WAV file, complete or not at all.
 
-The header is written here and not by libsndfile, for three reasons. A failed write keeps its
-reason, while libsndfile reports only that fewer frames were written. A recording of unknown length
-may exceed 4 GB. Equal vibration gives equal files; libsndfile writes the time of day into float
-files.
+libsndfile is unsuitable, because it does not report why a write failed. Also, libsndfile must know
+beforehand whether a file exceeds 4 GB, and writes the present time into float files.
 """
 
 import os
@@ -17,32 +15,15 @@ from device.units import Float32Array, FloatArray, check_channels
 
 _SAMPLE = np.dtype("<f4")
 _IEEE_FLOAT = 3  # WAVE_FORMAT_IEEE_FLOAT
-_IN_DS64 = 0xFFFF_FFFF
-"""Value of a 32-bit size in RF64; the true size is in the ds64 chunk."""
+_IN_DS64 = 0xFFFF_FFFF  # marks a 32-bit size in RF64 whose true value is in the ds64 chunk
 
 
 class WavOutput:
     """A `VibrationOutput` that writes a float32 WAV file, or RF64 above 4 GB.
 
-    Memory use does not depend on the length. Samples are stored as given, also beyond ±1.0.
-
-    Parameters
-    ----------
-    path : path-like
-        The file to create or replace.
-    samplerate : int
-        Rate in Hz.
-    channels : int
-        1 to 16383.
-    comment : str, optional
-        Stored as the file's comment (RIFF INFO, UTF-8).
-
-    Raises
-    ------
-    UsageError
-        The file cannot be created there, see `AtomicFile`.
-    WriteError
-        The disk is full or failed, here or in `write` and `close`; no file is left then.
+    Memory use is independent of the length of the file. Samples beyond ±1.0 are stored unchanged.
+    samplerate: Hz. channels: 1 to 16383. comment: text of the RIFF INFO chunk ICMT, UTF-8. frames:
+    number of frames written. The constructor, `write` and `close` raise the errors of `AtomicFile`.
     """
 
     def __init__(
@@ -53,50 +34,36 @@ class WavOutput:
         *,
         comment: str | None = None,
     ) -> None:
-        self._samplerate = samplerate
-        self._channels = channels
+        self.samplerate, self.channels, self.frames = samplerate, channels, 0
         self._comment = comment
-        self._frames = 0
         # The final header replaces this one at the end; both have the same length.
-        placeholder = wav_header(samplerate, channels, 0, comment)
-        file = AtomicFile(path)
-        file.write(placeholder)
-        self._file: AtomicFile | None = file
-
-    @property
-    def samplerate(self) -> int:
-        """Rate in Hz."""
-        return self._samplerate
-
-    @property
-    def channels(self) -> int:
-        """Number of channels."""
-        return self._channels
-
-    @property
-    def frames(self) -> int:
-        """Number of frames written so far."""
-        return self._frames
+        header = self._header()
+        self._file: AtomicFile | None = AtomicFile(path)
+        self._file.write(header)
 
     def write(self, vibration: FloatArray | Float32Array) -> None:
         """Append (frames, channels) samples, rounded to float32."""
         if self._file is None:
             raise InternalError("the WAV file is closed: nothing can be written to it")
-        check_channels(vibration, self._channels)
-        if vibration.size == 0:  # a memoryview of an empty array cannot be cast to bytes
+        check_channels(vibration, self.channels)
+        if vibration.size == 0:  # Python cannot cast a memoryview of an empty array to bytes
             return
-        samples = np.ascontiguousarray(vibration, dtype=_SAMPLE)
-        self._append(samples.data)
-        self._frames += len(vibration)
+        try:
+            self._file.write(np.ascontiguousarray(vibration, dtype=_SAMPLE).data)
+        except WriteError:
+            self._file = None
+            raise
+        self.frames += len(vibration)
 
     def close(self) -> None:
-        """Complete the header, check the size and give the file its name."""
+        """Complete the header, check the file size, and give the file its name."""
         file, self._file = self._file, None
         if file is None:
             return
-        header = wav_header(self._samplerate, self._channels, self._frames, self._comment)
+        header = self._header()
         file.overwrite(header)
-        size, expected = file.size(), self._size(self._frames, header)
+        expected = len(header) + self.frames * self.channels * _SAMPLE.itemsize
+        size = file.size()
         if size != expected:
             file.abort()
             raise WriteError(
@@ -111,25 +78,16 @@ class WavOutput:
         if file is not None:
             file.abort()
 
-    def _append(self, samples: memoryview) -> None:
-        assert self._file is not None
-        try:
-            self._file.write(samples)
-        except WriteError:
-            self._file = None
-            raise
-
-    def _size(self, frames: int, header: bytes) -> int:
-        return len(header) + frames * self._channels * _SAMPLE.itemsize
+    def _header(self) -> bytes:
+        return wav_header(self.samplerate, self.channels, self.frames, self._comment)
 
 
 def wav_header(samplerate: int, channels: int, frames: int, comment: str | None = None) -> bytes:
-    """Return the header of a float32 WAV file; its length does not depend on `frames`.
+    """Return the header of a float32 WAV file; its length is independent of `frames`.
 
-    Chunks: ds64 (below 4 GB the same bytes are JUNK, EBU Tech 3306), fmt, fact, LIST INFO ICMT,
-    data. A file of more than 4 GB has RF64 in place of RIFF.
-
-    InternalError: the rate or the number of channels does not fit into a WAV header.
+    Chunks: ds64, fmt, fact, LIST INFO ICMT for a comment, data. A file of less than 4 GB has a JUNK
+    chunk of the same size in place of ds64 (EBU Tech 3306). A larger file begins with RF64 in place
+    of RIFF. InternalError: samplerate or channels does not fit into a WAV header.
     """
     frame_bytes = channels * _SAMPLE.itemsize
     if not (0 < samplerate * frame_bytes <= _IN_DS64 and 0 < channels <= 0x3FFF):
@@ -160,5 +118,5 @@ def wav_header(samplerate: int, channels: int, frames: int, comment: str | None 
 
 
 def _chunk(name: bytes, content: bytes) -> bytes:
-    """Return a RIFF chunk; the content is padded to an even length, the size is without padding."""
+    """Return a RIFF chunk, padded to an even length; its size field excludes the padding."""
     return struct.pack("<4sI", name, len(content)) + content + b"\0" * (len(content) % 2)

@@ -1,4 +1,4 @@
-"""Transform a stream of sound block by block, as an audio callback does: block_by_block.py."""
+"""Transform a stream of sound block by block, as an audio callback does."""
 
 import numpy as np
 

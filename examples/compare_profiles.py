@@ -1,4 +1,4 @@
-"""Compare how strongly each profile vibrates for soft and loud sound: compare_profiles.py."""
+"""Print the level of the vibration that each profile gives for soft and loud tones."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Write a sound's vibration in formats of other haptic tools: export_formats.py SOUND FOLDER."""
+"""Write the vibration of a sound file in four formats: export_formats.py SOUND FOLDER."""
 
 import sys
 from pathlib import Path

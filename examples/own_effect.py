@@ -1,4 +1,4 @@
-"""Run an effect before the transform. docs/effects.md makes it a package for `cushion`."""
+"""Apply an effect before the transform. docs/effects.md explains how `cushion` uses effects."""
 
 import uuid
 
@@ -7,24 +7,23 @@ import numpy as np
 from audioflinger_hook import HapticTransform
 from audioflinger_hook.effect.chain import EffectChains
 from audioflinger_hook.effect.interface import ENOSYS, OK, Command, EffectDescriptor
-from audioflinger_hook.mixer.effects_port import OUTPUT_MIX
-from audioflinger_hook.mixer.mix_buffer import MixBuffer
+from audioflinger_hook.mixer.mix_buffer import OUTPUT_MIX, MixBuffer
 
 RATE, FRAMES = 48_000, 480
 
 
 class Gentle:
-    """Halves the sound, and so the vibration made of it."""
+    """Halves the amplitude of the sound, which also weakens the vibration."""
 
     descriptor = EffectDescriptor(uuid.uuid4(), uuid.uuid4(), name="Gentle", implementor="You")
 
     def process(self, source: MixBuffer, target: MixBuffer) -> int:
-        """Change one buffer in place."""
+        """Write the sound of the source to the target, at half of its amplitude."""
         target.audio[:] = 0.5 * source.audio
         return OK
 
     def command(self, code: int, data: object = None) -> tuple[int, object]:
-        """Accept what every effect must accept."""
+        """Accept the commands that every effect must accept."""
         return (OK, None) if code <= Command.DISABLE else (ENOSYS, None)
 
 

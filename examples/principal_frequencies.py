@@ -1,4 +1,4 @@
-"""Show the principal frequencies of a sound and the vibration of each: principal_frequencies.py."""
+"""Print the principal frequencies of a sound, with frequency and amplitude of their vibration."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Record buffers as delivered, and render them again: replay_capture.py FOLDER OUT.wav."""
+"""Record a sound into a folder, then write its vibration: replay_capture.py FOLDER OUT.wav."""
 
 import sys
 from pathlib import Path

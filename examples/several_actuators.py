@@ -1,4 +1,4 @@
-"""Write a file with a channel for each of three actuators: several_actuators.py SOUND OUT.wav."""
+"""Write the vibration for three actuators to one file: several_actuators.py SOUND OUT.wav."""
 
 import sys
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Predict what a seat does with a vibration: simulated_rig.py."""
+"""Predict the motion of the seats of two rigs, for tones of several frequencies."""
 
 import numpy as np
 

@@ -3,6 +3,7 @@
 import importlib
 import os
 import signal
+import subprocess
 import sys
 import textwrap
 
@@ -49,6 +50,18 @@ def pytest_collection_modifyitems(items):
             if test in begun:
                 item.add_marker(pytest.mark.exhaustive)
             begun.add(test)
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """A filesystem of 32 kB; only root may mount one."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=32k", "tmpfs", str(folder)]
+    if os.geteuid() != 0 or subprocess.run(mount, capture_output=True).returncode != 0:
+        pytest.skip("a small disk can be mounted by root only: sudo make test")
+    yield folder
+    subprocess.run(["umount", str(folder)], check=True)
 
 
 @pytest.fixture

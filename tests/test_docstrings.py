@@ -1,6 +1,4 @@
-"""Every parameter of what a package offers is documented, in numpydoc's sections."""
-
-from __future__ import annotations
+"""Every parameter of what a package offers is documented, as `name: text` or in a section."""
 
 import importlib
 import inspect
@@ -18,6 +16,8 @@ import device
 SECTION = re.compile(
     r"^(\w[\w ]*)\n-{3,}\n(.*?)(?=^\w[\w ]*\n-{3,}\n|\Z)", re.MULTILINE | re.DOTALL
 )
+
+NAMED = re.compile(r"(?:^|(?<=[.;]\s))(\w+(?:, \w+)*):\s", re.MULTILINE)
 
 
 def public_callables() -> list[tuple[str, Any]]:
@@ -55,24 +55,18 @@ def parameters_of(thing: Any) -> set[str]:
     return {name for name in signature.parameters if not name.startswith("_")}
 
 
-def documented_in(text: str) -> set[str]:
-    """Return the names that the sections Parameters and Attributes list."""
-    sections = {match[1]: match[2] for match in SECTION.finditer(text)}
-    listed: set[str] = set()
-    for section in ("Parameters", "Attributes"):
-        for names in re.findall(
-            r"^([\w*, ]+?)(?: ?:.*)?$", sections.get(section, ""), re.MULTILINE
-        ):
-            listed |= {name.strip(" *") for name in names.split(",")}
-    return listed
-
-
 @pytest.mark.parametrize(("name", "thing"), [pytest.param(*e, id=e[0]) for e in public_callables()])
 def test_every_parameter_of_a_public_callable_is_documented(name: str, thing: Any) -> None:
     text = inspect.getdoc(thing) or ""
     assert text.splitlines()[0].rstrip().endswith("."), f"{name}: the first line is no sentence"
-    missing = parameters_of(thing) - documented_in(text) - {"args", "kwargs"}
-    assert not missing, f"{name}: no `Parameters` entry for {', '.join(sorted(missing))}"
+    # before a colon, or listed by Parameters or Attributes
+    described = {name for names in NAMED.findall(text) for name in names.split(", ")}
+    sections = {match[1]: match[2] for match in SECTION.finditer(text)}
+    for section in ("Parameters", "Attributes"):
+        for names in re.findall(r"(?m)^([\w*, ]+?)(?: ?:.*)?$", sections.get(section, "")):
+            described |= {name.strip(" *") for name in names.split(",")}
+    missing = parameters_of(thing) - described - {"args", "kwargs"}
+    assert not missing, f"{name}: the docstring does not describe {', '.join(sorted(missing))}"
 
 
 def test_the_packages_offer_something() -> None:

@@ -1,7 +1,5 @@
 """The list of safety guards is up to date; `tools/guards.py` takes each out and runs its test."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """The manual page and the completions name all that the parser knows, and parse."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import tomllib

@@ -36,9 +36,6 @@ PROGRAMS = ["basename", "cat", "chmod", "cksum", "dirname", "find", "grep", "hea
 PROGRAMS += ["mktemp", "readlink", "rm", "sed", "sh", "sort", "tail", "tr"]
 
 
-# --- the wheel
-
-
 @pytest.fixture(scope="module")
 def project_copy(tmp_path_factory):
     """A copy of the project's sources, nothing compiled in it."""
@@ -83,16 +80,13 @@ def test_the_wheel_holds_the_two_packages_and_nothing_else(wheel_names):
 
 
 @pytest.mark.exhaustive
-def test_the_wheel_holds_every_module_of_the_packages(wheel_names):
+def test_the_wheel_holds_every_module_type_marker_and_data_and_the_licence(wheel_names):
     modules = [path for package in PACKAGES for path in (ROOT / package).rglob("*.py")]
     assert {path.relative_to(ROOT).as_posix() for path in modules} <= set(wheel_names)
-
-
-@pytest.mark.exhaustive
-def test_the_wheel_holds_the_packages_type_markers_and_data(wheel_names):
     markers = {f"{package}/py.typed" for package in PACKAGES}
     data = {"device/probe/probe.toml", "device/probe/probe.xml"}
     assert markers | data <= set(wheel_names)
+    assert [name for name in wheel_names if name.endswith("/LICENSE")]
 
 
 @pytest.mark.exhaustive
@@ -101,7 +95,7 @@ def test_the_wheel_holds_what_is_compiled_and_no_source_of_it(wheel_names):
     assert {core, "device/blocks_library.so"} <= set(wheel_names)
     suffixes = {Path(name).suffix for name in wheel_names if name.split("/")[0] in PACKAGES}
     page = {".html", ".css", ".js", ".svg"}
-    assert suffixes <= {".py", ".so", ".typed", ".toml", ".xml", ".json"} | page
+    assert suffixes <= {".py", ".so", ".typed", ".toml", ".xml", ".json", ".conf"} | page
 
 
 @pytest.mark.exhaustive
@@ -155,17 +149,9 @@ def test_no_wheel_lacks_the_core_and_one_without_the_rigs_library_is_built_all_t
     assert libraries == ["audioflinger_hook/core/haptic_cushion.so"]
 
 
-@pytest.mark.exhaustive
-def test_the_wheel_holds_the_licence(wheel_names):
-    assert [name for name in wheel_names if name.endswith("/LICENSE")]
-
-
 def test_the_version_is_in_the_changelog():
     version = audioflinger_hook.__version__
     assert f"## [{version}]" in (ROOT / "CHANGELOG.md").read_text()
-
-
-# --- the Makefile, the scripts
 
 
 TARGETS = ["help", "run", "test", "test-all", "soak", "bench", "docs", "clean"]
@@ -195,9 +181,6 @@ def test_the_set_up_names_no_sound_server():
     servers = r"pulseaudio|pipewire|wireplumber|jackd|systemctl"
     makefile = (ROOT / "Makefile").read_text().replace("test-pipewire", "")
     assert not re.search(servers, SET_UP.read_text() + makefile)
-
-
-# --- the scripts on machines that this one is not
 
 
 @pytest.fixture
@@ -318,14 +301,7 @@ def test_recordings_that_are_there_are_kept(bare):
     assert bare.called() == []
 
 
-# --- what may be missing at home but not in CI
-
-
 @pytest.mark.skipif(not IN_CI, reason="only with CI=true, where nothing may be left out")
-def test_in_ci_there_are_recordings():
+def test_in_ci_there_are_recordings_and_matplotlib():
     assert {path.suffix for path in recordings()} == {".wav", ".oga"}, WHY_NONE
-
-
-@pytest.mark.skipif(not IN_CI, reason="only with CI=true, where nothing may be left out")
-def test_in_ci_there_is_matplotlib():
     assert importlib.util.find_spec("matplotlib")

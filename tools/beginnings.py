@@ -1,9 +1,10 @@
-"""The loss at the beginnings of new streams on PipeWire: tools/beginnings.py [--count N].
+"""Measures vibration lost at the start of new PipeWire streams: tools/beginnings.py [--count N].
 
-Starts a sound server of its own with `cushion run`, and one player after the other: pw-play,
-paplay, mpv, a JACK client (mpv with pw-jack) and a loopback. Each plays a tone from its first
-sample on, and the same tone again after a pause, when all links are there. Where the vibration of
-the first tone begins a cycle of the graph later than that of the second, this cycle is lost.
+The program starts a private sound server and `cushion run`. It then plays a short file several
+times with each player. The players are pw-play, paplay, mpv, a JACK client (mpv with pw-jack), and
+pw-play through a loopback. The file contains the same tone twice. At the second tone, PipeWire has
+made all links of the new stream. For both tones, the delay from sound to vibration is measured. The
+result is the number of graph cycles by which the delay of the first tone is longer.
 """
 
 from __future__ import annotations
@@ -44,9 +45,9 @@ PLAYERS: dict[str, tuple[str, ...]] = {
 
 
 def main() -> int:
-    """Measure and print; the exit code is 1 where a player is missing or nothing is felt."""
+    """Print the number of lost graph cycles for each player. Return 0, or 1 after an error."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--count", type=int, default=20, help="streams of each player")
+    parser.add_argument("--count", type=int, default=20, help="number of streams for each player")
     parser.add_argument("--player", choices=PLAYERS, nargs="+", default=list(PLAYERS))
     options = parser.parse_args()
     try:
@@ -69,16 +70,16 @@ def main() -> int:
 
 
 def told(lost: list[int]) -> str:
-    """Return the cycles lost of some streams in words."""
+    """Return a summary as text. lost: number of graph cycles that each stream lost."""
     whole = sum(one == 0 for one in lost)
     most = max(lost, default=0)
     return f"{whole} of {len(lost)} lost nothing" + (f", the others up to {most}" if most else "")
 
 
 def lost_cycles(player: str, count: int, folder: Path, environment: Mapping[str, str]) -> list[int]:
-    """Return how many cycles each of some new streams has lost at its beginning.
+    """Return the number of graph cycles that each of `count` new streams lost at its start.
 
-    LostError: a program is missing, or not all streams were felt.
+    LostError: a player is not installed, or the recording contains fewer than `count` streams.
     """
     command = PLAYERS[player]
     if missing := [one for one in command[:2] if one[0] != "-" and not shutil.which(one)]:
@@ -118,7 +119,6 @@ def _lost(heard: FloatArray, felt: FloatArray) -> Iterator[int]:
 
 
 def _shortened(heard: FloatArray) -> int:
-    """Return how many of the first tones are shorter than the second ones."""
     begins = onsets(heard, RATE_HZ)
     loud = np.abs(heard) > 0.01
     sizes = [np.count_nonzero(loud[at : at + round(TONE_S * RATE_HZ)]) for at in begins]
@@ -126,14 +126,14 @@ def _shortened(heard: FloatArray) -> int:
 
 
 def _delay_frames(felt: FloatArray, onset: int) -> int:
-    # the monitor of a sink that drives the graph is a cycle late, so this may be under 0
+    # The monitor of a sink that drives the graph is a cycle late, so the delay may be negative.
     part = np.abs(felt[max(0, onset - QUANTUM) : onset + round(TONE_S * RATE_HZ)])
     return int(np.argmax(part >= 0.1 * part.max(initial=1e-9))) - min(onset, QUANTUM)
 
 
 @contextmanager
 def _loopback(environment: Mapping[str, str]) -> Iterator[None]:
-    """A sink `loop` whose sound a loopback plays to `desktop`, as EasyEffects does."""
+    """A context with a loopback that plays the sound of its sink `loop` to the sink `desktop`."""
     process = spawn(
         [
             *("pw-loopback", "--capture-props=media.class=Audio/Sink node.name=loop"),

@@ -1,8 +1,9 @@
-"""How late bursts are felt on PipeWire: tools/burst_latency.py [--quantum N ...] [--rate HZ ...]
+"""Measures how late the vibration of tone bursts is: tools/burst_latency.py [--quantum N ...] ...
 
-Starts a sound server of its own with `cushion run`, plays bursts of 150, 440 and 900 Hz, and
-reports the delay of their vibration to a tenth and to half of its peak. Sound and vibration are
-recorded in one stream, the sound at a third sink that does not drive the graph.
+The program starts a private sound server and `cushion run`, and plays tone bursts of 150, 440 and
+900 Hz. It prints two delays: from the start of a burst until the vibration reaches a tenth of its
+peak, and until it reaches half. Sound and vibration are recorded in one stream. The sound is
+recorded at an additional sink, which does not drive PipeWire's graph.
 """
 
 from __future__ import annotations
@@ -31,18 +32,18 @@ from tools.sound_server import ServerError, SoundServer
 
 
 def main() -> int:
-    """Measure, print, keep; the exit code is 1 where nothing could be measured."""
+    """Measure and print the delays, and store them with --out. Return 0, or 1 after an error."""
     parser = argparse.ArgumentParser(description="Measure how late bursts are felt on PipeWire.")
     parser.add_argument("--quantum", type=int, nargs="+", default=[1024, 256], metavar="N")
     parser.add_argument("--rate", type=int, nargs="+", default=[48_000], metavar="HZ")
     parser.add_argument("--engine", choices=("native", "python"), nargs="+", default=["native"])
     parser.add_argument(
         "--tap", choices=("streams", "monitor"), nargs="+", default=["streams"],
-        help="of the native engine; monitor: links from streams are refused on purpose",
+        help="tap of the native engine; monitor: links from streams are refused",
     )  # fmt: skip
-    parser.add_argument("--count", type=int, default=60, metavar="N", help="bursts of each run")
-    parser.add_argument("--json", action="store_true", help="one JSON document on stdout")
-    parser.add_argument("--out", type=Path, metavar="FILE", help="keep the results there")
+    parser.add_argument("--count", type=int, default=60, metavar="N", help="bursts in each run")
+    parser.add_argument("--json", action="store_true", help="print one JSON document")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="file of results to update")
     options = parser.parse_args()
     records = []
     try:
@@ -82,9 +83,11 @@ def _measured(options: argparse.Namespace) -> Iterator[BurstRecord]:
 def measured_here(
     server: SoundServer, quantum: int, rate: int, count: int, folder: Path
 ) -> BurstRecord:
-    """Return the delays of the daemon that runs on a server with a reference sink.
+    """Return the delays of the vibration that a running daemon makes.
 
-    LostError: no burst was felt, or the daemon does not answer.
+    server: the daemon's sound server, which has the additional sink for recording the sound.
+
+    LostError: no burst caused vibration, the daemon does not answer, or PipeWire failed.
     """
     seen: list[Status | None] = []
     found = burst_delays(

@@ -53,7 +53,7 @@ while [ "$round" -lt "$rounds" ]; do
             UBSAN_OPTIONS=print_stacktrace=1:log_path=$scratch/report \
             "$python" -m pytest -q -p no:cacheprovider --hypothesis-seed="$round" \
             -k 'not no_more_memory and not memory_back' \
-            tests/transform/test_kernel_parts.py tests/transform/test_kernel.py tests/transform/test_analysis.py \
+            tests/transform/test_exact.py tests/transform/test_kernel.py tests/transform/test_analysis.py \
             tests/transform/test_parameters.py tests/transform/test_downmix.py tests/core tests/device/drive \
             tests/device/test_blocks.py tests/device/clock/test_ring.py
     ) || {

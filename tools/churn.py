@@ -1,8 +1,9 @@
-"""What a busy graph of PipeWire costs the daemon: tools/churn.py [--seconds S]
+"""Measures the daemon's load on a busy PipeWire graph: tools/churn.py [--seconds S].
 
-Starts a sound server of its own with 200 further nodes and `cushion run`, plays a steady tone, and
-starts and ends 20 silent streams each second. Prints what the daemon uses of the processor, how its
-memory and the links grow, and how long the tone and its vibration were interrupted.
+The program starts a private sound server with 200 additional sinks, and `cushion run`. It plays a
+steady tone, and starts 20 silent streams each second, which last 0.5 s. It prints the daemon's CPU
+time, the growth of its memory and of the number of links, and the duration of all gaps in tone and
+vibration.
 """
 
 from __future__ import annotations
@@ -40,8 +41,11 @@ WINDOW_S = 0.01
 
 @dataclass(frozen=True)
 class Churn:
-    """What was measured. cpu_percent: of the daemon, of one core. heard_gaps_ms, felt_gaps_ms: how
-    long the tone and its vibration were interrupted in all."""
+    """The result of a measurement.
+
+    cpu_percent: CPU time of the daemon, in percent of one core.
+    heard_gaps_ms, felt_gaps_ms: total duration of gaps in the tone and in its vibration.
+    """
 
     cpu_percent: float
     memory_growth_kb: float
@@ -58,9 +62,9 @@ class Churn:
 
 
 def main() -> int:
-    """Measure and print; the exit code is 1 where something is missing."""
+    """Measure and print the result. Return 0, or 1 after an error."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--seconds", type=float, default=60.0, help="how long streams come and go")
+    parser.add_argument("--seconds", type=float, default=60.0, help="duration of the measurement")
     options = parser.parse_args()
     try:
         with (
@@ -75,7 +79,10 @@ def main() -> int:
 
 
 def churned(server: SoundServer, seconds: float) -> Churn:
-    """Return what the daemon does while streams come and go for so long. LostError: no sound."""
+    """Measure for `seconds` while streams start and end.
+
+    LostError: a PipeWire program or the daemon fails.
+    """
     environment, folder = server.environment, server.folder
     tone, silence = folder / "steady.wav", folder / "silent.wav"
     times_s = np.arange(round((seconds + 2.0 * PLAYED_S) * RATE_HZ)) / RATE_HZ
@@ -152,7 +159,7 @@ def _write(path: Path, sound: FloatArray) -> None:
 
 
 def _gaps_ms(sound: FloatArray) -> float:
-    """Return how long a steady sound is under half of its usual peak, its two ends left out."""
+    """Return the total duration in ms of 10 ms pieces with a peak under half of the median peak."""
     window = round(WINDOW_S * RATE_HZ)
     inner = sound[RATE_HZ // 2 : -RATE_HZ // 2]
     peaks = np.abs(inner[: len(inner) // window * window].reshape(-1, window)).max(axis=1)

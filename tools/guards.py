@@ -1,7 +1,10 @@
-"""Takes each safety guard out of a copy of the project: tools/guards.py [PART OF A NAME ...]
+"""Checks that a test fails if a safety guard is removed.
 
-Prints for each guard whether its test notices that it is missing. The exit code is 1 where a test
-passes without its guard.
+Usage: tools/guards.py [PART OF A GUARD'S NAME ...]; without names, all guards are tried.
+
+A guard is a line of code on which safety depends. The tool removes each guard in turn from a copy
+of the project, and runs its test, which must fail. It prints the result for each guard. Exit code
+1: a test passes without its guard or cannot run, or a guard is not found.
 """
 
 from __future__ import annotations
@@ -18,15 +21,15 @@ ROOT = Path(__file__).resolve().parents[1]
 LIMIT_S = 300.0
 
 SET = "not soak and not servers and not usbvm and not browser and not s3"
-"""What runs of a test file: also the exhaustive tests."""
+"""Selects the tests of a file, including exhaustive tests."""
 
 
 @dataclass(frozen=True)
 class Mutation:
-    """A guard, and how it is taken out.
+    """A guard, and the edit that removes it.
 
-    guard: what it keeps. file, old, new: the text that is replaced; it occurs once. test: what
-    fails then.
+    guard: what the guard ensures. file, old, new: in the file, `old`, which occurs once, is
+        replaced by `new`. test: the test that must fail.
     """
 
     guard: str
@@ -41,14 +44,13 @@ PROTECTOR = "audioflinger_hook/core/drive/protection.c"
 RANDOM = "tests/device/drive/test_random_drives.py"
 RANDOM_DRIVES = "test_no_drive_of_a_generator_takes_a_rig_that_is_a_tenth_off_beyond_a_limit"
 GOVERNOR = "audioflinger_hook/core/drive/governor.c"
-EXPOSURE = "audioflinger_hook/core/drive/exposure.c"
 ACTUATOR = "audioflinger_hook/core/drive/actuator.c"
 EXPOSED = "tests/device/drive/test_exposure.py"
 GUARD = "device/server/guard.py"
 PLACED = "tests/device/server/test_placement.py"
 DELAY_LINE = "device/clock/delay_line.py"
 STALLS = "tests/device/clock/test_faults.py"
-SWITCH = "audioflinger_hook/daemon/engine_switch.py"
+NATIVE = "audioflinger_hook/daemon/native/run.py"
 SWITCHED = "tests/daemon/test_failing_engine.py"
 CHAINS = "audioflinger_hook/daemon/native/chains.py"
 TAPS = "audioflinger_hook/daemon/native/taps.py"
@@ -59,9 +61,9 @@ GIVEN_BACK = "tests/device/usb/test_mock.py"
 
 MUTATIONS = (
     Mutation(
-        "the coil counts as held by nothing but its resistance",
+        "the predicted current assumes a blocked coil with resistance only",
         "device/drive/protection/prediction.py",
-        "volts / unmoved_ohm * np.eye(self.states)[LAST]",
+        "volts / unmoved_ohm * np.eye(states)[LAST]",
         "drives[0].i_row",
         f"{RANDOM}::{RANDOM_DRIVES}",
     ),
@@ -80,14 +82,14 @@ MUTATIONS = (
         f"{PROTECTION}::test_a_burst_after_a_long_pause_heats_a_hot_coil_no_further",
     ),
     Mutation(
-        "the wanted power is lowered as the coil comes near its limit",
+        "the requested power is lowered as the coil nears its temperature limit",
         PROTECTOR,
         "p->wanted_w > allowed_w ? sqrt(allowed_w / p->wanted_w) : 1.0;",
         "1.0;",
         f"{PROTECTION}::test_the_coil_comes_up_to_its_limit_and_stays_there",
     ),
     Mutation(
-        "a coil that nears its limit ends the shortcut for what needs no gain",
+        "the shortcut without gain ends when a coil nears its temperature limit",
         PROTECTOR,
         "    warm(p, power_w, power_w);\n    p->at_ease = heat_is_far(p);",
         "    warm(p, power_w, power_w);\n    p->at_ease = 1;",
@@ -115,16 +117,16 @@ MUTATIONS = (
         f"{PROTECTION}::test_the_current_stays_under_its_limit",
     ),
     Mutation(
-        "what would swing on after a stop is limited",
+        "the oscillation after the end of the drive is limited",
         GOVERNOR,
-        "apply_to_parts(tail, points, states, last, out);",
+        "apply_to(PARTS, tail, points, states, last, out);",
         "memset(out[FIXED], 0, points * 8), memset(out[PER_GAIN], 0, points * 8),"
         " memset(out[UNGOVERNED], 0, points * 8), (void)tail, (void)last;",
         PROTECTION,
     ),
     Mutation(
-        "a dose that is used up lowers the gain",
-        EXPOSURE,
+        "an exhausted daily dose lowers the gain",
+        ACTUATOR,
         "if (!(d->cap_a8_m_s2 > 0.0))",
         "if (1)",
         EXPOSED,
@@ -137,14 +139,14 @@ MUTATIONS = (
         EXPOSED,
     ),
     Mutation(
-        "a killed process has done the worst that protection allows since its last record",
+        "after a crash, the largest heat and dose that protection allows are assumed",
         "audioflinger_hook/daemon/safety_keeper.py",
         "state = bounds.after_unrecorded(state, unrecorded_s)",
         "pass",
         KEPT,
     ),
     Mutation(
-        "a record that is lost or damaged stands for the warmest coil",
+        "without a valid record, the warmest coil is assumed",
         "audioflinger_hook/daemon/safety_keeper.py",
         "                if trouble:\n                    state = bounds.warmest",
         "                if False:\n                    state = bounds.warmest",
@@ -165,7 +167,7 @@ MUTATIONS = (
         PLACED,
     ),
     Mutation(
-        "a stream is silent from an event about it until a look at it",
+        "after an event about a stream, the stream is silent until it is checked",
         GUARD,
         "return Hold.UNSETTLED if self.unsettled else Hold.FREE",
         "return Hold.FREE",
@@ -179,7 +181,7 @@ MUTATIONS = (
         PLACED,
     ),
     Mutation(
-        "a look that is older than an event frees no stream",
+        "a check from before an event does not release a stream",
         GUARD,
         "if snapshot.events < self.unsettled:",
         "if False:",
@@ -207,21 +209,21 @@ MUTATIONS = (
         TAPPED,
     ),
     Mutation(
-        "the device's monitor is not tapped, whoever plays it",
+        "the device's monitor is not tapped through any application",
         TAPS,
-        "if output.is_monitor and node.id == avoided:  # it would feed back",
+        "if output.is_monitor and node.id == avoided:  # the monitor would cause feedback",
         "if False:",
         TAPPED,
     ),
     Mutation(
-        "links that nobody wants are removed",
+        "unwanted links are removed",
         "device/server/link_keeper.py",
         "if link.pair not in wanted:",
         "if False:",
         "tests/device/server/test_graph.py",
     ),
     Mutation(
-        "two starvations within a second are followed by silence",
+        "two underruns within a second are followed by silence",
         DELAY_LINE,
         "self._not_before_s = now_s + HOLD_OFF_S",
         "pass",
@@ -235,15 +237,15 @@ MUTATIONS = (
         STALLS,
     ),
     Mutation(
-        "a native engine that fails again and again gives way",
-        SWITCH,
+        "a native engine that fails repeatedly is replaced by the Python engine",
+        NATIVE,
         "if not lost or self._failures >= FAILURES_MAX:",
         "if not lost:",
         SWITCHED,
     ),
     Mutation(
-        "a native engine that does not start in time gives way",
-        SWITCH,
+        "a native engine that starts too slowly is replaced by the Python engine",
+        NATIVE,
         "elif now_s - self._began_s > START_S:",
         "elif False:",
         SWITCHED,
@@ -263,28 +265,28 @@ MUTATIONS = (
         SWITCHED,
     ),
     Mutation(
-        "a USB device is given back to its driver",
+        "a USB device is returned to its driver",
         "device/usb/guardian.py",
         "handle.attach_kernel_driver(number)",
         "pass",
         GIVEN_BACK,
     ),
     Mutation(
-        "what was set on a USB device is set back",
+        "settings of a USB device are restored",
         "device/usb/guardian.py",
         "        control.restore(\n",
         "        ControlState.__call__ and (lambda _state: None)(\n",
         GIVEN_BACK,
     ),
     Mutation(
-        "what was too loud is not set back",
+        "a level that is too loud is not restored",
         "device/usb/control.py",
         "self._set_units(channel, min(units, loudest))",
         "self._set_units(channel, units)",
         f"{USB}::test_what_was_set_is_set_back_but_never_too_loud_again",
     ),
     Mutation(
-        "an interval counts how neighbouring bins correlate",
+        "a confidence interval includes the correlation of neighbouring bins",
         "device/identification/output_error.py",
         "variance = 0.5 * float(np.mean(np.abs(e) ** 2)) * (1.0 + held) / (1.0 - held)",
         "variance = 0.5 * float(np.mean(np.abs(e) ** 2))",
@@ -295,7 +297,7 @@ MUTATIONS = (
 
 
 def guards_table() -> str:
-    """Return all guards as a table of a page: what each keeps, where it is, which test notices."""
+    """Return all guards as a Markdown table: purpose, file and test."""
     rows = (
         f"| {one.guard} | `{one.file}` | `{one.test.replace('::', '` `')}` |" for one in MUTATIONS
     )
@@ -303,7 +305,7 @@ def guards_table() -> str:
 
 
 def main(words: list[str]) -> int:
-    """Try the guards whose names have one of the words, or all; print what was found."""
+    """Try all guards, or those whose names contain one of the words; return the exit code."""
     chosen = [one for one in MUTATIONS if not words or any(word in one.guard for word in words)]
     unnoticed = 0
     with tempfile.TemporaryDirectory(prefix="guards-") as folder:
@@ -323,7 +325,6 @@ def _copy(copy: Path) -> None:
 
 
 def _build(copy: Path) -> None:
-    """Build the compiled parts anew, with few of them compiled again."""
     command = [sys.executable, "setup.py", "-q", "build_ext", "--inplace"]
     subprocess.run(command, cwd=copy, check=True, capture_output=True)
 

@@ -1,9 +1,12 @@
-"""How late live vibration is: tools/latency.py [--kind pulse|pipewire|both] [--seconds S] ...
+"""Measures live latency: tools/latency.py [--kind pulse|pipewire|both] [--seconds S] ...
 
-Starts a separate sound server (tools/sound_server.py) with `cushion run` on it, and plays a sound
-that swells irregularly. It records sound and vibration side by side, and reports how much later the
-vibration comes, transform included. With --here it measures the daemon that is running
-on this desktop: by whatever plays there to some milliseconds, with --play as well as elsewhere.
+The program starts a separate sound server (tools/sound_server.py) and `cushion run`, and plays a
+sound whose level varies irregularly. It records sound and vibration simultaneously, and prints the
+delay of the vibration, including the latency of the transform.
+
+With --here, the tool measures the daemon that runs on this desktop, with the sound of the programs
+that play. With such sound, the result is accurate to some milliseconds. With --play, the tool also
+plays its own sound; the result is then as accurate as on a separate server.
 """
 
 from __future__ import annotations
@@ -38,13 +41,14 @@ from tools.sound_server import PROGRAMS, ServerError, SoundServer
 
 LOOP_S = 60.0
 MONITOR = ".monitor"
-
-DEFAULT = Settings(profile=LIVE_DEFAULT)
-"""Settings of a daemon without a config file."""
+DEFAULT = Settings(profile=LIVE_DEFAULT)  # settings of a daemon without a config file
 
 
 def main() -> int:
-    """Measure, print, keep; the exit code is 1 where nothing could be measured."""
+    """Measure and print the latencies, and store them with --out. Return the exit code.
+
+    The exit code is 1 after an error, or if a result is missing or unreliable.
+    """
     options = _parse()
     try:
         records = []
@@ -76,14 +80,14 @@ def _parse() -> argparse.Namespace:
         nargs="+",
         default=[USUAL_BLOCK_FRAMES],
         metavar="N",
-        help=f"of the daemon's streams, one run each; default: {USUAL_BLOCK_FRAMES}",
+        help=f"block of the daemon's streams in frames; default: {USUAL_BLOCK_FRAMES}",
     )
     parser.add_argument(
         "--engine",
         choices=("native", "python"),
         nargs="+",
         default=["python"],
-        help="of the daemon, one run each; native: on PipeWire only; default: python",
+        help="engine of the daemon, one run each; native: on PipeWire only; default: python",
     )
     parser.add_argument(
         "--quantum",
@@ -91,13 +95,13 @@ def _parse() -> argparse.Namespace:
         nargs="+",
         default=[None],
         metavar="N",
-        help="cycle of PipeWire's graph in frames, one run each; default: its own choice",
+        help="cycle of PipeWire's graph in frames, one run each; default: PipeWire's choice",
     )
-    parser.add_argument("--hz", type=float, default=145.0, help="of the tone; default: 145")
-    parser.add_argument("--here", action="store_true", help="the daemon that runs here")
-    parser.add_argument("--play", action="store_true", help="with --here: play the tone, too")
-    parser.add_argument("--json", action="store_true", help="one JSON document on stdout")
-    parser.add_argument("--out", type=Path, metavar="FILE", help="keep the results there")
+    parser.add_argument("--hz", type=float, default=145.0, help="tone frequency; default: 145")
+    parser.add_argument("--here", action="store_true", help="measure this desktop's daemon")
+    parser.add_argument("--play", action="store_true", help="with --here: also play the tone")
+    parser.add_argument("--json", action="store_true", help="print one JSON document")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="file of results to update")
     options = parser.parse_args()
     if not WINDOW_S <= options.seconds <= 86_400.0:
         parser.error(f"--seconds {options.seconds:g}: {WINDOW_S:g} to 86400 are possible")
@@ -107,7 +111,6 @@ def _parse() -> argparse.Namespace:
 
 
 def _on_servers(options: argparse.Namespace) -> Iterator[LiveRecord]:
-    """A record for each server and block size, as they come."""
     kinds = sorted(PROGRAMS) if options.kind == "both" else [options.kind]
     for kind in kinds:
         for engine, quantum, block_frames in product(
@@ -131,10 +134,10 @@ def on_server(
     engine: str = "python",
     quantum: int | None = None,
 ) -> LiveRecord:
-    """The record of a daemon that is started on this server."""
+    """Start a daemon on this server and return its measured latency."""
     heard = "desktop"
     if server.kind == "pipewire":
-        # the monitor of a sink that drives the graph is a cycle late
+        # The monitor of a sink that drives the graph is a cycle late.
         heard = REFERENCE
         server.add_reference(REFERENCE)
     place = Place(heard + MONITOR, "haptic" + MONITOR, server.environment)
@@ -149,7 +152,7 @@ def on_server(
             arguments=("--engine", engine),
         ),
     ):
-        frames = None if engine == "native" else block_frames  # the native engine has none
+        frames = None if engine == "native" else block_frames  # the native engine has no block size
         return _measured(place, options, DEFAULT, frames, _name(options.hz), quantum)
 
 
@@ -161,7 +164,6 @@ def _force_quantum(server: SoundServer, quantum: int) -> None:
 
 
 def _here(options: argparse.Namespace) -> Iterator[LiveRecord]:
-    """The record of the daemon that runs on this desktop."""
     environment = dict(os.environ)
     status = status_of_daemon(environment)
     if status is None or status.tap.name is None or status.device.name is None:
@@ -177,7 +179,7 @@ def _here(options: argparse.Namespace) -> Iterator[LiveRecord]:
 
 @contextmanager
 def _tone(place: Place, hertz: float, sink: str = "") -> Iterator[None]:
-    """Play a tone to a sink, and to what is recorded where that is another one."""
+    """A context that plays a tone to `sink`, and also to the recorded sink if it is another one."""
     rate = samplerate_of(place.heard, place.environment)
     heard = place.heard.removesuffix(MONITOR)
     sound = stereo(swelling_tone(hertz, LOOP_S, rate))
@@ -215,7 +217,6 @@ def _measured(
 
 
 def _told(record: LiveRecord) -> str:
-    """A record for a person to read."""
 
     def ms(value: float | None, sign: str = "") -> str:
         return "-" if value is None else f"{value:{sign}.2f} ms"

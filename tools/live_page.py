@@ -1,11 +1,12 @@
-"""A live page on a sound server of its own, and the browser that looks at it.
+"""A live page on a private sound server, and a browser that shows the page.
 
     python -m tools.live_page [--out docs/images] [--moving]
 
-writes the pictures of the page in docs, or the moving one (live.webp), of the demo scene.
+writes the pictures of the live page for the docs. With --moving, it writes an animation (live.webp)
+of the demo scene instead.
 
 The tests use `served` and `browser` directly. tools/fetch_servers.sh and tools/fetch_browser.sh
-install what is needed.
+install the required programs.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ CHROMIUM_OPTIONS = (
 )
 START_S = 20.0
 MOVING_WIDTH, MOVING_HEIGHT = 1000, 816
-"""Width of the moving picture, and the height of the part of a page of 1280 that it shows."""
+"""Pixels: width of the animation, and height of the shown part of a page of 1280 pixels width."""
 
 MOVING_HZ, MOVING_S, MOVING_AFTER_S = 10.0, 7.5, 5.0
 MOVING_BYTES_MAX = 2_000_000
@@ -52,7 +53,7 @@ VIEWS = [(width, theme) for width in (1280, 390) for theme in ("dark", "light")]
 
 
 def missing_browser() -> list[str]:
-    """Return what a browser test lacks."""
+    """Return the names of programs and packages that browser tests need, but that are missing."""
     missing = [] if shutil.which(CHROMIUM) else ["chromium"]
     try:
         import playwright  # noqa: F401
@@ -64,8 +65,9 @@ def missing_browser() -> list[str]:
 class Monitor:
     """A running `cushion monitor`.
 
-    environment: of its process. address: of the page, with its token; "" where it ended instead.
-    stderr: what it has written.
+    environment: environment variables of the process. address: address of the page, with its access
+        token; "" if the process ended.
+        stderr: text on standard error so far.
     """
 
     def __init__(self, environment: Mapping[str, str], *options: str) -> None:
@@ -91,7 +93,7 @@ class Monitor:
 
     @property
     def cookie(self) -> str:
-        """The cookie that opens the page."""
+        """The cookie that gives access to the page."""
         return f"cushion_{self.port}={self.token}"
 
     def _read(self) -> None:
@@ -103,7 +105,7 @@ class Monitor:
         self._told.set()
 
     def close(self) -> int:
-        """End it; return its exit code."""
+        """End the process and return its exit code."""
         self.process.terminate()
         try:
             code = self.process.wait(10.0)
@@ -118,7 +120,7 @@ class Monitor:
 
 @contextmanager
 def served(server: SoundServer, *options: str) -> Iterator[Monitor]:
-    """A page on a free port of this computer."""
+    """A context in which `cushion monitor` serves the page on a free port of this computer."""
     monitor = Monitor(server.environment, "--listen", "127.0.0.1:0", *options)
     try:
         yield monitor
@@ -129,7 +131,7 @@ def served(server: SoundServer, *options: str) -> Iterator[Monitor]:
 
 @contextmanager
 def browser() -> Iterator[Browser]:
-    """The system's Chromium, without a screen."""
+    """A context with a headless browser, the system's Chromium."""
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright:
@@ -144,7 +146,7 @@ def browser() -> Iterator[Browser]:
 
 @contextmanager
 def player(server: SoundServer, wav: Path, name: str, volume: float = 1.0) -> Iterator[None]:
-    """A program of this name that plays a WAV file to the default sink; volume: a share."""
+    """A context in which a program, called `name`, plays a WAV file. volume: 0 to 1."""
     process = subprocess.Popen(
         [
             *("pacat", "--playback", f"--client-name={name}", f"--volume={int(65_536 * volume)}"),
@@ -162,7 +164,7 @@ def player(server: SoundServer, wav: Path, name: str, volume: float = 1.0) -> It
 
 @contextmanager
 def cinema() -> Iterator[tuple[SoundServer, Path, Monitor, Browser]]:
-    """A daemon with its page and a browser; a WAV file of the demo's scene to play."""
+    """A context with a daemon, its page, a browser, and a WAV file of the demo scene."""
     with ExitStack() as stack:
         base = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="cushion-")))
         server = stack.enter_context(SoundServer("pipewire", base / "s"))
@@ -194,7 +196,7 @@ def take_pictures(folder: Path) -> None:
 
 
 def take_moving_picture(path: Path) -> None:
-    """Write a moving picture of the upper part of the page, under 2 MB."""
+    """Write an animation, of at most 2 MB, that shows the upper part of the page."""
     from PIL import Image
 
     shots: list[tuple[float, bytes]] = []
@@ -240,7 +242,7 @@ def take_moving_picture(path: Path) -> None:
 
 
 def open_page(chromium: Browser, address: str, width: int, theme: str) -> Page:
-    """Open the page in a browser of its own."""
+    """Open the page in a new browser context, with a width in pixels and a theme, dark or light."""
     context = chromium.new_context(
         viewport={"width": width, "height": 900 if width > 500 else 844},
         color_scheme="light" if theme == "light" else "dark",
@@ -252,10 +254,10 @@ def open_page(chromium: Browser, address: str, width: int, theme: str) -> Page:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Take the pictures."""
+    """Write the pictures, or the animation with --moving."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=ROOT / "docs/images")
-    parser.add_argument("--moving", action="store_true", help="the moving picture instead")
+    parser.add_argument("--moving", action="store_true", help="record the animation instead")
     options = parser.parse_args(arguments)
     options.out.mkdir(parents=True, exist_ok=True)
     if options.moving:

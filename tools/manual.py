@@ -1,6 +1,6 @@
-"""The manual page and the completions of `cushion`, made from its parser.
+"""Generates the manual page and the shell completions of `cushion` from its parser.
 
-`python -m tools.manual` compares the files in share/ with the parser; `--write` writes them.
+`python -m tools.manual` compares the files in share/ with new ones; `--write` writes the files.
 """
 
 from __future__ import annotations
@@ -19,7 +19,10 @@ SHARE = Path(__file__).resolve().parents[1] / "share"
 
 @dataclass(frozen=True)
 class Option:
-    """One option or argument. flags: empty for an argument; words: the values that it knows."""
+    """One option or positional argument of a command.
+
+    flags: empty for a positional argument. words: allowed values, if the parser lists them.
+    """
 
     flags: tuple[str, ...]
     metavar: str
@@ -38,12 +41,12 @@ class Command:
 
     @property
     def flags(self) -> tuple[str, ...]:
-        """Every flag of its options."""
+        """All flags of the command's options."""
         return tuple(flag for option in self.options for flag in option.flags)
 
 
 def commands() -> tuple[Command, ...]:
-    """Return every command of the parser."""
+    """Return all commands of the parser."""
     parser = build_parser()
     (found,) = [a for a in parser._actions if isinstance(a, argparse._SubParsersAction)]
     helps = {action.dest: action.help or "" for action in found._choices_actions}
@@ -129,7 +132,6 @@ def _sentence(text: str) -> str:
 
 
 def _roff(text: str) -> str:
-    """Return text as roff prints it unchanged."""
     escaped = text.replace("\\", "\\e").replace("-", "\\-").replace("`", "\\(ga")
     return f"\\&{escaped}" if escaped.startswith((".", "'")) else escaped
 
@@ -231,12 +233,11 @@ def fish(known: tuple[Command, ...]) -> str:
 
 
 def _plain(text: str) -> str:
-    """Return text without the signs that shells or completions read."""
     return text.translate({ord(sign): None for sign in "'[]\\`$\""}).replace(":", " -")
 
 
 def files() -> dict[Path, str]:
-    """Return every file below `SHARE` with its text."""
+    """Return the new texts of the generated files by path, relative to `SHARE`."""
     known = commands()
     return {
         Path("man/man1/cushion.1"): manual(known),
@@ -247,7 +248,7 @@ def files() -> dict[Path, str]:
 
 
 def main() -> int:
-    """Compare or write; return 1 if a file differs."""
+    """Compare or write the files. Return 1 if a compared file differs."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--write", action="store_true", help="write the files")
     options = parser.parse_args()

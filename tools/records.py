@@ -1,4 +1,4 @@
-"""Records that a file keeps for the report: one of each name, with fields of the declared types."""
+"""Files of measured results (records) for the benchmark report."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ KINDS: Mapping[str, tuple[type, ...]] = {
 
 
 def typed(record: Record) -> Record:
-    """Return the record as it is; raise TypeError where a field is not as annotated."""
+    """Return the record. TypeError: a field does not have its annotated type."""
     for field in fields(record):
         value = getattr(record, field.name)
         name = str(field.type)
@@ -52,22 +52,19 @@ def _is_one(value: Any, kinds: tuple[type, ...]) -> bool:
 
 
 def now() -> str:
-    """Return the time in UTC to the second, ISO 8601."""
+    """Return the current UTC time as text (ISO 8601), to the second."""
     return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
 
 
 def record_path(record: Path) -> Path:
-    """Return the path below the current folder if it exists there, else below the project's."""
+    """Return `record` itself if this file exists, else its path in the project's folder."""
     return record if record.is_file() else PROJECT_ROOT / record
 
 
 def read_records(path: Path, kind: type[Record], command: str) -> tuple[Record, ...]:
-    """Return the records of a file, none if it does not exist.
+    """Return the records of a file; empty if there is no file.
 
-    Raises
-    ------
-    UsageError
-        The file has no such records; the message names the command that writes it.
+    UsageError: the file has no valid records; the message names the command that writes them.
     """
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
@@ -79,7 +76,7 @@ def read_records(path: Path, kind: type[Record], command: str) -> tuple[Record, 
 
 
 def write_records(records: Iterable[Mapping[str, Any]], path: Path) -> None:
-    """Write a file of records, all or nothing."""
+    """Write a file of records atomically."""
     document = {"schema": SCHEMA_VERSION, "records": list(records)}
     path.parent.mkdir(parents=True, exist_ok=True)
     write_bytes_atomically(path, (json.dumps(document, indent=1) + "\n").encode())
@@ -91,9 +88,9 @@ def merged(
     records: Iterable[Record],
     name: Callable[[Record], str],
 ) -> dict[str, Record]:
-    """Return the file's records by name, each replaced by the new one of its name."""
+    """Return the file's records by name, updated with new records."""
     try:
         kept = {name(record): record for record in read(path)}
     except UsageError:
-        kept = {}  # a file that cannot be read is replaced
+        kept = {}  # an unreadable file is replaced
     return kept | {name(record): record for record in records}

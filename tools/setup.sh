@@ -311,8 +311,8 @@ pyaudio_loads() {
 core_loads() {
     "$venv_python" -c "
 from audioflinger_hook.core.compiled_core import library
-from device.compiled_blocks import load_blocks
-library(), load_blocks()" 2>"$scratch/load-errors"
+from device.blocks import Compiled
+library(), Compiled()" 2>"$scratch/load-errors"
 }
 
 # Prints why .venv cannot be kept; nothing where it can.

@@ -1,11 +1,14 @@
-"""A sound server of its own: tools/sound_server.py pulse|pipewire [COMMAND ...]
+"""A private sound server: tools/sound_server.py pulse|pipewire [COMMAND ...].
 
-Starts PulseAudio, or PipeWire with WirePlumber and pipewire-pulse, in a folder of its own with the
-null sinks `desktop` (the default) and `haptic`, runs the command (else a shell) with an environment
-that leads to it, and stops it again. No session bus, no hardware, no files outside the folder: a
-desktop's own server is never touched. --clock-ratio 1.0002 makes PulseAudio's clock, and so its
-sinks, 200 ppm fast, as another sound card's may be. The tests use `SoundServer` directly.
-tools/fetch_servers.sh installs what is needed.
+The program starts PulseAudio, or PipeWire with WirePlumber and pipewire-pulse, in a private folder.
+The server has two null sinks, `desktop` (the default) and `haptic`. The program runs the command
+(default: a shell) in an environment that selects this server, then stops the server. The server
+uses no session bus and no hardware, and writes only into its folder, so a desktop's own server is
+not affected.
+
+With --clock-ratio 1.0002, the clock of PulseAudio and its sinks is 200 ppm fast, as the clock of
+another sound card may be. The tests use `SoundServer` directly. tools/fetch_servers.sh installs the
+servers.
 """
 
 from __future__ import annotations
@@ -37,16 +40,11 @@ PROGRAMS = {
     "pulse": ("pulseaudio", "pactl", "pacat"),
     "pipewire": ("pipewire", "wireplumber", "pipewire-pulse", "pactl", "pacat", "pw-play"),
 }
-FAKETIME = "libfaketime.so.1"
-"""Lets a program's clock run fast or slow."""
-
+FAKETIME = "libfaketime.so.1"  # a library that changes the speed of a program's clock
 STEREO = "front-left,front-right"
 MONO = "mono"
 SURROUND_5_1 = "front-left,front-right,front-center,lfe,rear-left,rear-right"
-
-START_S = 15.0
-"""How long a server may take until it answers; it usually takes a tenth of a second."""
-
+START_S = 15.0  # time in s within which a server must answer
 _FOREIGN = ("PULSE_", "PIPEWIRE_", "WIREPLUMBER_", "XDG_", "DBUS_", "ALSA_", "JACK_", "DISPLAY")
 
 
@@ -55,7 +53,7 @@ class ServerError(Exception):
 
 
 def missing_programs(kind: str) -> list[str]:
-    """The programs of this kind of server that are not installed; also why it cannot be set up."""
+    """Return the names of missing programs and configurations that a server of this kind needs."""
     missing = [program for program in PROGRAMS[kind] if shutil.which(program) is None]
     if kind == "pipewire" and wireplumber_generation() is None:
         missing.append("a configuration of WirePlumber (/usr/share/wireplumber)")
@@ -63,16 +61,16 @@ def missing_programs(kind: str) -> list[str]:
 
 
 def missing_clock() -> list[str]:
-    """What a clock_ratio needs and is not installed."""
+    """Return the library that `clock_ratio` needs, if it is missing."""
     return [] if _faketime() else [FAKETIME]
 
 
 class SoundServer:
-    """A running server of kind `pulse` or `pipewire` in `folder`; a context manager that stops it.
+    """A running server of kind `pulse` or `pipewire` in `folder`, until the end of the context.
 
-    address: for PULSE_SERVER; environment: for programs that are to use this server. clock_ratio:
-    how much faster than ours its clock runs, 0.99 to 1.01; PulseAudio only.
-    One thread calls the methods. All raise ServerError where the server does not do as asked.
+    address: value of PULSE_SERVER. environment: for programs that use this server. clock_ratio:
+    speed of the server's clock relative to the system clock, 0.99 to 1.01; PulseAudio only. Only
+    one thread may use it. Methods raise ServerError if the server fails or does not answer.
     """
 
     def __init__(self, kind: str, folder: Path, *, clock_ratio: float = 1.0) -> None:
@@ -114,10 +112,10 @@ class SoundServer:
     def __exit__(self, *details: object) -> None:
         self.stop()
 
-    # ------------------------------------------------------------------------------- the server
+    # ------------------------------------------------------------------------ start and stop
 
     def start(self) -> None:
-        """Start the server, which must not be running, and wait until it has both sinks."""
+        """Start the server and wait for both sinks. The server must not be running."""
         self._modules.clear()
         for leftover in ("native", "native.lock"):
             (self.folder / leftover).unlink(missing_ok=True)
@@ -133,17 +131,18 @@ class SoundServer:
             raise
 
     def kill(self) -> None:
-        """End every process of the server with SIGKILL, as a crash would."""
+        """End all processes of the server with SIGKILL, to simulate a crash."""
         self._end(signal.SIGKILL)
 
     def stop(self) -> None:
-        """End the server; it may already be gone."""
+        """End the server, if it is running."""
         self._end(signal.SIGTERM)
 
     def restart_wireplumber(self) -> None:
-        """End WirePlumber alone, as a crash would, and start it again, with both sinks.
+        """Simulate a crash of WirePlumber alone: kill it, restart it and wait for both sinks.
 
-        A card's sinks are its own: they vanish with it and come back as others.
+        Both sinks are replaced too. A crash has the same effect on the sinks of a sound card, which
+        belong to WirePlumber.
         """
         self._end(signal.SIGKILL, "wireplumber")
         for name in ("desktop", "haptic"):
@@ -152,9 +151,9 @@ class SoundServer:
         self._add_first_sinks()
 
     def restart_pipewire(self) -> None:
-        """End PipeWire alone, as a crash would, and start it again, with both sinks.
+        """Simulate a crash of PipeWire alone: kill it, restart it and wait for both sinks.
 
-        WirePlumber ends with it and is started again, too; pipewire-pulse goes on without it.
+        WirePlumber ends with PipeWire and is restarted too; pipewire-pulse continues to run.
         """
         self._end(signal.SIGKILL, "wireplumber", "pipewire")
         self._modules.clear()
@@ -162,19 +161,19 @@ class SoundServer:
         self._add_first_sinks()
 
     def pause(self) -> None:
-        """Hold every process of the server: it keeps its connections and answers nothing."""
+        """Stop all processes by SIGSTOP: connections stay open, and nothing answers."""
         for process in self._processes.values():
             process.send_signal(signal.SIGSTOP)
 
     def resume(self) -> None:
-        """Let a paused server go on."""
+        """Resume a paused server."""
         for process in self._processes.values():
             process.send_signal(signal.SIGCONT)
 
-    # ------------------------------------------------------------------------------ what it holds
+    # ------------------------------------------------------------------------- sinks and sources
 
     def pactl(self, *arguments: str) -> str:
-        """What pactl prints for these arguments, without the end of the line."""
+        """Return the output of pactl for these arguments, without the final newline."""
         return self._ask("pactl", *arguments)
 
     def add_sink(
@@ -185,7 +184,7 @@ class SoundServer:
         rate_hz: int = RATE_HZ,
         channel_map: str = STEREO,
     ) -> None:
-        """Add a null sink, float32; it never renders ahead of what is played."""
+        """Add a null sink with float32 samples (on PulseAudio without rewinds)."""
         arguments = [
             f"sink_name={name}",
             f"rate={rate_hz}",
@@ -200,17 +199,20 @@ class SoundServer:
         self._wait(lambda: name in self.names("sinks"), f"the sink {name}")
 
     def add_reference(self, name: str) -> None:
-        """Add a null sink that never drives PipeWire's graph while `desktop` is in it.
+        """Add a null sink that does not drive PipeWire's graph while the sink `desktop` exists.
 
-        The monitor of a sink that drives is read one cycle late, this one's in the same cycle. So
-        what a player sends here as well is the time against which a latency is measured.
+        The monitor of a sink that drives the graph is read one cycle late. The monitor of the new
+        sink is read in the same cycle. If a player is also linked to the new sink, the new sink's
+        monitor thus shows the time of the player's sound.
         """
-        self.add_sink(name, "node.driver=false")  # 0.3 ignores it, and chooses the older sink
+        self.add_sink(
+            name, "node.driver=false"
+        )  # ignored by PipeWire 0.3, which chooses the older sink
 
     def add_microphone(self, name: str) -> None:
-        """Add a source that is no monitor and make it the default one.
+        """Add a source that is not a monitor, and make it the default source.
 
-        What is played to the sink NAME-room is what it hears.
+        The signal of the source NAME is the sound that is played to the sink NAME-room.
         """
         self.add_sink(f"{name}-room")
         arguments = [f"master={name}-room.monitor", f"source_name={name}", "channels=2"]
@@ -220,7 +222,7 @@ class SoundServer:
         self._wait(lambda: self.pactl("get-default-source") == name, "the default source")
 
     def choose_default(self, sink: str) -> None:
-        """Make a sink the default one; WirePlumber may take a moment until it accepts that."""
+        """Make a sink the default, and wait until the server confirms it."""
 
         def chosen() -> bool:
             with contextlib.suppress(ServerError):
@@ -231,19 +233,19 @@ class SoundServer:
         self._wait(chosen, f"default sink {sink}")
 
     def remove(self, name: str) -> None:
-        """Remove a sink or source at once, as pulling its plug would."""
+        """Remove a sink or source that this object has added, as if it was unplugged."""
         self.pactl("unload-module", self._modules.pop(name))
 
     def names(self, what: str) -> list[str]:
-        """The names of all `sinks` or `sources`."""
+        """Return the names of all sinks or sources. what: `sinks` or `sources`."""
         lines = self.pactl("list", "short", what).splitlines()
         return [line.split("\t")[1] for line in lines]
 
     def set_clock(self, setting: str, value: int) -> None:
-        """Set PipeWire's `force-quantum` (frames), `force-rate` (Hz; 0: not forced) or another."""
+        """Set PipeWire's clock.SETTING, such as `force-quantum` in frames or `force-rate` in Hz."""
         self._ask("pw-metadata", "-n", "settings", "0", f"clock.{setting}", str(value))
 
-    # ------------------------------------------------------------------------------------ inside
+    # ------------------------------------------------------------------------------- internals
 
     def _ask(self, *command: str) -> str:
         try:
@@ -275,7 +277,7 @@ class SoundServer:
         self.choose_default("desktop")
 
     def _run(self, *command: str) -> None:
-        # a server ends with the program that started it, even if that is killed
+        # `setpriv` ends the server when its parent process ends or is killed.
         bound = ("setpriv", "--pdeathsig", "TERM") if shutil.which("setpriv") else ()
         with (self.folder / f"{command[0]}.log").open("ab") as log:
             self._processes[command[0]] = subprocess.Popen(
@@ -321,7 +323,6 @@ def _faketime() -> Path | None:
 
 
 def _clock_environment(kind: str, ratio: float) -> dict[str, str]:
-    """What makes a server's clock run at another pace than ours."""
     if ratio == 1.0:
         return {}
     if kind != "pulse" or not 0.99 <= ratio <= 1.01:
@@ -335,11 +336,11 @@ def _clock_environment(kind: str, ratio: float) -> dict[str, str]:
 
 
 def main() -> int:
-    """Run a command beside a server of its own; its exit code."""
-    parser = argparse.ArgumentParser(description="Run a command beside a sound server of its own.")
+    """Run a command with a private server; return its exit code, or 1 if the server fails."""
+    parser = argparse.ArgumentParser(description="Run a command beside a private sound server.")
     parser.add_argument("kind", choices=sorted(PROGRAMS))
     parser.add_argument(
-        "--clock-ratio", type=float, default=1.0, metavar="X", help="pulse: pace of its clock"
+        "--clock-ratio", type=float, default=1.0, metavar="X", help="pulse: relative clock speed"
     )
     parser.add_argument("command", nargs=argparse.REMAINDER, help="default: a shell")
     options = parser.parse_args()

@@ -1,7 +1,7 @@
-"""The configuration files of tools/sound_server.py: what its servers load, and nothing else.
+"""Writes complete configuration files for the servers of tools/sound_server.py.
 
-PulseAudio and PipeWire read them from the server's own folder, so that neither the system's set-up
-nor a user's has a say in it.
+PulseAudio and PipeWire read the files from the server's own folder, so configurations of the system
+and of users have no effect.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ _QUANTUM_FRAMES = 256
 
 
 def pulseaudio_options(folder: Path) -> list[str]:
-    """Return how PulseAudio is to be called in a folder that `write_configuration` has filled."""
+    """Return the options with which PulseAudio reads the files of `write_configuration`."""
     return [
-        "-n",  # not the system's start-up script
+        "-n",  # ignore the system's start-up script
         f"--file={folder / 'start.pa'}",
         "--daemonize=no",
         "--use-pid-file=no",
@@ -30,10 +30,11 @@ def pulseaudio_options(folder: Path) -> list[str]:
 
 
 def write_configuration(kind: str, folder: Path, socket: Path) -> dict[str, str]:
-    """Write the files of a server of a kind, `pulse` or `pipewire`, into its folder.
+    """Write the configuration of a server, `pulse` or `pipewire`, into its folder.
 
-    socket: where it is to answer clients of PulseAudio. Returns the environment that makes its
-    programs read these files.
+    Return environment variables that make the server's programs read these files.
+
+    socket: path of the socket for PulseAudio clients.
     """
     (folder / "start.pa").write_text(
         f".fail\nload-module module-native-protocol-unix socket={socket} auth-anonymous=1\n"
@@ -51,8 +52,8 @@ def write_configuration(kind: str, folder: Path, socket: Path) -> dict[str, str]
     (pipewire / "pipewire-pulse.conf").write_text(
         PIPEWIRE_PULSE_CONF.replace("@ADDRESS@", f"unix:{socket}")
     )
-    for name in ("client.conf", "client-rt.conf"):  # what pw-play and pw-cli read
-        if (SHARE / "pipewire" / name).exists():  # 1.4 and later have the first one only
+    for name in ("client.conf", "client-rt.conf"):  # read by pw-play and pw-cli
+        if (SHARE / "pipewire" / name).exists():  # version 1.4 and later have only the first file
             shutil.copy(SHARE / "pipewire" / name, pipewire)
     if wireplumber_generation() == 4:
         shutil.copytree(SHARE / "wireplumber", wireplumber, dirs_exist_ok=True)
@@ -66,7 +67,7 @@ def write_configuration(kind: str, folder: Path, socket: Path) -> dict[str, str]
 
 
 def wireplumber_generation() -> int | None:
-    """Return how WirePlumber is configured: 4 as 0.4 is, 5 as 0.5; None if it is not installed."""
+    """Return 4 for WirePlumber 0.4's format of configuration, 5 for 0.5's; None if missing."""
     if (SHARE / "wireplumber" / "main.lua.d").is_dir():
         return 4
     if (SHARE / "wireplumber" / "wireplumber.conf").is_file():
@@ -75,13 +76,13 @@ def wireplumber_generation() -> int | None:
 
 
 def wireplumber_command() -> list[str]:
-    """Return how WirePlumber is to be called in a folder that `write_configuration` has filled."""
+    """Return the command with which WirePlumber reads the files of `write_configuration`."""
     profile = ["--profile=main-alone"] if wireplumber_generation() == 5 else []
     return ["wireplumber", *profile]
 
 
 def keep_default_sink(kind: str, folder: Path) -> None:
-    """Let the server in this folder, which does not run, keep its default sink, as desktops do."""
+    """Make a stopped server in this folder restore its default sink at each later start."""
     if kind == "pulse":
         with (folder / "start.pa").open("a") as file:
             file.write("load-module module-default-device-restore\n")
@@ -97,7 +98,8 @@ def keep_default_sink(kind: str, folder: Path) -> None:
     path.write_text(text.replace(forgets, ""))
 
 
-# as on a desktop: without it, other work on the machine costs streams a cycle now and then
+# Real-time priority for server threads, as on a desktop. Without it, load on the machine makes
+# streams lose cycles.
 _REALTIME = (
     "{ name = libpipewire-module-rt args = { nice.level = -11 } flags = [ ifexists nofail ] }"
 )
@@ -137,7 +139,7 @@ context.objects = [
 ]
 """
 
-# without vm.overrides: a virtual machine is to behave as a desktop does
+# This omits vm.overrides, so that a virtual machine behaves like a desktop.
 PIPEWIRE_PULSE_CONF = f"""
 context.spa-libs = {{
     audio.convert.* = audioconvert/libspa-audioconvert
@@ -159,7 +161,7 @@ pulse.properties = {{
 }}
 """
 
-# WirePlumber 0.4: the policy of a desktop, without devices, a session bus or a memory
+# WirePlumber 0.4 gets the policy of a desktop, without devices, session bus and stored state.
 WIREPLUMBER_LUA = """
 default_access.properties["enable-flatpak-portal"] = false
 device_defaults.properties["use-persistent-storage"] = false
@@ -172,7 +174,7 @@ stream_defaults.enable()
 load_script("intended-roles.lua")
 """
 
-# the same for WirePlumber 0.5
+# WirePlumber 0.5 gets the same policy.
 WIREPLUMBER_PROFILE = """
 wireplumber.profiles = {
   main-alone = {

@@ -1,8 +1,8 @@
-"""Memory and processor time of `cushion run`: tools/usage.py [--seconds S] [--plain].
+"""Measures memory and CPU time of `cushion run`: tools/usage.py [--seconds S] [--plain].
 
-Starts a PipeWire server and a daemon with protection, damping and the exposure cap. Plays noise so
-loud that protection limits, and prints the use of the daemon and of each child. `--plain`: without
-these three.
+The program starts a PipeWire server and a daemon with protection, damping and the exposure cap;
+`--plain` omits these three. It plays noise that is so loud that protection limits the drive signal.
+It prints memory and CPU time of the daemon and of each child process.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ SETTLED_S = 3.0
 
 
 def main() -> int:
-    """Measure and print; the exit code is 1 where nothing could be measured."""
+    """Measure and print the results. Return 0, or 1 after an error."""
     parser = argparse.ArgumentParser(description="Measure what `cushion run` takes.")
-    parser.add_argument("--seconds", type=float, default=60.0, metavar="S", help="of playing")
+    parser.add_argument("--seconds", type=float, default=60.0, metavar="S", help="duration")
     parser.add_argument("--engine", choices=("native", "python"), default="native")
-    parser.add_argument("--plain", action="store_true", help="without protection and its like")
+    parser.add_argument("--plain", action="store_true", help="no protection, damping and cap")
     options = parser.parse_args()
     noise = np.random.default_rng(1).uniform(-0.3, 0.3, (10 * SAMPLERATE, 2))
     try:

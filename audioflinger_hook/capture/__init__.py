@@ -1,9 +1,9 @@
-"""Captures: PCM buffers stored as delivered, for a replay that is equal bit for bit.
+"""Captures: recorded audio buffers, stored unchanged, for a replay with the same bits.
 
-    audio thread -> recorder -> writer -> folder -> reader -> sources/capture
+    audio thread -> recorder -> writer -> folder -> reader -> sources/file
                     queue+thread segment   format    segment
 
-`format` describes the folder's files. Times are arguments; no clock is read.
+The module `format` describes the files.
 """
 
 from audioflinger_hook.capture.format import STREAMS

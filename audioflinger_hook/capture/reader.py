@@ -1,18 +1,17 @@
-"""Reads a capture: its buffers as they were delivered, up to the last whole buffer."""
+"""Reads the buffers of a capture, unchanged."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Generator, Iterator
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
-
-import numpy as np
-from numpy.typing import NDArray
 
 from audioflinger_hook.capture.format import (
     FORMAT,
     INDEX_NAME,
+    SAMPLES_OFFSET,
     STREAMS,
     VERSION,
     BufferRecord,
@@ -27,48 +26,33 @@ from audioflinger_hook.capture.format import (
     segment_paths,
 )
 from audioflinger_hook.capture.segment import (
-    REBUILT_FRAMES,
     CaptureBuffer,
+    SegmentFormat,
     SegmentReader,
-    ordered_segments,
-    rebuilt_buffers,
     segment_format,
 )
 from device.errors import UsageError
+from device.units import Float32Array
 from device.values import counted
 
-Buffers = Generator[CaptureBuffer, None, None]
-"""Buffers in order; `close()` closes the files before the end."""
+REBUILT_FRAMES = 1_024  # length of a buffer if the recorded lengths are lost
+
+Buffers = Generator[CaptureBuffer, None, None]  # in order; `close()` closes the files
 
 
 class Capture:
-    """A capture to read. It may be finished, cut off, damaged, or still growing.
+    """Reads a capture, which may be finished, incomplete, damaged or still growing.
 
-    Nothing in the folder is changed. Calls come from one thread, not the audio thread.
+    Only one thread, not the audio thread, may call the methods.
 
-    - Cut off (kill -9, disk full): everything up to the last whole buffer, and a warning.
-    - Damaged lines in the index, missing or changed samples: these buffers are left out, the next
-      buffer is a discontinuity, and a warning has the count.
-    - Index missing: the segments in order, as buffers of 1024 frames.
+    - If the recording was killed or the disk was full, all whole buffers are read.
+    - Buffers with damaged samples or a damaged index line are omitted. Then, `discontinuity` of the
+      next buffer is True.
+    - Without a readable index, the segments are read in order, in buffers of up to 1024 frames.
 
-    Parameters
-    ----------
-    folder : path
-        The capture.
-
-    Attributes
-    ----------
-    streams : tuple of str
-        The streams in the capture.
-    facts : mapping
-        Settings that the recorder stored.
-    warnings : list of str
-        Losses and assumptions, one line each; complete once `buffers` was read to its end.
-
-    Raises
-    ------
-    UsageError
-        The folder is missing, unreadable, no capture, or of an unknown version.
+    folder: path of the capture. streams: names of its streams. facts: settings of the recording.
+    warnings: messages about losses and assumptions; complete after the last buffer.
+    UsageError: the folder is missing, unreadable, no capture, or of an unknown version.
     """
 
     def __init__(self, folder: str | os.PathLike[str]) -> None:
@@ -81,7 +65,7 @@ class Capture:
         first = first_record(self._index) if self._index.is_file() else None
         if isinstance(first, Header):
             _refuse_unless_known(self.folder, first)
-            self.streams, self.facts = first.streams, first.facts
+            self.streams, self.facts = tuple(first.streams), first.facts
         elif first is not None:
             self.streams = found
             self._warn(f"{self._index}: the first line is damaged; version {VERSION} is assumed")
@@ -98,25 +82,21 @@ class Capture:
             )
 
     def buffers(self, stream: str = "tap") -> Buffers:
-        """The stream's buffers in order. Several iterations may run at a time.
-
-        UsageError: there is no such stream, a file may not be read, or the index is missing and the
-            order of the segments is ambiguous.
-        """
-        if stream not in self.streams:
-            if not self.streams:
-                return _none()
+        """Yield a stream's buffers. UsageError: the stream is unknown or cannot be read."""
+        if self.streams and stream not in self.streams:
             raise UsageError(
                 f"{self.folder} has no stream {stream!r}, only {', '.join(self.streams)}"
             )
         return self._rebuild(stream) if self._rebuilt else self._read(stream)
 
     def frames_expected(self, stream: str = "tap") -> int:
-        """Frames of the stream, from the lengths of its segments: fast, for progress only."""
+        """Return a stream's number of frames, computed from the sizes of its files."""
         found = map(segment_format, segment_paths(self.folder, stream).values())
         return sum(segment.frames_there for segment in found if segment is not None)
 
     def _read(self, stream: str) -> Buffers:
+        if not self.streams:  # cut off before the first buffer
+            return
         tally = _Tally()
         samples_of = _Samples(self.folder)
         try:
@@ -129,7 +109,9 @@ class Capture:
                 if isinstance(record, EndRecord):
                     tally.promised = record.buffers.get(stream, 0)
                 elif isinstance(record, DroppedRecord) and record.stream == stream:
-                    tally.drop(record)
+                    tally.dropped_buffers += record.buffers
+                    tally.dropped_frames += record.frames
+                    tally.after_drop = True
                 elif isinstance(record, BufferRecord) and record.stream == stream:
                     samples = samples_of.read(record)
                     if samples is None or record.buffer < tally.next_buffer:
@@ -142,13 +124,23 @@ class Capture:
             self._warn(f"{self.folder}: {text}")
 
     def _rebuild(self, stream: str) -> Buffers:
-        ordered_segments(self.folder, stream)  # refuses before the first buffer, not after it
+        segments = _ordered_segments(self.folder, stream)
         self._warn(
             f"{self.folder}: {INDEX_NAME} is missing or unreadable; stream {stream} is given in "
             f"buffers of {REBUILT_FRAMES} frames from time 0 on: sizes, times and discontinuities "
             "are not those recorded"
         )
-        yield from rebuilt_buffers(self.folder, stream)
+        time_s = 0.0
+        for path, segment in segments:
+            with closing(SegmentReader(path)) as reader:
+                for first in range(0, segment.frames, REBUILT_FRAMES):
+                    count = min(REBUILT_FRAMES, segment.frames - first)
+                    samples = reader.read(first, count, segment.channels)
+                    if samples is None:  # the file was truncated meanwhile
+                        return
+                    at_s = time_s + first / segment.samplerate
+                    yield CaptureBuffer(samples, segment.samplerate, at_s, discontinuity=False)
+            time_s += segment.frames / segment.samplerate
 
     def _warn(self, text: str) -> None:
         if text not in self.warnings:
@@ -157,8 +149,6 @@ class Capture:
 
 @dataclass
 class _Tally:
-    """Counts of one pass over a stream, for its warnings."""
-
     next_buffer: int = 0
     taken_buffers: int = 0
     taken_frames: int = 0
@@ -173,7 +163,6 @@ class _Tally:
     after_drop: bool = False
 
     def take(self, record: BufferRecord) -> bool:
-        """Count a whole buffer, and return whether something is missing before it."""
         lost = record.buffer - self.next_buffer
         if lost:
             self.first_gap = record.buffer if not self.gaps else self.first_gap
@@ -186,14 +175,11 @@ class _Tally:
         self.taken_frames += record.frames
         return missing
 
-    def drop(self, record: DroppedRecord) -> None:
-        """Count buffers that the recorder could not keep."""
-        self.dropped_buffers += record.buffers
-        self.dropped_frames += record.frames
-        self.after_drop = True
-
     def warnings(self, stream: str) -> Iterator[str]:
-        """Yield warnings for the user, one line each."""
+        recovered = (
+            f"recovered: {counted(self.taken_buffers, 'whole buffers')} "
+            f"({self.taken_frames} frames) of stream {stream}"
+        )
         if self.dropped_buffers:
             yield (
                 f"dropped while recording: {counted(self.dropped_buffers, 'buffers')} "
@@ -210,56 +196,36 @@ class _Tally:
                 f"stream {stream} is missing between others"
             )
         if self.promised is None:
-            yield (
-                "it was cut off (killed, disk full, or still being written); "
-                f"{self._recovered(stream)}"
-            )
+            yield f"it was cut off (killed, disk full, or still being written); {recovered}"
         elif self.promised > self.next_buffer:
             lost = self.promised - self.next_buffer
-            yield f"damaged at the end: {counted(lost, 'buffers')}; {self._recovered(stream)}"
-
-    def _recovered(self, stream: str) -> str:
-        return (
-            f"recovered: {counted(self.taken_buffers, 'whole buffers')} "
-            f"({self.taken_frames} frames) of stream {stream}"
-        )
+            yield f"damaged at the end: {counted(lost, 'buffers')}; {recovered}"
 
 
 class _Samples:
-    """Reads the samples of one buffer after another; keeps the present segment open."""
-
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._path: Path | None = None
         self._segment: SegmentReader | None = None
 
-    def read(self, record: BufferRecord) -> NDArray[np.float32] | None:
-        """The buffer's samples, or None if they are incomplete."""
+    def read(self, record: BufferRecord) -> Float32Array | None:
         path = self._folder / segment_name(record.stream, record.segment)
         if path != self._path:
             self.close()
             self._path = path
-            try:
+            with suppress(FileNotFoundError):
                 self._segment = SegmentReader(path)
-            except FileNotFoundError:
-                self._segment = None
         if self._segment is None:
             return None
         return self._segment.read(record.first, record.frames, record.channels, record.samples_crc)
 
     def close(self) -> None:
-        """Close the segment."""
         if self._segment is not None:
             self._segment.close()
         self._segment = self._path = None
 
 
-def _none() -> Buffers:
-    yield from ()
-
-
 def _streams_there(folder: Path) -> tuple[str, ...]:
-    """The streams with a segment in the folder. UsageError: the folder cannot be read."""
     try:
         if not folder.exists():
             raise UsageError(f"{folder} does not exist; give the folder of a capture")
@@ -267,9 +233,7 @@ def _streams_there(folder: Path) -> tuple[str, ...]:
             raise UsageError(f"{folder} is not a folder; give the folder of a capture")
         return tuple(stream for stream in STREAMS if segment_paths(folder, stream))
     except OSError as error:
-        raise UsageError(
-            f"{folder} may not be read ({error.strerror}); check its permissions"
-        ) from None
+        raise UsageError(f"{folder} cannot be read ({error.strerror}); check permissions") from None
 
 
 def _refuse_unless_known(folder: Path, header: Header) -> None:
@@ -280,3 +244,24 @@ def _refuse_unless_known(folder: Path, header: Header) -> None:
             f"{folder} is a capture of version {header.version}; this program reads version "
             f"{VERSION}: use a newer one"
         )
+
+
+def _ordered_segments(folder: Path, stream: str) -> list[tuple[Path, SegmentFormat]]:
+    """Return the stream's segments in order. UsageError: a segment is missing or damaged."""
+    paths = segment_paths(folder, stream)
+    segments = []
+    for expected, (number, path) in enumerate(paths.items(), 1):
+        if number != expected:
+            raise UsageError(
+                f"{folder} has lost {INDEX_NAME} and {segment_name(stream, expected)}: what came "
+                f"before {path.name} is not known; replay the WAV files one by one with file:PATH"
+            )
+        found = segment_format(path)
+        if found is not None:
+            segments.append((path, found))
+        elif number < len(paths) or path.stat().st_size >= SAMPLES_OFFSET:
+            raise UsageError(
+                f"{folder} has lost {INDEX_NAME}, and {path.name} is not as a capture writes it; "
+                "take the file away, or replay the WAV files one by one with file:PATH"
+            )
+    return segments

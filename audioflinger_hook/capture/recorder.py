@@ -1,4 +1,4 @@
-"""Captures from the audio thread: takes its buffers and writes them on another thread."""
+"""Takes buffers from the audio thread and writes them to a capture on another thread."""
 
 from __future__ import annotations
 
@@ -7,21 +7,17 @@ from dataclasses import dataclass
 from queue import SimpleQueue
 
 import numpy as np
-from numpy.typing import NDArray
 
-from audioflinger_hook.capture.writer import CaptureWriter
+from audioflinger_hook.capture.writer import CaptureWriter, check_frames
 from device.errors import CushionError, InternalError
+from device.units import Float32Array
 
-CAPACITY_SAMPLES = 1 << 22
-"""Largest number of waiting samples of a stream: 16 MB, or 43 s of 48 kHz stereo."""
-
+CAPACITY_SAMPLES = 1 << 22  # 16 MB, or 43 s of 48 kHz stereo
 CAPACITY_BUFFERS = 1 << 14
 
 
 @dataclass(frozen=True, slots=True)
 class _Handed:
-    """A waiting buffer: its place in the ring, and how it was delivered."""
-
     start: int
     end: int
     shape: tuple[int, int]
@@ -32,22 +28,11 @@ class _Handed:
 
 
 class CaptureRecorder:
-    """A capture that the audio thread can feed. One thread feeds each stream.
+    """Writes a capture for audio threads. For each stream, only one thread may call `offer`.
 
-    Parameters
-    ----------
-    writer : CaptureWriter
-        Writes the capture; the recorder owns it from now on.
-    capacity_samples : int
-        Largest number of waiting samples of each stream, and of samples in a buffer.
-    capacity_buffers : int
-        Largest number of waiting buffers of each stream.
-
-    Attributes
-    ----------
-    error : CushionError or None
-        Why writing ended, such as a full disk. From then on every buffer is dropped, and `close`
-        raises it.
+    writer: `close` also closes the writer. capacity_samples, capacity_buffers: largest size of each
+    stream's queue. error: why writing ended, such as a full disk; None without an error. After an
+    error, buffers are dropped, and `close` raises the error.
     """
 
     def __init__(
@@ -59,36 +44,32 @@ class CaptureRecorder:
     ) -> None:
         self.error: CushionError | None = None
         self._writer = writer
-        self._lanes = {
-            stream: _Lane(capacity_samples, capacity_buffers) for stream in writer.streams
-        }
-        # Its `put` never waits, and wakes the thread.
+        self._lanes = {name: _Lane(capacity_samples, capacity_buffers) for name in writer.streams}
+        # `put` never blocks, and wakes the writing thread.
         self._queue: SimpleQueue[tuple[str, _Handed] | None] = SimpleQueue()
         self._closed = False
-        # A daemon thread, so that a program that fails before `close` can end.
+        # A daemon thread, so that a program can exit without `close`.
         self._thread = threading.Thread(target=self._run, name="capture", daemon=True)
         self._thread.start()
 
     def offer(
         self,
         stream: str,
-        frames: NDArray[np.float32],
+        frames: Float32Array,
         samplerate: int,
         time_s: float,
         *,
         discontinuity: bool = False,
     ) -> bool:
-        """Take one buffer, see `CaptureWriter.write_buffer`; return False if it was dropped.
+        """Queue a copy of a buffer without blocking; return False if the buffer was dropped.
 
-        The samples are copied, so the caller may reuse its array. Called by the audio thread; never
-        waits, and never raises for a stream of the capture.
+        samplerate: Hz. time_s, discontinuity: see `CaptureWriter.write_buffer`.
         """
         lane = self._lanes[stream]
-        if frames.ndim != 2 or frames.dtype != np.float32:
-            self.error = self.error or InternalError(
-                f"a buffer of {frames.dtype} has shape {frames.shape}: "
-                "(frames, channels) of float32 was expected"
-            )
+        try:
+            check_frames(frames)
+        except InternalError as error:
+            self.error = self.error or error
         if self._closed or self.error is not None:
             lane.drop(frames.shape[0] if frames.ndim else 0)
             return False
@@ -99,15 +80,11 @@ class CaptureRecorder:
         return True
 
     def dropped(self, stream: str) -> tuple[int, int]:
-        """Buffers and frames of the stream that could not be kept so far. Any thread."""
+        """Return how many buffers and frames of a stream were dropped. Any thread may call this."""
         return self._lanes[stream].dropped()
 
     def close(self) -> None:
-        """Write waiting buffers, complete the capture; raise the error that ended writing, if any.
-
-        Waits for the disk; may be called again. Call it when the feeding threads have stopped;
-        buffers offered later are dropped.
-        """
+        """Write the queued buffers; raise `error`, if any. No thread may call `offer` any more."""
         if self._closed:
             return
         self._closed = True
@@ -130,22 +107,18 @@ class CaptureRecorder:
         self.close()
 
     def _run(self) -> None:
-        """Write buffers until `close`; after an error, count them."""
-        failed = False
+        """Write buffers until `close` is called. After an error, only count the buffers."""
+        failure: CushionError | None = None
         while (item := self._queue.get()) is not None:
             stream, handed = item
             lane = self._lanes[stream]
-            if not failed:
+            if not failure:
                 try:
                     self._write(stream, lane, handed)
-                except CushionError as error:
-                    self.error, failed = error, True
                 except Exception as error:
-                    self.error = InternalError(
-                        f"the capture ended: {type(error).__name__}: {error}"
-                    )
-                    failed = True
-            if failed:
+                    ended = InternalError(f"the capture ended: {type(error).__name__}: {error}")
+                    self.error = failure = error if isinstance(error, CushionError) else ended
+            if failure:
                 lane.unwritten_buffers += 1
                 lane.unwritten_frames += handed.shape[0]
             lane.release(handed)
@@ -166,29 +139,29 @@ class CaptureRecorder:
 
 
 class _Lane:
-    """One stream's ring. The feeding thread calls `put` and `drop`, the writing thread the rest.
+    """Ring buffer of one stream. The audio thread calls `put`, the writing thread `release`.
 
-    Positions count samples from the start and never wrap. A buffer is stored in one piece, so the
-    end of the ring is skipped if the buffer does not fit there.
+    Positions count samples, and restart at 0 if `put` finds the ring empty. The samples of a buffer
+    are contiguous. If they do not fit at the end of the ring, they begin at its start.
     """
 
     def __init__(self, capacity_samples: int, capacity_buffers: int) -> None:
         self._ring = np.empty(capacity_samples, np.float32)
-        self._ring.fill(0.0)  # written now, so that no memory page is missing later
+        self._ring.fill(0.0)  # writes all memory pages, so that `put` causes no page fault
         self._capacity_buffers = capacity_buffers
-        self._head = self._put = 0  # moved by the feeding thread
-        self._tail = self._released = 0  # moved by the writing thread, while something is waiting
+        self._head = self._put = 0  # changed by the audio thread
+        self._tail = self._released = 0  # changed by the writing thread while buffers are queued
         self.dropped_buffers = self.dropped_frames = 0
-        self._told = (0, 0)
+        self._reported = (0, 0)
         self.unwritten_buffers = self.unwritten_frames = 0
 
     def put(
-        self, frames: NDArray[np.float32], samplerate: int, time_s: float, discontinuity: bool
+        self, frames: Float32Array, samplerate: int, time_s: float, discontinuity: bool
     ) -> _Handed | None:
         """Copy a buffer into the ring, or count it as dropped and return None."""
         capacity = len(self._ring)
         if self._put == self._released:
-            # No buffer is waiting, so the writing thread moves no position: start at the beginning.
+            # The ring is empty, so the writing thread changes no position. Restart at 0.
             self._head = self._tail = 0
         start = self._head
         if start % capacity + frames.size > capacity:
@@ -205,34 +178,28 @@ class _Lane:
         return handed
 
     def drop(self, frames: int) -> None:
-        """Count a buffer that is not kept."""
         self.dropped_buffers += 1
         self.dropped_frames += frames
 
     def dropped(self) -> tuple[int, int]:
-        """Buffers and frames not kept so far, because of a full ring or of the writer."""
-        return (
-            self.dropped_buffers + self.unwritten_buffers,
-            self.dropped_frames + self.unwritten_frames,
-        )
+        """Return how many buffers and frames were dropped or could not be written."""
+        buffers = self.dropped_buffers + self.unwritten_buffers
+        return buffers, self.dropped_frames + self.unwritten_frames
 
     def drop_unwritten(self) -> None:
-        """Count unwritten buffers as dropped; both threads must have stopped."""
+        """Count unwritten buffers as dropped. No thread may use the ring any more."""
         self.dropped_buffers, self.dropped_frames = self.dropped()
         self.unwritten_buffers = self.unwritten_frames = 0
 
     def take_dropped(self) -> tuple[int, int]:
-        """Buffers and frames dropped since the last call."""
-        buffers, frames = self._told
-        self._told = (self.dropped_buffers, self.dropped_frames)
+        buffers, frames = self._reported
+        self._reported = (self.dropped_buffers, self.dropped_frames)
         return self.dropped_buffers - buffers, self.dropped_frames - frames
 
-    def samples_of(self, handed: _Handed) -> NDArray[np.float32]:
-        """The buffer's samples in the ring."""
+    def samples_of(self, handed: _Handed) -> Float32Array:
         start = handed.start % len(self._ring)
         return self._ring[start : start + handed.end - handed.start].reshape(handed.shape)
 
     def release(self, handed: _Handed) -> None:
-        """Free the buffer's place in the ring."""
         self._tail = handed.end
         self._released += 1

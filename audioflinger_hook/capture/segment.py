@@ -1,36 +1,34 @@
-"""Segments of a capture: float32 WAV files that can be read while they grow and after a kill."""
+"""Segments of a capture: float32 WAV files, readable while they grow and after a crash."""
 
 from __future__ import annotations
 
-import contextlib
 import os
 import stat
 import struct
 import zlib
-from collections.abc import Iterator
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from audioflinger_hook.capture.format import INDEX_NAME, SAMPLES_OFFSET, segment_name, segment_paths
+from audioflinger_hook.capture.format import SAMPLES_OFFSET
 from device.errors import InternalError, UsageError
+from device.units import Float32Array
 from device.wav_output import wav_header
 
 _SAMPLE = np.dtype("<f4")
-_FORMAT_AT = 56  # after RIFF, ds64 or JUNK, and the start of the fmt chunk: tag, channels, rate
+_FORMAT_AT = 56  # byte offset of format tag, channels and sample rate in the header
 _DS64_FRAMES_AT = 36
 _FACT_FRAMES_AT = 82
 
 
 @dataclass(frozen=True)
 class SegmentFormat:
-    """Format and length of a segment.
+    """Format and length of a segment. samplerate: Hz.
 
-    samplerate: Hz; frames: whole frames according to the header, which counts only whole buffers;
-    frames_there: whole frames according to the file's length.
+    frames_there: number of frames, computed from the file's size. frames: number in the header,
+    but at most `frames_there`.
     """
 
     samplerate: int
@@ -39,12 +37,21 @@ class SegmentFormat:
     frames_there: int
 
 
-class SegmentWriter:
-    """A new segment at `path`; an older file of that name is replaced.
+class _Descriptor:
+    _fd = -1
 
-    Samples go to the operating system at once. `append` writes them after the last buffer, `keep`
-    counts them in the header, `cut` removes them again. Use from one thread; every method may raise
-    OSError.
+    def close(self) -> None:
+        """Close the file. Repeated calls do nothing."""
+        if self._fd >= 0:
+            os.close(self._fd)
+            self._fd = -1
+
+
+class SegmentWriter(_Descriptor):
+    """A new segment at `path`; an older file with this name is replaced.
+
+    `append` writes a buffer to the file immediately, `keep` counts its frames in the header, and
+    `cut` removes frames. Only one thread may call the methods, which may raise OSError.
     """
 
     def __init__(self, path: Path, samplerate: int, channels: int) -> None:
@@ -52,60 +59,52 @@ class SegmentWriter:
         self.samplerate = samplerate
         self.channels = channels
         self.frames = 0
-        header = wav_header(samplerate, channels, 0)
         flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC | os.O_NOFOLLOW
         self._fd = os.open(path, flags, 0o666)
         try:
-            write_at(self._fd, header, 0)
+            self.keep(0)
         except BaseException:
             self.discard()
             raise
 
-    def append(self, frames: NDArray[np.float32]) -> int:
-        """Write a buffer's samples after those kept, and return their CRC-32."""
+    def append(self, frames: Float32Array) -> str:
+        """Write frames at the end; return the CRC-32 of their samples as 8 hexadecimal digits."""
         samples = np.ascontiguousarray(frames, _SAMPLE).reshape(-1).view(np.uint8).data
         write_at(self._fd, samples, self._size())
-        return zlib.crc32(samples)
+        return f"{zlib.crc32(samples):08x}"
 
     def keep(self, frames: int) -> None:
-        """Count the frames appended last, also in the header."""
+        """Add `frames`, which `append` has written, to `self.frames`; write a new header."""
         self.frames += frames
         write_at(self._fd, wav_header(self.samplerate, self.channels, self.frames), 0)
 
     def cut(self, frames: int) -> None:
-        """Go back to the first `frames` frames, if the disk allows it."""
+        """Truncate the segment to `frames` frames."""
         self.frames = frames
-        with contextlib.suppress(OSError):  # bytes after the counted frames harm no reader
+        with suppress(OSError):  # readers ignore bytes after the counted frames
             os.ftruncate(self._fd, self._size())
-            write_at(self._fd, wav_header(self.samplerate, self.channels, frames), 0)
-
-    def close(self) -> None:
-        """Close the file. May be called more than once."""
-        if self._fd >= 0:
-            os.close(self._fd)
-            self._fd = -1
+            self.keep(0)
 
     def discard(self) -> None:
-        """Close the file and remove it."""
+        """Close the file and delete it."""
         self.close()
-        with contextlib.suppress(OSError):
+        with suppress(OSError):
             self.path.unlink()
 
     def _size(self) -> int:
         return SAMPLES_OFFSET + self.frames * self.channels * _SAMPLE.itemsize
 
 
-class SegmentReader:
-    """Reads samples of any buffer of a segment, also while it grows. Use from one thread.
+class SegmentReader(_Descriptor):
+    """Reads any buffer of a segment, even while the file grows. For one thread.
 
-    FileNotFoundError: there is no such file.
-    UsageError: no permission to read the file, or it is no regular file.
+    FileNotFoundError: the file is missing. UsageError: it cannot be read or is no regular file.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         try:
-            # Opening a pipe would block until a writer opens it.
+            # Without O_NONBLOCK, opening a pipe would block until a writer opens the pipe.
             self._fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
         except FileNotFoundError:
             raise
@@ -117,36 +116,28 @@ class SegmentReader:
             self.close()
             raise UsageError(f"{path} is not a file; a capture's segment was expected there")
 
-    def read(
-        self, first: int, frames: int, channels: int, crc: int | None = None
-    ) -> NDArray[np.float32] | None:
-        """Return samples (frames, channels) from frame `first` on, or None if they are incomplete.
-
-        crc: the CRC-32 that the samples must have; None if it is not known.
-        """
+    def read(self, first: int, frames: int, channels: int, crc: str = "") -> Float32Array | None:
+        """Return samples (frames, channels) from frame `first` on; None if damaged or cut off."""
         start = SAMPLES_OFFSET + first * channels * _SAMPLE.itemsize
-        # Check this first: a damaged count must not allocate memory.
+        # Check the size first, so that a damaged count allocates no memory.
         if start + frames * channels * _SAMPLE.itemsize > os.fstat(self._fd).st_size:
             return None
         samples = np.empty((frames, channels), _SAMPLE)
         content = samples.reshape(-1).view(np.uint8).data
-        if not _read_at(self._fd, content, start):
-            return None
-        if crc is not None and zlib.crc32(content) != crc:
+        whole = _read_at(self._fd, content, start)
+        if not whole or (crc and f"{zlib.crc32(content):08x}" != crc):
             return None
         return samples.astype(np.float32, copy=False)
 
     def format(self) -> SegmentFormat | None:
-        """Format and length of the segment; None if its header is not from a `SegmentWriter`."""
+        """Return format and length; None if the header is not that of a segment."""
         header = bytearray(SAMPLES_OFFSET)
         if not _read_at(self._fd, memoryview(header), 0):
             return None
         _tag, channels, samplerate = struct.unpack_from("<HHI", header, _FORMAT_AT)
-        frames: int
-        if header.startswith(b"RF64"):
-            (frames,) = struct.unpack_from("<Q", header, _DS64_FRAMES_AT)
-        else:
-            (frames,) = struct.unpack_from("<I", header, _FACT_FRAMES_AT)
+        long = header.startswith(b"RF64")
+        at = ("<Q", header, _DS64_FRAMES_AT) if long else ("<I", header, _FACT_FRAMES_AT)
+        frames: int = struct.unpack_from(*at)[0]
         try:
             if wav_header(samplerate, channels, frames) != header:
                 return None
@@ -155,21 +146,15 @@ class SegmentReader:
         there = (os.fstat(self._fd).st_size - SAMPLES_OFFSET) // (channels * _SAMPLE.itemsize)
         return SegmentFormat(samplerate, channels, min(frames, there), there)
 
-    def close(self) -> None:
-        """Close the file. May be called more than once."""
-        if self._fd >= 0:
-            os.close(self._fd)
-            self._fd = -1
-
 
 def segment_format(path: Path) -> SegmentFormat | None:
-    """`SegmentReader.format` of the file; raises the errors of `SegmentReader`."""
-    with contextlib.closing(SegmentReader(path)) as reader:
+    """Return the format of a segment. The errors are those of `SegmentReader`."""
+    with closing(SegmentReader(path)) as reader:
         return reader.format()
 
 
 def write_at(fd: int, content: bytes | memoryview, position: int) -> None:
-    """Write all bytes at that position, or raise OSError."""
+    """Write all bytes at a byte position of the file, or raise OSError."""
     rest = memoryview(content)
     while rest:
         written = os.pwrite(fd, rest, position)
@@ -177,7 +162,7 @@ def write_at(fd: int, content: bytes | memoryview, position: int) -> None:
 
 
 def _read_at(fd: int, target: memoryview, position: int) -> bool:
-    """Fill the target from that position on; return False if the file is too short."""
+    """Read bytes from a position until `target` is full; return False if the file is too short."""
     while target:
         got = os.preadv(fd, [target], position)
         if got == 0:
@@ -186,24 +171,16 @@ def _read_at(fd: int, target: memoryview, position: int) -> bool:
     return True
 
 
-# eq=False: comparing arrays with == gives arrays, so a generated __eq__ could only fail.
+# eq=False, because == of two arrays returns an array, and a generated __eq__ would fail.
 @dataclass(frozen=True, eq=False)
 class CaptureBuffer:
     """A buffer exactly as it was delivered.
 
-    Attributes
-    ----------
-    frames : array of float32
-        (frames, channels), possibly empty; the reader owns it.
-    samplerate : int
-        Hz.
-    time_s : float
-        Time when the buffer was delivered, in seconds of the recorder's monotonic clock.
-    discontinuity : bool
-        Whether frames are missing before it: at the source, in the recorder or in the capture.
+    frames: (frames, channels) float32, a copy. samplerate: Hz. time_s: time of delivery in s, by
+    a monotonic clock. discontinuity: whether frames are missing before this buffer.
     """
 
-    frames: NDArray[np.float32]
+    frames: Float32Array
     samplerate: int
     time_s: float
     discontinuity: bool
@@ -215,48 +192,5 @@ class CaptureBuffer:
 
     @property
     def format(self) -> tuple[int, int]:
-        """Samplerate in Hz and number of channels."""
+        """Sample rate in Hz and number of channels."""
         return self.samplerate, self.channels
-
-
-REBUILT_FRAMES = 1_024
-"""Frames per buffer if the recorded sizes are lost."""
-
-
-def rebuilt_buffers(folder: Path, stream: str) -> Iterator[CaptureBuffer]:
-    """The stream in buffers of `REBUILT_FRAMES`; the last of each segment may be shorter.
-
-    Raises UsageError if the order of the segments is ambiguous, or a segment is not from a capture.
-    """
-    time_s = 0.0
-    for path, segment in ordered_segments(folder, stream):
-        with closing(SegmentReader(path)) as reader:
-            for first in range(0, segment.frames, REBUILT_FRAMES):
-                count = min(REBUILT_FRAMES, segment.frames - first)
-                samples = reader.read(first, count, segment.channels)
-                if samples is None:  # the file has become shorter since
-                    return
-                at_s = time_s + first / segment.samplerate
-                yield CaptureBuffer(samples, segment.samplerate, at_s, discontinuity=False)
-        time_s += segment.frames / segment.samplerate
-
-
-def ordered_segments(folder: Path, stream: str) -> list[tuple[Path, SegmentFormat]]:
-    """The stream's segments in order. UsageError: the order cannot be known."""
-    paths = segment_paths(folder, stream)
-    segments = []
-    for expected, (number, path) in enumerate(paths.items(), 1):
-        if number != expected:
-            raise UsageError(
-                f"{folder} has lost {INDEX_NAME} and {segment_name(stream, expected)}: what came "
-                f"before {path.name} is not known; replay the WAV files one by one with file:PATH"
-            )
-        found = segment_format(path)
-        if found is not None:
-            segments.append((path, found))
-        elif number < len(paths) or path.stat().st_size >= SAMPLES_OFFSET:
-            raise UsageError(
-                f"{folder} has lost {INDEX_NAME}, and {path.name} is not as a capture writes it; "
-                "take the file away, or replay the WAV files one by one with file:PATH"
-            )
-    return segments

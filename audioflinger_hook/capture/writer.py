@@ -1,17 +1,16 @@
-"""Writes a capture: a buffer survives a kill once its call has returned."""
+"""Writes a capture. If the process crashes, all buffers that were written before remain."""
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import math
 import os
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from audioflinger_hook import __version__
 from audioflinger_hook.capture.format import (
@@ -26,22 +25,13 @@ from audioflinger_hook.capture.format import (
     segment_paths,
 )
 from audioflinger_hook.capture.segment import SegmentWriter, write_at
+from device.atomic_file import MACHINE_FAULTS, write_reason
 from device.errors import CushionError, InternalError, UsageError, WriteError
-
-_NOT_THE_USERS_FAULT = {errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EMFILE, errno.ENFILE}
-_REASONS = {
-    errno.ENOSPC: "the disk is full; free some space or name another folder",
-    errno.EDQUOT: "the disk quota is used up; free some space or name another folder",
-    errno.EFBIG: "a file would be larger than allowed; raise the limit (ulimit -f)",
-    errno.EROFS: "the file system is read-only; name another folder",
-    errno.ENAMETOOLONG: "the name is too long; choose a shorter one",
-}
+from device.units import Float32Array
 
 
 @dataclass
 class _Stream:
-    """Position of a stream."""
-
     buffers: int = 0
     frames: int = 0
     segments: int = 0
@@ -52,27 +42,13 @@ class _Stream:
 class CaptureWriter:
     """A new capture, written buffer by buffer.
 
-    `write_buffer` passes the samples and then their line of the index to the operating system
-    before it returns; `close` syncs them to the disk. If the process is killed, the capture has
-    every buffer whose call had returned. After a failed write the capture stays readable, and the
-    writer is closed. Memory use is constant. Each call waits for the operating system, so use one
-    thread, not the audio thread (see `CaptureRecorder`).
+    `write_buffer` passes the data to the operating system before it returns. `close` syncs the
+    files to the disk. After a failed write, the writer is closed and the capture stays readable.
+    The methods may wait for the disk. Only one thread, not the audio thread, may call them.
 
-    Parameters
-    ----------
-    folder : path
-        A new or empty folder.
-    streams : sequence of str
-        The streams that will be written, from `STREAMS`.
-    facts : mapping or None
-        Settings for the first line of the index, by name.
-
-    Raises
-    ------
-    UsageError
-        The path is not empty, is no folder, or cannot be written.
-    WriteError
-        The disk is full or failed, here and in every method.
+    folder: path of a new or empty folder. streams: names from `STREAMS`. facts: settings of the
+    recording for the index, by name. UsageError: the folder is not empty, not writable, or cannot
+    be created. WriteError: the disk is full or failed.
     """
 
     def __init__(
@@ -87,45 +63,44 @@ class CaptureWriter:
         self.folder = Path(folder)
         self._streams = {stream: _Stream() for stream in streams}
         self._failure: WriteError | None = None
-        header = Header(
-            tuple(streams), {"program": f"haptic-cushion {__version__}", **(facts or {})}
-        ).line()
+        program = f"haptic-cushion {__version__}"
+        header = Header(streams=[*streams], facts={"program": program, **(facts or {})}).line()
         self._index_fd = _new_index(self.folder, header)
         self._index_bytes = len(header)
 
     @property
     def streams(self) -> tuple[str, ...]:
-        """The streams that can be written."""
+        """Names of the streams."""
         return tuple(self._streams)
 
     def buffers(self, stream: str) -> int:
-        """How many buffers of the stream were written."""
+        """Return the number of buffers written to a stream."""
         return self._streams[stream].buffers
 
     def frames(self, stream: str) -> int:
-        """How many frames of the stream were written."""
+        """Return the number of frames written to a stream."""
         return self._streams[stream].frames
 
     def write_buffer(
         self,
         stream: str,
-        frames: NDArray[np.float32],
+        frames: Float32Array,
         samplerate: int,
         time_s: float,
         *,
         discontinuity: bool = False,
     ) -> None:
-        """Write one buffer, (frames, channels) float32, bit for bit.
+        """Write one buffer of float32, (frames, channels), unchanged. The buffer may be empty.
 
-        samplerate: Hz; time_s: when the buffer was delivered, in seconds of a monotonic clock;
-        discontinuity: whether frames are missing before it. A buffer may be empty. Another rate or
-        number of channels than the last buffer's starts a new segment.
+        A new sample rate or number of channels starts a new segment. samplerate: Hz. time_s: time
+        of delivery in s, by a monotonic clock. discontinuity: frames before the buffer are missing.
         """
-        _check_buffer(frames, time_s)
+        check_frames(frames)
+        if not math.isfinite(time_s):
+            raise InternalError(f"time_s={time_s} of a buffer is not a number of seconds")
         before, here = self._state_of(stream), self._streams[stream]
         with self._all_or_nothing(stream, before):
             segment = self._segment_for(stream, samplerate, frames.shape[1])
-            samples_crc = segment.append(frames)
             record = BufferRecord(
                 stream=stream,
                 buffer=here.buffers,
@@ -136,7 +111,7 @@ class CaptureWriter:
                 channels=frames.shape[1],
                 time_s=float(time_s),
                 discontinuity=bool(discontinuity),
-                samples_crc=samples_crc,
+                samples_crc=segment.append(frames),
             )
             self._append_line(record.line())
             segment.keep(len(frames))
@@ -147,19 +122,13 @@ class CaptureWriter:
             before.segment.close()
 
     def note_dropped(self, stream: str, buffers: int, frames: int) -> None:
-        """Record the loss of buffers, `frames` long in all, before the next buffer of the stream.
-
-        A reader reports that next buffer as a discontinuity.
-        """
+        """Write to the index that buffers were lost. frames: their total number of frames."""
         self._state_of(stream)
         with self._all_or_nothing():
             self._append_line(DroppedRecord(stream, buffers, frames).line())
 
     def close(self) -> None:
-        """Write everything to the disk and mark the capture as complete.
-
-        May be called again, and after a failure.
-        """
+        """Sync all files and mark the capture as complete. Repeated calls do nothing."""
         if self._index_fd < 0:
             return
         try:
@@ -170,7 +139,7 @@ class CaptureWriter:
                 counts = {stream: state.buffers for stream, state in self._streams.items()}
                 self._append_line(EndRecord(counts).line())
                 os.fsync(self._index_fd)
-                with contextlib.suppress(OSError):  # some file systems cannot sync folders
+                with suppress(OSError):  # some file systems cannot sync folders
                     _fsync(self.folder)
         finally:
             self._release()
@@ -182,7 +151,7 @@ class CaptureWriter:
         self.close()
 
     def _state_of(self, stream: str) -> _Stream:
-        """Return a copy of the stream's state; refuse a closed or failed writer."""
+        """Return a copy of a stream's state. WriteError, InternalError: nothing can be written."""
         if self._failure is not None:
             raise WriteError(str(self._failure))
         if self._index_fd < 0:
@@ -205,15 +174,15 @@ class CaptureWriter:
         write_at(self._index_fd, line, self._index_bytes)
         self._index_bytes += len(line)
 
-    @contextlib.contextmanager
+    @contextmanager
     def _all_or_nothing(self, stream: str = "", before: _Stream | None = None) -> Iterator[None]:
-        """If the block fails, undo its writes: the index lines, and the samples of the stream."""
+        """If the `with` block fails, undo its writes to the index and to the stream."""
         index_bytes = self._index_bytes
         try:
             yield
         except BaseException as error:  # even an interruption must not leave half a buffer
             self._index_bytes = index_bytes
-            with contextlib.suppress(OSError):  # a reader recognises half a line by its CRC
+            with suppress(OSError):  # the CRC reveals half a line
                 os.ftruncate(self._index_fd, index_bytes)
             if before:
                 self._go_back(stream, before)
@@ -222,7 +191,6 @@ class CaptureWriter:
             raise
 
     def _go_back(self, stream: str, before: _Stream) -> None:
-        """Undo a buffer that was not written whole."""
         started = self._streams[stream].segment
         if started is not None and started is not before.segment:
             started.discard()
@@ -232,7 +200,7 @@ class CaptureWriter:
 
     def _fail(self, error: OSError) -> WriteError:
         self._failure = WriteError(
-            f"cannot write to the capture {self.folder}: {_reason(error)}; "
+            f"cannot write to the capture {self.folder}: {write_reason(error)}; "
             "it can be replayed up to there"
         )
         self._release()
@@ -247,18 +215,16 @@ class CaptureWriter:
             self._index_fd = -1
 
 
-def _check_buffer(frames: NDArray[np.float32], time_s: float) -> None:
+def check_frames(frames: Float32Array) -> None:
+    """Raise InternalError unless the samples are float32 of shape (frames, channels)."""
     if frames.ndim != 2 or frames.dtype != np.float32:
         raise InternalError(
             f"a buffer of {frames.dtype} has shape {frames.shape}: "
             "(frames, channels) of float32 was expected"
         )
-    if not math.isfinite(time_s):
-        raise InternalError(f"a buffer came at time_s={time_s}: a number of seconds was expected")
 
 
 def _new_index(folder: Path, header: bytes) -> int:
-    """Make the folder and its index, and return the descriptor of the open index."""
     made = False
     try:
         made = _make_folder(folder)
@@ -273,20 +239,18 @@ def _new_index(folder: Path, header: bytes) -> int:
         return fd
     except (OSError, ValueError) as error:
         if made:
-            with contextlib.suppress(OSError):
+            with suppress(OSError):
                 folder.rmdir()
         raise _folder_failure(folder, error) from error
 
 
 def _make_folder(folder: Path) -> bool:
-    """Make the folder if missing; return whether it was made. Raises if it cannot be used."""
+    """Create a missing folder; return whether it was missing. UsageError: unusable folder."""
     try:
         folder.mkdir()
     except FileExistsError:
         if not folder.is_dir():
-            raise UsageError(
-                f"cannot capture to {folder}: it is not a folder; name another"
-            ) from None
+            raise UsageError(f"cannot capture to {folder}: not a folder; name another") from None
         if any(folder.iterdir()):
             raise UsageError(
                 f"cannot capture to {folder}: the folder is not empty; name a new one"
@@ -298,8 +262,8 @@ def _make_folder(folder: Path) -> bool:
 def _folder_failure(folder: Path, error: OSError | ValueError) -> CushionError:
     if not isinstance(error, OSError):  # a name with a null byte
         return UsageError(f"cannot capture to {str(folder)!r}: {error}; choose another name")
-    if error.errno in _NOT_THE_USERS_FAULT | {errno.EFBIG}:
-        return WriteError(f"cannot capture to {folder}: {_reason(error)}")
+    if error.errno in MACHINE_FAULTS | {errno.EFBIG}:
+        return WriteError(f"cannot capture to {folder}: {write_reason(error)}")
     if isinstance(error, FileNotFoundError):
         return UsageError(
             f"cannot capture to {folder}: folder {folder.parent} does not exist; "
@@ -309,11 +273,7 @@ def _folder_failure(folder: Path, error: OSError | ValueError) -> CushionError:
         return UsageError(f"cannot capture to {folder}: no permission to write there; name another")
     if isinstance(error, FileExistsError):
         return UsageError(f"cannot capture to {folder}: another capture began there; name another")
-    return UsageError(f"cannot capture to {folder}: {_reason(error)}")
-
-
-def _reason(error: OSError) -> str:
-    return _REASONS.get(error.errno or 0, f"{error.strerror or error}; name another folder")
+    return UsageError(f"cannot capture to {folder}: {write_reason(error)}")
 
 
 def _fsync(path: Path) -> None:

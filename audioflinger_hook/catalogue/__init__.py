@@ -1,16 +1,16 @@
-"""Whole libraries of sound, on one machine or many.
+"""Vibration of whole libraries of sound, on one machine or many.
 
-    manifest -> items -> run -> executors -> work -> storage
-                          '--> summary, page
+    manifest -> items -> run -> pool or cluster -> work -> storage
+                          '--> summary
 
 | module | what it does |
 | --- | --- |
 | `addresses` | paths and URLs; removes credentials from texts |
-| `item`, `manifest`, `listing` | the items of a catalogue, streamed and checked |
-| `recipe` | how results are made, and the key of a result |
-| `storage` | sounds and results, here or remote; whole files or none |
-| `measures` | exposure and course of a vibration |
-| `work` | one item: record, reading, export |
-| `executors`, `run` | where batches run, and the run itself |
-| `summary`, `page`, `status` | what came of a run |
+| `item`, `manifest`, `listing` | reading and checking the items of a catalogue |
+| `recipe` | the options of a run, and a key that changes with them |
+| `storage` | sounds and results, local or remote; incomplete results never appear |
+| `measures` | exposure to a vibration, and its peaks over time |
+| `work` | one item: finding out its state, reading its sound, rendering it, writing its record |
+| `run`, `cluster` | batches of items in local processes (`offline/batch.py`) or on a Dask cluster |
+| `summary` | the report of a run, and its page of pictures |
 """

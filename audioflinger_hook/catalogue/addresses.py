@@ -1,10 +1,10 @@
-"""Paths and URLs of sounds and results, and texts and errors without credentials in them."""
+"""Paths and URLs of sounds and results, and the removal of credentials from messages."""
 
 from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,8 @@ _SECRET_NAME = re.compile(r"KEY|SECRET|TOKEN|PASSW|CREDENTIAL|SIGNATURE|SAS", re
 _SECRET_PAIR = re.compile(
     r"(?i)\b(sig|\w*(?:key|secret|token|passw|credential|signature|authorization|cookie)\w*)"
     r"(\\?[\"']?\s*[=:]\s*)"
-    # The value: in quotes, which may be those of a text in a text, or a word, also after a scheme.
+    # The value is a word or a quoted text. Its quotes may be escaped. "bearer" or another
+    # scheme may precede the word.
     r"(?:\\?\"[^\"]*\"|\\?'[^']*'|(?:(?:bearer|basic|digest|token)\s+)?[^\s,;&]+)"
 )
 _KEY_ID = re.compile(r"\b(?:AKIA|ASIA)[A-Z0-9]{8,}\b")
@@ -40,7 +41,7 @@ def is_url(address: str) -> bool:
 
 
 def credentials_in(url: str) -> bool:
-    """Return whether a URL holds a password, or a query or fragment, which may be a signature."""
+    """Return whether a URL contains a password, query or fragment, or cannot be parsed."""
     if not is_url(url):
         return False
     try:
@@ -51,18 +52,16 @@ def credentials_in(url: str) -> bool:
 
 
 def scrubbed(text: str) -> str:
-    """Return a text without what may be a credential; whitespace becomes single spaces.
+    """Return a text without possible credentials, and with single spaces as whitespace.
 
-    Removed: users and passwords in URLs, queries and fragments of URLs, values that are named like
-    secrets, and values of environment variables that are named like secrets.
+    User names, passwords, queries and fragments of URLs are removed, and values whose name
+    suggests a secret, such as "token", and values of environment variables with such names.
     """
     text = " ".join(text.split())
     for name, value in os.environ.items():
         if len(value) >= _SHORTEST_SECRET and _SECRET_NAME.search(name):
-            # Keys may hold slashes, as paths do.
-            if os.sep in value and Path(value).exists():
-                continue
-            text = text.replace(value, REMOVED)
+            is_path = os.sep in value and Path(value).exists()  # secrets, too, may hold slashes
+            text = text if is_path else text.replace(value, REMOVED)
     text = _USERINFO.sub(f"{REMOVED}@", text)
     text = _QUERY.sub(rf"\1?{REMOVED}", text)
     text = _SECRET_PAIR.sub(rf"\1\2{REMOVED}", text)
@@ -70,10 +69,7 @@ def scrubbed(text: str) -> str:
 
 
 def parse_address(text: str, what: str) -> str:
-    """Return a URL, or an absolute path; `file://` becomes a path.
-
-    UsageError: it holds credentials, or is empty.
-    """
+    """Return a URL or an absolute path. UsageError: the text is empty or contains credentials."""
     if not text or "\0" in text:
         raise UsageError(f"{what} = {text!r} is not a path or URL; name one")
     if credentials_in(text):
@@ -83,31 +79,32 @@ def parse_address(text: str, what: str) -> str:
     return text.rstrip("/") if is_url(text) else os.path.normpath(Path(text).absolute())
 
 
-def filesystem_of(url: str, refuse: Callable[[str], CushionError] = UsageError) -> tuple[Any, str]:
-    """Return the fsspec filesystem of a URL, without a cache of listings, and the path in it."""
-    try:
-        import fsspec
-    except ImportError:
-        raise refuse(f"{scrubbed(url)}: {EXTRA}") from None
+def filesystem_of(url: str) -> tuple[Any, str]:
+    """Return a URL's fsspec filesystem and path. UsageError: the URL cannot be used."""
+    fsspec = _fsspec(url)
     try:
         filesystem, path = fsspec.core.url_to_fs(url, use_listings_cache=False)
     except (ImportError, ValueError, TypeError) as error:
-        raise refuse(f"{scrubbed(url)} cannot be used ({scrubbed(str(error))})") from None
+        raise UsageError(f"{scrubbed(url)} cannot be used ({scrubbed(str(error))})") from None
     return filesystem, path
 
 
 def known_scheme(url: str) -> bool:
-    """Return whether a library for such URLs is known."""
+    """Return whether fsspec supports the scheme of a URL, such as `s3`."""
+    return url.partition("://")[0].lower() in _fsspec(url).available_protocols()
+
+
+def _fsspec(url: str) -> Any:
     try:
         import fsspec
     except ImportError:
         raise UsageError(f"{scrubbed(url)}: {EXTRA}") from None
-    return url.partition("://")[0].lower() in fsspec.available_protocols()
+    return fsspec
 
 
 @contextmanager
 def remote_errors(shown: str, kind: type[StorageError]) -> Iterator[None]:
-    """Turn each error of a storage library into a `CushionError`, without credentials in it."""
+    """Turn errors of a storage library into a `CushionError` whose text has no credentials."""
     try:
         yield
     except CushionError:

@@ -1,4 +1,4 @@
-"""One item of a catalogue: the sound, what part of it, and the name of its result."""
+"""One item of a catalogue, and the columns that describe it in a manifest."""
 
 from __future__ import annotations
 
@@ -6,31 +6,36 @@ import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from difflib import get_close_matches
+from functools import lru_cache
 from pathlib import PurePosixPath
 from typing import Annotated, Any, ClassVar
 from urllib.parse import urlsplit
 
-from audioflinger_hook.catalogue.addresses import (
-    NO_CREDENTIALS,
-    credentials_in,
-    is_url,
-    known_scheme,
-    scrubbed,
-)
+from audioflinger_hook.catalogue import addresses
+from audioflinger_hook.catalogue.addresses import is_url, scrubbed
 from audioflinger_hook.config.profiles import PROFILES
 from device.values import Choice, Described, Description, Number, Refusal, Text
 
 LONGEST_S = 1e7
-RESERVED = re.compile(r"catalogue|failed(-\d+-of-\d+)?")
-"""Names of the run's own files in the output folder."""
-
+RESERVED = re.compile(r"catalogue|failed(-\d+-of-\d+)?")  # names of files that a run writes itself
 NAME_BYTES_MAX = 200
+
+ALIASES = {  # maps column names of NeMo and lhotse to the names used here
+    "audio_filepath": "audio",  # NeMo
+    "offset": "start_s",
+    "start": "start_s",  # lhotse
+    "duration": "duration_s",
+    "channel": "channels",
+}
+
+# A misspelled name of one of these columns is reported, since the typo would silently change
+# results.
+_SIMILAR = ("audio", "start_s", "duration_s", "channels", "profile", "language", "audio_filepath")
 
 
 @dataclass(frozen=True)
 class _Audio(Text):
-    """A path or a URL without credentials."""
-
     grammar: str = "a path, or a URL of a storage that fsspec knows"
 
     def refuse(self, value: object) -> Refusal | None:
@@ -38,17 +43,17 @@ class _Audio(Text):
             return refusal
         if "\0" in value:
             return Refusal("holds a null byte", self.allowed)
-        if credentials_in(value):
-            wrong, _, allowed = NO_CREDENTIALS.partition("; allowed: ")
+        if addresses.credentials_in(value):
+            wrong, _, allowed = addresses.NO_CREDENTIALS.partition("; allowed: ")
             return Refusal(wrong, allowed)
-        if is_url(value) and not known_scheme(value):
+        if is_url(value) and not addresses.known_scheme(value):
             return Refusal("has an unknown scheme", self.allowed)
         return None
 
 
 @dataclass(frozen=True)
 class _Name(Text):
-    """A relative path without "..": where the result will be in the output folder."""
+    """Name of a result in the output folder: a relative path without "." and ".."."""
 
     grammar: str = "a relative path without . and .., such as album/song"
 
@@ -67,20 +72,16 @@ class _Name(Text):
 
 @dataclass(frozen=True)
 class _Channels(Description):
-    """How channels are taken, or the channels to take."""
-
     @property
     def allowed(self) -> str:
         return "mono, each, or channel numbers counted from 0"
 
     def refuse(self, value: object) -> Refusal | None:
-        if value in ("mono", "each"):
-            return None
-        good = isinstance(value, tuple) and len(value) > 0
         numbers = value if isinstance(value, tuple) else ()
-        if good and all(type(one) is int and 0 <= one < 64 for one in numbers):
+        if numbers and all(type(one) is int and 0 <= one < 64 for one in numbers):
             return None
-        return Refusal("is not a choice of channels", self.allowed)
+        known = value in ("mono", "each")
+        return None if known else Refusal("is not a choice of channels", self.allowed)
 
     def json_schema(self) -> dict[str, Any]:
         numbers = {"type": "array", "items": {"type": "integer", "minimum": 0}}
@@ -89,10 +90,7 @@ class _Channels(Description):
 
 @dataclass(frozen=True)
 class Item(Described):
-    """One sound of a catalogue. The fields are those of a manifest's line.
-
-    line: its line in the manifest, or its number in a folder, counted from 1.
-    """
+    """One sound of a catalogue. line: its line in the manifest or number in a folder, from 1."""
 
     NAMES: ClassVar[tuple[str, ...]]
     NUMBERS: ClassVar[tuple[str, ...]] = ("start_s", "duration_s", "track")
@@ -100,24 +98,24 @@ class Item(Described):
     audio: Annotated[str, _Audio("the sound: path or URL")]
     id: Annotated[str, _Name("name of the result")]
     line: int
-    start_s: Annotated[float, Number("where to begin", 0.0, LONGEST_S, "s")] = 0.0
+    start_s: Annotated[float, Number("start of the part to render", 0.0, LONGEST_S, "s")] = 0.0
     duration_s: Annotated[
-        float | None, Number("how long, at most; default: to the end", 1e-3, LONGEST_S, "s")
+        float | None, Number("longest duration; default: to the end", 1e-3, LONGEST_S, "s")
     ] = None
     channels: Annotated[
-        str | tuple[int, ...] | None, _Channels("as --channels, or which channels to take")
+        str | tuple[int, ...] | None, _Channels("like --channels, or numbers of channels")
     ] = None
-    profile: Annotated[str | None, Choice("as --profile", tuple(PROFILES))] = None
+    profile: Annotated[str | None, Choice("like --profile", tuple(PROFILES))] = None
     track: Annotated[int | None, Number("sound track of a film, from 1", 1, 999, whole=True)] = None
     language: Annotated[str | None, Text("language of a film's sound track")] = None
 
     @property
     def picked(self) -> tuple[int, ...]:
-        """Channels to take; none: all."""
+        """Numbers of the channels to use, from 0; empty for all channels."""
         return self.channels if isinstance(self.channels, tuple) else ()
 
     def row(self) -> dict[str, Any]:
-        """Return the line of a manifest that gives this item."""
+        """Return this item as the keys and values of a manifest's line."""
         row = {name: getattr(self, name) for name in self.NAMES}
         return {name: value for name, value in row.items() if value not in (None, 0.0)}
 
@@ -126,10 +124,7 @@ Item.NAMES = tuple(field.name for field in fields(Item) if field.name != "line")
 
 
 def default_id(audio: str, start_s: object, root: str = "") -> str:
-    """Return the name of a result that has none: the sound's path without its ending.
-
-    start_s: added to the name if it is not 0. root: beginning of the path that is left out.
-    """
+    """Return the sound's path without `root` and suffix; the start, if above 0, is appended."""
     path = audio.removeprefix(root) if root else audio
     path = urlsplit(path).path if is_url(path) else path
     parts = [part for part in PurePosixPath(path).parts if part not in ("/", ".", "..")]
@@ -140,20 +135,70 @@ def default_id(audio: str, start_s: object, root: str = "") -> str:
 
 
 def shown(value: object) -> str:
-    """Return a value of a manifest as text for a message, cut and without credentials."""
+    """Return a manifest's value as text for a message, shortened and without credentials."""
     text = scrubbed(str(value))
     return repr(text if len(text) <= 80 else f"{text[:77]}...")
 
 
-def typed(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a row's values with the types of the fields, as far as they have them."""
+def _typed(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a row's values, converted to the types of the fields where possible."""
     found = {name: value for name, value in values.items() if value is not None}
     channels = found.get("channels")
     if type(channels) is int:
         found["channels"] = (channels,)
     elif isinstance(channels, list):
         found["channels"] = tuple(channels)
-    for name in ("start_s", "duration_s"):
-        if type(found.get(name)) is int:
-            found[name] = float(found[name])
-    return found
+    seconds = [name for name in ("start_s", "duration_s") if type(found.get(name)) is int]
+    return found | {name: float(found[name]) for name in seconds}
+
+
+def values_of(row: dict[str, Any]) -> tuple[dict[str, Any], list[str]]:
+    """Return a row's values, keyed by the names of fields, and messages about wrong columns."""
+    values: dict[str, Any] = {}
+    mistakes = []
+    for name, value in _from_lhotse(row).items():
+        ours = ALIASES.get(name, name)
+        if ours in Item.NAMES:
+            if ours not in values:
+                values[ours] = value
+            elif values[ours] != value:
+                both = f"{shown(values[ours])} and {shown(value)}"
+                mistakes.append(f"{ours} is given twice, as {both}; leave one out")
+        elif guess := _meant(name):
+            mistakes.append(f"{shown(name)} is not known; did you mean {guess}?")
+    return values if mistakes else _typed(values), mistakes
+
+
+def cell_value(name: str, cell: str) -> Any:
+    """Return the value of a CSV cell: text, a number, or a list of channel numbers."""
+    ours = ALIASES.get(name, name)
+    try:
+        if ours == "track":
+            return int(cell)
+        if ours in Item.NUMBERS:
+            return float(cell)
+        if ours == "channels" and cell not in ("mono", "each"):
+            return [int(one) for one in cell.split()]
+    except ValueError:
+        pass
+    return cell
+
+
+@lru_cache(maxsize=1024)
+def _meant(name: str) -> str:
+    """Return the column name that was probably meant by `name`; "" if there is none."""
+    similar = get_close_matches(name.lower().replace("-", "_"), _SIMILAR, n=1, cutoff=0.8)
+    # lhotse's `channel_ids` is not a misspelling of `channels`.
+    return next((known for known in similar if abs(len(name) - len(known)) <= 1), "")
+
+
+def _from_lhotse(row: dict[str, Any]) -> dict[str, Any]:
+    """Return the row, with the key "audio" if it is a recording or cut of the library lhotse."""
+    recording = row.get("recording", row)
+    sources = recording.get("sources") if isinstance(recording, dict) else None
+    if not isinstance(sources, list) or len(sources) != 1 or not isinstance(sources[0], dict):
+        return row
+    source = sources[0]
+    if source.get("type") not in ("file", "url"):
+        return row
+    return {**row, "audio": source.get("source")}

@@ -1,4 +1,4 @@
-"""Sounds in folders of this machine."""
+"""Search for sounds in local folders."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from pathlib import Path, PurePosixPath
 from audioflinger_hook.sources.film import FILMS
 from device.errors import UsageError
 
-SOUNDS = FILMS.union(
-    f".{ending}"
-    for ending in (
-        "wav", "wave", "rf64", "w64", "flac", "ogg", "oga", "opus", "mp3", "aif", "aiff", "au",
-        "caf", "aac", "ac3", "eac3", "dts", "wma",
-    )
-)  # fmt: skip
-"""Endings of the files that are taken from a folder."""
+SOUNDS = FILMS | {
+    *(".wav", ".wave", ".rf64", ".w64", ".flac", ".ogg", ".oga", ".opus", ".mp3", ".aif"),
+    *(".aiff", ".au", ".caf", ".aac", ".ac3", ".eac3", ".dts", ".wma"),
+}
 
 
 def walk(folder: str, out: str) -> Iterator[str]:
-    """Yield every file of a folder and those in it, in order, without hidden ones and `out`."""
+    """Yield the paths of the files in a folder and its subfolders, in alphabetical order.
+
+    Omitted are hidden files and folders, folders behind symbolic links, and the folder `out`.
+    UsageError: a folder cannot be read.
+    """
     try:
         with os.scandir(folder) as entries:
             names = sorted((entry.name, entry.is_dir()) for entry in entries)
@@ -34,7 +34,7 @@ def walk(folder: str, out: str) -> Iterator[str]:
             continue
         if not is_folder:
             yield path
-        elif not Path(path).is_symlink():  # a link may lead back
+        elif not Path(path).is_symlink():  # a link may lead back to a parent folder
             yield from walk(path, out)
 
 
@@ -44,39 +44,36 @@ def is_same(path: str, other: str) -> bool:
         return True
     try:
         return Path(path).samefile(other)
-    except (OSError, ValueError):  # one of them is a URL or not there
+    except (OSError, ValueError):  # a path is a URL or does not exist
         return False
 
 
 def fixed_part(pattern: str) -> str:
-    """Return the folders before the first wildcard of a glob."""
+    """Return the path of the last folder before the first wildcard of a glob."""
     parts = pattern.split("/")
     first = next(index for index, part in enumerate(parts) if glob.has_magic(part))
     return "/".join(parts[:first])
 
 
 def matches(path: str, pattern: str) -> bool:
-    """Return whether a path matches a glob, in which `**` stands for any number of folders."""
+    """Return whether a path matches a glob. `**` in the glob matches any number of folders."""
     return _parts_match(path.split("/"), pattern.split("/"))
 
 
 def _parts_match(path: list[str], pattern: list[str]) -> bool:
     if not pattern:
         return not path
-    if pattern[0] == "**":
-        return any(_parts_match(path[n:], pattern[1:]) for n in range(len(path) + 1))
-    return (
-        bool(path)
-        and fnmatch.fnmatchcase(path[0], pattern[0])
-        and _parts_match(path[1:], pattern[1:])
-    )
+    first, *rest = pattern
+    if first == "**":
+        return any(_parts_match(path[n:], rest) for n in range(len(path) + 1))
+    return bool(path) and fnmatch.fnmatchcase(path[0], first) and _parts_match(path[1:], rest)
 
 
 def is_sound(path: str) -> bool:
-    """Return whether a file's name has the ending of a sound or film."""
+    """Return whether a file name has the suffix of a sound or film."""
     return ending_of(path) in SOUNDS
 
 
 def ending_of(path: str) -> str:
-    """Return the ending of a path or URL in small letters, with its dot."""
+    """Return the lower-case suffix of a path or URL, with its dot."""
     return PurePosixPath(path).suffix.lower()

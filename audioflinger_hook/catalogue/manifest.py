@@ -1,4 +1,4 @@
-"""Manifests: JSON lines, CSV, a folder or a glob, read as a stream of items."""
+"""Reads manifests, which list the sounds of a catalogue: JSON lines, CSV, folders and globs."""
 
 from __future__ import annotations
 
@@ -21,65 +21,39 @@ from typing import IO, Any
 
 import numpy as np
 
-from audioflinger_hook.catalogue.addresses import (
-    filesystem_of,
-    is_url,
-    parse_address,
-    scrubbed,
-)
-from audioflinger_hook.catalogue.columns import ALIASES, cell_value, values_of
-from audioflinger_hook.catalogue.item import Item, default_id, shown
-from audioflinger_hook.catalogue.listing import (
-    SOUNDS,
-    ending_of,
-    fixed_part,
-    is_same,
-    is_sound,
-    matches,
-    walk,
-)
+from audioflinger_hook.catalogue import listing
+from audioflinger_hook.catalogue.addresses import filesystem_of, is_url, parse_address, scrubbed
+from audioflinger_hook.catalogue.item import ALIASES, Item, cell_value, default_id, shown, values_of
 from device.errors import UsageError
 from device.values import counted
 
-SHOWN_MAX = 100
-"""Mistakes that are listed; all are counted."""
-
+SHOWN_MAX = 100  # largest number of listed mistakes; all mistakes are counted
 LINE_MAX = 1 << 20
-PARTITIONS, SPOOLED_BYTES = 64, 1 << 16
-"""All ids are divided by their hashes; what is beyond these bytes goes to temporary files."""
-
+PARTITIONS = 64  # groups of ids, chosen by hash, for the search for duplicates
+SPOOLED_BYTES = 1 << 16  # memory of each group; larger groups go to temporary files
 _ENTRY = Struct("<QQ")
 
 
 @dataclass
 class Mistakes:
-    """Mistakes of a manifest: the first hundred, and the count of all."""
+    """Mistakes in a manifest: messages about the first 100, and the number of all."""
 
     shown: list[str] = field(default_factory=list)
     count: int = 0
 
     def add(self, where: str, text: str) -> None:
-        """Add a mistake of one line."""
+        """Add a mistake. where: file and line. text: message."""
         self.count += 1
         if len(self.shown) < SHOWN_MAX:
             self.shown.append(f"{where}: {text}")
 
 
 class Manifest:
-    """The items of a manifest, in order; each iteration reads it again.
+    """The items of a manifest, in order; each call of `items` reads the manifest again.
 
-    Parameters
-    ----------
-    address : str
-        A file of JSON lines (also .gz) or CSV (.csv), a folder, a glob, or one sound file; path or
-        URL.
-    out : str
-        The folder of the results. Sounds inside it are no items.
-
-    Raises
-    ------
-    UsageError
-        There is no such manifest, or the address holds credentials.
+    address: a path or URL of JSON lines (also .gz), CSV (.csv), a folder or one sound, or a glob.
+    out: folder of the results; sounds inside this folder are not items.
+    UsageError: the manifest is missing or unreadable, or its address has credentials or is `out`.
     """
 
     def __init__(self, address: str, out: str) -> None:
@@ -92,11 +66,11 @@ class Manifest:
         self.is_listing = False
         self._root = ""
         self._sources = self._kind()
-        if is_same(self.address, out):
+        if listing.is_same(self.address, out):
             raise UsageError(f"--out={scrubbed(out)} is the folder of the sounds; name another")
 
     def check(self) -> tuple[int, Mistakes]:
-        """Return the number of items, and every mistake, in memory that does not grow."""
+        """Return the number of valid items, and mistakes. UsageError: unreadable, or no items."""
         mistakes, count = Mistakes(), 0
         with ExitStack() as stack:
             parts = [
@@ -108,46 +82,45 @@ class Manifest:
                 name = int.from_bytes(blake2b(os.fsencode(item.id), digest_size=8).digest())
                 parts[name % PARTITIONS].write(_ENTRY.pack(name, item.line))
             for part in parts:
-                self._find_twins(part, mistakes)
+                self._find_duplicates(part, mistakes)
         if not count and not mistakes.count:
             raise UsageError(f"{scrubbed(self.address)} has no items; give a manifest of sounds")
         return count, mistakes
 
     def items(self, mistakes: Mistakes | None = None) -> Iterator[Item]:
-        """Yield the items without a mistake; `mistakes` takes the others."""
+        """Yield the valid items; add the mistakes of invalid items to `mistakes`."""
         mistakes = mistakes if mistakes is not None else Mistakes()
         for line, row in self._rows(mistakes):
-            where = f"{self._name}:{line}"
-            values, wrong = values_of(row)
+            item, wrong = self._item(line, row)
             for text in wrong:
-                mistakes.add(where, text)
-            if wrong:
-                continue
-            named = "id" in values
-            if not named:
-                given = str(values.get("audio"))
-                values["id"] = default_id(given, values.get("start_s"), self._root)
-            values["line"] = line
-            if isinstance(values.get("audio"), str):
-                values["audio"] = self._absolute(values["audio"])
-            try:
-                item = Item(**values)
-            except (UsageError, TypeError):
-                refusals = Item.refusals(values)
-                if not named and "audio" in refusals:
-                    refusals.pop("id", None)  # it was made from the audio's name
-                for name, refusal in refusals.items():
-                    value = f"={shown(values[name])}" if name in values else ""
-                    mistakes.add(where, f"{name}{value} {refusal}")
-                continue
-            if self._is_in_out(item.audio):
-                audio = shown(item.audio)
-                mistakes.add(where, f"audio={audio} is in the output folder; name another")
-                continue
-            yield item
+                mistakes.add(f"{self._name}:{line}", text)
+            if item:
+                yield item
+
+    def _item(self, line: int, row: dict[str, Any]) -> tuple[Item | None, list[str]]:
+        values, wrong = values_of(row)
+        if wrong:
+            return None, wrong
+        audio, named = values.get("audio"), "id" in values
+        if not named:
+            values["id"] = default_id(str(audio), values.get("start_s"), self._root)
+        values["line"] = line
+        if isinstance(audio, str):
+            values["audio"] = self._absolute(audio)
+        try:
+            item = Item(**values)
+        except (UsageError, TypeError):
+            refusals = Item.refusals(values)
+            if not named and "audio" in refusals:
+                refusals.pop("id", None)  # The default id comes from the refused audio.
+            given = {name: f"={shown(values[name])}" if name in values else "" for name in refusals}
+            return None, [f"{name}{given[name]} {refusal}" for name, refusal in refusals.items()]
+        if self._is_in_out(item.audio):
+            return None, [f"audio={shown(item.audio)} is in the output folder; name another"]
+        return item, []
 
     def _absolute(self, audio: str) -> str:
-        """Return a sound's path or URL; a relative path is relative to the manifest."""
+        """Return a sound's URL or absolute path. Relative paths start at the manifest's folder."""
         if not audio or is_url(audio):
             return audio
         if audio.startswith("/"):
@@ -156,7 +129,6 @@ class Manifest:
         return joined if is_url(joined) else os.path.normpath(joined)
 
     def _is_in_out(self, audio: str) -> bool:
-        """Return whether a sound is in the output folder, also through a link to a folder."""
         if f"{audio}/".startswith(f"{self.out}/"):
             return True
         if is_url(audio) or is_url(self.out):
@@ -164,12 +136,10 @@ class Manifest:
         folder = _true_folder(audio.rpartition("/")[0])
         return f"{folder}/".startswith(f"{self._true_out.rstrip('/')}/")
 
-    # ------------------------------------------------------------------------------------- rows
-
     def _kind(self) -> str:
-        """Return what the manifest is: "folder", "glob", "one", "csv" or "lines"."""
+        """Return the kind of manifest: "folder", "glob", "one" (sound), "csv" or "lines" (JSON)."""
         path = self.address
-        ending = ending_of(path.removesuffix(".gz"))
+        ending = listing.ending_of(path.removesuffix(".gz"))
         if self._remote:
             filesystem, inside = self._remote
             try:
@@ -184,34 +154,33 @@ class Manifest:
             self._root, self.is_listing = f"{path}/", True
             return "folder"
         if not there and glob.has_magic(path):
-            self._root, self.is_listing = f"{fixed_part(path)}/", True
+            self._root, self.is_listing = f"{listing.fixed_part(path)}/", True
             return "glob"
         if not there:
             raise UsageError(f"{self._name} does not exist; give a manifest, a folder or a glob")
-        if ending in SOUNDS:
+        if ending in listing.SOUNDS:
             self._root, self.is_listing = f"{path.rpartition('/')[0]}/", True
             return "one"
         return "csv" if ending == ".csv" else "lines"
 
     def _rows(self, mistakes: Mistakes) -> Iterator[tuple[int, dict[str, Any]]]:
-        if self._sources in ("csv", "lines"):
-            try:
-                with self._opened() as file:
-                    rows = self._csv if self._sources == "csv" else self._lines
-                    yield from rows(file, mistakes)
-            except (OSError, EOFError, UnicodeDecodeError, zlib.error) as error:
-                said = scrubbed(getattr(error, "strerror", None) or str(error))
-                raise UsageError(f"{self._name} cannot be read ({said})") from None
+        if self.is_listing:
+            yield from ((number, {"audio": audio}) for number, audio in enumerate(self._found(), 1))
             return
-        for number, audio in enumerate(self._found(), 1):
-            yield number, {"audio": audio}
+        try:
+            with self._opened() as file:
+                rows = self._csv if self._sources == "csv" else self._lines
+                yield from rows(file, mistakes)
+        except (OSError, EOFError, UnicodeDecodeError, zlib.error) as error:
+            said = scrubbed(getattr(error, "strerror", None) or str(error))
+            raise UsageError(f"{self._name} cannot be read ({said})") from None
 
     @contextmanager
     def _opened(self) -> Iterator[IO[bytes]]:
         with ExitStack() as stack:
             if self._remote:
                 filesystem, inside = self._remote
-                # Its own readline has no limit of length.
+                # The `readline` of fsspec's file objects ignores its length limit.
                 raw: Any = io.BufferedReader(stack.enter_context(filesystem.open(inside, "rb")))
             else:
                 raw = stack.enter_context(Path(self.address).open("rb"))
@@ -220,9 +189,7 @@ class Manifest:
             yield raw
 
     def _lines(self, file: IO[bytes], mistakes: Mistakes) -> Iterator[tuple[int, dict[str, Any]]]:
-        line = 0
-        while text := file.readline(LINE_MAX):
-            line += 1
+        for line, text in enumerate(iter(lambda: file.readline(LINE_MAX), b""), 1):
             where = f"{self._name}:{line}"
             if len(text) == LINE_MAX and not text.endswith(b"\n"):
                 mistakes.add(where, f"is longer than {LINE_MAX} bytes; give one object a line")
@@ -233,54 +200,41 @@ class Manifest:
                 row = json.loads(text.decode("utf-8-sig" if line == 1 else "utf-8"))
             except UnicodeDecodeError:
                 mistakes.add(where, "is not UTF-8; save the manifest as UTF-8")
-                continue
             except (ValueError, RecursionError) as error:
                 said = getattr(error, "msg", "is nested too deeply")
                 mistakes.add(where, f"is not JSON ({said}); give one object a line")
-                continue
-            if not isinstance(row, dict):
+            else:
+                if isinstance(row, dict):
+                    yield line, row
+                    continue
                 mistakes.add(where, 'is not an object; allowed: {"audio": "PATH or URL", ...}')
-                continue
-            yield line, row
 
     def _csv(self, file: IO[bytes], mistakes: Mistakes) -> Iterator[tuple[int, dict[str, Any]]]:
         with io.TextIOWrapper(file, "utf-8-sig", errors="surrogateescape", newline="") as text:
-            yield from self._table(csv.reader(text, strict=True), mistakes)
-
-    def _table(self, reader: Any, mistakes: Mistakes) -> Iterator[tuple[int, dict[str, Any]]]:
-        header: list[str] = []
-        while True:
-            where = f"{self._name}:{reader.line_num + 1}"
-            try:
-                row = next(reader, None)
-            except csv.Error as error:
-                mistakes.add(where, f"is not CSV ({error})")
-                return
-            if row is None:
-                return
-            if not header:
-                header = [name.strip() for name in row]
-                named = [ALIASES.get(name, name) for name in header]
-                if "audio" not in named:
-                    mistakes.add(where, f"the header has no column audio; it is {shown(header)}")
+            reader, header = csv.reader(text, strict=True), list[str]()
+            while True:
+                where = f"{self._name}:{reader.line_num + 1}"
+                try:
+                    row = next(reader, None)
+                except csv.Error as error:
+                    mistakes.add(where, f"is not CSV ({error})")
                     return
-                continue
-            if not row:
-                continue
-            if len(row) != len(header):
-                expected = counted(len(header), "columns")
-                mistakes.add(
-                    where, f"has {counted(len(row), 'columns')}; the header has {expected}"
-                )
-                continue
-            cells = dict(zip(header, row, strict=True))
-            yield (
-                reader.line_num,
-                {name: cell_value(name, cell) for name, cell in cells.items() if cell},
-            )
+                if row is None:
+                    return
+                if not header:
+                    header = [name.strip() for name in row]
+                    if "audio" not in (ALIASES.get(name, name) for name in header):
+                        mistakes.add(where, f"the header has no column audio: {shown(header)}")
+                        return
+                elif row and len(row) != len(header):
+                    has, expected = (counted(len(one), "columns") for one in (row, header))
+                    mistakes.add(where, f"has {has}; the header has {expected}")
+                elif row:
+                    cells = zip(header, row, strict=True)
+                    values = {name: cell_value(name, cell) for name, cell in cells if cell}
+                    yield reader.line_num, values
 
     def _found(self) -> Iterator[str]:
-        """Yield the sounds of a folder or a glob, in order of their names."""
         if self._sources == "one":
             yield self.address
         elif self._remote:
@@ -289,19 +243,15 @@ class Manifest:
             names = filesystem.glob(inside) if pattern else filesystem.find(inside)
             for name in sorted(names):
                 audio = str(filesystem.unstrip_protocol(name))
-                if (pattern or is_sound(name)) and not audio.startswith(f"{self.out}/"):
+                if (pattern or listing.is_sound(name)) and not audio.startswith(f"{self.out}/"):
                     yield audio
         elif self._sources == "glob":
-            for path in walk(self._root.rstrip("/"), self.out):
-                if matches(path, self.address):
-                    yield path
+            paths = listing.walk(self._root.rstrip("/"), self.out)
+            yield from (path for path in paths if listing.matches(path, self.address))
         else:
-            for path in walk(self.address, self.out):
-                if is_sound(path):
-                    yield path
+            yield from filter(listing.is_sound, listing.walk(self.address, self.out))
 
-    def _find_twins(self, part: tempfile.SpooledTemporaryFile[bytes], mistakes: Mistakes) -> None:
-        """Find two items with one id, in one partition of all ids."""
+    def _find_duplicates(self, part: IO[bytes], mistakes: Mistakes) -> None:
         part.seek(0)
         entries = np.frombuffer(part.read(), [("name", "<u8"), ("line", "<u8")])
         entries = entries[np.lexsort((entries["line"], entries["name"]))]
@@ -316,5 +266,4 @@ class Manifest:
 
 @lru_cache(maxsize=1024)
 def _true_folder(folder: str) -> str:
-    """Return a folder's path without links."""
     return os.path.realpath(folder)

@@ -1,4 +1,4 @@
-"""What a record says about a vibration: its exposure, and its course for a picture."""
+"""Measures a vibration: the predicted exposure to it, and its peaks over time."""
 
 from __future__ import annotations
 
@@ -9,44 +9,32 @@ import numpy as np
 import scipy.fft
 from scipy.signal import sosfilt
 
-from device.drive.exposure.dose import wk_sections
+from device.drive.exposure import wk_sections
 from device.rig import rig_by_name
 from device.rig.actuator import LinearActuator
-from device.rig.seat import SeatMotion
+from device.rig.equations import seat_sections
 from device.units import Float32Array, FloatArray
 
 DAY_S = 8 * 3600.0
-HIGHEST_HZ = 1_000.0
-"""Vibration above is negligible."""
-
+HIGHEST_HZ = 1_000.0  # higher frequencies have negligible weight in ISO 2631-1
 RESPONSE_HZ = 6_000
 POINT_S = 0.02
-POINTS = 120
-"""Points of the picture, at least if the sound is longer than 2.4 s; at most twice as many."""
+POINTS = 120  # a picture of 2.4 s or more has at least this number of points, at most twice it
 
 
 class VibrationMeter:
-    """Measures a vibration block by block, whatever their lengths; memory does not grow.
-
-    Parameters
-    ----------
-    rig : str
-        Name or file of the rig that would play it.
-    """
+    """Measures exposure and peaks of a vibration, block by block. Memory is constant."""
 
     def __init__(self, rig: str) -> None:
         self._rig = rig
-        self._rate = 0
         self._energy: FloatArray = np.zeros(0)
         self._block: Float32Array = np.zeros((0, 0), np.float32)
-        self._filled = 0
         self._peaks: list[float] = []
-        self._point_frames = 0
-        self._fold = 1  # points of POINT_S in one of the picture's points
-        self._in_point = 0
+        self._rate = self._filled = self._point_frames = self._in_point = 0
+        self._fold = 1  # intervals of POINT_S in each point of the picture
 
     def watch(self, vibration: FloatArray | Float32Array, samplerate: int) -> None:
-        """Take a block, (frames, channels)."""
+        """Measure the next block, (frames, channels). samplerate: Hz."""
         if not self._rate:
             self._rate = samplerate
             channels = vibration.shape[1]
@@ -62,12 +50,12 @@ class VibrationMeter:
                 self._take_block()
 
     def measures(self) -> dict[str, Any]:
-        """Return exposure and course of all that was taken.
+        """Return exposure and peaks of all blocks.
 
-        exposure_a8_m_s2: A(8) of ISO 2631-1 that the sound adds to a day, of the strongest channel.
-            It is the weighted acceleration of the rig's linear model at full volume, over 8 h.
-        course: 1 to 240 peaks in order of time, in thousandths of full scale.
-        course_step_s: the time of each.
+        exposure_a8_m_s2: largest daily exposure A(8) of all channels (ISO 2631-1), predicted by the
+            rig's linear model, if this sound is played once a day at full volume.
+        course: up to 240 peaks over time, in thousandths of full scale.
+        course_step_s: duration of the interval of each peak.
         """
         if self._filled:
             self._take_block()
@@ -96,18 +84,19 @@ class VibrationMeter:
 
 
 def _weighted_energy(block: Float32Array, rate: int, rig: str) -> FloatArray:
-    """Return the energy of the weighted acceleration of each channel, in m²/s³."""
+    """Return the time integral of the squared weighted acceleration of each channel, m²/s³."""
     gain = _weighted_gain(rig, rate, len(block))
     spectrum = scipy.fft.rfft(block, axis=0)[: len(gain)]
     squares = spectrum.real**2 + spectrum.imag**2
-    # Parseval; not by BLAS, whose threads would cost more time than the rendering.
+    # This uses Parseval's theorem. BLAS is not used, since its threads would compete with other
+    # workers.
     energy: FloatArray = (gain[:, None] * squares).sum(axis=0) * (2.0 / (len(block) * rate))
     return energy
 
 
 @lru_cache(maxsize=16)
 def _weighted_gain(rig: str, rate: int, frames: int) -> FloatArray:
-    """Return |weighted acceleration / full scale|² at the frequencies of a spectrum."""
+    """Return |weighted acceleration / full scale|² at an FFT's frequencies below HIGHEST_HZ."""
     response, step_hz = _weighted_response(rig)
     frequencies = np.arange(frames // 2 + 1) * (rate / frames)
     frequencies = frequencies[frequencies < HIGHEST_HZ]
@@ -117,15 +106,15 @@ def _weighted_gain(rig: str, rate: int, frames: int) -> FloatArray:
 
 @lru_cache(maxsize=4)
 def _weighted_response(name: str) -> tuple[FloatArray, float]:
-    """Return |weighted acceleration / full scale|² at frequencies from 0, and their distance."""
+    """Return |weighted acceleration / full scale|² from 0 Hz on, and the frequency step in Hz."""
     rig = rig_by_name(name)
-    impulse = np.zeros((4 * RESPONSE_HZ, 1))
+    impulse = np.zeros(4 * RESPONSE_HZ)
     impulse[0] = rig.dac.full_scale_v * rig.amplifier.gain
     source = rig.amplifier.source_impedance_ohm
     if rig.seat:
-        moved = SeatMotion(rig.actuator, rig.seat, RESPONSE_HZ, source, 1).move(impulse)[:, 0]
+        moved = sosfilt(seat_sections(rig.actuator, rig.seat, RESPONSE_HZ, source), impulse)
     else:
         actuator = LinearActuator(rig.actuator, RESPONSE_HZ, source)
-        moved = actuator.move(impulse[:, 0], ("acceleration_m_s2",)).acceleration_m_s2
+        moved = actuator.move(impulse, ("acceleration_m_s2",)).acceleration_m_s2
     response = np.fft.rfft(sosfilt(wk_sections(RESPONSE_HZ), moved))
     return np.abs(response) ** 2, RESPONSE_HZ / len(impulse)

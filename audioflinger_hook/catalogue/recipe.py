@@ -1,4 +1,4 @@
-"""How a run makes its results, and the key that shows whether a result is still the right one."""
+"""Options of a run, and the key that shows whether an existing result is still valid."""
 
 from __future__ import annotations
 
@@ -15,22 +15,19 @@ from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.exports.options import FORMATS, ExportOptions
 from audioflinger_hook.transform import TRANSFORM_VERSION
 from device.errors import UsageError
-from device.rig.rig_file import SHIPPED
+from device.rig.rig import SHIPPED
 
-VERSION = f"{TRANSFORM_VERSION}.2"
-"""Version of the transform, and of everything else that decides a result's bytes."""
+VERSION = f"{TRANSFORM_VERSION}.2"  # increase it if results of equal input change
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """How every result of a run is made.
+    """Options that apply to all results of a run.
 
-    out: folder of the results, path or URL.
-    settings: how vibration is made.
-    options: format of the results.
-    track, language: of films, for items that name none.
-    verify: whether sounds are known by their SHA-256, not by path, size and time.
-    version: version of the program that made the recipe.
+    out: path or URL of the folder of the results.
+    track, language: sound track of films, for items without an own value.
+    verify: whether sounds are identified by SHA-256, not by path, size and time.
+    version: `VERSION` of the program that started the run.
     """
 
     out: str
@@ -42,31 +39,23 @@ class Recipe:
     version: str = VERSION
 
     def name(self, item: Item) -> str:
-        """Return the name of an item's result in the folder of the results."""
+        """Return the name of an item's result within the output folder."""
         return item.id + FORMATS[self.options.format].suffixes[0]
 
     def settings_of(self, item: Item) -> Settings:
-        """Return the settings for one item."""
+        """Return the settings for one item, which may have its own profile and channels."""
         channels = item.channels if isinstance(item.channels, str) else None
         return _chosen(self.settings, item.profile, channels)
 
     def key(self, item: Item, identity: Mapping[str, Any]) -> str:
-        """Return the hash of everything that decides a result's bytes, 32 hexadecimal digits.
-
-        identity: what the sound is known by.
-        """
-        part = [
-            item.start_s,
-            item.duration_s,
-            item.picked,
-            item.track or self.track,
-            item.language or self.language,
-        ]
+        """Return a hash, 32 hexadecimal digits, of everything that determines a result's bytes."""
+        film = [item.track or self.track, item.language or self.language]
+        part = [item.start_s, item.duration_s, item.picked, *film]
         mine = json.dumps([self._digest_of(self.settings_of(item)), part, identity], sort_keys=True)
         return hashlib.sha256(mine.encode()).hexdigest()[:32]
 
     def described(self) -> dict[str, Any]:
-        """Return the recipe for people to read."""
+        """Return version, export options and settings, ready for JSON."""
         return {
             "version": self.version,
             **asdict(self.options),
@@ -76,12 +65,8 @@ class Recipe:
     def _digest_of(self, settings: Settings) -> str:
         known = self._digests
         if settings not in known:
-            document = [
-                self.version,
-                asdict(self.options),
-                asdict(settings),
-                [_content_of(path) for path in _files_of(settings)],
-            ]
+            files = [_content_of(path) for path in _files_of(settings)]
+            document = [self.version, asdict(self.options), asdict(settings), files]
             text = json.dumps(document, sort_keys=True, default=str)
             known[settings] = hashlib.sha256(text.encode()).hexdigest()
         return known[settings]
@@ -93,13 +78,12 @@ class Recipe:
 
 @lru_cache(maxsize=64)
 def _chosen(settings: Settings, profile: str | None, channels: str | None) -> Settings:
-    given = {"profile": profile, "channels": channels}
-    given = {name: value for name, value in given.items() if value is not None}
+    named = {"profile": profile, "channels": channels}
+    given = {name: value for name, value in named.items() if value is not None}
     return settings.choosing(**given) if given else settings
 
 
 def _files_of(settings: Settings) -> list[str]:
-    """Return the files that the settings name: rigs and the effects file."""
     named = [settings.rig, *(actuator.rig for actuator in settings.actuators)]
     files = [name for name in named if name is not None and name not in SHIPPED]
     return [*files, *([str(settings.effects_file)] if settings.effects_file else [])]

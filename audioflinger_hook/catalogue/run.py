@@ -1,4 +1,4 @@
-"""A run: batches of items go to a place that works on them, and outcomes come back."""
+"""A run sends batches of items to workers and collects the outcomes."""
 
 from __future__ import annotations
 
@@ -8,50 +8,33 @@ from collections.abc import Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, wait
 from itertools import islice
 
-from audioflinger_hook.catalogue.executors import Place
 from audioflinger_hook.catalogue.item import Item
 from audioflinger_hook.catalogue.recipe import Recipe
 from audioflinger_hook.catalogue.timing import Timing
 from audioflinger_hook.catalogue.work import Outcome, do_batch
+from audioflinger_hook.offline.batch import DIED, Place
 from device.errors import InternalError
 
 BATCH_MAX = 256
-BATCH_S = 0.5
-"""A batch should take this long: then sending it costs little, and all workers end together."""
-
-AHEAD = 2
-"""Batches per slot that are under way or wait for a slot."""
-
-POLL_S = 2.0
-"""How often it is looked whether the place has other slots, or is gone."""
-
-DEATHS_MAX = 2
-"""An item with which this many workers died, while nothing else ran, has failed."""
+BATCH_S = 0.5  # wanted duration of a batch
+AHEAD = 2  # batches submitted for each slot, running or waiting
+POLL_S = 2.0  # time between two checks of the number of slots and of the connection
+DEATHS_MAX = 2  # an item fails after this many deaths of workers that ran only this item
 
 Batch = list[Item]
 
 
 def shard_of(items: Iterable[Item], index: int, count: int) -> Iterator[Item]:
-    """Yield the items of one of several equal shares. index: from 1 to count."""
+    """Yield every `count`-th item, beginning with item number `index`, counted from 1."""
     return islice(iter(items), index - 1, None, count)
 
 
 class Run:
-    """Works on all items of a run. Iterate over `outcomes` once, from one thread.
+    """Processes all items of a run. Iterate over `outcomes` once, from one thread.
 
-    If workers die, the batches that they may have had run again, one at a time. So only an item
-    that ends its worker fails. Finished items of a repeated batch are skipped by their records.
-
-    Parameters
-    ----------
-    recipe : Recipe
-        How results are made.
-    items : iterable of Item
-        Read as they are needed.
-    place : Place
-        Where batches run.
-    timing : Timing
-        Clock and pauses of the workers.
+    If a worker dies, all batches that may have caused its death run again, one at a time. Thus only
+    the item that kills its worker fails.
+    items: read batch by batch. place: runs the batches. timing: clock and delays of the workers.
     """
 
     def __init__(self, recipe: Recipe, items: Iterable[Item], place: Place, timing: Timing) -> None:
@@ -66,24 +49,20 @@ class Run:
         self._deaths: dict[int, int] = {}
 
     def outcomes(self) -> Iterator[list[Outcome]]:
-        """Yield the outcomes of each batch, as they come.
-
-        LostError: the place is gone.
-        """
+        """Yield the outcomes of each finished batch. LostError: the workers cannot be reached."""
         self._submit_more()
         while self._under_way:
             done, _ = wait(self._under_way, POLL_S, FIRST_COMPLETED)
-            # Asked before a batch is taken off the list: it raises if the place is gone.
+            # `slots` is called first, since it raises an error if the connection to the workers is
+            # lost.
             self._place.slots()
             for future in done:
-                batch = self._under_way.pop(future)
-                found = self._result(future, batch)
-                if found:
+                if found := self._result(future, self._under_way.pop(future)):
                     yield found
             self._submit_more()
 
     def _submit_more(self) -> None:
-        """Keep the place busy; suspects run alone, when everything else has come back."""
+        """Keep AHEAD batches per slot under way. One that may have killed a worker runs alone."""
         if self._suspects or self._alone:
             if not self._under_way:
                 self._alone = self._submit(self._suspects.popleft())
@@ -92,7 +71,7 @@ class Run:
         while len(self._under_way) < most and (batch := list(islice(self._items, self._size))):
             self._submit(batch)
             if any(future.done() for future in self._under_way):
-                return  # a place that works at once: its outcomes are wanted now
+                return  # The batch ran at once in this process, so its outcomes are returned now.
 
     def _submit(self, batch: Batch) -> Future[list[Outcome]]:
         future = self._place.submit(do_batch, self._recipe, batch, self._timing)
@@ -100,7 +79,7 @@ class Run:
         return future
 
     def _result(self, future: Future[list[Outcome]], batch: Batch) -> list[Outcome]:
-        """Return a batch's outcomes; none if it has to run again."""
+        """Return a batch's outcomes, or an empty list if the batch has to run again."""
         alone = future is self._alone
         if alone:
             self._alone = None
@@ -112,11 +91,14 @@ class Run:
                     f"a batch failed ({type(error).__name__}: {error}); run the command again"
                 ) from error
             return self._suspect(batch, alone=alone)
-        self._adapt(found)
+        # The size of the next batches is chosen so that a batch takes BATCH_S.
+        mean_s = sum(outcome.seconds for outcome in found) / len(found)
+        wanted = BATCH_S / max(mean_s, BATCH_S / BATCH_MAX)
+        self._size = max(1, min(BATCH_MAX, round(wanted), 2 * self._size))
         return found
 
     def _suspect(self, batch: Batch, *, alone: bool) -> list[Outcome]:
-        """Let a batch run again, alone; return the failure of an item that ends its workers."""
+        """Queue a batch or its items to run alone. After DEATHS_MAX deaths return a failed item."""
         if not alone:
             self._suspects.append(batch)
             return []
@@ -128,14 +110,5 @@ class Run:
         if self._deaths[item.line] < DEATHS_MAX:
             self._suspects.appendleft(batch)
             return []
-        error = (
-            f"{item.audio}: its worker died {DEATHS_MAX} times, for lack of memory or by a fault "
-            "of a decoder; look at the file and the machine's log"
-        )
+        error = f"{item.audio}: its worker died {DEATHS_MAX} times, {DIED}"
         return [Outcome(item, "failed", 0.0, error=error, exit_code=InternalError.exit_code)]
-
-    def _adapt(self, found: list[Outcome]) -> None:
-        """Choose the size of the next batches by the time that items take."""
-        mean_s = sum(outcome.seconds for outcome in found) / len(found)
-        wanted = BATCH_S / max(mean_s, BATCH_S / BATCH_MAX)
-        self._size = max(1, min(BATCH_MAX, round(wanted), 2 * self._size))

@@ -1,169 +1,119 @@
-"""The folder of the results and the sounds, on this machine or in a remote storage.
+"""Access to results and sounds, on this machine or in a remote storage.
 
-A result is made under a hidden name and renamed, or uploaded in one request: it appears whole or
-not at all. Its record is deleted before a new result appears, and written after it. A record also
-says how the result's file is known again (`stamp`), so it never describes another file's bytes.
+A result appears only when it is complete: its file is renamed, or uploaded in one request. A JSON
+file beside the result, its record, describes it. Before a result is replaced, its old record is
+deleted. The new record is written last, so a record never describes another result.
 """
 
 from __future__ import annotations
 
-import contextlib
+import hashlib
 import os
 import secrets
 import socket
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path, PurePosixPath
-from typing import Protocol, TypeVar
+from typing import Any, TypeVar
 
 from audioflinger_hook.catalogue.addresses import filesystem_of, is_url, remote_errors, scrubbed
-from audioflinger_hook.catalogue.stamps import Stamp, digest, local_stamp, remote_stamp
 from audioflinger_hook.catalogue.timing import StorageError, UnreadableError
 from device.atomic_file import AtomicFile
 from device.errors import UsageError, WriteError
 
 T = TypeVar("T")
 
-RECORD = ".json"
-"""Ending of a record's name, after the name of its result."""
+RECORD = ".json"  # suffix of a record's name, after the name of its result
 
+# Prefix of the name of an unfinished result. Host, PID namespace, process and a random number
+# follow, because containers of one host may use the same process numbers.
 PART = ".part+"
-"""How the name of a result under way begins. Host, the numbering of its processes, process and a
-random number follow: containers of one host number their processes on their own."""
 
+# In these storages, an upload appears only when complete. In all others, the upload is renamed.
 ATOMIC = frozenset({"s3", "s3a", "gs", "gcs", "az", "abfs", "abfss", "adl", "memory"})
-"""Storages in which an upload appears whole; elsewhere it is uploaded and then renamed."""
+
+ETAGS = (  # names, in several storages, of attributes that change with a file's content
+    "ETag", "etag", "md5Hash", "content_md5", "generation", "version", "VersionId", "mtime",
+    "LastModified", "last_modified", "modified", "updated", "created",
+)  # fmt: skip
 
 
-@cache
-def _machine_start() -> str:
-    """Return how the names of parts begin that processes make which this one can see."""
-    numbering = 0
-    with contextlib.suppress(OSError):
-        numbering = Path("/proc/self/ns/pid").stat().st_ino
-    return f"{PART}{socket.gethostname()}+{numbering}+"
+@dataclass(frozen=True)
+class Stamp:
+    """Values that change with a file's content. size: bytes; None: unknown. stamp: time or ETag."""
 
-
-def _part_start(process: int) -> str:
-    return f"{_machine_start()}{process}+"
+    size: int | None
+    stamp: str
 
 
 @dataclass(frozen=True)
 class Made:
-    """A result that was put in its place: its size, its stamp and its SHA-256."""
+    """A finished result. size: bytes. stamp: as in `Stamp`. sha256: SHA-256 of its content."""
 
     size: int
     stamp: str
     sha256: str
 
 
-class Storage(Protocol):
-    """A folder of results. Any thread; names are relative paths."""
-
-    def prepare(self) -> None:
-        """Make the folder if it is missing. UsageError: this is not possible."""
-        ...
-
-    def stamp(self, name: str) -> Stamp | None:
-        """Return what a file is known by, None if there is none."""
-        ...
-
-    def read(self, name: str) -> bytes | None:
-        """Return the content of a small file, None if there is none."""
-        ...
-
-    def write(self, name: str, content: bytes) -> None:
-        """Write a small file, whole or not at all."""
-        ...
-
-    def delete(self, name: str) -> None:
-        """Delete a file, if there is one."""
-        ...
-
-    def put(self, name: str, make: Callable[[Path], T]) -> tuple[T, Made]:
-        """Make a result and put it in its place; its record is deleted before.
-
-        make: writes the file at a path, which has the ending of the name.
-        """
-        ...
-
-    def restamped(self, name: str, sha256: str) -> str | None:
-        """Return the stamp of a file that has this SHA-256; None if it has not, or is remote."""
-        ...
-
-
-def storage_of(address: str) -> Storage:
-    """Return the storage of an address from `parse_address`."""
-    return RemoteStorage(address) if is_url(address) else LocalStorage(Path(address))
-
-
 class LocalStorage:
-    """A folder of this machine.
-
-    Parameters
-    ----------
-    root : Path
-        The folder, absolute.
-    """
+    """A local folder of results. Any thread may call the methods. `name`: path in the folder."""
 
     def __init__(self, root: Path) -> None:
         self._root = root
-        self._tidy: set[Path] = set()  # folders without parts of dead processes
+        self._tidy: set[Path] = set()  # folders that `_tidy_up` has cleaned
 
     def prepare(self) -> None:
-        """Make the folder, if the folder above it exists."""
+        """Make the folder if it is missing. UsageError: it cannot be made, or is not writable."""
+        root = self._root
         try:
-            self._root.mkdir(exist_ok=True)
+            root.mkdir(exist_ok=True)
         except OSError as error:
-            above = (
-                "" if self._root.parent.is_dir() else f"; the folder {self._root.parent} is missing"
-            )
+            above = "" if root.parent.is_dir() else f"; the folder {root.parent} is missing"
             raise UsageError(
-                f"the output folder {self._root} cannot be made ({error.strerror}){above}"
+                f"the output folder {root} cannot be made ({error.strerror}){above}"
             ) from None
-        if not os.access(self._root, os.W_OK | os.X_OK):
-            raise UsageError(f"the output folder {self._root} is not writable; name another")
+        if not os.access(root, os.W_OK | os.X_OK):
+            raise UsageError(f"the output folder {root} is not writable; name another")
 
     def stamp(self, name: str) -> Stamp | None:
-        """Return size, time and number of a file."""
-        try:
-            return local_stamp(self._root / name)
-        except (FileNotFoundError, NotADirectoryError):
-            return None
+        """Return the `Stamp` of a file; None if there is no file."""
+        with suppress(FileNotFoundError, NotADirectoryError):
+            return _local_stamp(self._root / name)
+        return None
 
     def read(self, name: str) -> bytes | None:
-        """Return a file's content."""
-        try:
+        """Return the content of a small file; None if there is no file."""
+        with suppress(FileNotFoundError, NotADirectoryError):
             return (self._root / name).read_bytes()
-        except (FileNotFoundError, NotADirectoryError):
-            return None
+        return None
 
     def write(self, name: str, content: bytes) -> None:
-        """Write a file without waiting for the disk: a torn record is not believed."""
+        """Write a small file. A power failure may leave part of the file, which readers detect."""
         file = AtomicFile(self._root / name)
         file.write(content)
         file.commit(sync=False)
 
     def delete(self, name: str) -> None:
-        """Delete a file."""
-        with contextlib.suppress(FileNotFoundError, NotADirectoryError):
+        """Delete a file if it exists."""
+        with suppress(FileNotFoundError, NotADirectoryError):
             (self._root / name).unlink()
 
     def put(self, name: str, make: Callable[[Path], T]) -> tuple[T, Made]:
-        """Make a result beside its place, and rename it."""
+        """Call `make` to write a file; then delete the old record and rename the file to `name`."""
         target = self._root / name
         try:
             target.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise WriteError(f"cannot make the folder {target.parent}: {error.strerror}") from error
-        part = target.with_name(f"{_part_start(os.getpid())}{secrets.token_hex(6)}{target.suffix}")
+        number = f"{os.getpid()}+{secrets.token_hex(6)}"
+        part = target.with_name(f"{_machine_start()}{number}{target.suffix}")
         try:
             self._tidy_up(target.parent)
             result = make(part)
-            stamp, sha256 = local_stamp(part), digest(part)
+            stamp, sha256 = _local_stamp(part), digest(part)
             self.delete(name + RECORD)
             part.replace(target)
         except OSError as error:
@@ -172,32 +122,26 @@ class LocalStorage:
             part.unlink(missing_ok=True)
         return result, Made(stamp.size or 0, stamp.stamp, sha256)
 
+    def restamped(self, name: str, sha256: str) -> str | None:
+        """Return a file's present `Stamp.stamp` if its SHA-256 equals `sha256`, else None."""
+        path = self._root / name
+        return _local_stamp(path).stamp if digest(path) == sha256 else None
+
     def _tidy_up(self, folder: Path) -> None:
-        """Delete, once, what processes of this machine were making there when they were killed."""
+        """At the first call for a folder, delete unfinished results of processes that ended."""
         if folder in self._tidy:
             return
         self._tidy.add(folder)
-        # Some file systems have parts of parts, see `AtomicFile`: a dot and the name, and more.
+        # On some file systems, `AtomicFile` adds a dot before the name of an unfinished file.
         start = _machine_start()
         for part in [*folder.glob(f"{start}*"), *folder.glob(f".{start}*")]:
             process = part.name.split("+")[-2]
             if process.isdigit() and not Path("/proc", process).exists():
                 part.unlink(missing_ok=True)
 
-    def restamped(self, name: str, sha256: str) -> str | None:
-        """Return the stamp of a copy of the same bytes."""
-        path = self._root / name
-        return local_stamp(path).stamp if digest(path) == sha256 else None
-
 
 class RemoteStorage:
-    """A folder behind a URL that fsspec knows.
-
-    Parameters
-    ----------
-    url : str
-        The folder, without credentials.
-    """
+    """A folder at a URL that fsspec knows, with the interface of `LocalStorage`."""
 
     def __init__(self, url: str) -> None:
         self._url = url
@@ -205,26 +149,22 @@ class RemoteStorage:
         self._atomic = url.partition("://")[0].lower() in ATOMIC
 
     def prepare(self) -> None:
-        """Make the folder where folders exist."""
-        with self._errors(self._url):
+        """Make the folder if the storage has folders."""
+        with remote_errors(scrubbed(self._url), StorageError):
             self._files.makedirs(self._root, exist_ok=True)
 
     def stamp(self, name: str) -> Stamp | None:
-        """Return size and etag of a file, or what the storage has in place of an etag."""
-        with self._errors(name):
-            try:
-                return remote_stamp(self._files.info(self._path(name)))
-            except FileNotFoundError:
-                return None
+        """Return the `Stamp` of a file; None if there is no file."""
+        with self._errors(name), suppress(FileNotFoundError):
+            return _remote_stamp(self._files.info(self._path(name)))
+        return None
 
     def read(self, name: str) -> bytes | None:
-        """Return a file's content."""
-        with self._errors(name):
-            try:
-                content: bytes = self._files.cat_file(self._path(name))
-                return content
-            except FileNotFoundError:
-                return None
+        """Return the content of a file; None if there is no file."""
+        with self._errors(name), suppress(FileNotFoundError):
+            content: bytes = self._files.cat_file(self._path(name))
+            return content
+        return None
 
     def write(self, name: str, content: bytes) -> None:
         """Upload a small file."""
@@ -234,12 +174,12 @@ class RemoteStorage:
             self._upload(path, name)
 
     def delete(self, name: str) -> None:
-        """Delete a file."""
-        with self._errors(name), contextlib.suppress(FileNotFoundError):
+        """Delete a file if it exists."""
+        with self._errors(name), suppress(FileNotFoundError):
             self._files.rm_file(self._path(name))
 
     def put(self, name: str, make: Callable[[Path], T]) -> tuple[T, Made]:
-        """Make a result in a temporary folder, and upload it."""
+        """Call `make` to write a temporary file; then delete the old record and upload the file."""
         with tempfile.TemporaryDirectory(prefix="cushion-") as folder:
             path = Path(folder) / f"result{PurePosixPath(name).suffix}"
             result = make(path)
@@ -251,9 +191,8 @@ class RemoteStorage:
             raise StorageError(f"{self._shown(name)} is not whole after its upload; try again")
         return result, Made(size, found.stamp, sha256)
 
-    def restamped(self, name: str, sha256: str) -> str | None:
-        """Return None: rendering is hardly dearer than a download."""
-        return None
+    def restamped(self, _name: str, _sha256: str) -> None:
+        """Return None, as a check of the SHA-256 needs a download; the result is made again."""
 
     def _upload(self, path: Path, name: str) -> None:
         target = self._path(name)
@@ -261,14 +200,14 @@ class RemoteStorage:
             if self._atomic:
                 self._files.put_file(str(path), target)
                 return
-            parent, _, last = target.rpartition("/")
+            parent = target.rpartition("/")[0]
             part = f"{parent}/.{secrets.token_hex(6)}.part"
             self._files.makedirs(parent, exist_ok=True)
             try:
                 self._files.put_file(str(path), part)
-                self._files.mv(part, f"{parent}/{last}")
+                self._files.mv(part, target)
             except BaseException:
-                with contextlib.suppress(Exception):
+                with suppress(Exception):
                     self._files.rm_file(part)
                 raise
 
@@ -276,17 +215,36 @@ class RemoteStorage:
         return f"{self._root}/{name}"
 
     def _shown(self, name: str) -> str:
-        return scrubbed(name if is_url(name) else f"{self._url}/{name}")
+        return scrubbed(f"{self._url}/{name}")
 
-    @contextmanager
-    def _errors(self, name: str) -> Iterator[None]:
-        with remote_errors(self._shown(name), StorageError):
-            yield
+    def _errors(self, name: str) -> AbstractContextManager[None]:
+        return remote_errors(self._shown(name), StorageError)
+
+
+Storage = LocalStorage | RemoteStorage
+
+
+def storage_of(address: str) -> Storage:
+    """Return the storage at an address. address: result of `parse_address`."""
+    return RemoteStorage(address) if is_url(address) else LocalStorage(Path(address))
+
+
+def identity_of(audio: str) -> Stamp | None:
+    """Return the `Stamp` of a sound; None if a local file cannot be read."""
+    if is_url(audio):
+        filesystem, inside = filesystem_of(audio)
+        with remote_errors(scrubbed(audio), UnreadableError):
+            return _remote_stamp(filesystem.info(inside))
+    try:
+        found = Path(audio).stat()
+    except (OSError, ValueError):
+        return None
+    return Stamp(found.st_size, str(found.st_mtime_ns))
 
 
 @contextmanager
 def local_copy(audio: str) -> Iterator[Path]:
-    """Yield the path of a sound; a remote one is downloaded and removed afterwards."""
+    """Yield a local path of a sound. The copy of a remote sound is deleted afterwards."""
     if not is_url(audio):
         yield Path(audio)
         return
@@ -296,3 +254,29 @@ def local_copy(audio: str) -> Iterator[Path]:
         with remote_errors(scrubbed(audio), UnreadableError):
             filesystem.get_file(inside, str(path))
         yield path
+
+
+def digest(path: Path) -> str:
+    """Return the SHA-256 of a file's content. OSError: the file cannot be read."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _local_stamp(path: Path) -> Stamp:
+    found = path.stat()
+    return Stamp(found.st_size, f"{found.st_mtime_ns}-{found.st_ino}")
+
+
+def _remote_stamp(info: dict[str, Any]) -> Stamp:
+    found = [f"{name}={info[name]}" for name in ETAGS if info.get(name)]
+    size = info.get("size")
+    return Stamp(None if size is None else int(size), found[0] if found else "")
+
+
+@cache
+def _machine_start() -> str:
+    """Return the beginning of the names of unfinished results of this host and PID namespace."""
+    namespace = 0
+    with suppress(OSError):
+        namespace = Path("/proc/self/ns/pid").stat().st_ino
+    return f"{PART}{socket.gethostname()}+{namespace}+"

@@ -1,40 +1,51 @@
-"""The summary of a run: counts, the slowest and the strangest items, and the failed ones."""
+"""The report of a run: counts; slowest, unusual and failed items; a page of pictures."""
 
 from __future__ import annotations
 
 import heapq
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from html import escape
+from pathlib import Path
 from shutil import copyfile
-from tempfile import NamedTemporaryFile
-from typing import Any
+from tempfile import NamedTemporaryFile, TemporaryFile
+from typing import IO, Any
 
 from audioflinger_hook.catalogue.storage import Storage
 from audioflinger_hook.catalogue.work import Outcome
+from device.atomic_file import AtomicFile
 from device.values import counted
 
-LISTED = 10
-"""Slowest and strangest items that are listed."""
+LISTED = 10  # largest number of entries in each of the lists of slowest and of unusual items
+STRANGE_LEAK_DB = -30.0  # more energy above 250 Hz is unusual; in dB relative to the total
+PICTURES_MAX = 5_000  # largest number of pictures of normal results on the page
+WIDTH, HEIGHT = 240, 48
 
-STRANGE_LEAK_DB = -30.0
-"""Energy above 250 Hz that even white noise does not reach."""
+_HEAD = """<!doctype html>
+<html lang="en"><meta charset="utf-8"><title>Vibration catalogue</title>
+<meta name="viewport" content="width=device-width">
+<style>
+:root { color-scheme: light dark; --line: #88888855; --wave: #2a6fb0; --bad: #c0392b; }
+body { font: 15px/1.4 system-ui, sans-serif; margin: 1.5em; }
+h1 { font-size: 1.3em } h2 { font-size: 1.1em }
+.items { display: grid; grid-template-columns: repeat(auto-fill, minmax(250px, 1fr)); gap: .7em }
+figure { margin: 0; padding: .4em; border: 1px solid var(--line); border-radius: 4px }
+figcaption { overflow-wrap: anywhere } small { display: block; opacity: .75 }
+svg { width: 100%; height: 48px; display: block } path { fill: var(--wave) }
+.strange { border-color: var(--bad) } .strange b, .failed b { color: var(--bad) }
+</style>
+"""
+
+Ranked = tuple[float, int, str, str]  # entry of a heap: rank, -count, the item's id, text
 
 
 @dataclass
 class Summary:
-    """What came of a run so far; its size does not grow with the number of items.
+    """The totals of a run. Its memory does not grow with the number of items.
 
-    Attributes
-    ----------
-    items, rendered, skipped, failed : int
-        Counts.
-    sound_s, worker_s : float
-        Length of the sounds that were rendered, and the time that workers took for them.
-    exit_code : int
-        That of the worst failure.
-    slowest, strangest : list
-        (rank, count, item's id, text), heaps.
+    sound_s: duration of all rendered sounds in s. worker_s: sum of their rendering times in s.
+    exit_code: largest exit code of the failed items, or 0.
     """
 
     items: int = 0
@@ -44,11 +55,11 @@ class Summary:
     sound_s: float = 0.0
     worker_s: float = 0.0
     exit_code: int = 0
-    slowest: list[tuple[float, int, str, str]] = field(default_factory=list)
-    strangest: list[tuple[float, int, str, str]] = field(default_factory=list)
+    slowest: list[Ranked] = field(default_factory=list)
+    strangest: list[Ranked] = field(default_factory=list)
 
     def add(self, outcome: Outcome) -> None:
-        """Count an outcome."""
+        """Add an outcome to the totals."""
         self.items += 1
         setattr(self, outcome.state, getattr(self, outcome.state) + 1)
         self.exit_code = max(self.exit_code, outcome.exit_code)
@@ -62,19 +73,17 @@ class Summary:
 
     def document(self) -> dict[str, Any]:
         """Return the summary as a JSON document."""
+        counts = ("items", "rendered", "skipped", "failed")
         return {
-            "items": self.items,
-            "rendered": self.rendered,
-            "skipped": self.skipped,
-            "failed": self.failed,
+            **{name: getattr(self, name) for name in counts},
             "sound_s": round(self.sound_s, 3),
             "worker_s": round(self.worker_s, 3),
-            "slowest": [{"id": name, "seconds": rank} for rank, _, name, _ in _down(self.slowest)],
-            "strangest": [{"id": name, "reason": text} for *_, name, text in _down(self.strangest)],
+            "slowest": [{"id": one[2], "seconds": one[0]} for one in _descending(self.slowest)],
+            "strangest": [{"id": one[2], "reason": one[3]} for one in _descending(self.strangest)],
         }
 
     def lines(self) -> list[str]:
-        """Return the summary for people, line by line."""
+        """Return the summary as lines of text."""
         speed = self.sound_s / self.worker_s if self.worker_s else 0.0
         found = [
             f"{counted(self.items, 'items')}: {self.rendered} rendered "
@@ -83,23 +92,19 @@ class Summary:
         ]
         for title, kept in (("slowest", self.slowest), ("strangest", self.strangest)):
             if kept:
-                listed = ", ".join(f"{name} ({text})" for *_, name, text in _down(kept)[:5])
+                listed = ", ".join(f"{name} ({text})" for *_, name, text in _descending(kept)[:5])
                 found.append(f"{title}: {listed}")
         return found
 
-    def _keep(
-        self, heap: list[tuple[float, int, str, str]], rank: float, outcome: Outcome, text: str
-    ) -> None:
-        # Of equal ranks the first item counts more; -items makes entries different.
-        entry = (rank, -self.items, outcome.item.id, text)
-        if len(heap) < LISTED:
-            heapq.heappush(heap, entry)
-        else:
-            heapq.heappushpop(heap, entry)
+    def _keep(self, heap: list[Ranked], rank: float, outcome: Outcome, text: str) -> None:
+        # The number -items orders entries of equal rank, so that the earlier item is kept.
+        heapq.heappush(heap, (rank, -self.items, outcome.item.id, text))
+        if len(heap) > LISTED:
+            heapq.heappop(heap)
 
 
 def strangeness(record: Mapping[str, Any]) -> tuple[float, str]:
-    """Return how strange a result is, and why; the text is empty for an ordinary one."""
+    """Return how unusual a result is (larger is more), and why; 0 and "" if it is normal."""
     if not record:
         return 0.0, ""
     if not record["peak"]:
@@ -113,12 +118,12 @@ def strangeness(record: Mapping[str, Any]) -> tuple[float, str]:
     return 0.0, ""
 
 
-def _down(heap: list[tuple[float, int, str, str]]) -> list[tuple[float, int, str, str]]:
+def _descending(heap: list[Ranked]) -> list[Ranked]:
     return sorted(heap, reverse=True)
 
 
 class Failures:
-    """The failed items as lines of a manifest, in a temporary file; a context manager."""
+    """Collects the failed items as a manifest, in a temporary file. A context manager."""
 
     def __init__(self) -> None:
         self._file = NamedTemporaryFile("w", encoding="ascii", prefix="cushion-")  # noqa: SIM115
@@ -131,7 +136,7 @@ class Failures:
         self.count += 1
 
     def save(self, storage: Storage, name: str) -> None:
-        """Write the manifest, or delete that of an earlier run if no item has failed."""
+        """Store the manifest as `name`. If no item failed, delete an earlier run's manifest."""
         if not self.count:
             storage.delete(name)
             return
@@ -143,3 +148,85 @@ class Failures:
 
     def __exit__(self, *_error: object) -> None:
         self._file.close()
+
+
+class Page:
+    """Collects the pictures of a run in temporary files. A context manager."""
+
+    def __init__(self) -> None:
+        self._ordinary: IO[bytes] = TemporaryFile()  # noqa: SIM115
+        self._strange: IO[bytes] = TemporaryFile()  # noqa: SIM115
+        self._pictures = self._left_out = 0
+
+    def add(self, outcome: Outcome) -> None:
+        """Add the picture of an item; only the first PICTURES_MAX normal results get one."""
+        _, reason = strangeness(outcome.record)
+        if reason or outcome.state == "failed":
+            self._strange.write(_figure(outcome, reason).encode("utf-8", "replace"))
+        elif self._pictures < PICTURES_MAX:
+            self._pictures += 1
+            self._ordinary.write(_figure(outcome, "").encode("utf-8", "replace"))
+        else:
+            self._left_out += 1
+
+    def write(self, folder: Path, summary: Summary) -> Path:
+        """Write the page as index.html to a folder, made if missing. Return the file's path."""
+        folder.mkdir(exist_ok=True)
+        path = folder / "index.html"
+        with AtomicFile(path) as file:
+            text = "".join(f"<p>{escape(line)}</p>\n" for line in summary.lines())
+            file.write(f"{_HEAD}<h1>Vibration catalogue</h1>\n{text}".encode("utf-8", "replace"))
+            for title, part in (("To look at", self._strange), ("All others", self._ordinary)):
+                if not part.tell():
+                    continue
+                file.write(f'<h2>{title}</h2>\n<div class="items">\n'.encode())
+                part.seek(0)
+                while piece := part.read(1 << 20):
+                    file.write(piece)
+                file.write(b"</div>\n")
+            if self._left_out:
+                file.write(f"<p>{self._left_out} more items have no picture here.</p>\n".encode())
+        return path
+
+    def __enter__(self) -> Page:
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        self._ordinary.close()
+        self._strange.close()
+
+
+def _figure(outcome: Outcome, reason: str) -> str:
+    name = escape(outcome.item.id)
+    if outcome.state == "failed":
+        return (
+            f'<figure class="failed"><figcaption>{name}<small><b>failed</b>: '
+            f"{escape(outcome.error)}</small></figcaption></figure>\n"
+        )
+    record = outcome.record
+    length_s = record["frames"] / record["samplerate"]
+    said = f"<b>{escape(reason)}</b>, " if reason else ""
+    leak = record.get("leak_above_250_hz_db")
+    figures = [f"{length_s:.1f} s", f"peak {record['peak']:.3f}"]
+    figures += [f"leak {leak:.0f} dB"] if leak is not None else []
+    exposure = record.get("exposure_a8_m_s2")
+    figures += ["A(8) " + ("unknown" if exposure is None else f"{exposure:.2g} m/s²")]
+    kind = ' class="strange"' if reason else ""
+    return (
+        f"<figure{kind}>{_picture(record.get('course') or [])}<figcaption>{name}"
+        f"<small>{said}{', '.join(figures)}</small></figcaption></figure>\n"
+    )
+
+
+def _picture(course: Sequence[int]) -> str:
+    """Return peaks over time as an SVG picture that is symmetric about a middle line."""
+    middle = HEIGHT / 2
+    step = WIDTH / max(1, len(course))
+    bars = "".join(
+        f"M{index * step:.1f} {middle - high:.1f}h{step:.1f}v{2 * high:.1f}h-{step:.1f}z"
+        for index, peak in enumerate(course)
+        if (high := middle * min(1.0, peak / 1e3)) > 0.0
+    )
+    return (
+        f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" preserveAspectRatio="none"><path d="{bars}"/></svg>'
+    )

@@ -1,9 +1,9 @@
-"""Time for the catalogue, as arguments, and repetition of I/O that failed."""
+"""The clock of a run, and retries of failed I/O after a delay."""
 
 from __future__ import annotations
 
 import errno
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -11,21 +11,19 @@ from device.errors import CushionError
 
 T = TypeVar("T")
 
-BACK_OFF_S = 0.5
-"""Pause before the second attempt; each later pause is three times as long."""
+BACK_OFF_S = 0.5  # delay before the second attempt; later delays are 3 times the previous one
 
-TRANSIENT = frozenset(
+TRANSIENT = frozenset(  # errors of disks and networks that may be temporary
     getattr(errno, name)
     for name in (
         "EIO", "ESTALE", "ETIMEDOUT", "EAGAIN", "EBUSY", "ECONNRESET", "ECONNREFUSED",
         "ECONNABORTED", "ENETUNREACH", "EHOSTUNREACH", "EPIPE", "EREMOTEIO", "EINTR",
     )
 )  # fmt: skip
-"""Errors of disks and networks that may not come again."""
 
 
 class StorageError(CushionError):
-    """A remote storage refused or failed; another attempt may succeed."""
+    """A request to a remote storage failed; another attempt may succeed."""
 
 
 class UnreadableError(StorageError):
@@ -36,17 +34,14 @@ class UnreadableError(StorageError):
 
 @dataclass(frozen=True)
 class Timing:
-    """Functions that tell the time and wait, and how often failed I/O is repeated.
-
-    clock: seconds, from any origin. sleep: waits for seconds. retries: repetitions.
-    """
+    """A clock and a sleep function, both in seconds, and the number of retries of failed I/O."""
 
     clock: Callable[[], float]
     sleep: Callable[[float], None]
     retries: int = 3
 
     def repeated(self, action: Callable[[], T]) -> T:
-        """Return the action's result; after an error of I/O it is called again, after a pause."""
+        """Return the result of `action`. Retry up to `retries` times after temporary I/O errors."""
         pause_s = BACK_OFF_S
         for _ in range(self.retries):
             try:
@@ -60,20 +55,17 @@ class Timing:
 
 
 def is_transient(error: BaseException | None) -> bool:
-    """Return whether an error, or one that led to it, is an error of I/O that may pass."""
-    while error is not None:
-        if isinstance(error, (StorageError, TimeoutError, ConnectionError)):
-            return True
-        if isinstance(error, OSError) and error.errno in TRANSIENT:
-            return True
-        error = error.__cause__ or error.__context__
-    return False
+    """Return whether an error, or one of its causes, is a temporary I/O error."""
+    passing = (StorageError, TimeoutError, ConnectionError)
+    return any(isinstance(one, passing) for one in _chain(error)) or has_errno(error, *TRANSIENT)
 
 
 def has_errno(error: BaseException | None, *numbers: int) -> bool:
-    """Return whether an error, or one that led to it, has one of these numbers."""
+    """Return whether an error, or one of its causes, has one of these errno values."""
+    return any(isinstance(one, OSError) and one.errno in numbers for one in _chain(error))
+
+
+def _chain(error: BaseException | None) -> Iterator[BaseException]:
     while error is not None:
-        if isinstance(error, OSError) and error.errno in numbers:
-            return True
+        yield error
         error = error.__cause__ or error.__context__
-    return False

@@ -1,4 +1,4 @@
-"""The work on one item: look at its record, and render it if there is no right result yet."""
+"""Processes one item: renders its vibration, unless a valid result exists already."""
 
 from __future__ import annotations
 
@@ -7,42 +7,47 @@ import json
 import math
 import pickle
 import platform
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from audioflinger_hook.catalogue.addresses import is_url, scrubbed
 from audioflinger_hook.catalogue.item import Item
 from audioflinger_hook.catalogue.listing import is_same
 from audioflinger_hook.catalogue.measures import VibrationMeter
 from audioflinger_hook.catalogue.recipe import VERSION, Recipe
-from audioflinger_hook.catalogue.stamps import identity_of, sha256_of
-from audioflinger_hook.catalogue.storage import RECORD, Storage, local_copy, storage_of
+from audioflinger_hook.catalogue.storage import (
+    RECORD,
+    Storage,
+    digest,
+    identity_of,
+    local_copy,
+    storage_of,
+)
 from audioflinger_hook.catalogue.timing import Timing, has_errno
 from audioflinger_hook.exports.export import export
 from audioflinger_hook.sources import FileTap, TapClient
 from audioflinger_hook.sources.film import FILMS, FilmTap
-from audioflinger_hook.sources.part import PartTap
+from audioflinger_hook.sources.tap import PartTap, SteadyTap
 from device.errors import CushionError, InternalError, UsageError
 
 State = Literal["rendered", "skipped", "failed"]
+_cached_storage = lru_cache(maxsize=4)(storage_of)
 
-FIGURES = (
+FIGURES = (  # fields that a record takes from the report of an export
     "frames", "samplerate", "channels", "peak", "leak_above_250_hz_db", "limited_samples",
     "replaced_samples", "warnings",
 )  # fmt: skip
-"""What a record takes from the report of an export."""
 
 
 @dataclass(frozen=True)
 class Outcome:
     """The result of one item.
 
-    record: of its result, as in the file beside it; empty if the item failed.
-    error, exit_code: why it failed, in one line, and the exit code of that kind of error.
-    stops: whether every other item would fail in the same way, as on a full disk.
+    record: content of the record (a JSON file beside the result); empty if the item failed.
+    stops: whether all further items would fail for the same reason, such as a full disk.
     """
 
     item: Item
@@ -54,23 +59,24 @@ class Outcome:
     stops: bool = False
 
 
-def do_batch(recipe: bytes, items: Sequence[Item], timing: Timing) -> list[Outcome]:
-    """Return the outcomes of some items, in order. Any thread of any process.
+class ItemStatus(NamedTuple):
+    """State of an item before a run. error: why the item is unreadable."""
 
-    recipe: a pickled `Recipe`.
-    """
+    state: Literal["done", "outdated", "missing", "unreadable"]
+    error: str = ""
+
+
+def do_batch(recipe: bytes, items: Sequence[Item], timing: Timing) -> list[Outcome]:
+    """Process items; return the outcomes in order. recipe: pickled. Any thread may call it."""
     unpickled = _unpickled(recipe)
     return [do_item(unpickled, item, timing) for item in items]
 
 
-@lru_cache(maxsize=4)
-def _unpickled(recipe: bytes) -> Recipe:
-    found: Recipe = pickle.loads(recipe)
-    return found
+_unpickled: Callable[[bytes], Recipe] = lru_cache(maxsize=4)(pickle.loads)
 
 
 def do_item(recipe: Recipe, item: Item, timing: Timing) -> Outcome:
-    """Return the outcome of one item; no error is raised, except an interruption."""
+    """Process one item; return its outcome, also after an error. Only interruptions are raised."""
     start_s = timing.clock()
     try:
         if recipe.version != VERSION:
@@ -86,40 +92,48 @@ def do_item(recipe: Recipe, item: Item, timing: Timing) -> Outcome:
         said = f"{type(error).__name__}: {error}; this is a fault of cushion, please report it"
         found = InternalError(said)
         found.__cause__ = error
-    text = scrubbed(str(found))
-    shown = scrubbed(item.audio)
-    full = has_errno(found, errno.ENOSPC, errno.EDQUOT)
-    return Outcome(
-        item,
-        "failed",
-        timing.clock() - start_s,
-        error=text if shown in text else f"{shown}: {text}",
-        exit_code=found.exit_code,
-        stops=full or recipe.version != VERSION,
-    )
+    text, shown = scrubbed(str(found)), scrubbed(item.audio)
+    text = text if shown in text else f"{shown}: {text}"
+    stops = has_errno(found, errno.ENOSPC, errno.EDQUOT) or recipe.version != VERSION
+    seconds = timing.clock() - start_s
+    return Outcome(item, "failed", seconds, error=text, exit_code=found.exit_code, stops=stops)
 
 
-def record_of(recipe: Recipe, item: Item, storage: Storage) -> tuple[str | None, dict[str, Any]]:
-    """Return the key that an item's result must have, and the record of a result that has it.
+def status_of(recipe: Recipe, items: Iterable[Item], timing: Timing) -> Iterator[ItemStatus]:
+    """Yield the status of each item, in order. CushionError: the storage of the results fails."""
+    storage = storage_of(recipe.out)
+    for item in items:
+        name = recipe.name(item)
+        try:
+            key, record = timing.repeated(lambda: _record_of(recipe, item, storage))  # noqa: B023
+        except CushionError as error:
+            yield ItemStatus("unreadable", str(error))
+            continue
+        if record:
+            yield ItemStatus("done")
+        elif key is None or storage.stamp(name) or storage.stamp(name + RECORD):
+            yield ItemStatus("outdated")
+        else:
+            yield ItemStatus("missing")
 
-    The key is None if the sound's SHA-256 must be known and the sound is remote; the record is
-    empty if there is no right and whole result.
+
+def _record_of(recipe: Recipe, item: Item, storage: Storage) -> tuple[str | None, dict[str, Any]]:
+    """Return the key that a valid result of the item has, and the record of such a result.
+
+    The key is None if it is known only after a download. The record is empty without such a result.
     """
-    name = recipe.name(item)
     key = _key(recipe, item)
-    if key is None:
-        return None, {}
-    return key, _right_record(storage, name, key)
+    return key, {} if key is None else _right_record(storage, recipe.name(item), key)
 
 
 def _do(recipe: Recipe, item: Item, timing: Timing) -> tuple[State, dict[str, Any]]:
-    storage = _storage(recipe.out)
-    key, record = record_of(recipe, item, storage)
+    storage = _cached_storage(recipe.out)
+    key, record = _record_of(recipe, item, storage)
     if record:
         return "skipped", record
     with local_copy(item.audio) as path:
         if key is None:
-            key = recipe.key(item, {"sha256": sha256_of(path)})
+            key = recipe.key(item, {"sha256": _sha256_of(path)})
             if record := _right_record(storage, recipe.name(item), key):
                 return "skipped", record
         return "rendered", _render(recipe, item, storage, path, key, timing)
@@ -128,24 +142,16 @@ def _do(recipe: Recipe, item: Item, timing: Timing) -> tuple[State, dict[str, An
 def _render(
     recipe: Recipe, item: Item, storage: Storage, path: Path, key: str, timing: Timing
 ) -> dict[str, Any]:
-    """Make an item's result and its record, and return the record."""
     start_s = timing.clock()
     settings = recipe.settings_of(item)
     name = recipe.name(item)
-    if is_same(item.audio, f"{recipe.out}/{name}"):  # a link in the folder of the sounds
+    if is_same(item.audio, f"{recipe.out}/{name}"):  # the sound is a link to its own result
         raise UsageError(f"{item.audio} is the file that its result would replace; name another id")
 
     def make(target: Path) -> dict[str, Any]:
-        tap = open_sound(path, item, recipe)
-        meter = VibrationMeter(settings.rig)
-        report = export(
-            TapClient(tap),
-            target,
-            settings,
-            recipe.options,
-            warnings=tap.warnings,
-            watch=meter.watch,
-        )
+        tap, options = open_sound(path, item, recipe), recipe.options
+        client, meter = TapClient(tap), VibrationMeter(settings.rig)
+        report = export(client, target, settings, options, warnings=tap.warnings, watch=meter.watch)
         found = {one: getattr(report, one) for one in FIGURES}
         found["warnings"] = [str(one).replace(str(path), item.audio) for one in report.warnings]
         return {**found, **meter.measures()}
@@ -173,25 +179,20 @@ def _render(
     return record
 
 
-def open_sound(path: Path, item: Item, recipe: Recipe) -> SoundTap:
-    """Return a tap on an item's sound. UsageError: it cannot be read, or has no such part."""
+def open_sound(path: Path, item: Item, recipe: Recipe) -> SteadyTap:
+    """Return a reader of an item's sound. UsageError: the sound or wanted part is unreadable."""
     tap, skipped = _open(path, item, recipe)
     if not (item.start_s or item.duration_s or item.picked):
         return tap
     try:
-        part = PartTap(tap, item.start_s, item.duration_s, item.picked, skipped)
+        return PartTap(tap, item.start_s, item.duration_s, item.picked, skipped)
     except UsageError:
         tap.close()
         raise
-    part.warnings = tap.warnings
-    return part
 
 
-SoundTap = FileTap | FilmTap | PartTap
-
-
-def _open(path: Path, item: Item, recipe: Recipe) -> tuple[FileTap | FilmTap, int]:
-    """Return a tap on the whole sound, and the number of frames that it leaves out."""
+def _open(path: Path, item: Item, recipe: Recipe) -> tuple[SteadyTap, int]:
+    """Return a reader of a sound, and the number of frames that it skips at the beginning."""
     track, language = item.track or recipe.track, item.language or recipe.language
     is_film = item.track or item.language or path.suffix.lower() in FILMS
     if is_film and path.is_file() and path.stat().st_size:
@@ -201,10 +202,8 @@ def _open(path: Path, item: Item, recipe: Recipe) -> tuple[FileTap | FilmTap, in
     except UsageError as error:
         if "is not a sound file" not in str(error):
             raise
-        try:
-            return FilmTap(
-                path, track=track, language=language
-            ), 0  # AAC, WMA and others that libsndfile does not read
+        try:  # AAC, WMA and other formats that libsndfile cannot read
+            return FilmTap(path, track=track, language=language), 0
         except UsageError:
             raise error from None
     first = round(item.start_s * tap.samplerate)
@@ -214,44 +213,44 @@ def _open(path: Path, item: Item, recipe: Recipe) -> tuple[FileTap | FilmTap, in
     return FileTap(path, first=first), first
 
 
-@lru_cache(maxsize=4)
-def _storage(address: str) -> Storage:
-    return storage_of(address)
-
-
 def _key(recipe: Recipe, item: Item) -> str | None:
     if recipe.verify:
         if is_url(item.audio):
             return None
-        return recipe.key(item, {"sha256": sha256_of(Path(item.audio))})
+        return recipe.key(item, {"sha256": _sha256_of(Path(item.audio))})
     found = identity_of(item.audio)
     if found is None:
-        FileTap(Path(item.audio)).close()  # its error says what is wrong
+        FileTap(Path(item.audio)).close()  # raises an error that states the reason
         raise UsageError(f"{item.audio} cannot be read; check the path")
     return recipe.key(item, {"audio": item.audio, "size": found.size, "stamp": found.stamp})
 
 
+def _sha256_of(path: Path) -> str:
+    try:
+        return digest(path)
+    except OSError as error:
+        raise UsageError(f"{path} cannot be read ({error.strerror})") from error
+
+
 def _right_record(storage: Storage, name: str, key: str) -> dict[str, Any]:
-    """Return the record of a whole result with this key; empty if there is none."""
+    """Return the record of a complete result with this key; empty if there is none."""
     text = storage.read(name + RECORD)
     if text is None:
         return {}
     try:
         record = json.loads(text)
-        if record["key"] != key:
-            return {}
+        right = record["key"] == key
         size, stamp, sha256 = record["bytes"], record["stamp"], record["sha256"]
     except (ValueError, TypeError, KeyError, RecursionError):
-        return {}  # torn, or not ours
-    found = storage.stamp(name)
+        return {}  # incomplete, or written by another program
+    found = storage.stamp(name) if right else None
     if found is None or found.size not in (None, size):
         return {}
     if found.stamp != stamp:
-        # A copied folder has other times, but may hold the same bytes.
-        restamped = storage.restamped(name, sha256)
-        if restamped is None:
+        # Files in a copied folder have other times, although their content may be equal.
+        record["stamp"] = storage.restamped(name, sha256)
+        if record["stamp"] is None:
             return {}
-        record["stamp"] = restamped
         _write_record(storage, name, record)
     return dict(record)
 

@@ -1,4 +1,4 @@
-"""The `cushion` command: one module per subcommand."""
+"""The `cushion` command: one module for each subcommand."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import signal
 import sys
 import traceback
 from collections.abc import Sequence
+from importlib import import_module
 from types import FrameType
 from typing import TextIO
 
@@ -18,15 +19,11 @@ from device.errors import CushionError, InternalError, WriteError
 
 EXIT_INTERRUPTED = 130
 
-STDOUT_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
-"""Errors of printing; the program's own files report these errors themselves."""
+STDOUT_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)  # `errno` of a failed `print`
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command and return its exit code: 0, 2 to 5, or 130 when interrupted.
-
-    An error is one line on stderr; `--debug` adds the traceback.
-    """
+    """Run a command and return its exit code: 0, 2 to 5, or 130. Errors are printed on stderr."""
     arguments = sys.argv[1:] if arguments is None else list(arguments)
     debug = "--debug" in arguments
     _end_softly()
@@ -41,14 +38,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         try:
             print("cushion: interrupted", file=sys.stderr)
             sys.stdout.flush()
-        except OSError:  # the terminal was closed
-            _discard(sys.stdout, sys.stderr)
-        # Where an `exec` in a module's import was interrupted, `python -m` would kill itself by the
-        # signal at its end; another one makes it forget that.
+        except OSError:  # the terminal is closed
+            _discard(sys.stdout)
+            _discard(sys.stderr)
+        # If a signal interrupts `exec` during an import, `python -m` later kills itself with this
+        # signal. A further `exec` clears the interpreter's record of the interruption.
         exec("")
         return EXIT_INTERRUPTED
-    except BrokenPipeError:
-        # The reader of our output is gone, so nothing more can be printed.
+    except BrokenPipeError:  # the reader of stdout has closed the pipe
         _discard(sys.stdout)
         return 0
     except Exception as error:
@@ -64,55 +61,52 @@ def _run(arguments: Sequence[str]) -> int:
     parser = build_parser()
     try:
         options = parser.parse_args(arguments)
-    except SystemExit as done:  # raised by the parser for --help and --version
+    except SystemExit as done:  # `argparse` exits after --help and --version
         return int(done.code or 0)
     if options.command is None:
         parser.print_help()
         print(f"\n{NEXT}")
         return 0
-    return int(options.run(options))
+    # Import only the module of this command, because some imports are slow.
+    module = import_module(f"audioflinger_hook.cli.{options.command.replace('-', '_')}")
+    return int(module.run(options))
 
 
 def _prepare_streams() -> None:
-    """Let print work with any file name, and if the caller has closed stdout or stderr."""
+    """Make `print` work with any file name, and with a closed stdout or stderr."""
     for descriptor in (0, 1, 2):
         try:
             os.fstat(descriptor)
-        except OSError:  # else the next opened file would get this descriptor
+        except OSError:  # otherwise the next opened file would get this descriptor
             os.open(os.devnull, os.O_RDWR)
     sys.stdout = sys.stdout or io.StringIO()
     sys.stderr = sys.stderr or io.StringIO()
     for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):
-            # A file's name may contain bytes that are not valid text.
+        if isinstance(stream, io.TextIOWrapper):  # a file name may be invalid text
             stream.reconfigure(errors="backslashreplace")
 
 
-def _discard(*streams: TextIO) -> None:
-    """Drop buffered output, so that the interpreter does not try to write it at its end."""
-    for stream in streams:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+def _discard(stream: TextIO) -> None:
+    """Drop the stream's buffered output, which the interpreter would otherwise write at exit."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def _report(error: CushionError, debug: bool) -> int:
     if debug:
         traceback.print_exc()
-    with contextlib.suppress(OSError):  # stderr may have no reader
+    with contextlib.suppress(OSError):  # stderr may be closed
         print(f"cushion: error: {error}", file=sys.stderr, flush=True)
     return error.exit_code
 
 
 def _end_softly() -> None:
-    """End by KeyboardInterrupt after SIGTERM, and if the terminal was closed.
-
-    So no file is left half-written, and no stream or module stays on the sound server.
-    """
+    """Make SIGTERM, and SIGHUP unless ignored, raise KeyboardInterrupt, so all files are closed."""
     signal.signal(signal.SIGTERM, _interrupt)
-    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # as `nohup` sets it
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # `nohup` ignores SIGHUP
         signal.signal(signal.SIGHUP, _interrupt)
 
 
 def _interrupt(number: int, _frame: FrameType | None) -> None:
-    if number == signal.SIGHUP:  # the shell sends another one
+    if number == signal.SIGHUP:  # ignore a second SIGHUP, which a shell may send
         signal.signal(signal.SIGHUP, signal.SIG_IGN)
     raise KeyboardInterrupt

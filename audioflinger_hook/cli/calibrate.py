@@ -1,4 +1,4 @@
-"""`cushion calibrate`: sweep a rig, and write the identified values to the rig's file."""
+"""`cushion calibrate`: identifies a rig's values with sweeps, and can write a rig file."""
 
 from __future__ import annotations
 
@@ -17,14 +17,12 @@ from device.identification.calibration import STEPS, Calibration, calibrate
 from device.identification.live.laboratory import Devices
 from device.identification.mechanics import write_rig
 from device.identification.output_error import Estimate
+from device.identification.recording import Sweep
 from device.identification.simulated_laboratory import USUAL_SHARE, SimulatedLaboratory
-from device.identification.sweep import Sweep
 from device.identification.transfer import LOW_COHERENCE, Quality
 from device.rig import Rig, rig_by_name
 
-SUFFIX = ".toml"
 NOT_FOR_TWIN = ("input", "channels", "shunt_ohm", "moving_mass_kg", "level", "loud")
-
 
 _CLOSEST = "the file has the closest L1 + (L2 || R2) in the swept band"
 COILS = {
@@ -34,11 +32,10 @@ COILS = {
     "double": f"coil with eddy currents: R + L1 + (L2 || R2) + (L3 || R3); {_CLOSEST}",
     "mixed": f"coil with eddy currents: R + L + K (jw)^n; {_CLOSEST}",
 }
-"""The law of the coil in words, by its name."""
 
 
 def run(options: argparse.Namespace) -> int:
-    """Calibrate with rising levels; anything unexpected ends the run before it becomes loud."""
+    """Identify the rig with sweeps of increasing level. An error ends the sequence of sweeps."""
     device = parse_device(options.device)
     rig = rig_by_name(options.rig)
     _check_out(options.out)
@@ -62,38 +59,33 @@ def run(options: argparse.Namespace) -> int:
         rig = replace(rig, name=options.out.stem)
     if found.rig:
         found = replace(found, rig=replace(found.rig, name=rig.name))
-    return _conclude(found, rig, devices, options)
+    return _end(found, rig, devices, options)
 
 
 class Progress:
-    """How far the sweeps are. The fit after them counts like one."""
+    """Shows the progress of the sweeps. The computation after them counts as one more sweep."""
 
     def __init__(self, show: Callable[[float, float | None], None]) -> None:
         self._show, self._begun = show, 0
 
-    def begin(self, level: float) -> None:
-        """Begin the next sweep."""
+    def begin(self, _level: float) -> None:
+        """Show that the next sweep begins."""
         self._begun += 1
         self.within(0.0)
 
     def within(self, share: float) -> None:
-        """Show which share of the sweep is over; 1 also at its end."""
+        """Show the progress. share: the finished part of the current sweep, 0 to 1."""
         self._show(self._begun - 1 + share, len(STEPS) + 1)
 
 
 def _check_out(path: Path | None) -> None:
-    """Refuse a file that cannot be written, before anything is played."""
-    if path is None:
-        return
-    if path.suffix != SUFFIX:
-        raise UsageError(f"out={path}: a rig's file ends in {SUFFIX}, so that --rig accepts it")
-    if not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
+    if path and path.suffix != ".toml":
+        raise UsageError(f"out={path}: a rig's file ends in .toml, so that --rig accepts it")
+    if path and not (path.parent.is_dir() and os.access(path.parent, os.W_OK)):
         raise UsageError(f"out={path}: the folder {path.parent} cannot be written; choose another")
 
 
-def _conclude(
-    found: Calibration, rig: Rig, devices: Devices | None, options: argparse.Namespace
-) -> int:
+def _end(found: Calibration, rig: Rig, devices: Devices | None, options: argparse.Namespace) -> int:
     if options.out and found.rig:
         write_rig(found.rig, options.out)
     if options.json:
@@ -102,8 +94,8 @@ def _conclude(
         print(table(found, devices))
     if found.on_seat and found.impedance:
         warn(
-            "Bl and moving mass are not identified on a seat that gives way; put the actuator on "
-            "solid ground for them"
+            "Bl and moving mass cannot be identified on an elastic seat; put the actuator on solid "
+            "ground"
         )
     if found.matched:
         warn(
@@ -119,7 +111,7 @@ def _conclude(
 
 
 def document(found: Calibration, rig: Rig, devices: Devices | None) -> dict[str, object]:
-    """Return the result for --json; null: not measured, or not computable from the measurement."""
+    """Return the result for `--json`. A value that was not measured or computed is None."""
     driven, scaled = found.driven, found.level_of_x_max is not None
     return {
         "rig": rig.name,
@@ -127,9 +119,9 @@ def document(found: Calibration, rig: Rig, devices: Devices | None) -> dict[str,
         "level_of_x_max": found.level_of_x_max,
         "on_seat": found.on_seat,
         "driven_f0_hz": driven and driven.f0_hz.value,
-        "driven_f0_interval_hz": driven and list(driven.f0_hz.interval),
+        "driven_f0_interval_hz": driven and driven.f0_hz.interval,
         "driven_q": driven and driven.q.value,
-        "driven_q_interval": driven and list(driven.q.interval),
+        "driven_q_interval": driven and driven.q.interval,
         "driven_sensitivity": _estimate(driven.sensitivity) if driven and scaled else None,
         "values": {parameter: _estimate(estimate) for parameter, estimate in found.values.items()},
         "coil_law": found.impedance and found.impedance.law.name,
@@ -141,7 +133,7 @@ def document(found: Calibration, rig: Rig, devices: Devices | None) -> dict[str,
 
 
 def _estimate(estimate: Estimate) -> dict[str, object]:
-    return {"value": estimate.value, "interval": list(estimate.interval)}
+    return {"value": estimate.value, "interval": estimate.interval}
 
 
 def _quality(one: Quality) -> dict[str, object]:
@@ -149,14 +141,9 @@ def _quality(one: Quality) -> dict[str, object]:
         "reference": one.names[0],
         "response": one.names[1],
         "coherence": one.coherence,
-        "low_coherence_hz": [list(ends) for ends in one.low_hz],
+        "low_coherence_hz": one.low_hz,
         "distortion": [
-            {
-                "order": h.order,
-                "largest_share": h.largest_share,
-                "at_hz": h.at_hz if h.largest_share else None,
-            }
-            for h in one.harmonics
+            asdict(h) | ({} if h.largest_share else {"at_hz": None}) for h in one.harmonics
         ],
     }
 
@@ -171,13 +158,11 @@ def table(found: Calibration, devices: Devices | None) -> str:
         rows.append(COILS[found.impedance.law.name])
     if found.drive:
         volts = found.drive.volts
-        rows.append(
-            f"full scale gives {volts.value:.4g} V without a load ({volts.low:.4g} to "
-            f"{volts.high:.4g})"
-        )
+        limits = f"({volts.low:.4g} to {volts.high:.4g})"
+        rows.append(f"full scale gives {volts.value:.4g} V without a load {limits}")
     if found.driven:
         rows += _mode(found.driven, found)
-    rows += [_line(one) for one in found.qualities]
+    rows += map(_line, found.qualities)
     if found.level_of_x_max is not None:
         rows.append(f"swept at {found.level_of_x_max:.3f} Xmax; intervals are of 95 %")
     else:
@@ -195,24 +180,20 @@ def table(found: Calibration, devices: Devices | None) -> str:
 
 def _mode(mode: Mode, found: Calibration) -> list[str]:
     f0, q, s = mode.f0_hz, mode.q, mode.sensitivity
-    rows = [f"driven by its amplifier: {f0.value:.2f} Hz, Q {q.value:.2f}"]
-    if found.mode is None and found.impedance is None:
-        rows[0] += f" ({f0.low:.3f} to {f0.high:.3f} Hz, Q {q.low:.3f} to {q.high:.3f})"
-        if found.level_of_x_max is not None:
-            measured = {one.names for one in found.qualities}
-            unit = "V" if ("voltage", "acceleration") in measured else "full scale"
-            rows.append(
-                f"sensitivity above the resonance: {s.value:.4g} m/s² per {unit} "
-                f"({s.low:.4g} to {s.high:.4g})"
-            )
-        else:
-            rows.append("no sensitivity: the accelerometer's own was not given")
-    return rows
+    row = f"driven by its amplifier: {f0.value:.2f} Hz, Q {q.value:.2f}"
+    if found.mode or found.impedance:
+        return [row]
+    row += f" ({f0.low:.3f} to {f0.high:.3f} Hz, Q {q.low:.3f} to {q.high:.3f})"
+    if found.level_of_x_max is None:
+        return [row, "no sensitivity: the accelerometer's own was not given"]
+    measured = {one.names for one in found.qualities}
+    unit = "V" if ("voltage", "acceleration") in measured else "full scale"
+    limits = f"({s.low:.4g} to {s.high:.4g})"
+    return [row, f"sensitivity above the resonance: {s.value:.4g} m/s² per {unit} {limits}"]
 
 
 def _line(one: Quality) -> str:
-    what = f"{one.names[1]} for {one.names[0]}"
-    line = f"{what}: coherence {one.coherence:.4f}"
+    line = f"{one.names[1]} for {one.names[0]}: coherence {one.coherence:.4f}"
     if one.low_hz:
         ends = ", ".join(f"{low:.0f}-{high:.0f}" for low, high in one.low_hz[:4])
         more = " and more" if len(one.low_hz) > 4 else ""

@@ -1,44 +1,154 @@
-"""`cushion calibrate` on real devices: opens them, limits the level, assigns the inputs."""
+"""`cushion calibrate` on real devices: opens the devices, and limits the level of the sweeps."""
 
 from __future__ import annotations
 
 import argparse
-from contextlib import ExitStack
-from dataclasses import replace
-from typing import Protocol
+import time
+from collections.abc import Callable
+from contextlib import ExitStack, closing
+from dataclasses import dataclass, replace
 
-from audioflinger_hook.cli.measurement_streams import (
-    INPUT,
-    OUTPUT,
-    MeasurementStreams,
-    StreamEndpoint,
-)
+from audioflinger_hook.cli.calibrate import Progress
 from audioflinger_hook.cli.terminal import warn
+from audioflinger_hook.cli.test_tone import free_card
 from device.address import DeviceAddress
-from device.alsa import choose_setup, find_capture, find_playback
-from device.alsa.negotiation import CardSetup, list_offers
-from device.alsa.usb_stream import read_usb_stream
-from device.alsa.use import why_blocked
-from device.errors import NotFoundError, UsageError
+from device.alsa import find_capture, find_playback
+from device.errors import CushionError, InternalError, LostError, NotFoundError, UsageError
 from device.identification.calibration import Calibration, calibrate
+from device.identification.live.exchange import Exchange
 from device.identification.live.laboratory import UNUSED, Devices, Inputs, LiveLaboratory
 from device.identification.output_error import Estimate
+from device.identification.recording import Sweep
 from device.identification.simulated_laboratory import LARGEST_SHARE, sweep_at_excursion
-from device.identification.sweep import Sweep
 from device.rig import Rig
 from device.server import PulseConnection, ServerSnapshot
+from device.server.guard import FallbackSink, StreamGuard
 from device.server.identity import find_source, is_cushion_stream
 from device.stream import PcmConfig, filter_stderr
-from device.stream.pcms import CardDevice, ServerDevice
+from device.stream.pcms import ServerDevice, Target
+from device.stream.sample_format import SampleFormat
+from device.stream.streams import CaptureStream, PlaybackStream
 from device.values import counted
 
-USUAL_LEVEL, MOST_LEVEL = 0.05, 0.25
-"""Parts of full scale: the default level, and the highest level without --loud."""
+OUTPUT, INPUT = "cushion_output", "cushion_input"  # ALSA PCMs that the caller must configure
+SETTLE_S = 5.0  # longest time until both streams run
 
+BLOCK_FRAMES = 1024  # long, because latency is irrelevant and a late block ends the measurement
+_POLL_S = 0.02
+
+
+@dataclass(frozen=True)
+class StreamEndpoint:
+    """The device and the format of one stream."""
+
+    target: Target
+    name: str  # name in messages
+    channels: int
+    sample_format: SampleFormat = SampleFormat.FLOAT32
+
+    @property
+    def guarded(self) -> bool:
+        """Whether the stream is on a sound server, which could move it to another device."""
+        return isinstance(self.target, ServerDevice)
+
+
+@dataclass
+class MeasurementStreams:
+    """Plays a sweep and records it. A late block or a lost device is an error."""
+
+    pcms: PcmConfig  # OUTPUT and INPUT
+    output: StreamEndpoint
+    source: StreamEndpoint
+    samplerate: int
+    connection: PulseConnection | None  # None if no stream is on a server
+    progress: Callable[[float], None] = lambda share: None  # called repeatedly during a measurement
+
+    def run(self, exchange: Exchange) -> None:
+        """Run both streams until the measurement ends. `exchange` stores any error of the sweep."""
+        with ExitStack() as stack:
+            rate, out, source = self.samplerate, self.output, self.source
+            # The fallback sink closes last, so that every exit, including Ctrl+C, leaves silence.
+            if out.guarded and self.connection is not None:
+                stack.callback(FallbackSink(self.connection).close)
+            outward, inward = self.pcms.pcms[OUTPUT], self.pcms.pcms[INPUT]
+            outward.target, inward.target = out.target, source.target
+            playback = PlaybackStream(
+                outward,
+                rate,
+                out.channels,
+                exchange.fill,
+                block_frames=BLOCK_FRAMES,
+                sample_format=out.sample_format,
+            )
+            stack.callback(playback.close)
+            capture = CaptureStream(
+                inward, rate, source.channels, exchange.on_frames, block_frames=BLOCK_FRAMES
+            )
+            stack.callback(capture.close)
+            guards = []
+            for stream, endpoint in ((playback, out), (capture, source)):
+                if endpoint.guarded and self.connection is not None:
+                    guard = StreamGuard(self.connection, stream, endpoint.name, any_source=True)
+                    stack.callback(guard.release)
+                    guards.append(guard)
+                else:
+                    stream.audible = True
+            stack.callback(exchange.abort, LostError("the measurement was aborted"))
+            watch = _Watch((playback, capture), guards, (out.name, source.name))
+            watch.settle(exchange)
+            while not exchange.ended.wait(_POLL_S):
+                if error := watch.problem(time.monotonic()):
+                    exchange.abort(error)
+                self.progress(exchange.share_recorded)
+
+
+@dataclass
+class _Watch:
+    streams: tuple[PlaybackStream, CaptureStream]
+    guards: list[StreamGuard]
+    names: tuple[str, str]
+
+    def settle(self, exchange: Exchange) -> None:
+        """Start the sweep when both streams run. LostError: one does not run within SETTLE_S."""
+        limit_s = time.monotonic() + SETTLE_S
+        while not (
+            all(guard.hold.audible for guard in self.guards)
+            and all(stream.callbacks > 3 for stream in self.streams)
+        ):
+            if time.monotonic() > limit_s:
+                held = [guard.hold.value for guard in self.guards if not guard.hold.audible]
+                raise LostError(
+                    f"{' and '.join(self.names)} do not run after {SETTLE_S:g} s "
+                    f"({', '.join(held) or 'a device delivers nothing'}); check both, and try again"
+                )
+            exchange.ended.wait(_POLL_S)
+        self._before = self._counts()
+        exchange.begin()
+
+    def _counts(self) -> list[tuple[int, int, int]]:
+        return [(s.xruns, s.silenced, sum(s.errors.values())) for s in self.streams]
+
+    def problem(self, now_s: float) -> CushionError | None:
+        """Return the error that ends the measurement, or None."""
+        for guard in self.guards:
+            if not guard.hold.audible:
+                return LostError(f"the sweep ended: {guard.hold.value}; plug it in, and repeat")
+        each = zip(self.streams, self.names, self._before, self._counts(), strict=True)
+        for stream, name, before, now in each:
+            if stream.is_lost(now_s):
+                return LostError(f"{name} went away during the sweep; plug it in again, and repeat")
+            if now[0] > before[0] or now[1] > before[1]:
+                late = "a block came too late during the sweep"
+                return LostError(f"{name}: {late}; close other programs, and repeat")
+            if now[2] > before[2]:
+                kinds = ", ".join(stream.errors)
+                return InternalError(f"{name}: {kinds} in a callback; please report it")
+        return None
+
+
+USUAL_LEVEL, MOST_LEVEL = 0.05, 0.25  # share of full scale: default, and limit without --loud
 RATE_HZ = 48_000
-WEIGHED_SHARE = 0.02
-"""Half-width of the interval of a weighed mass."""
-
+WEIGHED_SHARE = 0.02  # half-width of a weighed mass's interval, as a share of the mass
 INPUT_GRAMMAR = "source:NAME or hw:CARD[,DEVICE]"
 
 _QUAD = "front-left,front-right,rear-left,rear-right"
@@ -49,7 +159,9 @@ PLAIN_MAPS = {
     6: f"{_QUAD},front-center,lfe",
     8: f"{_QUAD},front-center,lfe,side-left,side-right",
 }
-"""Positions that ALSA's plugin for the server requests, by channel count; others get mixed."""
+"""Channel positions that ALSA's server plugin requests, keyed by channel count. The server mixes
+the channels of a device with other positions.
+"""
 
 _HAS_TO_BE_KNOWN = (
     "dac.full_scale_v",
@@ -63,29 +175,13 @@ _HAS_TO_BE_KNOWN = (
 )
 
 
-class Progress(Protocol):
-    """Shows how far the sweeps are."""
-
-    def begin(self, level: float) -> None:
-        """Begin the next sweep."""
-
-    def within(self, share: float) -> None:
-        """Show which share of the sweep is over."""
-
-
 def calibrate_live(
-    device: DeviceAddress,
-    rig: Rig,
-    sweep: Sweep,
-    options: argparse.Namespace,
-    progress: Progress,
+    device: DeviceAddress, rig: Rig, sweep: Sweep, options: argparse.Namespace, progress: Progress
 ) -> tuple[Calibration, Devices]:
-    """Calibrate the rig on this device; record only from the named input."""
+    """Identify the rig that is connected to this device. Record only the input of `--input`."""
     if device.kind not in ("sink", "usb", "hw"):
-        raise NotFoundError(
-            f"device {str(device)!r} cannot be calibrated; allowed: sink:NAME, usb:VID:PID, "
-            "hw:CARD, twin"
-        )
+        allowed = "sink:NAME, usb:VID:PID, hw:CARD, twin"
+        raise NotFoundError(f"device {str(device)!r} cannot be calibrated; allowed: {allowed}")
     if options.share is not None or options.seat:
         raise UsageError("--share and --seat are only for twin; choose --level of full scale")
     inputs = _inputs(options)
@@ -94,28 +190,22 @@ def calibrate_live(
     if mass is not None:
         if not 0.0 < mass < 1e3:
             raise UsageError(f"moving-mass-kg={mass!r} must be above 0; weigh the moving part")
-        reach = WEIGHED_SHARE * mass
-        weighed = Estimate(mass, mass - reach, mass + reach)
+        weighed = Estimate(mass, mass, mass).widen(WEIGHED_SHARE)
     source = options.input
     with ExitStack() as stack:
         filter_stderr()
-        pcms = PcmConfig(OUTPUT, INPUT)
-        stack.callback(pcms.close)
+        pcms = stack.enter_context(closing(PcmConfig(OUTPUT, INPUT)))
         connection = None
         if device.kind != "hw" or source.startswith("source:"):
-            connection = PulseConnection()
-            stack.callback(connection.close)
+            connection = stack.enter_context(closing(PulseConnection()))
         snapshot = connection.latest if connection else None
         output, rate = _output(device, snapshot)
         heard, rate = _input(source, snapshot, len(inputs.names), output, rate)
         channel = options.output_channel
         if not 1 <= channel <= output.channels:
-            raise UsageError(
-                f"output-channel={channel}: {output.name} has 1 to {output.channels}; name one"
-            )
-        inputs = replace(
-            inputs, names=(*inputs.names, *[UNUSED] * (heard.channels - len(inputs.names)))
-        )
+            raise UsageError(f"output-channel={channel}: {output.name} has 1 to {output.channels}")
+        unused = [UNUSED] * (heard.channels - len(inputs.names))
+        inputs = replace(inputs, names=(*inputs.names, *unused))
         transport = MeasurementStreams(pcms, output, heard, rate, connection, progress.within)
         laboratory = LiveLaboratory(transport, inputs, channel - 1, rig.amplifier)
         found = calibrate(
@@ -155,7 +245,10 @@ def _inputs(options: argparse.Namespace) -> Inputs:
 
 
 def levelled(rig: Rig, sweep: Sweep, options: argparse.Namespace) -> Sweep:
-    """Return the sweep at the requested level, reduced if it would move more than 0.15 Xmax."""
+    """Return the sweep with the level of `--level`. UsageError: the level is out of range.
+
+    If the rig's values are known, the excursion is limited to 0.15 of the rated excursion Xmax.
+    """
     level = USUAL_LEVEL if options.level is None else options.level
     most = 1.0 if options.loud else MOST_LEVEL
     if not 0.0 < level <= most:
@@ -175,13 +268,10 @@ def levelled(rig: Rig, sweep: Sweep, options: argparse.Namespace) -> Sweep:
 
 
 def _output(device: DeviceAddress, snapshot: ServerSnapshot | None) -> tuple[StreamEndpoint, int]:
-    """Return the endpoint that plays the sweep, and its sample rate."""
+    """Return the device that plays the sweep, and its sample rate in Hz."""
     if device.kind == "hw":
         playback = find_playback(device.name)
-        if refused := why_blocked(playback):
-            raise NotFoundError(refused)
-        choice: CardSetup = choose_setup(list_offers(read_usb_stream(playback)), RATE_HZ, 1)
-        card = CardDevice(playback.card.number, playback.device)
+        card, choice = free_card(playback, RATE_HZ, 1)
         output = StreamEndpoint(card, str(playback), choice.channels, choice.sample_format)
         return output, choice.samplerate
     assert snapshot is not None
@@ -192,15 +282,14 @@ def _output(device: DeviceAddress, snapshot: ServerSnapshot | None) -> tuple[Str
         if stream.device_name == sink.name and not stream.corked
     ]
     if others:
-        what = ", ".join(others)
-        raise UsageError(f"something else plays to {sink.name!r} ({what}); end it first")
+        raise UsageError(f"{', '.join(others)} plays to {sink.name!r}; end it first")
     return StreamEndpoint(ServerDevice(sink.name), sink.name, sink.channels), RATE_HZ
 
 
 def _input(
     source: str, snapshot: ServerSnapshot | None, needed: int, output: StreamEndpoint, rate: int
 ) -> tuple[StreamEndpoint, int]:
-    """Return the endpoint that records, and the sample rate of both."""
+    """Return the device that records, and the sample rate of both devices in Hz."""
     kind, _, name = source.partition(":")
     if kind == "source":
         assert snapshot is not None
@@ -211,33 +300,25 @@ def _input(
                 "name the input that the accelerometer or the shunt is connected to"
             )
         if needed > found.channels:
-            raise UsageError(
-                f"channels: {needed} are named, input {source!r} has {found.channels}; name no "
-                "more than those"
-            )
+            raise UsageError(f"{needed} channels are named, input {source!r} has {found.channels}")
         if found.mute:
             raise UsageError(f"input {source!r} is muted; unmute it")
         if abs(found.volume - 1.0) > 0.005:
             warn(
-                f"the volume of input {source!r} is {100 * found.volume:.0f} %: volts and what "
-                "follows from them are right only if its full scale was found at that volume"
+                f"the volume of input {source!r} is {100 * found.volume:.0f} %, so voltages "
+                "are correct only if the input's full scale was measured at this volume"
             )
-        plain = PLAIN_MAPS.get(found.channels)
-        if found.channel_map != plain:
+        if found.channel_map != PLAIN_MAPS.get(found.channels):
             raise UsageError(
-                f"input {source!r} has the channels {found.channel_map}, which the sound server "
-                f"would mix before recording ({plain or 'no such number'} it leaves alone); "
-                "name the card itself, as hw:CARD, or another profile of it"
+                f"the sound server mixes the channels {found.channel_map} of input {source!r}; "
+                "name the card itself, as hw:CARD, or choose another profile of it"
             )
         return StreamEndpoint(ServerDevice(found.name), found.name, found.channels), rate
     capture = find_capture(name)
-    if refused := why_blocked(capture):
-        raise NotFoundError(refused)
-    choice = choose_setup(list_offers(read_usb_stream(capture)), rate, needed, needed)
+    card, choice = free_card(capture, rate, needed, needed)
     if choice.samplerate != rate and not output.guarded:
         raise UsageError(
             f"{output.name} plays at {rate} Hz and {capture} records at {choice.samplerate} Hz; "
             "name the sound server's sink or source for one of them"
         )
-    card = CardDevice(capture.card.number, capture.device)
     return StreamEndpoint(card, str(capture), choice.channels), choice.samplerate

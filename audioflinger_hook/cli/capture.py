@@ -1,4 +1,4 @@
-"""`cushion capture`: stores the buffers of a tap as delivered."""
+"""`cushion capture`: records the audio buffers of a tap (a source of sound) unchanged."""
 
 from __future__ import annotations
 
@@ -8,24 +8,20 @@ from contextlib import closing
 from pathlib import Path
 
 from audioflinger_hook.capture import CaptureRecorder, CaptureWriter
-from audioflinger_hook.cli.signals import Signals, freeze_loaded_objects
+from audioflinger_hook.cli.process import Signals, freeze_loaded_objects
 from audioflinger_hook.cli.terminal import progress_bar, warn
 from audioflinger_hook.daemon.live_capture import TICK_S, LiveCapture
-from audioflinger_hook.daemon.wake import Wake
+from audioflinger_hook.daemon.timing import Wake
 from audioflinger_hook.sources import TapAddress, open_tap, parse_tap
 from device.stream import filter_stderr
 from device.values import counted
 
-LIVE_TAPS = ("default", "sink")
-"""Taps of live sound."""
-
 
 def run(options: argparse.Namespace) -> int:
-    """Record until the tap ends, or for `--seconds` of sound, and print a summary."""
+    """Record `--seconds` of sound, or less if the sound ends; then print a summary."""
     address = parse_tap(options.tap)
-    if address.kind in LIVE_TAPS:
-        writer, live = _record_live(address, options.folder, options.seconds, debug=options.debug)
-        _print_summary(writer, live.heard_s, *live.format)
+    if address.kind in ("default", "sink"):  # live sound
+        _record_live(address, options.folder, options.seconds, debug=options.debug)
         return 0
     tap = open_tap(address)
     heard_s = 0.0
@@ -36,9 +32,8 @@ def run(options: argparse.Namespace) -> int:
     ):
         while heard_s < options.seconds and (buffer := tap.read()) is not None:
             now_s = time.monotonic()
-            writer.write_buffer(
-                "tap", buffer, tap.samplerate, now_s, discontinuity=tap.discontinuity
-            )
+            gap = tap.discontinuity
+            writer.write_buffer("tap", buffer, tap.samplerate, now_s, discontinuity=gap)
             heard_s += len(buffer) / tap.samplerate
             progress(writer.frames("tap"), tap.frames_expected)
     for warning in getattr(tap, "warnings", ()):
@@ -48,15 +43,11 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _print_summary(writer: CaptureWriter, heard_s: float, samplerate: int, channels: int) -> None:
-    """Print what a capture contains; samplerate (Hz), channels: of its last buffer."""
     buffers, of = counted(writer.buffers("tap"), "buffers"), counted(channels, "channels")
     print(f"{writer.folder}: {heard_s:.2f} s in {buffers}, {of} at {samplerate} Hz")
 
 
-def _record_live(
-    address: TapAddress, folder: Path, seconds: float, *, debug: bool
-) -> tuple[CaptureWriter, LiveCapture]:
-    """Record for a duration or until a signal; return the writer and the capture."""
+def _record_live(address: TapAddress, folder: Path, seconds: float, *, debug: bool) -> None:
     if not debug:
         filter_stderr()
     with (
@@ -83,4 +74,4 @@ def _record_live(
     if dropped:
         lost = counted(dropped, "buffers")
         warn(f"not recorded: {lost} ({frames} frames): the disk was too slow")
-    return writer, live
+    _print_summary(writer, live.heard_s, *live.format)

@@ -1,4 +1,4 @@
-"""`cushion catalogue`: the vibration of whole libraries, and how much of it is done."""
+"""`cushion catalogue`: writes the vibration of all sounds in a library, or shows the progress."""
 
 from __future__ import annotations
 
@@ -12,42 +12,31 @@ from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 
 from audioflinger_hook.catalogue.addresses import parse_address, scrubbed
-from audioflinger_hook.catalogue.executors import (
-    LOCAL_CLUSTER,
-    DaskCluster,
-    LocalWorkers,
-    Place,
-    ThisProcess,
-)
+from audioflinger_hook.catalogue.cluster import LOCAL_CLUSTER, DaskCluster
 from audioflinger_hook.catalogue.item import Item
 from audioflinger_hook.catalogue.listing import is_same
 from audioflinger_hook.catalogue.manifest import Manifest
-from audioflinger_hook.catalogue.page import Page
 from audioflinger_hook.catalogue.recipe import Recipe
 from audioflinger_hook.catalogue.run import Run, shard_of
-from audioflinger_hook.catalogue.status import status_of
 from audioflinger_hook.catalogue.storage import storage_of
-from audioflinger_hook.catalogue.summary import Failures, Summary
+from audioflinger_hook.catalogue.summary import Failures, Page, Summary
 from audioflinger_hook.catalogue.timing import Timing
-from audioflinger_hook.catalogue.work import Outcome
+from audioflinger_hook.catalogue.work import Outcome, do_batch, status_of
 from audioflinger_hook.cli.render import chosen_settings, chosen_workers
-from audioflinger_hook.cli.terminal import complain, progress_bar, warn
+from audioflinger_hook.cli.terminal import Advance, complain, progress_bar, warn
 from audioflinger_hook.exports.options import ExportOptions
+from audioflinger_hook.offline.batch import LocalWorkers, Place
 from device.errors import CushionError, InternalError, UsageError
 from device.values import counted
 
 SEE_HELP = "see `cushion catalogue --help`"
-PRINTED_MAX = 20
-"""Failures and warnings that are printed; all failures are in the manifest of failures."""
-
+PRINTED_MAX = 20  # largest number of printed failures, and of printed warnings
 RETRIES_MAX = 20
 RECIPE = "catalogue.json"
 
 
 @dataclass(frozen=True)
 class _Job:
-    """What the options ask for: the items of this shard, and how they are made."""
-
     manifest: Manifest
     recipe: Recipe
     timing: Timing
@@ -58,7 +47,7 @@ class _Job:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Work on a catalogue, or show its state."""
+    """Render the sounds that a manifest lists, or print the number of sounds in each state."""
     words = list(options.words)
     only_status = len(words) > 1 and words[0] == "status"
     if only_status:
@@ -87,21 +76,13 @@ def _job(options: argparse.Namespace, manifest: str) -> _Job:
     if options.workers is not None and options.dask not in (None, LOCAL_CLUSTER):
         raise UsageError("--workers counts processes of this machine; leave it out with --dask")
     if not 0 <= options.retries <= RETRIES_MAX:
-        raise UsageError(
-            f"--retries={options.retries} is out of range; allowed: 0 to {RETRIES_MAX}"
-        )
+        raise UsageError(f"--retries={options.retries}: allowed are 0 to {RETRIES_MAX}")
     if options.max_failures is not None and options.max_failures < 0:
         raise UsageError(f"--max-failures={options.max_failures} is below 0; allowed: 0 or more")
     out = parse_address(options.out, "--out")
     wanted = ExportOptions(options.format, options.output_rate, options.device_band)
-    recipe = Recipe(
-        out,
-        chosen_settings(options),
-        wanted,
-        track=options.track,
-        language=options.language,
-        verify=options.verify,
-    )
+    sounds = {"track": options.track, "language": options.language, "verify": options.verify}
+    recipe = Recipe(out, chosen_settings(options), wanted, **sounds)
     timing = Timing(time.perf_counter, time.sleep, options.retries)
     return _Job(Manifest(manifest, out), recipe, timing, _shard(options.shard))
 
@@ -123,14 +104,15 @@ def _work(job: _Job, total: int, options: argparse.Namespace) -> int:
     job.timing.repeated(lambda: storage.write(RECIPE, described.encode()))
     index, shards = job.shard
     name = "failed.jsonl" if shards == 1 else f"failed-{index}-of-{shards}.jsonl"
-    # A run on the list of failures itself that ends early must not forget the rest of it.
+    # If the run's input is its own list of failures, an early end must keep the remaining entries.
     on_failures = is_same(job.manifest.address, f"{job.recipe.out}/{name}")
     summary = Summary()
     stopped = ""
     with ExitStack() as stack:
         failures = stack.enter_context(Failures())
         page = stack.enter_context(Page()) if options.report else None
-        console = stack.enter_context(_Console(total))
+        progress = stack.enter_context(progress_bar(counted(total, "items")))
+        console = _Console(total, progress)
         try:
             with _place(options, total) as place:
                 for batch in Run(job.recipe, job.items(), place, job.timing).outcomes():
@@ -163,11 +145,10 @@ def _place(options: argparse.Namespace, total: int) -> Place:
     if options.dask:
         return DaskCluster(options.dask, workers)
     workers = min(workers, total)
-    return LocalWorkers(workers) if workers > 1 else ThisProcess()
+    return LocalWorkers(workers, do_batch.__module__) if workers > 1 else Place()
 
 
 def _reason_to_stop(batch: list[Outcome], summary: Summary, most: int | None) -> str:
-    """Return why the run must end now, "" if it goes on."""
     for outcome in batch:
         if outcome.stops:
             return f"stopped, because every item would fail like {outcome.item.id}"
@@ -177,32 +158,21 @@ def _reason_to_stop(batch: list[Outcome], summary: Summary, most: int | None) ->
 
 
 class _Console:
-    """Progress, and the first failures and warnings, on stderr."""
-
-    def __init__(self, total: int) -> None:
-        self._total = total
+    def __init__(self, total: int, progress: Advance) -> None:
+        self._total, self._progress = total, progress
+        self._begin_s = time.monotonic()
         self._printed = 0
         self._warned: set[str] = set()
-        self._stack = ExitStack()
-
-    def __enter__(self) -> _Console:
-        self._begin_s = time.monotonic()
-        self._progress = self._stack.enter_context(progress_bar(counted(self._total, "items")))
-        return self
-
-    def __exit__(self, *_error: object) -> None:
-        self._stack.close()
 
     def show(self, batch: list[Outcome], summary: Summary) -> None:
-        """Show the outcomes of a batch."""
+        """Print errors and new warnings of a batch, and show the progress."""
         for outcome in batch:
             if outcome.error and self._printed < PRINTED_MAX:
                 self._printed += 1
                 complain(str(CushionError(outcome.error)))
-            # Records of skipped items repeat what an earlier run has printed.
-            for warning in (
-                outcome.record.get("warnings", ()) if outcome.state == "rendered" else ()
-            ):
+            # Records of skipped items contain warnings that an earlier run printed.
+            is_new = outcome.state == "rendered"
+            for warning in outcome.record.get("warnings", ()) if is_new else ():
                 if warning not in self._warned and len(self._warned) < PRINTED_MAX:
                     self._warned.add(warning)
                     warn(scrubbed(warning))
@@ -223,7 +193,6 @@ def _print(summary: Summary, failed: str, options: argparse.Namespace) -> None:
 
 
 def _status(job: _Job, total: int, options: argparse.Namespace) -> int:
-    """Count the states of all items; the exit code is 0 whatever they are."""
     counts = Counter({"done": 0, "outdated": 0, "missing": 0, "unreadable": 0})
     printed = 0
     with progress_bar(counted(total, "items")) as progress:

@@ -1,29 +1,26 @@
-"""`cushion check`: every mistake of a config file at once, or the schema of its keys."""
+"""`cushion check`: prints all mistakes of a config file, or the JSON Schema of its keys."""
 
 from __future__ import annotations
 
 import argparse
 import dataclasses
 import json
-from functools import cache
 from pathlib import Path
 
 from audioflinger_hook.cli.terminal import complain, warn
 from audioflinger_hook.config import file as config
-from audioflinger_hook.config.edits import Edits
-from audioflinger_hook.config.profiles import LIVE_DEFAULT, OFFLINE_DEFAULT
+from audioflinger_hook.config.profiles import LIVE_DEFAULT
 from audioflinger_hook.config.schema import json_schema
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.config.toml_text import Mistake
 from audioflinger_hook.pipeline.framework import Framework
 from device.errors import UsageError
 
-SAMPLERATE = 48_000
-"""Of the mix with which an effects file is tried."""
+SAMPLERATE = 48_000  # sample rate in Hz for checking an effects file
 
 
 def run(options: argparse.Namespace) -> int:
-    """Check a config file and its effects file; return exit code 2 if it has mistakes."""
+    """Check a config file and the effects file that it names. Exit code 2: there are mistakes."""
     path: Path | None = options.config
     as_json: bool = options.json
     if options.schema:
@@ -41,8 +38,6 @@ def run(options: argparse.Namespace) -> int:
         print(json.dumps([dataclasses.asdict(mistake) for mistake in mistakes], indent=2))
     elif not (mistakes or warnings):
         print(f"{path}: no mistakes")
-    if found is not None and found.warning:
-        warn(f"{path}: {found.warning}")
     for warning in warnings:
         warn(warning)
     for mistake in mistakes:
@@ -51,7 +46,6 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _problems_of_effects(settings: Settings) -> tuple[list[str], list[Mistake]]:
-    """Return warnings and mistakes of the effects file, if the settings name one."""
     path = settings.effects_file
     if path is None:
         return [], []
@@ -60,21 +54,3 @@ def _problems_of_effects(settings: Settings) -> tuple[list[str], list[Mistake]]:
     except UsageError as error:
         allowed = "an audio_effects.xml that applies the haptic effect"
         return [], [Mistake("effects_file", 0, f'"{path}"', f"cannot be used: {error}", allowed)]
-
-
-def load_config(
-    path: Path, default_profile: str = OFFLINE_DEFAULT, edits: Edits | None = None
-) -> config.Config:
-    """Return a config file's content with edits, and warn of keys with old names.
-
-    Arguments and errors: as `load`.
-    """
-    found = config.load(path, default_profile, edits)
-    if found.warning:
-        _warn_once(f"{path}: {found.warning}")
-    return found
-
-
-@cache  # a running daemon loads its config again
-def _warn_once(message: str) -> None:
-    warn(message)

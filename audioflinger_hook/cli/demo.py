@@ -1,9 +1,8 @@
-"""`cushion demo`: the bundled scene through the whole chain, with a meter, files and a table."""
+"""`cushion demo`: computes the vibration of a built-in scene, writes files and prints a table."""
 
 from __future__ import annotations
 
 import argparse
-import io
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -18,6 +17,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
+from audioflinger_hook.cli.render import given_values
 from audioflinger_hook.cli.terminal import LineConsole, as_typed, level_text, warn
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.offline.inspection import inspect_tap
@@ -29,22 +29,28 @@ from audioflinger_hook.sources import FramesTap, SceneClient, mixdown
 from device.atomic_file import write_bytes_atomically
 from device.drive.outputs import FADE_S, AlignedOutput, FadedOutput
 from device.errors import UsageError
-from device.rig.instruments import ACCELERATION_FULL_SCALE_M_S2
+from device.rig.electronics import ACCELERATION_FULL_SCALE_M_S2
 from device.rig.model_record import in_words
 from device.rig.simulated_rig import SimulatedRig
 from device.units import amplitude_to_db
 from device.wav_output import WavOutput
 
-BLOCKSIZE_FRAMES = 256
-"""Frames that a sound server delivers at a time; computing times are given for this block."""
+BLOCKSIZE_FRAMES = 256  # frames of one buffer of the scene
+FAINTEST_DB = -45.0  # principal frequencies below this level, in dB of full scale, get equal dots
+REFRESH_S = 1 / 15
+BAR_CELLS = 40
+BAR_RANGE_DB = 60.0
+SILENCE_DB = -70.0
+SPECTRUM_WINDOW_S = 0.1
+SPECTRUM_BANDS_HZ = np.arange(20, 221, 5)
+STEPS = " ▁▂▃▄▅▆▇█"
 
-FAINTEST_DB = -45.0
-"""Principal frequencies this far below full scale are drawn as the smallest dot."""
+Block = NDArray[np.floating[Any]]
 
 
 @dataclass
 class Played:
-    """What the demo collects for its table and its picture."""
+    """Data for the demo's table and picture."""
 
     vibration: list[NDArray[np.float32]] = field(default_factory=list)
     acceleration: list[NDArray[np.float64]] = field(default_factory=list)
@@ -52,13 +58,12 @@ class Played:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Play the scene, write vibration.wav, acceleration.wav, scene.wav and report.png to `out`."""
+    """Write vibration.wav, acceleration.wav, scene.wav and report.png to the folder of `--out`."""
     out: Path = options.out
-    names = ("model", "tolerance")
-    given = {name: getattr(options, name) for name in names if getattr(options, name) is not None}
+    given = given_values(options, ("model", "tolerance"))
     settings = Settings().choosing(profile=options.profile or options.default_profile, **given)
     if settings.parameters.strength == "felt":
-        # The demo knows its cushion, whose resonance would hide the explosion.
+        # The demo simulates one rig, so the strength can follow the resonance of this rig.
         settings = replace(settings, parameters=replace(settings.parameters, strength="rig"))
     _make_folder(out)
     scene = demo_scene()
@@ -91,7 +96,7 @@ def run(options: argparse.Namespace) -> int:
     values = _main_values(framework, rig, played)
     drawn = True
     try:
-        _draw(picture, scene, sound, played, framework, values)
+        write_bytes_atomically(picture, _picture(scene, sound, played, framework, values))
     except ImportError:
         warn("no report.png: matplotlib is not installed; `pip install matplotlib` brings it")
         drawn = False
@@ -103,25 +108,21 @@ def run(options: argparse.Namespace) -> int:
 def _make_folder(out: Path) -> None:
     try:
         out.mkdir(exist_ok=True)
-    except FileExistsError:
-        raise UsageError(f"{out} is not a folder; name another with --out") from None
     except OSError as error:
-        raise UsageError(
-            f"the folder {out} cannot be made ({error.strerror}); name another with --out"
-        ) from None
+        what = f"the folder {out} cannot be made ({error.strerror})"
+        if isinstance(error, FileExistsError):
+            what = f"{out} is not a folder"
+        raise UsageError(f"{what}; name another with --out") from None
 
 
 def _play(chain: Pipeline, scene: Scene, rig: SimulatedRig, *, fast: bool) -> Played:
-    """Step the pipeline to its end, in real time unless `fast`, and show the levels."""
+    """Process the whole scene and show the levels, in real time unless `fast` is set."""
     played = Played()
     pace = RealTimePace(scene.samplerate, time.monotonic())
     frames = 0
     with Meter(scene, LineConsole(stderr=True)) as meter:
-        while True:
-            began = time.thread_time()
-            step = chain.step(time.monotonic())
-            if step is None:
-                break
+        began = time.thread_time()
+        while step := chain.step(time.monotonic()):
             if len(step.audio):
                 played.buffer_s.append(time.thread_time() - began)
             played.vibration.append(step.vibration)
@@ -130,19 +131,18 @@ def _play(chain: Pipeline, scene: Scene, rig: SimulatedRig, *, fast: bool) -> Pl
             meter.show(frames, step.audio, step.vibration, rig.acceleration_m_s2)
             if not fast:
                 time.sleep(pace.wait_s(frames, time.monotonic()))
+            began = time.thread_time()
     return played
 
 
-def _draw(
-    path: Path,
+def _picture(
     scene: Scene,
     sound: NDArray[np.float32],
     played: Played,
     framework: Framework,
     values: Mapping[str, str],
-) -> None:
-    """Write the picture with the main values as text; needs matplotlib."""
-    from audioflinger_hook.figures.report import draw_report
+) -> bytes:
+    from audioflinger_hook.figures.report import report_png
 
     settings = framework.settings
     frames = scene.frame_count
@@ -158,16 +158,12 @@ def _draw(
             principals.append((middle_s, p.audio_hz, p.vibration_hz, strength))
     vibration = np.concatenate(played.vibration)[latency : latency + frames]
     acceleration = np.concatenate(played.acceleration)[:frames]
-    picture = io.BytesIO()
-    draw_report(
-        picture,
+    return report_png(
         title="Haptic Cushion: sound and vibration",
         samplerate=scene.samplerate,
         audio=sound,
         vibration=vibration[:, 0],
-        vibration_samplerate=scene.samplerate,
         acceleration_m_s2=acceleration[:, 0],
-        acceleration_samplerate=scene.samplerate,
         principals=principals,
         events=scene.events(),
         facts=(
@@ -177,11 +173,9 @@ def _draw(
         ),
         description="; ".join(f"{name}: {value}" for name, value in values.items()),
     )
-    write_bytes_atomically(path, picture.getvalue())
 
 
 def _main_values(framework: Framework, rig: SimulatedRig, played: Played) -> dict[str, str]:
-    """Return the values, by name, that the final table and the picture's text both show."""
     peak = max(float(np.abs(block).max(initial=0.0)) for block in played.vibration)
     return {
         "latency of the transform": f"{framework.latency_s * 1e3:.1f} ms",
@@ -207,8 +201,8 @@ def _print_table(
     formats = ", ".join(f"{t.name} {t.format.value} {t.samplerate / 1e3:g} kHz" for t in tracks)
     table.add_row(f"{len(tracks)} tracks mixed", formats)
     table.add_row("sound", f"{len(buffer_ms)} buffers of {BLOCKSIZE_FRAMES} frames")
-    for name, value in values.items():
-        table.add_row(name, value)
+    for row in values.items():
+        table.add_row(*row)
     table.add_row("samples limited", str(framework.limited_samples))
     table.add_row("unusable samples in the sound", str(framework.replaced_samples))
     table.add_row("excursion, peak", f"{rig.peak_displacement_m * 1e3:.2f} mm (predicted)")
@@ -226,29 +220,13 @@ def _print_table(
         "report.png": "all of it as a picture" if drawn else "not drawn",
     }
     for name, what in written.items():
-        table.add_row(
-            f"{name}: {what}", escape(str(out / name)) if name != "report.png" or drawn else ""
-        )
+        path = "" if what == "not drawn" else escape(str(out / name))
+        table.add_row(f"{name}: {what}", path)
     LineConsole().print(table)
 
 
-REFRESH_S = 1 / 15
-BAR_CELLS = 40
-BAR_RANGE_DB = 60.0
-SILENCE_DB = -70.0
-"""Peaks below this level are shown as silence."""
-SPECTRUM_WINDOW_S = 0.1
-SPECTRUM_BANDS_HZ = np.arange(20, 221, 5)
-STEPS = " ▁▂▃▄▅▆▇█"
-
-Block = NDArray[np.floating[Any]]
-
-
 class Meter:
-    """Draws a meter if the console is a terminal, else does nothing.
-
-    Called by the thread that steps the chain, which has time to spare in a demo.
-    """
+    """Draws level meters if the console is a terminal. Only one thread may use it."""
 
     def __init__(self, scene: Scene, console: Console) -> None:
         self._scene = scene
@@ -272,18 +250,17 @@ class Meter:
             self._live.stop()
 
     def show(self, frames: int, audio: Block, vibration: Block, acceleration: Block) -> None:
-        """Add one step and redraw when due; `frames`: frames of the scene so far."""
+        """Add the next blocks, and redraw once per REFRESH_S. frames: frames played so far."""
         if not self._on:
             return
-        peaks = [float(np.abs(block).max(initial=0.0)) for block in (audio, vibration)]
-        peaks.append(float(np.abs(acceleration).max(initial=0.0)))
+        peaks = [np.abs(block).max(initial=0.0) for block in (audio, vibration, acceleration)]
         self._peaks = np.maximum(self._peaks, peaks)
         newest = vibration[-self._recent.size :, 0]
         self._recent = np.concatenate((self._recent[newest.size :], newest))
         if frames >= self._next_frame:
             self._next_frame = frames + round(REFRESH_S * self._scene.samplerate)
             self._live.update(self._view(frames / self._scene.samplerate), refresh=True)
-            self._peaks *= 0.6  # peaks fall back over a few redraws
+            self._peaks *= 0.6  # shown peaks decay over a few redraws
 
     def _view(self, now_s: float) -> Group:
         playing = ", ".join(label for start, end, label in self._events if start <= now_s < end)
@@ -313,5 +290,5 @@ def _bar(label: str, amplitude: float, reading: str, colour: str) -> Text:
 
 def _level(amplitude: float) -> str:
     level_db = amplitude_to_db(amplitude)
-    # What is left of a block that rings out is nobody's sound; the bar is empty long before.
+    # The bar is already empty at -60 dBFS.
     return " silence" if level_db < SILENCE_DB else f"{round(level_db, 1) + 0.0:6.1f} dBFS"

@@ -1,4 +1,4 @@
-"""`cushion devices`: sinks, USB devices and sound cards, and which applications play."""
+"""`cushion devices`: lists sinks, USB devices, sound cards, and applications that play sound."""
 
 from __future__ import annotations
 
@@ -15,8 +15,7 @@ from audioflinger_hook.cli.usb import mixer_of, volume_now
 from audioflinger_hook.cli.usb_formats import format_text, formats_of
 from audioflinger_hook.service.one_line import one_line
 from device.alsa import list_cards
-from device.alsa.cards import PlaybackDevice, list_playbacks
-from device.alsa.use import why_blocked
+from device.alsa.cards import list_devices, why_blocked
 from device.errors import CushionError
 from device.server import PulseConnection, ServerSnapshot
 from device.server.app_rules import is_application
@@ -26,11 +25,9 @@ from device.usb import Found, UsbAudioDevice, find_devices, identify
 from device.usb.descriptors import parse_whole, playback_formats
 from device.usb.mapping import hw_names, sinks_of
 
-DETAIL_MAX = 4_096
-
 
 def run(options: argparse.Namespace) -> int:
-    """List the devices; a missing sound server or USB bus is reported and is no error."""
+    """List the devices. If the sound server or access to USB is missing, print a warning."""
     filter_stderr()
     snapshot = None
     try:
@@ -43,7 +40,16 @@ def run(options: argparse.Namespace) -> int:
         warn(str(usb.reason))
     document = _server(snapshot) | {
         "usb": [_usb(device, usb, snapshot) for device in usb.devices],
-        "cards": [_card(playback) for card in list_cards() for playback in list_playbacks(card)],
+        "cards": [
+            {
+                "device": f"hw:{card.id or card.number},{playback.device}",
+                "number": card.number,
+                "name": playback.name,
+                "in_use": why_blocked(playback),
+            }
+            for card in list_cards()
+            for playback in list_devices(card)
+        ],
     }
     if options.json:
         print(json.dumps(document, indent=2))
@@ -53,7 +59,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _usb(device: UsbAudioDevice, found: Found, snapshot: ServerSnapshot | None) -> dict[str, Any]:
-    """Return data of a USB device that can be read without a request to the device."""
+    """Return a USB device's properties from its descriptors, its driver and the sound server."""
     configuration, trouble = None, None
     try:
         configuration = parse_whole(device.descriptors).active(device.configuration)
@@ -79,15 +85,6 @@ def _usb(device: UsbAudioDevice, found: Found, snapshot: ServerSnapshot | None) 
         "hw": list(hw_names(device)),
         "sinks": [sink.name for sink in sinks],
         "problem": trouble,
-    }
-
-
-def _card(playback: PlaybackDevice) -> dict[str, Any]:
-    return {
-        "device": f"hw:{playback.card.id or playback.card.number},{playback.device}",
-        "number": playback.card.number,
-        "name": playback.name,
-        "in_use": why_blocked(playback),
     }
 
 
@@ -131,7 +128,7 @@ def _server(snapshot: ServerSnapshot | None) -> dict[str, Any]:
 
 
 def _show(document: dict[str, Any]) -> None:
-    """Print each device's full name on a separate line, so that it can be copied."""
+    """Print the lists. The full name of each device is on a separate line, for copying."""
     if document["server"]:
         _section(document["server"], map(_sink_lines, document["sinks"]))
     _section("USB", map(_usb_lines, document["usb"]))
@@ -140,24 +137,20 @@ def _show(document: dict[str, Any]) -> None:
 
 
 def _section(title: str, blocks: Iterable[list[str]]) -> None:
-    shown = list(blocks)
-    if shown:
-        print(one_line(title))
-    for name, *details in shown:
-        # Not `one_line`, which shortens: a name is to be copied.
+    for number, (name, *details) in enumerate(blocks):
+        if number == 0:
+            print(one_line(title))
+        # `one_line` would shorten the name, which users copy.
         print(f"  {''.join(sign if sign.isprintable() else '?' for sign in name)}")
         for detail in details:
-            print(f"    {one_line(detail, DETAIL_MAX)}")
+            print(f"    {one_line(detail, 4_096)}")
 
 
 def _sink_lines(sink: dict[str, Any]) -> list[str]:
-    marks = "the default" if sink["default"] else "", sink["weakened"]
     what = f"{sink['description']}, {sink['samplerate']} Hz, {sink['channels']} channels"
-    return [
-        sink["device"],
-        ", ".join(filter(None, (what, *marks))),
-        *filter(None, [sink["advice"]]),
-    ]
+    facts = (what, "the default" if sink["default"] else "", sink["weakened"])
+    lines = [sink["device"], ", ".join(filter(None, facts)), sink["advice"]]
+    return list(filter(None, lines))
 
 
 def _usb_lines(device: dict[str, Any]) -> list[str]:

@@ -1,4 +1,4 @@
-"""`cushion dump`: threads, tracks, chains, effects, as `dumpsys media.audio_flinger` shows them."""
+"""`cushion dump`: prints the mixer's tracks and effects, like `dumpsys media.audio_flinger`."""
 
 from __future__ import annotations
 
@@ -6,21 +6,21 @@ import argparse
 import time
 from contextlib import closing
 
-from audioflinger_hook.cli.check import load_config
 from audioflinger_hook.cli.terminal import warn
+from audioflinger_hook.config import file as config
 from audioflinger_hook.config.settings import Settings
+from audioflinger_hook.mixer import dump
 from audioflinger_hook.pipeline.framework import Framework
 from audioflinger_hook.pipeline.step import Pipeline
 from audioflinger_hook.sources import open_client, parse_tap
 from device.errors import UsageError
 
-DEFAULT_S = 1.0
-"""How much sound is played if none is asked for; a shorter sound is played whole."""
+DEFAULT_S = 1.0  # default duration of sound; a shorter sound is played whole
 
 
 def run(options: argparse.Namespace) -> int:
-    """Play a tap up to a given time, as fast as possible, and print the framework's state."""
-    settings = load_config(options.config).settings if options.config else Settings()
+    """Process a sound up to the time of `--at`, as fast as possible; print the mixer's state."""
+    settings = config.load(options.config).settings if options.config else Settings()
     client = open_client(parse_tap(options.tap))
     cycle_times_s = []
     frames = 0
@@ -34,13 +34,11 @@ def run(options: argparse.Namespace) -> int:
             if step is None and options.at is None:
                 break
             if step is None:
-                raise UsageError(
-                    f"time {options.at:g} s is after the end of the sound; allowed: 0 to "
-                    f"{frames / framework.samplerate:.3f} s"
-                )
+                late = f"time {options.at:g} s is after the end of the sound"
+                raise UsageError(f"{late}; allowed: 0 to {frames / framework.samplerate:.3f} s")
             cycle_times_s.append(time.thread_time() - began_s)
             frames += len(step.audio)
     for warning in framework.warnings:
         warn(warning)
-    print(framework.dump(cycle_times_s), end="")
+    print(dump(framework.mixer, cycle_times_s), end="")
     return 0

@@ -1,4 +1,4 @@
-"""`cushion export`: the vibration of a sound file in a format of other haptic tools."""
+"""`cushion export`: writes the vibration of a sound file in a format of other haptic tools."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from device.values import counted
 
 
 def run(options: argparse.Namespace) -> int:
-    """Export a file and report the result."""
+    """Export the vibration of a sound file, and print a summary."""
     if str(options.output) == "-":
         raise UsageError("OUT = '-': standard output cannot take the file; name a file")
     wanted = ExportOptions(
@@ -26,24 +26,21 @@ def run(options: argparse.Namespace) -> int:
     settings = chosen_settings(options)
     tap = FileTap(options.input)
     with progress_bar(options.input.name) as progress:
-        report = export(
-            TapClient(tap), options.output, settings, wanted, progress, warnings=tap.warnings
-        )
+        report = export(TapClient(tap), options.output, settings, wanted, progress, tap.warnings)
     for warning in report.warnings:
         warn(warning)
     if options.json:
         print(json.dumps(dataclasses.asdict(report), indent=2))
     else:
-        print(f"{options.output}: {summary(report)}")
+        print(f"{options.output}: {_summary(report)}")
     return 0
 
 
-def summary(report: ExportReport) -> str:
-    """Return the report as one line."""
+def _summary(report: ExportReport) -> str:
     parts = [
         f"{report.duration_s:.2f} s of vibration as {report.format}",
         f"{counted(report.channels, 'channels')} at {report.samplerate} Hz",
-        f"{counted(report.bytes, 'bytes')}",
+        counted(report.bytes, "bytes"),
         f"peak {level_text(report.peak)}",
     ]
     if report.limited_samples:

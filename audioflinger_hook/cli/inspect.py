@@ -1,4 +1,4 @@
-"""`cushion inspect`: principal frequencies, unit by unit."""
+"""`cushion inspect`: lists the principal frequencies of each unit (analysis window) of a sound."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ HEADER = (
 
 
 def run(options: argparse.Namespace) -> int:
-    """Print each unit of a file when it is found, as a table or as one JSON list."""
+    """Print the principal frequencies of a file's units, as a table or as a JSON list."""
     as_json: bool = options.json
     units = inspect_file(options.input, at_s=options.at, warn=warn)
-    first = next(units, None)  # errors come before anything is printed
+    first = next(units, None)  # raises errors before anything is printed
     print("[" if as_json else HEADER)
     separator = ""
     while first is not None:

@@ -1,22 +1,20 @@
-"""`cushion install-service`: a systemd user unit that starts the daemon at login."""
+"""`cushion install-service`: installs a systemd user unit that starts the daemon at login."""
 
 from __future__ import annotations
 
 import argparse
 import sys
 
-from audioflinger_hook.cli.check import load_config
 from audioflinger_hook.config import file as config
 from audioflinger_hook.config.profiles import LIVE_DEFAULT
-from audioflinger_hook.service.install import install, remove, systemd_version
-from audioflinger_hook.service.unit import UDEV_COMMAND
+from audioflinger_hook.service.install import UDEV_COMMAND, install, remove, systemd_version
 from audioflinger_hook.sources import parse_tap
 from device.address import parse_device
 from device.errors import UsageError
 
 
 def run(options: argparse.Namespace) -> int:
-    """Write or remove the unit, and print what to type next."""
+    """Write or remove the unit, and print the commands that the user must run next."""
     if options.udev and options.device is None and not _config_names_a_device():
         _print_udev()
         return 0
@@ -27,8 +25,11 @@ def run(options: argparse.Namespace) -> int:
         arguments = ["--wait"]
         if options.device is not None:
             arguments += ["--device", str(parse_device(options.device))]
-        else:
-            _refuse_without_device()
+        elif not _config_names_a_device():
+            raise UsageError(
+                "no device given; name it with --device, or with the key device in "
+                f"{config.default_path()}; `cushion devices` lists them"
+            )
         if options.tap is not None:
             arguments += ["--tap", str(parse_tap(options.tap))]
         done = install(arguments, systemd=systemd_version())
@@ -48,14 +49,4 @@ def _print_udev() -> None:
 
 def _config_names_a_device() -> bool:
     path = config.default_path()
-    return path.exists() and load_config(path, LIVE_DEFAULT).live.device is not None
-
-
-def _refuse_without_device() -> None:
-    """Raise UsageError if the config names no device, or has mistakes."""
-    if not _config_names_a_device():
-        raise UsageError(
-            "no device given; name it with --device, or with the key device in "
-            f"{config.default_path()}; "
-            "`cushion devices` lists them"
-        )
+    return path.exists() and config.load(path, LIVE_DEFAULT).live.device is not None

@@ -1,4 +1,4 @@
-"""`cushion monitor`: the live page of a running daemon, in a browser."""
+"""`cushion monitor`: serves the live page of a running daemon to browsers."""
 
 from __future__ import annotations
 
@@ -9,23 +9,25 @@ import os
 import signal
 import sys
 import webbrowser
+from collections.abc import Coroutine
 from contextlib import suppress
+from typing import Any
 
 from audioflinger_hook.cli.terminal import warn
 from audioflinger_hook.service.runtime_folder import RuntimeFolder
 from device.atomic_file import write_bytes_atomically
-from device.errors import UsageError
-from device.extras import not_installed
+from device.errors import UsageError, not_installed
 
 OPENER = "page.html"
-"""A file of the user's alone that leads a browser to the page: others can read the arguments of a
-process, and the address holds the token."""
+"""A file, readable only by the user, that redirects a browser to the page. The browser's arguments
+name this file instead of the address with the token, because other users can read the arguments.
+"""
 
 
 def run(options: argparse.Namespace) -> int:
     """Serve the page until a signal arrives."""
     try:
-        from audioflinger_hook.monitor.access import Listen, load_token
+        from audioflinger_hook.monitor.access import LOOPBACK, Listen, load_token
         from audioflinger_hook.monitor.server import PageServer
     except ModuleNotFoundError as error:
         raise UsageError(not_installed(str(error.name), "page")) from error
@@ -38,7 +40,7 @@ def run(options: argparse.Namespace) -> int:
 
         def tell(address: str) -> None:
             print(f"cushion: the live page: {address}", file=sys.stderr, flush=True)
-            if not listen.is_loopback:
+            if listen.host not in LOOPBACK:
                 warn(f"{listen.host} is open to the network, and HTTP is not encrypted")
             if options.open:
                 path = folder.path / OPENER
@@ -53,19 +55,10 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-async def _until_signal(serving: object) -> None:
-    """Serve until SIGINT or SIGTERM, which ends as an interruption."""
-    task = asyncio.ensure_future(serving)  # type: ignore[call-overload]
-    stopped = False
-
-    def stop() -> None:
-        nonlocal stopped
-        stopped = True
-        task.cancel()
-
+async def _until_signal(serving: Coroutine[Any, Any, None]) -> None:
+    task = asyncio.ensure_future(serving)
     for number in (signal.SIGINT, signal.SIGTERM):
-        asyncio.get_running_loop().add_signal_handler(number, stop)
+        asyncio.get_running_loop().add_signal_handler(number, task.cancel)
     with suppress(asyncio.CancelledError):
         await task
-    if stopped:
-        raise KeyboardInterrupt
+    raise KeyboardInterrupt

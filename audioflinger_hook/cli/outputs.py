@@ -1,63 +1,46 @@
-"""The outputs that vibration could go to, the likely ones first. Pure functions."""
+"""Lists outputs that can play vibration, the most suitable first. The functions do no I/O."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from device.alsa.cards import PlaybackDevice
+from device.alsa.cards import AlsaDevice
 from device.server import ServerSnapshot
 from device.server.forwarding import SINK
 from device.server.identity import identity_of
 from device.server.snapshot import Sink
 from device.stream.pcms import FALLBACK_SINK
 from device.usb import UsbAudioDevice, identify
-from device.usb.coils import coil_channels
+from device.usb.identity import coil_channels
 from device.usb.mapping import device_of_sink
 
-OWN_SINKS = (SINK, FALLBACK_SINK)
-"""Sinks that this program makes."""
+OWN_SINKS = (SINK, FALLBACK_SINK)  # sinks that this program creates
 
 COILS, USB, SURROUND, OTHER, CARD, SOUND = range(6)
-"""Ranks of outputs: voice coils, a USB card, four or more channels, another sink, a card that no
-server uses, and the sink that plays the sound."""
+"""Ranks: voice coils, USB card, card with four or more channels, other sink, card without a server,
+and the sink that plays the sound.
+"""
 
 
 @dataclass(frozen=True)
 class Output:
-    """One output. address: for `--device`; rank: a likely one first; note: why it is likely or not.
+    """A possible output for vibration."""
 
-    positions: of its channels, empty if unknown. has_coils: whether its channels with coils are
-    known.
-    """
-
-    address: str
+    address: str  # address for `--device`
     description: str
-    rank: int
-    note: str
-    positions: tuple[str, ...] = ()
-    has_coils: bool = False
-
-    @property
-    def is_likely(self) -> bool:
-        """Whether it has what drives a shaker."""
-        return self.rank <= SURROUND
-
-    @property
-    def plays_the_sound(self) -> bool:
-        """Whether the computer's sound plays there, so that vibration would be heard."""
-        return self.rank == SOUND
+    rank: int  # a lower rank is more suitable
+    note: str  # reason for the rank
+    positions: tuple[str, ...] = ()  # positions of the channels; empty if unknown
+    has_coils: bool = False  # whether the channels that drive coils are known
 
 
 def list_outputs(
     snapshot: ServerSnapshot,
     devices: Sequence[UsbAudioDevice],
-    playbacks: Iterable[PlaybackDevice],
+    playbacks: Iterable[AlsaDevice],
 ) -> list[Output]:
-    """Return every output but our own sinks.
-
-    devices: the present USB devices. playbacks: of all sound cards; those of the server are sinks.
-    """
+    """Return all sinks except this program's own, and all sound cards that no sink uses."""
     sinks = [sink for sink in snapshot.sinks if sink.name not in OWN_SINKS]
     found = [_of_sink(sink, snapshot, devices) for sink in sinks]
     served = {identity_of(sink).alsa_card for sink in sinks}
@@ -75,7 +58,7 @@ def list_outputs(
 
 
 def advice_for(sink: Sink) -> str:
-    """Return how to play to some of four or more channels, "" for a sink with fewer."""
+    """Return advice on which channels of a sink can drive actuators; "" for none."""
     if has_coils(sink):
         if sink.channels < 4:
             return "its voice coils need a profile with 4 channels; see the sound settings"
@@ -87,13 +70,13 @@ def advice_for(sink: Sink) -> str:
 
 
 def shaker_pair(positions: Sequence[str]) -> tuple[str, ...]:
-    """Return the two of four or more channels that are most likely free for shakers."""
+    """Return two of at least four channels: the side channels, else the third and the fourth."""
     sides = ("side-left", "side-right")
     return sides if set(sides) <= set(positions) else tuple(positions[2:4])
 
 
 def has_coils(sink: Sink) -> bool:
-    """Whether it is known which channels of a sink drive coils."""
+    """Return whether a sink belongs to a USB device whose channels for voice coils are known."""
     known = identity_of(sink)
     return known.bus == "usb" and bool(coil_channels(known.vendor_id, known.product_id))
 
@@ -114,12 +97,12 @@ def _of_sink(sink: Sink, snapshot: ServerSnapshot, devices: Sequence[UsbAudioDev
         note += f"; now {sink.weakened}: change that in the sound settings first"
     address = _usb_address(sink, devices)
     if any(one != sink and _usb_address(one, devices) == address for one in snapshot.sinks):
-        address = ""  # its other sinks have the same address
+        address = ""  # several sinks of one device share this address
     address = address or f"sink:{sink.name}"
     return Output(address, sink.description, rank, note, sink.positions, coils)
 
 
 def _usb_address(sink: Sink, devices: Sequence[UsbAudioDevice]) -> str:
-    """Return the address of a sink's USB device, which survives unplugging; "" for others."""
+    """Return the address `usb:...` of a sink's USB device; "" for other sinks."""
     device = device_of_sink(sink, devices)
     return str(identify(device, devices)) if device else ""

@@ -1,316 +1,283 @@
-"""The command line's grammar."""
+"""The commands of the command line, with their options and help texts."""
 
 from __future__ import annotations
 
-import argparse
 import math
 from collections.abc import Callable
-from importlib import import_module
 from pathlib import Path
 
 from audioflinger_hook import __version__
 from audioflinger_hook.cli.arguments import Parser, count, duration, seconds
-from audioflinger_hook.cli.options import (
-    CONFIG_HELP,
-    add_exporting,
-    add_json,
-    add_keys,
-    add_profile,
-    add_rendering,
-    add_switch,
-    add_value,
-)
 
 NEXT = (
-    "next: `cushion setup` leads through the first run, `cushion demo` plays a scene, and "
+    "next: `cushion setup` guides through the first run, `cushion demo` plays a scene, and "
     "`cushion run --device DEVICE` plays the vibration of everything"
 )
 DESCRIPTION = "Feel what a computer plays: sound in, vibration of 20-220 Hz out."
 EXIT_CODES = (
     "exit codes: 0 done; 2 wrong usage, config or input; 3 no such tap or device, or no running "
-    "daemon; 4 the sound server is missing, or server or device was lost; 5 internal error; disk "
-    "full or write failure; 130 interrupted"
+    "daemon; 4 the sound server is missing, or server or device was lost; 5 internal error, full "
+    "disk or write failure; 130 interrupted"
 )
-
 
 SEE_DEVICES = "see `cushion devices`"
 SINKS = f"sink:NAME or usb:VID:PID; {SEE_DEVICES}"
 
 
+AddOptions = Callable[[Parser], None]
+
+COMMANDS: dict[str, tuple[AddOptions, str, str]] = {}  # add options, help, example
+
+
 def build_parser() -> Parser:
-    """Return the parser; in the parsed options, `run` is the function of the command."""
+    """Return the parser of the command line. It stores the command's name as `command`."""
     parser = Parser(prog="cushion", description=DESCRIPTION, epilog=EXIT_CODES)
-    add_switch(parser, "--debug", "show tracebacks")
+    parser.add_switch("--debug", "show tracebacks")
     parser.add_argument("--version", action="version", version=f"cushion {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND")
     for name, (add_options, does, example) in COMMANDS.items():
-        _add(commands, name, does, example, add_options)
+        shown = f"example: cushion {name} {example}".rstrip()
+        command = commands.add_parser(name, help=does, description=does, epilog=shown)
+        command.add_options = add_options
+        command.add_switch("--debug", "show tracebacks")
     return parser
 
 
-def _add(
-    commands: argparse._SubParsersAction[Parser],
-    name: str,
-    does: str,
-    example: str,
-    add_options: Callable[[Parser], None],
-) -> None:
-    """Add a command; `run` of the module with the command's name executes it."""
-    shown = f"example: cushion {name}{' ' if example else ''}{example}"
-    command = commands.add_parser(name, help=does, description=does, epilog=shown)
-    command.add_options = add_options
-    add_switch(command, "--debug", "show tracebacks")
+def _command(name: str, does: str, example: str = "") -> Callable[[AddOptions], AddOptions]:
+    """Return a decorator that registers a command. A module of the same name executes it."""
 
-    def run(options: argparse.Namespace) -> int:
-        # Imported only when run: some imports take a second.
-        module = import_module(f"audioflinger_hook.cli.{name.replace('-', '_')}")
-        return int(module.run(options))
+    def register(add_options: AddOptions) -> AddOptions:
+        COMMANDS[name] = (add_options, does, example)
+        return add_options
 
-    command.set_defaults(run=run)
+    return register
 
 
+@_command("setup", "guide through the first run")
+def _setup(command: Parser) -> None:
+    command.add_switch("--yes", "ask no questions: use the given options and the defaults")
+    command.add_value("--device", str, "DEVICE", f"{SEE_DEVICES}; default: ask")
+    named = "cinema, game, music, speech, paper or speech-free; default: ask"
+    command.add_value("--profile", str, "NAME", named)
+    command.add_switch("--no-test", "play no tone")
+    command.add_switch("--no-service", "install no service")
+    command.add_switch("--undo", "restore the files as they were before the last setup")
+
+
+@_command("demo", "play the bundled scene through the whole chain", "--fast")
 def _demo(command: Parser) -> None:
-    add_value(command, "--out", Path, "DIR", "folder to write to", Path("out"))
-    add_profile(command, live=True)
-    add_keys(command, "model", "tolerance")
-    add_switch(command, "--fast", "do not wait for real time")
+    command.add_value("--out", Path, "DIR", "folder to write to", Path("out"))
+    command.add_profile(live=True)
+    command.add_keys("model", "tolerance")
+    command.add_switch("--fast", "run as fast as possible, not in real time")
 
 
+@_command("render", "write the vibration of sound files", "film.wav vibration.wav --profile cinema")
 def _render(command: Parser) -> None:
     command.usage = "%(prog)s [options] IN OUT\n       %(prog)s [options] --out-dir DIR IN..."
     # IN and OUT are parsed as one list; `cli.render` checks its length.
     command.any_order = True
     files = "a sound file; a float32 WAV to write"
     command.add_argument("files", nargs="*", type=Path, metavar="IN OUT", help=files)
-    add_value(command, "--out-dir", Path, "DIR", "write DIR/IN.wav for every IN, several at once")
-    add_value(command, "--workers", count, "N", "processes at once; default: the usable cores")
-    add_rendering(command)
+    command.add_value("--out-dir", Path, "DIR", "write DIR/IN.wav for every IN, several at once")
+    command.add_value("--workers", count, "N", "processes at once; default: the usable cores")
+    command.add_rendering(acceleration=True)
 
 
+@_command(
+    "export",
+    "write the vibration in a format of other haptic tools",
+    "film.wav film.ahap --device-band 80:230",
+)
 def _export(command: Parser) -> None:
     command.add_argument("input", type=Path, metavar="IN", help="a sound file")
     command.add_argument("output", type=Path, metavar="OUT", help="the file to write")
-    add_exporting(command, "by OUT's ending", None)
+    command.add_exporting("by OUT's ending", None)
 
 
+@_command(
+    "catalogue",
+    "write the vibration of whole libraries",
+    "music --out vibration --format flac --output-rate 1000",
+)
 def _catalogue(command: Parser) -> None:
     command.usage = "%(prog)s [status] MANIFEST --out URL [options]"
     command.any_order = True  # `status` and MANIFEST are parsed as one list
-    sounds = "JSON lines or CSV, a folder or a glob; path or URL. status: show what is done"
+    sounds = "JSON lines or CSV, a folder or a glob; path or URL. status: show the progress"
     command.add_argument("words", nargs="*", metavar="[status] MANIFEST", help=sounds)
-    add_value(command, "--out", str, "URL", "folder of the results, path or URL")
-    add_value(command, "--workers", count, "N", "processes at once; default: the usable cores")
-    add_value(command, "--shard", str, "I/N", "take one of N equal shares; I is 1 to N")
-    add_value(command, "--dask", str, "ADDRESS", "use a Dask cluster; local: one of this machine")
-    add_value(command, "--max-failures", count, "N", "stop after more; default: never")
-    add_value(command, "--retries", count, "N", "repetitions of failed I/O", 3)
-    add_switch(command, "--verify", "know sounds by their SHA-256, not by path, size and time")
-    add_value(command, "--track", count, "N", "sound track of films; default: the film's")
-    add_value(command, "--language", str, "CODE", "language of the films' sound track, such as eng")
-    add_value(command, "--report", Path, "DIR", "write a page with a picture of each item")
-    add_exporting(command, "wav", "wav")
+    command.add_value("--out", str, "URL", "folder of the results, path or URL")
+    command.add_value("--workers", count, "N", "processes at once; default: the usable cores")
+    command.add_value("--shard", str, "I/N", "process only one of N equal shares; I is 1 to N")
+    command.add_value("--dask", str, "ADDRESS", "use a Dask cluster; local: one of this machine")
+    command.add_value(
+        "--max-failures", count, "N", "stop after more than N failures; default: never"
+    )
+    command.add_value("--retries", count, "N", "retries of failed I/O", 3)
+    command.add_switch("--verify", "identify sounds by SHA-256, not by path, size and time")
+    command.add_value("--track", count, "N", "sound track of films; default: the film's")
+    command.add_value("--language", str, "CODE", "language of the films' sound track, such as eng")
+    command.add_value("--report", Path, "DIR", "write a page with a picture of each item")
+    command.add_exporting("wav", "wav")
 
 
+@_command("inspect", "list the principal frequencies of a sound file", "film.wav --at 12.5")
 def _inspect(command: Parser) -> None:
     command.add_argument("input", type=Path, metavar="IN", help="a sound file")
-    add_value(command, "--at", seconds, "SECONDS", "list only the unit at that time")
-    add_json(command)
+    command.add_value("--at", seconds, "SECONDS", "list only the unit at that time")
+    command.add_json()
 
 
+def _add_stop(command: Parser, default: str) -> None:
+    stop = f"stop after S seconds; default: {default}"
+    command.add_argument("--seconds", type=duration, default=math.inf, metavar="S", help=stop)
+
+
+@_command("capture", "record the buffers of a sound as delivered", "recorded --seconds 10")
 def _capture(command: Parser) -> None:
     command.add_argument("folder", type=Path, metavar="OUTDIR", help="a new or empty folder")
     taps = "default, sink:NAME, file:PATH, capture:DIR or scene:demo"
-    add_value(command, "--tap", str, "TAP", taps, "default")
-    stop = "stop after S seconds; default: when the sound ends"
-    command.add_argument("--seconds", type=duration, default=math.inf, metavar="S", help=stop)
+    command.add_value("--tap", str, "TAP", taps, "default")
+    _add_stop(command, "when the sound ends")
 
 
+@_command("replay", "write the vibration of a capture", "recorded vibration.wav")
 def _replay(command: Parser) -> None:
     command.add_argument("folder", type=Path, metavar="DIR", help="a capture")
     command.add_argument("output", type=Path, metavar="OUT", help="float32 WAV to write")
-    add_value(command, "--speed", str, "1|max", "real time, or as fast as possible", "max")
-    add_rendering(command)
+    command.add_value("--speed", str, "1|max", "real time, or as fast as possible", "max")
+    command.add_rendering(acceleration=True)
 
 
+@_command("dump", "show threads, tracks, effects and counters", "--tap file:film.wav --at 2")
 def _dump(command: Parser) -> None:
-    add_value(command, "--tap", str, "TAP", "file:PATH, capture:DIR or scene:demo", "scene:demo")
-    add_value(command, "--at", seconds, "SECONDS", "how much sound to play first; default: 1")
-    add_value(command, "--config", Path, "FILE", CONFIG_HELP)
+    command.add_value("--tap", str, "TAP", "file:PATH, capture:DIR or scene:demo", "scene:demo")
+    command.add_value("--at", seconds, "SECONDS", "seconds of sound to play first; default: 1")
+    command.add_config()
 
 
+@_command(
+    "run",
+    "play vibration of everything that this computer plays",
+    "--device usb:152a:8750 --profile cinema",
+)
 def _run(command: Parser) -> None:
-    add_keys(command, "tap", action="append")
-    add_keys(command, "device")
-    add_value(command, "--record", Path, "DIR", "record the run in a new folder")
-    add_keys(command, "drop_in", "engine")
-    add_value(command, "--config", Path, "FILE", "default: ~/.config/cushion/config.toml")
-    stop = "stop after S seconds; default: never"
-    command.add_argument("--seconds", type=duration, default=math.inf, metavar="S", help=stop)
-    add_keys(command, "offset_ms", "device_volume_db")
-    add_profile(command, live=True)
-    add_keys(command, "rig", "damping", "protection", "model", "tolerance")
-    add_switch(command, "--wait", "wait until server, device and tap are available")
+    command.add_keys("tap", action="append")
+    command.add_keys("device")
+    command.add_value("--record", Path, "DIR", "record the run in a new folder")
+    command.add_keys("drop_in", "engine")
+    command.add_value("--config", Path, "FILE", "default: ~/.config/cushion/config.toml")
+    _add_stop(command, "never")
+    command.add_keys("offset_ms", "device_volume_db")
+    command.add_profile(live=True)
+    command.add_keys("rig", "damping", "protection", "model", "tolerance")
+    command.add_switch("--wait", "wait until server, device and tap are available")
 
 
+@_command("status", "show the state of the running daemon", "--watch")
 def _status(command: Parser) -> None:
-    add_switch(command, "--watch", "repeat until interrupted")
-    add_json(command)
+    command.add_switch("--watch", "repeat until interrupted")
+    command.add_json()
 
 
+@_command("monitor", "serve the live page of the running daemon", "--open")
 def _monitor(command: Parser) -> None:
-    add_value(command, "--listen", str, "HOST:PORT", "address to serve at", "127.0.0.1:8765")
-    add_switch(command, "--open", "open it in a browser")
-    add_value(command, "--rate", float, "HZ", "frames a second, 1 to 60", 30.0)
+    command.add_value("--listen", str, "HOST:PORT", "address to serve at", "127.0.0.1:8765")
+    command.add_switch("--open", "open it in a browser")
+    command.add_value("--rate", float, "HZ", "updates of the page per second, 1 to 60", 30.0)
 
 
+@_command("devices", "list outputs and playing applications")
+def _devices(command: Parser) -> None:
+    command.add_json()
+
+
+@_command("usb", "decode a USB audio device, or a dump of one", "describe usb:152a:8750")
 def _usb(command: Parser) -> None:
-    does = "describe: show descriptors; set: set volume, samplerate and mute, without a driver"
+    does = "describe: show formats; set: set volume, samplerate and mute, without a driver"
     command.add_argument("does", choices=("describe", "set"), metavar="describe|set", help=does)
     names = "usb:VID:PID[:SERIAL][@PORT]; default: all"
     command.add_argument("device", nargs="?", metavar="DEVICE", help=names)
-    add_value(command, "--hex", Path, "FILE", "decode a file: raw, lsusb -v or hex; - is stdin")
-    taken = "also read volumes and sample rates; the card cannot play in that time"
-    add_switch(command, "--take-over", taken)
-    add_value(command, "--volume-db", float, "DB", "set: volume, up to 0")
-    add_value(command, "--samplerate", count, "HZ", "set: samplerate")
+    command.add_value("--hex", Path, "FILE", "decode a file: raw, lsusb -v or hex; - is stdin")
+    taken = "also read volumes and sample rates; the card cannot play meanwhile"
+    command.add_switch("--take-over", taken)
+    command.add_value("--volume-db", float, "DB", "set: volume, up to 0")
+    command.add_value("--samplerate", count, "HZ", "set: samplerate")
     command.add_argument("--mute", choices=("on", "off"), metavar="on|off", help="set: mute")
-    add_json(command)
+    command.add_json()
 
 
+@_command(
+    "test-tone", "play a tone on one output, to find the right one", "--device sink:NAME --hz 50"
+)
 def _test_tone(command: Parser) -> None:
     command.add_argument("--device", required=True, metavar="DEVICE", help=SINKS)
-    add_value(command, "--hz", float, "HZ", "frequency", 60.0)
-    add_value(command, "--level", float, "L", "amplitude, up to 1", 0.2)
-    add_value(command, "--seconds", float, "S", "duration", 2.0)
+    command.add_value("--hz", float, "HZ", "frequency", 60.0)
+    command.add_value("--level", float, "L", "amplitude, up to 1", 0.2)
+    command.add_value("--seconds", float, "S", "duration", 2.0)
 
 
+@_command("calibrate", "identify a rig with sweeps of rising level", "--device twin --out rig.toml")
 def _calibrate(command: Parser) -> None:
-    command.add_argument(
-        "--device", required=True, metavar="DEVICE", help=f"{SEE_DEVICES}; or twin"
-    )
-    add_value(
-        command, "--input", str, "INPUT", "input that records: source:NAME or hw:CARD[,DEVICE]"
-    )
+    devices = f"{SEE_DEVICES}; or twin"
+    command.add_argument("--device", required=True, metavar="DEVICE", help=devices)
+    inputs = "input that records: source:NAME or hw:CARD[,DEVICE]"
+    command.add_value("--input", str, "INPUT", inputs)
     channels = "input channels in order: acceleration, current, voltage, loopback, or -"
-    add_value(command, "--channels", str, "A,B,...", channels)
-    add_value(command, "--input-full-scale-v", float, "V", "peak volts at the input's full scale")
+    command.add_value("--channels", str, "A,B,...", channels)
+    command.add_value("--input-full-scale-v", float, "V", "peak volts at the input's full scale")
     sensitivity = "sensitivity of the accelerometer"
-    add_value(command, "--acceleration-mv-per-m-s2", float, "MV", sensitivity)
-    add_value(command, "--shunt-ohm", float, "OHM", "resistance of the shunt resistor, up to 10")
-    add_value(
-        command, "--voltage-ratio", float, "X", "volts at the coil per volt at the input", 1.0
-    )
-    add_value(command, "--moving-mass-kg", float, "KG", "moving mass, if it was weighed; gives Bl")
-    add_value(command, "--output-channel", int, "N", "output channel to play on, from 1", 1)
-    add_value(command, "--level", float, "L", "part of full scale, up to 0.25; default: 0.05")
-    add_switch(command, "--loud", "allow a --level up to 1")
-    add_value(command, "--rig", str, "NAME|FILE", "known values of the rig", "paper")
-    add_switch(command, "--seat", "simulated rig: mount it in a seat")
+    command.add_value("--acceleration-mv-per-m-s2", float, "MV", sensitivity)
+    command.add_value("--shunt-ohm", float, "OHM", "resistance of the shunt resistor, up to 10")
+    ratio = "volts at the coil per volt at the input"
+    command.add_value("--voltage-ratio", float, "X", ratio, 1.0)
+    command.add_value("--moving-mass-kg", float, "KG", "moving mass, if it was weighed; gives Bl")
+    command.add_value("--output-channel", int, "N", "output channel to play on, from 1", 1)
+    command.add_value("--level", float, "L", "part of full scale, up to 0.25; default: 0.05")
+    command.add_switch("--loud", "allow a --level up to 1")
+    command.add_value("--rig", str, "NAME|FILE", "known values of the rig", "paper")
+    command.add_switch("--seat", "simulated rig: mount it in a seat")
     share = "simulated rig: part of Xmax, up to 0.15; default: 0.05"
-    add_value(command, "--share", float, "S", share)
-    add_value(command, "--low-hz", float, "HZ", "lowest frequency", 15.0)
-    add_value(command, "--high-hz", float, "HZ", "highest frequency", 400.0)
-    add_value(command, "--seconds", duration, "S", "duration of each sweep", 5.0)
-    add_value(command, "--out", Path, "FILE", "rig file to write")
-    add_json(command)
+    command.add_value("--share", float, "S", share)
+    command.add_value("--low-hz", float, "HZ", "lowest frequency", 15.0)
+    command.add_value("--high-hz", float, "HZ", "highest frequency", 400.0)
+    command.add_value("--seconds", duration, "S", "duration of each sweep", 5.0)
+    command.add_value("--out", Path, "FILE", "rig file to write")
+    command.add_json()
 
 
-def _setup(command: Parser) -> None:
-    add_switch(command, "--yes", "ask nothing: take the options, and what is likely")
-    add_value(command, "--device", str, "DEVICE", f"{SEE_DEVICES}; default: ask")
-    named = "cinema, game, music, paper or speech-free; default: ask"
-    add_value(command, "--profile", str, "NAME", named)
-    add_switch(command, "--no-test", "play no tone")
-    add_switch(command, "--no-service", "install no service")
-    add_switch(command, "--undo", "restore what was before the last setup")
-
-
+@_command(
+    "plugin", "install the effect as a plugin of other audio software", "install --device NODE"
+)
 def _plugin(command: Parser) -> None:
     from audioflinger_hook.config.profiles import LIVE_DEFAULT, PROFILES
 
-    command.add_argument(
-        "does",
-        choices=("path", "install", "remove"),
-        metavar="path|install|remove",
-        help="print where it is; write it with its settings for this user; remove it",
-    )
+    does = "path: print its path; install: install it for this user; remove: remove it"
+    verbs = ("path", "install", "remove")
+    command.add_argument("does", choices=verbs, metavar="|".join(verbs), help=does)
     command.add_argument(
         "--profile",
         choices=tuple(PROFILES),
         default=LIVE_DEFAULT,
         metavar="NAME",
-        help=f"of the PipeWire chain: {', '.join(PROFILES)}; default: {LIVE_DEFAULT}",
+        help=f"profile of the PipeWire chain: {', '.join(PROFILES)}; default: {LIVE_DEFAULT}",
     )
-    add_value(
-        command, "--device", str, "NODE", "also write a PipeWire chain that plays to this sink"
-    )
-    add_value(command, "--rate", int, "HZ", "also write settings for this sample rate")
+    chain = "also write a PipeWire chain that plays to this sink"
+    command.add_value("--device", str, "NODE", chain)
+    command.add_value("--rate", int, "HZ", "also write settings for this sample rate")
 
 
+@_command("install-service", "start the daemon at every login", "--device usb:152a:8750")
 def _install_service(command: Parser) -> None:
-    add_value(command, "--device", str, "DEVICE", f"{SEE_DEVICES}; default: the config's")
-    add_value(command, "--tap", str, "TAP", "where the sound comes from; default: the config's")
-    add_switch(command, "--remove", "remove the unit")
-    add_switch(command, "--udev", "print a rule for USB devices; without a device, only that")
+    command.add_value("--device", str, "DEVICE", f"{SEE_DEVICES}; default: the config's")
+    command.add_value("--tap", str, "TAP", "where the sound comes from; default: the config's")
+    command.add_switch("--remove", "remove the unit")
+    command.add_switch(
+        "--udev", "print a udev rule for USB devices; without a device, install nothing"
+    )
 
 
+@_command("check", "report every mistake of a config file", "--config config.toml")
 def _check(command: Parser) -> None:
-    add_value(command, "--config", Path, "FILE", "default: ~/.config/cushion/config.toml")
-    add_switch(command, "--schema", "print the JSON Schema of the config, for editors")
-    add_json(command)
-
-
-COMMANDS: dict[str, tuple[Callable[[Parser], None], str, str]] = {
-    "setup": (_setup, "lead through the first run", ""),
-    "demo": (_demo, "play the bundled scene through the whole chain", "--fast"),
-    "render": (
-        _render,
-        "write the vibration of sound files",
-        "film.wav vibration.wav --profile cinema",
-    ),
-    "export": (
-        _export,
-        "write the vibration in a format of other haptic tools",
-        "film.wav film.ahap --device-band 80:230",
-    ),
-    "catalogue": (
-        _catalogue,
-        "write the vibration of whole libraries",
-        "music --out vibration --format flac --output-rate 1000",
-    ),
-    "inspect": (_inspect, "list the principal frequencies of a sound file", "film.wav --at 12.5"),
-    "capture": (_capture, "record the buffers of a sound as delivered", "recorded --seconds 10"),
-    "replay": (_replay, "write the vibration of a capture", "recorded vibration.wav"),
-    "dump": (_dump, "show threads, tracks, effects and counters", "--tap file:film.wav --at 2"),
-    "run": (
-        _run,
-        "play vibration of everything that this computer plays",
-        "--device usb:152a:8750 --profile cinema",
-    ),
-    "status": (_status, "show the state of the running daemon", "--watch"),
-    "monitor": (_monitor, "serve the live page of the running daemon", "--open"),
-    "devices": (add_json, "list outputs and playing applications", ""),
-    "usb": (_usb, "decode a USB audio device, or a dump of one", "describe usb:152a:8750"),
-    "test-tone": (
-        _test_tone,
-        "play a tone on one output, to find the right one",
-        "--device sink:NAME --hz 50",
-    ),
-    "calibrate": (
-        _calibrate,
-        "identify a rig with sweeps of rising level",
-        "--device twin --out rig.toml",
-    ),
-    "plugin": (
-        _plugin,
-        "install the effect as a plugin of other audio software",
-        "install --device NODE",
-    ),
-    "install-service": (
-        _install_service,
-        "start the daemon at every login",
-        "--device usb:152a:8750",
-    ),
-    "check": (_check, "report every mistake of a config file", "--config config.toml"),
-}
-"""Every command: the function that adds its options, its help, and an example's arguments."""
+    command.add_value("--config", Path, "FILE", "default: ~/.config/cushion/config.toml")
+    command.add_switch("--schema", "print the JSON Schema of the config, for editors")
+    command.add_json()

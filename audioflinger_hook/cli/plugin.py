@@ -1,4 +1,4 @@
-"""`cushion plugin`: the effect as a plugin of PipeWire and other audio software."""
+"""`cushion plugin`: installs the effect as a plugin of PipeWire and other audio software."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from audioflinger_hook.plugin.install import (
 
 
 def run(options: argparse.Namespace) -> int:
-    """Print the plugin's path, or install or remove it for this user."""
+    """Print the plugin's path, or install or remove the plugin for this user."""
     places = Places.of(os.environ)
     if options.does == "path":
         print(places.plugin if places.plugin.is_file() else built_plugin())

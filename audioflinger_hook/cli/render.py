@@ -1,50 +1,49 @@
-"""`cushion render`: the vibration of a sound file, or of several."""
+"""`cushion render`: writes the vibration of one or several sound files."""
 
 from __future__ import annotations
 
 import argparse
 import dataclasses
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
-from audioflinger_hook.cli.check import load_config
 from audioflinger_hook.cli.terminal import complain, level_text, progress_bar, warn
+from audioflinger_hook.config import file as config
 from audioflinger_hook.config.settings import Settings
-from audioflinger_hook.offline.batch import Rendered, render_files, targets_in
+from audioflinger_hook.offline.batch import (
+    WORKERS_MAX,
+    Rendered,
+    render_files,
+    targets_in,
+    usable_cores,
+)
 from audioflinger_hook.offline.render import RenderReport, render_file
-from audioflinger_hook.offline.workers import WORKERS_MAX, usable_cores
 from device.errors import UsageError
+from device.rig.model_record import in_words
 from device.values import counted
 
 WAV_SUFFIXES = (".wav", ".wave", ".rf64")
-"""Endings of the names of files that are written as WAV."""
-
 SEE_HELP = "see `cushion render --help`"
 
 
 def run(options: argparse.Namespace) -> int:
-    """Render a file, or several into a folder, and report the result."""
+    """Render one file, or several files into a folder, and print a summary."""
     workers = chosen_workers(options.workers)
     if options.out_dir is not None:
         return _run_several(options, workers)
-    options.input, options.output = _one_each(options.files)
+    _check_files(options.files)
+    options.input, options.output = options.files
     settings = chosen_settings(options)
-    with progress_bar(options.input.name) as progress:
-        report = render_file(
-            options.input,
-            options.output,
-            settings,
-            acceleration=options.acceleration,
-            progress=progress,
-            workers=workers,
-        )
+    source, target, acceleration = options.input, options.output, options.acceleration
+    with progress_bar(source.name) as progress:
+        report = render_file(source, target, settings, acceleration=acceleration, progress=progress)
     show_report(report, options)
     return 0
 
 
 def _run_several(options: argparse.Namespace, workers: int) -> int:
-    """Render all files that can be rendered; return 0 or the exit code of the worst error."""
     if not options.files:
         raise UsageError(f"the following arguments are required: IN; {SEE_HELP}")
     if options.acceleration is not None:
@@ -62,7 +61,7 @@ def _run_several(options: argparse.Namespace, workers: int) -> int:
                 complain(rendered.error)
                 continue
             for warning in rendered.report.warnings:
-                if warning not in warned:  # a warning that applies to every file is printed once
+                if warning not in warned:  # print equal warnings of several files once
                     warn(warning)
                     warned.add(warning)
             if not options.json:
@@ -73,15 +72,13 @@ def _run_several(options: argparse.Namespace, workers: int) -> int:
 
 
 def _entry(rendered: Rendered) -> dict[str, object]:
-    """Return the report of one of several files."""
     head = {"input": str(rendered.source), "output": str(rendered.target)}
     if rendered.report is None:
         return {**head, "error": rendered.error, "exit_code": rendered.exit_code}
     return {**head, **dataclasses.asdict(rendered.report)}
 
 
-def _one_each(files: list[Path]) -> tuple[Path, Path]:
-    """Return IN and OUT."""
+def _check_files(files: list[Path]) -> None:
     if len(files) < 2:
         missing = ", ".join(("IN", "OUT")[len(files) :])
         raise UsageError(f"the following arguments are required: {missing}; {SEE_HELP}")
@@ -91,26 +88,16 @@ def _one_each(files: list[Path]) -> tuple[Path, Path]:
             f"unrecognized arguments: {more}; allowed: IN OUT, or any number of IN with "
             f"--out-dir DIR; {SEE_HELP}"
         )
-    check_output(files[1])
-    return files[0], files[1]
-
-
-def check_output(path: Path) -> None:
-    """Raise UsageError for a name that a WAV must not have."""
-    if str(path) == "-":
-        raise UsageError(
-            "OUT = '-': standard output cannot take a WAV, whose header needs its length; name a "
-            "file"
-        )
-    if path.suffix.lower() not in (*WAV_SUFFIXES, ""):
-        raise UsageError(
-            f"OUT = '{path}': the vibration is written as WAV; allowed: a name that ends in "
-            f"{', '.join(WAV_SUFFIXES)}, or without an ending"
-        )
+    out = files[1]
+    if str(out) == "-":
+        raise UsageError("OUT = '-': standard output cannot take a WAV; name a file")
+    if out.suffix.lower() not in (*WAV_SUFFIXES, ""):
+        allowed = f"a name that ends in {', '.join(WAV_SUFFIXES)}, or without an ending"
+        raise UsageError(f"OUT = '{out}': the vibration is written as WAV; allowed: {allowed}")
 
 
 def chosen_workers(wanted: int | None) -> int:
-    """Return how many processes may run at once. UsageError: out of range."""
+    """Return `wanted`, or the number of usable cores for None. UsageError: it is out of range."""
     if wanted is None:
         return usable_cores()
     if not 1 <= wanted <= WORKERS_MAX:
@@ -119,36 +106,26 @@ def chosen_workers(wanted: int | None) -> int:
 
 
 def chosen_settings(options: argparse.Namespace, recorded: Settings | None = None) -> Settings:
-    """Return the settings of the config file, if one is named, overridden by the options.
-
-    recorded: settings to use if no file is named.
-    """
+    """Return the settings of `--config`, else `recorded`, else defaults; options override them."""
     default = options.default_profile
     if options.config:
-        settings = load_config(options.config, default).settings
+        settings = config.load(options.config, default).settings
     else:
         settings = recorded or Settings(profile=default)
-    given = {
-        name: getattr(options, name)
-        for name in (
-            "form",
-            "channels",
-            "profile",
-            "damping",
-            "protection",
-            "rig",
-            "model",
-            "tolerance",
-        )
-        if getattr(options, name) is not None
-    }
-    return settings.choosing(**given)
+    names = ("form", "channels", "profile", "damping", "protection", "rig", "model", "tolerance")
+    return settings.choosing(**given_values(options, names))
+
+
+def given_values(options: argparse.Namespace, names: Iterable[str]) -> dict[str, Any]:
+    """Return those options among `names` that the user gave, with their values."""
+    values = {name: getattr(options, name) for name in names}
+    return {name: value for name, value in values.items() if value is not None}
 
 
 def show_report(
     report: RenderReport, options: argparse.Namespace, more: Mapping[str, int] | None = None
 ) -> None:
-    """Print the result, as JSON if requested, and warnings on stderr; more: other counts."""
+    """Print a summary, and warnings on stderr. more: further counts to print, keyed by name."""
     more = more or {}
     for warning in report.warnings:
         warn(warning)
@@ -157,7 +134,7 @@ def show_report(
     else:
         counts = [counted(count, name.replace("_", " ")) for name, count in more.items() if count]
         print(", ".join([_summary(report, options.output), *counts]))
-        for line in report.models_in_words:
+        for line in in_words(report.models):
             print(f"  {line}")
 
 

@@ -1,4 +1,4 @@
-"""`cushion replay`: a capture fed through mixer and effect, buffer by buffer."""
+"""`cushion replay`: processes the recorded buffers of a capture, and writes the vibration."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SPEEDS = ("max", "1")
 
 
 def run(options: argparse.Namespace) -> int:
-    """Replay a capture and report the result."""
+    """Replay a capture and print a summary."""
     if options.speed not in SPEEDS:
         raise UsageError(f"speed={options.speed!r} is not known; allowed: {', '.join(SPEEDS)}")
     for source in (options.folder, *capture_files(options.folder)):
@@ -38,7 +38,7 @@ def run(options: argparse.Namespace) -> int:
             progress=progress,
             wait=_in_real_time(client.samplerate) if options.speed == "1" else None,
             warnings=tap.warnings,
-            # What a run has recorded is replayed bit for bit, to its last sample.
+            # A recorded run is replayed bit for bit, including its last sample.
             fade_s=0.0 if recorded else FADE_S,
         )
     replayed = {
@@ -51,12 +51,11 @@ def run(options: argparse.Namespace) -> int:
 
 
 def capture_files(folder: Path) -> list[Path]:
-    """Return the files that a capture in this folder consists of."""
+    """Return the files of the capture in a folder."""
     segments = [path for stream in STREAMS for path in folder.glob(f"{stream}-*.wav")]
     return [folder / INDEX_NAME, *segments]
 
 
 def _in_real_time(samplerate: int) -> Wait:
-    """Return a function that waits until frames would have been played in real time."""
     pace = RealTimePace(samplerate, time.monotonic())
     return lambda frames: time.sleep(pace.wait_s(frames, time.monotonic()))

@@ -1,4 +1,4 @@
-"""`cushion run`: plays the vibration of what this computer plays, until it is stopped."""
+"""`cushion run`: plays this computer's sound as vibration until stopped."""
 
 from __future__ import annotations
 
@@ -7,16 +7,13 @@ import dataclasses
 import os
 import time
 from collections.abc import Callable
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from datetime import datetime
 from pathlib import Path
 
-from audioflinger_hook.cli.check import load_config
-from audioflinger_hook.cli.moment import present_moment
-from audioflinger_hook.cli.open_files import allow_open_files
+from audioflinger_hook.cli.process import Signals, allow_open_files, freeze_loaded_objects
 from audioflinger_hook.cli.replay import capture_files
 from audioflinger_hook.cli.run_reporter import RunReporter
-from audioflinger_hook.cli.signals import Signals, freeze_loaded_objects
 from audioflinger_hook.config import file as config
 from audioflinger_hook.config.edits import Edits, LiveEdits
 from audioflinger_hook.config.settings import Settings
@@ -24,10 +21,10 @@ from audioflinger_hook.daemon.engine import Clocks
 from audioflinger_hook.daemon.live_control import LiveControl
 from audioflinger_hook.daemon.recording import RunRecording
 from audioflinger_hook.daemon.run_config import LIVE_TAPS, PACED_TAPS, ConfigDiff, RunConfig
-from audioflinger_hook.daemon.safety_keeper import SafetyKeeper
+from audioflinger_hook.daemon.safety_keeper import Moment, SafetyKeeper
 from audioflinger_hook.daemon.status_report import status_of
 from audioflinger_hook.daemon.supervisor import Supervisor
-from audioflinger_hook.daemon.wake import Wake
+from audioflinger_hook.daemon.timing import Wake
 from audioflinger_hook.offline.render import refuse_same_file
 from audioflinger_hook.service.install import state_folder
 from audioflinger_hook.service.runtime_folder import DaemonLock, Holder, RuntimeFolder
@@ -41,7 +38,7 @@ from device.stream import filter_stderr
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run for `--seconds` since it was ready, until the sound ends, or until a signal arrives."""
+    """Run for `--seconds`, or until the sound ends or a signal arrives."""
     allow_open_files()
     run_config = _run_config(options)
     if not options.debug:
@@ -64,7 +61,7 @@ def run(options: argparse.Namespace) -> int:
         edits = LiveEdits(options.config or config.default_path())
 
         def follow(values: Edits, muted: bool) -> tuple[RunConfig, ConfigDiff]:
-            """Read the config again, with edits, and apply it."""
+            """Read the config file again, and apply it with the edits `values`."""
             again = _run_config(options, values)
             again = dataclasses.replace(again, recording=recording, muted=muted)
             changes = supervisor.follow(again, time.monotonic())
@@ -72,15 +69,15 @@ def run(options: argparse.Namespace) -> int:
             return again, changes
 
         def follow_edits(values: Edits, muted: bool) -> RunConfig:
-            """Apply what a page changes; another mute, whatever state the file is in."""
+            """Apply edits from the live page. If `muted` changes, nothing else is applied."""
             if muted == supervisor.config.muted:
                 return follow(values, muted)[0]
             again = dataclasses.replace(supervisor.config, muted=muted)
             supervisor.follow(again, time.monotonic())
             return again
 
-        def follow_config(_now_s: float) -> str:
-            """Reload the config and return the changes."""
+        def follow_config() -> str:
+            """Read the config file again, apply it, and return the changes as text."""
             again, changes = follow(edits.values, supervisor.config.muted)
             control.reloaded(again)
             return str(changes)
@@ -109,24 +106,19 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _safety(run_config: RunConfig) -> SafetyKeeper | None:
-    """Return the keeper of temperatures and dose; None for no real device, or without a home."""
-    if not run_config.device_is_live:
-        return None
-    try:
-        return SafetyKeeper(state_folder(), present_moment)
-    except UsageError:
-        return None
+    """Return the store of coil temperatures and doses. None: no real device or no state folder."""
+    if run_config.device_is_live:
+        with suppress(UsageError):
+            return SafetyKeeper(state_folder(), _present_moment)
+    return None
 
 
 def _run_config(options: argparse.Namespace, edits: Edits | None = None) -> RunConfig:
-    """Return the run's configuration from config and options; options take precedence.
-
-    edits: values that take precedence over both.
-    """
+    """Return the run's configuration; options override the config file, edits override both."""
     path = options.config or config.default_path()
     edits = edits or {}
     if options.config or path.exists() or edits:
-        found = load_config(path, options.default_profile, edits or None)
+        found = config.load(path, options.default_profile, edits or None)
     else:
         found = config.Config(Settings(profile=options.default_profile))
     settings, live = found.settings, found.live
@@ -157,21 +149,19 @@ def _run_config(options: argparse.Namespace, edits: Edits | None = None) -> RunC
 
 
 def _server_answers() -> bool:
-    try:
+    with suppress(LostError):
         PulseConnection().close()
-    except LostError:
-        return False
-    return True
+        return True
+    return False
 
 
 def _check_config(run_config: RunConfig) -> None:
-    """Raise UsageError or NotFoundError for a config that cannot work."""
     if run_config.tap.kind not in LIVE_TAPS + PACED_TAPS:
         raise NotFoundError(f"tap {str(run_config.tap)!r}: `cushion run` cannot listen to it")
     _ = run_config.rules
     numbered = run_config.device_is_a_card or not run_config.device_is_live
     if run_config.settings.actuators and numbered:
-        # Raises if an actuator gives a channel's name, as only channels of sinks have names.
+        # The property raises an error if an actuator names a channel; only sinks have such names.
         _ = run_config.settings.numbered_channels
     if run_config.live.drop_in and run_config.tap.kind not in ("default", "app"):
         raise UsageError(
@@ -181,7 +171,6 @@ def _check_config(run_config: RunConfig) -> None:
 
 
 def _check_overwriting(tap: TapAddress, device: DeviceAddress) -> None:
-    """Raise UsageError if the file to write is also the file to play."""
     if device.kind == "wav":
         played = {"file": [Path(tap.name)], "capture": capture_files(Path(tap.name))}
         for source in played.get(tap.kind, []):
@@ -194,9 +183,9 @@ def _keep_on(
     seconds: float,
     wake: Wake,
     signals: Signals,
-    follow_config: Callable[[float], str],
+    follow_config: Callable[[], str],
 ) -> None:
-    """Tick until enough sound has passed or a signal arrives; report to user and systemd."""
+    """Run for `seconds`, or until the sound ends or a signal arrives. Print events."""
     reporter = RunReporter()
     watchdog = Watchdog(watchdog_period_s(os.getpid()))
     reporter.begin(*(address for address, _ in supervisor.endpoints))
@@ -219,7 +208,7 @@ def _keep_on(
             notes, warnings = supervisor.states.notes(), _warnings(supervisor)
             reporter.report(report, notes, warnings, now_s)
             reporter.show_meter(lambda: status_of(supervisor, time.monotonic()), now_s)
-            if watchdog.due(supervisor.engines.buffers, report.state, now_s):
+            if watchdog.due(supervisor.engines.counts[0], report.state, now_s):
                 reporter.notifier.send("WATCHDOG=1")
             wake.wait(min(supervisor.rest_s, watchdog.check_s or supervisor.rest_s))
     finally:
@@ -229,11 +218,19 @@ def _keep_on(
 
 
 def _warnings(supervisor: Supervisor) -> list[str]:
-    """Return what the terminal is to show, also which effects are bypassed."""
-    engine = supervisor.engine
+    engine = supervisor.engines.python
     return [*(engine.framework.bypass_warnings() if engine else ()), *supervisor.warnings]
 
 
+def _present_moment() -> Moment:
+    """Return the time since boot and the time of day; `boot`, the boot's ID, is "" if unknown."""
+    boot = ""
+    with suppress(OSError):
+        boot = Path("/proc/sys/kernel/random/boot_id").read_text("ascii").strip()
+    local = datetime.now().astimezone().isoformat(timespec="minutes")
+    return Moment(boot, time.clock_gettime(time.CLOCK_BOOTTIME), time.time(), local)
+
+
 def _slept_s() -> float:
-    """Return the time that this machine was suspended since its start."""
+    """Return the total time in seconds that this machine was suspended since boot."""
     return time.clock_gettime(time.CLOCK_BOOTTIME) - time.monotonic()

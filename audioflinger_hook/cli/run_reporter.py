@@ -1,4 +1,4 @@
-"""Messages of a running daemon: lines on stderr for the user, and notifications for systemd."""
+"""Messages of a running daemon: lines on stderr for users, notifications for systemd."""
 
 from __future__ import annotations
 
@@ -7,56 +7,44 @@ import os
 import re
 import shutil
 import sys
-from collections.abc import Callable, Hashable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Hashable
 
-from audioflinger_hook.cli.terminal import warn
+from audioflinger_hook.cli.status import meter_line
 from audioflinger_hook.service.state import Note, StateReport
 from audioflinger_hook.service.status import Status
-from audioflinger_hook.service.status_view import meter_line
 from audioflinger_hook.service.systemd import Notifier
 from device.errors import CushionError
 
-AT_ONCE = 5
-"""Number of messages of one kind that may follow each other without a pause."""
-
-EVERY_S = 10.0
-"""Average time between messages of one kind."""
-
-METER_S = 0.1
-"""Time between two drawings of the meter."""
-
-KINDS_MAX = 100
-"""Largest number of kinds; all further kinds count as one."""
+AT_ONCE, EVERY_S = 5, 10.0  # for each kind of message: largest burst, s per further message
+KINDS_MAX = 100  # largest number of kinds of messages that are counted separately
+METER_S = 0.1  # seconds between two drawings of the meter
 
 
 class RunReporter:
-    """Reports each event once. For the main thread; times are seconds of time.monotonic()."""
+    """Prints events. Only the main thread may use it. now_s: time of `time.monotonic()` in s."""
 
     def __init__(self) -> None:
         self.notifier = Notifier()
-        self._state = ""
-        self._engine = ""
-        self._page = ""
+        self._state = self._engine = self._page = ""
         self._has_meter = sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
         self._drawn_s = -math.inf
         self._warnings: dict[str, str] = {}
         self._rate_limit = RateLimit()
 
     def begin(self, tap: str, device: str) -> None:
-        """Report tap and device, and that the start is complete."""
+        """Print the tap and the device, and notify systemd that the start is complete."""
         self._print(f"sound of {tap} drives {device}; Ctrl+C ends it")
         self.notifier.send("READY=1")
 
     def report(
         self, report: StateReport, notes: list[Note], warnings: list[str], now_s: float
     ) -> None:
-        """Report what has happened since the last call, and the new state."""
+        """Print events and new warnings, and the state if it changed."""
         state = f"{report.state.value}{': ' if report.reason else ''}{report.reason}"
         news = state != self._state
         for note in notes:
             if news and note.text == report.reason:
-                continue  # the state line contains it
+                continue  # the state line contains this note
             left_out = self._rate_limit.left_out(note.cause, now_s)
             if left_out is not None:
                 more = f" (and {left_out} more like it before)" if left_out else ""
@@ -65,107 +53,83 @@ class RunReporter:
             self._state = state
             self.notifier.send(status=state)
             self._print(state)
-        # A warning with a count is reported the first time, and by `end` with its final count.
+        # A warning is not printed again if only a number changes. `end` prints the final text.
         told, self._warnings = self._warnings, {}
         for warning in warnings:
             kind = re.sub(r"\d+", "0", warning)
             if kind not in told:
-                self._clear_meter()
-                with self._closed_unnoticed():
-                    warn(warning)
+                self._print(f"warning: {warning}")
             self._warnings[kind] = told.get(kind, warning)
 
     def tell_engine(self, engine: str, reason: str) -> None:
-        """Report which engine plays, "native" or "python", once after each change.
-
-        reason: why it is not the native one; "" if it is. An empty name reports nothing.
-        """
+        """Print which engine plays, if new. engine: "" for none. reason: why not "native"."""
         text = f"the {engine} engine plays{': ' if reason else ''}{reason}"
         if engine and text != self._engine:
             self._engine = text
             self._print(text)
 
     def tell_page(self, address: str) -> None:
-        """Report the address of a page that serves, once; "" for none.
-
-        The part after `#` opens it, so only a terminal shows that part.
-        """
+        """Print a new page address, without its token (after `#`) unless stderr is a terminal."""
         shown = address if sys.stderr.isatty() else address.partition("#")[0]
         if shown and shown != self._page:
             self._print(f"the live page: {shown}")
         self._page = shown
 
     def show_meter(self, status: Callable[[], Status], now_s: float) -> None:
-        """Draw levels in the last line of a terminal, a few times a second; nothing elsewhere."""
+        """Draw the level meter in the terminal's last line, at most once per METER_S."""
         if self._has_meter and now_s - self._drawn_s >= METER_S:
             self._drawn_s = now_s
             width = shutil.get_terminal_size().columns - 1
-            with self._closed_unnoticed():
-                sys.stderr.write(f"\r\x1b[K{meter_line(status(), width)}")
-                sys.stderr.flush()
+            self._write(meter_line(status(), width))
 
-    def reload(self, follow_config: Callable[[float], str], now_s: float) -> str:
-        """Reload the config and report the changes; return why it failed, or ""."""
+    def reload(self, follow_config: Callable[[], str], now_s: float) -> str:
+        """Reload the config and print the changes. Return the message of an error, or ""."""
         self.notifier.send("RELOADING=1", f"MONOTONIC_USEC={int(now_s * 1e6)}")
         config_error = ""
         try:
-            self._print(f"config reloaded; changed: {follow_config(now_s)}")
+            self._print(f"config reloaded; changed: {follow_config()}")
         except CushionError as error:
             config_error = f"the config was not applied: {error}"
-            # Reported as a warning, even if an equal warning was reported before.
+            # A repeated error is reported again.
             self._warnings = {k: text for k, text in self._warnings.items() if text != config_error}
         self.notifier.send("READY=1", status=self._state)
         return config_error
 
     def end(self, warnings: list[str]) -> None:
-        """Report new warnings, and notify systemd of the end."""
+        """Print new and changed warnings, and notify systemd of the end."""
         self.notifier.send("STOPPING=1")
-        self._clear_meter()
-        self._has_meter = False
         for warning in warnings:
             if warning not in self._warnings.values():
-                with self._closed_unnoticed():
-                    warn(warning)
-
-    def _clear_meter(self) -> None:
-        if self._has_meter:
-            with self._closed_unnoticed():
-                sys.stderr.write("\r\x1b[K")
-                sys.stderr.flush()
+                self._print(f"warning: {warning}")
+        self._write("")
+        self._has_meter = False
 
     def _print(self, text: str) -> None:
-        self._clear_meter()
-        with self._closed_unnoticed():
-            print(f"cushion: {text}", file=sys.stderr, flush=True)
+        self._write(f"cushion: {text}\n")
 
-    @contextmanager
-    def _closed_unnoticed(self) -> Iterator[None]:
-        """Let a terminal that was closed end the run by its signal alone, not by a failed write."""
+    def _write(self, text: str) -> None:
+        """Print a text, which replaces the level meter. A write error does not end the run."""
+        clear = "\r\x1b[K" if self._has_meter else ""
         try:
-            yield
+            print(f"{clear}{text}", end="", file=sys.stderr, flush=True)
         except OSError:
             self._has_meter = False
 
 
 class RateLimit:
-    """Limits how often messages of one kind are printed. Use from one thread at a time.
+    """Limits how often messages of each kind are printed. Only one thread may use it."""
 
-    Times are seconds of one clock. Its size is bounded.
-    """
-
-    def __init__(self, at_once: int = AT_ONCE, every_s: float = EVERY_S) -> None:
+    def __init__(self, at_once: float = AT_ONCE) -> None:
         self._at_once = at_once
-        self._every_s = every_s
-        # Allowance, time of the last request, and messages left out since the last printed one.
+        # Values: allowance, time of the latest request in s, messages omitted since the last print.
         self._kinds: dict[Hashable, tuple[float, float, int]] = {}
 
     def left_out(self, kind: Hashable, now_s: float) -> int | None:
-        """Return how many messages were left out before this one; None if this one is left out."""
+        """Return None to omit a message, else the number omitted since the last printed one."""
         if kind not in self._kinds and len(self._kinds) >= KINDS_MAX:
             kind = None
-        allowance, asked_s, missed = self._kinds.get(kind, (float(self._at_once), now_s, 0))
-        gained = max(0.0, now_s - asked_s) / self._every_s
-        allowance = min(float(self._at_once), allowance + gained)
+        allowance, asked_s, missed = self._kinds.get(kind, (self._at_once, now_s, 0))
+        allowance = min(self._at_once, allowance + max(0.0, now_s - asked_s) / EVERY_S)
         if allowance < 1.0:
             self._kinds[kind] = (allowance, now_s, missed + 1)
             return None

@@ -1,6 +1,6 @@
-"""`cushion setup`: a guided first run, from the output to the config file and the service.
+"""`cushion setup`: guides through the first run, and writes the config and the service.
 
-All questions come first. What is written is written at the end, each file whole.
+It asks all questions before it writes a file. If it fails, it restores the earlier files.
 """
 
 from __future__ import annotations
@@ -15,46 +15,45 @@ from pathlib import Path
 from typing import Any
 
 from audioflinger_hook.cli import setup_files
-from audioflinger_hook.cli.check import load_config
-from audioflinger_hook.cli.outputs import COILS, Output, list_outputs, shaker_pair
-from audioflinger_hook.cli.questions import agree, name_some, pick
-from audioflinger_hook.cli.setup_tone import Felt, try_output
-from audioflinger_hook.cli.terminal import as_typed, warn
-from audioflinger_hook.cli.tone import PCM
+from audioflinger_hook.cli.outputs import COILS, SOUND, SURROUND, Output, list_outputs, shaker_pair
+from audioflinger_hook.cli.terminal import agree, as_typed, name_some, pick, warn
+from audioflinger_hook.cli.test_tone import PCM, Felt, try_output
 from audioflinger_hook.config import file as config
-from audioflinger_hook.config.commented import actuator_text, commented_text
-from audioflinger_hook.config.edits import edited_text
+from audioflinger_hook.config.edits import actuator_text, commented_text, edited_text
 from audioflinger_hook.config.profiles import LIVE_DEFAULT, PROFILES
 from audioflinger_hook.service import install as service
 from device.address import DeviceAddress, parse_device
 from device.alsa import find_playback, list_cards
-from device.alsa.cards import list_playbacks
+from device.alsa.cards import list_devices
 from device.drive import ActuatorSettings
 from device.errors import LostError, NotFoundError, UsageError
 from device.server import PulseConnection, ServerSnapshot
 from device.stream import PcmConfig, filter_stderr
-from device.stream.pulse_plugin import missing_plugin
+from device.stream.pcms import missing_plugin
 from device.usb import find_devices
 from device.values import nearest
 
 SPEECH_FREE = "speech-free"
 SPEECH_KEY, SPEECH_SUPPRESSION_DB = "transform.speech_suppression_db", 12.0
 
-PLAYED = {
+PLAYED = {  # what users play, keyed by profile
     "cinema": "films, and everything else",
     "game": "games",
     "music": "music",
     SPEECH_FREE: "films and talk, with speech left out",
 }
-"""What `setup` asks for, each by the profile that it gets."""
 
 NOTHING_WRITTEN = "nothing was written"
 
 
 def run(options: argparse.Namespace) -> int:
-    """Ask, write the config and print the next commands; or undo the last set-up."""
+    """Ask the questions, write the files, print the next commands; or undo the last setup."""
     if options.undo:
-        return _undo()
+        done, commands = setup_files.undo()
+        print(*done, sep="\n")
+        if commands:
+            print("next, type:", *commands, sep="\n    ")
+        return 0
     if not options.yes and not sys.stdin.isatty():
         raise UsageError(
             "setup asks questions, but its input is not a terminal; give the answers: "
@@ -63,21 +62,21 @@ def run(options: argparse.Namespace) -> int:
     path = config.default_path()
     before = setup_files.text_of(path)
     wired: tuple[ActuatorSettings, ...] = ()
-    if before is not None:  # one with mistakes is for its owner to repair
-        wired = load_config(path, LIVE_DEFAULT).settings.actuators
-    profile = _known_profile(options.profile)
+    if before is not None:  # the user must repair a config with mistakes first
+        wired = config.load(path, LIVE_DEFAULT).settings.actuators
+    _check_profile(options.profile)
     has_service = not options.no_service and service.installed_text() is not None
-    choice = _choose_output(options, wired)
+    choice = _chosen(options, wired)
     if choice is None:
         print(f"The tone was stopped; {NOTHING_WRITTEN}.")
         return 0
     values: dict[str, Any] = {"device": choice.output.address}
     if choice.level_db is not None:
         values["gain_db"] = choice.level_db
-    values |= _profile_values(profile or _ask_profile(options.yes, before), before)
+    values |= _profile_values(options.profile or _ask_profile(options.yes, before), before)
     text = _new_text(path, before, values, choice.channels)
     if text == before:
-        print(f"\n{path} says this already.")
+        print(f"\n{path} has these settings already.")
     else:
         print(f"\n{path} will {'be' if before is None else 'change'}:")
         print(_difference(before, text), end="")
@@ -94,40 +93,25 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _undo() -> int:
-    done, commands = setup_files.undo()
-    print(*done, sep="\n")
-    if commands:
-        print("next, type:", *commands, sep="\n    ")
-    return 0
-
-
-def _known_profile(name: str | None) -> str | None:
+def _check_profile(name: str | None) -> None:
     known = (*PROFILES, SPEECH_FREE)
     if name is not None and name not in known:
         guess = nearest(name, known)
         offer = f"; did you mean {guess}?" if guess else ""
         raise UsageError(f"profile={name!r} is not known; allowed: {', '.join(known)}{offer}")
-    return name
 
 
 @dataclass(frozen=True)
 class Choice:
-    """The output, and what was found out about it.
-
-    level_db: the level at which the user felt the tone, None without a question. channels: of its
-    shakers, empty for all, or those of the config.
-    """
+    """The chosen output, level and channels."""
 
     output: Output
-    level_db: float | None
-    channels: tuple[str, ...]
+    level_db: float | None  # level at which the user felt the tone; None if not asked
+    channels: tuple[str, ...]  # channels of the actuators; empty: all, or those of the config
 
 
-def _choose_output(
-    options: argparse.Namespace, wired: tuple[ActuatorSettings, ...]
-) -> Choice | None:
-    """Return the choice, None if the tone was stopped. wired: the actuators of the config."""
+def _chosen(options: argparse.Namespace, wired: tuple[ActuatorSettings, ...]) -> Choice | None:
+    """Return what was chosen; None if the user stopped the tone. wired: the config's actuators."""
     filter_stderr()
     named = None if options.device is None else parse_device(options.device)
     with ExitStack() as stack:
@@ -137,7 +121,8 @@ def _choose_output(
         if on_server and not options.no_test and (missing := missing_plugin()):
             raise NotFoundError(missing)
         while True:
-            outputs = _outputs(connection)
+            playbacks = [each for card in list_cards() for each in list_devices(card)]
+            outputs = list_outputs(connection.latest, find_devices().devices, playbacks)
             if named is not None:
                 output = _named(named, outputs, connection.latest)
             else:
@@ -169,18 +154,10 @@ def _choose_output(
             connection.snapshot()
 
 
-def _outputs(connection: PulseConnection) -> list[Output]:
-    playbacks = [each for card in list_cards() for each in list_playbacks(card)]
-    return list_outputs(connection.latest, find_devices().devices, playbacks)
-
-
 def _named(device: DeviceAddress, outputs: list[Output], snapshot: ServerSnapshot) -> Output:
-    """Return the output of a name. NotFoundError: there is none of this name."""
     if device.kind not in ("sink", "usb", "hw"):
-        raise UsageError(
-            f"device {str(device)!r} is no output for a first run; allowed: sink:NAME, "
-            "usb:VID:PID, hw:CARD"
-        )
+        allowed = "sink:NAME, usb:VID:PID, hw:CARD"
+        raise UsageError(f"device {str(device)!r} cannot be used by setup; allowed: {allowed}")
     if device.kind == "hw":
         find_playback(device.name)
     else:
@@ -193,7 +170,7 @@ def _named(device: DeviceAddress, outputs: list[Output], snapshot: ServerSnapsho
 
 
 def _first(outputs: list[Output]) -> Output:
-    """Return the only output that surely has coils. UsageError: there is none, or more than one."""
+    """Return the only output known to have voice coils. UsageError: not exactly one has coils."""
     sure = [output for output in outputs if output.rank == COILS]
     if len(sure) == 1:
         return sure[0]
@@ -208,24 +185,22 @@ def _ask_output(outputs: list[Output]) -> Output:
     if not outputs:
         raise NotFoundError("there is no output; connect a sound card, then run setup again")
     print("Where is the shaker, exciter or controller connected?")
-    items = [
-        f"{each.description or each.address}\n     {each.address}: {each.note}" for each in outputs
-    ]
-    return outputs[pick("Output:", items, 0 if outputs[0].is_likely else None)]
+    items = [f"{o.description or o.address}\n     {o.address}: {o.note}" for o in outputs]
+    return outputs[pick("Output:", items, 0 if outputs[0].rank <= SURROUND else None)]
 
 
 def _ask_channels(output: Output) -> tuple[str, ...]:
-    """Return the channels that drive shakers; empty for all, or where they are known."""
+    """Return the channels that drive actuators; empty: all, or those known to have coils."""
     if len(output.positions) < 4 or output.has_coils:
         return ()
-    print(f"It has the channels {', '.join(output.positions)}.")
+    print(f"The output has the channels {', '.join(output.positions)}.")
     pair = ",".join(shaker_pair(output.positions))
     return name_some(f"Which drive shakers? all, or some, such as {pair}:", output.positions)
 
 
 def _warn_of_sound(output: Output, yes: bool, named: bool) -> None:
-    """Say that vibration would be heard. NotFoundError: that is not wanted."""
-    if not output.plays_the_sound:
+    """Warn if the output plays the computer's sound. NotFoundError: it is not accepted."""
+    if output.rank != SOUND:
         return
     heard = (
         f"{output.address} plays the computer's sound, so vibration would be heard there; "
@@ -235,7 +210,7 @@ def _warn_of_sound(output: Output, yes: bool, named: bool) -> None:
         warn(heard)
         return
     print(f"{heard}.")
-    if yes or not agree("Use it all the same?", default=False):
+    if yes or not agree("Use it anyway?", default=False):
         raise NotFoundError(
             f"no output for vibration was chosen, and {NOTHING_WRITTEN}; connect a USB sound card "
             "or a controller, then run setup again"
@@ -251,9 +226,9 @@ def _ask_profile(yes: bool, before: str | None) -> str:
 
 
 def _profile_values(profile: str, before: str | None = None) -> dict[str, Any]:
-    """Return the keys of a profile; None removes a key, and "" changes none.
+    """Return the config values of a profile; None removes the key. Profile "" has no values.
 
-    before: the config's text. What an earlier set-up wrote for `SPEECH_FREE` ends with it.
+    before: the config's text. Other profiles remove from it the key that `SPEECH_FREE` set.
     """
     if profile == SPEECH_FREE:
         return {"profile": LIVE_DEFAULT, SPEECH_KEY: SPEECH_SUPPRESSION_DB}
@@ -266,7 +241,7 @@ def _profile_values(profile: str, before: str | None = None) -> dict[str, Any]:
 def _new_text(
     path: Path, before: str | None, values: dict[str, Any], channels: tuple[str, ...]
 ) -> str:
-    """Return the config's new text. UsageError: it would have mistakes."""
+    """Return the config's new text. UsageError: the new text would be invalid."""
     if before is None:
         text = commented_text(values, channels)
     else:
@@ -287,36 +262,34 @@ def _document(text: str) -> dict[str, Any]:
 
 def _of(document: dict[str, Any], name: str) -> Any:
     section, _, key = name.rpartition(".")
-    table = document.get(section, {}) if section else document
-    return table.get(key)
+    return (document.get(section, {}) if section else document).get(key)
 
 
 def _difference(before: str | None, text: str) -> str:
-    """Return a new file's keys without comments, or the lines that change."""
+    """Return the lines of a new file without comments, or the differences to an existing file."""
     if before is None:
         lines = [line for line in text.splitlines() if line and not line.startswith("#")]
-        return "".join(f"  {line}\n" for line in lines)
-    compared = difflib.unified_diff(before.splitlines(), text.splitlines(), lineterm="", n=1)
-    return "".join(f"  {line}\n" for line in list(compared)[2:])
+    else:
+        old, new = before.splitlines(), text.splitlines()
+        lines = [*difflib.unified_diff(old, new, lineterm="", n=1)][2:]
+    return "".join(f"  {line}\n" for line in lines)
 
 
 def _tell(path: Path, text: str, has_service: bool) -> None:
-    """Say what happens now, and what to type next."""
     found = config.check_text(text, path.parent, LIVE_DEFAULT)[0]
     assert found is not None
     settings = found.settings
     print(
-        f"\nVibration of what this computer plays will go to {found.live.device}, with profile "
+        f"\nThe vibration of this computer's sound will go to {found.live.device}, with profile "
         f"{settings.profile} at {settings.gain_db:g} dB."
     )
     print("next, type:")
-    begin = [(f"{command}", "") for command in service.START]
-    rows = begin if has_service else [(as_typed("run"), "plays it; Ctrl+C ends it")]
+    begin = [(command, "") for command in service.START]
     rows = [
-        *rows,
-        (as_typed("monitor --open"), "shows it, and changes it while it plays"),
-        (as_typed("status"), "shows what it does"),
-        (as_typed("setup --undo"), "restores what was before"),
+        *(begin if has_service else [(as_typed("run"), "plays the vibration; Ctrl+C ends it")]),
+        (as_typed("monitor --open"), "opens a page that shows and adjusts the vibration"),
+        (as_typed("status"), "shows the state of the daemon"),
+        (as_typed("setup --undo"), "restores the config and the service as before"),
     ]
     width = max(24, 2 + max(len(command) for command, does in rows if does))
     for command, does in rows:

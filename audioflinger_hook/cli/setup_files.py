@@ -1,13 +1,15 @@
-"""What `cushion setup` writes, and how it is undone: the config file and the service.
+"""Writes the files of `cushion setup`, the config and the service, and restores them on undo.
 
-Each set-up is recorded before it writes, in `setup-undo.json` of the state folder. Undoing takes
-the last record; so does a set-up that fails half-way. Nothing is lost: a replaced config stays
-beside it, and so does one that was edited after the set-up that is undone.
+Before a setup changes files, it records the changes in `setup-undo.json` in the state folder. Undo
+reverts the last recorded setup. A setup that fails restores the files. A copy of the earlier config
+is kept until undo. Undo keeps a copy of a config that the user edited after the setup.
 """
 
 from __future__ import annotations
 
+import itertools
 import json
+import os
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -17,34 +19,33 @@ from audioflinger_hook.service import install as service
 from device.atomic_file import make_private_folder, write_bytes_atomically
 from device.errors import CushionError, UsageError
 
-RECORDS_MAX = 20
-"""Set-ups that can be undone; older ones cannot."""
+RECORDS_NAME = "setup-undo.json"
+RECORDS_MAX = 20  # largest number of setups that can be undone
 
 
 @dataclass(frozen=True)
 class Record:
-    """One set-up. config: the file; written: the text that it got, None if it stayed as it was.
-
-    backup: where the earlier text is, None if there was none. unit_changed: whether the service was
-    installed; unit: its text before, None if there was none.
-    """
+    """The changes of one setup. Paths are absolute."""
 
     config: str
-    written: str | None
-    backup: str | None
-    unit_changed: bool
-    unit: str | None
+    written: str | None  # the config's new text; None if unchanged
+    backup: str | None  # copy of the earlier config; None if unchanged or if there was no config
+    unit_changed: bool  # whether the service was installed
+    unit: str | None  # the earlier text of the unit; None if there was no unit
 
 
 def write(path: Path, before: str | None, text: str, *, with_service: bool) -> str:
-    """Write the config and install the service, and return the backup's path, "" for none.
+    """Write the config and install the service. Return the path of the config's backup, or "".
 
-    before: the text that the file had while the questions were asked; None if there was no file.
-    UsageError: the file has changed since, or a folder cannot be written.
-    WriteError: the disk is full or failed. After an error or an interruption all is as before.
+    before: the file's text before the questions; None if there was no file. with_service: whether
+    to install the service. UsageError: the file has changed since the questions, or a folder cannot
+    be written. WriteError: the disk is full or failed. After an error or an interruption, all files
+    are restored if possible.
     """
     if text_of(path) != before:
-        raise UsageError(f"{path} was changed during the set-up and is left alone; run setup again")
+        raise UsageError(
+            f"{path} was changed during the setup, so setup did not change it; run setup again"
+        )
     changes = text != before
     if not changes and not with_service:
         return ""
@@ -53,12 +54,11 @@ def write(path: Path, before: str | None, text: str, *, with_service: bool) -> s
     if changes:
         make_private_folder(path.parent)
         if before is not None:
-            backup = _free_name(path, "before-setup")
-            write_bytes_atomically(backup, path.read_bytes())
+            backup = _copy(path.read_bytes(), path, "before-setup")
     record = Record(
         config=str(path.absolute()),
         written=text if changes else None,
-        backup=None if backup is None else str(backup.absolute()),
+        backup=str(backup.absolute()) if backup else None,
         unit_changed=with_service,
         unit=service.installed_text() if with_service else None,
     )
@@ -69,7 +69,9 @@ def write(path: Path, before: str | None, text: str, *, with_service: bool) -> s
         if with_service:
             service.install(["--wait"], systemd=service.systemd_version())
     except BaseException:
-        with suppress(CushionError):  # where this fails too, `cushion setup --undo` does it later
+        with suppress(
+            CushionError
+        ):  # after an error here, `cushion setup --undo` can restore the files
             if record in _records():
                 _take_back(record, earlier)
             else:
@@ -79,14 +81,14 @@ def write(path: Path, before: str | None, text: str, *, with_service: bool) -> s
 
 
 def text_of(path: Path) -> str | None:
-    """Return the text of a config file, None if there is none. UsageError: it cannot be read."""
+    """Return a config file's text; None if there is no file. UsageError: it cannot be read."""
     return toml_text.text_of(path) if path.exists() or path.is_symlink() else None
 
 
 def undo() -> tuple[list[str], tuple[str, ...]]:
-    """Undo the last set-up; return what was done, and the commands to type next.
+    """Undo the last setup; return what was done, and commands that the user must run next.
 
-    UsageError: there is nothing to undo, or the backup is gone.
+    UsageError: there is no setup to undo, or a file cannot be read or removed.
     """
     records = _records()
     if not records:
@@ -95,7 +97,6 @@ def undo() -> tuple[list[str], tuple[str, ...]]:
 
 
 def _take_back(record: Record, earlier: list[Record]) -> tuple[list[str], tuple[str, ...]]:
-    """Restore what was before a set-up; return what `undo` returns."""
     done: list[str] = []
     commands: tuple[str, ...] = ()
     if record.written is not None:
@@ -123,68 +124,57 @@ def _restore_config(record: Record) -> list[str]:
         try:
             before = Path(record.backup).read_bytes()
         except OSError as error:
-            raise UsageError(
-                f"{record.backup} cannot be read ({error.strerror}), so {path} is left alone"
-            ) from error
+            why = f"{record.backup} cannot be read ({error.strerror})"
+            raise UsageError(f"{why}, so {path} is not changed") from error
     done = []
-    now = _bytes_of(path)
+    now = None
+    try:
+        with suppress(FileNotFoundError):
+            now = path.read_bytes()
+    except OSError as error:
+        raise UsageError(f"cannot read {path}: {error.strerror}; move it away first") from error
     if now == before:
         return [f"{path}: as it was before"]
     if now not in ((record.written or "").encode(), None):
-        kept = _free_name(path, "undone")
-        write_bytes_atomically(kept, now or b"")
+        kept = _copy(now or b"", path, "undone")
         done.append(f"{kept}: your later changes")
     if before is None:
         try:
             path.unlink(missing_ok=True)
         except OSError as error:
-            raise UsageError(f"cannot remove {path}: {error.strerror}; do it yourself") from error
+            raise UsageError(
+                f"cannot remove {path}: {error.strerror}; remove it yourself"
+            ) from error
         return [*done, f"{path}: removed"]
     make_private_folder(path.parent)
     write_bytes_atomically(path, before)
     return [*done, f"{path}: as it was before"]
 
 
-def _bytes_of(path: Path) -> bytes | None:
-    """Return a file's content, None if there is none. UsageError: it cannot be read."""
-    try:
-        return path.read_bytes()
-    except FileNotFoundError:
-        return None
-    except OSError as error:
-        raise UsageError(f"cannot read {path}: {error.strerror}; move it away first") from error
-
-
-def _free_name(path: Path, word: str) -> Path:
-    """Return a path beside another that is free."""
-    number = 1
-    while True:
+def _copy(content: bytes, path: Path, word: str) -> Path:
+    """Write a copy of a file beside it under an unused name, and return the copy's path."""
+    for number in itertools.count(1):
         found = path.with_name(f"{path.name}.{word}{f'-{number}' if number > 1 else ''}")
-        if not found.exists() and not found.is_symlink():
-            return found
-        number += 1
-
-
-def _records_path() -> Path:
-    return service.state_folder() / "setup-undo.json"
+        if not os.path.lexists(found):
+            break
+    write_bytes_atomically(found, content)
+    return found
 
 
 def _records() -> list[Record]:
-    path = _records_path()
+    path = service.state_folder() / RECORDS_NAME
     try:
         return [Record(**found) for found in json.loads(path.read_text(encoding="utf-8"))]
     except FileNotFoundError:
         return []
     except (OSError, ValueError, TypeError) as error:
-        raise UsageError(
-            f"{path} cannot be read ({error}); move it away, then run setup again"
-        ) from error
+        raise UsageError(f"{path} cannot be read ({error}); move it away first") from error
 
 
 def _save(records: list[Record]) -> None:
-    path = _records_path()
+    path = service.state_folder() / RECORDS_NAME
     if not records:
-        with suppress(OSError):  # else what follows says why
+        with suppress(OSError):  # if this fails, the write below reports the reason
             path.unlink(missing_ok=True)
             return
     make_private_folder(path.parent)

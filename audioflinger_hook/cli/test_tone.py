@@ -1,37 +1,279 @@
-"""`cushion test-tone`: a short vibration on one device, to find the right output."""
+"""Plays the tone of `cushion test-tone` and of `cushion setup` on exactly one device."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
-from contextlib import ExitStack, closing
+import math
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import dataclass
+from enum import Enum, auto
 
-from audioflinger_hook.cli.terminal import warn
-from audioflinger_hook.cli.tone import FADE_S, PCM, open_tone
+import numpy as np
+
+from audioflinger_hook.cli.terminal import choose, warn
 from audioflinger_hook.daemon.outputs.sink import muted
-from device.address import parse_device
-from device.errors import UsageError
-from device.server import PulseConnection, ServerSnapshot
+from device.address import DeviceAddress, parse_device
+from device.alsa import choose_setup, find_playback
+from device.alsa.cards import AlsaDevice, why_blocked
+from device.alsa.offers import CardSetup, list_offers
+from device.drive import ActuatorSettings, ChannelMap, channels_needed, wiring_of
+from device.drive.channel_positions import sink_channel_map
+from device.errors import LostError, NotFoundError, UsageError
+from device.server import FallbackSink, PulseConnection, ServerSnapshot, StreamGuard
+from device.server.guard import Hold
 from device.server.snapshot import Sink
-from device.stream import PcmConfig, filter_stderr
+from device.stream import PcmConfig, PlaybackStream, filter_stderr
+from device.stream.pcms import CardDevice, Pcm, ServerDevice
+from device.units import Float32Array, db_to_amplitude
+from device.usb.identity import coil_channels
 
-LIMIT_HZ = (20.0, 220.0)
+PCM = "cushion_output"  # the caller must create this PCM before the connection to the server
+FADE_S = 0.1  # duration of a fade-out, and of a fade-in by default
+SETTLE_S = 5.0  # longest time until a new stream runs
+CARD_RATE_HZ = 48_000
+
+
+class Tone:
+    """A sine on some channels, silent until `play`. Any thread may call `play` and `stop`.
+
+    channels: numbers of the channels that play it, from 0. ended: set when the tone has ended.
+    """
+
+    def __init__(self, hz: float, samplerate: int, channels: Sequence[int]) -> None:
+        self._turn = 2.0 * math.pi * hz / samplerate  # radians per frame
+        self._samplerate, self._channels = samplerate, list(channels)
+        self._phase = self._amplitude = self._aim = 0.0
+        self._rise = self._fall = 1.0  # change of the amplitude per frame
+        self._frames_left = 0
+        self.ended = threading.Event()
+
+    def play(self, level: float, duration_s: float, fade_s: float = FADE_S) -> None:
+        """Fade in to the amplitude `level`, hold and fade out. duration_s: includes the fades."""
+        self._frames_left = round((duration_s - FADE_S) * self._samplerate)
+        self._rise = level / (fade_s * self._samplerate)
+        self._fall = level / (FADE_S * self._samplerate)
+        self._aim = level
+        self.ended.clear()
+
+    def stop(self) -> None:
+        """Fade out now."""
+        self._frames_left = 0
+
+    def fill(self, out: Float32Array, now_s: float) -> None:
+        """Write the next frames. Only the output's thread calls it."""
+        aim, change = (self._aim, self._rise) if self._frames_left > 0 else (0.0, self._fall)
+        self._frames_left -= len(out)
+        frames = np.arange(1, len(out) + 1)
+        before = self._amplitude
+        if before <= aim:
+            amplitudes = np.minimum(before + change * frames, aim)
+        else:
+            amplitudes = np.maximum(before - max(change, self._fall) * frames, aim)
+        phases = self._phase + self._turn * frames
+        out[:, self._channels] = (amplitudes * np.sin(phases))[:, None]
+        self._phase = float(phases[-1]) % (2.0 * math.pi)
+        self._amplitude = float(amplitudes[-1])
+        if aim == before == 0.0:
+            self.ended.set()
+
+
+@dataclass(frozen=True)
+class TonePlayer:
+    """An open output with its tone. guard: None for a sound card without a server."""
+
+    name: str
+    tone: Tone
+    stream: PlaybackStream
+    guard: StreamGuard | None
+
+    def wait_audible(self) -> None:
+        """Wait until the stream plays. LostError: the stream does not play within SETTLE_S."""
+        deadline_s = time.monotonic() + SETTLE_S
+        while not (self.stream.audible and self.stream.callbacks > 1):
+            if time.monotonic() > deadline_s:
+                raise LostError(f"{self.name} does not play after {SETTLE_S:g} s; check the device")
+            self.check()
+            time.sleep(0.01)
+
+    def wait_ended(self) -> None:
+        """Wait for the tone's end. LostError: the device was lost."""
+        while not self.tone.ended.wait(0.1):
+            self.check()
+        if self.guard is not None:  # a stream without a device may consume all frames at once
+            self.guard.look()
+        self.check()
+
+    def check(self) -> None:
+        """Raise LostError if the device or the stream is lost."""
+        gone = self.guard is not None and self.guard.hold is Hold.NO_DEVICE
+        if gone or self.stream.is_lost(time.monotonic()):
+            raise LostError("the device was lost while the tone played; plug it in again")
+
+    def fade_out(self) -> None:
+        """Fade out the tone and wait for its end. Raises nothing."""
+        self.tone.stop()
+        if self.stream.audible and not self.stream.is_lost():
+            self.tone.ended.wait(3.0 * FADE_S)
+
+
+@contextmanager
+def open_tone(
+    device: DeviceAddress,
+    pcm: Pcm,
+    connection: PulseConnection,
+    hz: float,
+    actuators: Sequence[ActuatorSettings] = (),
+) -> Iterator[TonePlayer]:
+    """Open a device for a tone of `hz`; close the device at exit.
+
+    actuators: their channels play the tone; if empty, the known coil channels, else all channels.
+    NotFoundError: there is no such device, or it is in use.
+    UsageError: the device lacks a channel of `actuators`.
+    LostError: the device or the server does not answer.
+    """
+    with ExitStack() as stack:
+        if device.kind == "hw":
+            yield _on_card(device, pcm, hz, actuators, stack)
+            return
+        sink = device.sink(connection.latest)
+        stack.callback(FallbackSink(connection).close)
+        pcm.target = ServerDevice(sink.name)
+        tone = Tone(hz, sink.samplerate, _playing(sink_channel_map(sink, actuators)))
+        stream = PlaybackStream(pcm, sink.samplerate, sink.channels, tone.fill)
+        stack.callback(stream.close)
+        guard = StreamGuard(connection, stream, sink.name)
+        stack.callback(guard.release)
+        player = TonePlayer(f"{sink.name} ({sink.description})", tone, stream, guard)
+        stack.callback(player.fade_out)
+        yield player
+
+
+def _on_card(
+    device: DeviceAddress,
+    pcm: Pcm,
+    hz: float,
+    actuators: Sequence[ActuatorSettings],
+    stack: ExitStack,
+) -> TonePlayer:
+    playback = find_playback(device.name)
+    coils = coil_channels(*playback.card.usb_id)
+    wiring = wiring_of(actuators)
+    needed = max(1, channels_needed(wiring), *(1 + coil for coil in coils))
+    pcm.target, setup = free_card(playback, CARD_RATE_HZ, needed)
+    channel_map = (
+        ChannelMap.of(wiring, setup.channels, device=str(playback))
+        if actuators
+        else ChannelMap.on_coils(1, setup.channels, coils, str(playback))
+    )
+    tone = Tone(hz, setup.samplerate, _playing(channel_map))
+    stream = PlaybackStream(
+        pcm, setup.samplerate, setup.channels, tone.fill, sample_format=setup.sample_format
+    )
+    stack.callback(stream.close)
+    player = TonePlayer(f"{playback} ({playback.name})", tone, stream, None)
+    stack.callback(player.fade_out)
+    stream.audible = True
+    return player
+
+
+def free_card(
+    device: AlsaDevice, rate_hz: int, needed: int, least: int | None = None
+) -> tuple[CardDevice, CardSetup]:
+    """Return the card as a stream's target, and its best format.
+
+    rate_hz, needed, least: see `choose_setup`. NotFoundError: it is in use, or no format fits.
+    """
+    if refused := why_blocked(device):
+        raise NotFoundError(refused)
+    setup = choose_setup(list_offers(device), rate_hz, needed, least)
+    return CardDevice(device.card.number, device.device), setup
+
+
+def _playing(channel_map: ChannelMap) -> list[int]:
+    return [channel for channel, source in enumerate(channel_map.sources) if source is not None]
+
+
+TONE_HZ = 60.0
+FIRST_DB, STEP_DB = -24.0, 6.0  # first level in dB of full scale; "louder" adds STEP_DB
+FADE_IN_S = 2.0
+LONGEST_S = 30.0  # a tone without an answer ends after this time, because the coil heats up
+UNASKED_S = 4.0  # duration of a tone without a question
+
+ANSWERS = {
+    "yes": "the vibration is strong enough",
+    "louder": "6 dB more",
+    "no": "there is no vibration",
+    "stop": "stop the tone and end",
+}
+
+
+class Felt(Enum):
+    """The user's answer to whether the tone was felt."""
+
+    YES = auto()
+    NO = auto()
+    STOPPED = auto()
+
+
+def try_output(
+    device: DeviceAddress,
+    pcm: Pcm,
+    connection: PulseConnection,
+    actuators: Sequence[ActuatorSettings],
+    *,
+    ask: bool,
+) -> tuple[Felt, float | None]:
+    """Play a tone, and ask whether it is felt. Return the answer and the amplitude in dBFS.
+
+    actuators: see `open_tone`.
+    ask: if False, play a short tone, ask nothing, and return `Felt.YES` without a level.
+    KeyboardInterrupt: as for `choose`; the tone is stopped.
+    LostError: the device does not play, or was lost. Other errors are those of `open_tone`.
+    """
+    with open_tone(device, pcm, connection, TONE_HZ, actuators) as player:
+        player.wait_audible()
+        print(f"\n{player.name} vibrates softly at {TONE_HZ:g} Hz. Ctrl+C stops it.", flush=True)
+        if not ask:
+            player.tone.play(db_to_amplitude(FIRST_DB), UNASKED_S, FADE_IN_S)
+            player.wait_ended()
+            return Felt.YES, None
+        print("The strongest moments will be as strong as the tone.")
+        return _ask(player)
+
+
+def _ask(player: TonePlayer) -> tuple[Felt, float | None]:
+    level_db = FIRST_DB
+    while True:
+        player.tone.play(db_to_amplitude(level_db), LONGEST_S, FADE_IN_S)
+        question = f"{level_db:g} dB. Felt it? yes, louder, no, stop:"
+        answer = choose(question, ANSWERS, meanwhile=player.check)
+        if answer == "stop":
+            return Felt.STOPPED, None
+        player.check()
+        if answer == "yes":
+            return Felt.YES, level_db
+        if answer == "no":
+            return Felt.NO, None
+        if math.isclose(level_db, 0.0):
+            print("This is full scale: turn the amplifier up, or check the cables.")
+        level_db = min(level_db + STEP_DB, 0.0)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Play the tone on this device and on no other."""
-    low, high = LIMIT_HZ
-    if not low <= options.hz <= high:
-        raise UsageError(f"hz={options.hz:.12g} is out of range; allowed: {low:g} to {high:g} Hz")
+    """Play the tone on the device of `--device`."""
+    if not 20.0 <= options.hz <= 220.0:
+        raise UsageError(f"hz={options.hz:.12g} is out of range; allowed: 20 to 220 Hz")
     if not 0.0 < options.level <= 1.0:
         raise UsageError(f"level={options.level:.12g} is out of range; allowed: above 0, up to 1")
     if not FADE_S * 2 < options.seconds <= 60.0:
         raise UsageError(f"seconds={options.seconds:.12g} is out of range; allowed: 0.2 to 60 s")
     device = parse_device(options.device)
     if device.kind not in ("sink", "usb"):
-        raise UsageError(
-            f"device {str(device)!r} cannot play a test tone; allowed: sink:NAME, usb:VID:PID"
-        )
+        allowed = "sink:NAME, usb:VID:PID"
+        raise UsageError(f"device {str(device)!r} cannot play a test tone; allowed: {allowed}")
     filter_stderr()
     with ExitStack() as stack:
         pcms = stack.enter_context(closing(PcmConfig(PCM)))
@@ -47,7 +289,6 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _warnings(sink: Sink, snapshot: ServerSnapshot) -> Iterator[str]:
-    """Yield why the tone may not be felt."""
     if sink.mute:
         yield muted(sink.name)
     elif sink.weakened:

@@ -1,4 +1,4 @@
-"""`cushion usb`: a USB audio device's descriptors, for people and for bug reports; its settings."""
+"""`cushion usb`: decodes USB audio devices or dumps of them, and sets a device's controls."""
 
 from __future__ import annotations
 
@@ -7,61 +7,51 @@ import json
 import math
 import sys
 from contextlib import closing, suppress
-from dataclasses import fields, is_dataclass
-from enum import Enum
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from audioflinger_hook.cli import usb_set
 from audioflinger_hook.cli.terminal import warn
 from audioflinger_hook.cli.usb_formats import format_text, formats_of, joined, samplerates_text
 from device.alsa.mixer import CardMixer
-from device.errors import CushionError, NoUsbDeviceError, UsageError
+from device.errors import CushionError, NotFoundError, NoUsbDeviceError, UsageError
 from device.usb import UsbAudioDevice, UsbIdentity, find_devices, find_one, identify
-from device.usb.control import UsbControl, held_by, open_control
+from device.usb.control import UsbControl, held_by, open_control, read_descriptors
 from device.usb.descriptors import (
-    Configuration,
     RateRange,
     WholeDevice,
-    describe,
     hex_lines,
     parse_dump,
     parse_whole,
     playback_formats,
 )
-from device.usb.pyusb_access import read_descriptors
 from device.usb.take_over import take_over
 
-DUMP_BYTES_MAX = 4 << 20
-"""Largest size of a dump as text; a device has at most 64 kB of descriptors."""
-
-
-Found = tuple[UsbAudioDevice | None, WholeDevice, dict[str, Any] | None]
-"""A device, None for a dump; its descriptors; its settings, None where it was not asked."""
+DUMP_BYTES_MAX = 4 << 20  # largest accepted dump
 
 
 def run(options: argparse.Namespace) -> int:
-    """Decode a dump, one device or, without a name, all connected devices; or set a device."""
+    """Decode a dump, one device or all connected devices; or set a device's controls."""
     if options.does == "set":
-        return usb_set.run(options)
+        return _set(options)
     if (options.volume_db, options.samplerate, options.mute) != (None, None, None):
-        raise UsageError("usb describe sets nothing; --volume-db and so on go with `usb set`")
+        raise UsageError("usb describe cannot change settings; use `usb set` for that")
     if options.hex is not None and (options.device or options.take_over):
-        raise UsageError("--hex decodes a file; it goes with neither DEVICE nor --take-over")
-    found: list[Found]
+        raise UsageError("--hex decodes a file; leave out DEVICE and --take-over")
     if options.hex is not None:
-        found = [(None, whole, None) for whole in _dumped(options.hex)]
+        documents = [_document(whole) for whole in _dumped(options.hex)]
     else:
-        found = [
-            (device, parse_whole(read_descriptors(device)), _settings(device, options.take_over))
+        documents = [
+            _document(
+                parse_whole(read_descriptors(device)), device, _settings(device, options.take_over)
+            )
             for device in _devices(options.device)
         ]
     if options.json:
-        documents = [_document(*each) for each in found]
         single = options.device or (options.hex is not None and len(documents) == 1)
         print(json.dumps(documents[0] if single else documents, indent=2))
     else:
-        print("\n\n".join(_text(*each) for each in found))
+        print("\n\n".join(map(_text, documents)))
     return 0
 
 
@@ -70,19 +60,17 @@ def _devices(name: str | None) -> tuple[UsbAudioDevice, ...]:
     if name is not None:
         return (find_one(UsbIdentity.parse(name), found),)
     if not found.devices:
-        raise found.reason or NoUsbDeviceError("no USB audio device is there; plug one in")
+        raise found.reason or NoUsbDeviceError("no USB audio device is plugged in")
     return found.devices
 
 
 def _dumped(path: Path) -> list[WholeDevice]:
-    """Return the devices with audio in a dump, or all devices if none has audio."""
+    """Return the audio devices in a dump; all its devices if none has audio."""
     devices = [parse_whole(raw) for raw in parse_dump(_read(path))]
-    with_audio = [one for one in devices if any(each.uac for each in one.configurations)]
-    return with_audio or devices
+    return [one for one in devices if any(each.uac for each in one.configurations)] or devices
 
 
 def _read(path: Path) -> bytes:
-    """Return a dump; "-" is standard input."""
     try:
         if str(path) == "-":
             raw = sys.stdin.buffer.read(DUMP_BYTES_MAX + 1)
@@ -92,12 +80,11 @@ def _read(path: Path) -> bytes:
     except OSError as error:
         raise UsageError(f"cannot read {path} ({error.strerror}); name a file") from None
     if len(raw) > DUMP_BYTES_MAX:
-        raise UsageError(f"{path} is over {DUMP_BYTES_MAX >> 20} MB: no dump of descriptors")
+        raise UsageError(f"{path} is over {DUMP_BYTES_MAX >> 20} MB: too long for descriptors")
     return raw
 
 
 def _settings(device: UsbAudioDevice, taken: bool) -> dict[str, Any] | None:
-    """Return volumes, mutes and samplerate of a device that may be queried, else None."""
     if taken:
         with take_over(device) as control:
             return _asked(control)
@@ -112,7 +99,7 @@ def _settings(device: UsbAudioDevice, taken: bool) -> dict[str, Any] | None:
 
 
 def _asked(control: UsbControl) -> dict[str, Any]:
-    """Return the settings that the device reports; print why others are missing."""
+    """Return the settings that the device reports; warn about volumes that cannot be read."""
     volumes = []
     for channel in control.volume_channels:
         try:
@@ -123,73 +110,107 @@ def _asked(control: UsbControl) -> dict[str, Any]:
         except CushionError as error:
             warn(f"volume of channel {channel}: {error}")
             continue
-        volumes.append(
-            {
-                "channel": channel,
-                "db": None if volume_db == -math.inf else volume_db,
-                "lowest_db": offered.lowest_db,
-                "highest_db": offered.highest_db,
-                "step_db": offered.step_db,
-            }
-        )
+        volumes.append({"channel": channel, "db": _finite(volume_db), **asdict(offered)})
     mutes = [{"channel": number, "muted": muted} for number, muted in control.state().mutes]
     settings: dict[str, Any] = {"volumes": volumes, "mutes": mutes}
     with suppress(CushionError):
         settings["samplerate"] = control.samplerate()
     with suppress(CushionError):
-        settings["samplerates"] = [_plain(each) for each in control.samplerates()]
+        settings["samplerates"] = [asdict(each) for each in control.samplerates()]
     return settings
 
 
-def _text(
-    device: UsbAudioDevice | None, whole: WholeDevice, settings: dict[str, Any] | None
-) -> str:
-    lines = []
+def _document(
+    whole: WholeDevice,
+    device: UsbAudioDevice | None = None,
+    settings: dict[str, Any] | None = None,
+) -> dict[str, Any]:
+    """Return all known properties of a device or dump, as printed by --json."""
+    document: dict[str, Any] = {}
     if device is not None:
-        name = identify(device, find_devices().devices)
-        cards = ", ".join(f"card {card.number} ({card.id})" for card in device.cards) or "no card"
-        lines.append(f"{device.label} ({name}), port {device.port}, {cards}")
-    if not whole.configurations:
-        lines.append("no configuration could be read")
+        name = str(identify(device, find_devices().devices))
+        document = {"name": name, "label": device.label, "port": device.port}
+        document |= {"cards": [asdict(card) for card in device.cards], "mixer": mixer_of(device)}
     active = whole.active(device.configuration) if device else None
-    for place, configuration in enumerate(whole.configurations):
-        speed = device.speed if device else 0.0
-        lines.append(describe(whole.device if not place else None, configuration, speed))
-        if len(whole.configurations) > 1 and configuration is active:
-            lines.append(f"configuration {configuration.header.value} is the active one")
-        lines += [
-            f"plays: interface {each['interface']}.{each['alternate']}, {format_text(each)}"
-            for each in _formats(configuration, device, active, settings)
-        ]
-    if device is not None:
-        lines += mixer_lines(mixer_of(device))
-    lines += _settings_lines(settings)
-    if whole.rest:
-        lines.append(f"not understood: {whole.rest.hex(' ')}")
-    return "\n".join([*lines, "bytes:", *hex_lines(whole.raw())])
-
-
-def _formats(
-    configuration: Configuration,
-    device: UsbAudioDevice | None,
-    active: Configuration | None,
-    settings: dict[str, Any] | None,
-) -> list[dict[str, Any]]:
-    """Return the formats of a configuration; driver and device report the active one."""
-    if configuration is not active:
-        return formats_of(configuration)
     asked = [RateRange(**each) for each in (settings or {}).get("samplerates", [])]
-    return formats_of(configuration, device, asked)
+    configurations = [
+        {
+            "value": each.value,
+            "audio_class": each.uac,
+            "active": each is active if device else None,
+            "problems": each.problems,
+            "playback": [
+                asdict(playback) | {"synchronisation": playback.synchronisation.name.lower()}
+                for playback in playback_formats(each)
+            ],
+            # Driver and device report only the formats of the active configuration.
+            "formats": formats_of(each, device, asked) if each is active else formats_of(each),
+            "bytes": each.raw.hex(),
+        }
+        for each in whole.configurations
+    ]
+    return document | {
+        "device": asdict(whole.device) if whole.device else None,
+        "configurations": configurations,
+        "problem": whole.problem or None,
+        "rest": whole.rest.hex(),
+        "settings": settings,
+        "bytes": whole.raw.hex(),
+    }
+
+
+def _text(document: dict[str, Any]) -> str:
+    """Return a document as text. It ends with the descriptors, as a dump that --hex can read."""
+    lines = []
+    if "name" in document:
+        cards = ", ".join(f"card {card['number']} ({card['id']})" for card in document["cards"])
+        what = f"{document['label']} ({document['name']})"
+        lines.append(f"{what}, port {document['port']}, {cards or 'no card'}")
+    if device := document["device"]:
+        what = f"device {device['vendor_id']:04x}:{device['product_id']:04x}"
+        release, usb = _version(device["release"]), _version(device["usb"])
+        lines.append(f"{what}, release {release}, USB {usb}")
+    for configuration in document["configurations"]:
+        lines += _configuration_lines(configuration, len(document["configurations"]) > 1)
+    if "mixer" in document:
+        lines += mixer_lines(document["mixer"])
+    lines += _settings_lines(document["settings"])
+    if document["problem"]:
+        lines.append(f"problem: {document['problem']}")
+    return "\n".join([*lines, "bytes:", *hex_lines(bytes.fromhex(document["bytes"]))])
+
+
+def _configuration_lines(configuration: dict[str, Any], is_one_of_several: bool) -> list[str]:
+    uac, value = configuration["audio_class"], configuration["value"]
+    lines = [f"configuration {value}: {f'USB Audio {uac}.0' if uac else 'no audio'}"]
+    if is_one_of_several and configuration["active"]:
+        lines.append(f"configuration {value} is the active one")
+    lines += [f"problem: {problem}" for problem in configuration["problems"]]
+    lines += [
+        f"plays: interface {each['interface']}.{each['alternate']}, {format_text(each)}"
+        for each in configuration["formats"]
+    ]
+    if uac and not configuration["formats"]:
+        lines.append("plays: nothing")
+    for control in ("volume", "mute"):
+        found = {tuple(each[f"{control}_channels"]) for each in configuration["playback"]} - {()}
+        for channels in sorted(found, reverse=True):
+            shown = ", ".join(str(number) if number else "0 (all)" for number in channels)
+            lines.append(f"{control} can be set on channels {shown}")
+    return lines
+
+
+def _version(number: int) -> str:
+    """Return a binary-coded decimal version as text: 2.01 for 0x0201."""
+    return f"{number >> 8:x}.{number & 0xFF:02x}"
 
 
 def _settings_lines(settings: dict[str, Any] | None) -> list[str]:
     if settings is None:
         return []
     lines = [
-        f"volume of channel {each['channel']}: "
-        + ("silence" if each["db"] is None else f"{each['db']:+.2f} dB")
-        + f", {each['lowest_db']:+.2f} to {each['highest_db']:+.2f} dB "
-        f"in steps of {each['step_db']:.3g} dB"
+        f"volume of channel {each['channel']}: {_level(each['db'])}, {each['lowest_db']:+.2f} to "
+        f"{each['highest_db']:+.2f} dB in steps of {each['step_db']:.3g} dB"
         for each in settings["volumes"]
     ]
     lines += [
@@ -203,52 +224,8 @@ def _settings_lines(settings: dict[str, Any] | None) -> list[str]:
     return lines
 
 
-def _document(
-    device: UsbAudioDevice | None, whole: WholeDevice, settings: dict[str, Any] | None
-) -> dict[str, Any]:
-    document: dict[str, Any] = {}
-    if device is not None:
-        document["name"] = str(identify(device, find_devices().devices))
-        document |= {"port": device.port, "cards": _plain(device.cards), "mixer": mixer_of(device)}
-    active = whole.active(device.configuration) if device else None
-    configurations = [
-        {
-            **_plain(configuration),
-            "active": configuration is active if device else None,
-            "problems": [str(problem) for problem in configuration.problems],
-            "playback": _plain(playback_formats(configuration)),
-            "formats": _formats(configuration, device, active, settings),
-            "bytes": configuration.raw().hex(),
-        }
-        for configuration in whole.configurations
-    ]
-    document |= {"device": _plain(whole.device), "configurations": configurations}
-    rest = {"rest": whole.rest.hex(), "settings": settings, "bytes": whole.raw().hex()}
-    return document | rest
-
-
-def _plain(item: Any) -> Any:
-    """Return an item in JSON's types: bytes in hex, enums by name, dataclasses with kind."""
-    if is_dataclass(item) and not isinstance(item, type):
-        kind = {"kind": item.kind} if hasattr(item, "kind") else {}
-        return kind | {each.name: _plain(getattr(item, each.name)) for each in fields(item)}
-    if isinstance(item, (tuple, list)):
-        return [_plain(each) for each in item]
-    if isinstance(item, bytes):
-        return item.hex()
-    if isinstance(item, Enum):
-        return item.name.lower()
-    if isinstance(item, Path):
-        return str(item)
-    return item
-
-
 def mixer_of(device: UsbAudioDevice) -> dict[str, Any]:
-    """Return the controls of a device's cards, for JSON.
-
-    Levels are in dB, by channel, None for silence; they are left out if the steps of a volume are
-    not known in dB. problem: why something could not be read, else None.
-    """
+    """Return the mixer controls of a device's cards for JSON; levels in dB, None for silence."""
     volumes: list[dict[str, Any]] = []
     mutes: list[dict[str, Any]] = []
     problem = None
@@ -258,13 +235,13 @@ def mixer_of(device: UsbAudioDevice) -> dict[str, Any]:
         try:
             with CardMixer(card.number) as mixer:
                 for volume in mixer.volumes:
-                    told: dict[str, Any] = {"name": volume.name}
+                    shown: dict[str, Any] = {"name": volume.name}
                     levels, decibels = mixer.volume_db(volume), volume.decibels
                     if levels is not None and decibels is not None:
-                        told["db"] = [_finite(level) for level in levels]
-                        told["lowest_db"] = _finite(decibels.lowest_db)
-                        told["highest_db"] = _finite(decibels.highest_db)
-                    volumes.append(told)
+                        shown["db"] = [_finite(level) for level in levels]
+                        shown["lowest_db"] = _finite(decibels.lowest_db)
+                        shown["highest_db"] = _finite(decibels.highest_db)
+                    volumes.append(shown)
                 for switch in mixer.switches:
                     mutes.append({"name": switch.name, "muted": list(mixer.muted(switch))})
         except CushionError as error:
@@ -273,7 +250,7 @@ def mixer_of(device: UsbAudioDevice) -> dict[str, Any]:
 
 
 def mixer_lines(mixer: dict[str, Any]) -> list[str]:
-    """Return the controls of `mixer_of` as lines for people."""
+    """Return the controls of `mixer_of` as lines of text."""
     lines = []
     for each in mixer["volumes"]:
         shown = "in steps of unknown size"
@@ -290,7 +267,7 @@ def mixer_lines(mixer: dict[str, Any]) -> list[str]:
 
 
 def volume_now(mixer: dict[str, Any]) -> str:
-    """Return the level of the loudest channel, or "muted"; "" if it is unknown."""
+    """Return the highest volume of all channels in dB, "silence" or "muted"; "" if unknown."""
     if any(each["muted"] and all(each["muted"]) for each in mixer["mutes"]):
         return "muted"
     levels = [level for each in mixer["volumes"] for level in each.get("db", ())]
@@ -306,3 +283,46 @@ def _finite(level_db: float) -> float | None:
 
 def _level(level_db: float | None) -> str:
     return "silence" if level_db is None else f"{level_db:+.2f} dB"
+
+
+def _set(options: argparse.Namespace) -> int:
+    """Set mute, sample rate and volume as given, and print them. Unmuting is done last."""
+    if options.hex is not None or options.take_over or options.json:
+        raise UsageError("usb set sets a device; leave out --hex, --take-over and --json")
+    if options.device is None:
+        raise UsageError("usb set needs a device; `cushion devices` lists them")
+    if (options.samplerate, options.volume_db, options.mute) == (None, None, None):
+        raise UsageError("usb set needs --volume-db, --samplerate or --mute")
+    device = find_one(UsbIdentity.parse(options.device), find_devices())
+    with closing(open_control(device)) as control:
+        if options.mute == "on":
+            _set_mute(control, True)
+        if options.samplerate is not None:
+            control.set_samplerate(options.samplerate)
+            print(f"samplerate: {control.samplerate()} Hz")
+        if options.volume_db is not None:
+            _set_volume(control, options.volume_db)
+        if options.mute == "off":
+            _set_mute(control, False)
+    return 0
+
+
+def _set_volume(control: UsbControl, wanted_db: float) -> None:
+    if not control.volume_channels:
+        raise NotFoundError("the device has no volume that can be set; set the level elsewhere")
+    for channel in control.volume_channels:
+        found_db = control.set_volume_db(channel, wanted_db)
+        print(f"volume of channel {channel}: {_level(_finite(found_db))}")
+        if found_db > wanted_db:
+            raise NotFoundError(
+                f"the lowest volume of channel {channel} is {found_db:g} dB, above the wanted "
+                f"{wanted_db:g} dB; this lowest volume is set"
+            )
+
+
+def _set_mute(control: UsbControl, muted: bool) -> None:
+    if not control.mute_channels:
+        raise NotFoundError("the device has no mute that can be set")
+    for channel in control.mute_channels:
+        control.set_muted(channel, muted)
+        print(f"mute of channel {channel}: {'on' if muted else 'off'}")

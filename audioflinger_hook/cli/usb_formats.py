@@ -1,25 +1,26 @@
-"""The formats that a USB device plays: by its descriptors, its clock and the kernel's own list.
+"""The formats that a USB device plays, from its descriptors, its clock and its driver.
 
-Descriptors of class 2 and 3 leave the samplerates to the clock, and those of class 3 the channels
-to the device. A driver that holds the device has asked for both, and lists them.
+Descriptors of USB Audio 2 and 3 contain no sample rates. Descriptors of USB Audio 3 contain no
+channel count. The device's driver lists these values.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from device.alsa import find_playback
 from device.alsa.cards import PROC
-from device.alsa.usb_stream import Rates, UsbFormat, read_usb_stream
+from device.alsa.offers import Rates, UsbFormat, read_usb_stream
 from device.errors import NotFoundError
 from device.usb import UsbAudioDevice
 from device.usb.descriptors import Configuration, PlaybackFormat, RateRange, playback_formats
 from device.usb.mapping import hw_names
 
-Samplerates = list[int] | dict[str, int] | None
-"""Hz: single rates or a range; None if unknown."""
+Samplerates = list[int] | dict[str, int] | None  # discrete rates or a range in Hz; None if unknown
 
 
 def formats_of(
@@ -28,10 +29,9 @@ def formats_of(
     asked: Sequence[RateRange] = (),
     root: Path = PROC,
 ) -> list[dict[str, Any]]:
-    """Return the formats for JSON, in the order of the descriptors.
+    """Return formats for JSON: those of the configuration, then those that only the driver lists.
 
-    configuration: the one in use. device: whose driver is asked; None for a dump. asked: rates of
-    its clock, as the device reported them.
+    device: None for a dump, which has no driver. asked: sample rates that the device reported.
     """
     listed = by_setting(device, root) if device else {}
     decoded = playback_formats(configuration) if configuration else ()
@@ -44,21 +44,18 @@ def formats_of(
 
 
 def by_setting(device: UsbAudioDevice, root: Path = PROC) -> dict[tuple[int, int], UsbFormat]:
-    """Return a device's formats as the driver lists them, by interface and alternate setting."""
+    """Return the formats that the driver lists, keyed by interface and alternate setting."""
     found: dict[tuple[int, int], UsbFormat] = {}
     for name in hw_names(device):
-        try:
-            playback = find_playback(name.removeprefix("hw:"), root)
-        except NotFoundError:
-            continue  # the device was unplugged in the meantime
-        stream = read_usb_stream(playback)
-        for each in stream.formats if stream else ():
-            found[each.interface, each.altsetting] = each
+        with suppress(NotFoundError):  # the device was unplugged meanwhile
+            stream = read_usb_stream(find_playback(name.removeprefix("hw:"), root))
+            for each in stream.formats if stream else ():
+                found[each.interface, each.altsetting] = each
     return found
 
 
 def format_text(each: dict[str, Any], *, units: str = "Hz") -> str:
-    """Return a format in words. units: of the samplerates, Hz or kHz."""
+    """Return a format as text. units: unit of the sample rates, Hz or kHz."""
     width = f" in {each['subslot_bytes']} bytes" if each["subslot_bytes"] else ""
     sample = f"{'/'.join(each['encodings'])} of {each['bits']} bits{width}"
     if set(each["encodings"]) <= _DSD:
@@ -72,7 +69,7 @@ def format_text(each: dict[str, Any], *, units: str = "Hz") -> str:
 
 
 def samplerates_text(rates: Samplerates, units: str = "Hz") -> str:
-    """Return samplerates in words."""
+    """Return sample rates as text."""
     per_unit = 1_000.0 if units == "kHz" else 1.0
     if rates is None or rates == []:
         return "unknown samplerates"
@@ -82,24 +79,26 @@ def samplerates_text(rates: Samplerates, units: str = "Hz") -> str:
     return f"{', '.join(f'{rate / per_unit:.10g}' for rate in rates)} {units}"
 
 
-_DSD = {"raw data", "DSD"}
-"""Raw data of class 2 is native DSD on all devices that have it."""
+_DSD = {"raw data", "DSD"}  # "raw data" in USB Audio 2 is taken as native DSD
 
 
 def _decoded(
     each: PlaybackFormat, listed: UsbFormat | None, asked: Sequence[RateRange]
 ) -> dict[str, Any]:
-    rates = _single_or_range(each.samplerates)
-    if rates is None and listed is not None:
+    rates: Samplerates = None
+    if isinstance(each.samplerates, RateRange):
+        rates = asdict(each.samplerates)
+    elif each.samplerates is not None:
+        rates = list(each.samplerates)
+    elif listed is not None:
         rates = _of_driver(listed.rates)
-    if rates is None and asked:
+    elif asked:
         rates = joined(asked)
-    is_dsd = listed is not None and any(name.startswith("DSD_") for name in listed.formats)
     return {
         "interface": each.interface,
         "alternate": each.alternate,
         "audio_class": each.uac,
-        "encodings": ["DSD"] if is_dsd else list(each.encodings),
+        "encodings": ["DSD"] if listed and _is_dsd(listed) else list(each.encodings),
         "bits": each.bits,
         "subslot_bytes": each.subslot_bytes,
         "channels": each.channels or (listed.channels if listed else 0),
@@ -111,13 +110,11 @@ def _decoded(
 
 
 def _listed(setting: tuple[int, int], each: UsbFormat, uac: int | None) -> dict[str, Any]:
-    """Return a format that the driver lists and the descriptors do not contain."""
-    is_dsd = any(name.startswith("DSD_") for name in each.formats)
     return {
         "interface": setting[0],
         "alternate": setting[1],
         "audio_class": uac,
-        "encodings": ["DSD"] if is_dsd else list(each.formats),
+        "encodings": ["DSD"] if _is_dsd(each) else list(each.formats),
         "bits": each.bits,
         "subslot_bytes": 0,
         "channels": each.channels,
@@ -131,10 +128,8 @@ def _listed(setting: tuple[int, int], each: UsbFormat, uac: int | None) -> dict[
 _SYNCHRONISATIONS = {"ASYNC": "asynchronous", "ADAPTIVE": "adaptive", "SYNC": "synchronous"}
 
 
-def _single_or_range(rates: tuple[int, ...] | RateRange | None) -> Samplerates:
-    if isinstance(rates, RateRange):
-        return {"lowest": rates.lowest, "highest": rates.highest}
-    return None if rates is None else list(rates)
+def _is_dsd(listed: UsbFormat) -> bool:
+    return any(name.startswith("DSD_") for name in listed.formats)
 
 
 def _of_driver(rates: Rates) -> Samplerates:
@@ -144,7 +139,7 @@ def _of_driver(rates: Rates) -> Samplerates:
 
 
 def joined(asked: Sequence[RateRange]) -> Samplerates:
-    """Return the rates of a clock as single ones, or as one range."""
+    """Return sample rates that a device reported, as discrete rates or as one range."""
     if all(one.lowest == one.highest for one in asked):
         return [one.lowest for one in asked]
     lowest, highest = min(one.lowest for one in asked), max(one.highest for one in asked)

@@ -1,1 +1,1 @@
-"""The user's choices: the config file, its keys and ranges, and named profiles."""
+"""User settings: the config file, its keys and ranges, and named profiles."""

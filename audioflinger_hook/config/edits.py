@@ -1,38 +1,37 @@
-"""Changes to the values of a config file: applied to what was read, or written into its text.
+"""Applies edits (new values of config keys) to a parsed config, to its text, or to a new text.
 
-An edit names a key as `key` or `section.key`; the value None leaves the key out of the file.
+Edits are keyed by the name of a config key: `key` or `section.key`. The value None removes the key.
 """
 
 from __future__ import annotations
 
+import textwrap
 import tomllib
 from collections import deque
 from collections.abc import Mapping, MutableMapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from audioflinger_hook.config.schema import ACTUATOR, KEYS, RENAMED, Key
+from audioflinger_hook.config.schema import ACTUATOR, KEYS, Key, keys_of
+from audioflinger_hook.config.toml_text import text_of
 from device.atomic_file import make_private_folder, write_bytes_atomically
 from device.errors import InternalError, UsageError
 from device.values import Text, nearest
 
 Edits = Mapping[str, Any]
 
-UNDO_MAX = 100
-"""Changes that can be undone; older ones cannot."""
+UNDO_MAX = 100  # largest number of changes that can be undone
 
-EDITABLE = {
+EDITABLE = {  # keys that may be changed while the daemon runs
     f"{key.section}.{key.name}" if key.section else key.name: key
     for key in KEYS
-    # A text names a file or a device, and each actuator has a table of its own.
+    # Keys of type `Text`, such as names of files, and keys of actuators cannot be edited.
     if key.section != ACTUATOR and not isinstance(key.description, Text)
 }
-"""The keys that may be changed while the daemon runs, by their names in edits."""
 
 
 def editable(name: str) -> Key:
-    """Return the key of an edit. UsageError: there is none, or it names a file or a device."""
+    """Return the config key of this name. UsageError: there is none, or it cannot be edited."""
     if name not in EDITABLE:
         guess = nearest(name, EDITABLE)
         offer = f"did you mean {guess}?" if guess else f"allowed: {', '.join(EDITABLE)}"
@@ -41,19 +40,16 @@ def editable(name: str) -> Key:
 
 
 def apply_edits(document: MutableMapping[str, Any], edits: Edits) -> None:
-    """Change the values of a document. Old names of an edited key are left out."""
+    """Change a parsed config in place."""
     for name, value in edits.items():
         section, _, key = name.rpartition(".")
         table = document
         if section:
             if not isinstance(document.get(section, {}), MutableMapping):
-                continue  # The check reports what stands there.
+                continue  # `check` reports the invalid section.
             if section not in document and value is None:
                 continue
             table = document.setdefault(section, {})
-        for old, new in RENAMED.get(section, {}).items():
-            if new == key and old != key:
-                table.pop(old, None)
         if value is None:
             table.pop(key, None)
         else:
@@ -61,9 +57,9 @@ def apply_edits(document: MutableMapping[str, Any], edits: Edits) -> None:
 
 
 def edited_text(text: str, edits: Edits) -> str:
-    """Return the text of a config file with edits; comments and the order of keys stay.
+    """Return the edited text of a config. Its comments and the order of keys do not change.
 
-    UsageError: the text is not TOML.
+    UsageError: the text is not TOML. InternalError: the new text would not have the edited values.
     """
     import tomlkit
     from tomlkit.exceptions import TOMLKitError
@@ -83,102 +79,105 @@ def edited_text(text: str, edits: Edits) -> str:
     return changed
 
 
-@dataclass(frozen=True)
-class _Before:
-    """One key before a change: its value, None for no such key; whether that is to be an edit.
+HEAD = """\
+# Settings of Haptic Cushion. `cushion check` finds mistakes. A key behind `#` has its default.
+# A running daemon reads this again after: systemctl --user reload cushion
+"""
 
-    What the file holds needs none, until the file is saved with another value.
+
+def commented_text(edits: Edits, channels: tuple[str, ...] = ()) -> str:
+    """Return the text of a new config with these values, and other top-level keys as comments.
+
+    channels: channels of its only actuator; if empty, the config has no actuator.
     """
+    parts = [HEAD]
+    for name, key in keys_of("").items():
+        default = f"{name} =" if key.default is None else _line(name, key.default)
+        line = _line(name, edits[name]) if name in edits else f"# {default}"
+        parts.append(f"{_comment(key.help)}{line}\n")
+    sections: dict[str, dict[str, Any]] = {}
+    for name, value in edits.items():
+        section, _, key_name = name.rpartition(".")
+        if section:
+            sections.setdefault(section, {})[key_name] = value
+    for section, values in sections.items():
+        lines = [f"{_comment(keys_of(section)[n].help)}{_line(n, v)}" for n, v in values.items()]
+        parts.append("\n".join([f"[{section}]", *lines, ""]))
+    if channels:
+        parts.append(actuator_text(channels))
+    return "\n".join(parts)
 
-    is_edit: bool
-    value: Any
+
+def actuator_text(channels: tuple[str, ...]) -> str:
+    """Return the text of an [[actuator]] table with these channels."""
+    return f"[[actuator]]\n{_line('channels', channels)}\n"
+
+
+def _comment(text: str) -> str:
+    lines = textwrap.wrap(text, 98, break_long_words=False, break_on_hyphens=False)
+    return "".join(f"# {line}\n" for line in lines)
+
+
+def _line(name: str, value: Any) -> str:
+    import tomlkit
+
+    return tomlkit.dumps({name: list(value) if isinstance(value, tuple) else value}).strip()
 
 
 class LiveEdits:
-    """What was changed since the daemon began, on top of its config file. For one thread.
+    """The edits since the daemon started. They override the values of the config file at `path`.
 
-    values: the edits that apply.
+    Only one thread may use it. values: the edits in effect.
     """
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self.values: dict[str, Any] = {}
         self._saved: dict[str, Any] = {}
-        self._undo: deque[dict[str, _Before]] = deque(maxlen=UNDO_MAX)
+        self._undo: deque[dict[str, Any]] = deque(maxlen=UNDO_MAX)  # values before each change
 
     @property
     def unsaved(self) -> frozenset[str]:
-        """The edited keys that were not saved with their present values."""
+        """The names of edited keys whose values are not in the file."""
         kept = {name for name, value in self.values.items() if (name, value) in self._saved.items()}
         return frozenset(self.values.keys() - kept)
 
     @property
     def undo_count(self) -> int:
-        """Changes that can be undone."""
+        """Number of changes that can be undone."""
         return len(self._undo)
 
-    def with_changes(self, changes: Edits) -> dict[str, Any]:
-        """Return the edits as they would be after these changes."""
-        return {**self.values, **changes}
-
     def accept(self, changes: Edits) -> None:
-        """Make these changes; only after they were checked."""
-        document = self._document()
-        self._undo.append({name: self._before(name, document) for name in changes})
-        self.values.update(changes)
+        """Add edits that the caller has checked."""
+        self._undo.append(self.values)
+        self.values = {**self.values, **changes}
 
     def without_last(self) -> dict[str, Any]:
-        """Return the edits as they would be without the last change.
-
-        UsageError: nothing is left to undo.
-        """
+        """Return the edits as they were before the last change. UsageError: there is no change."""
         if not self._undo:
             raise UsageError("there is nothing to undo; nothing has been changed since the start")
-        values = dict(self.values)
-        for name, before in self._undo[-1].items():
-            if before.is_edit:
-                values[name] = before.value
-            else:
-                values.pop(name, None)
-        return values
+        return dict(self._undo[-1])
 
     def undo(self) -> None:
-        """Undo the last change; only after `without_last` was checked."""
+        """Undo the last change. The caller must have checked the edits of `without_last`."""
         self.values = self.without_last()
         self._undo.pop()
 
     def save(self) -> None:
-        """Write the edits into the file, which is made where it is missing.
-
-        UsageError: the file is not TOML, or cannot be written.
-        WriteError: the disk is full or failed.
-        """
-        text = self._text()
+        """Write the edits to the config file. UsageError, InternalError: it cannot be changed."""
+        text = text_of(self._path, or_empty=True)
         changed = edited_text(text, self.values)
         if changed != text:
             make_private_folder(self._path.parent)
             write_bytes_atomically(self._path, changed.encode())
         self._saved = dict(self.values)
-        for change in self._undo:
-            change.update({name: _Before(True, before.value) for name, before in change.items()})
+        # The file now holds the edits, so undoing an edit must restore the file's earlier value.
+        document = tomllib.loads(text)
+        before = {name: _value(document, name) for name in self.values}
+        self._undo = deque(({**before, **edits} for edits in self._undo), UNDO_MAX)
 
-    def _text(self) -> str:
-        try:
-            return self._path.read_text(encoding="utf-8-sig")
-        except FileNotFoundError:
-            return ""
-        except (OSError, UnicodeDecodeError) as error:
-            raise UsageError(f"{self._path} cannot be read ({error}); check the file") from error
 
-    def _document(self) -> dict[str, Any]:
-        try:
-            return tomllib.loads(self._text())
-        except (UsageError, ValueError):
-            return {}
-
-    def _before(self, name: str, document: dict[str, Any]) -> _Before:
-        if name in self.values:
-            return _Before(True, self.values[name])
-        section, _, key = name.rpartition(".")
-        table = document.get(section, {}) if section else document
-        return _Before(False, table.get(key) if isinstance(table, dict) else None)
+def _value(document: dict[str, Any], name: str) -> Any:
+    section, _, key = name.rpartition(".")
+    table = document.get(section, {}) if section else document
+    return table.get(key) if isinstance(table, dict) else None

@@ -1,4 +1,4 @@
-"""The config file, in TOML: one reading finds every mistake, each with its line."""
+"""Reads the config file (TOML), and finds all mistakes in it at once, with line numbers."""
 
 from __future__ import annotations
 
@@ -9,15 +9,7 @@ from typing import Any
 
 from audioflinger_hook.config.edits import Edits, apply_edits
 from audioflinger_hook.config.profiles import OFFLINE_DEFAULT, parameters_of, values_of
-from audioflinger_hook.config.schema import (
-    ACTUATOR,
-    HEADERS,
-    KEYS,
-    RENAMED,
-    SECTIONS,
-    keys_of,
-    rescaled,
-)
+from audioflinger_hook.config.schema import ACTUATOR, HEADERS, KEYS, REPLACED, SECTIONS, keys_of
 from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.config.toml_text import Mistake, lines_of_keys, parse, printable, text_of
 from audioflinger_hook.transform import TransformParameters
@@ -28,29 +20,20 @@ from device.values import Described, Refusal, nearest
 
 @dataclass(frozen=True)
 class Config:
-    """The content of a config file.
-
-    settings: of the transform, the effects and the rig.
-    live: where live sound comes from and where the vibration goes.
-    warning: the keys with old names, "" if there are none.
-    """
+    """The settings of a config file."""
 
     settings: Settings = field(default_factory=Settings)
     live: LiveSettings = field(default_factory=LiveSettings)
-    warning: str = ""
 
 
 def default_path() -> Path:
-    """Return the path of the user's config: $XDG_CONFIG_HOME/cushion/config.toml."""
+    """Return the path of the user's config, in $XDG_CONFIG_HOME or ~/.config."""
     base = os.environ.get("XDG_CONFIG_HOME") or "~/.config"
     return Path(base).expanduser() / "cushion" / "config.toml"
 
 
 def load(path: Path, default_profile: str = OFFLINE_DEFAULT, edits: Edits | None = None) -> Config:
-    """Return the content of a config file with edits; see `check`.
-
-    UsageError: the file cannot be read or has mistakes; the message has the first and the count.
-    """
+    """Return the settings of a config file; see `check`. UsageError: the file has mistakes."""
     config, mistakes = check(path, default_profile, edits)
     if config is None:
         more = f" (and {len(mistakes) - 1} more; see `cushion check --config {path}`)"
@@ -61,20 +44,20 @@ def load(path: Path, default_profile: str = OFFLINE_DEFAULT, edits: Edits | None
 def check(
     path: Path, default_profile: str = OFFLINE_DEFAULT, edits: Edits | None = None
 ) -> tuple[Config | None, list[Mistake]]:
-    """Return a file's content and an empty list, or None and every mistake in order of lines.
+    """Return a file's settings and an empty list, or None and all mistakes, ordered by line.
 
-    default_profile: if the file names none. edits: values that replace those of the file, which may
-    then be missing.
-    UsageError: the file cannot be read, or is not text.
+    default_profile: the profile if the file names none.
+    edits: values that override those of the file. If they are given, the file may be missing.
+    UsageError: the file cannot be read or is not text.
     """
-    text = text_of(path) if edits is None or path.exists() else ""
+    text = text_of(path, or_empty=edits is not None)
     return check_text(text, path.parent, default_profile, edits)
 
 
 def check_text(
     text: str, folder: Path, default_profile: str, edits: Edits | None = None
 ) -> tuple[Config | None, list[Mistake]]:
-    """Return the content of a config file's text, as `check` does. folder: of the file."""
+    """Check a text as `check` checks a file. folder: relative paths in the text start there."""
     document, mistakes = parse(text)
     apply_edits(document, edits or {})
     reading = _Reading(lines_of_keys(text), folder, mistakes, default_profile)
@@ -86,28 +69,20 @@ def check_text(
 
 
 class _Reading:
-    """Accepted values, mistakes and keys with old names of one document."""
-
     def __init__(
-        self,
-        lines: dict[str, int],
-        folder: Path,
-        mistakes: list[Mistake],
-        default_profile: str,
+        self, lines: dict[str, int], folder: Path, mistakes: list[Mistake], default_profile: str
     ) -> None:
         self.default_profile = default_profile
         self.lines = lines
         self.folder = folder
         self.mistakes = mistakes
         self.shown: dict[str, str] = {}
-        self.renamed: list[str] = []
-        # The accepted values of fields, by class; for actuators, the values of the last actuator.
+        # Accepted values by class and field; for actuators, the values of the latest actuator.
         self.accepted: dict[type[Described], dict[str, Any]] = {key.owner: {} for key in KEYS}
         self.actuators: list[dict[str, Any]] = []
         self.refused: set[tuple[type[Described], str]] = set()
 
     def read(self, document: dict[str, Any]) -> None:
-        """Check every value separately."""
         top = {name: value for name, value in document.items() if name not in HEADERS}
         self._read_table("", "", top)
         for section in SECTIONS[1:]:
@@ -135,25 +110,16 @@ class _Reading:
                 self._add(f"{prefix}channels", Refusal("is missing", allowed))
 
     def _read_table(self, section: str, prefix: str, table: dict[str, Any]) -> None:
-        known, renamed = keys_of(section), RENAMED.get(section, {})
-        for written, value in table.items():
-            shown = f"{prefix}{written}"
+        known = keys_of(section)
+        for name, value in table.items():
+            shown = f"{prefix}{name}"
             if not isinstance(value, dict):
                 self.shown[shown] = _shown(value)
-            name = renamed.get(written, written)
             if name not in known:
                 self._add(shown, _unknown(section, name, is_section=isinstance(value, dict)))
                 continue
             key = known[name]
-            if name != written:
-                if name in table:
-                    wrong = f"is the old name of {prefix}{name}, which is given, too"
-                    self._add(shown, Refusal(wrong, f"{name} alone"))
-                    continue
-                self.lines[f"{prefix}{name}"] = self._line(shown)
-                self.shown[f"{prefix}{name}"] = self.shown.get(shown, "")
-                self.renamed.append(f"line {self._line(shown)}: {shown} is now {prefix}{name}")
-            resolved = key.description.resolved(rescaled(written, value), self.folder)
+            resolved = key.description.resolved(value, self.folder)
             if refusal := key.description.refuse(resolved):
                 self._add(shown, refusal)
                 self.refused.add((key.owner, key.field))
@@ -161,7 +127,6 @@ class _Reading:
                 self.accepted[key.owner][key.field] = key.description.typed(resolved)
 
     def find_contradictions(self) -> None:
-        """Check the accepted values against one another."""
         self.accepted[Settings]["actuators"] = self.actuators
         owners: tuple[type[Described], ...] = (TransformParameters, Settings, LiveSettings)
         for owner in owners:
@@ -173,16 +138,15 @@ class _Reading:
                 self._add(f"{section}.{name}" if section else name, refusal)
         wired = [actuator.get("channels", ()) for actuator in self.actuators]
         for number, refusal in wiring_refusals(wired).items():
-            if wired[number - 1]:  # its other mistakes are reported already
+            if wired[number - 1]:  # If there are no channels, another mistake is already reported.
                 self._add(f"{ACTUATOR}[{number}].channels", refusal)
 
     @property
     def profile(self) -> str:
-        """The profile that is named, or the default if none or an unknown one is named."""
+        """The profile that the config names, or the default if it names no known profile."""
         return str(self.accepted[Settings].get("profile", self.default_profile))
 
     def config(self) -> Config:
-        """Return the content of the document, which has no mistakes."""
         chosen = self.accepted[TransformParameters]
         settings = Settings(
             **self.accepted[Settings]
@@ -193,16 +157,13 @@ class _Reading:
                 "actuators": tuple(ActuatorSettings(**actuator) for actuator in self.actuators),
             }
         )
-        warning = ""
-        if self.renamed:
-            warning = f"{', '.join(self.renamed)}; the next release knows the new names only"
-        return Config(settings, LiveSettings(**self.accepted[LiveSettings]), warning)
+        return Config(settings, LiveSettings(**self.accepted[LiveSettings]))
 
     def _line(self, key: str) -> int:
-        """Return the line of a key, or of the section that holds it inline; 0 if unknown."""
+        """Return the line number of a key, else that of its section, else 0."""
         section = key.partition(".")[0]
-        lines = self.lines
-        return lines.get(key) or lines.get(section) or lines.get(section.partition("[")[0], 0)
+        names = (key, section, section.partition("[")[0])
+        return next((self.lines[name] for name in names if name in self.lines), 0)
 
     def _add(self, key: str, refusal: Refusal) -> None:
         where = printable(key), self._line(key), self.shown.get(key, "")
@@ -210,7 +171,9 @@ class _Reading:
 
 
 def _unknown(section: str, name: str, is_section: bool) -> Refusal:
-    """Return the refusal of an unknown key or section, with the most similar known name."""
+    """Return a message about an unknown key or section, with the most similar known name."""
+    if name in REPLACED.get(section, {}):
+        return Refusal("is no longer a key", REPLACED[section][name])
     known = [*keys_of(section), *(HEADERS.values() if not section else ())]
     elsewhere = [
         f"{name} in {HEADERS[key.section]}" if key.section else f"{name} at the top level"
@@ -223,7 +186,6 @@ def _unknown(section: str, name: str, is_section: bool) -> Refusal:
 
 
 def _shown(value: Any) -> str:
-    """Return a value roughly as TOML would write it, for a message of one line."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str):
@@ -232,5 +194,5 @@ def _shown(value: Any) -> str:
         return printable(f"[{', '.join(map(_shown, value))}]")
     try:
         return printable(str(value))
-    except ValueError:  # an integer of thousands of digits
+    except ValueError:  # an integer with thousands of digits
         return "a number of thousands of digits"

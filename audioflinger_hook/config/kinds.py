@@ -1,4 +1,4 @@
-"""Kinds of values that only settings have: rigs, files, addresses and names."""
+"""Kinds of values in a config: rigs, files, addresses and names. They check and convert values."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ from typing import Any
 
 from audioflinger_hook.sources import parse_tap
 from device.errors import UsageError
-from device.rig.rig_file import SHIPPED, SUFFIX, read_rig
+from device.rig.rig import SHIPPED, SUFFIX, read_rig
 from device.values import Description, Refusal, Text
 
 
 @dataclass(frozen=True)
 class RigName(Text):
-    """A bundled rig or a rig file, which must be readable and valid."""
+    """The name of a bundled rig, or the path of a valid rig file."""
 
     grammar: str = f"{', '.join(SHIPPED)}, or a file, NAME{SUFFIX}"
 
     def resolved(self, value: object, folder: Path) -> object:
-        """Return the value; the path of a rig file is resolved against the folder."""
+        """Return the value; a relative path of a rig file is joined to `folder`."""
         is_file = isinstance(value, str) and value not in SHIPPED and value.endswith(SUFFIX)
         return str(folder / str(value)) if is_file else value
 
     def refuse(self, value: object) -> Refusal | None:
-        """Refuse unknown names, and files that are no rig."""
+        """Return why the name is unknown or the rig file invalid; None if the value is allowed."""
         if not isinstance(value, str):
             return Refusal("is not a name", self.allowed)
         if value in SHIPPED:
@@ -34,21 +34,21 @@ class RigName(Text):
             return Refusal("is not known", self.allowed)
         try:
             read_rig(value)
-        except (UsageError, ValueError) as error:  # ValueError: an impossible path
+        except (UsageError, ValueError) as error:  # ValueError: an invalid path
             return Refusal(f"cannot be used ({error})", self.allowed)
         return None
 
 
 @dataclass(frozen=True)
 class FileName(Text):
-    """The path of a file. A value of type `Path` is checked only when the file is opened."""
+    """The path of a file. A path given as text must exist; a `Path` need not exist."""
 
     def resolved(self, value: object, folder: Path) -> object:
-        """Return the value; a relative path is resolved against the folder."""
+        """Return the value; a relative path is joined to `folder`."""
         return str(folder / value) if isinstance(value, str) and value else value
 
     def refuse(self, value: object) -> Refusal | None:
-        """Refuse what is not the path of a file."""
+        """Return why the value is not the path of a file; None if it is allowed."""
         if isinstance(value, Path):
             return None
         if not isinstance(value, str) or not value:
@@ -63,13 +63,13 @@ class FileName(Text):
 
 @dataclass(frozen=True)
 class Address(Text):
-    """The address of a tap or a device, as the user writes it."""
+    """The address of a tap (source of sound) or a device, as users write it."""
 
     parse: Callable[[str], object] = str
     what: str = "address"
 
     def refuse(self, value: object) -> Refusal | None:
-        """Refuse what the grammar refuses, in its words."""
+        """Return why `parse` refuses the address; None if it is allowed."""
         if not isinstance(value, str):
             return Refusal(f"is not a {self.what}", self.allowed)
         try:
@@ -82,10 +82,10 @@ class Address(Text):
 
 @dataclass(frozen=True)
 class Taps(Address):
-    """The address of one tap, or a list of applications."""
+    """The address of one tap (source of sound), or a list of applications."""
 
     def refuse(self, value: object) -> Refusal | None:
-        """Refuse what is neither one tap nor a list of applications."""
+        """Return why the value is neither a tap nor a list of applications; None if allowed."""
         taps = [value] if isinstance(value, str) else value
         if not isinstance(taps, (list, tuple)) or not all(isinstance(tap, str) for tap in taps):
             return Refusal("is not a tap or a list of taps", self.allowed)
@@ -96,40 +96,40 @@ class Taps(Address):
                 return refusal
         if len(taps) > 1 and {parse_tap(tap).kind for tap in taps} != {"app"}:
             return Refusal(
-                "are several taps, but not all are applications", "one tap, or app:NAME each"
+                "has several taps that are not all applications", "one tap, or app:NAME each"
             )
         return None
 
     def json_schema(self) -> dict[str, Any]:
-        """Return an address or a list of them."""
+        """Return the JSON Schema of one address or a list of addresses."""
         one = super().json_schema()
         return {"anyOf": [one, {"type": "array", "minItems": 1, "items": one}]}
 
     def typed(self, value: Any) -> Any:
-        """Return a tuple of addresses."""
+        """Return the addresses as a tuple."""
         return (value,) if isinstance(value, str) else tuple(value)
 
 
 @dataclass(frozen=True)
 class Names(Description):
-    """A list of names, none of them blank."""
+    """A list of non-blank names."""
 
     @property
     def allowed(self) -> str:
-        """A list of names."""
+        """The allowed form, for messages."""
         return '["NAME", ...]'
 
     def refuse(self, value: object) -> Refusal | None:
-        """Refuse what is not a list of names."""
+        """Return why the value is not a list of non-blank names; None if it is allowed."""
         names = value if isinstance(value, (list, tuple)) else [None]
         if all(isinstance(name, str) and name.strip() for name in names):
             return None
         return Refusal("must be a list of non-empty strings", self.allowed)
 
     def json_schema(self) -> dict[str, Any]:
-        """Return an array of strings."""
+        """Return the JSON Schema of an array of non-blank strings."""
         return {"type": "array", "items": {"type": "string", "pattern": r"\S"}}
 
     def typed(self, value: Any) -> Any:
-        """Return a tuple."""
+        """Return the names as a tuple."""
         return tuple(value)

@@ -1,4 +1,4 @@
-"""Every key of the config file: one list for check, command line, editors and README."""
+"""Describes all keys of the config file, for `check`, the command line, editors and docs."""
 
 from __future__ import annotations
 
@@ -12,13 +12,10 @@ from device.drive import ActuatorSettings
 from device.values import OFF, Choice, Described, Description, Number, Switch
 
 ACTUATOR = "actuator"
-SECTIONS = ("", "transform", "applications", ACTUATOR)
-"""Sections of a config file. "" is the top level, [[actuator]] an array of tables."""
-
+SECTIONS = ("", "transform", "applications", ACTUATOR)  # "" is the top level
 HEADERS = {name: f"[[{name}]]" if name == ACTUATOR else f"[{name}]" for name in SECTIONS[1:]}
-"""Header of each section except the first, ""."""
 
-CHANGES = {
+CHANGES = {  # effect of changing a key while the daemon runs
     "nothing": "no interruption",
     "next stream": "used by streams opened later",
     "stream": "opens one stream again",
@@ -27,51 +24,35 @@ CHANGES = {
     "engine": "restarts all but the connection",
     "another engine": "one engine ends before the other begins",
 }
-"""The effects of changing a key while the daemon runs, each with its explanation."""
 
 OPTIONS = {
-    "form": "",
-    "channels": "",
+    **dict.fromkeys(
+        ("form", "channels", "damping", "protection", "model", "drop_in", "engine"), ""
+    ),
     "profile": "NAME",
     "rig": "NAME|FILE",
-    "damping": "",
-    "protection": "",
-    "model": "",
     "tolerance": "SHARE",
     "tap": "TAP",
     "device": "DEVICE",
     "offset_ms": "MS",
-    "drop_in": "",
-    "engine": "",
     "device_volume_db": "DB|off",
 }
-"""Fields that a command-line option sets, each with the name of its value in help.
+"""Fields that a command-line option sets, each with the placeholder of its value in help.
 
-"" means that help lists the words of a choice, or that the option is a switch.
+"" stands for a switch or a choice. Help shows a choice's words as its placeholder.
 """
 
-RENAMED_PARAMETERS = {
+# Maps old names of parameters in configs and captures, and old keys, to the present names.
+REPLACED_PARAMETERS = {
+    "level_law": "amplitude_mapping",
     "follower_db": "loudness_db",
     "follower_target_db": "loudness_target_db",
-    "follower_slope_db": "dynamics",
-    "loudness_slope_db": "dynamics",
+    "follower_slope_db": "dynamics, with a twentieth of the value",
+    "loudness_slope_db": "dynamics, with a twentieth of the value",
     "follower_floor_db": "loudness_floor_db",
     "follower_gate_db": "loudness_gate_db",
 }
-"""New names of renamed parameters, by the names in older configs and captures."""
-
-RESCALED = {"follower_slope_db": 1.0 / 20.0, "loudness_slope_db": 1.0 / 20.0}
-"""Factors on the values of old names: the slope was dB for 20 phon, `dynamics` is dB per phon."""
-
-RENAMED = {"transform": {"form": "transform", **RENAMED_PARAMETERS}}
-"""New names of renamed keys, by section and old name. Old names work for one release."""
-
-
-def rescaled(name: str, value: Any) -> Any:
-    """Return the value that belongs to the new name, from that of a key or field of this name."""
-    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    return value * RESCALED[name] if name in RESCALED and is_number else value
-
+REPLACED = {"transform": {"form": "transform", **REPLACED_PARAMETERS}}
 
 _OWNERS: tuple[tuple[type[Described], str, str], ...] = (
     (Settings, "", "engine"),
@@ -79,51 +60,43 @@ _OWNERS: tuple[tuple[type[Described], str, str], ...] = (
     (TransformParameters, "transform", "transform"),
     (ActuatorSettings, ACTUATOR, "nothing"),
 )
-"""The classes that hold the keys, each with the default section and change of its fields."""
+"""The classes that hold the keys. Each has a default section and a default effect of changes."""
 
 
 @dataclass(frozen=True)
 class Key:
-    """One key of the config file.
+    """A key of the config file. Its value becomes the field `field` of the class `owner`."""
 
-    section, name: the key's section ("" for the top level) and its name in that section.
-    owner, field: the class and the field that hold the value.
-    description: the key's meaning and allowed values.
-    default: the default value; None if there is none.
-    live_default: the default value in `run`, which takes another profile if none is named.
-    change: the effect of changing the key while the daemon runs, one of `CHANGES`.
-    """
-
-    section: str
+    section: str  # "" for the top level
     name: str
     owner: type[Described]
     field: str
     description: Description
-    default: Any
-    live_default: Any
-    change: str
+    default: Any  # None if there is none
+    live_default: Any  # default in `run`, which has another default profile
+    change: str  # the effect of changing the key while the daemon runs, one of `CHANGES`
 
     @property
     def flag(self) -> str:
-        """The command-line option that sets the key, "" if there is none."""
+        """The command-line option that sets the key; "" if there is none."""
         has_one = self.field in OPTIONS and self.owner is not ActuatorSettings
         return f"--{self.name.replace('_', '-')}" if has_one else ""
 
     @property
     def metavar(self) -> str:
-        """The name of the option's value in help."""
+        """The word that stands for the option's value in help, such as NAME."""
         words = self.description.words if isinstance(self.description, Choice) else ()
         return OPTIONS[self.field] or "|".join(map(str, words))
 
     @property
     def shown_default(self) -> str:
-        """The default as help and README show it, "" if there is none."""
+        """The default as shown in help and docs; "" if there is none."""
         shown, live = (_shown(value) for value in (self.default, self.live_default))
         return shown if shown == live else f"{live} in run, else {shown}"
 
     @property
     def help(self) -> str:
-        """The key's meaning, allowed values and default, for the command line's help."""
+        """The help text: the key's meaning, allowed values and default."""
         described = self.description
         parts = [described.meaning]
         if not isinstance(described, Switch):
@@ -158,7 +131,7 @@ def _keys() -> tuple[Key, ...]:
     found = []
     for owner, section, change in _OWNERS:
         for field, described in owner.DESCRIPTIONS.items():
-            if owner is ActuatorSettings and field == "rig":  # `Settings` reads the file
+            if owner is ActuatorSettings and field == "rig":  # `Settings` reads the rig file
                 meaning = described.meaning
                 described = replace(Settings.DESCRIPTIONS["rig"], meaning=meaning)
             default = getattr(owner, field, MISSING)
@@ -173,17 +146,16 @@ def _keys() -> tuple[Key, ...]:
     return tuple(sorted(found, key=lambda key: SECTIONS.index(key.section)))
 
 
-KEYS = _keys()
-"""Every key, section by section."""
+KEYS = _keys()  # all keys, in order of section
 
 
 def keys_of(section: str) -> dict[str, Key]:
-    """Return the keys of a section by name."""
+    """Return the keys of a section, keyed by name. section: "" for the top level."""
     return {key.name: key for key in KEYS if key.section == section}
 
 
 def option(field: str) -> Key:
-    """Return the key of a field that the command line can set."""
+    """Return the key of a field that a command-line option sets."""
     return next(key for key in KEYS if key.field == field and key.flag)
 
 
@@ -205,7 +177,4 @@ def json_schema() -> dict[str, Any]:
 def _table(section: str) -> dict[str, Any]:
     keys = keys_of(section)
     properties = {name: key.json_schema() for name, key in keys.items()}
-    for old, new in RENAMED.get(section, {}).items():
-        description = f"Renamed to {new}."
-        properties[old] = {**properties[new], "description": description, "deprecated": True}
     return {"type": "object", "additionalProperties": False, "properties": properties}

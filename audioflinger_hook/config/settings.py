@@ -1,9 +1,10 @@
-"""What a user may set: the transform, the rig, the source of sound and the target of vibration."""
+"""User settings: the transform, the rig, where the sound comes from, where the vibration goes."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -22,48 +23,34 @@ from device.drive import (
     wiring_of,
     wiring_refusals,
 )
-from device.drive.damping.design import resonance_as_damped
+from device.drive.damping import resonance_as_damped
 from device.drive.settings import DAMPING, EXPOSURE_CAP, GAIN_MAX_DB, GAIN_MIN_DB, PROTECTION
 from device.rig.parameters import LEAST_TOLERANCE, MODELS, Model
-from device.rig.rig_file import SHIPPED, rig_by_name
+from device.rig.rig import SHIPPED, rig_by_name
 from device.server.forwarding import MAX_DELAY_S
 from device.values import Choice, Described, Number, Refusal, Switch
 
 Channels = Literal["mono", "each"]
 
-OFFSET_MIN_MS, OFFSET_MAX_MS = -1e3 * MAX_DELAY_S, 1_000.0  # below 0, the sound is delayed
+OFFSET_MIN_MS, OFFSET_MAX_MS = -1e3 * MAX_DELAY_S, 1_000.0  # an offset below 0 delays the sound
+# Lowest value of the setting. A device whose lowest volume is higher uses its own lowest volume.
 DEVICE_VOLUME_MIN_DB = -96.0
-"""Lowest volume of a 16-bit volume control; a device without it uses its own lowest volume."""
+BLOCK_FRAMES = (128, 256, 512, 1024)  # fewer frames per callback reduce latency and cost CPU time
+ENGINES = ("auto", "native", "python")  # engines that compute live vibration
 
-BLOCK_FRAMES = (128, 256, 512, 1024)
-"""Frames per callback of the input and output streams; fewer frames: less delay, more work."""
-
-ENGINES = ("auto", "native", "python")
-"""What computes the vibration of live sound."""
-
-OF_PROFILE = TransformParameters()
-"""Marks that the chosen profile's parameters apply; compared by identity."""
+OF_PROFILE = TransformParameters()  # this object stands for the parameters of the profile
 
 
 @dataclass(frozen=True)
 class Settings(Described):
     """Settings of the transform, the effects and the rig.
 
-    With actuators, their sources select what is transformed, and `channels` is "mono".
+    With actuators, `channels` is "mono", and each actuator's `source` selects what it plays.
 
-    Raises
-    ------
-    UsageError
-        The settings contain refused choices; the message names all of them.
-
-    Attributes
-    ----------
-    parameters : TransformParameters
-        Default: those of the profile.
-    said : tuple of str
-        Names of parameters set individually; they override any profile.
-    actuators : tuple of ActuatorSettings
-        What each actuator plays, and where. Without actuators, all channels play one vibration.
+    parameters: parameters of the transform; by default those of the profile.
+    said: names of parameters that the user set; another profile does not change their values.
+    actuators: if empty, all channels of the device, or its known coil channels, play the vibration.
+    UsageError: one or more values are not allowed; the message names all of them.
     """
 
     profile: Annotated[
@@ -76,7 +63,7 @@ class Settings(Described):
         str, Choice("keep the rig within its limits, and count exposure", PROTECTION)
     ] = PROTECTION[0]
     exposure_cap: Annotated[
-        str, Choice("daily dose allowed by 2002/44/EC; also turns protection on", EXPOSURE_CAP)
+        str, Choice("limit daily exposure by 2002/44/EC; also turns protection on", EXPOSURE_CAP)
     ] = EXPOSURE_CAP[0]
     form: Annotated[
         Form,
@@ -94,20 +81,18 @@ class Settings(Described):
     ] = "mono"
     rig: Annotated[str, RigName("rig that is driven, or its file", change="engine")] = SHIPPED[0]
     model: Annotated[
-        Model, Choice("model of the simulated rig; auto: the cheapest that suffices", MODELS)
+        Model, Choice("model of the simulated rig; auto: the fastest within tolerance", MODELS)
     ] = "auto"
     tolerance: Annotated[
         float,
-        Number("error that model = auto may make, as a share of the peak", LEAST_TOLERANCE, 1.0),
+        Number("largest error of model = auto, as a share of the peak", LEAST_TOLERANCE, 1.0),
     ] = 0.01
     gain_db: Annotated[
         float, Number("level of the vibration", GAIN_MIN_DB, GAIN_MAX_DB, "dB", change="nothing")
     ] = GAIN_MAX_DB
     effects_file: Annotated[
         Path | None,
-        FileName(
-            "which effects run; default: the haptic effect", "the path of an audio_effects.xml"
-        ),
+        FileName("effects to run; default: the haptic effect", "the path of an audio_effects.xml"),
     ] = None
     parameters: TransformParameters = OF_PROFILE
     said: tuple[str, ...] = ()
@@ -121,7 +106,7 @@ class Settings(Described):
 
     @classmethod
     def refusals(cls, values: Mapping[str, Any]) -> dict[str, Refusal]:
-        """Return why values are refused, including values of the actuators' rigs and wiring."""
+        """Return why values of settings or of actuators are not allowed, keyed by name."""
         found, actuators = super().refusals(values), values.get("actuators", ())
         for number, one in enumerate(actuators, 1):
             if one.rig is not None and (refusal := cls.DESCRIPTIONS["rig"].refuse(one.rig)):
@@ -132,46 +117,58 @@ class Settings(Described):
 
     @classmethod
     def contradictions(cls, values: Mapping[str, Any]) -> dict[str, Refusal]:
-        """Refuse `channels` if actuators define what is transformed."""
+        """Return why "each" is not allowed as `channels` with actuators; otherwise {}."""
         if not values.get("actuators") or values.get("channels") != "each":
             return {}
         allowed = "mono: the source of every [[actuator]] says what it plays"
         return {"channels": Refusal("cannot be used with actuators", allowed)}
 
     def choosing(self, **given: Any) -> Settings:
-        """Return a copy of these settings with the given ones changed.
-
-        A profile brings its parameters, except those that were set individually.
-
-        UsageError: as for the constructor.
-        """
+        """Return a copy with `given` values. A new profile changes no parameters in `said`."""
         if given.get("profile") in PROFILES and "parameters" not in given:
             kept = {name: getattr(self.parameters, name) for name in self.said}
             given["parameters"] = parameters_of(given["profile"], kept)
         return replace(self, **given)
 
-    @property
+    @cached_property
     def transform_parameters(self) -> TransformParameters:
-        """The parameters; strength "rig" without a resonance gets that of the damped rig.
+        """The parameters for the transform, with the rig's resonance if `strength` is "rig".
 
-        UsageError: the rig's file cannot be read any more.
+        If the user set `resonance_hz`, the rig's resonance is not used. A profile's `strength`
+        becomes "rig" if all actuators share one rig, damping, protection and exposure cap, and one
+        of these is not the default. UsageError: the rig file cannot be read.
         """
-        chosen = self.parameters
+        chosen, driven = self.parameters, self._driven
+        of_profile = PROFILES[self.profile].get("strength")
+        if of_profile and chosen.strength == of_profile.value and "strength" not in self.said:
+            unset = {(SHIPPED[0], DAMPING[0], PROTECTION[0], EXPOSURE_CAP[0])}
+            if len(driven) == 1 and driven != unset:
+                chosen = replace(chosen, strength="rig")
         if chosen.strength != "rig" or chosen.resonance_hz:
             return chosen
-        hz, q = resonance_as_damped(rig_by_name(self.rig).actuator, self.damping == "auto")
-        return replace(chosen, resonance_hz=hz, resonance_q=q)
+        rig, damping = min(driven)[:2] if len(driven) == 1 else (self.rig, self.damping)
+        hz, q, gain_db = resonance_as_damped(rig_by_name(rig).actuator, damping == "auto")
+        return replace(chosen, resonance_hz=hz, resonance_q=q, resonance_gain_db=gain_db)
+
+    @property
+    def _driven(self) -> set[tuple[str, ...]]:
+        own = (self.rig, self.damping, self.protection, self.exposure_cap)
+        names = ("rig", "damping", "protection", "exposure_cap")
+        return {
+            tuple(getattr(one, name, None) or mine for name, mine in zip(names, own, strict=True))
+            for one in self.actuators
+        } or {own}
 
     @property
     def sources(self) -> tuple[str, ...]:
-        """The actuators' sources, each with its own vibration; empty without actuators."""
+        """The parts of the sound that actuators play, such as "left"; () without actuators."""
         return sources_of(self.actuators)
 
     @property
     def numbered_channels(self) -> ChannelMap:
-        """The actuators on a device with exactly the channels that they need, such as a file.
+        """The actuators' channels on a device without channel names.
 
-        UsageError: an actuator's channel is given by name, but a file's channels have no names.
+        UsageError: an actuator's channel is given by its name.
         """
         wiring = wiring_of(self.actuators)
         return ChannelMap.of(
@@ -181,16 +178,14 @@ class Settings(Described):
 
 @dataclass(frozen=True)
 class LiveSettings(Described):
-    """Where live sound comes from, where the vibration goes, and the settings of the streams.
+    """Where live sound comes from, where the vibration goes, and settings of the streams.
 
-    `device` is None if none is chosen; `device_volume_db` is None if the volume stays unchanged.
-
-    UsageError: some choices are refused; the message names all of them.
+    device: None if no device is chosen. device_volume_db: None does not change the volume.
+    UsageError: one or more values are not allowed; the message names all of them.
     """
 
     tap: Annotated[
-        tuple[str, ...],
-        Taps("where the sound comes from", TAPS, parse_tap, "tap", change="stream"),
+        tuple[str, ...], Taps("where the sound comes from", TAPS, parse_tap, "tap", change="stream")
     ] = ("default",)
     device: Annotated[
         str | None,
@@ -199,7 +194,7 @@ class LiveSettings(Described):
     offset_ms: Annotated[
         float,
         Number(
-            "delay of the vibration; below 0 it is earlier, only with drop_in",
+            "delay of the vibration; a negative delay requires drop_in",
             OFFSET_MIN_MS,
             OFFSET_MAX_MS,
             "ms",
@@ -207,19 +202,18 @@ class LiveSettings(Described):
         ),
     ] = 0.0
     drop_in: Annotated[
-        bool,
-        Switch("applications play to a virtual sink, which delays the sound", change="stream"),
+        bool, Switch("applications play to a virtual sink, which delays the sound", change="stream")
     ] = False
     block_frames: Annotated[
         int, Choice("frames of one audio callback", BLOCK_FRAMES, "frames", change="streams")
     ] = 512
     realtime: Annotated[
-        bool, Switch("ask for real-time priority for the audio threads", change="next stream")
+        bool, Switch("request real-time priority for the audio threads", change="next stream")
     ] = True
     engine: Annotated[
         str,
         Choice(
-            "native: inside PipeWire, 8 ms after the sound; auto: native wherever it can",
+            "native: inside PipeWire, 8 ms after the sound; auto: native if possible",
             ENGINES,
             change="another engine",
         ),
@@ -227,7 +221,7 @@ class LiveSettings(Described):
     device_volume_db: Annotated[
         float | None,
         Number(
-            "set the device's own volume; default: leave it",
+            "set the device's own volume; default: keep it",
             DEVICE_VOLUME_MIN_DB,
             0.0,
             "dB",
@@ -240,8 +234,7 @@ class LiveSettings(Described):
         Names("applications to play; default: all", section="applications", change="stream"),
     ] = ()
     exclude: Annotated[
-        tuple[str, ...],
-        Names("applications to leave out", section="applications", change="stream"),
+        tuple[str, ...], Names("applications to leave out", section="applications", change="stream")
     ] = ()
 
     def __post_init__(self) -> None:
@@ -252,7 +245,10 @@ class LiveSettings(Described):
 
     @classmethod
     def contradictions(cls, values: Mapping[str, Any]) -> dict[str, Refusal]:
-        """Refuse an offset below 0 without drop-in mode: only drop-in mode delays the sound."""
+        """Return why `offset_ms` below 0 is not allowed without drop-in mode; otherwise {}.
+
+        A negative offset delays the sound, which only drop-in mode can do.
+        """
         if values.get("drop_in") is not False or values.get("offset_ms", 0.0) >= 0.0:
             return {}
         allowed = f"0 to {OFFSET_MAX_MS:g} ms, or drop_in = true"
@@ -260,5 +256,5 @@ class LiveSettings(Described):
 
     @property
     def offset_s(self) -> float:
-        """The offset in seconds."""
+        """The delay of the vibration in seconds; below 0, the sound is delayed instead."""
         return 1e-3 * self.offset_ms

@@ -1,4 +1,4 @@
-"""The text of a config file: what TOML makes of it, the line of each key, and each syntax error."""
+"""The text of a config file: parsing, syntax errors, and the line numbers of keys."""
 
 from __future__ import annotations
 
@@ -11,19 +11,15 @@ from typing import Any
 from device.errors import UsageError
 from device.values import Refusal
 
-SYNTAX_ERRORS_MAX = 50
-CONFIG_BYTES_MAX = 1 << 20
-SHOWN_MAX = 200
+SYNTAX_ERRORS_MAX, CONFIG_BYTES_MAX, SHOWN_MAX = 50, 1 << 20, 200
 
 
 @dataclass(frozen=True)
 class Mistake:
-    """One mistake of a config file.
+    """One mistake in a config file.
 
-    key: the key as `section.key`.
-    line: its line, counted from 1; 0 if it has none.
-    value, problem, allowed, nearest: the value, what is wrong with it, what is allowed, and the
-        known name that is most similar.
+    key: `section.key`. line: line number of the key, from 1; 0 if unknown. value: as text.
+    problem: what is wrong. allowed: allowed values. nearest: most similar allowed name, or "".
     """
 
     key: str
@@ -39,9 +35,11 @@ class Mistake:
         return f"{where}{self.key}{value} {Refusal(self.problem, self.allowed, self.nearest)}"
 
 
-def text_of(path: Path) -> str:
-    """Return the text of a file. UsageError: it cannot be read, is too long or is not text."""
+def text_of(path: Path, *, or_empty: bool = False) -> str:
+    """Return a file's text; with `or_empty`, "" if it is missing. UsageError: it cannot be read."""
     try:
+        if or_empty and not path.exists():
+            return ""
         if path.exists() and not (path.is_file() or path.is_dir()):
             raise UsageError(f"{path} is not a regular file; give the path of a config file")
         with path.open("rb") as file:
@@ -50,9 +48,7 @@ def text_of(path: Path) -> str:
             raise UsageError(f"{path} is over {CONFIG_BYTES_MAX} bytes; a config file is smaller")
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise UsageError(
-            f"{path} is not UTF-8 text (byte {error.start}); save it as UTF-8"
-        ) from None
+        raise UsageError(f"{path} is not UTF-8 (byte {error.start}); save it as UTF-8") from None
     except OSError as error:
         raise UsageError(
             f"{path} cannot be read ({error.strerror}); give the path of a config file"
@@ -60,10 +56,9 @@ def text_of(path: Path) -> str:
 
 
 def parse(text: str) -> tuple[dict[str, Any], list[Mistake]]:
-    """Return what can be read, and the syntax errors; lines with a syntax error are left out.
+    """Parse a text without the lines that have syntax errors, and return also these errors.
 
-    If the header of a section is broken, its name is kept if it has one, so that the keys below
-    still belong to that section.
+    If a section's header has an error, its name is still used for the keys after it.
     """
     lines = text.split("\n")
     mistakes: list[Mistake] = []
@@ -73,7 +68,7 @@ def parse(text: str) -> tuple[dict[str, Any], list[Mistake]]:
         except RecursionError:
             mistakes.append(Mistake("this file", 0, "", "is nested too deeply", "flat values"))
             return {}, mistakes
-        except ValueError as error:  # TOMLDecodeError, and numbers of thousands of digits
+        except ValueError as error:  # TOMLDecodeError, or a number with thousands of digits
             number = _line_of_error(str(error), lines)
             reason = str(error).partition(" (at")[0].partition(";")[0]
             shown = printable(lines[number - 1].strip())
@@ -92,23 +87,20 @@ def parse(text: str) -> tuple[dict[str, Any], list[Mistake]]:
 
 
 def _line_of_error(message: str, lines: list[str]) -> int:
-    """Return the number, from 1, of the line that a message of the parser refers to."""
+    """Return the line number, from 1, to which a parser error refers."""
     filled = [number for number, line in enumerate(lines, 1) if line.strip()] or [1]
     if at := re.search(r"\(at line (\d+)", message):
         number = int(at[1])
-        # If a line ended too early, the parser is already on the next line.
+        # If a line ended too early, the parser reports the next line.
         while number > 1 and not lines[number - 1].strip():
             number -= 1
         return number
     too_long = [number for number in filled if re.search(r"\d{4000}", lines[number - 1])]
-    return too_long[0] if too_long else filled[-1]  # "at end of document"
+    return too_long[0] if too_long else filled[-1]  # the error is "at end of document"
 
 
 def lines_of_keys(text: str) -> dict[str, int]:
-    """Return the line of every `key` and `section.key` that the start of a line reveals.
-
-    In an array of tables the names are `section[1].key`, `section[2].key` and so on.
-    """
+    """Return the line numbers of all keys, named `key`, `section.key` or `section[1].key`."""
     lines: dict[str, int] = {}
     section = ""
     tables: dict[str, int] = {}
@@ -129,11 +121,10 @@ def lines_of_keys(text: str) -> dict[str, int]:
 
 
 def _bare(key: str) -> str:
-    """Return a dotted key without quotes and blanks."""
     return ".".join(part.strip().strip("\"'") for part in key.split("."))
 
 
 def printable(text: str) -> str:
-    """Return text without line breaks and terminal commands, at most 200 characters."""
+    """Return a text in one line, with control characters escaped, cut after 200 characters."""
     shown = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
     return shown if len(shown) <= SHOWN_MAX else shown[:SHOWN_MAX] + "..."

@@ -1,23 +1,23 @@
-"""A design as bytes: little-endian records that a C program can read without Python.
+"""Binary format of a design: all computed numbers that the core in C needs.
 
     offset  size  content
     0       8     magic: "CUSHLIVE"
     8       4     uint32: format version
-    12      4     uint32: size of all bytes, checksum included
+    12      4     uint32: total size in bytes, including the checksum
     16      4     uint32: number of records
-    20      4     uint32: 0
+    20      4     uint32: reserved, 0
     24            the records, one after another
     end-8   4     uint32: CRC-32 (zlib) of all bytes before it
-    end-4   4     uint32: 0
+    end-4   4     uint32: reserved, 0
 
     record
     0       36    name: ASCII, padded with zero bytes
     36      4     uint32: kind: 0 count, 1 number, 2 array
-    40      4     uint32: rows of an array of two dimensions; otherwise 0
-    44      4     uint32: columns, or length of an array of one dimension; otherwise 1
+    40      4     uint32: rows of a two-dimensional array; otherwise 0
+    44      4     uint32: columns, or length of a one-dimensional array; otherwise 1
     48            the values, 8 bytes each: int64 for a count, float64 otherwise
 
-Every value lies at a multiple of 8 bytes. Records are sorted by name.
+Numbers are little-endian. Values are aligned to 8 bytes. Records are sorted by name.
 """
 
 from __future__ import annotations
@@ -28,11 +28,10 @@ import zlib
 import numpy as np
 
 from device.errors import UsageError
-from device.records import Record, Records
+from device.units import Record, Records
 
 MAGIC = b"CUSHLIVE"
-FORMAT_VERSION = 4
-"""To be raised whenever a name or the meaning of a value changes."""
+FORMAT_VERSION = 4  # increase it if the name or the meaning of a value changes
 
 HEADER = struct.Struct("<8sIII4x")
 RECORD = struct.Struct("<36sIII")
@@ -41,7 +40,7 @@ COUNT, NUMBER, ARRAY = range(3)
 
 
 def pack(values: Records) -> bytes:
-    """Return the bytes of named values."""
+    """Return the bytes of a design with these values."""
     records = [_record(name, values[name]) for name in sorted(values)]
     body = b"".join(records)
     size = HEADER.size + len(body) + CHECKSUM.size
@@ -50,10 +49,7 @@ def pack(values: Records) -> bytes:
 
 
 def unpack(blob: bytes) -> Records:
-    """Return the named values of `pack`; arrays are read-only views.
-
-    UsageError: the bytes are cut, damaged, of another version or something else.
-    """
+    """Return a design's values; arrays are read-only. UsageError: `blob` is not a valid design."""
     if blob[: len(MAGIC)] != MAGIC:
         raise UsageError(f"not a design of the live form: does not begin with {MAGIC.decode()}")
     if len(blob) < HEADER.size + CHECKSUM.size:
@@ -91,7 +87,7 @@ def _record(name: str, value: Record) -> bytes:
 
 
 def _read(blob: bytes, offset: int, end: int) -> tuple[str, Record, int]:
-    """Return the name and value of the record at an offset, and the offset of the next."""
+    """Return name and value of the record at an offset, and the offset of the next record."""
     padded, kind, rows, columns = RECORD.unpack_from(blob, offset)
     name = padded.rstrip(b"\0").decode("ascii")
     first = offset + RECORD.size

@@ -1,12 +1,10 @@
-/* Haptic Cushion's core: sound in, the signals of actuators out.
- *
- * Pure: no I/O, no clock, no thread, no lock, no allocation; memory and design belong to the host. One
- * thread calls core_process; controls and readings are words that any thread may store and load. The
- * same design and the same sound give the same bytes in every host and on every machine, however the
- * sound is split into calls. audioflinger_hook/core/compiled_core.py says the same in Python. */
+/* The core of Haptic Cushion computes the signals of actuators from sound. The core uses no I/O, clock,
+ * thread, lock or allocation. The host, which calls the core, owns memory and design. Only one thread at a
+ * time may call functions of a core. Any thread may write single values of controls and read single values of
+ * readings. With constant controls, the same design and sound give the same output bytes in every host, on
+ * every machine and for every block size. audioflinger_hook/core/compiled_core.py is the Python interface. */
 
-#ifndef CUSHION_CORE_H
-#define CUSHION_CORE_H
+#pragma once
 
 #include <stddef.h>
 #include <stdint.h>
@@ -15,117 +13,122 @@ enum { CORE_CHANNELS = 8, CORE_ACTUATORS = 64, CORE_PARTIALS = 16 };
 
 typedef struct Core Core;
 
-/* What a design is for. It has a transform, drives of actuators, or both; a stage that it lacks passes
- * everything on. */
+/* Facts of a design, which has a transform (sound to vibration), actuators, or both. Without a transform, the
+ * vibration is the sound. Without actuators, the output is the vibration. */
 typedef struct {
     uint32_t samplerate;
-    uint32_t inputs;     /* channels of sound; of vibration if there is no transform */
-    uint32_t vibrations; /* channels after the transform */
+    uint32_t inputs;     /* channels of sound, or of vibration if there is no transform */
+    uint32_t vibrations; /* channels of vibration */
     uint32_t actuators;  /* 0: the vibrations are the outputs */
-    uint32_t latency_frames, tonal_latency_frames; /* of the transform */
-    uint32_t drive_latency_frames;                 /* of the drives, without the actuators' delays */
-    uint32_t delay_frames_max;                     /* longest delay of an actuator */
+    uint32_t latency_frames, tonal_latency_frames; /* of onsets, of steady sound */
+    uint32_t drive_latency_frames;                 /* largest delay of all protections */
+    uint32_t delay_frames_max;                     /* largest allowed delay of an actuator */
     uint64_t memory_bytes;
 } CoreInfo;
 
-/* Samples in memory, at any distances. */
+/* Samples in memory. frame_bytes, channel_bytes: distance to the next frame, to the next channel. */
 typedef struct {
     const void *at;
     ptrdiff_t frame_bytes, channel_bytes;
-    int is_double; /* else float */
+    int is_double; /* 1: double; 0: float */
 } CoreSound;
 
-/* What must outlive a process. Temperatures in degrees Celsius; sums of the day's weighted
- * acceleration, integrated over time. */
+/* Duration, and time integrals of powers of the frequency-weighted acceleration (ISO 2631-1), SI units.
+ * squares, fourths: second and fourth power. above: second power of the part above 80 Hz. */
+typedef struct {
+    double time_s, squares, fourths, above;
+} CoreDose;
+
+/* An actuator's state that a host saves and restores in a later process. Temperatures: °C. */
 typedef struct {
     double coil_c, magnet_c;
-    double time_s, squares, fourths, above;
+    CoreDose dose;
 } ActuatorSafety;
 
-/* Wanted of one actuator; every change fades. */
+/* Settings of one actuator. A change of gain, delay, source or `audible` fades over 10 to 40 ms. */
 typedef struct {
-    double gain;         /* -1 to 1: level and polarity */
-    double delay_frames; /* behind the other actuators */
-    uint64_t source;     /* number of the vibration */
-    uint64_t audible;    /* 0: faded out */
-    uint64_t restores;   /* 1: begin with `safety`; read at the first call after core_open */
+    double gain;         /* -1 to 1; below 0: inverted polarity */
+    double delay_frames; /* 0 or more, in addition to the delay of all actuators */
+    uint64_t source;     /* index of the vibration channel */
+    uint64_t audible;    /* 0: the output fades to silence */
+    uint64_t restores;   /* 1: the first core_process after core_open restores `safety` */
     ActuatorSafety safety;
 } ActuatorControls;
 
 typedef struct {
-    double sound_gain; /* factor on the sound, which undoes the listener's volume */
-    uint64_t day;      /* another number begins a new day's dose */
+    double sound_gain; /* factor on the sound, 0 or more; compensates the listener's volume setting */
+    uint64_t day;      /* number of the day; a change resets the doses */
     ActuatorControls actuators[CORE_ACTUATORS];
 } CoreControls;
 
 typedef struct {
-    double peak, mean_square; /* of the last moments */
+    double peak, mean_square; /* peak, which falls by 20 dB/s; mean square with a time constant of 0.3 s */
 } CoreLevel;
 
 typedef struct {
     CoreLevel level;
-    double audible; /* factor of the fade, 0 to 1 */
-    double gain, least_gain, exposure_gain; /* of the protection, and of the dose's cap */
+    double audible; /* 0: silent; 1: audible; in between: during a fade */
+    double gain, least_gain, exposure_gain; /* protection's gain, its minimum so far, its limit by the dose */
     double excursion_m, coil_c, magnet_c;
-    double time_s, squares, fourths, above; /* of the day's weighted acceleration */
-    double running_m_s2;                    /* of the last second */
-    double undamped_squares; /* as squares, without damping and protection */
+    CoreDose dose;
+    double running_m_s2;     /* frequency-weighted r.m.s. acceleration; time constant: 1 s */
+    double undamped_squares; /* dose.squares of the drive before damping; 0 without damping */
     uint64_t blocks, limited_blocks, infeasible_blocks, replaced;
     uint64_t limited_by; /* LimitedBy of drive/protection.h */
 } ActuatorReadings;
 
-/* The only counts and levels there are. */
+/* Counts, levels, partials and actuators' readings of a stream. */
 typedef struct {
-    uint64_t frames, replaced, limited; /* limited: samples that were limited to full scale */
+    uint64_t frames, replaced, limited; /* replaced: invalid samples; limited: samples lowered by limiters */
     CoreLevel sound[CORE_CHANNELS], vibration[CORE_CHANNELS];
     uint64_t sequence; /* odd while the partials are written */
     uint64_t partials_count;
-    double partials[CORE_PARTIALS][3]; /* Hz of the sound, Hz of vibration, amplitude */
+    double partials[CORE_PARTIALS][3]; /* Hz of the sound, Hz of the vibration, amplitude */
     ActuatorReadings actuators[CORE_ACTUATORS];
 } CoreReadings;
 
 #define CORE_API __attribute__((visibility("default")))
 
-/* Sizes of the structures above, for hosts in other languages: CoreInfo, CoreSound, CoreControls,
- * ActuatorControls, CoreReadings, ActuatorReadings. */
+/* Sizes of CoreInfo, CoreSound, CoreControls, ActuatorControls, CoreReadings, ActuatorReadings, in bytes. */
 CORE_API extern const uint64_t core_sizes[6];
 
-/* Check a design, whose bytes lie at a multiple of 8. Return NULL and what it is for, or what is wrong. */
+/* Check a design at an 8-byte aligned address. If it is valid, set info and return NULL; else return an error
+ * message. */
 CORE_API const char *core_check(const void *design, size_t bytes, CoreInfo *info);
 
-/* Make a core in memory_bytes of memory at a multiple of 16, at rest; NULL if core_check refuses the
- * design. Design and memory stay in place while it is used. */
+/* Create a core in memory_bytes bytes (see CoreInfo) at a 16-byte aligned address. Return NULL if core_check
+ * fails. The design and the memory must stay at their addresses while the core is used. */
 CORE_API Core *core_open(const void *design, size_t bytes, void *memory);
 
-/* Return to rest, with the controls of the next call. Counts, temperatures and doses stay unless asked. */
+/* Reset all signals and motion models. doses_too: also reset temperatures, doses and actuators' counts. */
 CORE_API void core_reset(Core *core, int doses_too);
 
-/* Take frames of sound and write as many of each output, (frames, outputs), interleaved. */
-CORE_API void core_process(Core *core, const CoreControls *controls, CoreSound sound, float *out, size_t frames,
-                  CoreReadings *readings);
+/* Process sound; write the outputs, (frames, actuators), or (frames, vibrations) without actuators.
+ * `readings` may be NULL. */
+CORE_API void core_process(Core *core, const CoreControls *controls, CoreSound sound, float *out,
+                           size_t frames, CoreReadings *readings);
 
-/* The transform alone: write the vibration before it is rounded, (frames, vibrations). No levels. */
+/* Like core_process, but run only the transform: write the vibration, (frames, vibrations), but no levels. */
 CORE_API void core_vibrate(Core *core, CoreSound sound, double *vibration, size_t frames,
                            CoreReadings *readings);
 
-/* Copy what changes as a stream goes on, if there is room; return its bytes. */
-CORE_API size_t core_state(const Core *core, void *state, size_t room);
+/* Copy the stream's state to `state` if `room` bytes suffice. Always return the state's size in bytes. */
+CORE_API size_t core_state(Core *core, void *state, size_t room);
 
-/* Continue from such a state of a core with the same design; return 0 and reset if it is none. */
+/* Restore a saved state and return 1. If the state is damaged or of another design, call core_reset(core, 0)
+ * and return 0. */
 CORE_API int core_set_state(Core *core, const void *state, size_t bytes);
 
-/* One partial in one hop or tick, for those who write down what vibrates. Only numbers. */
+/* The course of a partial during a hop or tick of the transform. Amplitude 1 is full scale. Phase: cycles. */
 typedef struct {
-    double frame; /* the first, counted since the recording began */
+    double frame; /* frames from the recording's start to the first frame */
     double frames, channel, slot;
     double start_hz, end_hz, start_amplitude, end_amplitude, start_phase;
 } CoreGlide;
 
-/* The most glides that so many frames can have. */
+/* Return an upper limit of the number of glides in `frames` frames. */
 CORE_API size_t core_glides_max(const Core *core, size_t frames);
 
-/* Record glides into the host's rows from now on; NULL ends the recording. Return how many were written
- * into the rows of before. */
+/* From now on, record up to `room` glides into `rows`; NULL ends the recording. Return the number of glides
+ * that were written to the rows of the previous call. */
 CORE_API size_t core_record(Core *core, CoreGlide *rows, size_t room);
-
-#endif

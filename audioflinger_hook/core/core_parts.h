@@ -1,45 +1,58 @@
-/* What a core is made of; core_sound.c, core_memory.c and core_state.c share it. */
+/* Structures that the core's source files share. */
 
-#ifndef CUSHION_CORE_PARTS_H
-#define CUSHION_CORE_PARTS_H
+#pragma once
 
 #include "../transform/native/live.h"
-#include "core.h"
-#include "core_design.h"
+#include "drive/actuator.h"
 
-#define PIECE_FRAMES 1024 /* sound is processed in pieces of up to this */
+enum { DRIVES_MAX = CORE_ACTUATORS };
+
+typedef struct {
+    CoreInfo info; /* memory_bytes is not set */
+    int has_transform, per_channel; /* per_channel: one vibration for each channel */
+    Settings settings; /* settings of the transform */
+    const double *weights; /* (vibrations, 2, inputs): weights of mean and of side signal, or NULL */
+    size_t drives;
+    size_t drive_of[CORE_ACTUATORS]; /* index of a drive; DRIVES_MAX: no drive */
+} CoreDesign;
+
+/* Parse a design; return NULL or an error message. drives: DRIVES_MAX drives to fill, or NULL to check
+ * only. */
+const char *core_design_read(CoreDesign *design, DriveDesign *drives, const void *bytes, size_t size);
+
+#define PIECE_FRAMES 1024 /* largest number of frames that are processed at once */
+
+/* State of a stream, except for the states of transform, source mix, history and actuators. */
+typedef struct {
+    int is_fresh, is_opened; /* no frame since core_reset; no frame since core_open */
+    double sound_gain;       /* gain on the sound at the last frame */
+    uint64_t day, frames, replaced;
+} CoreState;
 
 struct Core {
     CoreDesign design;
     Live live;
     DriveDesign *drives;
+    double *sound;     /* (frames, inputs): sound times the gain of sound_scale */
+    double *mixed;     /* mixed sources, (frames, vibrations), followed by work space */
+    double *vibration; /* (frames, vibrations) */
+    uint64_t fingerprint; /* hash of the design */
+    uint64_t hops;        /* number of the last reported hop */
+    Arena memory; /* start of the stream's state */
+    size_t memory_bytes;
+    CoreState *state;
+    DownmixState *powers; /* mix state of each source */
+    History *history;
     Actuator *actuators;
-    History history;
-    double *sound;      /* (frames, inputs), if it is scaled or mixed */
-    double *mixed;      /* (frames, vibrations), then two columns of work */
-    double *vibration;  /* (frames, vibrations) */
-    MixPowers *powers;  /* of the mixes */
-    int is_fresh, is_opened; /* nothing was processed since core_reset, or core_open */
-    double sound_gain;  /* of the last frame */
-    Arena driven;       /* where history and actuators begin */
-    size_t driven_bytes;
-    uint64_t fingerprint; /* of the design */
-    uint64_t day, frames, replaced, hops;
 };
 
-/* FNV-1a, 64 bits, of whole words. */
-INLINED uint64_t fnv_1a(const void *memory, size_t bytes)
+INLINED double sample_at(CoreSound sound, size_t frame, size_t channel)
 {
-    const char *place = memory;
-    uint64_t sum = 0xcbf29ce484222325u, word;
-    for (size_t at = 0; at + sizeof word <= bytes; at += sizeof word) {
-        memcpy(&word, place + at, sizeof word);
-        sum = (sum ^ word) * 0x100000001b3u;
-    }
-    return sum;
+    return sample_of(sound_from(sound, frame, channel).at, sound.is_double);
 }
 
-/* Lay out history and actuators: only pointers and lengths change. */
-void core_layout_driven(Core *core, Arena *arena);
-
-#endif
+/* Return a CoreSound for contiguous frames, each of `channels` doubles. */
+INLINED CoreSound interleaved(const double *samples, size_t channels)
+{
+    return (CoreSound){samples, (ptrdiff_t)(channels * sizeof(double)), sizeof(double), 1};
+}

@@ -1,4 +1,4 @@
-"""Designs of the core as bytes: the transform, the mix of its sources, and the drives."""
+"""Packs the numbers of transform, mixes and actuators into a design, the input of the core."""
 
 from __future__ import annotations
 
@@ -9,16 +9,13 @@ import numpy as np
 
 from audioflinger_hook.core import blob
 from audioflinger_hook.core.rounding import round_number, round_table
-from device.records import Record, Records
-from device.units import FloatArray
+from device.units import FloatArray, Record, Records
 
 if TYPE_CHECKING:
     from device.drive.design import DriveDesign
 
-EXACT_BITS = 44
-"""Significant bits of a filter's coefficient: fewer would move its poles."""
-EXACT = ("sections", "_fir", "decimation")
-"""Ends of the names of tables whose entries are rounded one by one."""
+EXACT_BITS = 44  # significant bits of entries of tables whose names end with a text in EXACT
+EXACT = ("sections", "_fir", "decimation")  # these tables contain filter coefficients
 
 
 def core_design(
@@ -33,14 +30,13 @@ def core_design(
 ) -> bytes:
     """Return the bytes of a design.
 
-    samplerate: Hz. inputs: channels of the sound, or of the vibration without a transform.
-    transform: of `LiveDesign.records`, None for none. each: one vibration for each channel, not one
-    of their mono mix. mixes: for each source, the weights of the channels in the mean of its halves
-    and in half their difference, (2, inputs); () without sources. drives: what is done for each
-    actuator's rig; () for the vibration itself. delay_frames_max: longest delay of an actuator.
+    samplerate: Hz. inputs: channels of the sound, or of the vibration if there is no transform.
+    transform: from `LiveDesign.records`. each: whether each channel has its own vibration.
+    mixes: weights (2, inputs) of each source, from `source_mixes`. drives: processing of each
+    actuator, None for none. delay_frames_max: longest delay of an actuator.
     """
     records: Records = {**(transform or {})}
-    records |= {"samplerate": samplerate, "inputs": inputs, "each": int(each)}
+    records |= {"samplerate": samplerate, "inputs": inputs, "per_channel": int(each)}
     if len(mixes):
         records |= {"sources": len(mixes), "source_weights": np.array(mixes).ravel()}
     if drives:
@@ -59,7 +55,6 @@ def core_design(
 
 
 def _rounded(name: str, value: Record) -> Record:
-    """Return a value of a drive with the same bits on every machine."""
     if isinstance(value, int):
         return value
     if isinstance(value, float):

@@ -1,4 +1,4 @@
-"""The structures of the core, as core.h has them; `library` compares their sizes."""
+"""The structures in core.h, for ctypes."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from ctypes import c_double, c_int, c_ssize_t, c_uint32, c_uint64
 
 CHANNELS, ACTUATORS, PARTIALS = 8, 64, 16
 LIMITED_BY = ("", "excursion, current or level", "temperature", "outside")
-"""`limited_by` in words."""
 
 GLIDE_COLUMNS = (
     "frame",
@@ -20,30 +19,26 @@ GLIDE_COLUMNS = (
     "end_amplitude",
     "start_phase",
 )
-"""Columns of recorded glides: first frame and number of frames of a hop or, for partials of an
-onset, of a tick; channel of vibration; slot; Hz of vibration, amplitudes in full scale, cycles."""
+"""Columns of a glide: the course of one partial for `frames` frames from `frame` on.
+
+Amplitudes are relative to full scale. Phases are in cycles."""
 
 _address = ctypes.c_void_p
 
 
 class Info(ctypes.Structure):
-    """What a design is for."""
+    """Format, latencies and memory size of a design."""
 
     _fields_ = (
-        ("samplerate", c_uint32),
-        ("inputs", c_uint32),
-        ("vibrations", c_uint32),
-        ("actuators", c_uint32),
-        ("latency_frames", c_uint32),
-        ("tonal_latency_frames", c_uint32),
-        ("drive_latency_frames", c_uint32),
+        *((name, c_uint32) for name in ("samplerate", "inputs", "vibrations", "actuators")),
+        *((f"{name}latency_frames", c_uint32) for name in ("", "tonal_", "drive_")),
         ("delay_frames_max", c_uint32),
         ("memory_bytes", c_uint64),
     )
 
 
 class Sound(ctypes.Structure):
-    """Samples in memory, at any distances."""
+    """Samples in memory. The distances between frames and between channels are in bytes."""
 
     _fields_ = (
         ("at", _address),
@@ -53,16 +48,17 @@ class Sound(ctypes.Structure):
     )
 
 
-class ActuatorSafety(ctypes.Structure):
-    """What must outlive a process; temperatures in °C."""
+_SAFETY = ("coil_c", "magnet_c", "time_s", "squares", "fourths", "above")
 
-    _fields_ = tuple(
-        (name, c_double) for name in ("coil_c", "magnet_c", "time_s", "squares", "fourths", "above")
-    )
+
+class ActuatorSafety(ctypes.Structure):
+    """State that the program's next run restores: temperatures in °C, and `DoseSums` of the day."""
+
+    _fields_ = tuple((name, c_double) for name in _SAFETY)
 
 
 class ActuatorControls(ctypes.Structure):
-    """Wanted of one actuator."""
+    """Settings of one actuator, which may change at any time."""
 
     _fields_ = (
         ("gain", c_double),
@@ -75,7 +71,7 @@ class ActuatorControls(ctypes.Structure):
 
 
 class Controls(ctypes.Structure):
-    """Wanted of a stream."""
+    """Settings of one core, which may change at any time."""
 
     _fields_ = (
         ("sound_gain", c_double),
@@ -85,41 +81,28 @@ class Controls(ctypes.Structure):
 
 
 class Level(ctypes.Structure):
-    """Peak and mean square of the last moments."""
+    """Decaying peak and running mean square of a signal; 1 is full scale."""
 
     _fields_ = (("peak", c_double), ("mean_square", c_double))
 
 
-_ACTUATOR_NUMBERS = (
-    "audible",
-    "gain",
-    "least_gain",
-    "exposure_gain",
-    "excursion_m",
-    "coil_c",
-    "magnet_c",
-    "time_s",
-    "squares",
-    "fourths",
-    "above",
-    "running_m_s2",
-    "undamped_squares",
-)
-_ACTUATOR_COUNTS = ("blocks", "limited_blocks", "infeasible_blocks", "replaced", "limited_by")
+_GAINS = ("audible", "gain", "least_gain", "exposure_gain")
+_FELT = ("running_m_s2", "undamped_squares")
+_COUNTS = ("blocks", "limited_blocks", "infeasible_blocks", "replaced", "limited_by")
 
 
 class ActuatorReadings(ctypes.Structure):
-    """What is known of one actuator."""
+    """Levels, state and counts of one actuator."""
 
     _fields_ = (
         ("level", Level),
-        *((name, c_double) for name in _ACTUATOR_NUMBERS),
-        *((name, c_uint64) for name in _ACTUATOR_COUNTS),
+        *((name, c_double) for name in (*_GAINS, "excursion_m", *_SAFETY, *_FELT)),
+        *((name, c_uint64) for name in _COUNTS),
     )
 
 
 class Readings(ctypes.Structure):
-    """The only counts and levels there are."""
+    """All values that the core reports."""
 
     _fields_ = (
         ("frames", c_uint64),

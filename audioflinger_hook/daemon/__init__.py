@@ -1,21 +1,8 @@
-"""The daemon: live sound through the effect into a device, until it is told to stop.
+"""The daemon, which turns sound into vibration in real time.
 
-| module | contents |
-| --- | --- |
-| `run_config` | the configuration of a run, and the difference between two of them |
-| `supervisor` | the main thread: opens streams, watches them and reopens them |
-| `server_link` | the connection to the sound server, made again after each loss |
-| `endpoints` | the input and output for a `RunConfig` |
-| `inputs` | a sink's monitor, applications, or a file in real time |
-| `outputs` | a sink, a card, or a file in real time |
-| `capture_queue` | a queue of buffers for the engine |
-| `engine` | what the audio threads run: buffers through mixer, effect and drive |
-| `reconnecting_stream` | a stream that is reopened after a failure |
-| `timing` | waits between attempts, rest while nothing plays, stalls and suspends |
-| `pacing` | the thread that plays and writes files in real time |
-| `drop_in_control` | the virtual sink of drop-in mode |
-| `recording` | a run as a capture, with its settings |
-| `live_capture` | `cushion capture` of live sound |
-| `status_report` | the status, collected from all parts |
-| `wake` | events for the main thread |
+A tap is the source of the sound. A rig is an actuator with its DAC, amplifier and seat. The main
+thread is also called the supervising thread. It runs `supervisor`. A class whose docstrings name no
+thread is for the main thread only. `inputs` pass sound through `capture_queue` to `engine`, which
+writes vibration to a delay line. `outputs` read the delay line. `native` runs another engine in
+PipeWire's graph. `engines` chooses between `engine` and `native`.
 """

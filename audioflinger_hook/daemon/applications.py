@@ -1,4 +1,4 @@
-"""Which applications have a stream, whether they play, and whether they vibrate. Pure."""
+"""Lists the applications that have a stream, and changes the rules that select applications."""
 
 from __future__ import annotations
 
@@ -8,17 +8,16 @@ from audioflinger_hook.service.status import Application
 from device.server import AppRules, ServerSnapshot
 from device.server.app_rules import app_name
 
-APPLICATIONS_MAX = 32
-"""Largest number of applications in the status."""
+APPLICATIONS_MAX = 32  # the status shows at most this number of applications
 
 
 def applications_in(
     snapshot: ServerSnapshot | None, rules: AppRules | None, source: Any, haptic_sink: str | None
 ) -> tuple[Application, ...]:
-    """Return the applications in a snapshot, in the server's order; () without a server.
+    """Return at most APPLICATIONS_MAX applications that have a stream. Any thread may call it.
 
-    rules: what selects them; None: those that play to the sink whose monitor is `source`.
-    haptic_sink: the vibration's, which nothing is captured from. Any thread.
+    rules: select the captured applications. source: the monitor that is captured if `rules` is
+    None. haptic_sink: sink of the vibration; streams to it are left out.
     """
     if snapshot is None:
         return ()
@@ -43,16 +42,13 @@ def applications_in(
 def choosing(
     name: str, is_felt: bool, include: tuple[str, ...], exclude: tuple[str, ...]
 ) -> dict[str, tuple[str, ...]]:
-    """Return the rules, by key of the config, that include or exclude one application.
-
-    include, exclude: the rules until now.
-    """
+    """Return the new rules, keyed by config key. is_felt: True includes, False excludes `name`."""
     rule = f"application:{name}" if ":" in name else name
     own = {name.casefold(), rule.casefold()}
     excluded = tuple(one for one in exclude if one.casefold() not in own)
     included = tuple(one for one in include if one.casefold() not in own)
     if is_felt:
-        # Without rules to include, all are.
+        # Without include rules, all applications are included.
         included = (*included, rule) if include else ()
     else:
         excluded = (*excluded, rule)

@@ -1,4 +1,4 @@
-"""Passes buffers of one tap to the engine: at once, or queued until the output asks."""
+"""Passes buffers of one tap to the Python engine, immediately or when the output thread asks."""
 
 from __future__ import annotations
 
@@ -14,45 +14,36 @@ from audioflinger_hook.daemon.recording import RunRecording
 from audioflinger_hook.sources import PushTap, TapClient
 from device.units import Float32Array
 
-UNASKED_S = 0.05
-"""If the output has not called for this time, the capture's thread mixes."""
-
-
-UNDONE_MAX_DB = 40.0
-"""Largest volume that is undone: below it, a sink of 16 bits has mostly noise left."""
-
-PIPEWIRE_UNDONE_MAX_DB = 80.0
-"""The same on PipeWire, which mixes in floats: a volume of 5 %."""
+UNASKED_S = 0.05  # after this time without a call of `Engine.fill`, the capture thread mixes
+UNDONE_MAX_DB = 40.0  # largest gain that compensates the volume, on servers other than PipeWire
+PIPEWIRE_UNDONE_MAX_DB = 80.0  # largest gain that compensates the volume, on PipeWire
 
 
 class FrameReceiver(Protocol):
-    """Takes the buffers of a tap: `opened`, then any number of `push`."""
+    """Receives a tap's buffers. `opened` is called before the first `push` of each new stream."""
 
     def opened(self, samplerate: int, channels: int) -> bool:
-        """Prepare for a new stream (Hz, channels); return whether the format has changed."""
-        ...
+        """Prepare for a new stream; return whether the format has changed. samplerate: Hz."""
 
     def moved(self) -> None:
-        """Prepare for the stream to move to another source. Any thread."""
-        ...
+        """Prepare for a move of the stream to another source. `push` may run at the same time."""
 
     def push(self, frames: Float32Array, now_s: float) -> None:
-        """Take (frames, channels) that arrived at `now_s`; on the capture's thread."""
-        ...
+        """Process samples (frames, channels) that came at `now_s`. The capture thread calls it."""
 
 
 def undone_db(volume_db: float, server: str) -> float:
-    """Return how much of a volume, 0 dB for 100 %, is undone on "PulseAudio" or "PipeWire"."""
+    """Return `volume_db` (0 dB is 100 %), but at least -80 dB on PipeWire and -40 dB elsewhere."""
     limit_db = PIPEWIRE_UNDONE_MAX_DB if server == "PipeWire" else UNDONE_MAX_DB
     return max(-limit_db, volume_db)
 
 
 class SoundGain:
-    """A factor on the frames of a tap, which changes over one buffer.
+    """Multiplies samples by the gain `wanted`. A change of the gain extends over one buffer.
 
-    A factor above 1 brings no sample over full scale. A volume may rise before the server reports
-    it, and the factor of the old one would be far too large for a moment. The capture's thread
-    calls `apply`; any thread may set `wanted`.
+    At a gain above 1, samples are limited to full scale, because the gain may still compensate
+    an earlier, lower volume. Only one thread may call `apply` at a time. Any thread may set
+    `wanted`.
     """
 
     def __init__(self) -> None:
@@ -60,7 +51,7 @@ class SoundGain:
         self._reached = 1.0
 
     def apply(self, frames: Float32Array) -> Float32Array:
-        """Return the frames with the factor; the same array where it is 1."""
+        """Return the samples times the gain. For a constant gain of 1, return `frames` itself."""
         wanted, before = self.wanted, self._reached
         if wanted == before == 1.0 or not len(frames):
             return frames
@@ -69,21 +60,18 @@ class SoundGain:
         if wanted != before:
             steps = np.arange(1, len(frames) + 1, dtype=np.float32) / np.float32(len(frames))
             factor = (np.float32(before) + np.float32(wanted - before) * steps)[:, None]
-        with np.errstate(over="ignore", invalid="ignore"):  # of broken samples
+        with np.errstate(over="ignore", invalid="ignore"):  # samples may be NaN or infinite
             changed: Float32Array = frames * factor
         return np.clip(changed, -1.0, 1.0, out=changed) if max(wanted, before) > 1.0 else changed
 
 
 class Feed:
-    """Passes one tap's buffers to an engine at once, after a recording has taken them.
+    """Passes buffers of one tap to a recording and then to an engine.
 
-    The supervising thread calls `client` and `serve` before the first buffer, and `opened` while
-    no thread pushes. engine: None before `serve`. gain: of the frames before all else, so that a
-    recording has it as well.
+    `opened` and `push` must not run at the same time. gain: applied before recording and mixing.
     """
 
-    records_mix = False
-    """Whether a recording takes the mix instead of the buffers."""
+    records_mix = False  # a recording stores the tap's buffers, not the mix
 
     def __init__(self, recording: RunRecording | None = None) -> None:
         self.engine: Engine | None = None
@@ -93,17 +81,17 @@ class Feed:
         self._client: TapClient | None = None
 
     def client(self, samplerate: int, channels: int) -> TapClient:
-        """Return the client that plays into a mix of this format."""
+        """Return the mixer's source of buffers. samplerate (Hz), channels: of the mix."""
         self._tap = PushTap(samplerate, channels)
         self._client = TapClient(self._tap)
         return self._client
 
     def serve(self, engine: Engine) -> None:
-        """Pass the buffers to this engine, which was made with the client."""
+        """Pass later buffers to this engine, whose client must be the result of `client`."""
         self.engine = engine
 
     def opened(self, samplerate: int, channels: int, *, discontinuity: bool = True) -> bool:
-        """See `FrameReceiver`; discontinuity: whether frames are missing before the next buffer."""
+        """See `FrameReceiver`. discontinuity: whether frames are missing before the next buffer."""
         if self._tap is None:
             return False
         if discontinuity:
@@ -123,7 +111,7 @@ class Feed:
     def deliver(
         self, frames: Float32Array, now_s: float, earlier: Sequence[tuple[float, int]] = ()
     ) -> None:
-        """Mix frames that arrived by `now_s`; earlier: see `Engine.advance`."""
+        """Record and mix frames. now_s, earlier: arrival times; see `DelayLine.write`."""
         tap, client, engine = self._tap, self._client, self.engine
         if tap is None or client is None or engine is None or not len(frames):
             return
@@ -135,7 +123,7 @@ class Feed:
             pass
 
     def finish(self, now_s: float) -> Float32Array:
-        """End the sound; return the last vibration, see `Engine.finish`."""
+        """Mix the rest of the sound; return its vibration. See `Engine.finish`."""
         assert self._tap is not None
         assert self.engine is not None
         self._tap.end()
@@ -143,13 +131,11 @@ class Feed:
 
 
 class CaptureQueue(Feed):
-    """A `Feed` that queues buffers until the output's thread mixes them, before it reads.
+    """A `Feed` that saves CPU time: the output thread mixes several buffers in one call.
 
-    This saves CPU time, because one thread wakes up with warm caches instead of two. It adds no
-    latency: the output reads several blocks at once, and new buffers are mixed before each read.
-
-    The capture's thread calls `push`, the output's thread `pull`; a thread that finds the other one
-    mixing continues at once. The supervising thread calls `opened` and `moved`.
+    The output thread calls `pull` before each read of the delay line. The capture thread calls
+    `push`, which mixes only if `Engine.fill` has not run for UNASKED_S seconds. Neither thread
+    waits for the other. The supervising thread calls `opened` and `moved`.
     """
 
     def __init__(self, recording: RunRecording | None = None) -> None:
@@ -165,7 +151,7 @@ class CaptureQueue(Feed):
     def opened(self, samplerate: int, channels: int, *, discontinuity: bool = True) -> bool:
         """See `FrameReceiver`."""
         with self._mixing:
-            self._arrived.clear()  # the queued buffers precede the gap and may have another format
+            self._arrived.clear()  # queued buffers may have the old format
             return super().opened(samplerate, channels, discontinuity=discontinuity)
 
     def moved(self) -> None:
@@ -184,16 +170,12 @@ class CaptureQueue(Feed):
             self.pull()
 
     def pull(self) -> None:
-        """Mix all queued buffers, unless the other thread is mixing."""
-        engine = self.engine
-        if not self._arrived or engine is None:
-            return
-        if not self._mixing.acquire(blocking=False):
-            return
-        try:
-            self._mix()
-        finally:
-            self._mixing.release()
+        """Mix the buffers that `push` has stored, unless another thread is mixing."""
+        if self._arrived and self.engine and self._mixing.acquire(blocking=False):
+            try:
+                self._mix()
+            finally:
+                self._mixing.release()
 
     def _mix(self) -> None:
         arrived, engine = self._arrived, self.engine

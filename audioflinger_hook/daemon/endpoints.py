@@ -1,4 +1,4 @@
-"""The input and output for a `RunConfig`, and what they share."""
+"""Creates the input and the output for a `RunConfig`."""
 
 from __future__ import annotations
 
@@ -22,12 +22,7 @@ from device.stream import AudioPriority, PcmConfig
 
 
 class Endpoints:
-    """Input and output of one run. For the supervising thread alone.
-
-    needs_server: whether input or output uses the sound server. feed: takes the input's buffers.
-
-    UsageError, NotFoundError: a file cannot be used, or a rule for applications has a mistake.
-    """
+    """Input and output of one run. UsageError, NotFoundError: one of them cannot be created."""
 
     def __init__(
         self,
@@ -38,14 +33,12 @@ class Endpoints:
         on_heard: Callable[[], None],
     ) -> None:
         self.needs_server = config.needs_server
-        self._states = states
-        self._priority = priority
-        self._on_heard = on_heard
+        self._states, self._priority, self._on_heard = states, priority, on_heard
         is_live = config.tap_is_live or config.device_is_live
         self._pacer = Pacer(clocks.now_s, exact=not is_live)
         self._pcms: PcmConfig | None = None
         self.feed: Feed | ApplicationsFeed
-        # Files come first: their errors are reported before anything is opened.
+        # Open files first, so that an error of a file leaves no `PcmConfig` open.
         if not config.device_is_live:
             self.output = self._make_output(config)
         if not config.tap_is_live:
@@ -58,7 +51,7 @@ class Endpoints:
             self.output = self._make_output(config)
 
     def check_change(self, old: RunConfig, new: RunConfig) -> None:
-        """Raise UsageError if a running daemon cannot change from one config to the other."""
+        """Raise UsageError if a running daemon cannot change from config `old` to `new`."""
         for what, before, after, live in (
             ("tap", old.tap, new.tap, old.tap_is_live and new.tap_is_live),
             ("device", old.device, new.device, old.device_is_live and new.device_is_live),
@@ -84,15 +77,15 @@ class Endpoints:
             self.output.check_actuators(new.settings.actuators)
         if old.recording and old.settings != new.settings:
             raise UsageError("settings cannot change during --record; restart the daemon")
-        _ = new.rules  # raises if a rule has a mistake
+        _ = new.rules  # raises if a rule is invalid
 
     def configure(self, config: RunConfig) -> None:
-        """Apply a config to the present input and output."""
+        """Apply a config to the current input and output."""
         self.input.configure(config)
         self.output.configure(config)
 
     def retarget_input(self, config: RunConfig) -> bool:
-        """Change to another tap; return whether that needs another engine."""
+        """Change the input to the config's tap; return whether a new engine is necessary."""
         if self.input.retarget(config):
             return False
         self.input.close()
@@ -100,18 +93,18 @@ class Endpoints:
         return True
 
     def retarget_output(self, config: RunConfig) -> None:
-        """Change to another device, whose format must then be set."""
+        """Change the output to the config's device. The caller must then call its `set_format`."""
         if not self.output.retarget(config):
             self.output.close()
             self.output = self._make_output(config)
 
     def close(self) -> None:
-        """Close both until the next `maintain`. May be repeated."""
+        """Close input and output until their next `maintain`. Repeated calls do nothing."""
         self.output.close()
         self.input.close()
 
     def end(self, *, keep: bool) -> None:
-        """Close both for good; keep: whether a file stays. WriteError: it cannot be kept."""
+        """End all streams. keep: whether to keep an output file. WriteError: writing it failed."""
         self.close()
         self._pacer.close()
         if self._pcms:
@@ -124,7 +117,7 @@ class Endpoints:
             feed = self.feed = Feed(config.recording)
             paced = PacedInput(config.tap, self._pacer, feed)
             if config.live.include or config.live.exclude:
-                _ = config.rules  # raises: a file has no applications
+                _ = config.rules  # raises, because a file has no applications
             return paced
         if config.rules is not None:
             apps = self.feed = ApplicationsFeed(self._priority)

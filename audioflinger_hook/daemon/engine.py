@@ -1,4 +1,4 @@
-"""The code of the audio threads: sound passes mixer, effect and drive into a delay line."""
+"""The Python engine: sound passes through mixer, effect and drive into a delay line."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import numpy as np
 
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.daemon.live_memory import LiveMemory
-from audioflinger_hook.daemon.soft_fade import SoftFade
 from audioflinger_hook.pipeline.framework import Framework, drive_of
 from audioflinger_hook.pipeline.step import Pipeline
 from audioflinger_hook.service.meters import BufferClock, BufferedLevelMeter, LevelMeter
@@ -20,55 +19,45 @@ from device.clock.frame_clock import STALLED_S
 from device.errors import UsageError
 from device.units import Float32Array, FloatArray
 
+# Smallest assumed lateness of callbacks. Lateness up to this value does not change the delay.
 LATENESS_LEAST_S = 0.0125
-"""Even on an idle machine callbacks are sometimes late by some ms, and the delay must not follow
-such lateness. This time also lets the output usually read four blocks of 256 frames at once."""
+CYCLE_BLOCKS = 8  # largest number of blocks that one cycle mixes
+READ_BLOCKS = 4  # largest number of blocks that one call reads from the delay line
+FADED = 1e-6  # vibration with a smaller peak counts as silent; full scale is 1
 
-CYCLE_BLOCKS = 8
-"""Largest number of blocks mixed in one cycle."""
-
-READ_BLOCKS = 4
-"""Largest number of blocks read from the delay line at once."""
-
-FADED = 1e-6
-"""Vibration below this share of full scale (-120 dB) counts as silence."""
+FADE_S = 0.04  # duration of a fade, as in the plugin
 
 
 @dataclass(frozen=True)
 class Clocks:
-    """Sources of time in seconds: the clock, and the CPU time of the calling thread.
-
-    slept_s: time that the machine was suspended since its start; now_s does not count it.
-    """
+    """Functions that return seconds: the time, the thread's CPU time, the time in suspend."""
 
     now_s: Callable[[], float]
     used_s: Callable[[], float]
     slept_s: Callable[[], float] = float
 
 
+# Called with (mixed sound, vibration before the drive, time in s) of one cycle.
 OnStep = Callable[[Float32Array, Float32Array, float], None]
-"""Called with (sound as mixed, vibration as sent, time) of one cycle."""
-
+# Called with (mixed sound before all effects, time in s).
 OnMix = Callable[[Float32Array, float], None]
-"""Called with (sound before all effects, time)."""
 
 
 class Engine:
-    """Processes a client's sound by mixer, effect and drive, through a delay line to the output.
+    """Passes a client's sound through mixer, effect and drive, then into a delay line.
 
-    The capture's or the output's thread calls `advance`, one of them at a time; the output's thread
-    calls `fill`. No thread waits for the other. Any thread may read the attributes.
+    Either the capture thread or the output thread calls `advance`, never both at the same time. The
+    output thread calls `fill`. No thread waits for another. Any thread may read the attributes.
 
-    client: plays into the mix, which has its sample rate and channels. offset_s: the user's
-    addition to the delay. block_frames: block length of the input and output streams. bypass_late:
-    whether to bypass an effect that takes too long; for sound that is also played elsewhere.
-    on_step: receives each cycle's sound and vibration, which it may keep. on_mix: receives the mix
-    before all effects, which it must copy. last_sound_s: when the latest frames that were not
-    silent arrived. faded: whether the latest measured vibration is below FADED. sound, vibration:
-    levels of the mix, and of the vibration before the drive. driven: level of each named actuator.
-    before_fill: called by `fill` before it reads; set it before the first `fill`. fade: of what
-    `fill` writes. mute: the user's fade, after that one.
-    live: what a live page reads, None for nothing; set it before the first `advance`.
+    client: source of the sound; its format becomes the format of the mix.
+    offset_s: delay that the user adds. block_frames: block length of input and output.
+    bypass_late: whether to bypass an effect that uses too much CPU time.
+    on_step, on_mix: called in each cycle of `advance`. `on_mix` may keep only a copy of the sound.
+    last_sound_s: time of the latest cycle in which the mix was not silent.
+    faded: whether the latest peak of the vibration is below FADED.
+    sound, vibration: level meters of the mix, and of the vibration before the drive.
+    driven: level meters of the drive's outputs, one per actuator. mute: fades the output in or out.
+    before_fill: called before each read of the delay line. live: memory for the live page, or None.
     """
 
     def __init__(
@@ -96,21 +85,18 @@ class Engine:
             self.channels,
             settings,
             hal_frames=CYCLE_BLOCKS * block_frames,
-            # CPU time of the thread: other programs' load must not count as an effect's time.
+            # CPU time of the thread, which the load of other programs does not affect.
             clock=clocks.used_s if bypass_late else None,
         )
         chosen = self.framework.settings
         self.drive = drive_of(chosen, self.samplerate, self.framework.haptic_channels)
         self.driven = [BufferedLevelMeter(self.samplerate) for _ in chosen.actuators]
         self.delay_line = self._line(output_samplerate, offset_s)
-        self.sound = BufferedLevelMeter(self.samplerate)
-        self.vibration = BufferedLevelMeter(self.samplerate)
+        self.sound, self.vibration = (BufferedLevelMeter(self.samplerate) for _ in range(2))
         self.buffer_times = BufferClock()
-        self.buffers = 0
-        self.frames = 0
+        self.buffers = self.frames = 0
         self.frames_max = self.framework.mixer.frames
         self.before_fill: Callable[[], None] = lambda: None
-        self.fade = SoftFade(output_samplerate)
         self.mute = SoftFade(output_samplerate)
         self.live: LiveMemory | None = None
         self.filled_s = -math.inf
@@ -137,7 +123,7 @@ class Engine:
     def retarget(self, samplerate: int, block_frames: int | None = None) -> None:
         """Change the output's sample rate in Hz, or the block length of input and output.
 
-        Call it while no thread calls `fill` and, for other blocks, none calls `advance`.
+        During this call, `fill` must not run, nor `advance` if the block length changes.
         """
         blocks = block_frames or self.block_frames
         rate = round(self.delay_line.samplerate_out)
@@ -147,9 +133,9 @@ class Engine:
             self._drop_ahead()
 
     def follow(self, settings: Settings, offset_s: float) -> None:
-        """Change levels, parameters and offset while running; for the supervising thread.
+        """Change the settings and the delay that the user adds. Only the main thread may call it.
 
-        Actuators may change level, polarity, delay, and swap sources. UsageError: nothing changed.
+        After a UsageError, nothing has changed.
         """
         before_s = self.delay_line.offset_s
         self.delay_line.offset_s = offset_s
@@ -161,13 +147,12 @@ class Engine:
         self.drive.change(settings.actuators)
 
     def advance(self, now_s: float, earlier: Sequence[tuple[float, int]] = ()) -> bool:
-        """Run one cycle with the client's waiting sound; return False at the end of the sound.
+        """Process one cycle: at most CYCLE_BLOCKS blocks. Return False after the end of the sound.
 
-        now_s: when the sound arrived; earlier: arrival of earlier parts, see `DelayLine.write`.
+        now_s, earlier: arrival times of the frames; see `DelayLine.write`.
         """
         began_s = self._clocks.used_s()
-        self._drive_output.now_s = now_s
-        self._drive_output.earlier = earlier
+        self._drive_output.now_s, self._drive_output.earlier = now_s, earlier
         step = self._chain.step(now_s)
         if step is None:
             return False
@@ -191,9 +176,9 @@ class Engine:
         return True
 
     def finish(self, now_s: float) -> Float32Array:
-        """Play the client to its end; return the last vibration, for the delay line.
+        """Process the rest of the sound; return its vibration, which bypasses the delay line.
 
-        For the thread of `advance`, which must not be called again.
+        Only the thread that calls `advance` may call it.
         """
         held = self._drive_output.held = []
         while self.advance(now_s):
@@ -202,28 +187,29 @@ class Engine:
         return np.concatenate([self._read[:0], *held])
 
     def rest(self) -> None:
-        """Clear the delay line, the drive and all levels; call it while no stream runs."""
+        """Clear the delay line, the drive and all levels. Call it only while no stream runs."""
         self.delay_line.flush()
         self.drive.flush()
-        for gathered in self.driven:
-            gathered.reset()
         self._drop_ahead()
-        self.sound.reset()
-        self.vibration.reset()
+        for gathered in (self.sound, self.vibration, *self.driven):
+            gathered.reset()
 
     @property
     def driven_meters(self) -> list[LevelMeter]:
-        """The level of each actuator; of the vibration, where none has a name."""
+        """Level meters of the config's actuators, or of the vibration if the config lists none."""
         return [gathered.meter for gathered in self.driven or (self.vibration,)]
 
     @property
     def read_ahead(self) -> Float32Array:
-        """View of the vibration read ahead, valid until the output's thread calls `fill`."""
+        """Frames that `fill` has read but not yet output; the next `fill` may overwrite them."""
         return self._read[self._start : self._end]
 
     def fill(self, out: Float32Array, now_s: float) -> None:
-        """Write the next vibration into `out`, (frames, actuators)."""
-        if now_s - self.filled_s > STALLED_S:  # the vibration read ahead is older than the gap
+        """Write the next frames to `out`, an array (frames, outputs of the drive).
+
+        The output thread calls it.
+        """
+        if now_s - self.filled_s > STALLED_S:  # the buffered vibration is outdated
             self._drop_ahead()
         self.filled_s = now_s
         frames = len(out)
@@ -232,20 +218,16 @@ class Engine:
         start = self._start
         self._start = min(start + frames, self._end)
         out[:] = self._read[start : self._start]
-        if not (self.fade.audible and self.fade.position == 1.0):
-            self.fade.apply(out)
         if not (self.mute.audible and self.mute.position == 1.0):
             self.mute.apply(out)
 
     def _read_on(self, frames: int, now_s: float) -> None:
-        """Read `frames` frames from the delay line, and more if they are already available."""
-        kept = self.read_ahead
+        """Read the delay line until `read_ahead` has `frames` frames; read more if available."""
+        kept, line = self.read_ahead, self.delay_line
         held = len(kept)
-        missing = frames - held
         self.before_fill()
-        line = self.delay_line
-        ahead = (line.readable - missing) // frames
-        ahead = frames * max(0, min(READ_BLOCKS - 1, ahead))
+        blocks = (line.readable - (frames - held)) // frames
+        ahead = frames * max(0, min(READ_BLOCKS - 1, blocks))
         needed = frames + ahead
         if len(self._read) < needed:
             self._read = np.zeros((frames * READ_BLOCKS, kept.shape[1]), np.float32)
@@ -258,12 +240,36 @@ class Engine:
         self._start = self._end = 0
 
 
-class _DriveOutput:
-    """The drive and the delay line as an output of the chain.
+class SoftFade:
+    """Fades the output in or out. A fade-in from silence waits for the first frame that is not 0.
 
-    now_s, earlier: arrival times of this cycle's frames. held: if not None, collects the blocks
-    instead of the delay line.
+    The output thread calls `apply`. Any thread may set `audible`, and read `position`: 0 (silent)
+    to 1 (full level).
     """
+
+    def __init__(self, samplerate: int) -> None:
+        self.audible, self.position = True, 1.0
+        self._step = 1.0 / (FADE_S * samplerate)
+
+    def apply(self, out: Float32Array) -> None:
+        """Multiply the next frames by the gain of the fade."""
+        wanted = 1.0 if self.audible else 0.0
+        if self.position == wanted:
+            if not wanted:
+                out[:] = 0.0
+            return
+        if self.position == 0.0:
+            out = out[int(out.any(axis=1).argmax()) if out.any() else len(out) :]
+        step = self._step if wanted else -self._step
+        places = self.position + step * np.arange(1, len(out) + 1)
+        places = np.clip(places, 0.0, 1.0, out=places)
+        out *= (places * places * (3.0 - 2.0 * places))[:, None]
+        if len(out):
+            self.position = float(places[-1])
+
+
+class _DriveOutput:
+    """Passes vibration through the drive to the delay line, or to `held` if `held` is a list."""
 
     def __init__(self, engine: Engine) -> None:
         self._engine = engine
@@ -274,19 +280,17 @@ class _DriveOutput:
         self.channels = engine.framework.haptic_channels
 
     def write(self, vibration: FloatArray | Float32Array) -> None:
-        """Drive one block, and write it to the delay line."""
         engine = self._engine
         vibration = engine.drive.process(np.asarray(vibration, np.float32))
         for index, gathered in enumerate(engine.driven):
             gathered.add(vibration[:, index : index + 1])
         if self.held is not None:
             self.held.append(np.array(vibration, np.float32))
-            return
-        engine.delay_line.write(vibration, self.now_s, self.earlier)
+        else:
+            engine.delay_line.write(vibration, self.now_s, self.earlier)
 
     def close(self) -> None:
-        """Do nothing, as no resource is held."""
+        """Do nothing: this output has no file or stream."""
 
     def abort(self) -> None:
-        """Drop what is waiting."""
         self._engine.delay_line.flush()

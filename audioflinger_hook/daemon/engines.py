@@ -1,7 +1,6 @@
-"""Both engines of a run: the Python one, the native one, and the change between them.
+"""Chooses the native or the Python engine, at the start and after a change of config or server.
 
-One ends before the other begins. Streams that join or leave PipeWire's graph may cost others a
-cycle, so none of them plays meanwhile.
+One engine ends before the other begins.
 """
 
 from __future__ import annotations
@@ -14,46 +13,32 @@ from audioflinger_hook.core.compiled_core import library
 from audioflinger_hook.daemon.capture_queue import undone_db
 from audioflinger_hook.daemon.endpoints import Endpoints
 from audioflinger_hook.daemon.engine import Clocks, Engine
-from audioflinger_hook.daemon.engine_switch import EngineSwitch
 from audioflinger_hook.daemon.inputs.base import AudioNode
 from audioflinger_hook.daemon.live_memory import live_memory
+from audioflinger_hook.daemon.native.abilities import why_not_tap, why_python
+from audioflinger_hook.daemon.native.run import NativeRun
 from audioflinger_hook.daemon.outputs.base import StreamOutput
-from audioflinger_hook.daemon.run_config import RunConfig
+from audioflinger_hook.daemon.run_config import ConfigDiff, RunConfig
 from audioflinger_hook.daemon.safety_keeper import SafetyKeeper
-from audioflinger_hook.daemon.soft_fade import FADE_S
-from audioflinger_hook.drive.driven_rig import DrivenRig
+from audioflinger_hook.drive.drive import DrivenRig
 from audioflinger_hook.service.state import StateKeeper
-from device.drive.safety import SafetyState
 from device.server import PulseConnection, ServerSnapshot
 from device.stream.callback_thread import priority_advice
 from device.units import db_to_amplitude
 
-CHANGE_TICK_S = 0.02
-"""Time between ticks during a change of engine."""
-
-PLAYED_S = FADE_S + 0.1
-"""From the start of a fade until the device has played its end."""
-
-NATIVE_TICK_S = 0.25
-"""Time between ticks while the native engine plays; what it waits for wakes the daemon."""
-
-
-BEGIN_S = 0.3
-"""From the last look at what plays to a new chain's first block."""
+CHANGE_TICK_S = 0.02  # longest time between ticks during a change of engine
+PLAYED_S = 0.1  # wait after a fade, in which the device plays the end of the fade
+FADE_MAX_S = 0.5  # longest wait for a fade
+NATIVE_TICK_S = 0.25  # longest time between ticks while the native engine plays
 
 
 class Engines:
-    """The engines of one run; one of them plays. For the supervising thread alone.
+    """The engines of one run. At most one engine plays.
 
-    config: what to do. endpoints: of the Python engine. states: the daemon's state. folder:
-    private, for files of the native engine and of a live page; None: only the Python engine, and no
-    such file. on_change: called by another thread when PipeWire's graph changes.
-
-    safety: what the driven rigs must not forget; None: nothing outlives the process.
-
-    volume_db: the listener's volume that is undone, 0 dB for 100 %. python: what the audio threads
-    run; None before the first sound, and while the native engine plays. switch: the choice, and the
-    native engine.
+    folder: private, for the native engine and the live page's shared memory; None disables both.
+    safety: stores the coil temperatures and vibration doses for the next process.
+    volume_db: volume that the engine compensates, in dB relative to 100 %.
+    python: the Python engine, or None. reason: why the Python engine is chosen, or "".
     """
 
     def __init__(
@@ -68,193 +53,172 @@ class Engines:
     ) -> None:
         library()
         self._config = config
-        self._safety = safety
+        self.safety = safety or SafetyKeeper()
         self._clocks = clocks
         self._endpoints = endpoints
         self._folder = folder
-        self._fades_until_s = 0.0
-        self._heard_before_s = 0.0
-        self.volume_db = 0.0
+        self._ends_s: float | None = None
+        self._follows_native = False
+        self._chosen_for: tuple[object, ...] = ()
+        self._streams_gain = 1.0
+        self._played_s = self._heard_before_s = self.volume_db = 0.0
         self.python: Engine | None = None
-        self._device = ""
-        self._ended: dict[tuple[int, int], SafetyState] = {}
-        self.switch = EngineSwitch(config, folder, states, on_change, self._restore)
+        self.native = NativeRun(config, folder, states, on_change, self._restore)
+        self.reason = "nothing has played yet"
 
     @property
     def tick_s(self) -> float | None:
-        """Longest time until the next tick, None for the usual one."""
-        native, engine = self.switch.native, self.python
-        if native and (self.switch.reason or native.is_designing):
-            return CHANGE_TICK_S
-        if engine and not engine.fade.audible:
+        """Longest time until the next tick in seconds, None for the supervisor's default."""
+        native = self.native.engine
+        if self._ends_s is not None or (native and (self.reason or native.designs.is_busy)):
             return CHANGE_TICK_S
         return NATIVE_TICK_S if native is not None and native.is_steady else None
 
     @property
     def playing(self) -> tuple[str, str]:
-        """The engine that plays, "native", "python" or "", and why it is not the native one.
-
-        "" as well where files alone leave no choice.
-        """
-        native = self.switch.native
+        """Name of the engine that plays ("native", "python" or ""), and why it is not "native"."""
+        native = self.native.engine
         if not self._endpoints.needs_server:
             return "", ""
         if native is not None and native.audible:
             return "native", ""
-        return ("python", self.switch.reason) if self.python else ("", "")
+        return ("python", self.reason) if self.python and self.reason else ("", "")
 
     @property
     def heard_s(self) -> float:
-        """Seconds of sound that the Python engine has heard."""
+        """Seconds of sound that all Python engines of the run have processed."""
         engine = self.python
         return self._heard_before_s + (engine.frames / engine.samplerate if engine else 0.0)
 
     @property
-    def buffers(self) -> int:
-        """A count that rises while sound is processed."""
-        readings = self.switch.native and self.switch.native.readings()
-        return readings.frames if readings else self.python.buffers if self.python else 0
-
-    @property
-    def frames(self) -> int:
-        """Frames of sound that the present engine has heard."""
-        readings = self.switch.native and self.switch.native.readings()
-        return readings.frames if readings else self.python.frames if self.python else 0
-
-    @property
-    def limited_samples(self) -> int:
-        """Samples of vibration that the present engine has limited at full scale."""
-        readings = self.switch.native and self.switch.native.readings()
-        if readings:
-            return readings.limited_samples
-        return self.python.framework.limited_samples if self.python else 0
+    def counts(self) -> tuple[int, int]:
+        """Numbers of frames processed and of samples limited by the present engine."""
+        native, python = self.native.engine, self.python
+        if native is not None and native.chain is not None:
+            return native.chain.page.frames, native.chain.page.readings.limited
+        return (python.frames, python.framework.limited_samples) if python else (0, 0)
 
     @property
     def warnings(self) -> Iterator[str]:
-        """Return what the user should know of the native engine."""
-        native = self.switch.native
+        """Messages for the user about the native engine."""
+        native = self.native.engine
         if native is None:
             return
         if native.monitor_reason:
             yield f"the sink's monitor is tapped, one cycle later: {native.monitor_reason}"
-        if native.problem:
-            yield native.problem
+        if native.chains.problem:
+            yield native.chains.problem
         if native.lacks_realtime:
             yield priority_advice()
 
     def record(self, now_s: float) -> None:
-        """Record what must not be forgotten, if it is time."""
+        """Record coil temperatures and vibration doses, at most once per `safety_keeper.SAVE_S`."""
         for rig in filter(None, self.rigs):
             rig.keep()
-        if self._safety is not None:
-            self._safety.update(self.rigs, now_s)
+        self.safety.update(self.rigs, now_s)
 
     @property
     def rigs(self) -> Sequence[DrivenRig | None]:
-        """What the engine that plays drives; () for nothing."""
-        native = self.switch.native
-        if self.python is None:
-            return native.rigs if native is not None else ()
-        return self.python.drive.processors
+        """The rigs that the present engine drives; () without an engine."""
+        native = self.native.engine
+        if self.python is not None:
+            return self.python.drive.processors
+        return native.chain.rigs if native is not None and native.chain is not None else ()
 
     def _restore(self, rigs: Sequence[DrivenRig | None], first: bool) -> None:
-        """Let rigs of a new engine or chain continue where those that play, or on record, ended."""
-        if first and self._safety is not None:
-            self._safety.restore(rigs, self._device)
-        known = _states_of(self.rigs)
-        if not known and (self._safety is None or self._safety.warning):
-            known = self._ended  # what is not on record has not cooled down for all we know
-        for index, rig in enumerate(rigs):
-            if rig is not None and known:
-                bounds, states = rig.bounds(), list(rig.safety_states())
-                for channel in range(rig.channels):
-                    if (state := known.get((index, channel))) is not None:
-                        states[channel] = bounds.after_unrecorded(state, BEGIN_S)
-                rig.restore(states)
+        """Give new rigs the recorded states (only if `first`), then the playing rigs' states."""
+        if first:
+            self.safety.restore(rigs)
+        self.safety.carry_over(self.rigs, rigs)
 
-    def _note_device(self, device: AudioNode) -> None:
-        if device.name != self._device:
-            self._device = device.name
-            if self._safety is not None:
-                self._safety.note_device(device.name)
-
-    @property
-    def safety_warning(self) -> str:
-        """What is wrong with the record of temperatures and dose, "" for nothing."""
-        return self._safety.warning if self._safety else ""
-
-    @property
-    def dose_since(self) -> str:
-        """Local time since when the dose counts; "" for the start."""
-        return self._safety.since if self._safety else ""
-
-    @property
-    def _delay_s(self) -> float:
-        return max(0.0, self._config.live.offset_s)
-
-    def follow(self, config: RunConfig) -> None:
-        """Use another config."""
+    def follow(self, config: RunConfig, changes: ConfigDiff) -> None:
+        """Apply another config. changes: its differences from the current config."""
         self._config = config
-        if self.python is not None:
+        if changes.concerns_engine:
+            self._chosen_for = ()
+        if self.python is not None and self._ends_s is None:
             self.python.mute.audible = not config.muted
-        self.switch.follow(config)
+        self.native.follow(config)
 
     def drop(self) -> None:
-        """Forget the Python engine, so that `prepare` makes another one."""
+        """Record the rigs' state and remove the Python engine; `prepare` creates a new engine."""
         if self.python is not None:
-            self._close_safety()
+            self.safety.close(self.rigs)
         self._close_live()
         self._heard_before_s, self.python = self.heard_s, None
 
     def close(self) -> None:
-        """End the native engine, record the end, and remove the file of the live page."""
-        self._close_safety()
-        self.switch.close()
+        """Record the rigs' state, end the native engine, and remove the live page's file."""
+        self.safety.close(self.rigs)
+        self.native.close()
         self._close_live()
-
-    def _close_safety(self) -> None:
-        self._ended = _states_of(self.rigs)
-        if self._safety is not None:
-            self._safety.close(self.rigs)
 
     def _close_live(self) -> None:
         if self.python is not None and self.python.live is not None:
             self.python.live.close()
 
-    def native_plays(
+    def maintain(
         self,
         connection: PulseConnection | None,
         source: AudioNode,
         device: AudioNode,
         now_s: float,
     ) -> bool:
-        """Keep the native engine, if it is chosen; return False while the Python engine plays."""
-        switch, engine = self.switch, self.python
+        """Choose an engine and end the other; return whether the Python engine must not play."""
         seen = connection.latest if connection else None
         self._undo_volume(seen)
-        if not switch.takes_native(source, seen) or connection is None:
-            if engine is not None:
-                engine.fade.audible = True
+        self._choose(connection, source)
+        if not self._other_has_ended(now_s):
+            return True
+        if self.reason or connection is None:
             return False
-        if engine is not None:
-            if engine.fade.audible:
-                engine.fade.audible, self._fades_until_s = False, now_s + PLAYED_S
-            if now_s < self._fades_until_s:
-                return True
+        self.safety.note_device(device.name)
+        output = self._endpoints.output
+        assert isinstance(output, StreamOutput)
+        players = self._endpoints.input.players(connection.latest)
+        gains = self._streams_gain, self._endpoints.feed.gain.wanted
+        self.native.maintain(source, device, players, connection, output.volume, gains, now_s)
+        self.reason = self.native.problem
+        return True
+
+    def _choose(self, connection: PulseConnection | None, source: AudioNode) -> None:
+        too_many = why_not_tap(source.channels)
+        if self._chosen_for == (connection, too_many):
+            return
+        self._chosen_for = connection, too_many
+        self.native.begin()
+        seen = connection.latest if connection and self._folder else None
+        self.reason = why_python(self._config, seen) or too_many
+        if self.python is not None:
+            self._ends_s, self.python.mute.audible = None, not self._config.muted
+
+    def _other_has_ended(self, now_s: float) -> bool:
+        """Fade out and end the engine that is not chosen; return whether it has ended."""
+        native = self.native.engine
+        if self.python is not None and not self.reason:
+            if self._ends_s is None:
+                self.python.mute.audible, self._ends_s = False, now_s + FADE_MAX_S
+            fades = self.python.mute.position > 0.0 and self._endpoints.output.is_open
+            if fades and now_s < self._ends_s:
+                self._played_s = now_s + PLAYED_S
+            if now_s < self._played_s:
+                return False
             self._endpoints.close()
             self.drop()
-        self._note_device(device)
-        assert isinstance(self._endpoints.output, StreamOutput)
-        players = self._endpoints.input.players(connection.latest)
-        volume = self._endpoints.output.volume
-        switch.maintain(source, device, players, connection, volume, now_s)
-        return not switch.reason
+        elif native is not None and self.reason:
+            if not native.fade_out(now_s):
+                return False
+            if native.chain is not None:  # `leave` removes the chain
+                self.safety.close(self.rigs)
+            if not native.leave(now_s):
+                return False
+            self.native.close()
+            self._follows_native = True
+        self._ends_s = None
+        return True
 
     def _undo_volume(self, snapshot: ServerSnapshot | None) -> None:
-        """Undo the listener's volume where vibration follows loudness.
-
-        The profile's promise is that a volume changes nothing. Elsewhere it counts as it is heard.
-        """
+        """Mute vibration of muted sound. With loudness control, compensate the sound's volume."""
         before_db, self.volume_db = self.volume_db, 0.0
         tap, streams_db, is_felt = self._endpoints.input, 0.0, True
         if snapshot is not None:
@@ -262,34 +226,18 @@ class Engines:
             streams_db = tap.monitor_db(snapshot)
             if self._config.settings.parameters.loudness_db > 0.0:
                 volume_db = tap.volume_db(snapshot)
-                # nothing is heard at 0 %; the largest factor would make what follows a burst
+                # At 0 %, keep the gain. The largest gain would turn the next sound into a burst.
                 silent = volume_db == -math.inf
                 self.volume_db = before_db if silent else undone_db(volume_db, snapshot.kind)
-                streams_db = (
-                    -undone_db(volume_db - streams_db, snapshot.kind) if not silent else 0.0
-                )
+                streams_db = 0.0 if silent else -undone_db(volume_db - streams_db, snapshot.kind)
         gain = db_to_amplitude(-self.volume_db) if is_felt else 0.0
-        self._endpoints.feed.gain.wanted = self.switch.monitor_gain = gain
-        self.switch.streams_gain = db_to_amplitude(streams_db) if is_felt else 0.0
-
-    def native_has_ended(self, now_s: float) -> bool:
-        """Let the native engine end softly, if it runs; return whether it has. Repeat it."""
-        native = self.switch.native
-        if native is None:
-            return True
-        if not native.fade_out(now_s):
-            return False
-        if native.rigs:  # none any more once it leaves
-            self._close_safety()
-        if not native.leave(now_s):
-            return False
-        self.switch.close()
-        return True
+        self._endpoints.feed.gain.wanted = gain
+        self._streams_gain = db_to_amplitude(streams_db) if is_felt else 0.0
 
     def prepare(self, source: AudioNode, device: AudioNode, now_s: float) -> None:
-        """Make the engine for the first source; later sources are converted to the first format."""
+        """Create the Python engine, or adapt it to the device's rate before the output opens."""
         engine = self.python
-        self._note_device(device)
+        self.safety.note_device(device.name)
         if engine is None:
             recording, feed = self._config.recording, self._endpoints.feed
             on_step, on_mix = None, None
@@ -302,7 +250,7 @@ class Engines:
                 device.samplerate or source.samplerate,
                 self._config.settings,
                 clocks=self._clocks,
-                offset_s=self._delay_s,
+                offset_s=max(0.0, self._config.live.offset_s),
                 block_frames=self._config.live.block_frames,
                 now_s=now_s,
                 bypass_late=self._endpoints.input.needs_server,
@@ -314,17 +262,9 @@ class Engines:
             actuators = len(engine.driven_meters)
             engine.live = live_memory(self._folder, engine.samplerate, engine.channels, actuators)
             engine.mute.audible = not self._config.muted
+            if self._follows_native:  # the sound already plays, so a fade-in avoids a click
+                engine.mute.position, self._follows_native = 0.0, False
             feed.serve(engine)
             self._endpoints.output.set_format(engine.samplerate, engine.drive.outputs)
         elif not self._endpoints.output.is_open:
             engine.retarget(device.samplerate or engine.samplerate, self._config.live.block_frames)
-
-
-def _states_of(rigs: Sequence[DrivenRig | None]) -> dict[tuple[int, int], SafetyState]:
-    """Return what must not be forgotten, by number of the rig and of its channel."""
-    return {
-        (index, channel): state
-        for index, rig in enumerate(rigs)
-        if rig is not None
-        for channel, state in enumerate(rig.safety_states())
-    }

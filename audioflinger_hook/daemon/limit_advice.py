@@ -1,4 +1,4 @@
-"""Advice when much of the vibration is limited at full scale."""
+"""Advice for the user if many samples of the vibration are limited at full scale."""
 
 from __future__ import annotations
 
@@ -6,26 +6,21 @@ from collections import deque
 
 from audioflinger_hook.config.settings import Settings
 
-WINDOW_S = 60.0
-STEP_S = 5.0
-"""What is counted, and how often."""
-
-KNOWN_S = 20.0
-"""A share of less time says nothing of the setting."""
-
-SHARE = 0.01
-"""Share of the samples from which limiting is felt as flat peaks."""
+WINDOW_S = 60.0  # longest time over which the share of limited samples is computed
+STEP_S = 5.0  # shortest time between two stored counts
+KNOWN_S = 20.0  # shortest time over which the share is computed
+SHARE = 0.01  # smallest share of limited samples that causes advice
 
 
 class LimitAdvice:
-    """Counts the limited samples of the latest minute. One thread updates it, any may ask."""
+    """Ratio of limited samples to frames in the latest minute. Any thread may call `advice`."""
 
     def __init__(self) -> None:
         self._counts: deque[tuple[float, int, int]] = deque()
         self._share = 0.0
 
     def update(self, limited: int, frames: int, now_s: float) -> None:
-        """Note both counts, which start again from 0 with another engine."""
+        """Store the counts of limited samples and of frames since the engine began."""
         counts = self._counts
         if counts and (limited < counts[-1][1] or frames < counts[-1][2]):
             counts.clear()
@@ -38,7 +33,7 @@ class LimitAdvice:
             self._share = (limited - counts[0][1]) / heard if known else 0.0
 
     def advice(self, settings: Settings) -> str:
-        """Return which setting to lower, "" while little is limited."""
+        """Return advice on what to lower, or "" if few samples are limited."""
         share = min(1.0, self._share)
         if share < SHARE:
             return ""

@@ -1,76 +1,61 @@
-"""`cushion capture` of live sound: records the buffers of a live tap."""
+"""Records the buffers of a live tap, for `cushion capture`."""
 
 from __future__ import annotations
 
 from audioflinger_hook.capture import CaptureRecorder
 from audioflinger_hook.daemon.inputs.sink import SinkInput
-from audioflinger_hook.daemon.timing import Backoff
-from audioflinger_hook.daemon.wake import Nudge, Wake
+from audioflinger_hook.daemon.server_link import ServerLink
+from audioflinger_hook.daemon.timing import Wake
 from audioflinger_hook.service.state import StateKeeper
 from audioflinger_hook.sources import PushTap, TapAddress
 from device.errors import LostError, NotFoundError
-from device.server import PulseConnection
 from device.stream import PcmConfig
 from device.units import Float32Array
 
-TICK_S = 0.05
-"""Time between ticks, unless an event comes sooner."""
-
-LOST_LIMIT_S = 10.0
-"""Longest wait for a lost server or sink."""
-
-LONGEST_WAIT_S = 0.5
-"""Time between attempts to reach the server."""
+TICK_S = 0.05  # longest time between ticks
+LOST_LIMIT_S = 10.0  # longest time without recorded sound
 
 
 class LiveCapture:
-    """Records the monitor of one sink, or of the present default sink.
+    """Records the monitor of a named sink or of the default sink.
 
-    Its thread calls `tick` whenever `wake` rings, and at least every TICK_S. The stream is guarded,
-    so that it never captures a microphone. If lost, it is reopened. After each reopening and each
-    move the capture has a discontinuity.
-
-    heard_s: seconds of sound so far. format: rate in Hz and channels of the latest buffer; zeros
-    before the first.
+    One thread calls `tick` when `wake` rings, and at least every TICK_S seconds. While the server
+    connects the stream to a wrong source, such as a microphone, nothing is recorded. heard_s:
+    seconds of recorded sound. format: sample rate in Hz and number of channels.
     """
 
     def __init__(self, address: TapAddress, wake: Wake, now_s: float) -> None:
         self.heard_s = 0.0
         self.format = (0, 0)
-        self._wake = wake
         self._tap = PushTap(0, 0)
         self._recorder: CaptureRecorder | None = None
         self._pcms = PcmConfig("cushion_tap")
         self._input = SinkInput(address, self._pcms.pcms["cushion_tap"], StateKeeper(now_s), self)
-        self._connection: PulseConnection | None = None
-        self._backoff = Backoff(longest_s=LONGEST_WAIT_S)
+        self._link = ServerLink(wake.ring, fallback=False)
         self._well_s, self._well_heard_s = now_s, 0.0
         self._reason = ""
 
     def look(self) -> None:
-        """Check that server and tap are available.
-
-        LostError, NotFoundError: one is not available.
-        """
-        self._connection = PulseConnection(Nudge(self._wake))
-        self._input.locate(self._connection.latest, None)
+        """Connect, and find the tap. LostError, NotFoundError: server or tap is not available."""
+        self._link.open(self._well_s)
+        self._input.locate(self._link.latest, None)
 
     def begin(self, recorder: CaptureRecorder) -> None:
-        """Record stream `tap` from now on; call it before the first `tick`."""
+        """Record the sound as stream `tap` from now on. Call it before the first `tick`."""
         self._recorder = recorder
 
     def tick(self, now_s: float) -> None:
-        """Open, check or reopen the tap, as needed.
-
-        LostError: server or tap were lost, and no sound arrived for LOST_LIMIT_S.
-        """
+        """Open, check or reopen the tap. LostError: no buffer came for LOST_LIMIT_S seconds."""
         if self.heard_s > self._well_heard_s:
             self._well_heard_s, self._well_s, self._reason = self.heard_s, now_s, ""
         try:
-            connection = self._connected(now_s)
-            if connection is not None:
-                self._input.locate(connection.latest, None)
-                self._input.maintain(connection, now_s)
+            if self._link.lost:
+                self._input.close()
+                self._link.close()
+            self._link.open(now_s)
+            if self._link.connection is not None:
+                self._input.locate(self._link.connection.latest, None)
+                self._input.maintain(self._link.connection, now_s)
         except (LostError, NotFoundError) as error:
             self._input.close()
             self._reason = f" ({error})"
@@ -81,10 +66,9 @@ class LiveCapture:
             )
 
     def close(self) -> None:
-        """End the capture's stream. May be repeated; raises nothing."""
+        """Close the stream and the connection. Repeated calls do nothing."""
         self._input.close()
-        if self._connection:
-            self._connection.close()
+        self._link.close()
         self._pcms.close()
 
     def opened(self, samplerate: int, channels: int) -> bool:
@@ -106,21 +90,3 @@ class LiveCapture:
         self.format = (tap.samplerate, tap.channels)
         recorder.offer("tap", frames, tap.samplerate, now_s, discontinuity=discontinuity)
         self.heard_s += len(frames) / tap.samplerate
-
-    def _connected(self, now_s: float) -> PulseConnection | None:
-        connection = self._connection
-        if connection is not None:
-            if connection.lost is None:
-                return connection
-            self._input.close()
-            connection.close()
-            self._connection = None
-        if self._backoff.wait_s(now_s) > 0.0:
-            return None
-        try:
-            self._connection = connection = PulseConnection(Nudge(self._wake))
-        except LostError:
-            self._backoff.failed(now_s)
-            raise
-        self._backoff.succeeded()
-        return connection

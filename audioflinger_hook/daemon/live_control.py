@@ -1,14 +1,16 @@
-"""What pages ask of a running daemon: checked as the config file is, applied at once, in order.
+"""Carries out requests that live pages send to a running daemon, in order of arrival.
 
-A request has exactly one of these keys, beside those of the protocol:
+Values are checked like values of the config file. A request has one of these forms:
 
-    "set": {"gain_db": -6.0}                   keys of the config; null: the default
-    "application": "Firefox", "felt": false    exclude or include one application
-    "mute": true
-    "tone": {"hz": 60, "level": 0.2}, or null  start or stop the test tone
-    "undo": true, "save": true
+    "set": {"gain_db": -6.0}                   change keys of the config; null sets the default
+    "application": "Firefox", "felt": false    choose whether an application causes vibration
+    "mute": true                               mute the vibration; false ends the mute
+    "tone": {"hz": 60, "level": 0.2}           start the test tone; null stops the tone
+    "undo": true                               undo the last change of the config
+    "save": true                               write the changes to the config file
 
-The answer is `{"done": true}`, or `{"error": ..., "key": ...}` in the words of the config's check.
+The answer is `{"done": true}` or `{"error": message}`. If a value is refused,
+the answer also has the key of this value as `"key"`.
 """
 
 from __future__ import annotations
@@ -25,7 +27,7 @@ from audioflinger_hook.config.profiles import LIVE_DEFAULT
 from audioflinger_hook.config.schema import CHANGES, Key
 from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.daemon.applications import choosing
-from audioflinger_hook.daemon.live_frame import frame_of
+from audioflinger_hook.daemon.page_frames import frame_of
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.daemon.supervisor import Supervisor
 from audioflinger_hook.service.install import own_command
@@ -33,20 +35,11 @@ from audioflinger_hook.service.one_line import one_line
 from device.errors import CushionError, UsageError
 from device.units import db_to_amplitude
 
-WAITING_MAX = 16
-"""Requests that may wait for the main thread."""
-
-ANSWER_S = 3.0
-"""Longest wait for an answer."""
-
-KEYS_MAX = 16
-"""Keys that one request may set."""
-
-TONE_S = 20.0
-"""A test tone ends by itself after this time: the page that started it may be gone."""
-
-TONE_END_S = 2.0
-"""Longest wait for a tone that is stopped; its fade takes 0.1 s."""
+WAITING_MAX = 16  # largest number of waiting requests
+ANSWER_S = 3.0  # longest wait for an answer
+KEYS_MAX = 16  # largest number of keys in one `set` request
+TONE_S = 20.0  # the test tone ends after this time, in case its page was closed
+TONE_END_S = 2.0  # longest wait for the end of the tone's process; the fade-out takes 0.1 s
 
 
 @dataclass(eq=False)
@@ -58,14 +51,13 @@ class _Request:
 
 
 class LiveControl:
-    """Requests of pages, carried out by the main thread; a `Live` of the status server.
+    """Carries out requests of live pages on the main thread; implements `Live`.
 
-    supervisor: whose state is shown. edits: changes to its config. follow: applies edits, or
-    another mute alone, and returns the new config; it raises a CushionError and changes nothing
-    where it cannot. ring: wakes the main thread. config: that applies. page: address of a page that
-    watches, "" for none. settings: what pages show of the config.
+    Threads of the status server call `frame`, `watched_by` and `control`.
 
-    The server's threads call `frame` and `control`, the main thread `work` and `close`.
+    edits: changes to the config. ring: wakes the main thread. follow: applies edits and mute, and
+    returns the new config. After a CushionError, nothing has changed.
+    page: address of the live page that connected last, or "". settings: values that pages show.
     """
 
     def __init__(
@@ -76,11 +68,8 @@ class LiveControl:
         ring: Callable[[], None],
         config: RunConfig,
     ) -> None:
-        self._supervisor = supervisor
-        self._edits = edits
-        self._follow = follow
-        self._ring = ring
-        self._config = config
+        self._supervisor, self._config, self._edits = supervisor, config, edits
+        self._follow, self._ring = follow, ring
         self.page = ""
         self.settings: dict[str, Any] = {}
         self._tone: subprocess.Popen[bytes] | None = None
@@ -89,17 +78,17 @@ class LiveControl:
         self._tell()
 
     def frame(self, missed: int, *, in_memory: bool) -> tuple[bytes, bool]:
-        """Return what changes many times a second; see `frame_of`."""
+        """Return levels and partials as a line of JSON. See `frame_of`."""
         return frame_of(self._supervisor, self._level, missed, in_memory=in_memory)
 
     def watched_by(self, page: str) -> None:
-        """Note the address of a page that watches."""
+        """Store the address of a live page that has connected."""
         if page.startswith("http://"):
             self.page = one_line(page)
             self._ring()
 
     def control(self, request: dict[str, Any]) -> dict[str, Any]:
-        """Let the main thread carry out a request; return its answer."""
+        """Let the main thread carry out a request; return the answer."""
         waiting = _Request(request)
         with self._lock:
             if len(self._waiting) >= WAITING_MAX:
@@ -112,7 +101,7 @@ class LiveControl:
         return waiting.answer
 
     def work(self) -> None:
-        """Carry out what waits, and notice the end of the test tone."""
+        """Carry out waiting requests, and detect the end of the test tone's process."""
         while self._waiting:
             request = self._waiting.popleft()
             if not request.expired:
@@ -123,7 +112,7 @@ class LiveControl:
             self._tell()
 
     def reloaded(self, config: RunConfig) -> None:
-        """Note that another config applies, as its file was read again."""
+        """Use a config that was read again from its file."""
         self._config = config
         self._tell()
 
@@ -133,7 +122,7 @@ class LiveControl:
             self._tone.terminate()
             try:
                 self._tone.wait(TONE_END_S)
-            except subprocess.TimeoutExpired:  # a sound server that hangs must not stop the daemon
+            except subprocess.TimeoutExpired:  # if the sound server hangs, the daemon must continue
                 self._tone.kill()
                 self._tone.wait()
             self._tone = None
@@ -156,7 +145,7 @@ class LiveControl:
             return {"error": str(error), "key": error.key}
         except CushionError as error:
             return {"error": one_line(str(error), 400)}
-        except Exception as error:  # an error of the program must not end the daemon
+        except Exception as error:  # a programming error must not end the daemon
             return {"error": f"the request failed: {type(error).__name__}: {one_line(str(error))}"}
         self._tell()
         return {"done": True}
@@ -171,12 +160,11 @@ class LiveControl:
             if refusal:
                 raise _Refused(name, f"{one_line(str(value), 60)} {refusal}")
             typed[name] = None if value is None else described.typed(value)
-        changes = typed
         try:
-            self._apply(self._edits.with_changes(changes), self._config.muted)
+            self._apply({**self._edits.values, **typed}, self._config.muted)
         except CushionError as error:
-            raise _Refused(next(iter(changes)), one_line(str(error), 400)) from error
-        self._edits.accept(changes)
+            raise _Refused(next(iter(typed)), one_line(str(error), 400)) from error
+        self._edits.accept(typed)
 
     def _choose(self, name: object, is_felt: object) -> None:
         if not isinstance(name, str) or not name.strip() or not isinstance(is_felt, bool):
@@ -187,7 +175,7 @@ class LiveControl:
     def _mute(self, muted: object) -> None:
         if not isinstance(muted, bool):
             raise UsageError("mute takes true or false")
-        if muted:  # the tone is a program of its own, which the engine's mute does not reach
+        if muted:  # the tone is a separate process, which the engine cannot mute
             self.close()
         if muted != self._config.muted:
             self._apply(self._edits.values, muted)
@@ -206,9 +194,8 @@ class LiveControl:
         chosen = wanted if isinstance(wanted, dict) else {}
         hz, level = chosen.get("hz", 60.0), chosen.get("level", 0.2)
         if type(hz) not in (int, float) or not 20.0 <= hz <= 220.0:
-            raise _Refused(
-                "tone", f"{one_line(str(hz), 60)} is out of range; allowed: 20 to 220 Hz"
-            )
+            problem = f"{one_line(str(hz), 60)} is out of range; allowed: 20 to 220 Hz"
+            raise _Refused("tone", problem)
         if type(level) not in (int, float) or not 0.0 < level <= 0.5:
             raise _Refused("tone", "the level is out of range; allowed: above 0, up to 0.5")
         _, (address, name) = self._supervisor.endpoints
@@ -219,23 +206,14 @@ class LiveControl:
                 "the sound server that is there",
             )
         self.close()
-        # A process of its own, as for any application: nothing of the audio threads changes.
-        self._tone = subprocess.Popen(
-            [
-                *own_command(),
-                "test-tone",
-                f"--device=sink:{name}",
-                f"--hz={hz}",
-                f"--level={level}",
-                f"--seconds={TONE_S}",
-            ],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )
+        options = {"device": f"sink:{name}", "hz": hz, "level": level, "seconds": TONE_S}
+        command = [*own_command(), "test-tone", *(f"--{key}={v}" for key, v in options.items())]
+        # In a separate process, the tone uses no thread of the daemon.
+        nothing = subprocess.DEVNULL
+        self._tone = subprocess.Popen(command, stdin=nothing, stdout=nothing, stderr=nothing)
 
     def _tell(self) -> None:
-        """Make the settings that pages show; a new object, by which readers know of the change."""
+        """Set `settings` to a new object, by which the status server detects the change."""
         unsaved, config = self._edits.unsaved, self._config
         self._level = 0.0 if config.muted else db_to_amplitude(config.settings.gain_db)
         self.settings = {
@@ -256,8 +234,6 @@ class LiveControl:
 
 
 class _Refused(UsageError):
-    """A refused value, with the key that it was for."""
-
     def __init__(self, key: str, message: str) -> None:
         super().__init__(message)
         self.key = key

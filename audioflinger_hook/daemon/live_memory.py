@@ -1,10 +1,7 @@
-"""The Python engine's levels and partials, in a file that a live page reads.
+"""Shared memory in which the Python engine writes levels and partials for the live page.
 
-The plugin of the native engine writes the same layout. So a page reads both engines alike, and no
-thread of the daemon wakes for it: the audio thread writes while its caches are warm.
+The native engine's shared memory has the same layout.
 """
-
-from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
@@ -17,35 +14,32 @@ from audioflinger_hook.daemon.native.page import Page
 from audioflinger_hook.service.meters import LevelMeter
 
 NAME = "python"
-_numbers = count()  # A reader must notice that a later engine has a file of its own.
+_numbers = count()  # part of the file name; a new name tells readers that the engine is new
 
-WRITES_PER_S = 60.0
-WRITES_LEFT = 60
-"""Writes after the latest `watch`: for a second, as watching clients ask four times in it."""
+WRITES_PER_S = 60.0  # largest rate of writes
+WRITES_LEFT = 60  # number of writes after a call of `watch`; they take at least one second
 
 
 class LiveMemory:
-    """A file that a live page reads, written only while somebody watches.
+    """A file in a private folder for the live page, written only after calls of `watch`.
 
-    folder: the daemon's, private; files of earlier engines are removed. channels: of the sound,
-    1 to 8. actuators: 1 to 32. page: what is shared. OSError: the file cannot be made.
+    samplerate: Hz. channels: of the sound. actuators: number of vibration levels.
     """
 
     def __init__(self, folder: Path, samplerate: int, channels: int, actuators: int) -> None:
-        for left_over in folder.glob(f"{NAME}-*.page"):  # of a daemon that was killed
+        for left_over in folder.glob(f"{NAME}-*.page"):  # left by a killed daemon
             left_over.unlink(missing_ok=True)
         path = folder / f"{NAME}-{next(_numbers)}.page"
         self.page = Page(path, channels, 1, [0] * actuators)
         self._least_frames = round(samplerate / WRITES_PER_S)
-        self._writes_left = 0
-        self._due_frames = 0
+        self._writes_left = self._due_frames = 0
 
     def watch(self) -> None:
-        """Note that somebody watches; any thread may call it."""
+        """Permit WRITES_LEFT calls of `show`. Any thread may call it."""
         self._writes_left = WRITES_LEFT
 
     def is_due(self, frames: int) -> bool:
-        """Whether to call `show` now; frames: processed so far. For the audio thread."""
+        """Whether to call `show` after `frames` processed frames. The audio thread calls it."""
         return self._writes_left > 0 and frames >= self._due_frames
 
     def show(
@@ -55,17 +49,14 @@ class LiveMemory:
         actuators: Sequence[LevelMeter],
         partials: Sequence[tuple[float, float, float]],
     ) -> None:
-        """Write what a page shows. For the audio thread.
-
-        frames: processed so far. partials: as `HapticTransform.principal` returns them.
-        """
+        """Write levels and partials after `frames` processed frames. The audio thread calls it."""
         self._writes_left -= 1
         self._due_frames = frames + self._least_frames
         levels = [meter.reading() for meter in actuators]
         self.page.show(frames, sound.channel_readings(), levels, partials)
 
     def close(self) -> None:
-        """Remove the file. May be repeated."""
+        """Remove the file. Repeated calls do nothing."""
         with suppress(OSError):
             self.page.close()
 
@@ -73,7 +64,10 @@ class LiveMemory:
 def live_memory(
     folder: Path | None, samplerate: int, channels: int, actuators: int
 ) -> LiveMemory | None:
-    """Return the file that a page reads; None where it cannot be made or holds too little."""
+    """Return the file for the live page; None without `folder` or if it cannot be created.
+
+    None is also returned for more channels or actuators than the layout can hold.
+    """
     if folder is None or channels > CHANNELS or actuators > ACTUATORS:
         return None
     with suppress(OSError):

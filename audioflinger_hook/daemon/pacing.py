@@ -6,33 +6,26 @@ import threading
 from collections.abc import Callable
 from typing import Protocol
 
-BURST = 64
-"""Largest number of late blocks done in a row, before other threads get a turn."""
-
-BREATH_S = 0.001
-"""Length of that turn."""
-
-LATE_MAX_S = 2.0
-"""Lateness above this counts as a pause and is not caught up."""
+BURST = 64  # largest number of late blocks in a row before other threads may run
+BREATH_S = 0.001  # pause for other threads after BURST late blocks
+LATE_MAX_S = 2.0  # longest delay that jobs catch up; a longer delay shifts all jobs
 
 
 class PacedJob(Protocol):
-    """A job done block by block. error: the error that ended it, or None."""
+    """A job that runs block by block. error: the error that ended the job, or None."""
 
     error: Exception | None
 
     @property
     def due_s(self) -> float:
         """Time of the next block, in seconds from the job's start."""
-        ...
 
     def run(self, now_s: float) -> bool:
-        """Do the next block; return False if it was the last."""
-        ...
+        """Process the next block; return False after the last block."""
 
 
 class FrameTime:
-    """Duration of all frames so far, computed from their count; a sum of durations would drift."""
+    """Duration of all added frames. Only one thread at a time may use an instance."""
 
     def __init__(self, samplerate: int) -> None:
         self._before_s = 0.0
@@ -46,7 +39,7 @@ class FrameTime:
         return self._before_s + (self._frames + frames) / samplerate
 
     def add(self, frames: int, samplerate: int) -> None:
-        """Count frames at `samplerate` Hz."""
+        """Add `frames` frames at `samplerate` Hz."""
         if samplerate != self._samplerate:
             self._before_s += self._frames / self._samplerate
             self._frames, self._samplerate = 0, samplerate
@@ -54,29 +47,28 @@ class FrameTime:
 
 
 class Pacer:
-    """Does jobs at their due times, earliest first, on a thread that the first job starts.
+    """Runs jobs at their due times, earliest first, on a thread that the first job starts.
 
-    Due times are absolute, so nothing drifts. After a stall, late blocks are done in bursts; after
-    a longer stall, all jobs are shifted by the same time. An exception ends its job and stays in
-    `error`. The supervising thread begins and ends jobs. exact: whether to pass jobs their due
-    times instead of the present time, for jobs that depend only on each other.
+    At most BURST late blocks run without a pause. If a block is late by more than LATE_MAX_S, all
+    jobs are shifted by its lateness. An exception in `run` ends only that job. exact: whether `run`
+    gets the due time of a block instead of the current time.
     """
 
     def __init__(self, now_s: Callable[[], float], *, exact: bool = False) -> None:
         self._now_s = now_s
         self._exact = exact
-        self._jobs: dict[PacedJob, float] = {}  # with the start of each
+        self._jobs: dict[PacedJob, float] = {}  # start time of each job
         self._lock = threading.Lock()
         self._changed = threading.Event()
         self._thread: threading.Thread | None = None
         self._closed = False
 
     def begin(self, job: PacedJob, now_s: float) -> None:
-        """Start or continue a job: its next block is due now."""
+        """Start or continue a job. Its next block is due at `now_s`."""
         with self._lock:
             self._jobs[job] = now_s - job.due_s
         if self._thread is None and not self._closed:
-            # A daemon thread does not keep a program alive that fails before `close`.
+            # A daemon thread, so that a program can exit without `close`.
             self._thread = threading.Thread(target=self._keep_pace, name="pacer", daemon=True)
             self._thread.start()
         self._changed.set()
@@ -86,12 +78,12 @@ class Pacer:
         return job in self._jobs
 
     def end(self, job: PacedJob) -> None:
-        """Stop a job. After the return the job does not run; it may begin again later."""
+        """Stop a job. After `end` returns, the job does not run until the next `begin`."""
         with self._lock:
             self._jobs.pop(job, None)
 
     def close(self) -> None:
-        """End the thread. May be repeated."""
+        """End the thread. Repeated calls do nothing."""
         self._closed = True
         self._changed.set()
         thread, self._thread = self._thread, None
@@ -99,7 +91,7 @@ class Pacer:
             thread.join()
 
     def step(self, now_s: float) -> float:
-        """Do the due blocks, at most a burst; return the seconds until the next block is due."""
+        """Process due blocks, at most BURST; return the seconds until the next step."""
         for _ in range(BURST):
             with self._lock:
                 if not self._jobs:
@@ -119,8 +111,7 @@ class Pacer:
         try:
             goes_on = job.run(now_s)
         except Exception as error:
-            job.error = error
-            goes_on = False
+            job.error, goes_on = error, False
         if not goes_on:
             del self._jobs[job]
 

@@ -1,4 +1,4 @@
-"""A stream to a sound server or card that is watched, and reopened after a failure."""
+"""A stream to a sound server or sound card. The stream is reopened after a failure."""
 
 from __future__ import annotations
 
@@ -12,57 +12,46 @@ from device.server import PulseConnection, StreamGuard
 from device.server.guard import Hold
 from device.stream import CaptureStream, PlaybackStream
 
-SETTLES_S = 1.0
-"""Time after opening in which the server may still show the stream elsewhere."""
-
-ASTRAY_S = 0.4
-"""Time for another program to move a stream back."""
-
-GONE_S = 3.0
-"""A running stream may be missing from the server's list for this time, as in underruns."""
-
-LONGEST_WAIT_S = 0.5
-"""Time between attempts to open a stream; an attempt costs almost nothing."""
+SETTLES_S = 1.0  # after opening, the server may report another device for this time
+ASTRAY_S = 0.4  # longest time on another device, until a program moves the stream back
+GONE_S = 3.0  # longest absence of a stream from the server's list, such as in underruns
 
 StreamT = TypeVar("StreamT", CaptureStream, PlaybackStream)
 
 
 class ReconnectingStream(Generic[StreamT]):
-    """One stream, its guard, and the time to reopen it. For the supervising thread alone.
+    """Opens one stream and its `StreamGuard`, and reopens both after failures.
 
-    what: subject of messages, as in "the output". lost, moved: causes to count if the stream stops
-    or is moved. stream: None while closed. guard: None on a card, where nothing moves streams.
+    what: subject of messages, such as "the output". lost, moved: causes to report if the stream is
+    lost or moved. stream: None while closed. guard: None while closed, and always None on a card.
     """
 
     def __init__(self, what: str, states: StateKeeper, lost: Cause, moved: Cause) -> None:
-        self._what = what
-        self._states = states
-        self._lost = lost
-        self._moved = moved
-        self._backoff = Backoff(longest_s=LONGEST_WAIT_S)
+        self._what, self._states = what, states
+        self._lost, self._moved = lost, moved
+        self._backoff = Backoff()
         self._xruns_before = 0
         self.stream: StreamT | None = None
         self.guard: StreamGuard | None = None
 
     @property
     def xruns(self) -> int:
-        """Count of late buffers that PortAudio reported, over all openings."""
+        """Number of late buffers that PortAudio reported, since the first opening."""
         return self._xruns_before + (self.stream.xruns if self.stream else 0)
 
     def check(self, now_s: float) -> None:
-        """Close the stream if it stopped or was moved."""
+        """Close the stream if it stopped, or was missing or on another device for too long."""
         stream, guard = self.stream, self.guard
         if stream is None:
             return
         if stream.is_lost(now_s):
             self._states.recover(self._lost, now_s, f"{self._what} stopped")
-        elif guard is None:
-            return
-        elif now_s - stream.opened_s > SETTLES_S and _is_misplaced(guard, now_s):
-            self._states.recover(self._moved, now_s, guard.hold.value)
-        else:
-            return
-        self.close()
+            self.close()
+        elif guard is not None and now_s - stream.opened_s > SETTLES_S:
+            limit_s = GONE_S if guard.hold is Hold.NO_STREAM else ASTRAY_S
+            if guard.misplaced_s(now_s) > limit_s:
+                self._states.recover(self._moved, now_s, guard.hold.value)
+                self.close()
 
     def open(
         self,
@@ -71,10 +60,9 @@ class ReconnectingStream(Generic[StreamT]):
         device_name: str,
         now_s: float,
     ) -> bool:
-        """Open a closed stream if an attempt is due; return whether it was opened.
+        """Open a closed stream if an attempt is due; return whether the stream was opened.
 
-        connection: to the device's server; None for a card, whose stream is audible at once. Errors
-        of `make` and of the guard are raised and delay the next attempt.
+        connection: None for a card; its stream plays immediately. An error delays the next attempt.
         """
         if self.stream is not None or self._backoff.wait_s(now_s) > 0.0:
             return False
@@ -92,7 +80,7 @@ class ReconnectingStream(Generic[StreamT]):
         return True
 
     def close(self) -> None:
-        """Stop and close. May be repeated; raises nothing."""
+        """Close the stream and its guard. Repeated calls do nothing."""
         guard, stream = self.guard, self.stream
         if guard:
             guard.release()
@@ -100,8 +88,3 @@ class ReconnectingStream(Generic[StreamT]):
             stream.close()
             self._xruns_before += stream.xruns
         self.guard = self.stream = None
-
-
-def _is_misplaced(guard: StreamGuard, now_s: float) -> bool:
-    """Return whether the stream has been on another device for too long."""
-    return guard.misplaced_s(now_s) > (GONE_S if guard.hold is Hold.NO_STREAM else ASTRAY_S)

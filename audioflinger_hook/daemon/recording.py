@@ -1,9 +1,8 @@
-"""`cushion run --record`: buffers of the tap, the effect and the device in one capture."""
+"""Recordings of `cushion run --record`: buffers of tap, effect and device in one capture."""
 
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict, fields, replace
@@ -14,61 +13,48 @@ import numpy as np
 
 from audioflinger_hook.capture import STREAMS, CaptureRecorder, CaptureWriter
 from audioflinger_hook.capture.format import Facts
-from audioflinger_hook.config.schema import RENAMED_PARAMETERS, rescaled
+from audioflinger_hook.config.schema import REPLACED_PARAMETERS
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.daemon.engine import OnMix, OnStep
 from audioflinger_hook.transform import TransformParameters
 from device.drive import ActuatorSettings
 from device.errors import CushionError, UsageError
-from device.rig.rig_file import SHIPPED
+from device.rig.rig import SHIPPED
 from device.units import Float32Array
 from device.values import counted
 
-NESTED = "parameters"
-"""Field of `Settings` whose own fields are stored like the others."""
-
-SAID = "said"
-"""Field stored as names separated by commas, omitted if there are none."""
-
-ACTUATORS = "actuators"
-"""Field stored as JSON, a list of tables as in a config file."""
+NESTED = "parameters"  # field of `Settings` whose fields are stored like fields of `Settings`
+SAID = "said"  # field stored as names separated by commas; omitted if empty
+ACTUATORS = "actuators"  # field stored as JSON, a list of tables as in a config file
 
 
 def facts_of(settings: Settings) -> Facts:
-    """Return every setting by its name; paths become absolute, unset ones are omitted."""
+    """Return all settings that are not None, keyed by name. Paths become absolute."""
     chosen = {field.name: getattr(settings, field.name) for field in fields(settings)}
     parameters = chosen.pop(NESTED)
     chosen[ACTUATORS] = _as_text(chosen[ACTUATORS])
     chosen[SAID] = ",".join(chosen[SAID]) or None
     chosen |= {field.name: getattr(parameters, field.name) for field in fields(parameters)}
-    facts: dict[str, str | int | float | bool] = {}
-    for name, value in chosen.items():
-        if isinstance(value, Path):
-            value = str(value.absolute())
-        if name == "rig":
-            value = _absolute(value)
-        if value is not None:
-            facts[name] = value
-    return facts
+    chosen["rig"] = _absolute(chosen["rig"])
+    if chosen["effects_file"] is not None:
+        chosen["effects_file"] = str(chosen["effects_file"].absolute())
+    return {name: value for name, value in chosen.items() if value is not None}
 
 
 def settings_from(facts: Facts) -> Settings | None:
-    """Return the settings stored in a run's capture, or None if it has none.
-
-    UsageError: this version cannot use the stored settings.
-    """
+    """Return a recorded run's settings, None if it has none. UsageError: invalid settings."""
     if "form" not in facts:
         return None
-    facts = {RENAMED_PARAMETERS.get(n, n): rescaled(n, value) for n, value in facts.items()}
     try:
+        for name in REPLACED_PARAMETERS.keys() & facts.keys():
+            raise UsageError(f"{name} is now {REPLACED_PARAMETERS[name]}")
         parameters = TransformParameters(**_named(TransformParameters, facts))
         chosen = _named(Settings, facts)
         chosen.pop(NESTED, None)
         if "effects_file" in chosen:
             chosen["effects_file"] = Path(chosen["effects_file"])
         if SAID in chosen:
-            said = chosen[SAID].split(",")
-            chosen[SAID] = tuple(RENAMED_PARAMETERS.get(name, name) for name in said)
+            chosen[SAID] = tuple(chosen[SAID].split(","))
         if ACTUATORS in chosen:
             tables = json.loads(chosen[ACTUATORS])
             chosen[ACTUATORS] = tuple(ActuatorSettings.from_values(table) for table in tables)
@@ -82,16 +68,12 @@ def settings_from(facts: Facts) -> Settings | None:
 def _as_text(actuators: tuple[ActuatorSettings, ...]) -> str | None:
     if not actuators:
         return None
-    tables = [
-        asdict(replace(one, rig=None if one.rig is None else _absolute(one.rig)))
-        for one in actuators
-    ]
+    tables = [asdict(replace(one, rig=one.rig and _absolute(one.rig))) for one in actuators]
     said = [{key: value for key, value in one.items() if value is not None} for one in tables]
     return json.dumps(said)
 
 
 def _absolute(rig: str) -> str:
-    """Return a rig's name, or the absolute path of its file."""
     return rig if rig in SHIPPED else str(Path(rig).absolute())
 
 
@@ -101,44 +83,36 @@ def _named(kind: type[Any], facts: Mapping[str, Any]) -> dict[str, Any]:
 
 
 class RunRecording:
-    """A capture of one run with streams `tap`, `effect` and `device`, from the first buffer on.
+    """Records one run as a capture with streams `tap`, `effect` and `device`.
 
-    A replay of `tap` gives `effect` bit for bit. If writing fails, the capture ends, the run goes
-    on, and `close` raises the error.
-
-    The thread that mixes calls `delivered` and the `hooks`, the output's thread `sent`, and the
-    supervising thread `reopened` while the output rests. None of them waits or raises.
-
-    folder: new or empty; `begin` makes it. settings: stored in the capture, so that a replay needs
-    no other file. tap, device: addresses of the run.
+    A replay of `tap` reproduces `effect` bit for bit, unless an effect was bypassed. If writing
+    fails, the run continues, and `close` raises the error. The thread that calls `Engine.advance`
+    also calls `delivered` and the results of `hooks`. The output thread calls `sent`. These calls
+    never block. The supervising thread calls `reopened` while the output is closed.
     """
 
-    def __init__(
-        self, folder: str | os.PathLike[str], settings: Settings, tap: str, device: str
-    ) -> None:
+    def __init__(self, folder: Path, settings: Settings, tap: str, device: str) -> None:
         self._mix: tuple[int, int] | None = None
-        self._begun = False
+        self._begun = self._device_begun = False
         self._broken = {"effect": False, "device": False}
-        self._device_begun = False
-        self._ended = ""
-        self._folder = folder
+        self._folder, self._ended = folder, ""
         self._facts = {"tap": tap, "device": device, **facts_of(settings)}
         self._recorder: CaptureRecorder | None = None
 
     def begin(self) -> None:
-        """Make the folder, before the first buffer. Raises the errors of `CaptureWriter`."""
+        """Create the folder. Call it before the first buffer. For errors, see `CaptureWriter`."""
         writer = CaptureWriter(self._folder, streams=STREAMS, facts=self._facts)
         self._recorder = CaptureRecorder(writer)
 
     @property
     def problem(self) -> str:
-        """Why the recording has ended, one line, or "". Any thread."""
+        """Why the recording has ended, in one line, or "". Any thread may read it."""
         error = self._recorder.error if self._recorder else None
         return f"the recording has ended: {error}" if error else self._ended
 
     @property
     def warnings(self) -> list[str]:
-        """Problems of the recording, one line each. Any thread."""
+        """Problems of the recording, one line each. Any thread may read them."""
         if self.problem:
             return [self.problem]
         if self._recorder is None:
@@ -151,11 +125,7 @@ class RunRecording:
         ]
 
     def hooks(self, samplerate: int, channels: int, *, of_mix: bool) -> tuple[OnStep, OnMix | None]:
-        """Return functions for the engine's `on_step` and `on_mix`, for a mix of this format.
-
-        samplerate: Hz. of_mix: whether to record the mix instead of buffers, since a replay could
-        not repeat the mixing of several sounds. Call it before the first buffer.
-        """
+        """Return `on_step` and `on_mix` for this mix format. of_mix: whether `tap` gets the mix."""
         self._mix = (samplerate, channels)
 
         def felt(_: Float32Array, vibration: Float32Array, now_s: float) -> None:
@@ -169,7 +139,7 @@ class RunRecording:
     def delivered(
         self, frames: Float32Array, samplerate: int, now_s: float, discontinuity: bool
     ) -> None:
-        """Record a buffer of the tap; discontinuity: whether frames are missing before it."""
+        """Record a buffer of the tap. discontinuity: whether earlier frames are missing."""
         recorder = self._recorder
         if self._ended or recorder is None:
             return
@@ -183,23 +153,20 @@ class RunRecording:
         recorder.offer("tap", frames, samplerate, now_s, discontinuity=discontinuity)
 
     def reopened(self) -> None:
-        """Mark that the device's stream was reopened."""
+        """Mark a discontinuity before the next buffer of stream `device`."""
         self._broken["device"] = self._device_begun
 
-    def sent(self, frames: Float32Array, samplerate: int, now_s: float) -> None:
-        """Record what was sent to the device."""
+    def sent(self, frames: Float32Array, now_s: float, samplerate: int) -> None:
+        """Record the frames sent to the device."""
         self._device_begun = True
         self._offer("device", frames, samplerate, now_s)
 
     def end(self, why: str) -> None:
-        """Stop recording, because a replay could not reproduce the later sound."""
+        """Stop recording. why: reason, as text for the user."""
         self._ended = self._ended or f"the recording {self._folder} has ended: {why}"
 
     def close(self) -> None:
-        """Complete the capture, or raise the error that ended it. Waits for the disk.
-
-        Call it when no thread records any more. May be repeated.
-        """
+        """Complete the capture; raise its error, if any. All other threads must have ended."""
         if self._recorder:
             self._recorder.close()
 
@@ -210,12 +177,11 @@ class RunRecording:
         if kind is None or not issubclass(kind, CushionError):
             self.close()
             return
-        with suppress(CushionError):  # the error that ended the run comes first
+        with suppress(CushionError):  # the error that ended the run is more important
             self.close()
 
     def _offer(self, stream: str, frames: Float32Array, samplerate: int, now_s: float) -> None:
         if self._ended or self._recorder is None:
             return
-        broken = self._broken[stream]
-        self._broken[stream] = False
+        broken, self._broken[stream] = self._broken[stream], False
         self._recorder.offer(stream, frames, samplerate, now_s, discontinuity=broken)

@@ -1,36 +1,34 @@
-"""The configuration of one run of the daemon, and the difference between two of them."""
+"""The configuration of one run of the daemon, and the difference of two configurations."""
 
 from __future__ import annotations
 
 from dataclasses import astuple, dataclass, replace
+from operator import attrgetter
 
 from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.daemon.recording import RunRecording
 from audioflinger_hook.sources import TapAddress, parse_tap
 from device.address import DeviceAddress
-from device.drive import ActuatorSettings
 from device.errors import UsageError
 from device.server import AppRules
 
+# Kinds of taps and devices. A thread of the daemon paces the kinds that are not live.
 LIVE_TAPS = ("default", "sink", "app")
 PACED_TAPS = ("file", "capture", "scene")
 SERVER_DEVICES = ("sink", "usb")
 CARD_DEVICES = ("hw",)
-"""Kinds of taps and devices; a thread of the daemon paces those that are not live."""
 
+# Settings of the vibration that change without an interruption.
 LEVELS = tuple(name for name, key in Settings.DESCRIPTIONS.items() if key.change == "nothing")
-"""Settings of the vibration whose change interrupts nothing."""
 
 
 @dataclass(frozen=True)
 class RunConfig:
-    """Everything that the config file and the options request.
+    """All settings from the config file and the command line.
 
-    tap: where sound comes from. device: where vibration goes. settings: how vibration is made from
-    sound. live: all other settings; its device is not used here, and its tap only for applications.
-    recording: records the run; the code that made it begins and closes it. past_server: whether a
-    USB device is opened as a card, because no sound server answers. muted: whether no vibration is
-    played.
+    settings: how sound becomes vibration. recording: the caller begins and closes the recording.
+    live: other settings. `live.device` is ignored, and `live.tap` is used only for applications.
+    past_server: whether a USB device is opened as a sound card, because no sound server responds.
     """
 
     tap: TapAddress
@@ -48,22 +46,22 @@ class RunConfig:
 
     @property
     def device_is_live(self) -> bool:
-        """Whether a sink or card paces the output."""
+        """Whether the vibration goes to a sink or a sound card."""
         return self.device.kind in SERVER_DEVICES + CARD_DEVICES
 
     @property
     def device_is_a_card(self) -> bool:
-        """Whether the vibration goes to a card without the sound server."""
+        """Whether the vibration goes to a sound card without the sound server."""
         return self.device.kind in CARD_DEVICES or (self.past_server and self.device.kind == "usb")
 
     @property
     def needs_server(self) -> bool:
-        """Whether the sound server provides the sound or takes the vibration."""
+        """Whether the sound server provides the sound or receives the vibration."""
         return self.tap_is_live or self._plays_to_server
 
     @property
     def needs_plugin(self) -> bool:
-        """Whether the Python engine reaches the sound server through ALSA's plugin."""
+        """Whether the Python engine would need ALSA's plugin for sound servers."""
         return self._plays_to_server or (self.tap_is_live and self.rules is None)
 
     @property
@@ -72,10 +70,7 @@ class RunConfig:
 
     @property
     def rules(self) -> AppRules | None:
-        """Return the rules that select single applications, None if a sink's mix is captured.
-
-        UsageError: a rule is invalid, or applications cannot be chosen from the tap.
-        """
+        """Rules that select applications, None for all. UsageError: the rules are invalid."""
         include, exclude = self.live.include, self.live.exclude
         if self.tap.kind == "app":
             return AppRules((*(parse_tap(tap).name for tap in self.live.tap), *include), exclude)
@@ -91,14 +86,14 @@ class RunConfig:
 
 @dataclass(frozen=True)
 class ConfigDiff:
-    """The differences of two configs, grouped by what the change interrupts.
+    """The groups of settings that differ between two configs.
 
-    These changes interrupt nothing: level and mute, volume (of the device), priority (used for
-    streams opened later), actuators (faded) and offset (the delay jumps, faded over 5 ms). A
-    change of transform fades out and restarts after the transform's latency. tap and device reopen
-    one stream, drop_in the virtual sink, blocks both streams, engine everything except the
-    connection. way is the choice of the native or the Python engine: one ends before the other
-    begins.
+    A change of level, actuators, volume, offset or priority interrupts nothing. A change of
+    transform fades the vibration out and in again. A change of device reopens its stream. A change
+    of tap moves or reopens its stream, or reopens both streams for a new engine. A change of blocks
+    reopens both streams. A change of drop_in creates or removes the virtual sink. A change of
+    engine restarts the engine and both streams. After a change of way, the key `engine`, the native
+    or the Python engine is chosen again.
     """
 
     level: bool = False
@@ -118,16 +113,10 @@ class ConfigDiff:
     def between(cls, old: RunConfig, new: RunConfig) -> ConfigDiff:
         """Return the difference from `old` to `new`."""
         before, after = old.settings, new.settings
-        # A running effect accepts another level and other parameters; a profile is a set of
-        # parameters.
+        # A running effect accepts another gain, and other parameters, thus another profile.
         levels = {name: getattr(before, name) for name in LEVELS}
-        unaffected = replace(
-            after,
-            **levels,
-            profile=before.profile,
-            parameters=before.parameters,
-            said=before.said,
-        )
+        kept = {name: getattr(before, name) for name in ("profile", "parameters", "said")}
+        unaffected = replace(after, **levels, **kept)
         actuators_change = _can_change(before, after)
         if actuators_change:
             unaffected = replace(unaffected, actuators=before.actuators)
@@ -148,12 +137,17 @@ class ConfigDiff:
         )
 
     @property
+    def concerns_engine(self) -> bool:
+        """Whether to choose again between the native and the Python engine."""
+        slight = dict.fromkeys(("level", "volume", "offset", "priority"), False)
+        return replace(self, **slight).any
+
+    @property
     def any(self) -> bool:
         """Whether anything differs."""
         return any(astuple(self))
 
     def __str__(self) -> str:
-        """Return one line that lists the changes."""
         words = {
             "the level": self.level,
             "the actuators": self.actuators,
@@ -173,16 +167,13 @@ class ConfigDiff:
 
 
 def _can_change(before: Settings, after: Settings) -> bool:
-    """Whether the actuators can change while they play: equal number, rigs and sources."""
-    were, are = before.actuators, after.actuators
-    return before.sources == after.sources and [_fixed_settings(a) for a in were] == [
-        _fixed_settings(a) for a in are
-    ]
+    """Whether actuators can change while they play.
 
-
-def _fixed_settings(actuator: ActuatorSettings) -> tuple[str | None, ...]:
-    """Return what cannot change while an actuator plays."""
-    return actuator.rig, actuator.damping, actuator.protection, actuator.exposure_cap
+    The sources and each actuator's rig, damping, protection and exposure cap must not change.
+    """
+    fixed = attrgetter("rig", "damping", "protection", "exposure_cap")
+    were, are = map(fixed, before.actuators), map(fixed, after.actuators)
+    return before.sources == after.sources and [*were] == [*are]
 
 
 def _selected_sound(config: RunConfig) -> tuple[object, ...]:

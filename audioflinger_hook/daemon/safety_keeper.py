@@ -1,9 +1,8 @@
-"""Keeps temperatures and the day's dose in a file, so that a new process knows what went before.
+"""Stores coil temperatures and the daily vibration dose in a file for the next process.
 
-A coil cools with a time constant of half a minute, and a dose counts for a day: both outlive the
-process that caused them. The file is written while something is driven, so a killed process leaves
-at most the last moment unrecorded. For that moment the next one takes the worst that protection
-allows, and lets the model cool down for the time that has passed.
+A coil cools with a time constant of about half a minute, and a dose counts for a day. A new process
+needs the temperatures and the dose. A killed process does not record the time after its last write.
+For this time, the next process assumes the worst case that protection allows.
 """
 
 from __future__ import annotations
@@ -16,43 +15,37 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from audioflinger_hook.drive.driven_rig import DrivenRig
+from audioflinger_hook.drive.drive import DrivenRig
 from device.atomic_file import AtomicFile, make_private_folder
-from device.drive.exposure.dose import DoseSums
+from device.drive.exposure import DoseSums
 from device.drive.safety import SafetyState
 from device.errors import CushionError
 
 VERSION = 1
-FILE, MARK = "actuators.json", "has-run"
-"""The record, and an empty file that tells a first run from a record that was lost."""
+FILE = "actuators.json"
+MARK = "has-run"  # empty file, which shows that a record must exist
+SAVE_S = 0.5  # shortest time between two writes
 
-SAVE_S = 0.5
-"""Time between two writes while something is driven."""
-
+# Assumed longest time that a killed process has played after its last write.
 UNRECORDED_S = 1.5
-"""What a killed process may have done after its last write: until the next one, which a busy
-machine delays, and the dose's last tenth of a second."""
-
-UNSYNCED_S = 60.0
-"""The same after the machine itself has ended: the system writes files later than we do."""
-
-Rigs = Sequence[DrivenRig | None]
+BEGIN_S = 0.3  # assumed time from reading a playing rig's state to the first block of a new rig
+UNSYNCED_S = 60.0  # as UNRECORDED_S, after a crash of the machine, which writes files late
 
 _LONGEST_S = 10 * 365 * 86_400.0
+Rigs = Sequence[DrivenRig | None]
 
 
 @dataclass(frozen=True)
 class Moment:
-    """A moment by all clocks.
+    """One moment on several clocks. boot: identifies the boot of the machine, "" if unknown.
 
-    boot: names the machine's start, "" if unknown. boot_s: since then, with sleep. local: local
-    time to the minute, such as "2026-05-01T09:30+02:00".
+    boot_s: seconds since boot. wall_s: system clock in s. local: such as "2026-05-01T09:30+02:00".
     """
 
-    boot: str
-    boot_s: float
-    wall_s: float
-    local: str
+    boot: str = ""
+    boot_s: float = 0.0
+    wall_s: float = 0.0
+    local: str = ""
 
     @property
     def day(self) -> str:
@@ -61,48 +54,44 @@ class Moment:
 
 
 class SafetyKeeper:
-    """Restores and records the state of a device's rigs. For the supervising thread alone.
+    """Records and restores coil temperatures and vibration doses of a device's rigs.
 
-    folder: where the file is, made if missing; None keeps nothing. moment: tells the present.
-    warning: what the user should know, "" for nothing. since: local time since when the dose
-    counts, "" before the first restore.
+    folder: of the file, created if missing; None records nothing. moment: returns the current time.
+    warning: message for the user, or "". since: local time when today's dose began, "" if unknown.
     """
 
-    def __init__(self, folder: Path | None, moment: Callable[[], Moment]) -> None:
-        self._folder = folder
-        self._moment = moment
+    def __init__(self, folder: Path | None = None, moment: Callable[[], Moment] = Moment) -> None:
+        self._folder, self._moment = folder, moment
         self._saved_s = -math.inf
         self._saved: list[SafetyState] = []
-        self._day = self._device = ""
-        self.since = ""
-        self.warning = ""
+        self._ended: dict[tuple[int, int], SafetyState] = {}
+        self._day = self._device = self.since = self.warning = ""
 
-    def restore(self, rigs: Rigs, device: str) -> None:
-        """Let rigs continue where the last ones on this device ended; before their first block."""
+    def restore(self, rigs: Rigs) -> None:
+        """Set new rigs to the device's recorded state. Call it before their first block."""
         if self._folder is None or not any(rigs):
             return
-        now, self._device = self._moment(), device
+        now, device = self._moment(), self._device
         known, trouble = self._read(now)
+        records = known.get("actuators", {})
         self._day = now.day
-        self.since = now.local
-        if known.get("day") == now.day:
-            self.since = str(known.get("since", self.since))
-        today = [one for one in known.get("actuators", {}).values() if one["day"] == now.day]
+        self.since = known["since"] if known.get("day") == now.day else now.local
+        today = [one for one in records.values() if one["day"] == now.day]
         dose = DoseSums()
         for one in today:
             dose = dose.at_least(DoseSums(**one["dose"]))
         for index, processor in enumerate(rigs):
             if processor is None:
                 continue
-            bounds, states = processor.bounds(), []
+            bounds, states = processor.design.bounds(), []
             for channel in range(processor.channels):
-                record = known.get("actuators", {}).get(_key(device, index, channel))
+                record = records.get(_key(device, index, channel))
                 if trouble:
                     state = bounds.warmest
                 elif record is None:
                     state = SafetyState(dose=dose) if today else SafetyState()
                 else:
-                    state, trouble = _continued(record, now, processor)
+                    state, trouble = _resumed(record, now, processor)
                 states.append(state)
             processor.restore(states)
         if trouble:
@@ -111,18 +100,28 @@ class SafetyKeeper:
                 "and a dose that was there is unknown"
             )
         self._saved_s = -math.inf
-        self._write(rigs, now, sync=False)  # one that ends at once was there
+        self._write(rigs, now, sync=False)  # the process may be killed soon
 
     def note_device(self, device: str) -> None:
-        """Record under this device from now on: the vibration goes there."""
-        self._device = device
-        self._saved_s = -math.inf
+        """Use this device's name for later records."""
+        if device != self._device:
+            self._device, self._saved_s = device, -math.inf
+
+    def carry_over(self, playing: Rigs, rigs: Rigs) -> None:
+        """Copy the state of playing rigs to new rigs. Call it before the new rigs' first block."""
+        known = _states_of(playing)
+        if not known and (self._folder is None or self.warning):
+            known = self._ended  # without a record, assume that coils have not cooled
+        for index, rig in enumerate(rigs):
+            if rig is not None and known:
+                bounds, states = rig.design.bounds(), list(rig.safety_states())
+                for channel in range(rig.channels):
+                    if (state := known.get((index, channel))) is not None:
+                        states[channel] = bounds.after_unrecorded(state, BEGIN_S)
+                rig.restore(states)
 
     def update(self, rigs: Rigs, now_s: float) -> None:
-        """Record what has changed, if it is time, and begin a new dose with a new day.
-
-        now_s: of time.monotonic(). Raises nothing.
-        """
+        """Record changes, at most once per SAVE_S; reset the dose on a new day. Raises nothing."""
         if self._folder is None or not self._day or not any(rigs) or now_s - self._saved_s < SAVE_S:
             return
         now = self._moment()
@@ -138,12 +137,13 @@ class SafetyKeeper:
         self._saved_s = now_s
 
     def close(self, rigs: Rigs) -> None:
-        """Record the end. Raises nothing."""
+        """Record the rigs' final state. Raises nothing."""
+        self._ended = _states_of(rigs)
         if self._day and any(rigs):
             self._write(rigs, self._moment(), sync=True)
 
     def _read(self, now: Moment) -> tuple[dict[str, Any], str]:
-        """Return the record, and what is wrong with it."""
+        """Return the content of the file, and why the file cannot be used, or "" if it can."""
         assert self._folder is not None
         path = self._folder / FILE
         has_run = False
@@ -158,7 +158,8 @@ class SafetyKeeper:
             return {}, f"{path} cannot be read ({error})"
         except (ValueError, TypeError, KeyError, AttributeError):
             return {}, f"{path} is damaged, or of another version"
-        if any(one["wall_s"] > now.wall_s and one["boot"] != now.boot for one in _each(known)):
+        others = [one for one in known["actuators"].values() if one["boot"] != now.boot]
+        if any(one["wall_s"] > now.wall_s for one in others):
             return {}, f"{path} is from the future: the clock was set back"
         return known, ""
 
@@ -184,16 +185,21 @@ def _key(device: str, index: int, channel: int) -> str:
     return f"{device} {index}.{channel}"
 
 
-def _each(known: dict[str, Any]) -> Sequence[dict[str, Any]]:
-    return tuple(known["actuators"].values())
+def _states_of(rigs: Rigs) -> dict[tuple[int, int], SafetyState]:
+    return {
+        (index, channel): state
+        for index, rig in enumerate(rigs)
+        if rig is not None
+        for channel, state in enumerate(rig.safety_states())
+    }
 
 
 def _checked(known: dict[str, Any]) -> dict[str, Any]:
-    """Return a record if every value in it can be. ValueError, TypeError, KeyError: it cannot."""
+    """Return `known`. ValueError, TypeError, KeyError, AttributeError: `known` is invalid."""
     if known["version"] != VERSION:
         raise ValueError(known["version"])
     str(known["since"])
-    for one in _each(known):
+    for one in known["actuators"].values():
         numbers = [one["boot_s"], one["wall_s"], *DoseSums(**one["dose"]).__dict__.values()]
         numbers += [one[name] for name in ("coil_c", "magnet_c") if one[name] is not None]
         if not all(math.isfinite(number) and number >= 0.0 for number in numbers):
@@ -203,11 +209,9 @@ def _checked(known: dict[str, Any]) -> dict[str, Any]:
     return known
 
 
-def _continued(
-    record: dict[str, Any], now: Moment, processor: DrivenRig
-) -> tuple[SafetyState, str]:
-    """Return the state of one actuator now, and what is wrong with its record."""
-    bounds = processor.bounds()
+def _resumed(record: dict[str, Any], now: Moment, processor: DrivenRig) -> tuple[SafetyState, str]:
+    """Return the present state of a recorded actuator, and why it is unknown, or "" if known."""
+    bounds = processor.design.bounds()
     same_boot = bool(now.boot) and record["boot"] == now.boot
     passed_s = now.boot_s - record["boot_s"] if same_boot else now.wall_s - record["wall_s"]
     dose = DoseSums(**record["dose"]) if record["day"] == now.day else DoseSums()
@@ -219,6 +223,6 @@ def _continued(
         unrecorded_s = min(passed_s, UNRECORDED_S if same_boot else UNSYNCED_S)
         state = bounds.after_unrecorded(state, unrecorded_s)
         passed_s -= unrecorded_s
-        if record["day"] != now.day and passed_s > 0.0:  # it was before midnight
+        if record["day"] != now.day and passed_s > 0.0:  # that dose counts for the record's day
             state = replace(state, dose=dose)
     return bounds.after_rest(state, passed_s), ""

@@ -1,52 +1,68 @@
-"""The supervisor's connection to the sound server, made again after each loss."""
+"""The connection to the sound server, and the virtual sinks that the daemon creates there."""
 
 from __future__ import annotations
 
-from audioflinger_hook.daemon.timing import Backoff
-from device.errors import CushionError
-from device.server import FallbackSink, PulseConnection
+from collections.abc import Callable
+
+from audioflinger_hook.daemon.run_config import RunConfig
+from audioflinger_hook.daemon.timing import LONGEST_S, Backoff
+from device.errors import CushionError, LostError
+from device.server import DropIn, FallbackSink, PulseConnection, ServerSnapshot
 from device.server.snapshot import Listener
 
-LONGEST_WAIT_S = 0.5
-"""Time between attempts to reach the server; an attempt costs almost nothing."""
 
+class ServerLink(Listener):
+    """Connection to the server, with a silent fallback sink if `fallback` is True.
 
-class ServerLink:
-    """Connection to the server and its silent fallback sink. For the supervising thread alone.
-
-    listener: is told by each connection of changes and of the loss of the connection. connection:
-    None if not connected; a connection may be lost, see `lost`.
+    ring: another thread calls it when the server changes or is lost. connection: None while not
+    connected.
     """
 
-    def __init__(self, listener: Listener) -> None:
+    def __init__(self, ring: Callable[[], None], *, fallback: bool = True) -> None:
         self.connection: PulseConnection | None = None
-        self._listener = listener
+        self._ring = ring
+        self._has_fallback = fallback
         self._fallback: FallbackSink | None = None
-        self._backoff = Backoff(longest_s=LONGEST_WAIT_S)
+        self._backoff = Backoff()
+
+    def on_snapshot(self, snapshot: ServerSnapshot) -> None:
+        """Wake the main thread after a change of the server."""
+        self._ring()
+
+    def on_lost(self, error: LostError) -> None:
+        """Wake the main thread after the loss of the server."""
+        self._ring()
+
+    @property
+    def latest(self) -> ServerSnapshot | None:
+        """Latest snapshot of the server, None if not connected. Any thread may read it."""
+        connection = self.connection  # the main thread may set it to None meanwhile
+        return connection.latest if connection else None
 
     @property
     def lost(self) -> str:
-        """Why the connection was lost; "" if it works, or if there is none."""
+        """Why the connection was lost, or ""."""
         return str((self.connection and self.connection.lost) or "")
 
     @property
     def warning(self) -> str:
-        """One line on what would fail if the haptic device vanished; usually ""."""
+        """Why the fallback sink is not ready, in one line; "" on PipeWire, which needs none."""
         fallback, connection = self._fallback, self.connection
         if fallback is None or connection is None or fallback.active:
             return ""
         return "" if connection.latest.kind == "PipeWire" else fallback.reason
 
     def open(self, now_s: float) -> bool:
-        """Connect if not connected and an attempt is due; return whether a connection was made.
+        """Connect if an attempt is due; return whether a connection was made.
 
-        CushionError: the server cannot be reached.
+        CushionError: the attempt failed.
         """
         if self.connection is not None or self._backoff.wait_s(now_s) > 0.0:
             return False
         try:
-            self.connection = PulseConnection(self._listener)
-            self._fallback = FallbackSink(self.connection)
+            self.connection = PulseConnection(self)
+            if self._has_fallback:
+                self._fallback = FallbackSink(self.connection)
         except CushionError:
             self._backoff.failed(now_s)
             raise
@@ -54,9 +70,75 @@ class ServerLink:
         return True
 
     def close(self) -> None:
-        """Remove the fallback sink and disconnect. May be repeated."""
+        """Remove the fallback sink and disconnect. Repeated calls do nothing."""
         if self._fallback:
             self._fallback.close()
         if self.connection:
             self.connection.close()
         self.connection = self._fallback = None
+
+
+class DropInControl:
+    """The virtual sink to which applications play in drop-in mode."""
+
+    def __init__(self, config: RunConfig) -> None:
+        self._drop_in: DropIn | None = None
+        self._restart(config)
+
+    def _restart(self, config: RunConfig) -> None:
+        self._config = config
+        self._backoff = Backoff(longest_s=10.0 * LONGEST_S)
+        self._target: str | None = None
+        self._refusal = ""
+
+    def follow(self, config: RunConfig) -> None:
+        """Apply another config."""
+        if config.live.drop_in != self._config.live.drop_in:
+            self.close()
+            self._restart(config)
+        self._config = config
+        if self._drop_in is not None:
+            self._drop_in.delay_s = self._wanted_delay_s
+
+    @property
+    def delay_s(self) -> float:
+        """Delay of the sound in seconds, 0 while there is no virtual sink."""
+        return self._drop_in.delay_s if self._drop_in else 0.0
+
+    @property
+    def warnings(self) -> list[str]:
+        """Why the sink's sound is not forwarded as configured, at most one line."""
+        reason = self._drop_in.reason if self._drop_in else self._refusal
+        return [f"drop-in: {reason}"] if reason else []
+
+    def maintain(self, connection: PulseConnection, haptic_sink: str | None, now_s: float) -> None:
+        """In drop-in mode, create the sink. Its sound is never sent to `haptic_sink`."""
+        if not self._config.live.drop_in:
+            return
+        if self._drop_in is not None:
+            self._drop_in.spare(haptic_sink)
+            self._target = self._drop_in.target_name or self._target
+            return
+        if self._backoff.wait_s(now_s) > 0.0:
+            return
+        try:
+            names = [sink.name for sink in connection.latest.sinks]
+            target = self._target if self._target in names else None  # the previous target
+            delay_s = self._wanted_delay_s
+            self._drop_in = DropIn(connection, target, delay_s, haptic_sink=haptic_sink)
+        except CushionError as error:
+            self._refusal = str(error)
+            self._backoff.failed(now_s)
+        else:
+            self._refusal = ""
+            self._backoff.succeeded()
+
+    def close(self) -> None:
+        """Remove the sink, so that applications play to other sinks. Repeated calls do nothing."""
+        drop_in, self._drop_in = self._drop_in, None
+        if drop_in is not None:
+            drop_in.close()
+
+    @property
+    def _wanted_delay_s(self) -> float:
+        return max(0.0, -self._config.live.offset_s)

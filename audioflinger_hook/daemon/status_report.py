@@ -1,151 +1,182 @@
-"""The status of a running daemon, collected from its parts."""
+"""Collects the status of a running daemon; `service/status.py` defines the fields."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 from audioflinger_hook import __version__
+from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.daemon.engine import Engine
-from audioflinger_hook.daemon.native.figures import with_native
-from audioflinger_hook.daemon.rig_figures import (
-    exposure_figures,
-    exposure_of,
-    protection_figures,
-    protection_of,
-)
+from audioflinger_hook.daemon.native.chain import Chain
+from audioflinger_hook.daemon.native.engine import NativeEngine
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.daemon.supervisor import Supervisor
-from audioflinger_hook.service.meters import level_of
+from audioflinger_hook.drive.drive import DrivenRig
+from audioflinger_hook.service import status as figures
+from audioflinger_hook.service.figure import gathered
+from audioflinger_hook.service.meters import Level, level_of
 from audioflinger_hook.service.state import DaemonState
-from audioflinger_hook.service.status import (
-    ActuatorFigures,
-    DelayLineFigures,
-    DeviceRateFigures,
-    Endpoint,
-    LatencyBudget,
-    Levels,
-    Partial,
-    Status,
-    Xruns,
-)
 from device.units import db_to_amplitude
 
 
-def status_of(supervisor: Supervisor, now_s: float) -> Status:
-    """Return the status at `now_s`. Any thread may call it; audio threads do not wait for it."""
-    report = supervisor.states.report(now_s)
+def status_of(supervisor: Supervisor, now_s: float) -> figures.Status:
+    """Return the status at `now_s`. Any thread may call it; audio threads do not wait."""
+    engines, states, rate = supervisor.engines, supervisor.states, supervisor.output.measure_rate()
+    python, native = engines.python, engines.native.engine
+    chain = native.chain if native is not None else None
     tap, device = supervisor.endpoints
-    engine, native = supervisor.engine, supervisor.engines.switch.native
-    status = Status(
+    sources: tuple[object, ...] = (supervisor, engines)
+    values: dict[str, Any] = {
+        "xruns": figures.Xruns(supervisor.input.xruns, supervisor.output.xruns),
+        "engine": "",
+        "engine_reason": "",
+    }
+    played: Sequence[tuple[float, float, float]] = ()
+    if chain is not None:
+        values["engine_pid"] = chain.process_id
+    if native is not None and chain is not None and native.audible:
+        sources = (chain.page, supervisor.config, *sources)
+        played = chain.page.principal()
+        values |= _of_native(native, chain, supervisor)
+    elif python is not None:
+        sources, played = (python.framework, *sources), python.framework.principal
+        values |= _of_python(python, supervisor)
+    return gathered(
+        figures.Status,
+        *sources,
         version=__version__,
         pid=os.getpid(),
-        state=report.state,
-        reason=report.reason,
-        since_s=report.since_s,
-        tap=Endpoint(*tap),
-        device=Endpoint(*device),
-        xruns=Xruns(supervisor.input.xruns, supervisor.output.xruns),
-        recoveries=report.recoveries,
-        warnings=tuple(supervisor.warnings),
-        engine_reason=supervisor.engines.switch.reason,
-        engine_pid=native.process_id if native else 0,
-        volume_db=supervisor.engines.volume_db,
-        device_rate=_device_rate(supervisor),
-        applications=supervisor.applications,
+        **vars(states.report(now_s)),
+        tap=figures.Endpoint(*tap),
+        device=figures.Endpoint(*device),
         muted=supervisor.config.muted,
-        server=supervisor.server,
-        principal=tuple(Partial(*partial) for partial in _principal(supervisor)),
+        warnings=tuple(supervisor.warnings),
+        device_rate=gathered(figures.DeviceRateFigures, rate) if rate else None,
+        principal=_as_played(played, states.state, supervisor.config),
+        **values,
     )
-    if native is not None and native.audible:
-        return with_native(status, native, supervisor)
-    if engine is None:
-        return status
-    line = engine.delay_line.status
+
+
+def _of_python(engine: Engine, supervisor: Supervisor) -> dict[str, Any]:
+    line, framework, drive = engine.delay_line.status, engine.framework, engine.drive
     tap_s, output_s = supervisor.latencies_s
-    ms, drive = 1e3 / engine.samplerate, engine.drive
-    return replace(
-        status,
-        levels=Levels(
+    levels = [driven.meter.level() for driven in engine.driven]
+    return {
+        "levels": figures.Levels(
             engine.sound.meter.level(),
             engine.vibration.meter.level(),
             tuple(level_of(*one) for one in engine.sound.meter.channel_readings()),
         ),
-        latency=LatencyBudget.of(
+        "latency": figures.LatencyBudget.of(
             tap_ms=1e3 * tap_s,
-            transform_ms=1e3 * engine.framework.latency_s,
+            transform_ms=1e3 * framework.latency_s,
             delay_line_ms=1e3 * (line.delay_s - engine.delay_line.offset_s),
             output_ms=1e3 * output_s,
             offset_ms=1e3 * supervisor.offset_s,
-            driving_ms=ms * drive.latency_frames,
-            delay_ms=ms * max(drive.delays_frames, default=0),
+            driving_ms=1e3 * drive.latency_frames / engine.samplerate,
+            delay_ms=1e3 * max(drive.delays_frames, default=0) / engine.samplerate,
         ),
-        delay_line=DelayLineFigures(
-            1e3 * line.target_s,
-            1e3 * line.delay_s,
-            line.ratio_ppm,
-            line.resyncs,
-            line.underflows,
-            line.overflows,
-            line.state.value,
+        "delay_line": gathered(figures.DelayLineFigures, line),
+        "buffer_times": engine.buffer_times.times(),
+        "effects_bypassed": tuple(framework.bypassed()),
+        "engine": "python",
+        "engine_reason": supervisor.engines.reason,
+        **_of_rigs(drive.processors, levels, framework.settings, supervisor),
+    }
+
+
+def _of_native(native: NativeEngine, chain: Chain, supervisor: Supervisor) -> dict[str, Any]:
+    # Tap and device run in the same cycle of the graph, so they have no delay line.
+    settings, resting = supervisor.config.settings, supervisor.states.state is DaemonState.IDLE
+    plan, page = chain.plan, chain.page
+    latency_frames = max((rig.latency_frames for rig in chain.rigs if rig), default=0)
+    # If the sink drives the graph, its monitor provides sound one cycle late.
+    is_late = native.monitor_reason and page.samplerate
+    tap_ms = 1e3 * page.cycle_frames / page.samplerate if is_late else 0.0
+    # While the daemon is idle, the plugin may not run, and its levels may be outdated.
+    actuators = range(min(len(settings.actuators), len(chain.rigs)))
+    levels = [Level() if resting else page.level(slot) for slot in actuators]
+    channels = tuple(level_of(*reading) for reading in page.channel_readings())
+    return {
+        "levels": figures.Levels() if resting else figures.Levels(*page.levels, channels),
+        "latency": figures.LatencyBudget.of(
+            tap_ms=tap_ms,
+            transform_ms=1e3 * plan.transform.latency_frames / plan.samplerate,
+            offset_ms=1e3 * supervisor.offset_s,
+            driving_ms=1e3 * latency_frames / plan.samplerate,
+            delay_ms=max((actuator.delay_ms for actuator in settings.actuators), default=0.0),
         ),
-        buffer_times=engine.buffer_times.times(),
-        effects_bypassed=tuple(engine.framework.bypassed()),
-        limited_samples=engine.framework.limited_samples,
-        replaced_samples=engine.framework.replaced_samples,
-        protection=protection_of(drive.processors),
-        exposure=exposure_of(drive.processors, supervisor.engines.dose_since),
-        actuators=_actuators(engine, supervisor.engines.dose_since),
-        profile=engine.framework.settings.profile,
-        engine="python",
-    )
+        "server": f"PipeWire {native.watch.graph.version}".rstrip(),
+        "graph": gathered(
+            figures.GraphFigures,
+            page,
+            tap="monitor" if native.monitor_reason else "streams",
+            tap_reason=native.monitor_reason,
+        ),
+        "xruns": figures.Xruns(native.errors.count(".tap"), native.errors.count(".vibration")),
+        "limited_samples": page.readings.limited,
+        "replaced_samples": page.readings.replaced,
+        "engine": "native",
+        "engine_reason": "",
+        **_of_rigs(chain.rigs, levels, settings, supervisor),
+    }
 
 
-def _device_rate(supervisor: Supervisor) -> DeviceRateFigures | None:
-    found = supervisor.output.measure_rate()
-    return DeviceRateFigures(found.nominal_hz, found.measured_hz, found.ppm) if found else None
+def _of_rigs(
+    rigs: Sequence[DrivenRig | None],
+    levels: Sequence[Level],
+    settings: Settings,
+    supervisor: Supervisor,
+) -> dict[str, Any]:
+    since = supervisor.engines.safety.since
+    protections = [
+        gathered(figures.ProtectionFigures, rig.protection(), rig) if rig else None for rig in rigs
+    ]
+    exposures = [
+        gathered(figures.ExposureFigures, rig.exposure(), rig, since=since) if rig else None
+        for rig in rigs
+    ]
+    each = zip(settings.actuators, levels, protections, exposures, strict=False)
+    return {
+        "protection": min(
+            (one for one in protections if one),
+            key=lambda one: (one.gain, one.least_gain),
+            default=None,
+        ),
+        "exposure": worst_exposure([one for one in exposures if one]),
+        "actuators": tuple(
+            gathered(
+                figures.ActuatorFigures,
+                actuator,
+                channels=tuple(map(str, actuator.channels)),
+                rig=actuator.rig or settings.rig,
+                level=level,
+                protection=protection,
+                exposure=exposure,
+            )
+            for actuator, level, protection, exposure in each
+        ),
+    }
 
 
-def _principal(supervisor: Supervisor) -> Sequence[tuple[float, float, float]]:
-    engine, native = supervisor.engine, supervisor.engines.switch.native
-    told: Sequence[tuple[float, float, float]] = ()
-    if supervisor.states.state is DaemonState.RUNNING:
-        if native is not None and native.audible:
-            told = native.page.principal() if native.page else ()
-        elif engine is not None:
-            told = engine.framework.principal
-    return _as_played(told, supervisor.config)
+def worst_exposure(found: Sequence[figures.ExposureFigures]) -> figures.ExposureFigures | None:
+    """Return the largest values of all rigs, and the smallest `cap_gain`; None without rigs."""
+    if not found:
+        return None
+    most = max(found, key=lambda one: one.a8_m_s2)
+    capped = min(found, key=lambda one: one.cap_gain)
+    names = ("time_s", "running_m_s2", "vdv", "above_action", "above_limit")
+    worst = {name: max(getattr(one, name) for one in found) for name in names}
+    return replace(most, **worst, cap=capped.cap, cap_gain=capped.cap_gain)
 
 
 def _as_played(
-    partials: Sequence[tuple[float, float, float]], config: RunConfig
-) -> Sequence[tuple[float, float, float]]:
-    """Return partials at the level that is played."""
-    gain_db = config.settings.gain_db
-    if gain_db == 0.0 and not config.muted:
-        return partials
-    level = 0.0 if config.muted else db_to_amplitude(gain_db)
-    return [(audio_hz, hz, level * amplitude) for audio_hz, hz, amplitude in partials]
-
-
-def _actuators(engine: Engine, since: str) -> tuple[ActuatorFigures, ...]:
-    drive = engine.drive
-    if not drive.settings:
+    partials: Sequence[tuple[float, float, float]], state: DaemonState, config: RunConfig
+) -> tuple[figures.Partial, ...]:
+    if state is not DaemonState.RUNNING:
         return ()
-    return tuple(
-        ActuatorFigures(
-            source=chosen.source,
-            channels=tuple(map(str, chosen.channels)),
-            rig=chosen.rig or engine.framework.settings.rig,
-            gain_db=chosen.gain_db,
-            polarity=chosen.polarity,
-            delay_ms=chosen.delay_ms,
-            level=gathered.meter.level(),
-            protection=protection_figures(processor),
-            exposure=exposure_figures(processor, since),
-        )
-        for chosen, processor, gathered in zip(
-            drive.settings, drive.processors, engine.driven, strict=True
-        )
-    )
+    level = 0.0 if config.muted else db_to_amplitude(config.settings.gain_db)
+    return tuple(figures.Partial(sound_hz, hz, level * size) for sound_hz, hz, size in partials)

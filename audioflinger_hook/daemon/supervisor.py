@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from pathlib import Path
 
 from audioflinger_hook.daemon.applications import applications_in
-from audioflinger_hook.daemon.drop_in_control import DropInControl
 from audioflinger_hook.daemon.endpoints import Endpoints
-from audioflinger_hook.daemon.engine import Clocks, Engine
+from audioflinger_hook.daemon.engine import Clocks
 from audioflinger_hook.daemon.engines import Engines
 from audioflinger_hook.daemon.inputs.base import AudioNode, Input
 from audioflinger_hook.daemon.limit_advice import LimitAdvice
+from audioflinger_hook.daemon.native.abilities import check_engine
 from audioflinger_hook.daemon.outputs.base import Output
 from audioflinger_hook.daemon.run_config import ConfigDiff, RunConfig
 from audioflinger_hook.daemon.safety_keeper import SafetyKeeper
-from audioflinger_hook.daemon.server_link import ServerLink
-from audioflinger_hook.daemon.timing import IdlePolicy, StallDetector
-from audioflinger_hook.daemon.wake import Nudge, Wake
+from audioflinger_hook.daemon.server_link import DropInControl, ServerLink
+from audioflinger_hook.daemon.timing import IdlePolicy, StallDetector, Wake
 from audioflinger_hook.pipeline.framework import Framework, drive_of
 from audioflinger_hook.service.state import Cause, DaemonState, StateKeeper
 from audioflinger_hook.service.status import Application
@@ -25,26 +25,21 @@ from device.server import PulseConnection, ServerSnapshot
 from device.server.snapshot import tap_latency_s
 from device.stream import AudioPriority
 
-TICK_S = 0.1
-"""Time between ticks while streams run, unless an event comes sooner."""
-
-RESTING_TICK_S = 1.0
-"""Time between ticks while idle."""
+TICK_S = 0.1  # longest time between ticks while streams are open
+RESTING_TICK_S = 1.0  # longest time between ticks while idle
 
 
 class Supervisor:
-    """One daemon, from tap to device.
+    """One daemon: a tap, an engine and a device.
 
-    Its thread calls `tick` whenever `wake` rings, and at least every `rest_s` seconds. Lost servers
-    and devices raise nothing: the daemon waits and recovers. An unreadable or unwritable file ends
-    the daemon.
+    One thread calls `tick` when `wake` rings, and at least every `rest_s` seconds. The daemon waits
+    until a lost server or device is available again. If a file cannot be read or written, the
+    daemon ends.
 
-    config: what to do. clocks: sources of time; `now_s` is time.monotonic() or a replacement.
-    wake: rung when something changes. states: the daemon's state and its recoveries. folder:
-    private, for files of the native engine; None: only the Python engine. safety: what outlives
-    the process; None: nothing does. engines: both engines.
-    priority: of the audio threads.
-    config_error: why the latest config was not applied, "" if it was.
+    clocks: `now_s` is time.monotonic() or a replacement. wake: other threads ring it.
+    folder: private, for the native engine and the live page's shared memory; None disables both.
+    safety: stores the coil temperatures and vibration doses for the next process.
+    config_error: why the latest config was not applied, or "".
     UsageError, NotFoundError: a file to play or to write cannot be used.
     """
 
@@ -58,13 +53,12 @@ class Supervisor:
     ) -> None:
         now_s = clocks.now_s()
         self.states = StateKeeper(now_s)
-        self._config = config
-        self._clocks = clocks
+        self.config, self.config_error = config, ""
+        self._folder = folder
         self.priority = AudioPriority(config.live.realtime)
-        self.config_error = ""
         self._endpoints = Endpoints(config, clocks, self.states, self.priority, wake.ring)
         self._drop_in = DropInControl(config)
-        self._link = ServerLink(Nudge(wake))
+        self._link = ServerLink(wake.ring)
         self._idle_policy = IdlePolicy(now_s)
         self._found: tuple[AudioNode | None, AudioNode | None] = (None, None)
         self.engines = Engines(
@@ -75,40 +69,34 @@ class Supervisor:
 
     @property
     def input(self) -> Input:
-        """Where the sound comes from."""
+        """The source of the sound."""
         return self._endpoints.input
 
     @property
     def output(self) -> Output:
-        """Where the vibration goes."""
+        """The destination of the vibration."""
         return self._endpoints.output
 
     @property
-    def engine(self) -> Engine | None:
-        """What the audio threads run, None before the first sound and with the native engine."""
-        return self.engines.python
-
-    @property
     def rest_s(self) -> float:
-        """Longest time until the next tick, unless `wake` rings."""
+        """Longest time until the next tick in seconds, unless `wake` rings."""
         if self.states.state is DaemonState.IDLE:
             return RESTING_TICK_S
         return self.engines.tick_s or TICK_S
 
-    @property
-    def heard_s(self) -> float:
-        """Seconds of sound since the first buffer."""
-        return self.engines.heard_s
-
     def played_s(self, now_s: float) -> float:
-        """Return the seconds since both ends were first there; of a file's sound, its own time."""
-        if not (self._config.tap_is_live or self._config.device_is_live):
-            return self.heard_s
+        """Return the length of the run in seconds.
+
+        If neither tap nor device is live, this is the duration of the processed sound. Otherwise,
+        it is the time since tap and device were first available.
+        """
+        if not (self.config.tap_is_live or self.config.device_is_live):
+            return self.engines.heard_s
         return 0.0 if self.states.ready_s is None else now_s - self.states.ready_s
 
     @property
     def endpoints(self) -> tuple[tuple[str, str | None], tuple[str, str | None]]:
-        """Tap and device: the configured address, and the name of what is available."""
+        """Address and name of tap and device; a name is None while its node is unavailable."""
         source, sink = self._found
         return (
             (str(self.input), source.name if source else None),
@@ -116,86 +104,71 @@ class Supervisor:
         )
 
     @property
-    def config(self) -> RunConfig:
-        """The config that applies."""
-        return self._config
-
-    @property
     def server(self) -> str:
-        """The sound server's name and version, "" without one."""
-        seen = self._link.connection.latest if self._link.connection else None
+        """Name and version of the sound server, "" without a server."""
+        seen = self._link.latest
         return f"{seen.kind} {seen.version}" if seen else ""
 
     @property
     def applications(self) -> tuple[Application, ...]:
-        """The applications that have a stream; any thread may ask."""
-        connection, (source, device) = self._link.connection, self._found
+        """The applications that have a stream. Any thread may read it."""
+        source, device = self._found
         haptic = device.name if device and self.output.needs_server else None
-        seen = connection.latest if connection else None
-        return applications_in(seen, self._config.rules, source, haptic)
+        return applications_in(self._link.latest, self.config.rules, source, haptic)
 
     @property
     def offset_s(self) -> float:
-        """The user's offset in seconds, less the delay of the sound in drop-in mode."""
-        return max(0.0, self._config.live.offset_s) - self._drop_in.delay_s
+        """Delay that the user adds, minus the delay of the sound in drop-in mode, in seconds."""
+        return max(0.0, self.config.live.offset_s) - self._drop_in.delay_s
 
     @property
     def latencies_s(self) -> tuple[float, float]:
-        """Latencies of tap and output in seconds."""
-        (source, device), connection = self._found, self._link.connection
+        """Latencies of tap and output with the Python engine, in seconds."""
+        (source, device), seen, tap_s = self._found, self._link.latest, 0.0
         if source is None or device is None:
             return 0.0, 0.0
-        seen = connection.latest if connection else None
-        tap_s = 0.0
         if seen and self.input.needs_server:
-            tap_s = tap_latency_s(seen, self._config.live.block_frames, source.samplerate)
+            tap_s = tap_latency_s(seen, self.config.live.block_frames, source.samplerate)
         return tap_s, self.output.delay_s(seen)
 
     @property
     def warnings(self) -> list[str]:
         """Problems to show the user, one line each."""
-        recording = self._config.recording
-        warnings = list(self.engine.framework.warnings) if self.engine else []
+        engine, recording = self.engines.python, self.config.recording
+        warnings = list(engine.framework.warnings) if engine else []
         for part in (self._drop_in, self.input, self.output):
             warnings += part.warnings
         if recording:
             warnings += recording.warnings
-            if self.engine and self.engine.framework.bypassed():
+            if engine and engine.framework.bypassed():
                 warnings.append("an effect was bypassed, so a replay will differ from it")
-        others = (
-            self._link.warning,
-            self.priority.warning,
-            self.config_error,
-            self.engines.safety_warning,
-            *self.engines.warnings,
-            self._limits.advice(self._config.settings),
-        )
+        others = [self._link.warning, self.priority.warning, self.config_error]
+        others += [self.engines.safety.warning, *self.engines.warnings]
+        others.append(self._limits.advice(self.config.settings))
         return [*warnings, *filter(None, others)]
 
     def look(self) -> None:
-        """Check once that server, device and tap are available and the device's volume can be set.
+        """Check tap, device and engine, and set the device's volume.
 
-        LostError, NotFoundError: the first missing item, with advice.
+        LostError, NotFoundError: a check failed, or the volume cannot be set.
         """
         if not self.output.needs_server:
             self.output.locate(None)
             self.output.set_volume(None)
         if not self._endpoints.needs_server:
             return
-        connection = PulseConnection()
-        try:
+        with closing(PulseConnection()) as connection:
             self._locate_tap(connection.latest, self.output.locate(connection.latest))
-            self.engines.switch.check(connection.latest)
+            check_engine(self.config, connection.latest if self._folder else None)
             if self.output.needs_server:
                 self.output.set_volume(connection)
-        finally:
-            connection.close()
 
     def tick(self, now_s: float) -> None:
-        """Do what is due: connect, locate, open, check, recover or rest."""
+        """Connect to the server, locate tap and device, and open, check or close their streams."""
         self._notice_pauses(now_s)
         self.engines.record(now_s)
-        self._limits.update(self.engines.limited_samples, self.engines.frames, now_s)
+        frames, limited = self.engines.counts
+        self._limits.update(limited, frames, now_s)
         connection = None
         try:
             if self._endpoints.needs_server:
@@ -218,45 +191,42 @@ class Supervisor:
         except NotFoundError as error:
             self.input.close()
             self.priority.restore()
-            self.engines.switch.lose_links(Cause.TAP_LOST, now_s, str(error))
+            self.engines.native.lose_links(Cause.TAP_LOST, now_s, str(error))
             self._idle_policy.wake(now_s)
             self.states.enter(DaemonState.WAITING_FOR_SOUND_SOURCE, now_s, str(error))
             return
-        if self.engines.native_plays(connection, source, device, now_s):
+        if self.engines.maintain(connection, source, device, now_s):
             return
-        if not self.engines.native_has_ended(now_s) or self._rests(connection, snapshot, now_s):
+        if self._rests(connection, snapshot, now_s):
             return
         try:
             self.engines.prepare(source, device, now_s)
             # The input opens first, so that no sound is lost while the output opens.
             self.input.maintain(connection, now_s)
-            assert self.engine is not None
-            self.output.maintain(connection, self.engine.fill, now_s)
+            assert self.engines.python is not None
+            self.output.maintain(connection, self.engines.python.fill, now_s)
         except (LostError, NotFoundError) as error:
             if connection and connection.lost:
                 self._lose_server(now_s, str(error))
-            else:  # if the device or tap has vanished, the next snapshot shows that
-                self._explain(error, now_s)
+            elif self.states.state is not DaemonState.RUNNING:
+                # Report why no stream opens; the next snapshot shows a missing device or tap.
+                self.states.enter(self.states.state, now_s, str(error))
             return
         if self.input.name and self.output.name:
             self.states.enter(DaemonState.RUNNING, now_s)
 
     def follow(self, config: RunConfig, now_s: float) -> ConfigDiff:
-        """Apply another config and return the difference.
-
-        Only the affected parts are closed, and the next `tick` reopens them; see `ConfigDiff`.
-
-        UsageError: the config cannot be applied while the daemon runs; nothing has changed.
-        """
-        changes, engine = ConfigDiff.between(self._config, config), self.engine
-        self._endpoints.check_change(self._config, config)
-        if engine and changes.engine:  # raises if the new engine could not be made
+        """Apply another config; return the difference. After a UsageError, nothing has changed."""
+        changes, engine = ConfigDiff.between(self.config, config), self.engines.python
+        self._endpoints.check_change(self.config, config)
+        config.settings.transform_parameters  # noqa: B018 - reads the rig's file, once
+        if engine and changes.engine:  # raises if the new engine is impossible
             framework = Framework(engine.samplerate, engine.channels, config.settings)
             drive_of(config.settings, engine.samplerate, framework.haptic_channels)
         elif engine:
             engine.follow(config.settings, max(0.0, config.live.offset_s))
-        self._config = config
-        self.engines.follow(config)
+        self.config = config
+        self.engines.follow(config, changes)
         self._endpoints.configure(config)
         if changes.priority:
             self.priority.set_wanted(config.live.realtime)
@@ -270,19 +240,16 @@ class Supervisor:
         self._drop_in.follow(config)
         if restarts or changes.blocks:
             self._endpoints.close()
-        if restarts and config.recording:
-            config.recording.end("another tap needs a new mix, which a replay cannot repeat")
         if restarts:
+            if config.recording:
+                config.recording.end("another tap needs a new mix, which a replay cannot repeat")
             self.engines.drop()
         if changes.any:
             self._idle_policy.wake(now_s)
         return changes
 
     def close(self, now_s: float, *, keep: bool = True) -> None:
-        """Close everything; keep: whether a written file stays.
-
-        WriteError: the file cannot be kept; everything else is closed by then.
-        """
+        """Stop the daemon. keep: whether to keep an output file. WriteError: writing it failed."""
         self.states.enter(DaemonState.STOPPING, now_s)
         self.engines.close()
         self._endpoints.close()
@@ -292,17 +259,16 @@ class Supervisor:
 
     def _notice_pauses(self, now_s: float) -> None:
         if self._stalls.woke(now_s, self.rest_s):
-            # Devices and servers return one by one after a suspend, so reopen what is available.
+            # After a suspend, devices may be missing at first. `tick` reopens the streams later.
             self._endpoints.close()
-            self.engines.switch.close()
+            self.engines.native.close()
             self._idle_policy.wake(now_s)
-        if self.engine:
-            self._stalls.count_resyncs(self.engine.delay_line.status.resyncs)
-            if self.input.needs_server:  # a file may take its time
-                self.engine.framework.look_for_blocked(now_s)
+        if self.engines.python:
+            self._stalls.count_resyncs(self.engines.python.delay_line.status.resyncs)
+            if self.input.needs_server:  # while a file plays, effects may be slow
+                self.engines.python.framework.look_for_blocked(now_s)
 
     def _connected(self, now_s: float) -> PulseConnection | None:
-        """Return the connection, None while the server cannot be reached."""
         if lost := self._link.lost:
             self._lose_server(now_s, lost)
         try:
@@ -317,24 +283,19 @@ class Supervisor:
         if self._link.connection:
             self.states.count(Cause.SERVER_LOST, reason)
             self.input.close()
-            if self.output.needs_server:  # a card or a file continues with silence
+            if self.output.needs_server:  # other outputs continue with silence
                 self.output.close()
             self._drop_in.close()
-            self.engines.switch.close()
+            self.engines.native.close()
             self._link.close()
         self._found = (None, None)
         self.states.enter(DaemonState.WAITING_FOR_SERVER, now_s, reason)
-
-    def _explain(self, error: CushionError, now_s: float) -> None:
-        """Say why no stream opens, in the present state, unless it plays already."""
-        if self.states.state is not DaemonState.RUNNING:
-            self.states.enter(self.states.state, now_s, str(error))
 
     def _locate_tap(self, snapshot: ServerSnapshot | None, device: AudioNode) -> AudioNode:
         return self.input.locate(snapshot, device.name if self.output.needs_server else None)
 
     def _locate_device(self, snapshot: ServerSnapshot | None, now_s: float) -> AudioNode | None:
-        """Return the device, or None after entering the state that waits for it."""
+        """Return the device; without a device, enter WAITING_FOR_DEVICE and return None."""
         try:
             return self.output.locate(snapshot)
         except NotFoundError as error:
@@ -342,8 +303,8 @@ class Supervisor:
                 self.states.recover(Cause.DEVICE_LOST, now_s, str(error))
             self.output.close()
             self.priority.restore()
-            self.engines.switch.lose_links(Cause.DEVICE_LOST, now_s, str(error))
-            if not self.input.needs_server:  # a file waits for the device
+            self.engines.native.lose_links(Cause.DEVICE_LOST, now_s, str(error))
+            if not self.input.needs_server:  # a file pauses until the device is available
                 self.input.close()
             self._found = (None, None)
             self._idle_policy.wake(now_s)
@@ -353,14 +314,14 @@ class Supervisor:
     def _rests(
         self, connection: PulseConnection | None, snapshot: ServerSnapshot | None, now_s: float
     ) -> bool:
-        """Rest if nothing plays; return whether the daemon rests."""
+        """Close the streams if nothing plays; return whether the daemon is idle."""
         if not (self.input.may_rest and self.output.may_rest):
             self._idle_policy.wake(now_s)
             return False
-        engine = self.engine
+        engine = self.engines.python
         heard = self._idle_policy.resting and self.input.listen(connection, now_s)
         players = self.input.players(snapshot)
-        # Without players, no buffers may arrive that would let the vibration fade.
+        # Without players, no buffers may arrive, and the vibration would never fade out.
         over = engine is not None and (engine.faded or not players)
         last_sound_s = engine.last_sound_s if engine and over else now_s
         if not self._idle_policy.update(now_s, players, last_sound_s, heard=heard):

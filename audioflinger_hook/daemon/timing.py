@@ -1,20 +1,18 @@
-"""Decisions that depend only on time: waits between attempts, rest, stalls and suspends."""
+"""Timing of the main thread: retries, stalls, suspends, idle state and wake-up."""
 
 from __future__ import annotations
 
+import os
+import select
 from collections.abc import Callable
 
 from audioflinger_hook.service.state import Cause, StateKeeper
 
-FIRST_S = 0.05
-LONGEST_S = 2.0
+FIRST_S, LONGEST_S = 0.05, 0.5  # first and, by default, longest wait between attempts
 
 
 class Backoff:
-    """Waits between attempts: FIRST_S, doubled after every failure, at most `longest_s`.
-
-    Times are seconds of one clock of any kind. Use from one thread at a time.
-    """
+    """Computes waits between attempts: FIRST_S, doubled by each failure, at most `longest_s`."""
 
     def __init__(self, longest_s: float = LONGEST_S) -> None:
         self._longest_s = longest_s
@@ -29,7 +27,7 @@ class Backoff:
         return wait_s
 
     def succeeded(self) -> None:
-        """Reset: the next attempt is due at once."""
+        """Reset, so that the next attempt is due immediately."""
         self._next_wait_s = FIRST_S
         self._due_s = None
 
@@ -41,15 +39,12 @@ class Backoff:
         return min(self._longest_s, max(0.0, self._due_s - now_s))
 
 
-STALLED_S = 1.0
-"""Lateness of a tick that counts as a stall of the process."""
-
-SLEPT_S = 0.5
-"""Shortest suspend that counts."""
+STALLED_S = 1.0  # lateness of a tick that counts as a stall of the process
+SLEPT_S = 0.5  # shortest suspend that counts
 
 
 class StallDetector:
-    """Counts stalls from one tick to the next. For the supervising thread alone."""
+    """Counts stalls of the process and suspends of the machine between ticks."""
 
     def __init__(self, states: StateKeeper, slept_s: Callable[[], float]) -> None:
         self._states = states
@@ -59,10 +54,7 @@ class StallDetector:
         self._resyncs = 0
 
     def woke(self, now_s: float, rest_s: float) -> bool:
-        """Return whether the machine was suspended since the last tick; count a stall.
-
-        rest_s: longest time between ticks.
-        """
+        """Return whether a suspend followed the last tick; if not, count a late tick as a stall."""
         slept_s = self._slept()
         suspended_s, self._slept_s = slept_s - self._slept_s, slept_s
         before_s, self._ticked_s = self._ticked_s, now_s
@@ -75,25 +67,21 @@ class StallDetector:
         return False
 
     def count_resyncs(self, resyncs: int) -> None:
-        """Count new restarts of the delay line; resyncs: total so far."""
+        """Count new restarts of the delay line. resyncs: total number of restarts."""
         for _ in range(resyncs - self._resyncs):
             self._states.count(Cause.RESYNC, "processing fell behind; delay reset")
         self._resyncs = resyncs
 
 
-QUIET_S = 5.0
-"""Silence before resting if no application plays; a new application causes an event."""
-
+QUIET_S = 5.0  # silence before the idle state if no stream plays
+# Silence before the idle state while a stream plays. No event announces the stream's next sound,
+# and the beginning of this sound is lost.
 SILENT_S = 10.0
-"""Silence before resting although an application plays. Its sound may begin without an event;
-waking up then loses the first tenths of a second."""
-
-AWAKE_S = 8.0
-"""Shortest time awake, as applications may open a stream some time before they play."""
+AWAKE_S = 8.0  # shortest time between idle states, because streams may open before they play
 
 
 class IdlePolicy:
-    """Decides whether the streams rest, without side effects. resting: the current decision."""
+    """Decides when streams are closed during silence. resting: whether to close them."""
 
     def __init__(self, now_s: float) -> None:
         self.resting = False
@@ -103,10 +91,9 @@ class IdlePolicy:
     def update(
         self, now_s: float, players: frozenset[int], last_sound_s: float, *, heard: bool
     ) -> bool:
-        """Return whether to rest.
+        """Return whether to close the streams. players: indexes of the streams that play.
 
-        players: indexes of streams that may play; last_sound_s: time of the latest sound while
-        awake; heard: whether sound was noticed while resting.
+        heard: whether `Input.listen` detected sound.
         """
         came = bool(players - self._players)
         self._players = players
@@ -118,6 +105,43 @@ class IdlePolicy:
         return self.resting
 
     def wake(self, now_s: float) -> None:
-        """Wake, because of a change that concerns the streams."""
+        """End the idle state after a change that concerns the streams."""
         self.resting = False
         self._woke_s = now_s
+
+
+class Wake:
+    """A wake-up event: `ring` ends the current or next `wait`.
+
+    Any thread or signal handler may call `ring`; several calls count as one. One thread calls
+    `wait`.
+    """
+
+    def __init__(self) -> None:
+        self._bell = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+        self._poll = select.poll()
+        self._poll.register(self._bell, select.POLLIN)
+
+    def ring(self) -> None:
+        """End a `wait`. The call takes no lock and never blocks. After `close`, it does nothing."""
+        if self._bell >= 0:
+            os.eventfd_write(self._bell, 1)
+
+    def wait(self, limit_s: float) -> bool:
+        """Wait for a ring, at most `limit_s` seconds; return whether there was a ring."""
+        if not self._poll.poll(max(0.0, limit_s) * 1e3):
+            return False
+        os.eventfd_read(self._bell)
+        return True
+
+    def close(self) -> None:
+        """Close the descriptor. Repeated calls do nothing."""
+        bell, self._bell = self._bell, -1
+        if bell >= 0:
+            os.close(bell)
+
+    def __enter__(self) -> Wake:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()

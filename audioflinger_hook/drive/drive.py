@@ -1,4 +1,4 @@
-"""The drives of one device's actuators: vibration in, what each actuator plays out."""
+"""Processing for the actuators of one device: vibration in, actuator signals out."""
 
 from __future__ import annotations
 
@@ -8,38 +8,144 @@ import numpy as np
 
 from audioflinger_hook.core.compiled_core import Core
 from audioflinger_hook.core.design import core_design
-from audioflinger_hook.core.structures import ACTUATORS
-from audioflinger_hook.drive.driven_rig import DrivenRig, driven_rigs
-from device.drive.design import drive_design
+from audioflinger_hook.core.structures import ACTUATORS, LIMITED_BY, Controls, Readings
+from device.drive.design import DriveDesign, drive_design
+from device.drive.exposure import DoseSums, Exposure
+from device.drive.protection.limits import ProtectionStatus
+from device.drive.safety import SafetyState
 from device.drive.settings import DELAY_MAX_MS, ActuatorSettings, sources_of
 from device.errors import InternalError, UsageError
-from device.units import Block, Float32Array, check_channels
+from device.units import Block, Float32Array, amplitude_to_db, check_channels
 
-WHOLE_DEVICE = (ActuatorSettings((0,)),)
-"""Placeholder if no actuator is named: what is listed holds for all channels."""
+
+class DrivenRig:
+    """The core's actuators with the indexes `slots`, all with one rig. Any thread may use it."""
+
+    def __init__(
+        self, design: DriveDesign, controls: Controls, readings: Readings, slots: range
+    ) -> None:
+        self.design, self.rig, self.exposure_cap = design, design.rig, design.exposure_cap
+        self.knows_seat, self.makeup_db = design.knows_seat, design.makeup_db
+        self.latency_frames = design.latency_frames
+        self.channels = len(slots)
+        self._core_controls, self._core_readings = controls, readings
+        self._day_began_at = -1
+        self._controls = controls.actuators[slots.start : slots.stop]
+        self._readings = readings.actuators[slots.start : slots.stop]
+
+    @property
+    def has_run(self) -> bool:
+        """Whether the core has processed any frame."""
+        return bool(self._core_readings.frames)
+
+    def protection(self) -> ProtectionStatus:
+        """Return the worst values of all channels; infeasible_blocks, replaced_samples: sums.
+
+        `limited_by` belongs to the channel with the lowest gain.
+        """
+        found = self._readings
+        worst = min(found, key=lambda one: one.gain)
+        coil_c = max(state.coil_c or 0.0 for state in self.safety_states())
+        return ProtectionStatus(
+            blocks=max(one.blocks for one in found),
+            limited_blocks=max(one.limited_blocks for one in found),
+            infeasible_blocks=sum(one.infeasible_blocks for one in found),
+            replaced_samples=sum(one.replaced for one in found),
+            gain=worst.gain if self.has_run else 1.0,
+            least_gain=min(one.least_gain for one in found) if self.has_run else 1.0,
+            limited_by=LIMITED_BY[min(worst.limited_by, len(LIMITED_BY) - 1)],
+            excursion_m=max(one.excursion_m for one in found),
+            coil_c=coil_c if self.rig.thermal else None,
+            resistance_ohm=self.design.resistance_ohm(coil_c) if self.rig.thermal else None,
+            latency_s=self.latency_frames / self.design.samplerate,
+        )
+
+    def exposure(self) -> Exposure:
+        """Return today's exposure of all channels; see `Exposure`."""
+        running_m_s2 = max(one.running_m_s2 for one in self._readings)
+        return Exposure.of([state.dose for state in self.safety_states()], running_m_s2)
+
+    @property
+    def exposure_gain(self) -> float:
+        """Smallest gain that the exposure cap sets in any channel, 0 to 1; 1 without a cap."""
+        return min(one.exposure_gain for one in self._readings) if self.has_run else 1.0
+
+    @property
+    def strength_db(self) -> float | None:
+        """Change of the Wk-weighted acceleration by damping and protection, dB; None if unknown."""
+        driven = max(one.squares for one in self._readings)
+        undamped = max(one.undamped_squares for one in self._readings)
+        return 0.5 * amplitude_to_db(driven / undamped) if driven and undamped else None
+
+    def safety_states(self) -> tuple[SafetyState, ...]:
+        """Return for each channel the state that the next run of the program restores."""
+        return tuple(self._safety(channel) for channel in range(self.channels))
+
+    def restore(self, states: Sequence[SafetyState]) -> None:
+        """Set the initial state of each channel. The core reads it before the first block."""
+        ambient_c = self.rig.thermal.ambient_c if self.rig.thermal else 0.0
+        for controls, state in zip(self._controls, states, strict=False):
+            safety, dose = controls.safety, state.dose
+            safety.coil_c = ambient_c if state.coil_c is None else state.coil_c
+            safety.magnet_c = ambient_c if state.magnet_c is None else state.magnet_c
+            safety.time_s, safety.squares = dose.time_s, dose.squares
+            safety.fourths, safety.above = dose.fourths, dose.high
+            controls.restores = 1
+
+    def keep(self) -> None:
+        """Store the present state as the initial state, in case the core is opened again."""
+        if self._core_readings.frames != self._day_began_at:
+            self._day_began_at = -1
+        if self.has_run:
+            self.restore(self.safety_states())
+
+    def begin_day(self) -> None:
+        """Let the core reset the day's dose of all actuators before the next block."""
+        self._core_controls.day += 1
+        self._day_began_at = self._core_readings.frames
+        for controls in self._controls:  # initial doses, for a core that has not run yet
+            safety = controls.safety
+            safety.time_s = safety.squares = safety.fourths = safety.above = 0.0
+
+    def _safety(self, channel: int) -> SafetyState:
+        controls, thermal = self._controls[channel], self.rig.thermal
+        if not self.has_run and not controls.restores:
+            ambient_c = thermal.ambient_c if thermal else None
+            return SafetyState(ambient_c, ambient_c)
+        found = self._readings[channel] if self.has_run else controls.safety
+        dose = DoseSums(found.time_s, found.squares, found.fourths, found.above)
+        if self._day_began_at == self._core_readings.frames:
+            dose = DoseSums()  # the core has not run since the day began
+        if thermal is None:
+            return SafetyState(dose=dose)
+        return SafetyState(found.coil_c, found.magnet_c, dose)
+
+
+def driven_rigs(
+    designs: Sequence[DriveDesign | None], controls: Controls, readings: Readings, columns: int
+) -> tuple[DrivenRig | None, ...]:
+    """Return for each design a `DrivenRig` of `columns` actuators; None for a design of None."""
+    return tuple(
+        DrivenRig(design, controls, readings, range(first, first + columns)) if design else None
+        for first, design in zip(range(0, columns * len(designs), columns), designs, strict=True)
+    )
+
+
+WHOLE_DEVICE = (ActuatorSettings((0,)),)  # represents all channels if no actuator is named
 
 
 class Drive:
     """Routes, delays, scales and protects the signals of one device's actuators.
 
-    Blocks come as (frames, inputs) and leave as (frames, outputs). Apart from `delay_ms`, all
-    actuators have the same latency: one whose rig needs less waits for the others. Without named
-    actuators, each channel of the vibration has one. If those need no processing either, `process`
-    returns the same block object.
+    All actuators have the latency `latency_frames`, and each adds its own `delay_ms`. One thread
+    calls `process`, `drain` and `flush`. Any thread may use the rest.
 
-    One thread calls `process`, `drain` and `flush`; any thread may call the rest.
-
-    actuators: what each actuator plays; empty for one on each channel of the vibration.
-    samplerate: rate in Hz.
-    channels: number of channels of the vibration; used only if no actuators are named.
-    rig, damping, protection, exposure_cap: values for actuators that do not set their own.
-    sources: names of the input columns; empty if no actuators are named.
-    inputs, outputs: columns of the blocks that come and leave.
-    processors: what is done for each actuator's rig, None if its settings are all "off"; one for
-        all channels, if no actuators are named.
-    latency_frames: latency of all actuators in frames, without their `delay_ms`.
-    UsageError: there is no such rig, the sample rate is too low for its processing, or there are
-        more than 64 actuators.
+    actuators: settings of each actuator; if empty, each channel of the vibration is an actuator.
+    samplerate: Hz. channels: number of channels of the vibration if `actuators` is empty.
+    rig, damping, protection, exposure_cap: defaults for actuators without these settings.
+    sources: names of the input columns. inputs, outputs: number of columns.
+    processors: a `DrivenRig` for each of `actuators`, or one for all; None without processing.
+    UsageError: the rig is unknown, the sample rate is too low, or there are more than 64 actuators.
     """
 
     def __init__(
@@ -76,40 +182,31 @@ class Drive:
         if self.outputs > ACTUATORS:
             raise UsageError(f"{self.outputs} actuators are too many; at most {ACTUATORS} play")
         delay_frames_max = round(1e-3 * DELAY_MAX_MS * samplerate) if actuators else 0
-        self._core = core = Core(
-            core_design(
-                samplerate,
-                self.inputs,
-                drives=designs if actuators else designs * channels,
-                delay_frames_max=delay_frames_max,
-            )
-        )
         columns = 1 if actuators else channels
+        drives = designs * columns
+        self._core = core = Core(
+            core_design(samplerate, self.inputs, drives=drives, delay_frames_max=delay_frames_max)
+        )
         self.processors = driven_rigs(designs, core.controls, core.readings, columns)
         for index in range(self.outputs):
             core.controls.actuators[index].source = index
         self._set_controls()
 
     @property
-    def settings(self) -> tuple[ActuatorSettings, ...]:
-        """The latest settings of the named actuators."""
-        return self._settings
-
-    @property
     def delays_frames(self) -> tuple[int, ...]:
-        """Delay set for each named actuator, in frames."""
+        """Delay of each of `actuators`, in frames."""
         return tuple(self._delay(actuator) for actuator in self._settings)
 
     @property
     def strength_db(self) -> float | None:
-        """Least perceived strength of damped actuators, see `DrivenRig`; None without any."""
+        """Smallest `DrivenRig.strength_db` of all rigs; None if no rig has a value."""
         found = [one.strength_db for one in self.processors if one]
         return min((one for one in found if one is not None), default=None)
 
     def change(self, settings: Sequence[ActuatorSettings]) -> None:
-        """Fade to other levels, polarities, delays and sources, starting with the next block.
+        """From the next block on, fade to other levels, polarities, delays or sources.
 
-        InternalError: the number of actuators differs, or a source is new.
+        InternalError: the number of actuators differs, or a source is not in `sources`.
         """
         named = len(self._settings)
         if len(settings) != named or not {*sources_of(settings)} <= {*self.sources}:
@@ -117,9 +214,9 @@ class Drive:
         self._settings = tuple(settings)
 
     def process(self, vibration: Block) -> Block | Float32Array:
-        """Return the actuators' signals, (frames, outputs) in float32, for (frames, inputs).
+        """Return actuator signals (frames, outputs), float32, for vibration (frames, inputs).
 
-        The block does not change. Without named actuators and processing, it is returned itself.
+        If `actuators` is empty and there is no processing, return the given array.
         """
         check_channels(vibration, self.inputs)
         if self._core is None:
@@ -130,12 +227,12 @@ class Drive:
         return self._core.process(vibration)
 
     def drain(self) -> Float32Array:
-        """Return the frames still held back at the signal's end, including the longest delay."""
+        """Return the delayed frames at the end of the signal, (frames, outputs)."""
         frames = self.latency_frames + max(self.delays_frames, default=0)
         return self.process(np.zeros((frames, self.inputs))).astype(np.float32, copy=False)
 
     def flush(self) -> None:
-        """Drop the frames held back; temperatures and doses stay. Only while nothing plays."""
+        """Drop delayed frames; keep temperatures and doses. Do not call it during playback."""
         if self._core is not None:
             self._core.reset()
 

@@ -1,4 +1,4 @@
-"""Effect chains: one per session, in the order in which AudioFlinger runs them."""
+"""Effect chains, one per session. They run in the same order as in Android's AudioFlinger."""
 
 from __future__ import annotations
 
@@ -17,28 +17,22 @@ from audioflinger_hook.effect.interface import (
 )
 from audioflinger_hook.effect.module import EffectModule, same_layout
 from audioflinger_hook.effect.registry import descriptor_problem
-from audioflinger_hook.mixer.effects_port import DEVICE, OUTPUT_STAGE
-from audioflinger_hook.mixer.mix_buffer import MixBuffer
+from audioflinger_hook.mixer.mix_buffer import DEVICE, OUTPUT_STAGE, EffectsPort, MixBuffer
 from device.errors import UsageError
 
-BUDGET_SHARE = 0.5
-"""Share of a buffer's length that one effect may take."""
-
-READINGS_EVERY_S = 1.0
-"""Interval at which effects are asked for their state; a dump shows the last answer."""
+BUDGET_SHARE = 0.5  # largest processing time of one effect, as a share of the buffer's duration
+READINGS_EVERY_S = 1.0  # interval at which parameters and state of effects are read for dumps
 
 
-class EffectChains:
-    """All effects of one mixer, by session.
+class EffectChains(EffectsPort):
+    """All effects of one mixer, by session (the sound of one player, or a mix of all players).
 
-    Effects may be added before or after `set_format`. The caller clears the haptic channels
-    before every mix. All calls come from the thread that steps the mixer, except `sessions`,
-    `modules`, `effects`, `bypassed` and `dump`, which only read. `process` and `end_of_cycle`
-    neither raise, block nor log.
+    Any thread may call `sessions`, `modules`, `effects`, `bypassed` and `dump`. Only the mixer's
+    thread may call the other methods. `process` and `end_of_cycle` raise only KeyboardInterrupt.
 
-    clock: seconds, read before and after each effect. budget_share: one effect may take this share
-    of a buffer's length; more counts as an overrun. With inf, for offline work, no effect is
-    bypassed for its time, and equal input gives equal bytes.
+    clock: function that returns the time in seconds. budget_share: longest allowed processing time
+    of one effect, as a share of the buffer's duration. With inf, slow effects are not bypassed,
+    so that offline results are reproducible.
     """
 
     def __init__(self, clock: Callable[[], float], *, budget_share: float = BUDGET_SHARE) -> None:
@@ -52,11 +46,10 @@ class EffectChains:
         self._read_s = float("-inf")
 
     def add(self, engine: EffectEngine, session: int) -> EffectModule:
-        """Return the module of an effect, placed as its flags ask; it is not enabled yet.
-
-        session: a player's from 1 up, `OUTPUT_MIX`, `OUTPUT_STAGE` or `DEVICE`.
-
-        UsageError: there is no such session, or the effect cannot be in its chain.
+        """Add a disabled effect to a session's chain. The effect's flags determine the place.
+        session: a player's session, 1 or higher, or `OUTPUT_MIX`, `OUTPUT_STAGE` or `DEVICE`.
+        UsageError: the descriptor or the session is invalid, or the session's chain cannot contain
+            the effect.
         """
         try:
             descriptor: object = engine.descriptor
@@ -77,7 +70,7 @@ class EffectChains:
         return module
 
     def remove(self, module: EffectModule) -> None:
-        """Release an effect and take it out of its chain, if it is in one."""
+        """Release an effect and remove it from its chain; do nothing if no chain contains it."""
         chain = self._chains.get(module.session, [])
         if module not in chain:
             return
@@ -90,15 +83,15 @@ class EffectChains:
         self._order()
 
     def sessions(self) -> tuple[int, ...]:
-        """Return the sessions with effects in running order: players (highest first), 0, -1, -2."""
+        """Return sessions with effects, in processing order: those of players, then 0, -1, -2."""
         return self._sessions
 
     def modules(self, session: int) -> tuple[EffectModule, ...]:
-        """Return a session's effects in running order."""
+        """Return a session's effects in processing order."""
         return tuple(self._chains.get(session, ()))
 
     def bypassed(self) -> list[str]:
-        """Return `session, effect: reason` of every bypassed effect."""
+        """Return one line per bypassed effect: `session, effect: reason`."""
         return [
             f"session {module.session}, {module.descriptor.name}: {module.bypassed}"
             for module in self.effects()
@@ -106,17 +99,13 @@ class EffectChains:
         ]
 
     def effects(self) -> list[EffectModule]:
-        """Return all effects in running order."""
+        """Return all effects in processing order."""
         return [module for session in self._sessions for module in self.modules(session)]
 
     def process(
         self, session: int, buffer: MixBuffer, now_s: float, target: MixBuffer | None = None
     ) -> None:
-        """Run a session's chain over a buffer, in place, or add the result to `target`.
-
-        With a separate `target` the chain's last effect is configured to ACCUMULATE. If no effect
-        runs, the buffer itself is added. Call it once per cycle for each of `sessions()`.
-        """
+        """Replace `buffer` by the output of a session's chain, or add this output to `target`."""
         self._now_s = now_s
         output = buffer if target is None else target
         chain = self._chains.get(session)
@@ -128,35 +117,34 @@ class EffectChains:
             np.add(output.samples, buffer.samples, out=output.samples)
 
     def end_of_cycle(self, now_s: float) -> None:
-        """Send every effect the requests made since the last cycle."""
+        """Start and stop effects as requested. Once per second, read their state for `dump`."""
         self._now_s = now_s
         self._cycles += 1
-        for session in self._sessions:
-            for module in self._chains[session]:
-                module.update_state()
+        effects = self.effects()
+        for module in effects:
+            module.update_state()
         if not 0.0 <= now_s - self._read_s < READINGS_EVERY_S:
             self._read_s = now_s
-            for session in self._sessions:
-                for module in self._chains[session]:
-                    if not module.fault:
-                        module.readings = asked_lines(module)
+            for module in effects:
+                if not module.fault:
+                    module.readings = _readings(module)
 
     def set_format(self, samplerate: int, channels: int, haptic_channels: int, frames: int) -> None:
-        """Configure all effects: rate in Hz, channels of sound and vibration, frames per buffer."""
+        """Configure all effects for buffers of at most `frames` frames at `samplerate` Hz."""
         self._config = EffectConfig(samplerate, channels, haptic_channels, frames)
-        budget_s = self._budget_s()
-        for session in self._sessions:
-            for module in self._chains[session]:
-                module.budget_s = budget_s
-                module.set_config(self._config)
+        for module in self.effects():
+            module.budget_s = self._budget_s()
+            module.set_config(self._config)
 
     def dump(self) -> list[str]:
-        """Return the lines that `dumpsys media.audio_flinger` would show about effects."""
-        sessions = self._sessions
-        lines = [f"{len(sessions)} Effect Chains"]
+        """Return the state of all effects as lines like those of `dumpsys media.audio_flinger`."""
+        lines = [f"{len(self._sessions)} Effect Chains"]
         lines.append(f"  cycles: {self._cycles}, last at {self._now_s:.3f} s")
-        for session in sessions:
-            lines += [f"  {line}" for line in chain_lines(session, self.modules(session))]
+        for session in self._sessions:
+            modules = self.modules(session)
+            lines.append(f"  {len(modules)} effects for session {session}")
+            for place, module in enumerate(modules):
+                lines += [f"    {line}" for line in _effect_lines(place, module)]
         return lines
 
     def _budget_s(self) -> float:
@@ -169,7 +157,7 @@ class EffectChains:
 
 
 def misplaced(flags: EffectFlag, session: object) -> str:
-    """Return why an effect with these flags cannot be in a session's chain, or "" if it can."""
+    """Return why a session's chain cannot contain an effect with these flags, or ""."""
     if type(session) is not int or session < DEVICE:
         return f"session {session!r} does not exist; allowed: {DEVICE} to 0, or a player's"
     kind = flags & EffectFlag.TYPE_MASK
@@ -181,12 +169,13 @@ def misplaced(flags: EffectFlag, session: object) -> str:
 
 
 def insert_index(new: EffectDescriptor, chain: Sequence[EffectDescriptor]) -> int:
-    """Return the index of a new effect in a chain, by its flags and those of the chain's effects.
+    """Return the index of a new effect in a chain, by the rules of AudioFlinger's getInsertIndex.
 
-    An EXCLUSIVE effect is alone. LAST goes before the first LAST, else to the end. FIRST and ANY go
-    after the last FIRST, else before the first insert. (AudioFlinger, EffectChain::getInsertIndex.)
+    An INSERT_LAST effect goes before the first INSERT_LAST effect. If there is none, it goes to the
+    end. Other effects go after the last INSERT_FIRST effect. If there is none, they go before the
+    first insert effect, or to the end of a chain without insert effects.
 
-    UsageError: an EXCLUSIVE effect is or would be beside another.
+    UsageError: an EXCLUSIVE effect would share the chain with another insert effect.
     """
     places = [
         (index, other.flags & EffectFlag.INSERT_MASK)
@@ -209,13 +198,6 @@ def insert_index(new: EffectDescriptor, chain: Sequence[EffectDescriptor]) -> in
     return places[0][0] if places else len(chain)
 
 
-KIND_NAMES = {
-    EffectFlag.INSERT: "insert",
-    EffectFlag.AUXILIARY: "auxiliary",
-    EffectFlag.REPLACE: "replace",
-    EffectFlag.PRE_PROC: "preproc",
-    EffectFlag.POST_PROC: "postproc",
-}
 PLACE_NAMES = {
     EffectFlag.INSERT_ANY: "any",
     EffectFlag.INSERT_FIRST: "first",
@@ -224,27 +206,18 @@ PLACE_NAMES = {
 }
 
 
-def chain_lines(session: int, modules: Sequence[EffectModule]) -> list[str]:
-    """Return the lines of one chain in a dump. Any thread may call it, as it only reads."""
-    lines = [f"{len(modules)} effects for session {session}"]
-    for place, module in enumerate(modules):
-        lines += [f"  {line}" for line in effect_lines(place, module)]
-    return lines
-
-
-def effect_lines(place: int, module: EffectModule) -> list[str]:
-    """Return the lines of one effect in a dump; place: its index in the chain, from 0."""
+def _effect_lines(place: int, module: EffectModule) -> list[str]:
     descriptor = module.descriptor
     lines = [
         f"Effect {place}: {descriptor.name}",
         "  Session State    Enabled Bypassed",
-        f"  {module.session:<7} {module.state.name:<8} {yes_no(module.enabled):<7} "
-        f"{yes_no(bool(module.bypassed))}",
+        f"  {module.session:<7} {module.state.name:<8} {'y' if module.enabled else 'n':<7} "
+        f"{'y' if module.bypassed else 'n'}",
         "  Descriptor:",
         f"  - UUID: {descriptor.uuid}",
         f"  - TYPE: {descriptor.type_uuid}",
         f"  - apiVersion: {descriptor.api_version:08X}",
-        f"  - flags: {int(descriptor.flags):08X} ({flags_text(descriptor.flags)})",
+        f"  - flags: {int(descriptor.flags):08X} ({_flags_text(descriptor.flags)})",
         f"  - implementor: {descriptor.implementor}",
         f"  - load: {descriptor.cpu_load / 10:g} MIPS, {descriptor.memory_kb} KB",
         f"  Configuration: {config_text(module.config) if module.config else 'none yet'}",
@@ -260,11 +233,8 @@ def effect_lines(place: int, module: EffectModule) -> list[str]:
     return lines
 
 
-def asked_lines(module: EffectModule) -> tuple[str, ...]:
-    """Return what the effect itself reports: its parameters and its own dump.
-
-    Called by the thread that steps the mixer, like every command.
-    """
+def _readings(module: EffectModule) -> tuple[str, ...]:
+    """Return an effect's parameter values and DUMP reply as lines, in the mixer's thread."""
     lines = []
     for parameter in module.descriptor.parameters:
         status, value = module.command(Command.GET_PARAM, parameter.name)
@@ -276,18 +246,14 @@ def asked_lines(module: EffectModule) -> tuple[str, ...]:
     return ("Parameters:", *lines) if lines else ()
 
 
-def flags_text(flags: EffectFlag) -> str:
-    """Return an effect's flags in words."""
-    kind = KIND_NAMES.get(flags & EffectFlag.TYPE_MASK, "unknown")
-    place = PLACE_NAMES.get(flags & EffectFlag.INSERT_MASK, "unknown")
-    words = [f"conn. mode: {kind}", f"insert pref: {place}"]
+def _flags_text(flags: EffectFlag) -> str:
+    kind, place = flags & EffectFlag.TYPE_MASK, flags & EffectFlag.INSERT_MASK
+    words = [
+        f"conn. mode: {'postproc' if kind == EffectFlag.POST_PROC else 'insert'}",
+        f"insert pref: {PLACE_NAMES.get(place, 'unknown')}",
+    ]
     if flags & EffectFlag.VOLUME_MASK:
         words.append("told of volume")
     if flags & EffectFlag.DEVICE_MASK:
         words.append("told of devices")
     return ", ".join(words)
-
-
-def yes_no(truth: bool) -> str:
-    """Return y or n."""
-    return "y" if truth else "n"

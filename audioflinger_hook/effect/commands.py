@@ -1,4 +1,4 @@
-"""Commands checked before an engine sees them: code, type, size, name and range."""
+"""Checks of a command's code and data before an engine receives the command."""
 
 from __future__ import annotations
 
@@ -13,41 +13,25 @@ from audioflinger_hook.effect.interface import (
     EffectFlag,
     Parameter,
 )
+from device.layouts import CHANNELS_MAX
 
 KNOWN = frozenset(int(code) for code in Command) - {int(Command.FIRST_PROPRIETARY)}
 
-WITHOUT_DATA = frozenset(
-    {
-        Command.INIT,
-        Command.RESET,
-        Command.ENABLE,
-        Command.DISABLE,
-        Command.SET_PARAM_COMMIT,
-        Command.GET_CONFIG,
-        Command.GET_CONFIG_REVERSE,
-        Command.DUMP,
-    }
+WITHOUT_DATA = (
+    *(Command.INIT, Command.RESET, Command.ENABLE, Command.DISABLE, Command.SET_PARAM_COMMIT),
+    *(Command.GET_CONFIG, Command.GET_CONFIG_REVERSE, Command.DUMP),
 )
-
-WITH_A_WORD = frozenset(
-    {
-        Command.SET_DEVICE,
-        Command.SET_AUDIO_MODE,
-        Command.SET_INPUT_DEVICE,
-        Command.SET_AUDIO_SOURCE,
-        Command.GET_FEATURE_CONFIG,
-    }
+WITH_A_WORD = (  # one unsigned integer of 32 bits
+    *(Command.SET_DEVICE, Command.SET_AUDIO_MODE, Command.SET_INPUT_DEVICE),
+    *(Command.SET_AUDIO_SOURCE, Command.GET_FEATURE_CONFIG),
 )
-"""Commands that carry one unsigned number of 32 bits."""
 
 WORD_MAX = 2**32 - 1
-CHANNELS_MAX = 64
-FRAMES_MAX = 2**20
-"""Frames of one buffer, 22 s at 48 kHz; a larger one is a mistake and would take all memory."""
+FRAMES_MAX = 2**20  # largest allowed buffer in frames, 22 s at 48 kHz
 
 
 class CommandCheck:
-    """Checks commands against the descriptor of an effect. Holds no state."""
+    """Checks whether commands are valid for the descriptor of an effect."""
 
     def __init__(self, descriptor: EffectDescriptor) -> None:
         self._flags = descriptor.flags
@@ -55,10 +39,7 @@ class CommandCheck:
         self._takes = {vendor.code: vendor.takes for vendor in descriptor.vendor_commands}
 
     def status(self, code: object, data: object) -> int:
-        """Return OK if the command is valid, ENOSYS if the effect did not ask for it, else EINVAL.
-
-        Never raises, since only values of exact types are examined.
-        """
+        """Return OK, EINVAL (not valid) or ENOSYS (needs a flag that the effect does not have)."""
         if type(code) is not int and type(code) is not Command:
             return EINVAL
         if code in self._takes:
@@ -72,7 +53,7 @@ class CommandCheck:
         return OK
 
     def parameter(self, name: object) -> Parameter | None:
-        """Return the parameter with this name, or None."""
+        """Return the parameter of this name, or None."""
         return self._parameters.get(name) if type(name) is str else None
 
     def _fits(self, code: Command, data: object) -> bool:
@@ -84,7 +65,7 @@ class CommandCheck:
             return is_config(data)
         if code == Command.GET_PARAM:
             return self.parameter(data) is not None
-        # all other commands carry a tuple
+        # The data of all other commands is a tuple.
         if type(data) is not tuple:
             return False
         if code == Command.SET_VOLUME:
@@ -105,21 +86,18 @@ class CommandCheck:
 
 
 def is_word(number: object) -> bool:
-    """Return whether something is an unsigned number of 32 bits."""
+    """Return whether an object is an unsigned integer of 32 bits."""
     return type(number) is int and 0 <= number <= WORD_MAX
 
 
 def is_config(config: object) -> bool:
-    """Return whether something is a valid configuration: whole numbers in range."""
-    return (
-        type(config) is EffectConfig
-        and is_word(config.samplerate)
-        and is_word(config.channels)
-        and is_word(config.haptic_channels)
-        and is_word(config.frames)
-        and config.samplerate >= 1
-        and 1 <= config.channels <= CHANNELS_MAX
-        and config.haptic_channels <= CHANNELS_MAX
-        and 1 <= config.frames <= FRAMES_MAX
-        and type(config.access) is Access
+    """Return whether an object is an EffectConfig with valid types and ranges of all fields."""
+    if type(config) is not EffectConfig or type(config.access) is not Access:
+        return False
+    ranges = (
+        (config.samplerate, 1, WORD_MAX),
+        (config.channels, 1, CHANNELS_MAX),
+        (config.haptic_channels, 0, CHANNELS_MAX),
+        (config.frames, 1, FRAMES_MAX),
     )
+    return all(type(number) is int and low <= number <= high for number, low, high in ranges)

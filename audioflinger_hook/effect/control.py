@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from enum import Enum, auto
 from pathlib import PurePath
+from traceback import walk_tb
 
 import numpy as np
 
@@ -21,22 +22,17 @@ from audioflinger_hook.effect.interface import (
     Values,
 )
 
-TAIL_MAX_S = 10.0
-"""Seconds of sound for which a stopped effect may continue its tail."""
+TAIL_MAX_S = 10.0  # longest time in s that a disabled effect continues for its decaying tail
+REASON_MAX = 200  # longest message of an engine in characters; longer messages are cut
+STATUSES = (OK, EINVAL, ENODATA, ENOSYS)
 
-READING = frozenset({Command.GET_PARAM, Command.GET_CONFIG, Command.DUMP})
-"""Commands whose failure is counted but causes no bypass, since they change no sound."""
-
-STATUSES = frozenset({OK, EINVAL, ENODATA, ENOSYS})
-REASON_MAX = 200
-"""Characters of an engine's message that are kept."""
-
-FRAMEWORK_ONLY = frozenset({Command.INIT, Command.SET_CONFIG})
-"""Commands that only the framework itself sends."""
+# These commands do not change the sound, so their failure causes no bypass.
+READING = (Command.GET_PARAM, Command.GET_CONFIG, Command.DUMP)
+FRAMEWORK_ONLY = (Command.INIT, Command.SET_CONFIG)
 
 
 class EffectState(Enum):
-    """State of an effect. ENABLE is sent on leaving STARTING, DISABLE on leaving STOPPING."""
+    """State of an effect. STOPPED: the effect is disabled, but still outputs its decaying tail."""
 
     IDLE = auto()
     STARTING = auto()
@@ -57,17 +53,18 @@ ON_DISABLE = {new: old for old, new in ON_ENABLE.items()}
 
 
 class EffectControl:
-    """An engine that may raise or answer nonsense, held through its lifecycle.
+    """Lifecycle of one engine, which may raise exceptions or return invalid answers.
 
-    `enable` and `disable` only set the state. `update_state` sends it to the engine at the end of
-    the next cycle, so it takes effect with the buffer after that cycle. An engine that refuses its
-    configuration (`refusal`) is bypassed until it accepts one. An engine with a `fault` is bypassed
-    until it is enabled again, after a new INIT and SET_CONFIG. `given_up`: why another thread does
-    not wait for the engine. `complaint` is the last refusal or fault. `readings` are the lines with
-    which the engine last described its own state.
+    `enable` and `disable` only set `state`. After a mixer cycle, `update_state` sends ENABLE or
+    DISABLE to the engine. The engine is bypassed if `refusal`, `fault` or `given_up` has a text.
 
-    All calls come from the thread that steps the mixer, between buffers. None raises, except
-    KeyboardInterrupt, which is the user's. Any thread may read the attributes.
+    - `refusal`: the engine refused INIT or SET_CONFIG. An accepted SET_CONFIG ends the bypass.
+    - `fault`: the engine failed. After `enable`, `update_state` sends INIT and SET_CONFIG again.
+    - `given_up`: another thread found that the engine blocks the audio thread.
+    - `complaint`: text of the last refusal or failure.
+
+    Only the mixer's thread may call methods, between buffers. Any thread may read attributes.
+    Methods raise only KeyboardInterrupt.
     """
 
     def __init__(self, engine: EffectEngine, session: int) -> None:
@@ -81,41 +78,36 @@ class EffectControl:
         self.config: EffectConfig | None = None
         self._engine = engine
         self._check = CommandCheck(self.descriptor)
-        self._initialised = False
-        self._accepted = False
-        self._running = False
+        self._initialised = self._accepted = self._running = False
         self._tail_buffers = 0
         self._initialise()
 
     @property
     def enabled(self) -> bool:
-        """Whether the client wants the effect to run."""
+        """Whether the client has enabled the effect. An enabled effect may be bypassed."""
         return self.state in ENABLED
 
     @property
     def bypassed(self) -> str:
-        """Why the effect is bypassed, whether enabled or not; "" if it is not bypassed."""
+        """Why the effect is bypassed, or "" if it is not bypassed."""
         return self.fault or self.given_up or self.refusal
 
     def enable(self) -> int:
-        """Start it with the buffer after the next. Returns OK, or EINVAL if destroyed."""
+        """Let the next `update_state` start the effect. Return OK, or EINVAL after `release`."""
         if self.state is EffectState.DESTROYED:
             return EINVAL
         self.state = EffectState.STARTING if self.fault else ON_ENABLE.get(self.state, self.state)
         return OK
 
     def disable(self) -> int:
-        """Stop it after its tail. Returns OK, or EINVAL if destroyed."""
+        """Let the next `update_state` stop the effect. Return OK, or EINVAL after `release`."""
         if self.state is EffectState.DESTROYED:
             return EINVAL
         self.state = ON_DISABLE.get(self.state, self.state)
         return OK
 
     def set_config(self, config: EffectConfig) -> int:
-        """Send the engine the stream's format, if the format is new; return the engine's status.
-
-        `access` stays unchanged. An engine that refuses is bypassed until it accepts a format.
-        """
+        """Send a format to the engine, unless already accepted. Return OK or an error status."""
         if self.state is EffectState.DESTROYED or not is_config(config):
             return EINVAL
         config = replace(config, access=self.access)
@@ -126,10 +118,7 @@ class EffectControl:
         return self._configure()
 
     def command(self, code: int, data: object = None) -> tuple[int, object]:
-        """Return status and reply of a client's command.
-
-        Wrong codes, types, sizes, names and ranges give EINVAL and never reach the engine.
-        """
+        """Execute a client's command, if it is valid. Return (status, reply)."""
         status = self._check.status(code, data)
         if status != OK:
             return status, None
@@ -150,20 +139,17 @@ class EffectControl:
         return status, reply
 
     def set_parameters(self, values: Values) -> int:
-        """Set several parameters at once, or none. Return OK or the status of the failure."""
-        for name, value in values.items():
-            status = self._check.status(Command.SET_PARAM, (name, value))
-            if status != OK:
+        """Set several parameters at once, if all values are valid. Return OK or an error status."""
+        for pair in values.items():
+            if status := self._check.status(Command.SET_PARAM, pair):
                 return status
-        for name, value in values.items():
-            status, _ = self.command(Command.SET_PARAM_DEFERRED, (name, value))
-            if status != OK:
+        for pair in values.items():
+            if status := self.command(Command.SET_PARAM_DEFERRED, pair)[0]:
                 return status
         return self.command(Command.SET_PARAM_COMMIT)[0]
 
     def send(self, code: int, data: object = None) -> tuple[int, object]:
-        """Return the engine's status and reply to a command; EINVAL and None if it failed."""
-        bypass = code not in READING
+        """Send a command to the engine. Return (status, reply); (EINVAL, None) after a failure."""
         name = Command(code).name if code < Command.FIRST_PROPRIETARY else f"command {code:#x}"
         try:
             with np.errstate(all="ignore"):
@@ -171,17 +157,16 @@ class EffectControl:
         except KeyboardInterrupt:
             raise
         except BaseException as error:
-            raised = f"raised {error_text(error)} in {name}{place_text(error)}"
-            self._blame(raised, bypass=bypass)
-            return EINVAL, None
-        if type(answer) is not tuple or len(answer) != 2 or not is_status(answer[0]):
+            wrong = f"raised {error_text(error)} in {name}{place_text(error)}"
+        else:
+            if type(answer) is tuple and len(answer) == 2 and is_status(answer[0]):
+                return answer
             wrong = f"answered {name} with {answer_text(answer)}; allowed: (status, reply)"
-            self._blame(wrong, bypass=bypass)
-            return EINVAL, None
-        return answer
+        self._blame(wrong, bypass=code not in READING)
+        return EINVAL, None
 
     def update_state(self) -> None:
-        """Send the commands due after enable, disable or the end of a tail, at a cycle's end."""
+        """Send the commands that `state` requires. Call this at the end of each mixer cycle."""
         match self.state:
             case EffectState.STARTING | EffectState.RESTART:
                 self._start()
@@ -196,28 +181,28 @@ class EffectControl:
                     self.state = EffectState.IDLE
 
     def release(self) -> None:
-        """Disable a running engine and detach it for good."""
+        """Disable a running engine and enter the final state DESTROYED."""
         if self._running and not self.fault:
             self.send(Command.DISABLE)
         self._running = False
         self.state = EffectState.DESTROYED
 
     def _make_room(self, config: EffectConfig) -> None:
-        """Prepare for buffers of a configuration."""
+        """Allocate memory for the buffers of a configuration."""
 
     def _forgive(self) -> None:
-        """Lift the bypass after a fault; the counters continue."""
+        """End the bypass after a failure; the number of failures is kept."""
         self.fault = self.given_up = ""
 
     def _blame(self, reason: str, *, bypass: bool = True) -> None:
-        """Count a failure, keep its reason and, if asked to, bypass the engine."""
+        """Count a failure, store its reason and, with `bypass`, bypass the engine."""
         self.faults += 1
         self.complaint = reason
         if bypass and not self.fault:
             self.fault = reason
 
     def _refused(self, what: str, status: int, *, bypass: bool = True) -> None:
-        """Count and name a refusal, which is not a fault."""
+        """Count a refusal, store its text and, with `bypass`, bypass the engine."""
         if self.fault:
             return
         self.refusals += 1
@@ -257,7 +242,7 @@ class EffectControl:
             self.state = EffectState.IDLE
             return
         if not self._accepted:
-            return  # the effect starts once it has a format
+            return  # the state does not change until the engine accepts a format
         if self.state is EffectState.RESTART:
             self.send(Command.RESET)
         status, _ = self.send(Command.ENABLE)
@@ -280,7 +265,7 @@ class EffectControl:
 
 
 def config_text(config: EffectConfig) -> str:
-    """Return a configuration in words."""
+    """Return a configuration as text."""
     return (
         f"{config.samplerate} Hz, {config.channels} + {config.haptic_channels} channels, "
         f"{config.frames} frames, {config.access.name.lower()}"
@@ -288,12 +273,12 @@ def config_text(config: EffectConfig) -> str:
 
 
 def is_status(answer: object) -> bool:
-    """Return whether an engine's answer is one of Android's status codes."""
+    """Return whether an engine's answer is a valid status code."""
     return type(answer) is int and answer in STATUSES
 
 
 def error_text(error: BaseException) -> str:
-    """Return an exception's type and message on one line; never raises."""
+    """Return type and message of an exception on one line; never raises."""
     try:
         words = " ".join(str(error).split())[:REASON_MAX]
     except BaseException:
@@ -302,15 +287,14 @@ def error_text(error: BaseException) -> str:
 
 
 def place_text(error: BaseException) -> str:
-    """Return ` (FILE, line N)` of the line that raised an exception; never raises."""
-    raised = error.__traceback__
-    while raised is not None and raised.tb_next is not None:
-        raised = raised.tb_next
-    if raised is None:
+    """Return the place where an exception was raised as ` (FILE, line N)`; "" if unknown."""
+    places = [*walk_tb(error.__traceback__)]
+    if not places:
         return ""
-    return f" ({PurePath(raised.tb_frame.f_code.co_filename).name}, line {raised.tb_lineno})"
+    frame, line = places[-1]
+    return f" ({PurePath(frame.f_code.co_filename).name}, line {line})"
 
 
 def answer_text(answer: object) -> str:
-    """Return a wrong answer in few words; never raises, whatever the answer is."""
+    """Return a short text for an engine's invalid answer; never raises."""
     return str(answer) if answer is None or type(answer) is int else type(answer).__name__

@@ -1,4 +1,4 @@
-"""What the haptic effect declares: its descriptor and its parameters."""
+"""Descriptor, parameters and vendor commands of the haptic effect."""
 
 from __future__ import annotations
 
@@ -28,7 +28,6 @@ TRANSFORM_FIELDS = tuple(field.name for field in fields(TransformParameters))
 
 
 def _parameter(name: str, described: Description, default: Value, meaning: str = "") -> Parameter:
-    """Return a setting as a parameter of the effect."""
     meaning = meaning or described.meaning
     if isinstance(described, Number):
         low, high, unit = described.low, described.high, described.unit
@@ -38,8 +37,12 @@ def _parameter(name: str, described: Description, default: Value, meaning: str =
     return Parameter(name, str, default, choices=words, meaning=meaning)
 
 
+def _switch(name: str, default: bool, meaning: str) -> Parameter:
+    return Parameter(name, bool, default, meaning=meaning)
+
+
 RESTARTING = frozenset({*TRANSFORM_FIELDS, "form", "per_channel", "sources"})
-"""Parameters whose change needs a new transform."""
+"""Parameters whose change requires a new transform."""
 
 HAPTIC_PARAMETERS = (
     *(
@@ -47,48 +50,36 @@ HAPTIC_PARAMETERS = (
         for name, described in TransformParameters.DESCRIPTIONS.items()
     ),
     _parameter("form", Settings.DESCRIPTIONS["form"], Settings.form),
+    _switch("per_channel", False, "transform each channel instead of the mono mix of all"),
     Parameter(
-        "per_channel",
-        bool,
-        False,
-        meaning="transform each channel instead of the mono mix of all",
-    ),
-    Parameter(
-        "sources",
-        str,
-        "",
-        meaning="source of each haptic channel instead, such as left,right; empty: see per_channel",
+        *("sources", str, ""),
+        meaning="source of each haptic channel, such as left,right; empty: per_channel decides",
     ),
     _parameter(
-        "gain_db",
-        Settings.DESCRIPTIONS["gain_db"],
-        Settings.gain_db,
-        "level of the vibration; reached over one buffer",
+        *("gain_db", Settings.DESCRIPTIONS["gain_db"], Settings.gain_db),
+        "gain of the vibration; a change takes one buffer",
+    ),
+    _switch("mute", False, "fade to silence over one buffer; off: fade in over one buffer"),
+    _switch("clip", True, "limit to full scale; without it the reference form may exceed it"),
+    Parameter(
+        "latency_frames", int, unit="frames", meaning="delay of the vibration after its sound"
     ),
     Parameter(
-        "mute", bool, False, meaning="down to silence over one buffer, and back in the same way"
+        "limited_samples", int, meaning="vibration samples changed by the limiter or clipping"
     ),
-    Parameter(
-        "clip",
-        bool,
-        True,
-        meaning="cut what is beyond full scale; without it the reference form may exceed it",
-    ),
-    Parameter("latency_frames", int, unit="frames", meaning="by which vibration follows its sound"),
-    Parameter("limited_samples", int, meaning="of vibration, changed by limiter or full scale"),
-    Parameter("replaced_samples", int, meaning="of sound, unusable and taken for 0"),
+    Parameter("replaced_samples", int, meaning="invalid sound samples, replaced by 0"),
 )
-"""All parameters; the last three can only be read. Without a stream, reading them gives ENODATA."""
+"""All parameters. The last three are read-only. Without a stream, GET_PARAM of these is ENODATA."""
 
 
 def transform_parameters(values: Values) -> TransformParameters:
-    """Return those of the effect's parameters that belong to the transform."""
+    """Return the parameters of the transform. UsageError: the values contradict each other."""
     chosen: dict[str, Any] = {name: values[name] for name in TRANSFORM_FIELDS}
     return TransformParameters(**chosen)
 
 
 def is_possible(values: Values) -> bool:
-    """Return whether the values can be used together."""
+    """Return whether all values are valid and do not contradict each other."""
     if not {*sources(values)} <= {*SOURCES} or (values["sources"] and values["per_channel"]):
         return False
     try:
@@ -99,20 +90,20 @@ def is_possible(values: Values) -> bool:
 
 
 def sources(values: Values) -> tuple[str, ...]:
-    """Return the source of each haptic channel; empty if no sources are chosen."""
+    """Return the chosen source of each haptic channel; empty if none is chosen."""
     chosen = values["sources"]
     return tuple(chosen.split(",")) if isinstance(chosen, str) and chosen else ()
 
 
 def amplitude(values: Values) -> float:
-    """Return the factor that results from gain and mute, 0 to 1."""
+    """Return the gain as a factor from 0 to 1; 0 while muted."""
     gain_db = values["gain_db"]
     assert isinstance(gain_db, (int, float))
     return 0.0 if values["mute"] else db_to_amplitude(gain_db)
 
 
 def from_settings(settings: Settings) -> dict[str, Value]:
-    """Return the effect's parameters for a user's settings."""
+    """Return the values of the effect's parameters for a user's settings."""
     return {
         **asdict(settings.transform_parameters),
         "form": settings.form,
@@ -123,9 +114,9 @@ def from_settings(settings: Settings) -> dict[str, Value]:
 
 
 def transform_for(config: EffectConfig, values: Values) -> HapticTransform | None:
-    """Return a transform for a stream (takes about 6 ms), or None if none can be made."""
+    """Return a new transform for a stream, or None if its format or the values are unsupported."""
     chosen = sources(values)
-    # Without weights the transform treats only the mix.
+    # All sources except the mono mix need weights.
     mixed = chosen not in ((), ("mix",))
     try:
         return HapticTransform(
@@ -135,32 +126,31 @@ def transform_for(config: EffectConfig, values: Values) -> HapticTransform | Non
             form=cast(Form, values["form"]),
             per_channel=values["per_channel"] is True,
             weights=source_weights(config.channels, chosen) if mixed else None,
-            # The haptic channels are float32; only a gain would be multiplied before.
+            # With gain 1, the haptic channels hold the vibration rounded to float32.
             single=amplitude(values) == 1.0,
         )
     except (UsageError, ValueError):
-        # ValueError: a band that a low sample rate cannot hold has no filter.
+        # ValueError: the filter design can fail at a low samplerate.
         return None
 
 
 DRAIN = Command.FIRST_PROPRIETARY + 1
-"""Vendor command: replies with the rest of the vibration after the end of the sound,
-(latency_frames, haptic channels) float32, and resets. The reply is silence while disabled."""
+"""Vendor command that ends the sound and resets the effect.
+
+The reply is the remaining vibration, (latency_frames, haptic channels) float32."""
 
 PRINCIPAL = Command.FIRST_PROPRIETARY + 2
-"""Vendor command: replies with what the latest hop vibrates, as `HapticTransform.principal` does.
-It changes nothing, and any thread may send it."""
+"""Vendor command that any thread may send. The reply is `HapticTransform.principal`."""
 
 GLIDES = Command.FIRST_PROPRIETARY + 3
-"""Vendor command: replies with what the partials did since the last one, before the gain, as
-`HapticTransform.take_glides` does. The first one starts the recording. For files only."""
+"""Vendor command for exports. The reply is `HapticTransform.take_glides`, without the gain."""
 
 HAPTIC_CUSHION = EffectDescriptor(
     type_uuid=UUID("ba39e606-2bd4-4eb4-9ed7-0e63c0415600"),
     uuid=UUID("e6e06d15-d79b-427b-8572-ef1ff53c4fb1"),
     name="Haptic Cushion",
     implementor="Haptic Cushion",
-    # Last: it must read the sound after every effect that changes it.
+    # LAST: the effect must process the sound after all effects that change the sound.
     flags=EffectFlag.INSERT | EffectFlag.INSERT_LAST,
     cpu_load=1_000,
     memory_kb=256,
@@ -171,4 +161,4 @@ HAPTIC_CUSHION = EffectDescriptor(
         VendorCommand(GLIDES, "GLIDES"),
     ),
 )
-"""A separate type UUID, since Android's HapticGenerator serves players only."""
+"""The type UUID is not that of Android's HapticGenerator, which runs only on players' sessions."""

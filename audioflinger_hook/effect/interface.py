@@ -1,6 +1,6 @@
-"""What an effect is to the framework: a descriptor, `process` and `command`.
+"""Interface between the framework and an effect: a descriptor, `process` and `command`.
 
-Codes, flags and status values are those of Android's effect interface (audio_effect.h).
+Commands, flags and status values are numbered as in Android's audio_effect.h.
 """
 
 from __future__ import annotations
@@ -11,31 +11,26 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from types import NoneType
-from typing import Protocol
+from typing import Protocol, cast
 from uuid import UUID
 
 from audioflinger_hook.mixer.mix_buffer import MixBuffer
 
-Value = bool | int | float | str
-"""What a parameter may hold: plain Python values, no NumPy scalars."""
-
+Value = bool | int | float | str  # NumPy scalars are not allowed
 Values = Mapping[str, Value]
 
-KINDS: dict[type, tuple[type, ...]] = {
-    bool: (bool,),
-    int: (int,),
-    float: (float, int),
-    str: (str,),
-}
-"""Python types accepted for each kind of parameter. They must match exactly: True is no number."""
+KINDS: dict[type, tuple[type, ...]] = {bool: (bool,), int: (int,), float: (float, int), str: (str,)}
+"""Accepted Python types for each kind of parameter. Subclasses do not match, so True is no int."""
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter: kind `bool`, `int`, `float` or `str`, and its allowed values.
+    """One parameter with its allowed values.
 
-    low, high: the range of a number in `unit`, both included. choices: the strings allowed; if
-    empty, every string is. default: None if the parameter can only be read.
+    kind: `bool`, `int`, `float` or `str`.
+    low, high: inclusive range of a number in `unit`.
+    choices: allowed strings; if empty, all strings are allowed.
+    default: None for a read-only parameter.
     """
 
     name: str
@@ -49,19 +44,17 @@ class Parameter:
 
     @property
     def read_only(self) -> bool:
-        """Whether the parameter can only be read."""
+        """Whether SET_PARAM is refused."""
         return self.default is None
 
     def accepts(self, value: object) -> bool:
-        """Return whether the parameter may hold this value; never raises, whatever the value is."""
+        """Return whether a value of any type is valid for the parameter; never raises."""
         if type(value) not in KINDS.get(self.kind, ()):
             return False
         if isinstance(value, str):
             return not self.choices or value in self.choices
-        if isinstance(value, bool):
-            return True
-        # False for NaN.
-        return isinstance(value, (int, float)) and self.low <= value <= self.high
+        # The comparison is False for NaN.
+        return isinstance(value, bool) or self.low <= cast(float, value) <= self.high
 
     def __str__(self) -> str:
         if self.kind is bool:
@@ -77,13 +70,14 @@ OK = 0
 EINVAL = -errno.EINVAL
 ENODATA = -errno.ENODATA
 ENOSYS = -errno.ENOSYS
-"""Return values of `process` and `command`; ENODATA from `process`: the tail has ended."""
+"""Status values of `process` and `command`. ENODATA from `process` says that the tail has ended."""
 
 
 class EffectFlag(IntFlag):
-    """Kind of an effect, its place in the chain, and the events it receives; combine by |.
+    """Kind of an effect, its place in the chain and the events that it receives.
 
-    SET_VOLUME goes only to an effect with one of VOLUME_*, SET_DEVICE only to one with DEVICE_IND.
+    Only effects with a VOLUME_* flag receive SET_VOLUME. Only effects with a flag of
+    DEVICE_MASK receive SET_DEVICE.
     """
 
     INSERT = 0x0
@@ -134,7 +128,7 @@ class Command(IntEnum):
 
 
 class Access(IntEnum):
-    """How an effect writes its output: it replaces the buffer's samples or adds to them."""
+    """How an effect writes its output: WRITE overwrites samples, ACCUMULATE adds to them."""
 
     WRITE = 1
     ACCUMULATE = 2
@@ -142,10 +136,7 @@ class Access(IntEnum):
 
 @dataclass(frozen=True)
 class VendorCommand:
-    """A vendor's command: its code, at least FIRST_PROPRIETARY, and the type of its data.
-
-    takes: `NoneType` for a command without data; other types never reach the engine.
-    """
+    """A vendor-specific command. code: FIRST_PROPRIETARY or higher. takes: type of its data."""
 
     code: int
     name: str
@@ -154,12 +145,13 @@ class VendorCommand:
 
 @dataclass(frozen=True)
 class EffectDescriptor:
-    """What identifies an effect, and its parameters and vendor commands.
+    """Identity, parameters and vendor commands of an effect.
 
     The framework refuses parameters and vendor commands that are not listed here.
 
-    type_uuid: what the effect does, shared by all implementations. uuid: this implementation.
-    cpu_load: load in 0.1 MIPS, as on Android. memory_kb: memory in KB, as on Android.
+    type_uuid: identifies the kind of effect; all implementations of this kind share it.
+    uuid: identifies this implementation.
+    cpu_load: computing load in 0.1 MIPS, as on Android.
     """
 
     type_uuid: UUID
@@ -176,7 +168,7 @@ class EffectDescriptor:
 
 @dataclass(frozen=True)
 class EffectConfig:
-    """Data of SET_CONFIG: the format of the stream; a buffer has at most `frames` frames."""
+    """Data of SET_CONFIG: the stream's format. samplerate: Hz. frames: largest buffer size."""
 
     samplerate: int
     channels: int
@@ -186,44 +178,41 @@ class EffectConfig:
 
 
 class EffectEngine(Protocol):
-    """One instance of one effect, made by its library, held by one chain."""
+    """One instance of an effect in one chain."""
 
     @property
     def descriptor(self) -> EffectDescriptor:
-        """The effect's descriptor, which never changes."""
-        ...
+        """The constant descriptor of the effect."""
 
     def process(self, source: MixBuffer, target: MixBuffer) -> int:
-        """Treat one buffer; source and target may be one object. Return OK or ENODATA (tail ended).
+        """Process one buffer. Return OK, or ENODATA if a disabled effect has no output left.
 
-        With Access.WRITE the target is overwritten, with ACCUMULATE the result is added to it. The
-        arrays belong to the caller; only their contents may change. Called by the thread that steps
-        the mixer, which must not wait.
+        With Access.WRITE, overwrite the samples of `target`, which may be `source`. With
+        Access.ACCUMULATE, add the output to these samples. Do not replace the arrays of a buffer.
+        Do not block the mixer's thread.
         """
-        ...
 
     def command(self, code: int, data: object = None) -> tuple[int, object]:
-        """Carry out a command and return its status and reply.
+        """Execute a command between two buffers and return (status, reply).
 
-        Status: OK, EINVAL, ENODATA (nothing to reply with) or ENOSYS (not supported). Called by
-        the thread that steps the mixer, between two buffers.
+        The status is OK, EINVAL, ENODATA (no reply) or ENOSYS (not supported).
 
-        - SET_CONFIG takes an EffectConfig.
-        - SET_PARAM and SET_PARAM_DEFERRED take a (name, value) pair.
-        - GET_PARAM takes a name and replies with the value.
-        - SET_VOLUME takes a tuple of gains.
+        - The data of SET_CONFIG is an EffectConfig.
+        - The data of SET_PARAM and SET_PARAM_DEFERRED is a (name, value) pair.
+        - The data of GET_PARAM is a name; the reply is the value.
+        - The data of SET_VOLUME is a tuple of gains from 0 to 1.
         - DUMP replies with text.
-        - INIT resets the engine but keeps its parameters.
-        - Vendor codes take what the descriptor says.
+        - INIT resets the engine and keeps its parameters.
+        - The data of vendor commands has the type `VendorCommand.takes`.
         """
-        ...
 
 
 @dataclass(frozen=True)
 class EffectLibrary:
-    """Effects of one package: each one's descriptor, and what makes an instance of it.
+    """A library of effects.
 
-    name: what `path` in audio_effects.xml calls it.
+    name: identifies the library in audio_effects.xml.
+    effects: descriptor and factory of each effect.
     """
 
     name: str

@@ -1,12 +1,12 @@
-"""One effect in a chain: passes buffers to its engine and protects the sound from the engine."""
+"""One effect in a chain: lets its engine process buffers, and bypasses a failing engine."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from audioflinger_hook.effect.control import (
     EffectControl,
@@ -19,35 +19,35 @@ from audioflinger_hook.effect.control import (
 from audioflinger_hook.effect.interface import ENODATA, OK, Access, EffectConfig, EffectEngine
 from audioflinger_hook.mixer.mix_buffer import MixBuffer
 from device.blocks import peak
+from device.units import Float32Array
 
-LATE_IN_A_ROW = 3
-"""An engine that exceeds its time in this many consecutive buffers counts as too slow."""
+LATE_IN_A_ROW = 3  # an engine is bypassed after this many consecutive overruns
 
-PROCESSING = (
-    EffectState.ACTIVE,
-    EffectState.STOPPING,
-    EffectState.STOPPED,
-    EffectState.RESTART,
-)
+BLOCKED_S, BLOCKED_LOOKS = 0.4, 4
+"""An effect is bypassed if one call lasts BLOCKED_S seconds and BLOCKED_LOOKS checks.
+
+With the time limit alone, an effect would be bypassed after the process was suspended."""
+
+ALWAYS_LOOKS = 30  # an effect is bypassed if this many checks in a row find it in `process`
+APART_S = 0.05  # shortest interval between two checks that count separately
+
+PROCESSING = (EffectState.ACTIVE, EffectState.STOPPING, EffectState.STOPPED, EffectState.RESTART)
 
 
 class EffectModule(EffectControl):
-    """The framework's side of one engine, held by the effect's client. See `EffectControl`.
+    """Lets one engine process the mixer's buffers.
 
-    An engine never touches the mixer's buffers. It works on copies, and only valid copies are used.
-    An engine that raises, answers nonsense, spoils arrays or overruns its time is bypassed and
-    counted, and the sound passes unchanged. `misfits` counts buffers whose layout is not the
-    configured one. budget_s: seconds that a whole buffer may take, measured by `clock`; inf
-    offline. calls: how often the engine was called; inside: whether it is being called now.
+    The engine processes copies of the buffers, and only valid results are copied back. An engine is
+    bypassed if it raises an exception, returns an invalid answer, makes non-finite samples,
+    replaces a buffer's arrays or is too slow. A bypassed engine does not change the sound.
+
+    budget_s: allowed processing time of a full buffer in seconds, measured by `clock`.
+    inside: whether the engine's `process` runs now.
+    misfits: number of buffers whose layout differs from the configuration.
     """
 
     def __init__(
-        self,
-        engine: EffectEngine,
-        *,
-        session: int,
-        clock: Callable[[], float],
-        budget_s: float,
+        self, engine: EffectEngine, *, session: int, clock: Callable[[], float], budget_s: float
     ) -> None:
         self.budget_s = budget_s
         self.misfits = self.buffers = self.overruns = self.calls = 0
@@ -59,10 +59,9 @@ class EffectModule(EffectControl):
         super().__init__(engine, session)
 
     def process(self, source: MixBuffer, target: MixBuffer) -> None:
-        """Treat one buffer: in place if both are the same object, else add the result to `target`.
+        """Process a buffer in place if `source` is `target`, else add the result to `target`.
 
-        If the effect does not run, the sound passes: in place nothing happens, else `source` is
-        added to `target`. Called once per cycle.
+        If the effect does not run, the result equals `source`. Call this once per cycle.
         """
         in_place = source is target
         if not in_place and not same_layout(source, target):
@@ -77,12 +76,8 @@ class EffectModule(EffectControl):
         if not in_place:
             np.add(target.samples, source.samples, out=target.samples)
 
-    def give_up(self, reason: str) -> None:
-        """Bypass an engine that does not return. The one method for another thread."""
-        self.given_up = reason
-
     def _ready(self, source: MixBuffer, in_place: bool) -> bool:
-        """Return whether the engine can take a buffer: engine configured, no fault, sizes match."""
+        """Return whether the engine is configured for the buffer and is not bypassed."""
         if self.config is None or not self._accepted or self.bypassed:
             return False
         access = Access.WRITE if in_place else Access.ACCUMULATE
@@ -90,19 +85,14 @@ class EffectModule(EffectControl):
             self.access = access
             if self.set_config(self.config) != OK:
                 return False
-        config = self.config
-        frames = source.frames
-        if (
-            not 1 <= frames <= config.frames
-            or source.audio.shape != (frames, config.channels)
-            or source.haptic.shape != (frames, config.haptic_channels)
-        ):
-            self.misfits += 1
-            return False
-        return True
+        config, frames = self.config, source.frames
+        shapes = (frames, config.channels), (frames, config.haptic_channels)
+        fits = (source.audio.shape, source.haptic.shape) == shapes and 1 <= frames <= config.frames
+        self.misfits += not fits
+        return fits
 
     def _run(self, source: MixBuffer, target: MixBuffer) -> int | None:
-        """Return the engine's OK or ENODATA, or None if `target` is unchanged."""
+        """Run the engine. Return its status, or None and an unchanged `target` after a failure."""
         lent = self._lent.of(source)
         mixed = lent if source is target else self._mixed.of(target)
         began = self._clock()
@@ -126,9 +116,7 @@ class EffectModule(EffectControl):
             self._blame(f"answered process with {answer_text(status)}; allowed: OK (0), ENODATA")
             return None
         if not self._lent.is_back(source) or not (mixed is lent or self._mixed.is_back(target)):
-            self._blame(
-                "exchanged or reshaped its arrays; write into them, as in target.audio[:] = ..."
-            )
+            self._blame("exchanged or reshaped its arrays; write into them: target.audio[:] = ...")
             return None
         if _spoiled(mixed, source, target):
             self._blame("made samples that are not finite")
@@ -157,80 +145,95 @@ class EffectModule(EffectControl):
 
     def _forgive(self) -> None:
         super()._forgive()
-        self._lent.recall()
-        self._mixed.recall()
         self._late = 0
 
 
 class Loan:
-    """A copy of a buffer, lent to an engine; the next copy uses the same memory.
-
-    samples: of the largest buffer. An engine that keeps the arrays and changes them later harms
-    only its own next copy.
-    """
+    """Memory for the copy of a buffer; an engine processes the copy."""
 
     def __init__(self, samples: int) -> None:
-        self._storage = np.zeros(samples, np.float32)
-        self._own = self._storage[:0]
-        self._layout: tuple[tuple[int, ...], tuple[int, ...]] | None = None
-        self.recall()
+        self._memory = np.zeros(samples, np.float32)
 
     def of(self, buffer: MixBuffer) -> MixBuffer:
-        """Return a copy of a buffer."""
-        layout = (buffer.audio.shape, buffer.haptic.shape)
-        if layout != self._layout:
-            boundary, size = buffer.audio.size, buffer.samples.size
-            self._own = self._storage[:size]
-            samples = self._storage[:size]
-            audio = samples[:boundary].reshape(layout[0])
-            haptic = samples[boundary:].reshape(layout[1])
-            self._copy = MixBuffer(0, 0)
-            self._copy.samples, self._copy.audio, self._copy.haptic = samples, audio, haptic
-            self._arrays, self._layout = (samples, audio, haptic), layout
-        np.copyto(self._own, buffer.samples)
-        return self._copy
+        """Copy a buffer into the memory and return the copy."""
+        self._lent = MixBuffer.like(buffer, self._memory)
+        self._arrays = self._lent.samples, self._lent.audio, self._lent.haptic
+        np.copyto(self._lent.samples, buffer.samples)
+        return self._lent
 
     def is_back(self, original: MixBuffer) -> bool:
-        """Return whether the copy still has its own arrays in the same layout."""
-        lent, (samples, audio, haptic) = self._copy, self._arrays
+        """Return whether the engine has neither replaced nor reshaped the arrays of the copy."""
+        lent, (samples, audio, haptic) = self._lent, self._arrays
         try:
             same = lent.samples is samples and lent.audio is audio and lent.haptic is haptic
         except AttributeError:
-            same = False
+            return False
         return same and same_layout(lent, original)
-
-    def recall(self) -> None:
-        """Use new arrays for the next copy."""
-        self._copy = MixBuffer(0, 0)
-        self._arrays = (self._copy.samples, self._copy.audio, self._copy.haptic)
-        self._layout = None
 
 
 def same_layout(one: MixBuffer, other: MixBuffer) -> bool:
     """Return whether two buffers have equal shapes and types."""
-    return (
-        one.samples.shape == other.samples.shape
-        and one.samples.dtype == other.samples.dtype
-        and one.audio.shape == other.audio.shape
-        and one.audio.dtype == other.audio.dtype
-        and one.haptic.shape == other.haptic.shape
-        and one.haptic.dtype == other.haptic.dtype
-    )
+    layouts = [
+        [(part.shape, part.dtype) for part in (buffer.samples, buffer.audio, buffer.haptic)]
+        for buffer in (one, other)
+    ]
+    return layouts[0] == layouts[1]
 
 
-def all_finite(samples: NDArray[np.float32]) -> bool:
-    """Return whether all samples are finite."""
+def _all_finite(samples: Float32Array) -> bool:
     return math.isfinite(peak(samples))
 
 
 def _spoiled(made: MixBuffer, source: MixBuffer, target: MixBuffer) -> bool:
-    """Return whether an engine made finite sound or vibration non-finite."""
-    if all_finite(made.samples):
+    """Return whether an engine made non-finite samples from finite sound or vibration."""
+    if _all_finite(made.samples):
         return False
-    for after, first, second in (
-        (made.audio, source.audio, target.audio),
-        (made.haptic, source.haptic, target.haptic),
-    ):
-        if not all_finite(after) and all_finite(first) and all_finite(second):
-            return True
-    return False
+    return any(
+        not _all_finite(after) and _all_finite(first) and _all_finite(second)
+        for after, first, second in (
+            (made.audio, source.audio, target.audio),
+            (made.haptic, source.haptic, target.haptic),
+        )
+    )
+
+
+@dataclass
+class _Found:
+    """Successive checks, all of which found the same effect in `process`. Times are in seconds."""
+
+    first_s: float  # first check
+    since_s: float  # first check during the present call
+    latest_s: float  # latest check
+    calls: int
+    looks: int = 1  # number of checks
+    looks_at_call: int = 1  # number of checks during the present call
+
+
+class BlockWatch:
+    """Bypasses effects that block the audio thread. It runs in another thread."""
+
+    def __init__(self) -> None:
+        self._found: dict[int, _Found] = {}
+
+    def look(self, effects: Iterable[EffectModule], now_s: float) -> None:
+        """Check all effects at the time `now_s` in seconds; bypass those that block the thread."""
+        for effect in effects:
+            calls = effect.calls
+            if not effect.inside or effect.bypassed:
+                self._found.pop(id(effect), None)
+                continue
+            found = self._found.setdefault(id(effect), _Found(now_s, now_s, now_s, calls))
+            if now_s - found.latest_s < APART_S:
+                continue
+            if calls != found.calls:
+                found.calls, found.since_s, found.looks_at_call = calls, now_s, 0
+            found.latest_s = now_s
+            found.looks += 1
+            found.looks_at_call += 1
+            if now_s - found.since_s >= BLOCKED_S and found.looks_at_call >= BLOCKED_LOOKS:
+                effect.given_up = f"kept the audio thread for over {BLOCKED_S:g} s in process"
+            elif found.looks >= ALWAYS_LOOKS:
+                effect.given_up = (
+                    "kept the audio thread in process at all times in the last "
+                    f"{now_s - found.first_s:.0f} s"
+                )

@@ -1,4 +1,4 @@
-"""Libraries of effects: the bundled library and those of other installed packages."""
+"""Libraries of effects: the bundled library and the libraries of other installed packages."""
 
 from __future__ import annotations
 
@@ -25,16 +25,11 @@ from device.errors import InternalError, NotFoundError, UsageError
 
 __all__ = ["EffectLibrary", "EffectRegistry"]
 
-ENTRY_POINTS = "audioflinger_hook.effects"
-"""The entry-point group; each entry names an `EffectLibrary`."""
+ENTRY_POINTS = "audioflinger_hook.effects"  # group of entry points, each an `EffectLibrary`
 
 
 class EffectRegistry:
-    """All known effects, by UUID.
-
-    `problems` names each library that was left out, with the reason. The registry is used while
-    chains are set up, never by the thread that steps the mixer.
-    """
+    """All known effects, by UUID. problems: one text for each unusable library or package."""
 
     def __init__(self, libraries: Iterable[EffectLibrary] = ()) -> None:
         self.problems: list[str] = []
@@ -45,12 +40,11 @@ class EffectRegistry:
 
     @classmethod
     def installed(cls) -> EffectRegistry:
-        """Return a registry of the bundled library and the libraries of installed packages.
-
-        A package that cannot be loaded is left out and named in `problems`.
-        """
+        """Return a registry of the bundled library and the libraries of installed packages."""
         registry = cls([CUSHION])
-        for owner, entry in entry_points(registry.problems):
+        found, problems = _entry_points(tuple((place, _changed_ns(place)) for place in sys.path))
+        registry.problems += problems
+        for owner, entry in found:
             try:
                 library: object = entry.load()
                 if not isinstance(library, EffectLibrary):
@@ -70,7 +64,7 @@ class EffectRegistry:
 
     @property
     def libraries(self) -> tuple[str, ...]:
-        """Names of the libraries."""
+        """Names of all libraries."""
         return tuple(self._libraries)
 
     @property
@@ -79,16 +73,11 @@ class EffectRegistry:
         return tuple(descriptor for descriptor, _ in self._effects.values())
 
     def add(self, library: EffectLibrary) -> None:
-        """Add all effects of a library, or none.
-
-        UsageError: a name or UUID is already in use, or a descriptor is wrong.
-        """
+        """Add a library. UsageError: its name or an effect is invalid, or exists already."""
         if type(library.name) is not str or not library.name:
             raise UsageError(f"effect library name {library.name!r} is not a name")
         if library.name in self._libraries:
-            raise UsageError(
-                f"effect library {library.name!r} exists already; give it another name"
-            )
+            raise UsageError(f"effect library {library.name!r} exists already; rename it")
         found: dict[UUID, tuple[EffectDescriptor, Callable[[], EffectEngine]]] = {}
         for descriptor, factory in library.effects:
             problem = descriptor_problem(descriptor)
@@ -107,7 +96,7 @@ class EffectRegistry:
         self._effects |= found
 
     def uuids(self, library: str) -> frozenset[UUID]:
-        """Return the UUIDs of a library's effects; none for an unknown library."""
+        """Return the UUIDs of a library's effects; empty for an unknown library."""
         if library not in self._libraries:
             return frozenset()
         return frozenset(descriptor.uuid for descriptor, _ in self._libraries[library].effects)
@@ -116,7 +105,7 @@ class EffectRegistry:
         """Return a new engine of the effect with this implementation UUID.
 
         NotFoundError: no effect has this UUID.
-        InternalError: the library fails to make an engine, or makes another effect.
+        InternalError: the library cannot create the engine, or creates an engine of another effect.
         """
         if uuid not in self._effects:
             known = ", ".join(f"{d.uuid} ({d.name})" for d in self.descriptors)
@@ -137,17 +126,6 @@ class EffectRegistry:
         return engine
 
 
-def entry_points(problems: list[str]) -> list[tuple[str, EntryPoint]]:
-    """Return (package, entry point) of every effect library that installed packages name.
-
-    A package whose metadata cannot be read is left out and named in `problems`. If several packages
-    have one name, only the first on the path counts, as for imports.
-    """
-    found, new_problems = _entry_points(tuple((place, _changed_ns(place)) for place in sys.path))
-    problems += new_problems
-    return found
-
-
 def _changed_ns(place: str) -> int:
     try:
         return Path(place or ".").stat().st_mtime_ns
@@ -155,34 +133,27 @@ def _changed_ns(place: str) -> int:
         return 0
 
 
-@lru_cache(maxsize=1)  # the search takes 12 ms, which many short files would pay one by one
+@lru_cache(maxsize=1)  # a new search for each of many short files would be slow
 def _entry_points(
     _path: tuple[tuple[str, int], ...],
 ) -> tuple[list[tuple[str, EntryPoint]], list[str]]:
-    """Return what is installed, and problems. The path is where, and when each place changed."""
+    """Return (package, entry point) pairs, and problems as texts. _path: only a cache key."""
+    found: dict[str, list[EntryPoint]] = {}
     problems: list[str] = []
-    found: list[tuple[str, EntryPoint]] = []
-    seen: set[str] = set()
     for distribution in distributions():
         try:
             entries = [e for e in distribution.entry_points if e.group == ENTRY_POINTS]
-            if not entries:
-                continue
-            owner = distribution.name
+            if entries:
+                # If packages have equal names, the first on the path is used, as for imports.
+                found.setdefault(distribution.name, entries)
         except Exception as error:
             place = getattr(distribution, "_path", "an unknown place")
-            problems.append(
-                f"package at {place} cannot be searched for effects: {error_text(error)}"
-            )
-            continue
-        if owner not in seen:
-            seen.add(owner)
-            found += [(owner, entry) for entry in entries]
-    return found, problems
+            problems.append(f"package {place} cannot be searched for effects: {error_text(error)}")
+    return [(owner, entry) for owner, entries in found.items() for entry in entries], problems
 
 
 def descriptor_problem(descriptor: object) -> str:
-    """Return what is wrong with a descriptor, or "" for a valid one; never raises."""
+    """Return the first mistake in a descriptor, or "" for a valid descriptor."""
     if type(descriptor) is not EffectDescriptor:
         return f"{type(descriptor).__name__} is not an EffectDescriptor"
     if type(descriptor.uuid) is not UUID or type(descriptor.type_uuid) is not UUID:

@@ -1,11 +1,10 @@
-"""audio_effects.xml, version 2.0: a file that lists effects and the streams they run on."""
+"""Parser of audio_effects.xml 2.0, which lists effects and the streams that they process."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cache
 from importlib.resources import files
 from pathlib import Path
 from uuid import UUID
@@ -14,20 +13,14 @@ from xml.parsers import expat
 from audioflinger_hook.effect.registry import EffectRegistry
 from device.errors import UsageError
 
-SIZE_MAX = 2**20
-"""Largest size of a file in bytes; Android's own files have about 10 KB."""
-
+SIZE_MAX = 2**20  # bytes
 VERSION = "2.0"
 
+# The mix of all players. Android's files do not have this stream.
 OUTPUT_MIX_STREAM = "output_mix"
-"""Our own stream name, added to Android's kinds of players: the mix of all players."""
-
-STREAMS = frozenset(
-    {
-        OUTPUT_MIX_STREAM,
-        *("alarm", "assistant", "bluetooth_sco", "dtmf", "enforced_audible", "music"),
-        *("notification", "ring", "system", "tts", "voice_call"),
-    }
+STREAMS = (
+    *(OUTPUT_MIX_STREAM, "alarm", "assistant", "bluetooth_sco", "dtmf", "enforced_audible"),
+    *("music", "notification", "ring", "system", "tts", "voice_call"),
 )
 
 ROOT = "audio_effects_conf"
@@ -39,13 +32,12 @@ CHILDREN: dict[str, tuple[str, ...]] = {
     "postprocess": ("stream",),
     "stream": ("apply",),
 }
-NOT_EMULATED = ("preprocess", "deviceEffects", "effectProxy")
-"""Elements of Android's files that are skipped with all their contents."""
+NOT_EMULATED = ("preprocess", "deviceEffects", "effectProxy")  # ignored elements
 
 
 @dataclass(frozen=True)
 class Finding:
-    """A problem in a file: its line, from 1, and what is wrong."""
+    """A problem in a file. line: line number, from 1."""
 
     line: int
     text: str
@@ -56,32 +48,21 @@ class Finding:
 
 @dataclass
 class DeclaredEffects:
-    """Effects that a file declares and the registry has.
-
-    effects: UUID by name; postprocess: UUIDs by stream, in order. problems: what was left out and
-    why, one entry per problem.
-    """
+    """Effects that a file declares and the registry contains. problems: errors in the file."""
 
     effects: dict[str, UUID] = field(default_factory=dict)
-    postprocess: dict[str, list[UUID]] = field(default_factory=dict)
+    postprocess: dict[str, list[UUID]] = field(default_factory=dict)  # by the name of a stream
     problems: list[Finding] = field(default_factory=list)
 
 
 def bundled_effects(registry: EffectRegistry) -> DeclaredEffects:
-    """Return what the bundled file declares: the haptic effect on the output mix."""
-    return parse_effects(_bundled(), registry)
-
-
-@cache
-def _bundled() -> bytes:
-    return files("audioflinger_hook.effect").joinpath("audio_effects.xml").read_bytes()
+    """Return the declarations of the bundled file: the haptic effect on the output mix."""
+    xml = files("audioflinger_hook.effect").joinpath("audio_effects.xml").read_bytes()
+    return parse_effects(xml, registry)
 
 
 def read_effects(path: Path, registry: EffectRegistry) -> DeclaredEffects:
-    """Return what a file declares and the registry has.
-
-    UsageError: the file cannot be read or is far too large. Mistakes inside it: see `problems`.
-    """
+    """Return the declarations of a file. UsageError: the file cannot be read or is too large."""
     try:
         with path.open("rb") as stream:
             xml = stream.read(SIZE_MAX + 1)
@@ -95,15 +76,12 @@ def read_effects(path: Path, registry: EffectRegistry) -> DeclaredEffects:
 
 
 def parse_effects(xml: bytes, registry: EffectRegistry) -> DeclaredEffects:
-    """Return what XML declares and the registry has; never raises, whatever the bytes are.
+    """Return the declarations of an XML document; never raises, even for arbitrary bytes.
 
-    Elements are read one by one. A wrong element is left out and named; the others are used. After
-    a syntax error nothing more is read.
+    `problems` lists invalid elements. The parser stops at a syntax error or a DOCTYPE declaration.
     """
     declared = DeclaredEffects()
-    elements = _Elements(declared)
-    elements.read(xml)
-    _Resolver(registry, declared).resolve(elements.found)
+    _Resolver(registry, declared).resolve(_elements(xml, declared.problems))
     declared.problems.sort(key=lambda finding: finding.line)
     return declared
 
@@ -116,64 +94,55 @@ class _Element:
 
 
 class _Refused(Exception):
-    """The document contains something that is not allowed."""
+    """The document contains invalid data."""
 
 
-class _Elements:
-    """The elements of a document that are in the right place, with their lines."""
+def _elements(xml: bytes, problems: list[Finding]) -> list[_Element]:
+    """Return the elements at allowed places; stop at a syntax error or a DOCTYPE declaration."""
+    found: list[_Element] = []
+    parents = [""]
+    parser = expat.ParserCreate()
+    skipped = 0  # nesting depth inside an ignored element
 
-    def __init__(self, declared: DeclaredEffects) -> None:
-        self.found: list[_Element] = []
-        self._declared = declared
-        self._open: list[str] = [""]
-        self._passed_over = 0
-        self._parser = expat.ParserCreate()
-        self._parser.StartElementHandler = self._start
-        self._parser.EndElementHandler = self._end
-        # No entities: a few lines of entities can expand to gigabytes.
-        self._parser.StartDoctypeDeclHandler = self._doctype
-
-    def read(self, xml: bytes) -> None:
-        """Collect a document's elements, up to its first syntax error."""
-        try:
-            self._parser.Parse(xml, True)
-        except expat.ExpatError as error:
-            reason = f"is not XML ({expat.ErrorString(error.code)}); nothing after it is read"
-            self._problem(error.lineno, reason)
-        except (_Refused, ValueError, LookupError) as error:
-            self._problem(self._parser.CurrentLineNumber, f"{error}; nothing after it is read")
-
-    def _problem(self, line: int, text: str) -> None:
-        self._declared.problems.append(Finding(line, text))
-
-    def _doctype(self, *_: object) -> None:
+    def doctype(*_: object) -> None:
+        # A few lines of nested entities can expand to gigabytes.
         raise _Refused("a document type, with its entities, is not allowed")
 
-    def _start(self, name: str, attributes: dict[str, str]) -> None:
-        if self._passed_over:
-            self._passed_over += 1
-            return
-        line, parent = self._parser.CurrentLineNumber, self._open[-1]
-        if name not in CHILDREN.get(parent, ()):
+    def start(name: str, attributes: dict[str, str]) -> None:
+        nonlocal skipped
+        line, parent = parser.CurrentLineNumber, parents[-1]
+        if skipped:
+            skipped += 1
+        elif name not in CHILDREN.get(parent, ()):
             place = f"in <{parent}>" if parent else "at the top"
-            self._problem(line, f"<{name}> does not belong {place}; left out")
-            self._passed_over = 1
+            problems.append(Finding(line, f"<{name}> does not belong {place}; left out"))
+            skipped = 1
         elif name in NOT_EMULATED:
-            self._passed_over = 1
+            skipped = 1
         else:
-            self._open.append(name)
-            self.found.append(_Element(line, name, attributes))
+            parents.append(name)
+            found.append(_Element(line, name, attributes))
 
-    def _end(self, _: str) -> None:
-        if self._passed_over:
-            self._passed_over -= 1
+    def end(_: str) -> None:
+        nonlocal skipped
+        if skipped:
+            skipped -= 1
         else:
-            self._open.pop()
+            parents.pop()
+
+    parser.StartDoctypeDeclHandler = doctype
+    parser.StartElementHandler, parser.EndElementHandler = start, end
+    try:
+        parser.Parse(xml, True)
+    except expat.ExpatError as error:
+        reason = f"is not XML ({expat.ErrorString(error.code)}); nothing after it is read"
+        problems.append(Finding(error.lineno, reason))
+    except (_Refused, ValueError, LookupError) as error:
+        problems.append(Finding(parser.CurrentLineNumber, f"{error}; nothing after it is read"))
+    return found
 
 
 class _Resolver:
-    """Looks up what the elements declare in the registry."""
-
     def __init__(self, registry: EffectRegistry, declared: DeclaredEffects) -> None:
         self._registry = registry
         self._declared = declared
@@ -181,23 +150,21 @@ class _Resolver:
         self._applied: list[UUID] | None = None
 
     def resolve(self, elements: list[_Element]) -> None:
-        """Use all elements. An element may refer to a later one."""
-        self._each(elements, {ROOT: self._root})
-        self._each(elements, {"library": self._library})
-        self._each(elements, {"effect": self._effect})
-        self._each(elements, {"stream": self._stream, "apply": self._apply})
-
-    def _each(
-        self, elements: list[_Element], take: dict[str, Callable[[dict[str, str]], None]]
-    ) -> None:
-        for element in elements:
-            if element.name in take:
-                try:
-                    take[element.name](element.attributes)
-                except _Refused as refused:
-                    self._declared.problems.append(
-                        Finding(element.line, f"<{element.name}> {refused}")
-                    )
+        """Evaluate all elements by kind, so that an effect may precede its library."""
+        passes: tuple[dict[str, Callable[[dict[str, str]], None]], ...] = (
+            {ROOT: self._root},
+            {"library": self._library},
+            {"effect": self._effect},
+            {"stream": self._stream, "apply": self._apply},
+        )
+        for takers in passes:
+            for element in elements:
+                if take := takers.get(element.name):
+                    try:
+                        take(element.attributes)
+                    except _Refused as refused:
+                        text = f"<{element.name}> {refused}"
+                        self._declared.problems.append(Finding(element.line, text))
 
     def _root(self, attributes: dict[str, str]) -> None:
         if attributes.get("version") != VERSION:
@@ -241,7 +208,7 @@ class _Resolver:
         if name not in self._declared.effects:
             raise _Refused(f"effect={name!r} is an unknown effect; left out")
         if self._applied is None:
-            return  # its stream has been named already
+            return  # the stream is invalid, and `problems` lists it already
         uuid = self._declared.effects[name]
         if uuid in self._applied:
             raise _Refused(f"effect={name!r} is applied twice; the second is left out")

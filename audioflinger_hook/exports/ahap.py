@@ -1,41 +1,38 @@
-"""AHAP 1.0 for Apple's Core Haptics: continuous events, their curves, and transients.
+"""AHAP 1.0 for Apple's Core Haptics: continuous events, parameter curves, and transients.
 
-A continuous event lasts at most 30 s. A curve has at most 16 points, and at most 60 a second, with
-times relative to the curve. A player multiplies intensities of curve and event and adds their
-sharpness, also for transients. So transients are divided by the curve. Intensity is the square root
-of amplitude.
+An event lasts at most 30 s. A curve has at most 16 points, and at most 60 in each second. Times of
+points are relative to the start of their curve. A player multiplies an event's intensity by the
+intensity curve, so the intensity written for a transient is divided by this curve. A player adds
+the sharpness curve to an event's sharpness. Intensity is the square root of amplitude.
 """
 
 from __future__ import annotations
 
-import json
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from audioflinger_hook.exports.band import band_text, to_device_hz
-from audioflinger_hook.exports.envelope import PERCEPTUAL, Envelope, Limits, envelope_of
+from audioflinger_hook.exports.envelope import Envelope, Limits, envelope_of
 from audioflinger_hook.exports.glides import VibrationCurve
-from audioflinger_hook.exports.parametric import Composed, Job
+from audioflinger_hook.exports.options import Band, band_text, share_of, to_device_hz
+from audioflinger_hook.exports.parametric import SHORTEST_S, Composed, Content, json_bytes, rounded
 from device.units import FloatArray
 
 CONTINUOUS_MAX_S = 30.0
 CURVE_POINTS_MAX = 16
 SHARPNESS_LOW_HZ, SHARPNESS_HIGH_HZ = 65.0, 300.0
-"""Frequencies of sharpness 0 and 1; the scale is linear. Apple publishes none: this is the common
-reading."""
+"""Frequencies of sharpness 0 and 1; the scale between is linear. Apple publishes no scale, so these
+are the usual values.
+"""
 
-LIMITS = Limits(spacing_s=1 / 59, longest_s=2.0, law=PERCEPTUAL)
-SHORTEST_S = 0.001
-DECIMALS = 5
+LIMITS = Limits(spacing_s=1 / 59, longest_s=2.0, square_root=True)
 
 
-def compose(curve: VibrationCurve, duration_s: float, job: Job) -> tuple[bytes, Composed]:
-    """Return the content of an AHAP file, and its errors."""
+def compose(curve: VibrationCurve, duration_s: float, band_hz: Band | None) -> Content:
+    """Return the content of an AHAP file, with its measured errors and warnings."""
     length_s = max(SHORTEST_S, duration_s)
     envelope = envelope_of(curve, length_s, LIMITS)
-    band_hz = job.options.device_band_hz
     hz = to_device_hz(envelope.hz, band_hz)
     sharpness = sharpness_of(hz)
     pattern = [
@@ -55,14 +52,12 @@ def compose(curve: VibrationCurve, duration_s: float, job: Job) -> tuple[bytes, 
         },
         "Pattern": pattern,
     }
-    text = json.dumps(document, separators=(",", ":"))
-    return text.encode(), Composed(envelope.error, _warnings(envelope, hz))
+    return json_bytes(document), Composed(envelope.error, _warnings(envelope, hz))
 
 
 def sharpness_of(hz: FloatArray) -> FloatArray:
-    """Return the sharpness, 0 to 1, of a device's frequencies."""
-    share = (hz - SHARPNESS_LOW_HZ) / (SHARPNESS_HIGH_HZ - SHARPNESS_LOW_HZ)
-    return np.clip(share, 0.0, 1.0)
+    """Return the sharpness, 0 to 1, that is written for frequencies in Hz."""
+    return share_of(hz, SHARPNESS_LOW_HZ, SHARPNESS_HIGH_HZ)
 
 
 def _continuous(duration_s: float) -> list[dict[str, Any]]:
@@ -70,38 +65,36 @@ def _continuous(duration_s: float) -> list[dict[str, Any]]:
     if len(edges) > 2 and edges[-1] - edges[-2] < SHORTEST_S:
         edges.pop()
     return [
-        {"Event": {"Time": _rounded(first), "EventType": "HapticContinuous",
-                   "EventDuration": _rounded(min(CONTINUOUS_MAX_S, end - first)),
+        {"Event": {"Time": rounded(first), "EventType": "HapticContinuous",
+                   "EventDuration": rounded(min(CONTINUOUS_MAX_S, end - first)),
                    "EventParameters": _parameters(1.0, 0.0)}}
         for first, end in pairwise(edges)
     ]  # fmt: skip
 
 
 def _curves(name: str, time_s: FloatArray, values: FloatArray) -> list[dict[str, Any]]:
-    """Return the curves of one parameter; each begins where the last one ends, or with a step."""
+    """Split a parameter's curve into curves of up to 16 points, also at steps of its value."""
     curves = []
     first = 0
     while first < time_s.size - 1:
         step = np.flatnonzero(np.diff(time_s[first : first + CURVE_POINTS_MAX]) <= 0.0)
-        end = min(first + CURVE_POINTS_MAX, time_s.size)
-        if step.size:
-            end = first + int(step[0]) + 1
-        start_s = _rounded(time_s[first])
+        end = min([first + CURVE_POINTS_MAX, time_s.size, *(first + 1 + step[:1])])
+        start_s = rounded(time_s[first])
         points = [
-            {"Time": _rounded(at - start_s), "ParameterValue": _rounded(value)}
+            {"Time": rounded(at - start_s), "ParameterValue": rounded(value)}
             for at, value in zip(time_s[first:end], values[first:end], strict=True)
         ]
         curves.append(
             {"ParameterCurve": {"ParameterID": name, "Time": start_s,
                                 "ParameterCurveControlPoints": points}}
         )  # fmt: skip
-        # The next curve repeats the last point, unless the level steps there.
+        # The next curve repeats the last point, except at a step of the level.
         first = end if step.size else end - 1
     return curves
 
 
 def _transients(
-    envelope: Envelope, sharpness: FloatArray, band_hz: tuple[float, float] | None
+    envelope: Envelope, sharpness: FloatArray, band_hz: Band | None
 ) -> list[dict[str, Any]]:
     events = []
     for one in envelope.transients:
@@ -110,7 +103,7 @@ def _transients(
         wanted = sharpness_of(to_device_hz(np.array(one.hz), band_hz))
         added = float(np.clip(wanted - sharpness[one.place], 0.0, 1.0))
         events.append(
-            {"Event": {"Time": _rounded(one.time_s), "EventType": "HapticTransient",
+            {"Event": {"Time": rounded(one.time_s), "EventType": "HapticTransient",
                        "EventParameters": _parameters(intensity, added)}}
         )  # fmt: skip
     return events
@@ -118,23 +111,17 @@ def _transients(
 
 def _parameters(intensity: float, sharpness: float) -> list[dict[str, Any]]:
     return [
-        {"ParameterID": "HapticIntensity", "ParameterValue": _rounded(intensity)},
-        {"ParameterID": "HapticSharpness", "ParameterValue": _rounded(sharpness)},
+        {"ParameterID": "HapticIntensity", "ParameterValue": rounded(intensity)},
+        {"ParameterID": "HapticSharpness", "ParameterValue": rounded(sharpness)},
     ]
 
 
 def _warnings(envelope: Envelope, hz: FloatArray) -> tuple[str, ...]:
-    found = []
     low = float(np.average(hz < SHARPNESS_LOW_HZ, weights=envelope.level + 1e-12))
-    if low > 0.1 and envelope.level.any():
-        found.append(
-            f"{low:.0%} of the vibration is under {SHARPNESS_LOW_HZ:g} Hz, where AHAP's sharpness "
-            "is 0; --device-band 80:230 keeps its frequencies apart"
-        )
-    if envelope.clipped_points:
-        found.append(f"{envelope.clipped_points} points beyond full scale were limited")
-    return tuple(found)
-
-
-def _rounded(value: float) -> float:
-    return round(float(value), DECIMALS) + 0.0
+    if low <= 0.1 or not envelope.level.any():
+        return envelope.warnings
+    warning = (
+        f"{low:.0%} of the vibration is under {SHARPNESS_LOW_HZ:g} Hz, where AHAP's sharpness "
+        "is 0; --device-band 80:230 keeps its frequencies apart"
+    )
+    return (warning, *envelope.warnings)

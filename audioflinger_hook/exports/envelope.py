@@ -1,8 +1,8 @@
-"""An envelope of few points, and transients, for formats that play one oscillator."""
+"""Approximates curves with straight lines, and a vibration with an envelope and transients."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import heapq
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -10,62 +10,111 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 
-from audioflinger_hook.exports.glides import VibrationCurve
-from audioflinger_hook.exports.simplify import simplify
+from audioflinger_hook.exports.glides import Onset, VibrationCurve
 from device.units import FloatArray, amplitude_to_db
 
+TIED = 1e-3  # weight in `fitted` of the curve's value at a knot; a sample has weight 1
+
+
+def simplify(
+    times: FloatArray, values: FloatArray, tolerance: FloatArray, spacing: int, longest: int
+) -> NDArray[np.intp]:
+    """Return ascending indices of the points to keep, including the first and the last point.
+
+    Points are added until all errors are at most `tolerance`, or `spacing` permits no more points.
+    An error is the distance of a curve from the straight line between kept points.
+
+    times: (n,) ascending.
+    values: (n, k) values of k curves. The same points are kept in all curves.
+    tolerance: (n, k) largest allowed error at each point.
+    spacing: smallest allowed difference of consecutive kept indices, except the last difference.
+    longest: largest allowed difference of consecutive kept indices.
+    """
+    last = len(values) - 1
+    if last < 1:
+        return np.arange(len(values))
+    kept = {0, last}
+    edges = [*range(0, last, longest), last]
+    if len(edges) > 2 and edges[-1] - edges[-2] < spacing:
+        edges.pop(-2)
+        if last - edges[-2] > longest:  # two points may be at most `longest` apart
+            edges.insert(-1, last - spacing)
+    kept.update(edges)
+    waiting: list[tuple[float, int, int, int]] = []
+
+    def consider(first: int, end: int) -> None:
+        low, high = first + spacing, end - spacing
+        if low > high:
+            return
+        part = slice(low, high + 1)
+        share = ((times[part] - times[first]) / (times[end] - times[first]))[:, None]
+        line = values[first] + share * (values[end] - values[first])
+        error = (np.abs(values[part] - line) / tolerance[part]).max(axis=1)
+        worst = int(error.argmax())
+        if error[worst] > 1.0:
+            heapq.heappush(waiting, (-float(error[worst]), first, low + worst, end))
+
+    for first, end in pairwise(edges):
+        consider(first, end)
+    while waiting:
+        _, first, place, end = heapq.heappop(waiting)
+        kept.add(place)
+        consider(first, place)
+        consider(place, end)
+    return np.array(sorted(kept), dtype=np.intp)
+
+
+def fitted(times: FloatArray, values: FloatArray, knots: FloatArray) -> FloatArray:
+    """Return the values at `knots` of the piecewise linear least-squares fit to (times, values)."""
+    if knots.size < 3 or knots[0] == knots[-1]:
+        return np.interp(knots, times, values)
+    place = np.clip(np.searchsorted(knots, times, "right") - 1, 0, knots.size - 2)
+    share = (times - knots[place]) / np.diff(knots)[place]
+    size = knots.size
+    diagonal = np.bincount(place, (1 - share) ** 2, size) + np.bincount(place + 1, share**2, size)
+    beside = np.bincount(place, share * (1 - share), size)
+    wanted = np.bincount(place, (1 - share) * values, size)
+    wanted += np.bincount(place + 1, share * values, size)
+    # The curve's values at the knots have a small weight, so that knots without samples get values.
+    bands = np.vstack((np.concatenate(([0.0], beside[:-1])), diagonal + TIED))
+    found: FloatArray = solveh_banded(bands, wanted + TIED * np.interp(knots, times, values))
+    return found
+
+
 SMOOTHED_S = 0.03
-"""Length of the Hann window over power: swings above about 20 Hz are not kept, since a few dozen
-points a second cannot show them. The window never reaches beyond an onset."""
+"""Length of the Hann window that smooths power. The window removes fast fluctuations, which
+a few dozen points a second cannot represent. The window never extends across an onset.
+"""
 
 TRANSIENT_S = 0.02
-"""Length of a transient, which falls to 0 in a straight line. It has half of an onset's rise; the
-envelope starts with the other half and has all of it after this time."""
+"""Duration of a transient, which decays linearly to 0. The transient takes at most half of a rise
+at an onset. The envelope contains the rest, and reaches the full level at the end of the transient.
+"""
 
-LEVEL_TOLERANCE = 0.012
-"""Largest error of the envelope, of its largest written value."""
-
-TIED = 1e-3
-"""Weight of the curve's own value at a point, in samples, against the least-squares fit."""
-
-FREQUENCY_TOLERANCE_HZ = 4.0
-"""Largest error of the frequency where the envelope is largest; more where it is weak."""
-
-
-@dataclass(frozen=True)
-class Law:
-    """How an amplitude is written: `write` and its inverse `read`, both on 0 to 1."""
-
-    write: Callable[[FloatArray], FloatArray]
-    read: Callable[[FloatArray], FloatArray]
-
-
-LINEAR = Law(np.asarray, np.asarray)
-PERCEPTUAL = Law(np.sqrt, np.square)
-"""The square root of amplitude, where a player squares what it reads."""
+FREQUENCY_TOLERANCE_HZ = 4.0  # allowed error at the envelope's maximum; lower levels allow more
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What the points of a format must keep.
+    """What a format allows for the points of an envelope.
 
-    spacing_s: least distance of two points; at an onset two points share a time.
-    longest_s: largest distance of two points.
-    law: how amplitudes are written.
-    tolerance: largest error of the envelope, of its largest written value.
-    transients: whether an onset's rise is shared between the envelope and a transient.
+    spacing_s: smallest time between two points. At an onset, two points have the same time.
+    longest_s: largest time between two points.
+    square_root: whether to write square roots of amplitudes, because players square them.
+    tolerance: largest allowed error of a written value, relative to the largest written value.
+    transients: whether a transient plays a part of the rise at an onset.
     """
 
     spacing_s: float
     longest_s: float
-    law: Law = LINEAR
-    tolerance: float = LEVEL_TOLERANCE
+    square_root: bool = False
+    tolerance: float = 0.012
     transients: bool = True
 
 
 @dataclass(frozen=True)
 class Transient:
-    """A short pulse on top of the envelope. place: of the envelope's point where it begins."""
+    """A pulse in addition to the envelope. place: index of the envelope's point at its start."""
 
     place: int
     time_s: float
@@ -75,20 +124,12 @@ class Transient:
 
 @dataclass(frozen=True)
 class Envelope:
-    """Points of written level (0 to 1) and frequency in Hz; linear between them.
+    """Level, 0 to 1, and frequency in Hz of a vibration, both linear between points.
 
-    Attributes
-    ----------
-    time_s, level, hz : ndarray
-        (n,) ascending in time, from 0 to the duration; two points at an onset have the same time.
-    transients : tuple of Transient
-        In order.
-    error : dict
-        `envelope_error_db`: r.m.s. error of the smoothed envelope, transients included, in dB of
-        its r.m.s.;
-        `frequency_error_hz`: r.m.s. error, weighted by power; `points`, `transients`: counts.
-    clipped_points : int
-        Points above full scale, written as 1.
+    time_s, level, hz: (n,) from 0 to the duration; at an onset, two points have the same time.
+    transients: in order of time.
+    error: `envelope_error_db`, r.m.s. error in dB relative to the r.m.s. of the smoothed amplitude;
+        `frequency_error_hz`, r.m.s. weighted by power; numbers of `points` and `transients`.
     """
 
     time_s: FloatArray
@@ -96,32 +137,28 @@ class Envelope:
     hz: FloatArray
     transients: tuple[Transient, ...]
     error: dict[str, float]
-    clipped_points: int
+    warnings: tuple[str, ...]
 
 
 def envelope_of(curve: VibrationCurve, duration_s: float, limits: Limits) -> Envelope:
-    """Return the simplified envelope of a channel's vibration.
-
-    duration_s: where the last point is.
-    """
-    law, rate = limits.law, curve.rate_hz
+    """Return an envelope of a channel's curve with few points, the last at `duration_s`."""
+    rate = curve.rate_hz
     times = curve.times_s
-    at = {int(np.ceil((one.time_s - curve.start_s) * rate)): one for one in curve.onsets}
+    at = _onsets_at(curve)
     edges, smooth = _edges(curve), smoothed(curve)
     lowered, found = smooth.copy(), dict[int, Transient]()
     length = max(1, round(TRANSIENT_S * rate))
     for cut in edges[1:-1] if limits.transients else ():
         after = smooth[cut : cut + length]
         fall = 1.0 - np.arange(after.size) / length
-        # Half of the rise, and never more than half of the level: what is left for the envelope is
-        # then at least as much as the transient, whose intensity its curve multiplies.
+        # A transient takes half of the rise, but at most half of the level. The envelope then stays
+        # at least as large as the transient, whose intensity the player multiplies by the envelope.
         pulse = 0.5 * min(float(after.max() - smooth[cut - 1]), float((after / fall).min()))
         if pulse > 0.0:
             lowered[cut : cut + after.size] -= pulse * fall
             found[cut] = Transient(0, at[cut].time_s, pulse, at[cut].hz)
-    written = law.write(lowered)
-    clipped = written > 1.0
-    written = np.minimum(written, 1.0)
+    written = np.sqrt(lowered) if limits.square_root else lowered
+    clipped, written = written > 1.0, np.minimum(written, 1.0)
     points = np.column_stack((written, curve.hz.astype(np.float64)))
     loudest = max(1e-9, float(points[:, 0].max()))
     share = np.maximum(1e-3, lowered / max(1e-12, float(lowered.max())))
@@ -134,11 +171,11 @@ def envelope_of(curve: VibrationCurve, duration_s: float, limits: Limits) -> Env
     kept: list[NDArray[np.intp]] = []
     transients: list[Transient] = []
     for first, end in pairwise(edges):
-        # An onset lies between two samples: the segments on both sides end there.
+        # An onset lies between two samples. There one segment ends, and the next begins.
         begins = at[first].time_s if first else 0.0
         ends = at[end].time_s if end < times.size else duration_s
         part = slice(first, end)
-        # With its two ends a segment has no more points than its share of a second allows.
+        # At the smallest spacing, a segment may have this many points, including its two ends.
         allowed = max(2, int((ends - begins) / limits.spacing_s + 0.01) + 1)
         spacing = max(1, int(np.ceil((end - first) / (allowed - 1))))
         chosen = first + simplify(times[part], points[part], tolerance[part], spacing, longest)
@@ -147,87 +184,45 @@ def envelope_of(curve: VibrationCurve, duration_s: float, limits: Limits) -> Env
         if first in found:
             one = found[first]
             transients.append(Transient(len(time_s), begins, one.amplitude, one.hz))
-        inner = times[chosen[1:-1]]
-        time_s += [begins, *np.clip(inner, begins, ends).tolist(), ends]
+        time_s += [begins, *np.clip(times[chosen[1:-1]], begins, ends).tolist(), ends]
         levels.append(np.clip(fitted(times[part], written[part], times[chosen]), 0.0, 1.0))
         kept.append(chosen)
     places = np.concatenate(kept)
-    level, hz = np.concatenate(levels), points[places, 1]
-    return Envelope(
-        np.array(time_s),
-        level,
-        hz,
-        tuple(transients),
-        _errors(curve, smooth, np.array(time_s), law.read(level), hz, transients),
-        int(clipped[places].sum()),
-    )
+    level, hz, at_s = np.concatenate(levels), points[places, 1], np.array(time_s)
+    played = np.square(level) if limits.square_root else level
+    error = _errors(curve, smooth, at_s, played, hz, transients)
+    limited = int(clipped[places].sum())
+    warnings = (f"{limited} points beyond full scale were limited",) if limited else ()
+    return Envelope(at_s, level, hz, tuple(transients), error, warnings)
 
 
-def fitted(times: FloatArray, values: FloatArray, knots: FloatArray) -> FloatArray:
-    """Return the values at the knots whose straight lines are nearest to a curve by least squares.
-
-    times, values: (n,) the curve. knots: (k,) ascending, within the times.
-    """
-    if knots.size < 3 or knots[0] == knots[-1]:
-        return np.interp(knots, times, values)
-    place = np.clip(np.searchsorted(knots, times, "right") - 1, 0, knots.size - 2)
-    share = (times - knots[place]) / np.diff(knots)[place]
-    size = knots.size
-    diagonal = np.bincount(place, (1 - share) ** 2, size) + np.bincount(place + 1, share**2, size)
-    beside = np.bincount(place, share * (1 - share), size)
-    wanted = np.bincount(place, (1 - share) * values, size)
-    wanted += np.bincount(place + 1, share * values, size)
-    # A little of the curve itself, so that a knot between two samples has a value.
-    bands = np.vstack((np.concatenate(([0.0], beside[:-1])), diagonal + TIED))
-    found: FloatArray = solveh_banded(bands, wanted + TIED * np.interp(knots, times, values))
-    return found
-
-
-def played(
-    times_s: FloatArray, envelope: tuple[FloatArray, FloatArray], transients: list[Transient]
-) -> FloatArray:
-    """Return the amplitude at some times: the envelope (times, amplitudes) and its transients."""
-    amplitude = np.interp(times_s, *envelope)
-    for one in transients:
-        first, end = np.searchsorted(times_s, [one.time_s, one.time_s + TRANSIENT_S])
-        age = (times_s[first:end] - one.time_s) / TRANSIENT_S
-        amplitude[first:end] += one.amplitude * (1.0 - age)
-    return amplitude
-
-
-def envelope_error(
-    curve: VibrationCurve, time_s: FloatArray, amplitude: FloatArray
-) -> dict[str, float]:
-    """Return `envelope_error_db` of an envelope without transients; see `Envelope`."""
-    return _envelope_error(curve, np.interp(curve.times_s, time_s, amplitude))
-
-
-def _envelope_error(curve: VibrationCurve, made: FloatArray) -> dict[str, float]:
-    """Compare amplitudes, both smoothed; nothing is returned for silence."""
+def envelope_error(curve: VibrationCurve, amplitude: FloatArray) -> dict[str, float]:
+    """Return the r.m.s. error of `amplitude`, dB relative to the curve's r.m.s.; {} in silence."""
     wanted = smoothed(curve)
     total = float(np.square(wanted).sum())
     if not total:
         return {}
-    off = smoothed(replace(curve, amplitude=made.astype(np.float32))) - wanted
+    off = smoothed(replace(curve, amplitude=amplitude.astype(np.float32))) - wanted
     error = float(np.sqrt(np.square(off).sum() / total))
     return {"envelope_error_db": max(-120.0, amplitude_to_db(error))}
 
 
 def smoothed(curve: VibrationCurve) -> FloatArray:
-    """Return the amplitude smoothed between onsets."""
-    smooth = np.empty(curve.amplitude.size)
-    edges = _edges(curve)
-    for first, end in pairwise(edges):
-        part = curve.amplitude[first:end].astype(np.float64)
-        smooth[first:end] = _smoothed(part, curve.rate_hz)
-    return smooth
+    """Return the curve's amplitude, smoothed. The smoothing does not extend across onsets."""
+    parts = [curve.amplitude[first:end] for first, end in pairwise(_edges(curve))]
+    return np.concatenate([_smoothed(part.astype(np.float64), curve.rate_hz) for part in parts])
 
 
 def _edges(curve: VibrationCurve) -> list[int]:
-    """Return the first place, those after each onset, and the number of places."""
-    after = {int(np.ceil((one.time_s - curve.start_s) * curve.rate_hz)) for one in curve.onsets}
+    """Return 0, the index of the first sample after each onset, and the number of samples."""
     size = curve.amplitude.size
-    return [0, *sorted(place for place in after if 0 < place < size), size]
+    return [0, *sorted(place for place in _onsets_at(curve) if 0 < place < size), size]
+
+
+def _onsets_at(curve: VibrationCurve) -> dict[int, Onset]:
+    """Return the onsets, keyed by the index of the first sample at or after each onset."""
+    start_s, rate_hz = curve.start_s, curve.rate_hz
+    return {int(np.ceil((one.time_s - start_s) * rate_hz)): one for one in curve.onsets}
 
 
 def _errors(
@@ -238,10 +233,14 @@ def _errors(
     hz: FloatArray,
     transients: list[Transient],
 ) -> dict[str, float]:
-    times = curve.times_s
-    power = smooth * smooth
+    times, power = curve.times_s, smooth * smooth
+    played = np.interp(times, time_s, amplitude)
+    for one in transients:
+        first, end = np.searchsorted(times, [one.time_s, one.time_s + TRANSIENT_S])
+        age = (times[first:end] - one.time_s) / TRANSIENT_S
+        played[first:end] += one.amplitude * (1.0 - age)
     found = {"points": float(time_s.size), "transients": float(len(transients))}
-    found |= _envelope_error(curve, played(times, (time_s, amplitude), transients))
+    found |= envelope_error(curve, played)
     if power.any():
         off_hz = np.interp(times, time_s, hz) - curve.hz
         found["frequency_error_hz"] = float(np.sqrt((power * off_hz**2).sum() / power.sum()))
@@ -249,23 +248,17 @@ def _errors(
 
 
 def _smoothed(amplitude: FloatArray, rate_hz: float) -> FloatArray:
-    """Return the r.m.s. under a Hann window, which gives way to a third of it at both ends.
-
-    A whole window, cut off at an onset, would look ahead of its rise.
-    """
+    """Return the moving r.m.s. with a Hann window, which is shorter near both ends."""
     half = max(1, round(0.5 * SMOOTHED_S * rate_hz))
     square = amplitude**2
     place = np.arange(square.size)
     share = np.minimum(1.0, np.minimum(place, place[::-1]) / half)
     whole, short = _mean(square, half), _mean(square, max(1, half // 3))
-    smooth: FloatArray = np.sqrt(share * whole + (1.0 - share) * short)
-    return smooth
+    return np.sqrt(share * whole + (1.0 - share) * short)
 
 
 def _mean(square: FloatArray, half: int) -> FloatArray:
     window = np.hanning(2 * half + 3)[1:-1]
     part = slice(half, half + square.size)
-    mean: FloatArray = (
-        np.convolve(square, window)[part] / np.convolve(np.ones(square.size), window)[part]
-    )
-    return mean
+    weight = np.convolve(np.ones(square.size), window)[part]
+    return np.convolve(square, window)[part] / weight

@@ -1,6 +1,7 @@
-"""From recorded glides to the envelope, the frequency and the onsets of the vibration.
+"""Computes envelope, frequency and onsets of a vibration from its partials (sine components).
 
-framework.take_glides() -> GlideReader -> VibrationCurve (one channel), PartialTrack (each partial)
+A partial is a sequence of glides. During a glide, frequency and amplitude change smoothly. A row of
+numbers describes each glide, and a slot number says to which partial it belongs.
 """
 
 from __future__ import annotations
@@ -9,40 +10,28 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
+from scipy.signal import lfilter, sosfilt
 
 from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.design.synthesis import glide_shape, glide_turns
 from device.units import FloatArray
 
-CURVE_RATE_HZ = 500.0
-"""Rate of the curves, or a little more."""
+CURVE_RATE_HZ = 500.0  # lowest rate of a curve
+DELAY_AT_HZ = 60.0  # frequency curves of all partials get the filter delay at this frequency
 
-DELAY_AT_HZ = 60.0
-"""Vibration frequency whose delay all partials get."""
-
+# An onset is at the steepest rise of the envelope within this time after a partial starts at it.
 ONSET_REACH_S = 0.014
-"""An onset is where the envelope rises most, within this time of the birth of its partials."""
+ONSETS_APART_S = 0.06  # an onset sooner than this after the previous onset is ignored
+RISE_FROM = 0.4  # smallest rise of an onset, relative to the level after it
+AUDIBLE = 0.01  # smallest rise, relative to the largest level
 
-ONSETS_APART_S = 0.06
-"""Onsets closer than this are one."""
-
-RISE_FROM = 0.4
-"""An onset must raise the envelope by this share of its level afterwards, ..."""
-
-AUDIBLE = 0.01
-"""... and by this share of the loudest envelope."""
-
-FRAME, FRAMES, VOICE, SLOT, START_HZ, END_HZ, START_LEVEL, END_LEVEL, START_PHASE = range(9)
-"""Columns of recorded glides, see `GLIDE_COLUMNS`."""
+# Columns of recorded glides; see `GLIDE_COLUMNS`.
+FRAME, FRAMES, CHANNEL, SLOT, START_HZ, END_HZ, START_LEVEL, END_LEVEL, START_PHASE = range(9)
 
 
 @dataclass(frozen=True)
 class Onset:
-    """Where vibration begins or is struck again.
-
-    before, after: the envelope on both sides, in full scale; hz: of what begins.
-    """
+    """A start or strong rise of vibration. before, after: amplitudes; full scale is 1."""
 
     time_s: float
     before: float
@@ -54,14 +43,9 @@ class Onset:
 class VibrationCurve:
     """The vibration of one channel, sampled at `rate_hz` from `start_s` on.
 
-    Attributes
-    ----------
-    amplitude : ndarray
-        (n,) magnitude of the analytic signal, r.m.s. over a sample, full scale.
-    hz : ndarray
-        (n,) mean frequency, weighted by power; held where nothing vibrates.
-    onsets : tuple of Onset
-        In order, at least `ONSETS_APART_S` apart.
+    amplitude: (n,) magnitude of the analytic signal, r.m.s. over 1 / `rate_hz`; full scale is 1.
+    hz: (n,) mean frequency of the partials, weighted by power. It is constant in silence.
+    onsets: in order of time, at least `ONSETS_APART_S` apart.
     """
 
     rate_hz: float
@@ -72,20 +56,26 @@ class VibrationCurve:
 
     @property
     def times_s(self) -> FloatArray:
-        """Time of each sample."""
+        """The time of each sample in seconds."""
         return self.start_s + np.arange(self.amplitude.size) / self.rate_hz
 
 
-def first_fresh_slot(design: LiveDesign) -> int:
-    """Return the number of the first slot of partials that are born of an onset."""
-    return 2 * (design.analysis.partials_max + design.onsets.fresh_max)
+def first_onset_slot(design: LiveDesign) -> int:
+    """Return the lowest slot number of partials that start at an onset."""
+    return 2 * (design.analysis.partials_max + design.onsets.onset_partials_max)
 
 
 def rising(design: LiveDesign, rows: FloatArray) -> NDArray[np.bool_]:
-    """Return of each row of a channel whether it belongs to a hop whose amplitudes rise in sum."""
+    """Return for each glide whether the sum of the partials' amplitudes rises in its hop.
+
+    The sum does not include partials that start at an onset. For these partials, and with loudness
+    control, the result is False.
+    """
     if not len(rows):
         return np.zeros(0, dtype=np.bool_)
-    of_hop = rows[:, SLOT] < first_fresh_slot(design)
+    if design.loudness.loudness_scale.size:  # with loudness control, each glide lasts one tick
+        return np.zeros(len(rows), dtype=np.bool_)
+    of_hop = rows[:, SLOT] < first_onset_slot(design)
     rise = np.where(of_hop, rows[:, END_LEVEL] - rows[:, START_LEVEL], 0.0)
     _, hop = np.unique(rows[:, FRAME], return_inverse=True)
     found: NDArray[np.bool_] = of_hop & (np.bincount(hop, rise)[hop] > design.synthesis.still)
@@ -95,11 +85,11 @@ def rising(design: LiveDesign, rows: FloatArray) -> NDArray[np.bool_]:
 def analytic(
     design: LiveDesign, rows: FloatArray, rises: NDArray[np.bool_]
 ) -> tuple[NDArray[np.complex128], FloatArray]:
-    """Return signal and frequency in Hz at the low rate of glides of one length, (rows, steps)."""
+    """Return analytic signals and frequencies in Hz, (glides, steps), of glides of equal length."""
     frames = int(rows[0, FRAMES])
     steps = frames // design.grid.decimation
     still = glide_shape(steps)
-    # Amplitudes of a hop that rises are there after a part of it.
+    # In a hop with rising amplitude, the final amplitude is reached before the end of the hop.
     shape = np.where(rises[:, None], design.synthesis.attack[:steps], still)
     turn, glide = glide_turns(steps, frames / design.samplerate)
     hz = rows[:, START_HZ, None]
@@ -113,43 +103,70 @@ def analytic(
 def low_pass(
     design: LiveDesign, signal: NDArray[np.complex128], state: NDArray[np.complex128]
 ) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-    """Return what the live form's low-pass makes of a signal, and its next state."""
-    smooth, state = lfilter(design.synthesis.low_b, design.synthesis.low_a, signal, zi=state)
+    """Return the signal after the live form's low-pass and any high-passes, and their new state."""
+    made = design.synthesis
+    if made.low_sections.size:
+        return sosfilt(np.array(made.low_sections), signal, zi=state)  # type: ignore[no-any-return]
+    smooth, state = lfilter(made.low_b, made.low_a, signal, zi=state)
     return smooth, state
 
 
 def at_rest(design: LiveDesign) -> NDArray[np.complex128]:
-    """Return the low-pass's state after silence."""
-    return np.zeros(design.synthesis.low_a.size - 1, np.complex128)
+    """Return the state of the filters of `low_pass` after silence."""
+    sections = design.synthesis.low_sections
+    shape = (len(sections), 2) if sections.size else (design.synthesis.low_a.size - 1,)
+    return np.zeros(shape, np.complex128)
 
 
 def aligned_s(design: LiveDesign, frame: float) -> float:
-    """Return where a step of the low rate that begins at a frame is in the aligned vibration."""
+    """Return the time of a glide's frame, in s from the start of the sound, less the latency."""
     interpolation_frames = (design.synthesis.phases.size - 1) / 2
     return (frame + interpolation_frames - design.latency_frames) / design.samplerate
 
 
-def low_pass_delay_s(design: LiveDesign) -> float:
-    """Return the low-pass's delay at `DELAY_AT_HZ`."""
-    delay_s = design.synthesis.delay_s(DELAY_AT_HZ, design.samplerate)
-    return delay_s - (design.synthesis.phases.size - 1) / 2 / design.samplerate
+class CurveReader:
+    """Computes a channel's `VibrationCurve` from glides. For one thread. gain: amplitude factor."""
 
-
-class AnalyticVibration:
-    """The analytic signal of one channel's glides, at the low rate of the oscillators.
-
-    Its real part is the vibration before interpolation. Use from one thread.
-    """
-
-    def __init__(self, design: LiveDesign) -> None:
-        self._design = design
+    def __init__(self, design: LiveDesign, gain: float) -> None:
+        self._design, self._gain = design, gain
+        # Columns are samples at the oscillators' low rate, from step `_next` on. The rows are the
+        # analytic signal, the partials' total power, and the sum of each partial's power times
+        # its frequency.
+        self._sums = np.zeros((3, 0), np.complex128)
         self._next = 0
-        self._signal = np.zeros(0, np.complex128)
-        self._power, self._moment = np.zeros((2, 0))
         self._state = at_rest(design)
+        low_rate_hz = design.samplerate / design.grid.decimation
+        self._steps = max(1, round(low_rate_hz / CURVE_RATE_HZ))
+        self._rate_hz = low_rate_hz / self._steps
+        self._powers: list[NDArray[np.float32]] = []
+        self._hz: list[NDArray[np.float32]] = []
+        self._births: list[tuple[float, float]] = []
+        self._samples = 0
 
-    def add(self, rows: FloatArray) -> None:
-        """Take all rows of some whole hops and ticks of this channel."""
+    def add(self, rows: FloatArray, frame: int) -> None:
+        """Add glides. The calls so far must include all glides that start before `frame`."""
+        of_onset = rows[:, SLOT] >= first_onset_slot(self._design)
+        born = rows[of_onset & (rows[:, START_LEVEL] == 0.0) & (rows[:, END_LEVEL] > 0.0)]
+        self._births += [(row[FRAME], row[START_HZ]) for row in born.tolist()]
+        self._add_glides(rows)
+        sample_frames = self._design.grid.decimation * self._steps
+        samples = int(frame // sample_frames) - self._samples
+        if samples <= 0:
+            return
+        self._samples += samples
+        steps = samples * self._steps
+        self._reserve(steps)
+        taken, self._sums = self._sums[:, :steps], self._sums[:, steps:]
+        self._next += steps
+        signal, self._state = low_pass(self._design, taken[0], self._state)
+        squares = (signal.real**2 + signal.imag**2).reshape(-1, self._steps).mean(axis=1)
+        power, moment = taken[1:].real.reshape(2, -1, self._steps).sum(axis=2)
+        silent = power <= 0.0
+        hz = np.where(silent, np.nan, moment / np.where(silent, 1.0, power))
+        self._powers.append((self._gain**2 * squares).astype(np.float32))
+        self._hz.append(hz.astype(np.float32))
+
+    def _add_glides(self, rows: FloatArray) -> None:
         if not len(rows):
             return
         design = self._design
@@ -160,76 +177,22 @@ class AnalyticVibration:
             chosen = rows[:, FRAMES] == frames
             signal, hz = analytic(design, rows[chosen], rises[chosen])
             power = signal.real**2 + signal.imag**2
-            moment = power * hz
-            for row, place in enumerate(first[chosen].tolist()):
-                part = slice(place, place + signal.shape[1])
-                self._signal[part] += signal[row]
-                self._power[part] += power[row]
-                self._moment[part] += moment[row]
-
-    def take(self, steps: int) -> tuple[NDArray[np.complex128], FloatArray, FloatArray]:
-        """Return the next steps: signal, sum of the partials' powers, and that times frequency."""
-        self._reserve(steps)
-        signal, self._signal = self._signal[:steps], self._signal[steps:]
-        power, self._power = self._power[:steps], self._power[steps:]
-        moment, self._moment = self._moment[:steps], self._moment[steps:]
-        self._next += steps
-        smooth, self._state = low_pass(self._design, signal, self._state)
-        return smooth, power, moment
+            added = np.stack((signal, power, power * hz), axis=1)
+            for one, place in zip(added, first[chosen].tolist(), strict=True):
+                self._sums[:, place : place + one.shape[1]] += one
 
     def _reserve(self, steps: int) -> None:
-        lacking = steps - self._signal.size
-        if lacking > 0:
-            more = np.zeros(lacking)
-            self._signal = np.concatenate((self._signal, more))
-            self._power = np.concatenate((self._power, more))
-            self._moment = np.concatenate((self._moment, more))
-
-
-class CurveReader:
-    """Makes the curve of one channel from its glides, block by block.
-
-    Memory: 4 kB a second. gain: factor on all amplitudes. Use from one thread.
-    """
-
-    def __init__(self, design: LiveDesign, gain: float) -> None:
-        self._design = design
-        self._vibration = AnalyticVibration(design)
-        self._gain = gain
-        low_rate_hz = design.samplerate / design.grid.decimation
-        self._steps = max(1, round(low_rate_hz / CURVE_RATE_HZ))
-        self._rate_hz = low_rate_hz / self._steps
-        self._powers: list[NDArray[np.float32]] = []
-        self._hz: list[NDArray[np.float32]] = []
-        self._births: list[tuple[float, float]] = []
-        self._samples = 0
-
-    def add(self, rows: FloatArray, frame: int) -> None:
-        """Take this channel's rows; all that begin before this frame are there."""
-        fresh = rows[:, SLOT] >= first_fresh_slot(self._design)
-        born = rows[fresh & (rows[:, START_LEVEL] == 0.0) & (rows[:, END_LEVEL] > 0.0)]
-        self._births += [(row[FRAME], row[START_HZ]) for row in born.tolist()]
-        self._vibration.add(rows)
-        sample_frames = self._design.grid.decimation * self._steps
-        samples = int(frame // sample_frames) - self._samples
-        if samples <= 0:
-            return
-        self._samples += samples
-        signal, power, moment = self._vibration.take(samples * self._steps)
-        squares = (signal.real**2 + signal.imag**2).reshape(-1, self._steps).mean(axis=1)
-        power = power.reshape(-1, self._steps).sum(axis=1)
-        moment = moment.reshape(-1, self._steps).sum(axis=1)
-        silent = power <= 0.0
-        hz = np.where(silent, np.nan, moment / np.where(silent, 1.0, power))
-        self._powers.append((self._gain**2 * squares).astype(np.float32))
-        self._hz.append(hz.astype(np.float32))
+        lacking = max(0, steps - self._sums.shape[1])
+        self._sums = np.pad(self._sums, ((0, 0), (0, lacking)))
 
     def curve(self, duration_s: float) -> VibrationCurve:
-        """Return the curve from the start to the end of the sound."""
+        """Return the curve of the vibration of the whole sound."""
         design, rate_hz = self._design, self._rate_hz
         first_s = aligned_s(design, (self._steps - 1) / 2 * design.grid.decimation)
         amplitude = np.sqrt(np.concatenate([*self._powers, np.zeros(1, np.float32)]))
-        late = round(low_pass_delay_s(design) * rate_hz)
+        delay_s = design.synthesis.delay_s(DELAY_AT_HZ, design.samplerate)
+        low_pass_s = delay_s - (design.synthesis.phases.size - 1) / 2 / design.samplerate
+        late = round(low_pass_s * rate_hz)
         hz = held(np.concatenate([np.full(late + 1, np.nan, np.float32), *self._hz]))
         dropped = max(0, int(np.ceil(-first_s * rate_hz)))
         kept = min(max(1, int(duration_s * rate_hz)), max(1, amplitude.size - dropped))
@@ -239,13 +202,13 @@ class CurveReader:
         return replace(curve, onsets=self._onsets(curve))
 
     def _onsets(self, curve: VibrationCurve) -> tuple[Onset, ...]:
-        """Return the births of partials that raise the envelope, where it rises most."""
+        """Return the strong rises of the envelope shortly after a partial starts at an onset."""
         level, found = curve.amplitude, list[Onset]()
         loudest = float(level.max(initial=0.0))
         reach = max(2, round(ONSET_REACH_S * curve.rate_hz))
         for frame, hz in sorted(self._births):
-            place = round((aligned_s(self._design, frame) - curve.start_s) * curve.rate_hz)
-            place = max(1, place)
+            after_s = aligned_s(self._design, frame) - curve.start_s
+            place = max(1, round(after_s * curve.rate_hz))
             window = level[place - 1 : place + reach].astype(np.float64)
             if window.size < 3:
                 continue
@@ -254,16 +217,15 @@ class CurveReader:
             before = float(level[max(0, steepest - reach) : steepest].min())
             after = float(level[steepest : steepest + reach].max())
             rise = after - before
-            if rise < max(RISE_FROM * after, AUDIBLE * loudest) or time_s <= 0.0:
-                continue
-            if found and time_s - found[-1].time_s < ONSETS_APART_S:
-                continue
-            found.append(Onset(time_s, before, after, hz))
+            last_s = found[-1].time_s if found else -np.inf
+            strong = rise >= max(RISE_FROM * after, AUDIBLE * loudest)
+            if strong and time_s > 0.0 and time_s - last_s >= ONSETS_APART_S:
+                found.append(Onset(time_s, before, after, hz))
         return tuple(found)
 
 
 def held(hz: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return frequencies with the last known one in place of NaN; 100 Hz if none is known."""
+    """Replace each NaN by the frequency before it, else by the first known one, else by 100 Hz."""
     known = np.isfinite(hz)
     if not known.any():
         return np.full(hz.size, 100.0, np.float32)

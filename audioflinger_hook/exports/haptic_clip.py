@@ -1,43 +1,40 @@
-""".haptic 1.0.0 of Meta and Lofelt: envelopes of amplitude and frequency, with emphasis at onsets.
+""".haptic 1.0.0 of Meta and Lofelt: amplitude and frequency envelopes, emphasis at onsets.
 
-Limits: two points or more, in order of time; an emphasis is at least the envelope's amplitude at
-its point. A player plays it as a pulse on top of the envelope.
+An envelope has at least two points, in order of time. An emphasis is a pulse that a player adds to
+the envelope. The amplitude of an emphasis is at least that of the envelope at this time.
 """
 
 from __future__ import annotations
 
-import json
 from typing import Any
 
 import numpy as np
 
-from audioflinger_hook.exports.band import band_text
 from audioflinger_hook.exports.envelope import Limits, envelope_of
 from audioflinger_hook.exports.glides import VibrationCurve
-from audioflinger_hook.exports.options import VIBRATION_HIGH_HZ, VIBRATION_LOW_HZ
-from audioflinger_hook.exports.parametric import Composed, Job
+from audioflinger_hook.exports.options import (
+    VIBRATION_HIGH_HZ,
+    VIBRATION_LOW_HZ,
+    Band,
+    band_text,
+    share_of,
+)
+from audioflinger_hook.exports.parametric import SHORTEST_S, Composed, Content, json_bytes, rounded
 from device.units import FloatArray
 
 LIMITS = Limits(spacing_s=1 / 59, longest_s=2.0)
-SHORTEST_S = 0.001
-DECIMALS = 5
 
 
-def compose(curve: VibrationCurve, duration_s: float, job: Job) -> tuple[bytes, Composed]:
-    """Return the content of a .haptic file, and its errors."""
+def compose(curve: VibrationCurve, duration_s: float, band_hz: Band | None) -> Content:
+    """Return the content of a .haptic file, with its measured errors and warnings."""
     envelope = envelope_of(curve, max(SHORTEST_S, duration_s), LIMITS)
-    frequency = relative(envelope.hz)
-    amplitude: list[dict[str, Any]] = [
-        {"time": _rounded(at), "amplitude": _rounded(level)}
-        for at, level in zip(envelope.time_s, envelope.level, strict=True)
-    ]
+    amplitude = _points("amplitude", envelope.time_s, envelope.level)
     for one in envelope.transients:
         point = amplitude[one.place]
-        strength = min(1.0, max(point["amplitude"], point["amplitude"] + one.amplitude))
-        point["emphasis"] = {
-            "amplitude": _rounded(strength),
-            "frequency": _rounded(relative(np.array(one.hz))),
-        }
+        strength = min(1.0, point["amplitude"] + one.amplitude)
+        hz = float(_relative(np.array(one.hz)))
+        point["emphasis"] = {"amplitude": rounded(strength), "frequency": rounded(hz)}
+    frequency = _points("frequency", envelope.time_s, _relative(envelope.hz))
     document = {
         "version": {"major": 1, "minor": 0, "patch": 0},
         "metadata": {
@@ -48,35 +45,21 @@ def compose(curve: VibrationCurve, duration_s: float, job: Job) -> tuple[bytes, 
             "tags": [],
             "description": (
                 f"frequency 0 to 1 is {VIBRATION_LOW_HZ:g} to {VIBRATION_HIGH_HZ:g} Hz of "
-                f"vibration; {band_text(job.options.device_band_hz)}"
+                f"vibration; {band_text(band_hz)}"
             ),
         },
-        "signals": {
-            "continuous": {
-                "envelopes": {
-                    "amplitude": amplitude,
-                    "frequency": [
-                        {"time": _rounded(at), "frequency": _rounded(value)}
-                        for at, value in zip(envelope.time_s, frequency, strict=True)
-                    ],
-                }
-            }
-        },
+        "signals": {"continuous": {"envelopes": {"amplitude": amplitude, "frequency": frequency}}},
     }
-    clipped = envelope.clipped_points
-    warnings = (f"{clipped} points beyond full scale were limited",) if clipped else ()
-    text = json.dumps(document, separators=(",", ":"))
-    return text.encode(), Composed(envelope.error, warnings)
+    return json_bytes(document), Composed(envelope.error, envelope.warnings)
 
 
-def relative(hz: FloatArray) -> FloatArray:
-    """Return frequencies of vibration as 0 to 1 of 20-220 Hz.
-
-    A player maps 0 to 1 to its actuator's band, so a device's band changes nothing here.
-    """
-    share = (hz - VIBRATION_LOW_HZ) / (VIBRATION_HIGH_HZ - VIBRATION_LOW_HZ)
-    return np.clip(share, 0.0, 1.0)
+def _points(name: str, time_s: FloatArray, values: FloatArray) -> list[dict[str, Any]]:
+    return [
+        {"time": rounded(at), name: rounded(value)}
+        for at, value in zip(time_s, values, strict=True)
+    ]
 
 
-def _rounded(value: float | FloatArray) -> float:
-    return round(float(value), DECIMALS) + 0.0
+def _relative(hz: FloatArray) -> FloatArray:
+    """Map 20-220 Hz to 0-1, which a player maps to the frequency band of its actuator."""
+    return share_of(hz, VIBRATION_LOW_HZ, VIBRATION_HIGH_HZ)

@@ -1,59 +1,46 @@
-"""HJIF of ISO/IEC 23090-31 (MPEG haptics): each partial is a wave in a separate band.
+"""HJIF of ISO/IEC 23090-31 (MPEG haptics): each partial is a sequence of effects (sine waves).
 
-An effect has one whole frequency in Hz, so that players which integrate frequency and players
-which do not agree. Where a partial drifts from that by 0.03 cycles, another effect goes on in
-phase. Positions are in ms. Tracks born of an onset are kept as they are, in ticks of 2 ms.
+Effects that sound at the same time are in different bands. Each effect has a constant frequency, an
+integer in Hz, because some players do not integrate a varying frequency to the phase. When the
+phase error exceeds 0.03 cycles, a new effect begins. Positions are in ms.
 """
 
 from __future__ import annotations
 
-import json
 import math
 from typing import Any
 
 import numpy as np
 
-from audioflinger_hook.exports.band import band_text
-from audioflinger_hook.exports.options import VIBRATION_HIGH_HZ, VIBRATION_LOW_HZ
-from audioflinger_hook.exports.parametric import Composed, Job, check_duration
-from audioflinger_hook.exports.tracks import PartialTrack, TrackReader
-from device.atomic_file import write_bytes_atomically
+from audioflinger_hook.exports.options import VIBRATION_HIGH_HZ, VIBRATION_LOW_HZ, band_text
+from audioflinger_hook.exports.parametric import Job, TrackWriter, json_bytes
+from audioflinger_hook.exports.tracks import PartialTrack
 from device.errors import UsageError
 from device.rig import rig_by_name
-from device.units import FloatArray
 
 TICKS_A_SECOND = 1_000
 LEVEL_1_BANDS, LEVEL_2_BANDS = 7, 63
 DRIFT_TURNS = 0.03
-"""Largest error of a phase, in cycles. At 0.1, beats of steady partials are felt differently: the
-envelope of an engine correlates by 0.80 with the vibration's, and by 0.97 at 0.03."""
+"""Largest phase error in cycles. Larger errors change the beats of partials."""
 
 BODY_PART_UNSPECIFIED = 0
 VERSION = "2024"
-DATE = "2024-01-01"
-"""Date of the description, fixed so that equal sounds give equal files."""
+DATE = "2024-01-01"  # constant, so that equal sounds give equal files
 
 
-class HjifWriter:
-    """Collects the tracks of all channels and writes them. Use from one thread."""
+class HjifWriter(TrackWriter):
+    """Collects the partial tracks of all channels, and writes the file at the end."""
 
     def __init__(self, job: Job) -> None:
-        self._job = job
-        self._readers = [TrackReader(job.design, job.gain) for _ in range(job.channels)]
+        super().__init__(job)
         self._waves: list[list[dict[str, Any]]] = [[] for _ in range(job.channels)]
-        self._tracks = 0
 
-    def add(self, voice: int, rows: FloatArray, frame: int) -> None:
-        """Take glides, until the sound is too long for such a file."""
-        check_duration(frame / self._job.design.samplerate, "hjif")
-        for track in self._readers[voice].add(rows, frame):
-            self._take(voice, track)
+    def take(self, channel: int, track: PartialTrack) -> None:
+        """Convert a partial track to effects, and store them in memory."""
+        self._waves[channel] += effects_of(track)
 
-    def finish(self, duration_s: float) -> Composed:
-        """Write the file."""
-        for voice, reader in enumerate(self._readers):
-            for track in reader.rest():
-                self._take(voice, track)
+    def write_rest(self, duration_s: float) -> dict[str, int]:
+        """Write the file. UsageError: the format has too few bands for simultaneous partials."""
         bands = [_banded(waves) for waves in self._waves]
         most = max(len(one) for one in bands)
         if most > LEVEL_2_BANDS:
@@ -61,28 +48,40 @@ class HjifWriter:
                 f"{most} partials sound at the same time, but the format hjif has "
                 f"{LEVEL_2_BANDS} bands; set partials_max to 16 or less, or use the format partials"
             )
-        document = self._document(bands, most, duration_s)
-        text = json.dumps(document, separators=(",", ":"))
-        write_bytes_atomically(self._job.target, text.encode())
+        self._job.file.write(json_bytes(self._document(bands, most, duration_s)))
         keyframes = sum(len(effect["keyframes"]) for waves in self._waves for effect in waves)
-        counts = {"tracks": self._tracks, "bands": most, "keyframes": keyframes}
-        return Composed({name: float(count) for name, count in counts.items()})
-
-    def abort(self) -> None:
-        """Do nothing: the file is written at the end."""
-
-    def _take(self, voice: int, track: PartialTrack) -> None:
-        self._tracks += 1
-        self._waves[voice] += effects_of(track, self._job.options.device_band_hz)
+        return {"bands": most, "keyframes": keyframes}
 
     def _document(
         self, bands: list[list[list[dict[str, Any]]]], most: int, duration_s: float
     ) -> dict[str, Any]:
-        band_hz = self._job.options.device_band_hz
-        low_hz, high_hz = band_hz or (VIBRATION_LOW_HZ, VIBRATION_HIGH_HZ)
+        low_hz, high_hz = self._band_hz or (VIBRATION_LOW_HZ, VIBRATION_HIGH_HZ)
         limits = {
             "lower_frequency_limit": math.floor(low_hz),
             "upper_frequency_limit": math.ceil(high_hz),
+        }
+        channels = [
+            {
+                "id": number,
+                "description": f"channel {number + 1}",
+                "gain": 1.0,
+                "mixing_weight": 1.0,
+                "body_part_mask": BODY_PART_UNSPECIFIED,
+                "reference_device_id": 0,
+                "bands": [
+                    {"band_type": "VectorialWave", **limits, "effects": effects} for effects in mine
+                ],
+            }
+            for number, mine in enumerate(bands)
+        ]
+        perception = {
+            "id": 0,
+            "avatar_id": 0,
+            "description": "vibration of a seat",
+            "perception_modality": "Vibrotactile",
+            "reference_devices": [self._device(low_hz, high_hz)],
+            "channels": channels,
+            "effect_library": [],
         }
         return {
             "version": VERSION,
@@ -91,45 +90,21 @@ class HjifWriter:
             "date": DATE,
             "description": (
                 f"Haptic Cushion, {duration_s:.3f} s; a sine's phase is in radians; "
-                f"{band_text(band_hz)}"
+                f"{band_text(self._band_hz)}"
             ),
             "timescale": TICKS_A_SECOND,
             "avatars": [{"id": 0, "lod": 0, "type": "Vibration"}],
-            "perceptions": [
-                {
-                    "id": 0,
-                    "avatar_id": 0,
-                    "description": "vibration of a seat",
-                    "perception_modality": "Vibrotactile",
-                    "reference_devices": [self._device(low_hz, high_hz)],
-                    "channels": [
-                        {
-                            "id": number,
-                            "description": f"channel {number + 1}",
-                            "gain": 1.0,
-                            "mixing_weight": 1.0,
-                            "body_part_mask": BODY_PART_UNSPECIFIED,
-                            "reference_device_id": 0,
-                            "bands": [
-                                {"band_type": "VectorialWave", **limits, "effects": effects}
-                                for effects in mine
-                            ],
-                        }
-                        for number, mine in enumerate(bands)
-                    ],
-                    "effect_library": [],
-                }
-            ],
+            "perceptions": [perception],
             "syncs": [{"timestamp": 0}],
         }
 
     def _device(self, low_hz: float, high_hz: float) -> dict[str, Any]:
-        """Return the rig of the settings, or an actuator of the device's band."""
+        """Return the device that the file is for: the rig, or a device with `device_band_hz`."""
         rig = rig_by_name(self._job.settings.rig)
         resonance_hz = min(max(rig.actuator.resonance_hz, low_hz), high_hz)
         return {
             "id": 0,
-            "name": "device" if self._job.options.device_band_hz else rig.name,
+            "name": "device" if self._band_hz else rig.name,
             "body_part_mask": BODY_PART_UNSPECIFIED,
             "minimum_frequency": low_hz,
             "maximum_frequency": high_hz,
@@ -138,15 +113,14 @@ class HjifWriter:
         }
 
 
-def effects_of(track: PartialTrack, band_hz: tuple[float, float] | None) -> list[dict[str, Any]]:
-    """Return a track as effects that follow one another in phase, none overlapping the next."""
-    track = track.on_device(band_hz)
+def effects_of(track: PartialTrack) -> list[dict[str, Any]]:
+    """Return a partial track as consecutive effects, which do not overlap."""
     times, amplitude = track.time_s, np.minimum(1.0, track.amplitude)
     first = max(0, math.ceil(TICKS_A_SECOND * float(times[0])))
     last = math.floor(TICKS_A_SECOND * float(times[-1]))
     if last - first < 1:
         return []
-    # Phase and frequency at every tick.
+    # Frequency, phase and level at every tick.
     ticks = np.arange(first, last + 1)
     seconds = ticks / TICKS_A_SECOND
     at_hz, turns = np.interp(seconds, times, track.hz), track.turns_at(seconds)
@@ -158,26 +132,25 @@ def effects_of(track: PartialTrack, band_hz: tuple[float, float] | None) -> list
         whole_hz = max(1, round(float(at_hz[begin : begin + 50].mean())))
         drift = turns[begin:] - turns[begin] - whole_hz * (seconds[begin:] - seconds[begin])
         beyond = np.flatnonzero(np.abs(drift) > DRIFT_TURNS)
-        length = int(beyond[0]) if beyond.size else ticks.size - 1 - begin
-        end = begin + max(1, length)
-        # Half of the drift before and half after the true phase.
+        end = begin + max(1, int(beyond[0])) if beyond.size else ticks.size - 1
+        # The phase error changes from +drift/2 at the start to -drift/2 at the end.
         phase = turns[begin] + 0.5 * float(drift[end - begin])
         inside = knees[(knees > begin) & (knees < end)]
-        places = np.unique([begin, *inside.tolist(), end])
+        keyframes = [
+            {
+                "relative_position": int(one - begin),
+                "amplitude_modulation": round(float(level[one]), 6),
+                "frequency_modulation": whole_hz,
+            }
+            for one in np.unique([begin, *inside.tolist(), end])
+        ]
         effects.append(
             {
                 "effect_type": "Basis",
                 "position": int(ticks[begin]),
                 "phase": round(2.0 * math.pi * ((phase + 0.25) % 1.0), 5),
                 "base_signal": "Sine",
-                "keyframes": [
-                    {
-                        "relative_position": int(one - begin),
-                        "amplitude_modulation": round(float(level[one]), 6),
-                        "frequency_modulation": whole_hz,
-                    }
-                    for one in places
-                ],
+                "keyframes": keyframes,
             }
         )
         begin = end
@@ -185,15 +158,16 @@ def effects_of(track: PartialTrack, band_hz: tuple[float, float] | None) -> list
 
 
 def _banded(effects: list[dict[str, Any]]) -> list[list[dict[str, Any]]]:
-    """Spread effects over as few bands as possible; in a band none overlap."""
+    """Distribute effects over as few bands as possible, so that none overlap in a band."""
     bands: list[list[dict[str, Any]]] = []
-    ends: list[int] = []
     for effect in sorted(effects, key=lambda one: (one["position"], one["phase"])):
-        free = next((band for band, end in enumerate(ends) if end <= effect["position"]), None)
+        free = next((band for band in bands if _end_of(band[-1]) <= effect["position"]), None)
         if free is None:
-            free = len(bands)
-            bands.append([])
-            ends.append(0)
-        bands[free].append(effect)
-        ends[free] = effect["position"] + effect["keyframes"][-1]["relative_position"]
+            bands.append([effect])
+        else:
+            free.append(effect)
     return bands
+
+
+def _end_of(effect: dict[str, Any]) -> int:
+    return int(effect["position"] + effect["keyframes"][-1]["relative_position"])

@@ -1,8 +1,8 @@
-"""Ogg Vorbis with haptic channels, as Android plays it: the sound first, the vibration last.
+"""Ogg Vorbis with haptic channels for Android: channels of sound first, then vibration.
 
-The comment ANDROID_HAPTIC=1 or 2 says how many channels are haptic. libsndfile encodes; its pages
-are rewritten here, since it cannot write that comment and numbers every stream at random (RFC 3533,
-Vorbis I specification, section 5).
+The comment ANDROID_HAPTIC=1 or 2 states the number of haptic channels. libsndfile cannot write this
+comment, and gives each stream a random serial number. Therefore this module rewrites the pages that
+libsndfile writes (RFC 3533; Vorbis I specification, section 5).
 """
 
 from __future__ import annotations
@@ -15,26 +15,22 @@ from pathlib import Path
 import numpy as np
 
 from audioflinger_hook.exports.sound_output import LibsndfileTarget, SoundFileOutput
+from device.drive.outputs import WrappedOutput
 from device.errors import InternalError, UsageError
 from device.units import Float32Array, FloatArray
 
 AUDIO_CHANNELS_MAX = 8
-COMPRESSION_LEVEL = 0.1
-"""An 80 Hz tone then has THD+N of -44 dB; with 0.5 it has -41 dB."""
-
-SERIAL = 0x48435553
-"""Number of the stream: the same in every file, so that equal sounds give equal files."""
-
+COMPRESSION_LEVEL = 0.1  # for libsndfile, 0 to 1; a low level distorts the vibration little
+SERIAL = 0x48435553  # serial number of all streams, so that equal sounds give equal files
 HEADERS = 3
 _BITS_REVERSED = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
 _PAGE_HEAD = struct.Struct("<4sBBqIIIB")
 
 
-class OggHapticOutput:
-    """A `VibrationOutput` that also takes the sound, by `hear`. Use from one thread.
+class OggHapticOutput(WrappedOutput):
+    """Writes sound and vibration to one file. Only one thread may use it.
 
-    path: the file to create or replace. samplerate: Hz. audio_channels: 1 to 8. haptic_channels: 1
-    or 2. UsageError, WriteError: as `SoundFileOutput`.
+    audio_channels: 1 to 8. haptic_channels: 1 or 2. UsageError, WriteError: see `SoundFileOutput`.
     """
 
     def __init__(
@@ -45,10 +41,6 @@ class OggHapticOutput:
                 f"the format ogg-haptic cannot hold {audio_channels} channels of sound; allowed: 1 "
                 f"to {AUDIO_CHANNELS_MAX}; mix some of them down first"
             )
-        self.samplerate = samplerate
-        self.channels = haptic_channels
-        self._waiting: tuple[deque[Float32Array], ...] = (deque(), deque())
-        """Sound and vibration whose other part has not come."""
         self._file = SoundFileOutput(
             path,
             samplerate,
@@ -58,24 +50,27 @@ class OggHapticOutput:
             target=_HapticPages(path, haptic_channels),
             level=COMPRESSION_LEVEL,
         )
+        super().__init__(self._file)
+        self.channels = haptic_channels
+        self._waiting: tuple[deque[Float32Array], ...] = (deque(), deque())
+        """Blocks of sound that wait for vibration, and of vibration that wait for sound."""
 
     @property
     def limited_samples(self) -> int:
-        """Samples of sound or vibration beyond full scale."""
+        """Number of samples, of sound or vibration, that were beyond full scale and clipped."""
         return self._file.limited_samples
 
     def hear(self, sound: Float32Array) -> None:
-        """Take sound, (frames, channels); its vibration comes earlier or later by `write`."""
+        """Add sound, (frames, channels), before or after the vibration of the same frames."""
         self._waiting[0].append(sound)
         self._interleave()
 
     def write(self, vibration: FloatArray | Float32Array) -> None:
-        """Take vibration, (frames, channels)."""
+        """Add vibration, (frames, channels)."""
         self._waiting[1].append(vibration.astype(np.float32))
         self._interleave()
 
     def _interleave(self) -> None:
-        """Encode the frames of which both sound and vibration are there."""
         while all(self._waiting):
             frames = min(len(blocks[0]) for blocks in self._waiting)
             parts = [blocks.popleft() for blocks in self._waiting]
@@ -84,24 +79,16 @@ class OggHapticOutput:
                 if frames < len(part):
                     blocks.appendleft(part[frames:])
 
-    def close(self) -> None:
-        """Finish the file."""
-        self._file.close()
-
-    def abort(self) -> None:
-        """Discard the file."""
-        self._file.abort()
-
 
 class _HapticPages(LibsndfileTarget):
-    """Passes Ogg pages on with the haptic comment, a fixed serial number and new checksums."""
+    """Rewrites Ogg pages with the haptic comment, a constant serial number and new checksums."""
 
     def __init__(self, path: Path, haptic_channels: int) -> None:
         super().__init__(path)
         self._comment = f"ANDROID_HAPTIC={haptic_channels}".encode()
         self._pending = b""
-        self._packets: list[bytes] = []  # headers
-        self._open = b""  # the header under way
+        self._packets: list[bytes] = []  # header packets
+        self._open = b""  # the incomplete header packet
         self._sequence = 0
 
     def _store(self, content: bytes) -> None:
@@ -112,14 +99,13 @@ class _HapticPages(LibsndfileTarget):
             self._take(*page)
 
     def commit(self) -> None:
-        """Give the file its name."""
         if self._pending or len(self._packets) < HEADERS:
-            self.abort()
+            self.file.abort()
             raise InternalError("the Vorbis encoder wrote an incomplete stream")
         super().commit()
 
     def _next_page(self) -> tuple[int, int, bytes, bytes] | None:
-        """Return flags, position, lacing and body of the next page, None if it is incomplete."""
+        """Return flags, position, lacing and body of the next page; None if it is incomplete."""
         head = _PAGE_HEAD.size
         if len(self._pending) < head:
             return None
@@ -150,7 +136,6 @@ class _HapticPages(LibsndfileTarget):
             self._write_headers()
 
     def _write_headers(self) -> None:
-        """Write the comment, with ours at its end, and the setup."""
         comment, setup = with_comment(self._packets[1], self._comment), self._packets[2]
         lacing = b"".join(
             b"\xff" * (len(packet) // 255) + bytes([len(packet) % 255])
@@ -161,7 +146,7 @@ class _HapticPages(LibsndfileTarget):
         while lacing:
             part, lacing = lacing[:255], lacing[255:]
             length = sum(part)
-            # A page on which no packet ends has position -1.
+            # If no packet ends on a page, the page's position is -1.
             position = 0 if min(part) < 255 else -1
             self._write(continued, position, part, body[:length])
             continued, body = int(part[-1] == 255), body[length:]
@@ -171,12 +156,12 @@ class _HapticPages(LibsndfileTarget):
             numbers = (b"OggS", 0, flags, position, SERIAL, self._sequence, checksum, len(lacing))
             return _PAGE_HEAD.pack(*numbers) + lacing + body
 
-        self._file.write(page(ogg_checksum(page(0))))
+        self.file.write(page(ogg_checksum(page(0))))
         self._sequence += 1
 
 
 def with_comment(packet: bytes, comment: bytes) -> bytes:
-    """Return a Vorbis comment packet with one more entry at its end."""
+    """Return a Vorbis comment packet with `comment` added at its end."""
     vendor_end = 11 + int.from_bytes(packet[7:11], "little")
     count = int.from_bytes(packet[vendor_end : vendor_end + 4], "little")
     entries = packet[vendor_end + 4 :].removesuffix(b"\x01")
@@ -185,6 +170,6 @@ def with_comment(packet: bytes, comment: bytes) -> bytes:
 
 
 def ogg_checksum(page: bytes) -> int:
-    """Return the CRC-32 of an Ogg page: zlib's polynomial, but bits in the other order."""
+    """Return the CRC-32 of an Ogg page: zlib's polynomial, not reflected, with start value 0."""
     reversed_bits = zlib.crc32(page.translate(_BITS_REVERSED), 0xFFFF_FFFF) ^ 0xFFFF_FFFF
     return int(f"{reversed_bits:032b}"[::-1], 2)

@@ -1,17 +1,19 @@
-"""What can be exported: formats, options and their allowed values, and the report."""
+"""The export formats, the options of an export with their allowed values, and its report."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
+
 from device.drive.exposure import Exposure
 from device.errors import UsageError
+from device.units import FloatArray
 from device.values import nearest
 
 VIBRATION_LOW_HZ, VIBRATION_HIGH_HZ = 20.0, 220.0
-"""Band of the vibration, which `device_band_hz` maps to another one."""
-
+Band = tuple[float, float]  # lowest and highest frequency in Hz
 DEVICE_MIN_HZ, DEVICE_MAX_HZ = 20.0, 1_000.0
 DEVICE_SPAN_MIN_HZ = 10.0
 OUTPUT_RATE_MIN_HZ, OUTPUT_RATE_MAX_HZ = 1_000, 768_000
@@ -21,18 +23,10 @@ OUTPUT_RATE_MIN_HZ, OUTPUT_RATE_MAX_HZ = 1_000, 768_000
 class Format:
     """An export format.
 
-    Attributes
-    ----------
-    suffixes : tuple of str
-        Endings of file names that choose this format; the first is the usual one.
-    description : str
-        What a file holds.
-    parametric : bool
-        Whether it holds envelopes or partials instead of a waveform.
-    channels_max : int
-        Most channels of vibration.
-    whole : bool
-        Whether its file is made as a whole, so that the sound may last 3 hours at most.
+    suffixes: file name endings that select the format; the first is the default.
+    parametric: whether the file contains envelopes or partials instead of a waveform.
+    channels_max: largest number of channels of vibration.
+    whole: whether the whole file is made in memory, so that the sound may last at most 3 hours.
     """
 
     suffixes: tuple[str, ...]
@@ -46,9 +40,7 @@ FORMATS: dict[str, Format] = {
     "wav": Format((".wav", ".wave", ".rf64"), "vibration, float32", channels_max=64),
     "flac": Format((".flac",), "vibration, 24 bits", channels_max=8),
     "ogg-haptic": Format(
-        (".ogg", ".oga"),
-        "the sound, with vibration as Android's haptic channels",
-        channels_max=2,
+        (".ogg", ".oga"), "the sound, with vibration as Android's haptic channels", channels_max=2
     ),
     "ahap": Format((".ahap",), "curves and transients of Core Haptics", True, whole=True),
     "haptic": Format((".haptic",), "envelopes of Meta and Lofelt", True, whole=True),
@@ -56,31 +48,20 @@ FORMATS: dict[str, Format] = {
     "hjif": Format((".hjif",), "partials of ISO/IEC 23090-31", True, channels_max=64, whole=True),
     "partials": Format((".jsonl",), "partial tracks, JSON lines", True, channels_max=64),
 }
-"""Every format by its name."""
 
 
 @dataclass(frozen=True)
 class ExportOptions:
-    """How a sound is exported.
+    """Options of an export. UsageError: a value is out of range, or does not fit the format.
 
-    Attributes
-    ----------
-    format : str
-        A name in `FORMATS`.
-    output_rate_hz : int or None
-        Rate of the file, 1 000 to 768 000 Hz; None: that of the sound. Waveforms only.
-    device_band_hz : tuple of float or None
-        Band that the target's actuator plays; 20-220 Hz is mapped to it. Parametric formats only.
-
-    Raises
-    ------
-    UsageError
-        A value is out of range, or the format cannot hold it.
+    format: a name in `FORMATS`. output_rate_hz: sample rate of a waveform, 1 000 to 768 000 Hz;
+    None: that of the sound. device_band_hz: for parametric formats, lowest and highest frequency
+    of the target's actuator, to which 20-220 Hz are mapped; None changes no frequency.
     """
 
     format: str
     output_rate_hz: int | None = None
-    device_band_hz: tuple[float, float] | None = None
+    device_band_hz: Band | None = None
 
     def __post_init__(self) -> None:
         if self.format not in FORMATS:
@@ -126,22 +107,15 @@ class ExportOptions:
 
 @dataclass(frozen=True)
 class ExportReport:
-    """What was exported. Field names contain their units; frames and samples are counts.
+    """The result of an export. Field names contain their units; frames and samples are counts.
 
-    Attributes
-    ----------
-    frames, samplerate, channels : int
-        Of the file if it is a waveform, otherwise of the vibration that it describes.
-    peak : float
-        Largest magnitude of the vibration; 1.0 is full scale.
-    leak_above_250_hz_db : float or None
-        Energy of the vibration above 250 Hz in dB of all its energy; None for silence.
-    exposure : Exposure or None
-        Of the rig, if it is damped, protected or capped.
-    limited_samples : int
-        Samples that the limiter or the format's full scale has changed.
-    error : dict
-        Measured error of a parametric format against the partials that it was made from.
+    frames, samplerate, channels: those of a waveform file, otherwise those of the vibration.
+    peak: largest magnitude of the vibration; 1.0 is full scale.
+    leak_above_250_hz_db: energy above 250 Hz in dB relative to the total energy; None for silence.
+    exposure: of the rig with the largest A(8); None if damping, protection, exposure_cap are off.
+    limited_samples: number of samples that the limiter reduced, or that the format clipped.
+    replaced_samples: number of unusable samples of the sound, such as NaN, that became 0.
+    error: measured errors and counts of a parametric format; empty for other formats.
     """
 
     format: str
@@ -161,16 +135,12 @@ class ExportReport:
 
 
 def format_of(path: Path) -> str:
-    """Return the name of the format that a file's ending chooses.
-
-    UsageError: no format has this ending.
-    """
+    """Return the name of the format that a path's suffix selects. UsageError: there is none."""
     known = {suffix: name for name, one in FORMATS.items() for suffix in one.suffixes}
-    name = path.name.lower()
-    fitting = [suffix for suffix in known if name.endswith(suffix)]
-    if fitting:
-        return known[max(fitting, key=len)]
-    guess = nearest(path.suffix.lower(), known)
+    ending = path.suffix.lower()
+    if name := known.get(ending or path.name.lower()):
+        return name
+    guess = nearest(ending, known)
     raise UsageError(
         f"OUT = '{path}' has no ending of a known format; "
         f"{f'did you mean {guess}? ' if guess else ''}allowed: {', '.join(known)}; "
@@ -183,7 +153,7 @@ def _names(*, parametric: bool) -> str:
 
 
 def check_channel_count(name: str, channels: int) -> None:
-    """Raise UsageError if a format cannot hold this many channels of vibration."""
+    """Raise UsageError if a format cannot hold this number of vibration channels."""
     most = FORMATS[name].channels_max
     if channels > most:
         enough = [other for other, one in FORMATS.items() if one.channels_max >= channels]
@@ -191,3 +161,26 @@ def check_channel_count(name: str, channels: int) -> None:
             f"the format {name} cannot hold {channels} channels of vibration; allowed: 1 to "
             f"{most}; use channels = mono, fewer actuators, or one of: {', '.join(enough)}"
         )
+
+
+def to_device_hz(hz: FloatArray, band_hz: Band | None) -> FloatArray:
+    """Map frequencies of the vibration linearly from 20-220 Hz to the band of a device.
+
+    band_hz: lowest and highest frequency of the device; None changes no frequency.
+    """
+    if band_hz is None:
+        return hz
+    low_hz, high_hz = band_hz
+    return low_hz + share_of(hz, VIBRATION_LOW_HZ, VIBRATION_HIGH_HZ) * (high_hz - low_hz)
+
+
+def share_of(hz: FloatArray, low_hz: float, high_hz: float) -> FloatArray:
+    """Return the positions of frequencies in a band, from 0 (`low_hz` and below) to 1."""
+    return np.clip((hz - low_hz) / (high_hz - low_hz), 0.0, 1.0)
+
+
+def band_text(band_hz: Band | None) -> str:
+    """Return a text about the mapping of frequencies, for the exported file."""
+    if band_hz is None:
+        return "frequencies are those of the vibration, 20-220 Hz"
+    return f"20-220 Hz of vibration are mapped to {band_hz[0]:g}-{band_hz[1]:g} Hz of the device"

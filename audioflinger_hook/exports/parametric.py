@@ -1,66 +1,49 @@
-"""Exports of envelopes and partials, from the glides of the live form."""
+"""Writing of parametric formats, which contain envelopes or partials instead of samples."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import json
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import Any, TypeAlias
+
+import numpy as np
 
 from audioflinger_hook.config.settings import Settings
-from audioflinger_hook.exports.decimation import LeakMeter, Watch
-from audioflinger_hook.exports.glides import VOICE, CurveReader, VibrationCurve
-from audioflinger_hook.exports.options import (
-    FORMATS,
-    ExportOptions,
-    ExportReport,
-    check_channel_count,
-)
-from audioflinger_hook.pipeline.framework import OFFLINE_HAL_FRAMES, Framework
-from audioflinger_hook.pipeline.step import Pipeline
-from audioflinger_hook.sources import Client
+from audioflinger_hook.exports.glides import CHANNEL, CurveReader, VibrationCurve
+from audioflinger_hook.exports.options import FORMATS, Band, ExportOptions
+from audioflinger_hook.exports.tracks import PartialTrack, TrackReader
+from audioflinger_hook.pipeline.framework import Framework
+from audioflinger_hook.pipeline.step import Step
 from audioflinger_hook.transform.design import LiveDesign
-from device.atomic_file import write_bytes_atomically
-from device.blocks import peak
-from device.drive.outputs import AlignedOutput
+from device.atomic_file import AtomicFile
 from device.errors import UsageError
 from device.units import Float32Array, FloatArray, db_to_amplitude
 
-DURATION_MAX_S = 3 * 3600.0
-"""Longest sound of formats whose file must be made as a whole."""
-
-Progress = Callable[[int, int | None], None]
+DURATION_MAX_S = 3 * 3600.0  # longest sound of formats whose file is composed in memory
+SHORTEST_S = 0.001
 
 
 @dataclass(frozen=True)
 class Composed:
-    """What a writer has written: measured errors, and warnings."""
+    """Measured errors and counts of a file, keyed by name, and warnings."""
 
     error: dict[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
 
 
-class Writer(Protocol):
-    """Makes a file from the glides of all channels of vibration."""
-
-    def add(self, voice: int, rows: FloatArray, frame: int) -> None:
-        """Take a channel's glides; all that begin before the frame are there."""
-        ...
-
-    def finish(self, duration_s: float) -> Composed:
-        """Write the file."""
-        ...
-
-    def abort(self) -> None:
-        """Discard the file."""
-        ...
+Content = tuple[bytes, Composed]
+Compose = Callable[[VibrationCurve, float, Band | None], Content]
+"""Composes a file's content from the curve, the duration in seconds and the device's band."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """What a writer needs to know. gain: factor on amplitudes. channels: of vibration."""
+    """Input of a writer. channels: number of channels of vibration. gain: amplitude factor."""
 
-    target: Path
+    file: AtomicFile
     settings: Settings
     options: ExportOptions
     design: LiveDesign
@@ -68,54 +51,169 @@ class Job:
     gain: float
 
 
-Compose = Callable[[VibrationCurve, float, Job], tuple[bytes, Composed]]
+class DescribedOutput:
+    """Writes a file from the glides (see `glides`) of partials. Only one thread may use it.
+
+    composed: measured errors, counts and warnings, known after `close`.
+    UsageError, WriteError: as for `AtomicFile`.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        samplerate: int,
+        channels: int,
+        settings: Settings,
+        options: ExportOptions,
+        open_writer: Callable[[Job], Writer],
+    ) -> None:
+        self.samplerate, self.channels = samplerate, channels
+        self.composed = Composed()
+        self._format = options.format
+        self._file = AtomicFile(path)
+        design = LiveDesign.of(settings.parameters, samplerate)
+        gain = db_to_amplitude(settings.gain_db)
+        self._writer = open_writer(Job(self._file, settings, options, design, channels, gain))
+        self._heard = self._played = 0  # frames of sound, and frames of vibration
+
+    def observe(self, framework: Framework) -> Callable[[Step], None]:
+        """Start recording glides. Return a function that takes each step of the pipeline."""
+        framework.take_glides()
+
+        def take(step: Step) -> None:
+            self._heard += len(step.audio)
+            self._played += len(step.vibration)
+            if FORMATS[self._format].whole:
+                check_duration(self._played / self.samplerate, self._format)
+            rows = framework.take_glides()
+            for channel in range(self.channels):
+                self._writer.add(channel, rows[rows[:, CHANNEL] == channel], self._played)
+
+        return take
+
+    def write(self, vibration: FloatArray | Float32Array) -> None:
+        """Do nothing: the glides describe the whole vibration."""
+
+    def close(self) -> None:
+        """Write the rest of the file, which then appears under its name."""
+        self.composed = self._writer.finish(self._heard / self.samplerate)
+        self._file.commit()
+
+    def abort(self) -> None:
+        """Discard the file."""
+        self._file.abort()
 
 
 class CurveWriter:
-    """Writes a format that is made from the curve of one channel. Use from one thread.
-
-    compose: makes the file's content from the curve, the duration in seconds and the job.
-    """
+    """Writes a format that contains the envelope of one channel. For one thread."""
 
     def __init__(self, job: Job, compose: Compose) -> None:
         self._job, self._compose = job, compose
         self._reader = CurveReader(job.design, job.gain)
 
-    def add(self, voice: int, rows: FloatArray, frame: int) -> None:
-        """Take glides, until the sound is too long for such a file."""
-        check_duration(frame / self._job.design.samplerate, self._job.options.format)
+    def add(self, channel: int, rows: FloatArray, frame: int) -> None:
+        """Add glides. The calls so far must include all glides that start before `frame`."""
         self._reader.add(rows, frame)
 
     def finish(self, duration_s: float) -> Composed:
         """Write the file."""
-        content, composed = self._compose(self._reader.curve(duration_s), duration_s, self._job)
-        write_bytes_atomically(self._job.target, content)
+        curve, band_hz = self._reader.curve(duration_s), self._job.options.device_band_hz
+        content, composed = self._compose(curve, duration_s, band_hz)
+        self._job.file.write(content)
         return composed
 
-    def abort(self) -> None:
-        """Do nothing: the file is written at the end."""
+
+class TrackWriter(ABC):
+    """Writes a format that contains the partial tracks of all channels. For one thread."""
+
+    def __init__(self, job: Job) -> None:
+        self._job = job
+        self._band_hz = job.options.device_band_hz
+        self._readers = [TrackReader(job.design, job.gain) for _ in range(job.channels)]
+        self._tracks = 0
+
+    def add(self, channel: int, rows: FloatArray, frame: int) -> None:
+        """Add glides of a channel. The calls so far must include all that start before `frame`."""
+        self._take_all(channel, self._readers[channel].add(rows, frame))
+
+    def finish(self, duration_s: float) -> Composed:
+        """Take the tracks that have not ended, write the rest of the file and return counts."""
+        for channel, reader in enumerate(self._readers):
+            self._take_all(channel, reader.rest())
+        counts = {"tracks": self._tracks, **self.write_rest(duration_s)}
+        return Composed({name: float(count) for name, count in counts.items()})
+
+    def _take_all(self, channel: int, tracks: Iterable[PartialTrack]) -> None:
+        for track in tracks:
+            self._tracks += 1
+            self.take(channel, track.on_device(self._band_hz))
+
+    @abstractmethod
+    def take(self, channel: int, track: PartialTrack) -> None:
+        """Write or store a track. Its frequencies are those of the device."""
+
+    @abstractmethod
+    def write_rest(self, duration_s: float) -> dict[str, int]:
+        """Write the rest of the file, and return counts for the report."""
 
 
-class _Heard:
-    """Takes the vibration without keeping it, and knows its peak."""
+class PartialLines(TrackWriter):
+    """Writes partial tracks as JSON lines, described by partials.schema.json.
 
-    def __init__(self, samplerate: int, channels: int) -> None:
-        self.samplerate, self.channels = samplerate, channels
-        self.peak = 0.0
+    The lines are a header, a line for each track, written when the track ends, and an end line. A
+    file without the end line is incomplete.
+    """
 
-    def write(self, vibration: FloatArray | Float32Array) -> None:
-        """Take a block."""
-        self.peak = max(self.peak, peak(vibration)) if len(vibration) else self.peak
+    def __init__(self, job: Job) -> None:
+        super().__init__(job)
+        self._points = 0
+        self._line(
+            type="header",
+            format="haptic-cushion-partials",
+            version=1,
+            samplerate_hz=job.design.samplerate,
+            channels=job.channels,
+            profile=job.settings.profile,
+            device_band_hz=self._band_hz,
+        )
 
-    def close(self) -> None:
-        """Do nothing."""
+    def take(self, channel: int, track: PartialTrack) -> None:
+        """Write a track that has ended."""
+        self._points += track.time_s.size
+        columns = (
+            np.round(track.time_s, 6),
+            np.round(track.hz, 3),
+            np.round(track.amplitude, 7),
+            np.round(track.turns % 1.0, 4) % 1.0,
+        )
+        points = np.column_stack(columns).tolist()
+        place = {"channel": channel, "track": track.number, "onset": track.onset}
+        self._line(type="track", **place, points=points)
 
-    def abort(self) -> None:
-        """Do nothing."""
+    def write_rest(self, duration_s: float) -> dict[str, int]:
+        """Write the end line."""
+        self._line(type="end", duration_s=duration_s, tracks=self._tracks)
+        return {"points": self._points}
+
+    def _line(self, **entry: Any) -> None:
+        self._job.file.write(json_bytes(entry) + b"\n")
+
+
+Writer: TypeAlias = CurveWriter | TrackWriter
+
+
+def json_bytes(document: dict[str, Any]) -> bytes:
+    """Return a document as JSON without spaces."""
+    return json.dumps(document, separators=(",", ":")).encode()
+
+
+def rounded(value: float) -> float:
+    """Return a value rounded to 5 decimals, with 0.0 for -0.0."""
+    return round(float(value), 5) + 0.0
 
 
 def check_duration(duration_s: float, name: str) -> None:
-    """Raise UsageError if a sound is too long for a format that is made as a whole."""
+    """Raise UsageError if a sound is too long for a format whose file is made in memory."""
     if duration_s > DURATION_MAX_S:
         raise UsageError(
             f"the sound is longer than the format {name} may hold; allowed: "
@@ -124,85 +222,18 @@ def check_duration(duration_s: float, name: str) -> None:
 
 
 def refuse_settings(name: str, settings: Settings) -> None:
-    """Raise UsageError for settings that a format without a waveform cannot hold."""
-    unheld = {
-        "transform": settings.form != "live",
-        "damping": settings.damping != "off",
-        "protection": settings.protection != "off",
-        "exposure_cap": settings.exposure_cap != "off",
-        "actuator": bool(settings.actuators),
-    }
-    if unheld["transform"]:
+    """Raise UsageError for settings that parametric formats cannot represent."""
+    if settings.form != "live":
         raise UsageError(
             f"transform = {settings.form!r} tracks no partials, from which the format {name} is "
             "made; allowed: live; use --transform live, or the format wav or flac"
         )
-    if wrong := [key for key, there in unheld.items() if there]:
+    shaping = ("damping", "protection", "exposure_cap")
+    unheld = [key for key in shaping if getattr(settings, key) != "off"]
+    unheld += ["actuator"] if settings.actuators else []
+    if unheld:
         raise UsageError(
             f"the format {name} describes vibration for any actuator and cannot hold "
-            f"{', '.join(wrong)}, which shape the waveform for one rig; allowed: off, and no "
+            f"{', '.join(unheld)}, which shape the waveform for one rig; allowed: off, and no "
             "[[actuator]]; change the config, or use the format wav or flac"
         )
-
-
-def export_parametric(
-    open_writer: Callable[[Job], Writer],
-    client: Client,
-    target: Path,
-    settings: Settings,
-    options: ExportOptions,
-    progress: Progress | None,
-    warnings: Sequence[str],
-    watch: Watch | None = None,
-) -> ExportReport:
-    """Play a client's sound, let a writer make the file, and return the report.
-
-    Raises as `export`.
-    """
-    name = options.format
-    refuse_settings(name, settings)
-    if FORMATS[name].whole and client.frames_expected:
-        check_duration(client.frames_expected / client.samplerate, name)
-    framework = Framework(
-        client.samplerate, client.channels, settings, hal_frames=OFFLINE_HAL_FRAMES
-    )
-    rate, channels = framework.samplerate, framework.haptic_channels
-    check_channel_count(name, channels)
-    design = LiveDesign.of(settings.parameters, rate)
-    job = Job(target, settings, options, design, channels, db_to_amplitude(settings.gain_db))
-    framework.take_glides()  # starts the recording
-    heard = _Heard(rate, channels)
-    meter = LeakMeter(heard, watch)
-    writer = open_writer(job)
-    try:
-        chain = Pipeline(client, framework, [AlignedOutput(meter, framework.latency_frames)])
-        frames = played = 0
-        while step := chain.step():
-            framework.check_haptics()
-            frames += len(step.audio)
-            played += len(step.vibration)
-            rows = framework.take_glides()
-            for voice in range(channels):
-                writer.add(voice, rows[rows[:, VOICE] == voice], played)
-            if progress:
-                progress(frames, client.frames_expected)
-        chain.close()
-        composed = writer.finish(frames / rate)
-    except BaseException:
-        writer.abort()
-        raise
-    return ExportReport(
-        format=name,
-        frames=frames,
-        samplerate=rate,
-        channels=channels,
-        duration_s=frames / rate,
-        profile=settings.profile,
-        peak=heard.peak,
-        leak_above_250_hz_db=meter.leak_db,
-        limited_samples=framework.limited_samples,
-        replaced_samples=framework.replaced_samples,
-        bytes=target.stat().st_size,
-        error=composed.error,
-        warnings=[*framework.warnings, *framework.bypass_warnings(), *warnings, *composed.warnings],
-    )

@@ -1,13 +1,13 @@
-"""Partials as tracks: points of time, frequency, amplitude and phase, from birth to end."""
+"""Partial tracks: time, frequency, amplitude and phase at points of a partial (sine component)."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from audioflinger_hook.exports.band import to_device_hz
+from audioflinger_hook.exports.envelope import simplify
 from audioflinger_hook.exports.glides import (
     FRAME,
     FRAMES,
@@ -16,44 +16,36 @@ from audioflinger_hook.exports.glides import (
     aligned_s,
     analytic,
     at_rest,
-    first_fresh_slot,
+    first_onset_slot,
     low_pass,
     rising,
 )
-from audioflinger_hook.exports.simplify import simplify
+from audioflinger_hook.exports.options import Band, to_device_hz
 from audioflinger_hook.transform.design import LiveDesign
 from device.units import FloatArray
 
-ROWS_MAX = 1_000
-"""A longer track is cut, so that memory does not depend on its length. The parts overlap: their sum
-is the whole."""
+LONGEST_TRACK_S = 10.0
+"""A longer track is split, so that memory does not depend on its length. At a split, the sum of
+both parts is inexact until the filters settle.
+"""
 
-RING_S = 0.06
-"""Time that the low-pass rings after a track; it is kept while it is above `FAINT`."""
+# The low-pass rings after a track. The ringing belongs to the track down to `FAINT` of the
+# track's largest amplitude, for at most `RING_S`.
+RING_S, FAINT = 0.06, 0.003
 
-FAINT = 0.003
-POINT_S = 0.002
+# Largest errors of linear interpolation: of the amplitude, relative to the track's largest, and of
+# the frequency in Hz. At lower amplitudes, a larger frequency error is allowed.
 LEVEL_TOLERANCE, HZ_TOLERANCE = 0.01, 0.3
-"""Largest errors of the straight lines. Amplitude: as a share of the track's largest. Frequency: in
-Hz where the track is loudest, more where it is weak."""
-
-LONGEST_S = 0.1
-"""Points are at most this far apart, so that straight lines of frequency keep the phase."""
+POINT_S, LONGEST_S = 0.002, 0.1  # smallest and largest time between two points
 
 
 @dataclass(frozen=True)
 class PartialTrack:
-    """A partial; amplitude and frequency are linear between its points.
+    """A partial, described by n points. Amplitude and frequency are linear between points.
 
-    Attributes
-    ----------
-    number : int
-        Of the track, counted from 0 in its channel.
-    onset : bool
-        Whether an onset gave birth to it. It ends where the analysis takes over.
-    time_s, hz, amplitude, turns : ndarray
-        (n,) time in the aligned vibration; vibration frequency; full scale; phase in cycles, not
-        wrapped, of a cosine.
+    number: counted from 0 in its channel. onset: whether the partial started at an onset.
+    time_s: (n,) time in the sound in s, less the latency. hz: (n,) frequency of the vibration.
+    amplitude: (n,) full scale is 1. turns: (n,) phase of a cosine in cycles, unwrapped.
     """
 
     number: int
@@ -64,33 +56,31 @@ class PartialTrack:
     turns: FloatArray
 
     def turns_at(self, time_s: FloatArray) -> FloatArray:
-        """Return the phase in cycles at some times within the track."""
+        """Return the phase in cycles. time_s: times within the track."""
         place = np.clip(np.searchsorted(self.time_s, time_s, "right") - 1, 0, self.hz.size - 2)
         length = np.diff(self.time_s)[place]
         since = time_s - self.time_s[place]
         slope = np.diff(self.hz)[place] / length
-        # What the straight line of frequency misses is spread over the time between two points.
+        # Linear frequency does not reproduce the phase exactly; the difference is spread over the
+        # interval.
         missed = np.diff(self.turns)[place] - length * (self.hz[place] + 0.5 * slope * length)
         turns: FloatArray = self.turns[place] + since * (
             self.hz[place] + 0.5 * slope * since + missed / length
         )
         return turns
 
-    def on_device(self, band_hz: tuple[float, float] | None) -> PartialTrack:
-        """Return the track with the frequencies that a device plays, continuous in phase."""
+    def on_device(self, band_hz: Band | None) -> PartialTrack:
+        """Return the track with its frequencies mapped to a device's band; see `to_device_hz`."""
         if band_hz is None:
             return self
         hz = to_device_hz(self.hz, band_hz)
         turned = np.cumsum(np.diff(self.time_s) * (hz[1:] + hz[:-1]) / 2)
         turns = self.turns[0] + np.concatenate(([0.0], turned))
-        return PartialTrack(self.number, self.onset, self.time_s, hz, self.amplitude, turns)
+        return replace(self, hz=hz, turns=turns)
 
 
 class TrackReader:
-    """Joins the glides of one channel to tracks, block by block. Use from one thread.
-
-    design: of the transform. gain: factor on all amplitudes.
-    """
+    """Makes tracks of successive glides of a channel. For one thread. gain: amplitude factor."""
 
     def __init__(self, design: LiveDesign, gain: float) -> None:
         self._design = design
@@ -99,7 +89,7 @@ class TrackReader:
         self._count = 0
 
     def add(self, rows: FloatArray, frame: int) -> Iterator[PartialTrack]:
-        """Yield the tracks that end before this frame; all rows that begin before it are there."""
+        """Add glides, at least all that start before `frame`; yield the tracks that have ended."""
         rows = rows[np.lexsort((rows[:, SLOT], rows[:, FRAME]))]
         rises = rising(self._design, rows)
         for row, rise in zip(rows.tolist(), rises.tolist(), strict=True):
@@ -108,7 +98,8 @@ class TrackReader:
             if mine:
                 last = mine[-1][0]
                 joined = last[FRAME] + last[FRAMES] == row[FRAME] and row[START_LEVEL] > 0.0
-                if not joined or len(mine) >= ROWS_MAX:
+                lasts_s = (row[FRAME] - mine[0][0][FRAME]) / self._design.samplerate
+                if not joined or lasts_s >= LONGEST_TRACK_S:
                     yield from self._end(slot)
             self._open.setdefault(slot, []).append((row, rise))
         for slot, mine in list(self._open.items()):
@@ -117,12 +108,12 @@ class TrackReader:
                 yield from self._end(slot)
 
     def rest(self) -> Iterator[PartialTrack]:
-        """Yield the tracks that last to the end."""
+        """Yield the tracks that have not ended."""
         for slot in list(self._open):
             yield from self._end(slot)
 
     def _end(self, slot: int) -> Iterator[PartialTrack]:
-        """Yield the track of a slot as the low-pass leaves it; none if it is silent."""
+        """Yield the track of a slot, filtered by the low-pass; yield nothing if it is silent."""
         mine, design = self._open.pop(slot), self._design
         rows = np.array([row for row, _ in mine])
         glides, glide_hz = analytic(design, rows, np.array([rise for _, rise in mine]))
@@ -137,7 +128,7 @@ class TrackReader:
         part = slice(int(audible[0]), int(audible[-1]) + 1)
         turns = np.unwrap(np.angle(signal[part])) / (2.0 * np.pi)
         known_hz = np.concatenate((glide_hz.ravel(), np.full(ring.size, glide_hz[-1, -1])))[part]
-        # Where the low-pass begins and rings, the phase may turn at any rate.
+        # While the low-pass starts and rings, the phase can change at any rate, so clip the rate.
         hz = np.clip(np.gradient(turns) * low_rate_hz, 0.8 * known_hz, 1.25 * known_hz)
         start_s = aligned_s(design, rows[0, FRAME])
         times = start_s + np.arange(part.start, part.stop) / low_rate_hz
@@ -146,14 +137,9 @@ class TrackReader:
             (np.full(hz.size, LEVEL_TOLERANCE * loudest),
              HZ_TOLERANCE * np.sqrt(loudest / amplitude))
         )  # fmt: skip
-        kept = simplify(
-            times,
-            np.column_stack((amplitude, hz)),
-            tolerance,
-            max(1, round(POINT_S * low_rate_hz)),
-            round(LONGEST_S * low_rate_hz),
-        )
-        onset = slot >= first_fresh_slot(design)
+        spacing, longest = max(1, round(POINT_S * low_rate_hz)), round(LONGEST_S * low_rate_hz)
+        kept = simplify(times, np.column_stack((amplitude, hz)), tolerance, spacing, longest)
+        onset = slot >= first_onset_slot(design)
         columns = (values[kept] for values in (times, hz, amplitude, turns))
         yield PartialTrack(self._count, onset, *columns)
         self._count += 1

@@ -1,46 +1,40 @@
 """Vibration XML of Android 16: an envelope of up to 16 points, or a waveform of steps.
 
-An envelope effect has amplitude and frequency, and its portable limits are 16 points of 20 ms to 1
-s, the last one at 0. It is written where it follows the vibration. Otherwise a waveform effect
-holds the amplitude, 0 to 255, in steps of 10 ms or more; its frequency is the motor's.
+Each point of an envelope effect has an amplitude and a frequency. All devices accept up to 16
+points, 20 ms to 1 s apart, with amplitude 0 at the end. If 16 points are too inaccurate, a waveform
+effect is written. This is a sequence of amplitudes, 0 to 255, that last 10 ms or more each. The
+device then vibrates at the frequency of its motor.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from audioflinger_hook.exports.band import band_text, to_device_hz
 from audioflinger_hook.exports.envelope import Envelope, Limits, envelope_error, envelope_of
 from audioflinger_hook.exports.glides import VibrationCurve
-from audioflinger_hook.exports.parametric import Composed, Job
+from audioflinger_hook.exports.options import Band, band_text, to_device_hz
+from audioflinger_hook.exports.parametric import Composed, Content
 from device.errors import UsageError
 
 POINTS_MAX, POINT_MIN_MS, POINT_MAX_MS = 16, 20, 1_000
 AMPLITUDE_MAX = 255
-STEP_MS = 10
-"""Shortest step of a waveform."""
-
-STEPS_MAX = 20_000
-"""Most steps of a waveform: the system takes an effect in one transaction of 1 MB."""
-
-SILENT_MS = 200
-"""Shorter rests keep amplitude 1: a motor that is switched off and on clicks."""
-
+STEP_MS = 10  # shortest step of a waveform
+STEPS_MAX = 20_000  # largest number of steps of a waveform
+SILENT_MS = 200  # pauses shorter than this get amplitude 1 of 255, so that the motor does not stop
 TOLERANCES = (0.012, 0.025, 0.05)
-FOLLOWS_DB = -20.0
-"""Largest error of an envelope effect; beyond it a waveform is written."""
+FOLLOWS_DB = -20.0  # an envelope effect with a larger `envelope_error_db` becomes a waveform
 
 LIMITS = Limits(spacing_s=1e-3 * POINT_MIN_MS, longest_s=0.9, transients=False)
 STEP_TOLERANCE = 0.02
 
 
-def compose(curve: VibrationCurve, duration_s: float, job: Job) -> tuple[bytes, Composed]:
-    """Return the content of a vibration file, and its errors."""
+def compose(curve: VibrationCurve, duration_s: float, band_hz: Band | None) -> Content:
+    """Return the content of a vibration file, with its measured errors and warnings."""
     length_s = max(1e-3 * POINT_MIN_MS, duration_s)
-    band_hz = job.options.device_band_hz
     for tolerance in TOLERANCES:
         envelope = envelope_of(curve, length_s, replace(LIMITS, tolerance=tolerance))
         points = _points(envelope)
@@ -48,16 +42,15 @@ def compose(curve: VibrationCurve, duration_s: float, job: Job) -> tuple[bytes, 
             continue
         ends_s = 1e-3 * np.cumsum([0, *(duration for duration, _, _ in points)])
         levels = np.array([0.0, *(level for _, level, _ in points)])
-        error = envelope_error(curve, ends_s, levels)
+        error = envelope_error(curve, np.interp(curve.times_s, ends_s, levels))
         if error.get("envelope_error_db", -120.0) <= FOLLOWS_DB:
-            return _envelope_effect(points, envelope, band_hz), Composed(
-                {**error, "points": float(len(points))}
-            )
+            composed = Composed({**error, "points": float(len(points))})
+            return _envelope_effect(points, envelope, band_hz), composed
     return _waveform_effect(curve, length_s, band_hz)
 
 
 def _points(envelope: Envelope) -> list[tuple[int, float, float]]:
-    """Return control points: duration in ms, amplitude, Hz of vibration; the last is at 0."""
+    """Return points: ms since the previous point, amplitude, Hz. The last amplitude is 0."""
     reach = POINT_MIN_MS // 2
     last_ms = max(POINT_MIN_MS, round(1e3 * float(envelope.time_s[-1])))
     points: list[tuple[int, float, float]] = []
@@ -65,7 +58,7 @@ def _points(envelope: Envelope) -> list[tuple[int, float, float]]:
     rows = list(zip(envelope.time_s.tolist(), envelope.level, envelope.hz, strict=True))
     for place, (time_s, level, hz) in enumerate(rows):
         at_ms = round(1e3 * time_s)
-        # A step becomes a ramp around it.
+        # A jump of the envelope becomes a ramp centred on the jump.
         if place + 1 < len(rows) and rows[place + 1][0] == time_s:
             at_ms -= reach
         elif place and rows[place - 1][0] == time_s:
@@ -91,9 +84,7 @@ def _points(envelope: Envelope) -> list[tuple[int, float, float]]:
 
 
 def _envelope_effect(
-    points: list[tuple[int, float, float]],
-    envelope: Envelope,
-    band_hz: tuple[float, float] | None,
+    points: list[tuple[int, float, float]], envelope: Envelope, band_hz: Band | None
 ) -> bytes:
     hz = to_device_hz(np.array([envelope.hz[0], *(one[2] for one in points)]), band_hz)
     lines = [
@@ -105,9 +96,7 @@ def _envelope_effect(
     return _document([head, *lines, "  </waveform-envelope-effect>"], band_text(band_hz))
 
 
-def _waveform_effect(
-    curve: VibrationCurve, duration_s: float, band_hz: tuple[float, float] | None
-) -> tuple[bytes, Composed]:
+def _waveform_effect(curve: VibrationCurve, duration_s: float, band_hz: Band | None) -> Content:
     steps = _steps(curve, duration_s)
     if len(steps) > STEPS_MAX:
         raise UsageError(
@@ -122,19 +111,18 @@ def _waveform_effect(
     ends_s = 1e-3 * np.cumsum([0, *(duration for duration, _ in steps)])
     levels = np.array([amplitude for _, amplitude in steps]) / AMPLITUDE_MAX
     times, values = np.repeat(ends_s, 2)[1:-1], np.repeat(levels, 2)
-    error = envelope_error(curve, times, values)
+    error = envelope_error(curve, np.interp(curve.times_s, times, values))
     warning = (
         "the vibration needs more than 16 points, so the file holds amplitudes without "
         "frequencies; the phone's motor vibrates at its own"
     )
     body = ["  <waveform-effect>", *lines, "  </waveform-effect>"]
-    return _document(body, "amplitude 255 is full scale"), Composed(
-        {**error, "steps": float(len(steps))}, (warning,)
-    )
+    composed = Composed({**error, "steps": float(len(steps))}, (warning,))
+    return _document(body, "amplitude 255 is full scale"), composed
 
 
 def _steps(curve: VibrationCurve, duration_s: float) -> list[tuple[int, int]]:
-    """Return steps: duration in ms and amplitude 0 to 255. A step begins at every onset."""
+    """Return steps of duration in ms and amplitude, 0 to 255. A step begins at every onset."""
     last_ms = round(1e3 * duration_s)
     onsets = sorted({round(1e3 * one.time_s) for one in curve.onsets} & set(range(1, last_ms)))
     edges: list[int] = []
@@ -143,7 +131,7 @@ def _steps(curve: VibrationCurve, duration_s: float) -> list[tuple[int, int]]:
         edges += [first + (end - first) * cell // cells for cell in range(cells)]
     edges.append(last_ms)
     power = np.concatenate(([0.0], np.cumsum(curve.amplitude.astype(np.float64) ** 2)))
-    # The mean power of each step, between samples as well.
+    # Compute the mean power of each step. The running sum is interpolated between samples.
     place = np.clip((1e-3 * np.array(edges) - curve.start_s) * curve.rate_hz + 0.5, 0, None)
     total = np.interp(place, np.arange(power.size), power)
     spans = np.maximum(np.diff(place), 1e-9)
@@ -154,24 +142,19 @@ def _steps(curve: VibrationCurve, duration_s: float) -> list[tuple[int, int]]:
 
 
 def _without_short_rests(durations: Any, amplitude: Any) -> Any:
-    """Return the amplitudes with 1 in place of 0 in rests that are short or inside a sound."""
+    """Return the amplitudes, with 1 instead of 0 in pauses shorter than SILENT_MS."""
     filled = amplitude.copy()
-    first = 0
-    while first < len(filled):
-        end = first
-        while end < len(filled) and amplitude[end] == 0:
-            end += 1
-        inside = first > 0 and end < len(filled)
-        if end > first and inside and int(durations[first:end].sum()) < SILENT_MS:
+    edges = np.flatnonzero(np.diff(amplitude == 0)) + 1
+    for first, end in pairwise(edges.tolist()):
+        if amplitude[first] == 0 and int(durations[first:end].sum()) < SILENT_MS:
             filled[first:end] = 1
-        first = max(end, first + 1)
     return filled
 
 
 def _merged(
     amplitude: Any, durations: Any, begins: set[int], edges: list[int]
 ) -> list[tuple[int, int]]:
-    """Join steps of nearly equal amplitude, never across an onset or the edge of a rest."""
+    """Join steps of nearly equal amplitude, except at onsets and at both ends of a pause."""
     allowed = max(1.0, STEP_TOLERANCE * float(amplitude.max(initial=0)))
     steps: list[tuple[int, int]] = []
     low = high = 0

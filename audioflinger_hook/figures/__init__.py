@@ -1,1 +1,1 @@
-"""Pictures of what was played and felt. They need matplotlib, so import `figures.report` late."""
+"""Pictures of sound and vibration. Importing `figures.report` is slow: it loads matplotlib."""

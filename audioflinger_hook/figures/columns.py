@@ -1,9 +1,4 @@
-"""Signals reduced to what a picture can show: a few numbers for each of its pixel columns.
-
-Conventions: a signal is one-dimensional, full scale is 1, and `columns` cut its frames into that
-many stretches of equal length. The cost of a spectrum depends on the columns, not on the signal's
-length, so ten minutes are drawn nearly as fast as ten seconds.
-"""
+"""Reduction of one-dimensional signals (full scale 1) to a few values per column of a picture."""
 
 from __future__ import annotations
 
@@ -11,32 +6,22 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import next_fast_len, rfft
 
-# Amplitudes below this are shown as this: 20 log10 of it is -200 dB, under any colour scale.
-AMPLITUDE_FLOOR = 1e-10
-
-# A column longer than its window shows the mean of a few windows, not of all that would fit.
-MAX_WINDOWS_PER_COLUMN = 4
-
-# Blocks for the short-time RMS, each column's share of the signal cut this fine.
-_BLOCKS_PER_COLUMN = 8
-
-# Windows transformed at once: bounds the memory (some 10 MB) whatever the samplerate.
-_WINDOWS_PER_BATCH = 128
+AMPLITUDE_FLOOR = 1e-10  # -200 dB, below all colour scales
+_BLOCKS_PER_COLUMN = 8  # resolution of the short-time RMS
+_WINDOWS_PER_BATCH = 128  # windows in one FFT call, to limit the memory
 
 
 def column_times_s(duration_s: float, columns: int) -> NDArray[np.float64]:
-    """The time of each column's centre in seconds, shape (columns,)."""
+    """Return the time of each column's centre in seconds, shape (columns,)."""
     return (np.arange(columns, dtype=np.float64) + 0.5) * (duration_s / columns)
 
 
 def envelope(
     signal: NDArray[np.floating], columns: int
 ) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-    """(lowest, highest) sample of each column, each of shape (columns,).
-
-    Each column also sees the first sample of the next one, so that a drawn outline has no gaps.
-    """
-    edges = _edges(signal.size, columns)
+    """Return minimum and maximum of each column, including the next column's first sample."""
+    # Integer arithmetic makes the last edge equal to the signal's end.
+    edges = np.arange(columns + 1, dtype=np.int64) * signal.size // columns
     lowest = np.minimum.reduceat(signal, edges[:-1])
     highest = np.maximum.reduceat(signal, edges[:-1])
     following = signal[np.minimum(edges[1:], signal.size - 1)]
@@ -46,9 +31,9 @@ def envelope(
 def short_time_rms(
     signal: NDArray[np.floating], samplerate: int, columns: int, window_s: float
 ) -> NDArray[np.float64]:
-    """The RMS of `window_s` seconds (or of one column, if that is longer) around each column.
+    """Return the RMS around the centre of each column, shape (columns,).
 
-    Shape (columns,). At the signal's ends the mean is over the part of the window that exists.
+    The window lasts `window_s` s or one column (the longer one), and less at the signal's ends.
     """
     block = max(1, signal.size // (columns * _BLOCKS_PER_COLUMN))
     whole = signal.size - signal.size % block
@@ -60,7 +45,7 @@ def short_time_rms(
     half_frames = 0.5 * max(window_s * samplerate, column_frames, block)
     first = np.clip(np.floor((centre - half_frames) / block), 0, power.size - 1).astype(np.int64)
     last = np.clip(np.ceil((centre + half_frames) / block), first + 1, power.size).astype(np.int64)
-    # The difference of two running sums can come out a rounding below zero in silence.
+    # In silence, rounding errors can make the difference of two running sums negative.
     mean_square = np.maximum(energy[last] - energy[first], 0.0) / ((last - first) * block)
     return np.asarray(np.sqrt(mean_square), dtype=np.float64)
 
@@ -73,24 +58,20 @@ def spectrogram_db(
     columns: int,
     rows_hz: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Short-time amplitude in dB (a sine of amplitude 1 is 0 dB), shape (rows, columns).
+    """Return short-time amplitudes in dB relative to a sine of amplitude 1, (rows, columns).
 
-    Hamming windows of `window_s` seconds stand at the columns' centres, with zeros beyond the
-    signal's ends. Row `i` shows the frequency `rows_hz[i]` (ascending): the largest bin nearer to
-    it than to the other rows, or, where rows are finer than bins, the interpolation between bins.
-    Rows above half the samplerate are at the floor of -200 dB.
+    Hamming windows of `window_s` seconds are centred on the columns. `rows_hz` is ascending. Each
+    row shows the larger of two amplitudes: the one interpolated at its frequency, and the largest
+    of the FFT bins nearest to this frequency. Rows above the Nyquist frequency have -200 dB.
     """
     window_frames = max(4, round(window_s * samplerate))
     transform_frames = next_fast_len(2 * window_frames, real=True)
     window = np.hamming(window_frames + 1)[:-1]
     scale = 2.0 / window.sum()
 
-    column_s = signal.size / samplerate / columns
-    per_column = int(np.clip(np.ceil(2.0 * column_s / window_s), 1, MAX_WINDOWS_PER_COLUMN))
-    # With half a window of zeros before it, a window that starts at a frame has its centre there.
+    # With half a window of zeros in front, the window at index i is centred on frame i.
     padded = np.pad(signal, (window_frames // 2, window_frames))
-    centre = (np.arange(columns * per_column) + 0.5) * (signal.size / (columns * per_column))
-    starts = centre.astype(np.int64)
+    starts = ((np.arange(columns) + 0.5) * (signal.size / columns)).astype(np.int64)
     windows = np.lib.stride_tricks.sliding_window_view(padded, window_frames)
 
     rows = _RowsOfBins(rows_hz, samplerate / transform_frames, transform_frames // 2 + 1)
@@ -99,13 +80,12 @@ def spectrogram_db(
         batch = starts[first : first + _WINDOWS_PER_BATCH]
         spectrum = rfft(windows[batch] * window, transform_frames, axis=1)
         power[:, first : first + batch.size] = rows.pick(np.abs(spectrum.T) * scale) ** 2
-    power = power.reshape(rows_hz.size, columns, per_column).mean(axis=2)
     power[rows_hz > samplerate / 2.0] = 0.0
     return np.asarray(10.0 * np.log10(np.maximum(power, AMPLITUDE_FLOOR**2)), dtype=np.float64)
 
 
 class _RowsOfBins:
-    """Which of a spectrum's bins each row of a picture shows."""
+    """Assignment of FFT bins to the rows of a picture."""
 
     def __init__(self, rows_hz: NDArray[np.float64], bin_hz: float, bins: int) -> None:
         position = np.clip(rows_hz / bin_hz, 0.0, bins - 1.0)
@@ -115,23 +95,14 @@ class _RowsOfBins:
         first = np.ceil(np.concatenate([position[:1], middle])).astype(np.int64)
         last = np.ceil(np.concatenate([middle, position[-1:]])).astype(np.int64)
         self._coarse = np.flatnonzero(last > first)
-        # reduceat takes (first, last) pairs; every second result is the gap between two rows.
+        # In `pick`, reduceat also reduces the bins between two pairs; these results are skipped.
         self._pairs = np.stack([first, np.minimum(last, bins - 1)], axis=1)[self._coarse].ravel()
 
     def pick(self, amplitude: NDArray[np.floating]) -> NDArray[np.floating]:
-        """`amplitude` (bins, windows) as (rows, windows)."""
+        """Return the amplitudes of rows, (rows, windows), from those of bins, (bins, windows)."""
         below, above = amplitude[self._below], amplitude[self._below + 1]
         picked = below + (above - below) * self._fraction
         if self._coarse.size:
             largest = np.maximum.reduceat(amplitude, self._pairs, axis=0)[::2]
             picked[self._coarse] = np.maximum(picked[self._coarse], largest)
         return np.asarray(picked)
-
-
-def _edges(frames: int, columns: int) -> NDArray[np.int64]:
-    """The frame where each column starts and, last, the number of frames, shape (columns + 1,).
-
-    With fewer frames than columns some columns start at the same frame.
-    """
-    # In whole numbers, so that the last edge is exactly the end.
-    return np.arange(columns + 1, dtype=np.int64) * frames // columns

@@ -1,8 +1,4 @@
-"""The colours of all figures, and PNG files of only these colours.
-
-One look: what is heard is slate blue, what is felt is the accent, words are dark grey, and what
-only helps to read is light grey. Levels have a colour map of their own in the blue of the heard.
-"""
+"""Colours of all figures, and PNG files that contain only these colours."""
 
 from __future__ import annotations
 
@@ -23,44 +19,38 @@ HEARD_LIGHT = "#a9c0d3"
 FELT = "#e4572e"
 FELT_LIGHT = "#f4ae98"
 
-# Thirteen equal steps of CIELAB lightness from 98 to 18, hue 232 to 275 degrees: equal steps of
-# level look equally large, in grey too, and the accent stands out from all of them.
+# The CIELAB lightness decreases from 98 to 18 in equal steps, at hues of 225 to 274 degrees. Equal
+# steps of level therefore look equally large, in colour and in grey.
 LEVEL_COLOURS = (
     "#f7fafb", "#d7e9f2", "#b9d8e9", "#9dc7df", "#83b5d3", "#6ba3c7", "#5692b9",
     "#4580aa", "#366e99", "#2c5d86", "#254c72", "#1f3c5c", "#1a2d46",
 )  # fmt: skip
 
-# What is drawn over what, and in how many steps an edge between the two is smoothed.
+# (colour of the foreground, colour of the background, number of antialiasing steps between them)
 _BLENDS = (
     (INK, WHITE, 16), (GREY, WHITE, 16), (HAIRLINE, WHITE, 4), (HEARD, WHITE, 10),
     (HEARD_LIGHT, WHITE, 6), (HEARD, HEARD_LIGHT, 4), (FELT, WHITE, 14), (FELT_LIGHT, WHITE, 6),
     (INK, FELT_LIGHT, 8),
 )  # fmt: skip
-_LEVELS = 110
-_LEVELS_UNDER_FELT = 10
-_STEPS_ON_LEVELS = 6
+_LEVELS, _LEVELS_UNDER_FELT, _STEPS_ON_LEVELS = 110, 10, 6
 
 
 def level_map() -> LinearSegmentedColormap:
-    """The colour map of levels, from nearly white (weak) to dark blue (strong)."""
+    """Return the colour map of levels, from nearly white (low) to dark blue (high)."""
     return LinearSegmentedColormap.from_list("level", LEVEL_COLOURS)
 
 
 def indexed_png(rgba: NDArray[np.uint8], dots_per_inch: int, description: str = "") -> bytes:
-    """A PNG of the opaque picture `rgba` (height, width, 4) in 256 colours, as bytes.
+    """Return an opaque picture `rgba` (height, width, 4) as a PNG with one byte per pixel.
 
-    `description`, if any, is its text chunk of that name.
-
-    The colours are those of this module and their blends; anything else becomes the nearest of
-    them. A spectrogram is noise to a PNG: one byte a pixel makes the file a third as large.
+    Each pixel gets the nearest of 256 colours.
+    description: text for the PNG's "Description" chunk.
     """
-    colours = _indexed_colours()
     palette = Image.new("P", (1, 1))
-    palette.putpalette(colours.tobytes())
+    palette.putpalette(_indexed_colours().tobytes())
     picture = Image.fromarray(rgba[:, :, :3])
     indexed = picture.quantize(palette=palette, dither=Image.Dither.NONE)
-    content = io.BytesIO()
-    texts = PngInfo()
+    content, texts = io.BytesIO(), PngInfo()
     if description:
         texts.add_text("Description", description)
     dpi = (dots_per_inch, dots_per_inch)
@@ -69,19 +59,17 @@ def indexed_png(rgba: NDArray[np.uint8], dots_per_inch: int, description: str = 
 
 
 def _indexed_colours() -> NDArray[np.uint8]:
-    """The 256 colours of an indexed picture, shape (256, 3)."""
-    levels = [np.array(colour[:3]) for colour in level_map()(np.linspace(0.0, 1.0, _LEVELS))]
-    colours = [np.array(to_rgb(WHITE)), *levels]
+    colours = [np.array(to_rgb(WHITE)), *level_map()(np.linspace(0.0, 1.0, _LEVELS))[:, :3]]
     for over, under, steps in _BLENDS:
         colours += _blend(over, np.array(to_rgb(under)), steps)
     for level in level_map()(np.linspace(0.0, 0.95, _LEVELS_UNDER_FELT)):
-        colours += _blend(FELT, np.array(level[:3]), _STEPS_ON_LEVELS)
-    # Pillow wants all 256; the rest repeats the last.
+        colours += _blend(FELT, level[:3], _STEPS_ON_LEVELS)
+    # Pillow requires 256 colours. The last colour fills the rest.
     colours += [colours[-1]] * (256 - len(colours))
     return np.round(255.0 * np.array(colours)).astype(np.uint8)
 
 
 def _blend(over: str, under: NDArray[np.float64], steps: int) -> list[NDArray[np.float64]]:
-    """`over` at 1/steps to steps/steps of opacity on `under`."""
+    """Return `steps` blends of colour `over` on colour `under`, of opacities 1/steps to 1."""
     top = np.array(to_rgb(over))
     return [under + (top - under) * (step / steps) for step in range(1, steps + 1)]

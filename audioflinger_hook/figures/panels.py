@@ -1,7 +1,4 @@
-"""The parts of the report's panels, each drawn into an Axes that is given.
-
-Sizes are in points (pt, 1/72 inch), times in seconds; nothing is computed here but places.
-"""
+"""Functions that draw parts of the report into a matplotlib Axes. Sizes are in points (pt)."""
 
 from __future__ import annotations
 
@@ -26,17 +23,14 @@ TICK_PT = 9.0
 
 MAX_EVENT_LANES = 3
 
-# Dots closer than a cell of this grid would hide one another: only the strongest is drawn.
-DOT_GRID = (460, 150)
-LARGEST_DOT_PT = 5.0  # the diameter at strength 1
+DOT_GRID = (460, 150)  # columns and rows; only the strongest dot in each cell is drawn
+LARGEST_DOT_PT = 5.0  # diameter at strength 1
 
 
 def style_axes(axes: Axes) -> None:
-    """Gives `axes` the frame that all panels share: quiet spines and ticks."""
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
-    for side in ("left", "bottom"):
-        axes.spines[side].set_color(HAIRLINE)
+    """Set the style of spines and ticks that all panels share."""
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.spines[["left", "bottom"]].set_color(HAIRLINE)
     axes.tick_params(
         which="both", color=HAIRLINE, labelcolor=GREY, labelsize=TICK_PT, labelfontfamily=FONT,
         length=3.5, width=0.8,
@@ -45,7 +39,7 @@ def style_axes(axes: Axes) -> None:
 
 
 def draw_heading(axes: Axes, name: str, explanation: str, right: str = "") -> None:
-    """Writes `name` and a grey `explanation` above the panel, and `right` at its right end."""
+    """Write `name` and a grey `explanation` above the panel, and `right` above its right end."""
     title = axes.annotate(
         name, (0.0, 1.0), (0.0, 7.0), xycoords="axes fraction", textcoords="offset points",
         fontsize=HEADING_PT, fontfamily=FONT, fontweight="bold", color=INK, va="baseline",
@@ -62,41 +56,30 @@ def draw_heading(axes: Axes, name: str, explanation: str, right: str = "") -> No
 
 
 def label_time_axis(axes: Axes, duration_s: float) -> None:
-    """Ticks and a label in seconds, or in minutes and seconds from three minutes on."""
+    """Set limits, ticks and label of the time axis in seconds."""
     axes.set_xlim(0.0, duration_s)
-    if duration_s < 180.0:
-        axes.xaxis.set_major_locator(MaxNLocator(nbins=16, steps=[1, 2, 2.5, 5, 10]))
-        axes.set_xlabel("time (s)", fontsize=LABEL_PT, fontfamily=FONT, color=INK)
-        return
-    step_s = next(
-        (step for step in (30, 60, 120, 300, 600, 1200) if duration_s / step <= 16.0),
-        3600.0 * np.ceil(duration_s / 3600.0 / 16.0),
-    )
-    axes.xaxis.set_major_locator(FixedLocator(list(np.arange(0.0, duration_s + 1e-9, step_s))))
-    axes.xaxis.set_major_formatter(
-        FuncFormatter(lambda at_s, _: f"{int(at_s) // 60}:{int(at_s) % 60:02d}")
-    )
-    axes.set_xlabel("time (min:s)", fontsize=LABEL_PT, fontfamily=FONT, color=INK)
+    axes.xaxis.set_major_locator(MaxNLocator(nbins=16, steps=[1, 2, 2.5, 5, 10]))
+    axes.set_xlabel("time (s)", fontsize=LABEL_PT, fontfamily=FONT, color=INK)
 
 
 def label_values(axes: Axes, label: str) -> None:
-    """Names the vertical axis; `label` holds the unit."""
+    """Label the vertical axis; `label` contains the unit."""
     axes.set_ylabel(label, fontsize=LABEL_PT, fontfamily=FONT, color=INK)
 
 
 def place_events(
     events: Sequence[Event], duration_s: float, width_pt: float
 ) -> list[tuple[int, float, Event]]:
-    """(lane, time of the label's left end in s, event) for each event that finds a free lane.
+    """Return (lane, time of the label's left end in s, event) for each event that has room.
 
-    The axis is `width_pt` points wide. A label longer than its bar takes that room too, so no two
-    labels meet. With all three lanes taken an event is left out. Bars are cut to the time axis.
+    A lane is one of three rows for labelled bars. On an axis of `width_pt` points, labels do not
+    overlap. An event is omitted if all lanes are occupied. Bars are clipped to the time axis.
     """
     lanes_end_s = [-np.inf] * MAX_EVENT_LANES
     placed = []
     for start_s, end_s, label in sorted(events):
         start_s, end_s = max(start_s, 0.0), min(end_s, duration_s)
-        # 0.62 em is a generous mean width of a letter, and two letters are the gap to the next.
+        # The assumed mean width of a letter is 0.62 em. The gap between labels is two letters.
         label_s = 0.62 * LABEL_PT * (len(label) + 2) / width_pt * duration_s
         text_s = max(0.0, min(start_s, duration_s - label_s))
         free = [lane for lane, taken_s in enumerate(lanes_end_s) if taken_s <= text_s]
@@ -107,7 +90,7 @@ def place_events(
 
 
 def draw_events(axes: Axes, placed: Sequence[tuple[int, float, Event]], lanes: int) -> None:
-    """Draws what `place_events` gives as bars under their labels; the first lane is the lowest."""
+    """Draw events from `place_events` as bars with labels above; lane 0 is the lowest."""
     axes.set_axis_off()
     axes.set_ylim(0.0, lanes)
     for lane, text_s, (start_s, end_s, label) in placed:
@@ -129,10 +112,7 @@ def draw_waveform(
     *,
     at_least: float,
 ) -> None:
-    """Fills between `lowest` and `highest` of each column, on an axis symmetrical about zero.
-
-    The axis reaches at least to `at_least`, so that silence is a line and not a magnified nothing.
-    """
+    """Fill the area between `lowest` and `highest` on a symmetric axis of at least +-`at_least`."""
     axes.axhline(0.0, color=HAIRLINE, linewidth=0.8, zorder=0.5)
     axes.fill_between(times_s, lowest, highest, color=colour, linewidth=0.6)
     limit = max(at_least, 1.06 * float(np.max(np.abs([lowest, highest]))))
@@ -142,21 +122,16 @@ def draw_waveform(
 
 
 def draw_spectrogram(
-    axes: Axes,
-    level_db: NDArray[np.float64],
-    duration_s: float,
-    *,
-    range_db: float,
+    axes: Axes, level_db: NDArray[np.float64], duration_s: float, *, range_db: float
 ) -> AxesImage:
-    """Draws `level_db` (rows, columns) and returns the image, for its colour bar.
+    """Draw `level_db` (rows, columns) and return the image for a colour bar.
 
-    The rows fill the panel from bottom to top at even distances, so they must be spaced as the
-    axis is scaled; set its limits before. The colours span `range_db` below the loudest place,
-    rounded up to 5 dB.
+    Rows have equal heights, so their frequencies must be equally spaced on the axis. The
+    colours end at the highest level, rounded up to a multiple of 5 dB, and span `range_db`.
     """
     loudest_db = float(np.max(level_db))
     top_db = 5.0 * np.ceil(loudest_db / 5.0) if loudest_db > -150.0 else 0.0
-    # Placed by the height of the panel: on a logarithmic axis matplotlib would bend the rows.
+    # In data coordinates a logarithmic axis would distort the image, so use axes coordinates.
     return axes.imshow(
         level_db.astype(np.float32),
         cmap=level_map(),
@@ -172,7 +147,7 @@ def draw_spectrogram(
 
 
 def use_audio_frequency_axis(axes: Axes, limits_hz: tuple[float, float]) -> None:
-    """Makes the vertical axis logarithmic in Hz, with ticks at 1, 2 and 5 of each decade."""
+    """Make the vertical axis logarithmic in Hz, with ticks at 1, 2 and 5 of each decade."""
     axes.set_yscale("log")
     axes.set_ylim(*limits_hz)
     decades = [1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0]
@@ -190,17 +165,14 @@ def draw_principals(
     frequencies_hz: NDArray[np.float64],
     strengths: NDArray[np.float64],
 ) -> None:
-    """Marks principal frequencies as dots whose area grows with strength (0 to 1).
-
-    Of dots that would hide one another only the strongest is drawn.
-    """
+    """Draw principal frequencies as dots, whose area grows with the strength (0 to 1)."""
     order = np.argsort(-strengths, kind="stable")
     places = axes.transData.transform(np.column_stack([times_s, frequencies_hz])[order])
     cells = np.floor(axes.transAxes.inverted().transform(places) * DOT_GRID)
     _, strongest = np.unique(cells, axis=0, return_index=True)
     chosen = order[strongest]
     strength = np.clip(strengths[chosen], 0.0, 1.0)
-    # Floors of area and opacity: the weakest principal frequency is one all the same.
+    # The area and the opacity are never 0, so that weak principal frequencies are visible.
     colours = np.tile(to_rgba(FELT), (strength.size, 1))
     colours[:, 3] = 0.5 + 0.5 * np.sqrt(strength)
     area = LARGEST_DOT_PT**2 * (0.04 + 0.96 * strength)

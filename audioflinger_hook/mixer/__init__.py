@@ -1,17 +1,10 @@
-"""The mixer: tracks of any format and rate, one mix, effect chains, sinks.
+"""The mixer: adds tracks of different sample formats and samplerates to one mix.
 
-`Mixer` makes tracks and steps; `dump` shows it as text.
-
-    pcm, track                     the formats and tracks that a client writes to
-    layouts, kaiser, resampler     steps from a track into the mix
-    track_mixer                    one track on the mixer's side, with its volume
-    session, mixer                 the cycle
-    mix_buffer, effects_port       the buffer, the sinks and effects that it passes
+client -> track (pcm) -> track_mixer (layouts, resampler) -> mixer -> effects, sinks (mix_buffer)
 """
 
 from audioflinger_hook.mixer.dump import dump
-from audioflinger_hook.mixer.effects_port import EffectsPort, NoEffects
-from audioflinger_hook.mixer.mix_buffer import Sink
+from audioflinger_hook.mixer.mix_buffer import EffectsPort, Sink
 from audioflinger_hook.mixer.mixer import CycleReport, Mixer, MixerState
 from audioflinger_hook.mixer.pcm import PcmFormat
 from audioflinger_hook.mixer.track import Track, TrackState
@@ -21,7 +14,6 @@ __all__ = [
     "EffectsPort",
     "Mixer",
     "MixerState",
-    "NoEffects",
     "PcmFormat",
     "Sink",
     "Track",

@@ -1,30 +1,19 @@
-"""The mixer as text, in the manner of `dumpsys media.audio_flinger`."""
+"""State of the mixer as text, similar to `dumpsys media.audio_flinger`."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from statistics import mean, median_high
 
 from audioflinger_hook.mixer.mixer import Mixer, MixerState
 from audioflinger_hook.mixer.track import Track
 from audioflinger_hook.mixer.track_mixer import decibels, gains_of
 
-_COLUMNS = (
-    "Id", "Active", "Name", "Session", "S", "Format", "Chn", "SRate", "L dB", "R dB", "FrmCnt",
-    "FrmRdy", "StartThr", "Undr", "UndrFrm", "Disabled",
-)  # fmt: skip
-
 
 def dump(mixer: Mixer, cycle_times_s: Sequence[float] = ()) -> str:
-    """Return the thread, its tracks and effect chains as lines of text.
+    """Return the state of `mixer` as text.
 
-    Any thread may call it; the values may then belong to two neighbouring cycles.
-
-    Parameters
-    ----------
-    mixer : Mixer
-        The mixer to describe.
-    cycle_times_s : sequence of float
-        Durations of the last cycles in seconds, if they were measured.
+    mixer: a mixer. cycle_times_s: processing times of the last cycles in seconds.
     """
     lines = [*_thread(mixer), *_cycle_times(mixer, cycle_times_s), *_tracks(mixer)]
     lines += [f"  {line}" for line in mixer.effects.dump()]
@@ -32,7 +21,6 @@ def dump(mixer: Mixer, cycle_times_s: Sequence[float] = ()) -> str:
 
 
 def _thread(mixer: Mixer) -> list[str]:
-    """Describe the mixer's thread, which AudioFlinger calls the output thread."""
     lines = [
         "Output thread (MIXER):",
         f"  Standby: {_yes_no(mixer.state is MixerState.STANDBY)}",
@@ -57,31 +45,26 @@ def _thread(mixer: Mixer) -> list[str]:
 def _cycle_times(mixer: Mixer, times_s: Sequence[float]) -> list[str]:
     if not len(times_s):
         return []
-    # the average length: a tap's buffers may be shorter than the normal buffer
+    # Use the mean length of written buffers, because cycles may be shorter than `mixer.frames`.
     written = mixer.cycles_written
     frames = mixer.frames_written / written if written else mixer.frames
     buffer_s = frames / mixer.samplerate
-    ordered = sorted(times_s)
-    shown = {
-        "mean": sum(ordered) / len(ordered),
-        "median": ordered[len(ordered) // 2],
-        "max": ordered[-1],
-    }
+    shown = {"mean": mean(times_s), "median": median_high(times_s), "max": max(times_s)}
     words = ", ".join(
         f"{name} {time_s * 1e6:.0f} us ({100.0 * time_s / buffer_s:.2f} %)"
         for name, time_s in shown.items()
     )
-    return [f"  Cycle time of {len(ordered)} cycles, part of their length: {words}"]
+    return [f"  Cycle time of {len(times_s)} cycles, part of their length: {words}"]
 
 
 def _tracks(mixer: Mixer) -> list[str]:
     tracks = mixer.tracks
     rows = [_row(track, mixer.channels) for track in tracks]
-    active = sum(row[1] == "yes" for row in rows)
+    active = sum(row["Active"] == "yes" for row in rows)
     lines = [f"  {len(tracks)} Tracks of which {active} are active"]
-    if tracks:
-        table = [_COLUMNS, *rows]
-        widths = [max(len(row[column]) for row in table) for column in range(len(_COLUMNS))]
+    if rows:
+        table = [[*rows[0]], *([*row.values()] for row in rows)]
+        widths = [max(map(len, column)) for column in zip(*table, strict=True)]
         lines += [
             "    " + " ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True))
             for row in table
@@ -89,27 +72,27 @@ def _tracks(mixer: Mixer) -> list[str]:
     return lines
 
 
-def _row(track: Track, mix_channels: int) -> tuple[str, ...]:
+def _row(track: Track, mix_channels: int) -> dict[str, str]:
     gains = gains_of(track.volume, mix_channels)
     right = gains[1] if mix_channels > 1 else gains[0]
-    return (
-        str(track.id),
-        _yes_no(track.is_active),
-        track.name,
-        str(track.session),
-        track.state.value,
-        track.format.value,
-        str(track.channels),
-        str(track.samplerate),
-        f"{decibels(gains[0]):.1f}",
-        f"{decibels(right):.1f}",
-        str(track.ring.capacity_frames),
-        str(track.frames_ready),
-        str(track.start_threshold),
-        str(track.underruns),
-        str(track.underrun_frames),
-        _yes_no(track.disabled),
-    )
+    return {
+        "Id": str(track.id),
+        "Active": _yes_no(track.is_active),
+        "Name": track.name,
+        "Session": str(track.session),
+        "S": track.state.value,
+        "Format": track.format.value,
+        "Chn": str(track.channels),
+        "SRate": str(track.samplerate),
+        "L dB": f"{decibels(gains[0]):.1f}",
+        "R dB": f"{decibels(right):.1f}",
+        "FrmCnt": str(track.ring.capacity_frames),
+        "FrmRdy": str(track.frames_ready),
+        "StartThr": str(track.start_threshold),
+        "Undr": str(track.underruns),
+        "UndrFrm": str(track.underrun_frames),
+        "Disabled": _yes_no(track.disabled),
+    }
 
 
 def _yes_no(truth: bool) -> str:

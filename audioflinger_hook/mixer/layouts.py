@@ -1,4 +1,4 @@
-"""What each source of vibration is made of, and the mapping of one layout to another."""
+"""Channel weights of the sources of vibration, and gains between two channel layouts."""
 
 from __future__ import annotations
 
@@ -8,18 +8,8 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from device.layouts import CHANNELS_MAX, MINUS_3_DB, downmix, layout, sides
-
-__all__ = [
-    "CHANNELS_MAX",
-    "MINUS_3_DB",
-    "ChannelMap",
-    "depths",
-    "layout",
-    "mapping",
-    "sides",
-    "source_weights",
-]
+from device.layouts import MINUS_3_DB, downmix, layout, sides
+from device.units import Float32Array
 
 _BACK = ("BL", "BR", "BC", "TBL", "TBC", "TBR")
 _FRONT_PREFIXES = ("F", "TF", "BF")
@@ -27,7 +17,7 @@ _FRONT_PREFIXES = ("F", "TF", "BF")
 
 @cache
 def depths(channels: int) -> str:
-    """One letter per channel: F in front, B behind, C for both (sides, above, bass)."""
+    """Return one letter per channel: F for front, B for back, C for all others."""
     return "".join(
         "B" if name in _BACK else "F" if name.startswith(_FRONT_PREFIXES) else "C"
         for name in layout(channels)
@@ -35,15 +25,12 @@ def depths(channels: int) -> str:
 
 
 def source_weights(channels: int, sources: Sequence[str]) -> NDArray[np.float64]:
-    """How much each channel counts in each source's halves: (channels, sources, 2).
+    """Return the weights of channels in both halves of each source, (channels, sources, 2).
 
-    A source is the mean of its halves, left and right; where these cancel, the transform takes the
-    sum of their powers. sources: each "mix", "left", "right", "front" or "back". The mix is that of
-    `downmix`. The other sources are means of the channels on that side and of those that belong to
-    both sides, such as the centre, which count 3 dB less. The weights of
-    these sources add up to 1: none of them exceeds full scale. "left" and "right" have equal
-    halves. If no channel is behind, "front" and "back" are the mix; if no channel is on a side, all
-    sources are.
+    A source is the mono mix of its left and its right half; see `MonoMix`. sources: each "mix",
+    "left", "right", "front" or "back". The source "mix" contains all channels; see `downmix`. Each
+    other source is a weighted mean of the channels on its side and, at -3 dB, of central channels.
+    If a layout has no channels on this side or on the opposite side, the source equals "mix".
     """
     letters = {"left": sides, "right": sides, "front": depths, "back": depths}
     weights = np.empty((channels, len(sources), 2))
@@ -69,48 +56,45 @@ _OPPOSITES = {"L": "LR", "R": "LR", "F": "FB", "B": "FB"}
 
 
 class ChannelMap:
-    """How the channels of one track are placed in the mix.
+    """Mapping of the channels of one track to the channels of the mix.
 
-    With equal counts, channels stay unchanged. One track channel goes to every mix channel; one mix
-    channel gets the mean of all track channels. Otherwise a channel goes to its own position. If
-    the mix lacks that position, the channel goes to the front of its side at -3 dB, and a centre to
-    both sides at -3 dB. Then all gains are lowered by one factor until no mix channel can exceed
-    full scale. Mix channels that the track lacks are silent.
+    - If track and mix have the same number of channels, samples stay unchanged.
+    - A mono track goes to every mix channel. A mono mix gets the mean of all track channels.
+    - Otherwise a channel goes to the mix channel of the same position. Without such a position, a
+      side channel goes to the front channel of its side at -3 dB. A centre channel goes to both
+      front channels at -3 dB. If sums could exceed full scale, all gains are lowered equally.
     """
 
     def __init__(self, track_channels: int, mix_channels: int) -> None:
-        self.matrix = mapping(track_channels, mix_channels)
-        self.is_identity = track_channels == mix_channels
+        matrix = mapping(track_channels, mix_channels)
         self.folds = track_channels > mix_channels
         self.spreads = track_channels < mix_channels
-        # a mono row is spread by NumPy's broadcasting, without a copy
-        self.broadcasts = track_channels == 1
+        # NumPy broadcasts a mono track to all mix channels without a copy.
+        self._passes = track_channels in (1, mix_channels)
         self._routes = [
-            (int(source), int(target), self.matrix[source, target])
-            for source, target in np.argwhere(self.matrix)
+            (source, target, matrix[source, target])
+            for source, target in np.argwhere(matrix).tolist()
         ]
 
-    def apply(
-        self, frames: NDArray[np.float32], mapped: NDArray[np.float32], spare: NDArray[np.float32]
-    ) -> NDArray[np.float32]:
-        """Return the frames (n, track channels) in the mix's channels, in the memory of `mapped`.
+    def apply(self, frames: Float32Array, out: Float32Array, spare: Float32Array) -> Float32Array:
+        """Convert frames, (n, track channels), to the channels of the mix.
 
-        If nothing is to be done, the frames themselves are returned; mono stays (n, 1), to
-        broadcast.
-        mapped: (n, mix channels); spare: (n,), overwritten. Called by the mixer's thread.
+        If the track is mono or has as many channels as the mix, `frames` itself is returned.
+        out: memory of the result, (n or more, mix channels). spare: working memory, (n or more,).
         """
-        if self.is_identity or self.broadcasts:
+        if self._passes:
             return frames
-        mapped[...] = 0.0
+        out, spare = out[: len(frames)], spare[: len(frames)]
+        out[...] = 0.0
         for source, target, gain in self._routes:
-            # one route after another: the same sum whatever the number of frames
-            mapped[:, target] += np.multiply(frames[:, source], gain, out=spare)
-        return mapped
+            # The order of additions is fixed, so the rounding does not depend on the block size.
+            out[:, target] += np.multiply(frames[:, source], gain, out=spare)
+        return out
 
 
 @cache
-def mapping(track_channels: int, mix_channels: int) -> NDArray[np.float32]:
-    """The gains from each track channel (row) to each mix channel (column), float32."""
+def mapping(track_channels: int, mix_channels: int) -> Float32Array:
+    """Return the gains from each track channel (row) to each mix channel (column)."""
     if track_channels == mix_channels:
         return np.eye(mix_channels, dtype=np.float32)
     if 1 in (track_channels, mix_channels):

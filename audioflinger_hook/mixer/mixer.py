@@ -1,4 +1,4 @@
-"""The mixer: tracks, one mix, effect chains and sinks; each call of `cycle` does one cycle."""
+"""The mixer: each call of `cycle` mixes tracks, applies effect chains and writes to sinks."""
 
 from __future__ import annotations
 
@@ -11,62 +11,43 @@ from typing import NamedTuple
 
 import numpy as np
 
-from audioflinger_hook.mixer.effects_port import (
+from audioflinger_hook.mixer.mix_buffer import (
     DEVICE,
     OUTPUT_MIX,
     OUTPUT_STAGE,
     EffectsPort,
-    NoEffects,
+    MixBuffer,
+    Sink,
+    normal_buffer_frames,
 )
-from audioflinger_hook.mixer.layouts import CHANNELS_MAX
-from audioflinger_hook.mixer.mix_buffer import MixBuffer, Sink, normal_buffer_frames
 from audioflinger_hook.mixer.pcm import PcmFormat
-from audioflinger_hook.mixer.session import SessionMix
-from audioflinger_hook.mixer.track import (
-    SAMPLERATE_MAX,
-    SAMPLERATE_MIN,
-    Request,
-    Track,
-    out_of_range,
-)
+from audioflinger_hook.mixer.track import SAMPLERATES, Request, Track, out_of_range
 from audioflinger_hook.mixer.track_mixer import Lane, Readiness
 from device.errors import UsageError
+from device.layouts import CHANNELS_MAX
 from device.units import Float32Array
 
-STANDBY_DELAY_S = 3.0
-"""Time from the last mix with a track in it to standby, if no track is active."""
-
+STANDBY_DELAY_S = 3.0  # time without an active track until standby
+TAIL_S = 1.0  # a player's effects process silence for this time after its last track
 HAL_FRAMES_MAX = 1 << 16
 
 
 class MixerState(Enum):
-    """What a cycle found and wrote."""
+    """State of the mixer after a cycle."""
 
-    STANDBY = "standby"
-    """Nothing was written."""
-    IDLE = "idle"
-    """No active track; silence was written."""
-    ENABLED = "enabled"
-    """No active track had a whole period of frames; silence was written."""
-    READY = "ready"
-    """At least one track was mixed."""
+    STANDBY = "standby"  # nothing was written
+    IDLE = "idle"  # no track is active
+    ENABLED = "enabled"  # no active track had enough frames
+    READY = "ready"  # at least one track was mixed
 
 
 class CycleReport(NamedTuple):
-    """What one cycle did.
+    """Report of one cycle.
 
-    Attributes
-    ----------
-    state : MixerState
-        What the cycle found.
-    frames_written : int
-        Frames written to the sinks, 0 in standby.
-    tracks_mixed : int
-        Tracks in the mix.
-    underruns : int
-        Active tracks that had less than a whole period of frames.
-    buffer : MixBuffer
-        The buffer written to the sinks, silence in standby; the next cycle reuses it.
+    state: state of the mixer after the cycle. frames_written: 0 in standby.
+    tracks_mixed: number of mixed tracks.
+    underruns: number of playing tracks that had too few frames.
+    buffer: the written samples, or silence in standby; the next cycle overwrites the buffer.
     """
 
     state: MixerState
@@ -77,41 +58,18 @@ class CycleReport(NamedTuple):
 
 
 class Mixer:
-    """Mixes tracks to one stream, through effects, into sinks.
+    """Mixes tracks to one stream, applies effects and writes the result to sinks.
 
-    The caller of `cycle` sets the pace. One thread calls `cycle`; each client's thread makes and
-    uses its own tracks; any thread may call `post` and read attributes. Nothing waits.
+    One thread calls `cycle`. The thread of each client creates and uses its own tracks. Any thread
+    may call `post` and read attributes. Only `cycle` may wait, for a sink or an effect.
 
-    Parameters
-    ----------
-    samplerate : int
-        Rate of the mix, Hz.
-    channels : int
-        Audio channels of the mix.
-    hal_frames : int
-        Frames that the output takes at once; the frames of a whole cycle follow from it.
-    haptic_channels : int
-        Haptic channels behind the audio.
-    sinks : sequence of Sink
-        Each sink takes every buffer that is written.
-    effects : EffectsPort or None
-        The effect chains; None for none.
-    standby_delay_s : float
-        Seconds without an active track until standby. With inf there is no standby: silence is
-        written whenever no track is active.
-
-    Attributes
-    ----------
-    frames : int
-        Frames of a whole cycle.
-    on_mix : callable or None
-        Called in each cycle with the mix before the effects of session 0, (frames, channels). The
-        mixer reuses the array.
-
-    Raises
-    ------
-    UsageError
-        Numbers are out of range; the message names all such numbers.
+    samplerate, channels, haptic_channels: format of the mix; samplerate in Hz.
+    hal_frames: frames per buffer of the hardware. See `normal_buffer_frames`.
+    sinks: receive each buffer after the effects. effects: None for no effects.
+    standby_delay_s: seconds without an active track until standby; inf for no standby.
+    on_mix: called in each cycle except in standby, with the mix before the effects of session 0,
+        (frames, channels); the mixer reuses the array.
+    UsageError: numbers are out of range; the message names all of them.
     """
 
     def __init__(
@@ -125,9 +83,21 @@ class Mixer:
         effects: EffectsPort | None = None,
         standby_delay_s: float = STANDBY_DELAY_S,
     ) -> None:
+        wrong = [
+            *out_of_range("hal_frames", hal_frames, 1, HAL_FRAMES_MAX, ""),
+            *out_of_range("samplerate", samplerate, *SAMPLERATES, " Hz"),
+            *out_of_range("channels", channels, 1, CHANNELS_MAX, ""),
+            *out_of_range("haptic_channels", haptic_channels, 0, CHANNELS_MAX, ""),
+        ]
+        if wrong:
+            raise UsageError(f"the mix cannot have {'; '.join(wrong)}")
+        self.samplerate, self.channels = samplerate, channels
+        self.haptic_channels = haptic_channels
         self.hal_frames = hal_frames
+        self.frames = normal_buffer_frames(samplerate, hal_frames)
+        self.buffer = MixBuffer(self.frames, channels, haptic_channels)
         self.sinks = tuple(sinks)
-        self.effects: EffectsPort = NoEffects() if effects is None else effects
+        self.effects: EffectsPort = effects or EffectsPort()
         self.on_mix: Callable[[Float32Array], None] | None = None
         self._events: deque[Callable[[], None]] = deque()
         self._lanes: tuple[Lane, ...] = ()
@@ -138,16 +108,14 @@ class Mixer:
         self._last_ready_s = 0.0
         self._standby_delay_s = standby_delay_s
         self.state = MixerState.STANDBY if standby_delay_s < math.inf else MixerState.IDLE
-        self.cycles = 0
-        self.cycles_written = 0
-        self.frames_written = 0
-        self.failed_events = 0
+        self.cycles = self.cycles_written = self.frames_written = self.failed_events = 0
         self.last_failure = ""
-        self._configure(samplerate, channels, haptic_channels)
+        self._scratch = np.zeros((self.frames, channels), np.float32)
+        self.effects.set_format(samplerate, channels, haptic_channels, self.frames)
 
     @property
     def tracks(self) -> tuple[Track, ...]:
-        """The tracks that the mixer holds, in the order in which they were made."""
+        """Tracks in the mixer, in order of creation."""
         return tuple(lane.track for lane in self._lanes)
 
     def create_track(
@@ -161,10 +129,7 @@ class Mixer:
         ring_frames: int | None = None,
         start_threshold: int | None = None,
     ) -> Track:
-        """Make a track, which is mixed from the next cycle on. From any client's thread.
-
-        `Track` describes the parameters. Its UsageError names all that is wrong.
-        """
+        """Create a track, which joins the mix at the next cycle. Any thread may call this."""
         track = Track(
             next(self._track_ids),
             name,
@@ -177,7 +142,7 @@ class Mixer:
             ring_frames=ring_frames,
             start_threshold=start_threshold,
         )
-        # made here, so that the audio thread does not have to design a filter
+        # The filter design in Lane takes time, so it runs in the client's thread.
         lane = Lane(track, self.samplerate, self.channels, self.frames)
 
         def add() -> None:
@@ -187,26 +152,18 @@ class Mixer:
         return track
 
     def remove_track(self, track: Track) -> None:
-        """Remove a track from the mix: it ramps down first, or plays to its end if it was stopped.
-
-        Called by the track's client, which stops using it. A second call changes nothing.
-        """
+        """Remove a track: an active one after a fade-out, a stopping one after its last frames."""
         track.requests.append((Request.REMOVE, track.ring.written))
 
     def post(self, event: Callable[[], None]) -> None:
-        """Have `event` called by the mixer's thread at the start of the next cycle.
-
-        If `event` raises, the failure is counted and shown in the dump, and the sound goes on.
-        """
+        """Let the mixer's thread call `event` in the next cycle. The dump counts failed events."""
         self._events.append(event)
 
     def cycle(self, now_s: float, frames: int | None = None) -> CycleReport:
-        """Do one cycle and report it.
+        """Execute one cycle.
 
-        config events -> standby or wait -> prepare tracks -> mix -> effect chains -> convert ->
-        write to the sinks. now_s: seconds of any clock that does not run backwards. frames: length
-        of the cycle, 1 to `self.frames` (the default). So a cycle can be as long as a tap's buffer,
-        and the mixer adds no delay.
+        now_s: time in s of a monotonic clock. frames: length of the cycle, 1 to `self.frames` (the
+        default). With cycles as long as the buffers of the source, mixing adds no delay.
         """
         self.cycles += 1
         self._take_events()
@@ -228,17 +185,17 @@ class Mixer:
         return CycleReport(self.state, frames, mixed, underruns, self.buffer)
 
     def _take_events(self) -> None:
-        # only events posted before: an event may post another event
+        # An event can post another event, which then waits for the next cycle.
         for _ in range(len(self._events)):
             event = self._events.popleft()
             try:
                 event()
-            except Exception as failure:  # the sound goes on whatever fails
+            except Exception as failure:  # a failing event must not interrupt the sound
                 self.failed_events += 1
                 self.last_failure = f"{type(failure).__name__}: {failure}"
 
     def _active_lanes(self) -> list[Lane]:
-        """Carry out the clients' requests and return the tracks that take part in this cycle."""
+        """Execute the clients' requests, and return the `Lane` of each active track."""
         for lane in self._lanes:
             lane.update()
         if any(lane.gone for lane in self._lanes):
@@ -246,7 +203,7 @@ class Mixer:
         return [lane for lane in self._lanes if lane.is_active]
 
     def _stands_by(self, any_active: bool, now_s: float) -> bool:
-        """Enter or leave standby and return whether the mixer is in it."""
+        """Enter standby if no track was mixed for `standby_delay_s`. Return True in standby."""
         asleep = self.state is MixerState.STANDBY
         if any_active:
             if asleep:
@@ -262,13 +219,13 @@ class Mixer:
         return self.state is MixerState.STANDBY
 
     def _mix(self, active: list[Lane], frames: int) -> tuple[int, int]:
-        """Mix each track into the mix or its session's mix; count those mixed and those missed."""
+        """Mix the tracks. Return the numbers of mixed tracks and of tracks with too few frames."""
         self._follow_sessions()
         if self.buffer.frames != frames:
             self.buffer.hold(frames)
         scratch = self._scratch[:frames]
         for of_player in self._sessions.values():
-            of_player.hold(frames)
+            of_player.buffer.hold(frames)
         self.buffer.haptic[...] = 0.0
         self._empty = True
         mixed = underruns = 0
@@ -287,7 +244,7 @@ class Mixer:
         return mixed, underruns
 
     def _follow_sessions(self) -> None:
-        """Keep one mix for each player session that has a chain now."""
+        """Give each player session with an effect chain its own mix; delete other session mixes."""
         self._chains = frozenset(self.effects.sessions())
         players = {session for session in self._chains if session > OUTPUT_MIX}
         if players != self._sessions.keys():
@@ -298,7 +255,7 @@ class Mixer:
             }
 
     def _process(self, now_s: float) -> None:
-        """Run the players' chains, highest session first, add each to the mix; then the mix's."""
+        """Apply the players' chains, add their outputs to the mix, then apply the mix's chains."""
         buffer = self.buffer
         for session, session_mix in self._sessions.items():
             if not session_mix.begin():
@@ -317,24 +274,36 @@ class Mixer:
             if session in self._chains:
                 self.effects.process(session, buffer, now_s)
 
-    def _configure(self, samplerate: int, channels: int, haptic_channels: int) -> None:
-        self._check(samplerate, channels, haptic_channels)
-        frames = normal_buffer_frames(samplerate, self.hal_frames)
-        self.effects.set_format(samplerate, channels, haptic_channels, frames)
-        self.samplerate = samplerate
-        self.channels = channels
-        self.haptic_channels = haptic_channels
-        self.frames = frames
-        self.buffer = MixBuffer(self.frames, channels, haptic_channels)
-        self._scratch = np.zeros((self.frames, channels), np.float32)
-        self._sessions = {}
 
-    def _check(self, samplerate: int, channels: int, haptic_channels: int) -> None:
-        wrong = [
-            *out_of_range("hal_frames", self.hal_frames, 1, HAL_FRAMES_MAX, ""),
-            *out_of_range("samplerate", samplerate, SAMPLERATE_MIN, SAMPLERATE_MAX, " Hz"),
-            *out_of_range("channels", channels, 1, CHANNELS_MAX, ""),
-            *out_of_range("haptic_channels", haptic_channels, 0, CHANNELS_MAX, ""),
-        ]
-        if wrong:
-            raise UsageError(f"the mix cannot have {'; '.join(wrong)}")
+class SessionMix:
+    """Mix of the tracks of one player session, for the session's own effects."""
+
+    def __init__(self, samplerate: int, frames: int, channels: int, haptic_channels: int) -> None:
+        self.buffer = MixBuffer(frames, channels, haptic_channels)
+        self._tail_whole = round(TAIL_S * samplerate)
+        self._tail_left = 0
+        self._empty = True
+
+    def add(self, lane: Lane, scratch: Float32Array) -> None:
+        """Add a track for which `Lane.prepare` has returned READY."""
+        lane.mix(self.buffer.audio, scratch, first=self._empty)
+        self._empty = False
+
+    def begin(self) -> bool:
+        """Prepare the buffer for effects; return False if no track was added for `TAIL_S`."""
+        self.buffer.haptic[...] = 0.0
+        if not self._empty:
+            self._empty = True
+            self._tail_left = self._tail_whole
+            return True
+        self.buffer.audio[...] = 0.0
+        if self._tail_left <= 0:
+            return False
+        self._tail_left -= self.buffer.frames
+        return True
+
+    def clear(self) -> None:
+        """Set the samples to 0, for standby."""
+        self.buffer.clear()
+        self._empty = True
+        self._tail_left = 0

@@ -1,4 +1,4 @@
-"""Sample formats of tracks and sinks: bytes to float frames and back, with one rounding rule."""
+"""Sample formats of tracks and sinks: conversion of bytes to float frames and back."""
 
 from __future__ import annotations
 
@@ -10,17 +10,13 @@ from numpy.typing import NDArray
 
 from device.blocks import whole_steps
 from device.errors import UsageError
+from device.units import Float32Array
 
-FLOAT_LIMIT = 2.0
-"""Largest sample of float sinks, 6 dB over full scale, as in AudioFlinger."""
+FLOAT_LIMIT = 2.0  # largest sample of float sinks, 6 dB above full scale, as in AudioFlinger
 
 
 class PcmFormat(Enum):
-    """How one sample is stored, little endian; the enum value is the format's name in a dump.
-
-    bytes_per_sample: 1, 2, 3 (packed), 4, 4. dtype: type of an array of such samples; bytes for
-    I24. full_scale: the stored number that means 1.0: 2^7, 2^15, 2^23, 2^31; 1 for float.
-    """
+    """Little-endian format of stored samples. full_scale: stored value of 1.0 minus that of 0.0."""
 
     U8 = "u8", 1, "u1", 2.0**7
     I16 = "i16", 2, "<i2", 2.0**15
@@ -28,13 +24,13 @@ class PcmFormat(Enum):
     I32 = "i32", 4, "<i4", 2.0**31
     FLOAT = "float", 4, "<f4", 1.0
 
-    # Attributes of each member, not properties: every block that is mixed asks for them.
+    # Attributes are faster than properties, and the mixer reads these for every block.
     bytes_per_sample: int
-    dtype: np.dtype[Any]
+    dtype: np.dtype[Any]  # type of a stored sample; for I24, type of a byte of a sample
     full_scale: float
 
     def __new__(cls, name: str, bytes_per_sample: int, dtype: str, full_scale: float) -> Self:
-        """Make a member."""
+        """Create a member of the enumeration."""
         member = object.__new__(cls)
         member._value_ = name
         member.bytes_per_sample = bytes_per_sample
@@ -47,13 +43,11 @@ PcmData = bytes | bytearray | memoryview | NDArray[Any]
 
 
 def stored_frames(stored: PcmData, pcm_format: PcmFormat, channels: int) -> NDArray[Any]:
-    """The stored samples, one row per frame: (frames, channels), for I24 (frames, channels x 3).
+    """Return samples with one row per frame: (frames, channels), for I24 (frames, channels x 3).
 
-    A view of `stored` if the memory layout allows, else a copy.
-
-    stored: bytes, or an array of the format's `dtype`, flat or in rows.
-
-    UsageError: the array has another type or shape, or the bytes are not whole frames.
+    The rows are a view of `stored` if its memory layout allows a view, otherwise a copy.
+    stored: bytes, or an array of the format's `dtype`, with one dimension or one row per frame.
+    UsageError: the samples have a wrong type or shape, or the last frame is incomplete.
     """
     bytes_per_frame = channels * pcm_format.bytes_per_sample
     items = bytes_per_frame // pcm_format.dtype.itemsize
@@ -85,11 +79,8 @@ def stored_frames(stored: PcmData, pcm_format: PcmFormat, channels: int) -> NDAr
     return np.frombuffer(whole_bytes, pcm_format.dtype).reshape(-1, items)
 
 
-def decode_rows(rows: NDArray[Any], pcm_format: PcmFormat, frames: NDArray[np.float32]) -> None:
-    """Fill `frames`, (frames, channels) float32, from as many rows of `stored_frames`.
-
-    Exact up to 24 bits; i32 is rounded to the nearest float32. Float frames keep every bit.
-    """
+def decode_rows(rows: NDArray[Any], pcm_format: PcmFormat, frames: Float32Array) -> None:
+    """Decode n rows of `stored_frames` to `frames`, (n, channels). Only I32 samples are rounded."""
     if pcm_format is PcmFormat.FLOAT:
         frames[...] = rows
     elif pcm_format is PcmFormat.U8:
@@ -98,19 +89,16 @@ def decode_rows(rows: NDArray[Any], pcm_format: PcmFormat, frames: NDArray[np.fl
     elif pcm_format is PcmFormat.I24:
         triples = rows.reshape(len(rows), frames.shape[1], 3)
         words = np.zeros((*frames.shape, 4), np.uint8)
-        # into the upper bytes, so that the sign bit is the sign bit of int32
+        # In the upper three bytes, the sign bit of I24 becomes the sign bit of int32.
         words[..., 1:] = triples
         np.multiply(words.view("<i4")[..., 0], np.float32(2.0**-31), out=frames, casting="unsafe")
     else:
-        # a power of two: exact in float64, so rounding happens only when stored
+        # The product is exact in float64, so only the conversion to float32 rounds.
         np.multiply(rows, 1.0 / pcm_format.full_scale, out=frames, casting="unsafe")
 
 
-def decode(stored: PcmData, pcm_format: PcmFormat, channels: int) -> NDArray[np.float32]:
-    """The frames stored, (frames, channels) float32, full scale ±1; a copy.
-
-    Raises UsageError as `stored_frames` does.
-    """
+def decode(stored: PcmData, pcm_format: PcmFormat, channels: int) -> Float32Array:
+    """Decode samples to (frames, channels), full scale ±1. UsageError: as for `stored_frames`."""
     rows = stored_frames(stored, pcm_format, channels)
     frames = np.empty((len(rows), channels), np.float32)
     decode_rows(rows, pcm_format, frames)
@@ -118,10 +106,10 @@ def decode(stored: PcmData, pcm_format: PcmFormat, channels: int) -> NDArray[np.
 
 
 def encode(frames: NDArray[np.floating[Any]], pcm_format: PcmFormat) -> bytes:
-    """The frames as a sink of that format stores them: clamped, rounded, never dithered.
+    """Encode frames as bytes: clip, then round without dither. NaN becomes 0.
 
-    Integers: round(clip(x 2^n, -2^n, 2^n - 1)) with n = 7, 15, 23, 31, half away from zero; u8 lies
-    around 128. Float: clamped at ±2.0. NaN is stored as 0.
+    Integers are round(clip(x 2^n, -2^n, 2^n - 1)) with n = 7, 15, 23 or 31; halves are rounded away
+    from zero. For U8, 128 is added. Float samples are clipped to ±2.0.
     """
     if pcm_format is PcmFormat.FLOAT:
         clamped = np.clip(frames, -FLOAT_LIMIT, FLOAT_LIMIT).astype("<f4")

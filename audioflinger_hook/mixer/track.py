@@ -1,43 +1,36 @@
-"""A track as its client holds it: a ring to write into and requests to the mixer."""
+"""The client's side of a track: a ring buffer for frames, and requests to the mixer."""
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
 from enum import Enum
-from typing import TypeGuard
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from audioflinger_hook.mixer.layouts import CHANNELS_MAX
 from audioflinger_hook.mixer.pcm import PcmData, PcmFormat, decode_rows, stored_frames
 from device.errors import UsageError
+from device.layouts import CHANNELS_MAX
+from device.units import Float32Array
 
 
 class TrackState(Enum):
-    """State of a track. Only the mixer's thread changes it."""
+    """State of a track."""
 
-    IDLE = "idle"
-    """Made, never started."""
-    ACTIVE = "active"
-    """Playing, or filling up to the start threshold."""
-    PAUSING = "pausing"
-    """Its next buffer ramps down."""
-    PAUSED = "paused"
-    """Silent; the frames left in the ring stay."""
-    RESUMING = "resuming"
-    """Its next buffer ramps up."""
-    STOPPING = "stopping"
-    """Playing what was written before the stop."""
-    STOPPED = "stopped"
-    """Played to the end."""
-    FLUSHED = "flushed"
-    """What was written before the flush has been dropped."""
+    IDLE = "idle"  # not started yet
+    ACTIVE = "active"  # playing, or waiting for `start_threshold` frames
+    PAUSING = "pausing"  # fades out in the next buffer
+    PAUSED = "paused"  # silent; the ring keeps its frames
+    RESUMING = "resuming"  # fades in during the next buffer
+    STOPPING = "stopping"  # plays the frames written before the stop
+    STOPPED = "stopped"  # has played or dropped the frames written before the stop
+    FLUSHED = "flushed"  # the frames written before the flush are dropped
 
 
 class Request(Enum):
-    """What a client asks of its track."""
+    """A request from the client of a track to the mixer."""
 
     START = "start"
     PAUSE = "pause"
@@ -46,48 +39,34 @@ class Request(Enum):
     REMOVE = "remove"
 
 
-# No set: every lookup in a set would run Enum's hash function, which is Python code.
+# A tuple is faster than a set, because Enum's hash function is Python code.
 PLAYING = (TrackState.ACTIVE, TrackState.PAUSING, TrackState.RESUMING, TrackState.STOPPING)
-"""The states in which a track may be part of the mix."""
-
 _S, _R = TrackState, Request
-_AFTER = {
-    (_S.IDLE, _R.START): _S.ACTIVE,
-    (_S.STOPPED, _R.START): _S.ACTIVE,
-    (_S.FLUSHED, _R.START): _S.ACTIVE,
-    (_S.STOPPING, _R.START): _S.ACTIVE,
-    (_S.PAUSED, _R.START): _S.RESUMING,
-    (_S.PAUSING, _R.START): _S.RESUMING,
-    (_S.ACTIVE, _R.PAUSE): _S.PAUSING,
-    (_S.RESUMING, _R.PAUSE): _S.PAUSING,
-    (_S.ACTIVE, _R.STOP): _S.STOPPING,
-    (_S.RESUMING, _R.STOP): _S.STOPPING,
-    (_S.PAUSING, _R.STOP): _S.STOPPED,
-    (_S.PAUSED, _R.STOP): _S.STOPPED,
-    (_S.IDLE, _R.FLUSH): _S.FLUSHED,
-    (_S.PAUSING, _R.FLUSH): _S.FLUSHED,
-    (_S.PAUSED, _R.FLUSH): _S.FLUSHED,
-    (_S.STOPPING, _R.FLUSH): _S.FLUSHED,
-    (_S.STOPPED, _R.FLUSH): _S.FLUSHED,
-    (_S.ACTIVE, _R.REMOVE): _S.PAUSING,
-    (_S.RESUMING, _R.REMOVE): _S.PAUSING,
-}
+_TRANSITIONS = (
+    ((_S.IDLE, _S.STOPPED, _S.FLUSHED, _S.STOPPING), _R.START, _S.ACTIVE),
+    ((_S.PAUSED, _S.PAUSING), _R.START, _S.RESUMING),
+    ((_S.ACTIVE, _S.RESUMING), _R.PAUSE, _S.PAUSING),
+    ((_S.ACTIVE, _S.RESUMING), _R.STOP, _S.STOPPING),
+    ((_S.PAUSING, _S.PAUSED), _R.STOP, _S.STOPPED),
+    ((_S.IDLE, _S.PAUSING, _S.PAUSED, _S.STOPPING, _S.STOPPED), _R.FLUSH, _S.FLUSHED),
+    ((_S.ACTIVE, _S.RESUMING), _R.REMOVE, _S.PAUSING),
+)
+_AFTER = {(old, request): new for states, request, new in _TRANSITIONS for old in states}
 
 
 def after(state: TrackState, request: Request) -> TrackState:
-    """Return the state after a request; the state is unchanged if the request has no effect in it.
+    """Return the state after a request; it is `state` if the request has no effect.
 
-    As in AudioFlinger: a playing track ignores a flush, a draining one ignores a pause. A stop from
-    a pause drops the frames left.
+    As in AudioFlinger, an ACTIVE track ignores FLUSH and a STOPPING track ignores PAUSE.
     """
     return _AFTER.get((state, request), state)
 
 
 class FrameRing:
-    """A bounded ring of float32 frames: one thread writes, another reads, neither waits.
+    """Lock-free ring buffer of float32 frames for one writing and one reading thread.
 
-    `written` and `read` count frames since the start. Each is stored by one thread only, after the
-    frames themselves were stored or used. So the other thread never sees a part of a buffer.
+    written, read: number of frames written and read since the start. The writing thread increases
+    `written` after storing frames. The reading thread increases `read` after using frames.
     """
 
     def __init__(self, capacity_frames: int, channels: int) -> None:
@@ -98,78 +77,35 @@ class FrameRing:
 
     @property
     def room(self) -> int:
-        """Frames that can be written now. For the writing thread."""
+        """Number of frames that the writing thread can store now."""
         return self.capacity_frames - (self.written - self.read)
 
-    def spans_to_write(self, count: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Memory of the next `count` <= `room` frames, in two parts; the second may be empty."""
-        return self._spans(self.written, count)
-
-    def commit(self, count: int) -> None:
-        """Hand `count` frames, now stored, to the reader. Called by the writing thread."""
-        self.written += count
-
-    def spans_to_read(self, count: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """The next `count` written frames, in two parts; the second may be empty."""
-        return self._spans(self.read, count)
-
-    def consume(self, count: int) -> None:
-        """Free the room of `count` frames for the writer. Called by the reading thread."""
-        self.read += count
-
-    def skip_to(self, position: int) -> None:
-        """Drop what was written before `position`. Called by the reading thread."""
-        self.read = max(self.read, position)
-
-    def _spans(self, position: int, count: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def spans(self, position: int, count: int) -> tuple[Float32Array, Float32Array]:
+        """Return `count` frames, from `position` on, as two views. The second may be empty."""
         first = position % self.capacity_frames
         wrapped = max(0, first + count - self.capacity_frames)
         return self._frames[first : first + count - wrapped], self._frames[:wrapped]
 
 
-SAMPLERATE_MIN = 1_000
-SAMPLERATE_MAX = 768_000
-
-PERIODS_IN_RING = 2
-"""Mix periods that a ring holds by default."""
-
-__all__ = ["Track", "TrackState"]
+SAMPLERATES = 1_000, 768_000  # lowest and highest, Hz
+PERIODS_IN_RING = 2  # default capacity of a ring in mixer cycles
 
 
 class Track:
-    """One client's stream into the mix; `Mixer.create_track` makes it.
+    """A client's stream into the mix. `Mixer.create_track` creates tracks.
 
-    One client thread calls `write`, `start`, `pause`, `stop`, `flush` and `set_volume`; none of
-    them waits. The mixer carries requests out in order at the start of its next cycle. Any thread
-    may read the properties.
+    Only one client thread may call methods, and no method waits. The mixer executes requests in
+    order at the start of its cycles. Any thread may read attributes.
 
-    Parameters
-    ----------
-    track_id : int
-        Number of the track, unique in its mixer.
-    name : str
-        Name of the track in the dump.
-    session : int
-        The player session whose effect chain the track passes, 0 for none.
-    pcm_format : PcmFormat
-        Sample format of what the client writes.
-    samplerate : int
-        Rate of what the client writes, Hz.
-    channels : int
-        Channels of what the client writes.
-    mix_samplerate : int
-        Rate of the mix, Hz.
-    mix_frames : int
-        Frames of the mix in one cycle.
-    ring_frames : int or None
-        Capacity of the ring, at least one cycle; two by default.
-    start_threshold : int or None
-        Frames in the ring before the track first sounds; a full ring by default.
-
-    Raises
-    ------
-    UsageError
-        Values are out of range; the message names all such values.
+    track_id: number, unique in its mixer. name: text for the dump.
+    session: player session whose effect chain processes the track, 0 for none.
+    pcm_format, channels: format of the client's samples.
+    samplerate, mix_samplerate: rates of the client's samples and of the mix, in Hz.
+    mix_frames: frames of the mix per cycle.
+    ring_frames: frames that the ring can hold: at least one cycle, by default two cycles.
+    start_threshold: frames in the ring at which a started track begins to play; by default a full
+        ring.
+    UsageError: values are out of range; the message names all of them.
     """
 
     def __init__(
@@ -186,7 +122,7 @@ class Track:
         ring_frames: int | None = None,
         start_threshold: int | None = None,
     ) -> None:
-        rate_wrong = out_of_range("samplerate", samplerate, SAMPLERATE_MIN, SAMPLERATE_MAX, " Hz")
+        rate_wrong = out_of_range("samplerate", samplerate, *SAMPLERATES, " Hz")
         period = 1 if rate_wrong else period_frames(samplerate, mix_samplerate, mix_frames)
         ring_frames = PERIODS_IN_RING * period if ring_frames is None else ring_frames
         start_threshold = ring_frames if start_threshold is None else start_threshold
@@ -214,9 +150,9 @@ class Track:
         self.start_threshold = start_threshold
         self.ring = FrameRing(ring_frames, channels)
         self.volume: tuple[float, ...] = (1.0,)
-        # each request with the count of frames written before it
+        # Each request, and the number of frames written before the request.
         self.requests: deque[tuple[Request, int]] = deque()
-        # the mixer's thread alone sets these
+        # Only the mixer's thread sets the following attributes.
         self.mixed_state = TrackState.IDLE
         self.disabled = False
         self.underrun_frames = 0
@@ -224,7 +160,7 @@ class Track:
 
     @property
     def state(self) -> TrackState:
-        """The track's state once the mixer has carried out all requests made so far."""
+        """State after all requests, including requests that the mixer has not executed yet."""
         state = self.mixed_state
         for request, _ in tuple(self.requests):
             state = after(state, request)
@@ -232,74 +168,53 @@ class Track:
 
     @property
     def is_active(self) -> bool:
-        """Whether the track takes part in the mixer's next cycle."""
+        """Whether the track takes part in the next cycle."""
         return self.state in PLAYING and not self.disabled
 
     @property
     def frames_ready(self) -> int:
-        """Frames in the ring that the mixer has not taken yet."""
+        """Number of frames in the ring."""
         return self.ring.written - self.ring.read
 
-    @property
-    def room(self) -> int:
-        """Frames that `write` would take now."""
-        return self.ring.room
-
     def write(self, samples: PcmData) -> int:
-        """Store as many frames as there is room for and return their number; never waits.
+        """Copy frames into the ring until the ring is full; return the number of copied frames.
 
-        samples: whole frames of the track's format, as bytes or as an array of that type, flat or
-        (frames, channels). Offer the frames not stored again after a cycle. The samples are copied,
-        so the caller may reuse their memory.
-
-        Raises
-        ------
-        UsageError
-            The samples have another type or shape; nothing is stored then.
+        samples: as for `stored_frames`. After the next cycle, write the frames that did not fit.
+        UsageError: the samples have a wrong type or shape; no frame is stored.
         """
-        if self._is_float_block(samples):
-            taken = min(len(samples), self.ring.room)
-            first, second = self.ring.spans_to_write(taken)
-            first[...] = samples[: len(first)]
-            second[...] = samples[len(first) : taken]
+        ring, rows = self.ring, self._rows(samples)
+        taken = min(len(rows), ring.room)
+        first, second = ring.spans(ring.written, taken)
+        if self.format is PcmFormat.FLOAT:
+            first[...], second[...] = rows[: len(first)], rows[len(first) : taken]
         else:
-            rows = stored_frames(samples, self.format, self.channels)
-            taken = min(len(rows), self.ring.room)
-            first, second = self.ring.spans_to_write(taken)
             decode_rows(rows[: len(first)], self.format, first)
             decode_rows(rows[len(first) : taken], self.format, second)
-        self.ring.commit(taken)
+        ring.written += taken
         return taken
 
     def start(self) -> None:
-        """Play: once the ring holds `start_threshold` frames; after a pause at once, ramping up."""
+        """Begin to play when `start_threshold` frames are in the ring; after a pause, fade in."""
         self._ask(Request.START)
 
     def pause(self) -> None:
-        """Ramp down over one buffer, then be silent; the frames in the ring stay."""
+        """Fade out over one buffer. The frames in the ring remain."""
         self._ask(Request.PAUSE)
 
     def stop(self) -> None:
-        """Play to the last frame written so far, then stop. In a pause: drop the frames left."""
+        """Play the frames written before this call, then stop. A paused track drops its frames."""
         self._ask(Request.STOP)
 
     def flush(self) -> None:
-        """Drop the frames written so far; a playing track ignores a flush, as on Android.
-
-        A track that still sounds ramps down first. The room in the ring is free after that.
-        """
+        """Drop the frames written before this call. ACTIVE and RESUMING tracks ignore this."""
         self._ask(Request.FLUSH)
 
     def set_volume(self, volume: float | Sequence[float]) -> None:
-        """Set the gain, 0 to 1, reached over the next buffer.
+        """Set the gain, 0 to 1, with a ramp over the next buffer.
 
-        volume: one gain for all channels, or (left, right), or one gain per channel of the mix.
-        NaN, negative and subnormal gains are 0, gains above 1 are 1.
-
-        Raises
-        ------
-        UsageError
-            No gain is given, or more than 64.
+        volume: one gain for all channels, or a (left, right) pair, or one gain per channel of the
+            mix. Gains outside of 0 to 1 are clipped; NaN becomes 0.
+        UsageError: no gain, or more than 64 gains.
         """
         gains = (float(volume),) if isinstance(volume, int | float) else tuple(map(float, volume))
         if not 1 <= len(gains) <= CHANNELS_MAX:
@@ -309,28 +224,30 @@ class Track:
             )
         self.volume = gains
 
-    def _is_float_block(self, samples: PcmData) -> TypeGuard[NDArray[np.float32]]:
-        """Return whether samples need no conversion, like the samples of a tap."""
-        return (
+    def _rows(self, samples: PcmData) -> NDArray[Any]:
+        """Return `stored_frames`; a float32 array of the right shape is not copied."""
+        if (
             self.format is PcmFormat.FLOAT
             and isinstance(samples, np.ndarray)
             and samples.dtype == np.float32
             and samples.shape[1:] == (self.channels,)
-        )
+        ):
+            return samples
+        return stored_frames(samples, self.format, self.channels)
 
     def _ask(self, request: Request) -> None:
         self.requests.append((request, self.ring.written))
 
 
 def period_frames(samplerate: int, mix_samplerate: int, mix_frames: int) -> int:
-    """Return the most frames of a track that one mix period of `mix_frames` takes."""
+    """Return how many of a track's frames one cycle of `mix_frames` mix frames reads at most."""
     if samplerate == mix_samplerate:
         return mix_frames
     return -(-mix_frames * samplerate // mix_samplerate) + 1
 
 
 def out_of_range(name: str, value: int, low: int, high: int | None, unit: str) -> list[str]:
-    """Return a list with one line if a number is no int or out of its range, else an empty list."""
+    """Return a list with an error text if the value is not an int from low to high, else []."""
     if isinstance(value, bool) or not isinstance(value, int):
         return [f"{name}={value!r} is not a whole number"]
     if value < low or (high is not None and value > high):

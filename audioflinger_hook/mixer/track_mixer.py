@@ -1,4 +1,4 @@
-"""The mixer's side of a track: carries out requests, takes frames, mixes one period."""
+"""The mixer's side of a track: executes requests, converts frames and adds frames to the mix."""
 
 from __future__ import annotations
 
@@ -7,11 +7,12 @@ from collections.abc import Sequence
 from enum import Enum
 
 import numpy as np
-from numpy.typing import NDArray
 
-from audioflinger_hook.mixer.layouts import ChannelMap, sides
+from audioflinger_hook.mixer.layouts import ChannelMap
 from audioflinger_hook.mixer.resampler import Resampler
 from audioflinger_hook.mixer.track import PLAYING, Request, Track, TrackState, after, period_frames
+from device.layouts import sides
+from device.units import Float32Array
 
 SMALLEST_NORMAL = float(np.finfo(np.float32).tiny)
 
@@ -19,16 +20,16 @@ Gains = tuple[float, ...]
 
 
 def usable_gain(gain: float) -> float:
-    """Return the usable gain: 0 for NaN, negative and subnormal gains, else at most 1."""
-    # not max(0, gain): NaN has to fail this test
+    """Return the gain limited to 0 to 1; 0 for NaN and subnormal gains."""
+    # max(0, gain) would not change NaN to 0.
     return min(gain, 1.0) if gain >= SMALLEST_NORMAL else 0.0
 
 
 def gains_of(volume: Sequence[float], channels: int) -> Gains:
-    """Return one usable gain for each of the mix's `channels`, rounded to float32.
+    """Return one valid gain per channel of the mix, rounded to float32.
 
-    volume: one gain for all channels; or two, left and right, with their mean for the centre; or
-    one per channel, and the last gain also for further channels.
+    volume: one gain for all channels, or a (left, right) pair, or one gain per channel. Of a pair,
+    centre channels use the mean. Channels without a gain use the last gain.
     """
     usable = [float(np.float32(usable_gain(gain))) for gain in volume]
     if len(usable) == 2:
@@ -39,51 +40,40 @@ def gains_of(volume: Sequence[float], channels: int) -> Gains:
 
 
 class VolumeRamp:
-    """The gains with which one track enters the mix, held by the mixer's thread.
+    """Gains of one track, which change by a linear ramp over one buffer.
 
-    A change goes linearly over exactly one buffer: frame i of n has old + (new - old) i/n, so the
-    next buffer starts at the new gain. A track's first buffer has no ramp. frames: usual length of
-    a buffer, for which the ramp is kept ready.
+    Frame i of n has gain old + (new - old) i/n. A track's first buffer has no ramp. gains: current
+    gain per channel, or None before the first buffer.
     """
 
     def __init__(self, channels: int, frames: int) -> None:
         self._rise = _rise(frames)
         self._silent: Gains = (0.0,) * channels
         self._unity: Gains = (1.0,) * channels
-        self._now: Gains | None = None
+        self.gains: Gains | None = None
         self._row = np.zeros(channels, np.float32)
 
-    @property
-    def gains(self) -> Gains | None:
-        """The gains reached, one per channel; None before the first buffer."""
-        return self._now
-
-    def restart(self) -> None:
-        """Treat the next buffer as the first."""
-        self._now = None
-
     def mute(self) -> None:
-        """Make the next buffer rise from silence."""
-        self._now = self._silent
+        """Set the gains to 0, so that the next buffer fades in."""
+        self.gains = self._silent
 
     def mix(
         self,
-        source: NDArray[np.float32],
-        target: NDArray[np.float32],
+        source: Float32Array,
+        target: Float32Array,
         goal: Gains | None,
-        scratch: NDArray[np.float32],
+        scratch: Float32Array,
         *,
         first: bool,
     ) -> None:
-        """Add one whole buffer to the target, or write over the target if the buffer is the first.
+        """Add `source` times the gains to `target`; if `first`, overwrite `target`.
 
-        source: (frames, channels) or (frames, 1), only read; target, scratch: (frames,
-        channels). goal: the gains to reach, None for silence. At unity gain the samples are
-        copied or added bit for bit.
+        source: (frames, channels) or (frames, 1). scratch: working memory, (frames, channels).
+        goal: gains at the end of the buffer, or None for silence.
         """
         goal = self._silent if goal is None else goal
-        now = goal if self._now is None else self._now
-        self._now = goal
+        now = goal if self.gains is None else self.gains
+        self.gains = goal
         if now == goal == self._unity:
             if first:
                 target[...] = source
@@ -106,47 +96,39 @@ class VolumeRamp:
             target += product
 
 
-def _rise(frames: int) -> NDArray[np.float32]:
-    """Return i/n for every frame i of a buffer of n frames, as a column."""
+def _rise(frames: int) -> Float32Array:
+    """Return i/n for each frame i of n, (frames, 1)."""
     return (np.arange(frames, dtype=np.float64) / frames).astype(np.float32)[:, None]
 
 
 def decibels(gain: float) -> float:
-    """Return a gain in decibels, -inf for 0, for dumps."""
+    """Return a gain in decibels, -inf for 0."""
     return 20.0 * math.log10(gain) if gain > 0.0 else -math.inf
 
 
-RETRIES = 50
-"""Whole cycles in a row that an active track may miss before it is disabled: about 1 s."""
+RETRIES = 50  # a track is disabled when it has missed this many full cycles in a row, about 1 s
 
 
 class Readiness(Enum):
-    """What a track can give in a cycle."""
+    """Whether a cycle can mix a track."""
 
     READY = "ready"
-    WAITING = "waiting"
-    """No sound, as expected: the track is filling up or has just become silent."""
-    UNDERRUN = "underrun"
-    """Less than a whole period: the cycle goes on without the track."""
+    WAITING = "waiting"  # the track waits for `start_threshold` frames or has just been paused
+    UNDERRUN = "underrun"  # too few frames; the cycle omits the track
 
 
 class Lane:
-    """One track's way into the mix: requests -> frames -> channels -> rate -> ramped volume.
+    """Channel mapping, resampling and gain of one track, in the mixer's thread.
 
-    samplerate, channels: of the mix; frames: of its longest cycle. Any thread may make it; then
-    the mixer's thread holds it.
+    samplerate, channels: format of the mix. frames: length of the longest cycle.
     """
 
     def __init__(self, track: Track, samplerate: int, channels: int, frames: int) -> None:
         self.track = track
         self.gone = False
         self._state = track.mixed_state
-        self._filling = True
-        self._missed_frames = 0
-        self._written_when_disabled = 0
-        self._stop_at = 0
-        self._tail_frames = 0
-        self._leaving = False
+        self._filling, self._leaving = True, False
+        self._missed_frames = self._written_when_disabled = self._stop_at = self._tail_frames = 0
         self._channels = channels
         self._frames = frames
         self._map = ChannelMap(track.channels, channels)
@@ -163,32 +145,30 @@ class Lane:
         self._ramp = VolumeRamp(channels, frames)
         self._gains: Gains = ()
         self._volume: tuple[float, ...] | None = None
-        self._take = 0
-        self._needed = 0
-        self._cycle_frames = 0
+        self._take = self._needed = self._cycle_frames = 0
 
     @property
     def is_active(self) -> bool:
-        """Whether the track takes part in this cycle, with sound or without."""
+        """Whether the track takes part in this cycle."""
         return self._state in PLAYING and not self.track.disabled
 
     def update(self) -> None:
-        """Carry out what the client has asked for since the last cycle."""
+        """Execute the client's requests. During a fade-out, all requests except START wait."""
         requests = self.track.requests
         self._settle()
         while requests:
             request, written = requests[0]
             if self._state is TrackState.PAUSING and request is not Request.START:
-                break  # the ramp comes first
+                break  # fade out first
             if request is Request.FLUSH and self._state is TrackState.STOPPING:
                 self._move_to(TrackState.PAUSING)
-                break  # the track still sounds: ramp down first, then flush
+                break  # the track still plays: fade out first, then flush
             requests.popleft()
             self._carry_out(request, written)
             self._settle()
 
     def prepare(self, frames: int) -> Readiness:
-        """Decide if a cycle of `frames` frames mixes the track. Once per cycle while active."""
+        """Return whether a cycle of `frames` frames can mix the track. Call once per cycle."""
         resampler = self._resampler
         self._cycle_frames = frames
         self._needed = resampler.frames_needed(frames) if resampler else frames
@@ -202,29 +182,21 @@ class Lane:
             return Readiness.READY
         return self._miss()
 
-    def mix(
-        self, target: NDArray[np.float32], scratch: NDArray[np.float32], *, first: bool
-    ) -> None:
-        """Mix one cycle into the target, (frames, channels), after `prepare` said READY.
-
-        first: write over the target. scratch: as large as the target, overwritten.
-        """
+    def mix(self, target: Float32Array, scratch: Float32Array, *, first: bool) -> None:
+        """Add a cycle of a READY track to `target`, (frames, channels); if `first`, replace it."""
         sound = self._taken()
         if self._map.folds:
-            taken = len(sound)
-            sound = self._map.apply(sound, self._mapped[:taken], self._spare[:taken])
+            sound = self._map.apply(sound, self._mapped, self._spare)
         if self._resampler is not None:
             self._resampler.feed(sound)
-            at_rate = self._at_rate[: self._cycle_frames]
-            self._resampler.produce(at_rate)
-            sound = at_rate
+            sound = self._at_rate[: self._cycle_frames]
+            self._resampler.produce(sound)
         if self._map.spreads:
-            frames = len(sound)
-            sound = self._map.apply(sound, self._mapped[:frames], self._spare[:frames])
+            sound = self._map.apply(sound, self._mapped, self._spare)
         goal = None if self._state is TrackState.PAUSING else self._goal()
         self._ramp.mix(sound, target, goal, scratch, first=first)
-        # only now may the client write over the frames that were read in place
-        self.track.ring.consume(self._take)
+        # The client may now overwrite the frames in the ring.
+        self.track.ring.read += self._take
         if self._state is TrackState.PAUSING:
             self._move_to(TrackState.PAUSED)
         elif self._state is TrackState.RESUMING:
@@ -233,9 +205,10 @@ class Lane:
             self._tail_frames -= self._needed - self._take
             self._settle()
 
-    def _taken(self) -> NDArray[np.float32]:
-        """Return this period's frames, (needed, channels); after a stop zeros follow the last."""
-        first, second = self.track.ring.spans_to_read(self._take)
+    def _taken(self) -> Float32Array:
+        """Return the frames for this cycle, (needed, channels), padded with zeros at the end."""
+        ring = self.track.ring
+        first, second = ring.spans(ring.read, self._take)
         if len(first) == self._needed:
             return first
         joined = self._joined[: self._needed]
@@ -245,7 +218,6 @@ class Lane:
         return joined
 
     def _miss(self) -> Readiness:
-        """Count a cycle without the track; disable the track after too many of them in a row."""
         track = self.track
         if self._state is TrackState.PAUSING:
             self._ramp.mute()
@@ -257,13 +229,12 @@ class Lane:
             track.disabled = True
         if self._filling:
             return Readiness.WAITING
-        # like AudioFlinger, count the whole period that was not heard
+        # As in AudioFlinger, count all frames of the cycle.
         track.underruns += 1
         track.underrun_frames += self._needed
         return Readiness.UNDERRUN
 
     def _goal(self) -> Gains:
-        """Return the gains that the client wants, computed only when they change."""
         volume = self.track.volume
         if volume is not self._volume:
             self._volume = volume
@@ -271,7 +242,7 @@ class Lane:
         return self._gains
 
     def _ready(self) -> int:
-        """Return the frames that may be played: all, or those written before a stop."""
+        """Return the number of frames in the ring; frames written after a stop do not count."""
         ring = self.track.ring
         if self._state is TrackState.STOPPING:
             return max(0, self._stop_at - ring.read)
@@ -294,11 +265,10 @@ class Lane:
             track.disabled = False
             self._tail_frames = self._resampler.tail_frames if self._resampler else 0
         elif state in (TrackState.FLUSHED, TrackState.STOPPED):
-            track.ring.skip_to(written)
+            track.ring.read = max(track.ring.read, written)
             self._rewind()
 
     def _settle(self) -> None:
-        """Finish states that need no further cycle: nothing left to ramp or to play."""
         track = self.track
         if track.disabled and track.ring.written != self._written_when_disabled:
             track.disabled = False
@@ -316,10 +286,9 @@ class Lane:
         self.gone = self._leaving and not self.is_active
 
     def _rewind(self) -> None:
-        """Prepare for another first buffer."""
         self._filling = True
         self._missed_frames = 0
-        self._ramp.restart()
+        self._ramp.gains = None
         if self._resampler is not None:
             self._resampler.reset()
 

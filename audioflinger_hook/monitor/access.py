@@ -1,7 +1,8 @@
-"""Who may see the page: only browsers that were given the token, and only on pages of our own.
+"""Access control of the page, by token, host and origin.
 
-A page of another site may send requests to this computer. It cannot read the token, its requests
-carry its own origin, and a name that it points to this computer is not in our list of hosts.
+Web pages of other sites can send requests to this computer. Such requests lack the token or have a
+foreign Origin header, and get no data of the daemon. Requests with an unknown Host header, as after
+DNS rebinding, are refused.
 """
 
 from __future__ import annotations
@@ -19,8 +20,6 @@ from device.errors import UsageError, WriteError
 
 TOKEN_NAME = "page.token"
 TOKEN_BYTES = 16
-PORT = 8765
-LISTEN = f"127.0.0.1:{PORT}"
 LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
 WILDCARDS = ("0.0.0.0", "[::]")
 
@@ -29,43 +28,31 @@ _TOKEN = re.compile(rb"[0-9a-f]{%d}" % (2 * TOKEN_BYTES))
 
 @dataclass(frozen=True)
 class Listen:
-    """Where the page is served: a host as in a URL, and a port."""
+    """Address of the page's server: a host as in a URL, and a port."""
 
     host: str
     port: int
 
     @classmethod
     def parse(cls, text: str) -> Listen:
-        """Parse HOST:PORT; port 0 takes a free one. UsageError: it is something else."""
+        """Parse HOST:PORT; port 0 selects a free port. UsageError: the text is not valid."""
         host, colon, port = text.rpartition(":")
         good = re.fullmatch(r"[\w.-]+|\[[0-9A-Fa-f:.]+\]", host) and re.fullmatch(r"\d{1,5}", port)
         if not colon or not good or int(port) > 65_535:
-            raise UsageError(
-                f"--listen {text[:60]!r} is no address; allowed: HOST:PORT, such as {LISTEN} or "
-                "[::1]:8765"
-            )
+            allowed = "HOST:PORT, such as 127.0.0.1:8765 or [::1]:8765"
+            raise UsageError(f"--listen {text[:60]!r} is no address; allowed: {allowed}")
         return cls(host.lower(), int(port))
 
     @property
-    def is_loopback(self) -> bool:
-        """Whether only this computer reaches it."""
-        return self.host in LOOPBACK
-
-    @property
-    def bind_host(self) -> str:
-        """The host as sockets take it."""
-        return self.host.strip("[]")
-
-    @property
     def shown_host(self) -> str:
-        """The host of the address that is printed."""
+        """Host in the printed address. For a wildcard host, this is the computer's host name."""
         return socket.gethostname().lower() if self.host in WILDCARDS else self.host
 
 
 def load_token(folder: RuntimeFolder) -> str:
-    """Return the token in the daemon's folder; a new one, mode 0600, where there is none.
+    """Return the page's token. If the daemon's folder has no valid token, store a new one there.
 
-    WriteError: it cannot be written.
+    WriteError: the token cannot be read or stored.
     """
     path = folder.path / TOKEN_NAME
     try:
@@ -90,24 +77,19 @@ def load_token(folder: RuntimeFolder) -> str:
 
 
 class Access:
-    """Checks requests. Any thread.
-
-    listen: where the page is served, with the true port. token: that opens it.
-    """
+    """Checks requests. Any thread may use it. cookie: value of the header Set-Cookie."""
 
     def __init__(self, listen: Listen, token: str) -> None:
         self._token = token.encode()
         self.cookie_name = f"cushion_{listen.port}"
+        self.cookie = f"{self.cookie_name}={token}; Path=/; HttpOnly; SameSite=Strict"
         names = {*LOOPBACK, listen.host, listen.shown_host}
         self._hosts = {f"{name}:{listen.port}" for name in names}
         self._port = listen.port
 
     def refuse_host(self, hosts: list[str], own_address: str) -> str:
-        """Return why a Host header is refused, "" if it names this server.
-
-        hosts: all Host headers. own_address: this end of the connection, as an IP address.
-        """
-        own_address = own_address.removeprefix("::ffff:")  # IPv4 that came by an IPv6 socket
+        """Return why the Host headers are refused, or "". own_address: the server's IP address."""
+        own_address = own_address.removeprefix("::ffff:")  # prefix of IPv4-mapped addresses
         own = f"[{own_address}]" if ":" in own_address else own_address
         known = self._hosts | {f"{own}:{self._port}"}
         if len(hosts) == 1 and hosts[0].lower() in known:
@@ -115,10 +97,7 @@ class Access:
         return "the host is not this server; open the address that `cushion monitor` prints"
 
     def refuse_origin(self, origins: list[str], host: str, *, needed: bool) -> str:
-        """Return why an Origin header is refused, "" if it is the page's own.
-
-        needed: whether a request without an origin is refused.
-        """
+        """Return why the Origin headers are refused, or "". needed: whether one is required."""
         if not origins and not needed:
             return ""
         if len(origins) == 1 and origins[0].lower() == f"http://{host.lower()}":
@@ -126,22 +105,16 @@ class Access:
         return "the request comes from another page; only this server's own page may connect"
 
     def is_token(self, given: str) -> bool:
-        """Whether this is the token; takes equally long whatever it is."""
+        """Whether `given` is the token, compared in constant time."""
         return hmac.compare_digest(given.encode("utf-8", "replace"), self._token)
 
     def has_cookie(self, header: str) -> bool:
-        """Whether a Cookie header holds the token."""
+        """Whether a Cookie header contains the token."""
         pairs = [part.strip().partition("=") for part in header[:4096].split(";")]
         given = [value for name, _, value in pairs if name == self.cookie_name]
         return len(given) == 1 and self.is_token(given[0])
 
     def has_bearer(self, headers: list[str]) -> bool:
-        """Whether the only Authorization header holds the token."""
+        """Whether there is exactly one Authorization header, and this header has the token."""
         scheme, _, given = headers[0].partition(" ") if len(headers) == 1 else ("", "", "")
         return scheme.lower() == "bearer" and self.is_token(given.strip())
-
-    @property
-    def cookie(self) -> str:
-        """The Set-Cookie header for a browser that has shown the token."""
-        value = self._token.decode()
-        return f"{self.cookie_name}={value}; Path=/; HttpOnly; SameSite=Strict"

@@ -1,7 +1,7 @@
-"""What each browser gets: of each kind of message only the newest, however slow the browser is.
+"""Queues of messages to the browsers. A slow browser gets only the newest message of each kind.
 
-A browser acknowledges frames, and few are under way at a time. So neither memory nor the delay of
-what it shows depends on how fast it reads.
+A frame is a message with levels and frequencies. A browser acknowledges each frame. At most
+UNDER_WAY_MAX frames may be unacknowledged, which limits the memory and the delay.
 """
 
 from __future__ import annotations
@@ -13,20 +13,15 @@ from collections.abc import Awaitable, Callable
 from typing import Any
 
 CLIENTS_MAX = 8
-UNDER_WAY_MAX = 4
-"""Frames sent and not acknowledged: at 30 a second, enough for 130 ms there and back."""
-
+UNDER_WAY_MAX = 4  # frames; at 30 frames/s, enough for a round trip of 130 ms
 ANSWERS_MAX = 8
 
 
 class Client:
-    """One browser. For the event loop's thread.
-
-    overwritten: frames that it never got, as newer ones came first.
-    """
+    """The queue of one browser. Only the event loop's thread may use it."""
 
     def __init__(self) -> None:
-        self.overwritten = 0
+        self.overwritten = 0  # number of queued frames that a newer frame replaced
         self._newest: dict[str, str] = {}
         self._frame: str | None = None
         self._answers: deque[str] = deque(maxlen=ANSWERS_MAX)
@@ -34,7 +29,7 @@ class Client:
         self._wake = asyncio.Event()
 
     def tell(self, kind: str, text: str) -> None:
-        """Send a message, unless a newer one of its kind comes first."""
+        """Queue a message, which replaces a queued message of the same kind."""
         if kind == "frame":
             self.overwritten += self._frame is not None
             self._frame = text
@@ -43,17 +38,17 @@ class Client:
         self._wake.set()
 
     def answer(self, text: str) -> None:
-        """Send the answer to a request."""
+        """Queue the answer to a request. Only the latest ANSWERS_MAX answers are kept."""
         self._answers.append(text)
         self._wake.set()
 
     def acknowledge(self, number: int) -> None:
-        """Note that a frame has arrived."""
+        """Record that the browser has received all frames up to `number`."""
         self._acknowledged = min(max(self._acknowledged, number), self._sent)
         self._wake.set()
 
     async def send_all(self, send: Callable[[str], Awaitable[None]]) -> None:
-        """Send what there is, until cancelled."""
+        """Send queued messages until the task is cancelled."""
         while True:
             await self._wake.wait()
             self._wake.clear()
@@ -69,13 +64,13 @@ class Client:
 
 
 class Clients:
-    """All browsers, and the latest message of each kind for those that come later.
+    """All browsers, and the latest message of each kind for browsers that connect later.
 
-    latest: contents by kind. overwritten: frames that were not sent, of all browsers so far.
+    Only the event loop's thread may use it.
     """
 
     def __init__(self) -> None:
-        self.latest: dict[str, dict[str, Any]] = {}
+        self.latest: dict[str, dict[str, Any]] = {}  # contents of the latest message of each kind
         self._all: set[Client] = set()
         self._overwritten_before = 0
 
@@ -84,20 +79,20 @@ class Clients:
 
     @property
     def overwritten(self) -> int:
-        """Frames that were not sent, as newer ones came first."""
+        """Number of queued frames, for all browsers, that newer frames replaced since the start."""
         return self._overwritten_before + sum(client.overwritten for client in self._all)
 
     def tell(self, kind: str, content: dict[str, Any]) -> None:
-        """Send a message of the daemon to all."""
+        """Queue a message for all browsers."""
         if kind == "link" and not content["connected"]:
-            self.latest.clear()  # What a daemon said that is gone is not true any more.
+            self.latest.clear()  # the messages are not valid for the next daemon
         self.latest[kind] = content
         text = json.dumps(content)
         for client in self._all:
             client.tell(kind, text)
 
     def add(self) -> Client:
-        """Return a new client, which gets the latest of everything."""
+        """Return a new client, with the latest message of each kind in its queue."""
         client = Client()
         self._all.add(client)
         for kind, content in self.latest.items():
@@ -105,6 +100,6 @@ class Clients:
         return client
 
     def remove(self, client: Client) -> None:
-        """Forget a client."""
+        """Remove a client."""
         self._all.discard(client)
         self._overwritten_before += client.overwritten

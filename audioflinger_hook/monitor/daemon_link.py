@@ -1,4 +1,4 @@
-"""The page's connection to the daemon: made again after each loss, with the reason in words."""
+"""The page's connection to the daemon, with reconnection after a loss."""
 
 from __future__ import annotations
 
@@ -16,22 +16,18 @@ from audioflinger_hook.service.status_server import NAME, PROTOCOL, peer_uid
 from device.errors import CushionError, InternalError, NotFoundError, UsageError
 
 RETRY_S = 0.5
-SILENT_S = 5.0
-"""A daemon that sends nothing for so long is taken for lost: it sends 30 frames a second."""
+SILENT_S = 5.0  # the connection counts as lost after this time without a line
+LINE_BYTES_MAX = 1 << 18  # longest accepted line
 
-LINE_BYTES_MAX = 1 << 18
-"""Longest line of the daemon; its status has 4 kB, its settings 9 kB."""
-
-LINE_SHARE = 0.2
-"""Pause after each line, as a share of a frame's time: a daemon that floods is read no faster."""
+LINE_SHARE = 0.2  # pause after each line as a share of 1 / rate_hz, to limit the CPU load
 
 
 class DaemonLink:
-    """Watches the daemon and passes requests on. For one thread, its event loop.
+    """Receives the daemon's messages and forwards requests, on the event loop's thread.
 
-    tell: called with each message of the daemon, (kind, content, its text): "hello", "frame",
-    "status", "settings"; and with ("link", ...) when the connection changes, whose content is
-    {"connected": ..., "text": ...}. page: address that the daemon shows its user.
+    tell: called with (kind, content) of each message. The daemon sends "frame", "status" and
+    "settings". Kind "link" reports a change of the connection: {"connected": ..., "text": ...}.
+    rate_hz: number of frames per second. page: the page's address, which the daemon prints.
     """
 
     def __init__(
@@ -43,25 +39,19 @@ class DaemonLink:
     ) -> None:
         self._tell = tell
         self._pause_s = LINE_SHARE / rate_hz
-        self._watch_request = {
-            "ask": "watch",
-            "rate_hz": rate_hz,
-            "memory": True,
-            "page": page,
-        }
+        self._watch_request = {"ask": "watch", "rate_hz": rate_hz, "memory": True, "page": page}
         self._environ = environ
         self._control = asyncio.Lock()
         self._told = ""
 
     async def run(self) -> None:
-        """Watch until cancelled."""
+        """Receive messages, and connect again after a loss, until the task is cancelled."""
         while True:
-            problem = await self._attempt(self._watch())
-            self._note(problem, connected=False)
+            self._note(await self._attempt(self._watch()), connected=False)
             await asyncio.sleep(RETRY_S)
 
     async def control(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the daemon's answer to a request, in the order of the calls; raises nothing."""
+        """Send a request and return the daemon's answer; {"error": text} after a failure."""
         async with self._control:
             answer: dict[str, Any] = {}
 
@@ -104,7 +94,6 @@ class DaemonLink:
         return reader, writer
 
     async def _attempt(self, what: Awaitable[None]) -> str:
-        """Do something with the daemon; return what went wrong, in words."""
         try:
             await what
         except TimeoutError:
@@ -128,21 +117,20 @@ def _send(writer: asyncio.StreamWriter, request: Mapping[str, Any]) -> None:
 
 
 async def _message(reader: asyncio.StreamReader) -> dict[str, Any]:
-    """Return the daemon's next message. InternalError: it has ended, or sends something else."""
+    """Return the daemon's next message. InternalError: the daemon ended or sent invalid data."""
     message = None
     try:
-        async with asyncio.timeout(SILENT_S):  # wait_for may swallow a cancellation
+        async with asyncio.timeout(SILENT_S):  # wait_for() can lose a cancellation
             line = await reader.readline()
         if not line:
             raise InternalError("the daemon has ended; waiting for the next one")
         with suppress(ValueError, RecursionError):
             message = json.loads(line)
     except ValueError as error:  # the line is too long
-        raise InternalError(
-            f"the daemon sends lines over {LINE_BYTES_MAX} bytes; restart it"
-        ) from error
+        long = f"the daemon sends lines over {LINE_BYTES_MAX} bytes; restart it"
+        raise InternalError(long) from error
     if not isinstance(message, dict):
-        raise InternalError("the daemon sends what is not understood; restart it")
+        raise InternalError("the daemon sent an invalid message; restart the daemon")
     return message
 
 

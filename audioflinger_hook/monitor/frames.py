@@ -1,7 +1,7 @@
-"""Frames for the browsers, at a steady rate, from two places.
+"""Sends frames to browsers at a constant rate. A frame is a message with levels and frequencies.
 
-What an engine shows lies in a file of the daemon's folder, which is read here: so the daemon does
-nothing for each frame. The daemon sends what no file can hold: taps of over 8 channels.
+The levels and frequencies come from a memory-mapped file of the engine, which saves CPU time of the
+daemon. If the file lacks space for all channels or actuators, the daemon itself sends these values.
 """
 
 from __future__ import annotations
@@ -16,19 +16,18 @@ from typing import Any
 
 from audioflinger_hook.core.structures import CHANNELS
 from audioflinger_hook.daemon.native.layout import ACTUATORS, ShownReader
+from audioflinger_hook.monitor.figures import figures_of
 from audioflinger_hook.service.runtime_folder import RuntimeFolder
 from device.errors import CushionError
 
-REST_S = 0.15
-"""Sound that stands still for so long has ended: the Python engine's buffers take up to 43 ms, and
-its streams may be some tens of ms late."""
+REST_S = 0.15  # time without processed sound after which levels and frequencies are omitted
 
 
 class Frames:
-    """Passes messages of the daemon on, and completes its frames. For one thread, its event loop.
+    """Forwards the daemon's messages and adds frames. Only the event loop's thread may use it.
 
-    tell: called with each message, (kind, content). rate_hz: frames a second. has_readers: whether
-    anybody looks.
+    tell: called with (kind, content) of each message. rate_hz: frames per second. has_readers:
+    tells whether a browser is connected.
     """
 
     def __init__(
@@ -38,10 +37,8 @@ class Frames:
         has_readers: Callable[[], bool],
         environ: Mapping[str, str] = os.environ,
     ) -> None:
-        self._tell = tell
-        self._period_s = 1.0 / rate_hz
-        self._has_readers = has_readers
-        self._environ = environ
+        self._tell, self._has_readers = tell, has_readers
+        self._period_s, self._environ = 1.0 / rate_hz, environ
         self._frame: dict[str, Any] | None = None
         self._sent_s = -math.inf
         self._where: object = None
@@ -51,12 +48,14 @@ class Frames:
         self._old_sequence = -1
 
     def take(self, kind: str, content: dict[str, Any]) -> None:
-        """Take a message of the daemon."""
+        """Process a message from the daemon."""
         if kind == "link":
             self._frame = None
             self._follow(None)
         if kind != "frame":
             self._tell(kind, content)
+            if kind == "status" and "version" in content:  # else content is an error text
+                self._tell("figures", figures_of(content))
             return
         where = content.pop("memory", None)
         self._frame = {"sound": [], "vibration": [], "partials": []} | content
@@ -65,7 +64,7 @@ class Frames:
             self._send(self._frame)
 
     async def run(self) -> None:
-        """Send frames until cancelled: what is read here, or again what was sent before."""
+        """Send frames until the task is cancelled. Without new values, repeat the last frame."""
         loop = asyncio.get_running_loop()
         due_s = loop.time()
         while True:
@@ -83,7 +82,7 @@ class Frames:
         self._tell("frame", frame)
 
     def _read(self, reader: ShownReader, now_s: float) -> dict[str, Any]:
-        """Return levels and partials; nothing while no sound is processed."""
+        """Return levels and frequencies, or an empty dict while no sound is processed."""
         frames = reader.frames
         if frames != self._frames:
             self._frames, self._moved_s = frames, now_s
@@ -94,7 +93,7 @@ class Frames:
         numbers = [float(f"{number:.5g}") for number in exact]
         of_vibration = 2 * channels
         of_partials = of_vibration + 2 * actuators
-        if reader.sequence == self._old_sequence:  # of the sound before the pause
+        if reader.sequence == self._old_sequence:  # the partials are from before the pause
             partials = 0
         return {
             "sound": _grouped(numbers[:of_vibration], 2),
@@ -103,7 +102,7 @@ class Frames:
         }
 
     def _follow(self, where: Any) -> None:
-        """Read another file; None: none. A file that is not as it should be is not read."""
+        """Close the engine's file and open the one that `where` describes, if `where` is valid."""
         if where == self._where:
             return
         self._where = where

@@ -1,4 +1,4 @@
-"""HTTP and websockets of the page: a fixed table of files, the metrics, and the live connection."""
+"""The page's server for HTTP and websockets: static files, metrics and the live connection."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import json
 import logging
 import socket
 from collections.abc import Callable, Mapping
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from functools import partial
 from http import HTTPStatus
 from importlib.resources import files
@@ -22,43 +22,24 @@ from websockets.http11 import Request, Response
 from audioflinger_hook.monitor.access import Access, Listen
 from audioflinger_hook.monitor.clients import CLIENTS_MAX, Client, Clients
 from audioflinger_hook.monitor.daemon_link import DaemonLink
+from audioflinger_hook.monitor.figures import CONTENT_TYPE, metrics_text
 from audioflinger_hook.monitor.frames import Frames
-from audioflinger_hook.monitor.metrics import CONTENT_TYPE, metrics_text
 from device.errors import InternalError, UsageError
 
 MESSAGE_BYTES_MAX = 4096
-CONNECTIONS_MAX = 48
-"""Connections at a time, browsers and requests together; more are closed at once."""
-
-OPEN_S = 5.0
-"""Time for a request to arrive."""
-
+CONNECTIONS_MAX = 48  # further connections are closed immediately
+OPEN_S = 5.0  # timeout for the arrival of a request
 PING_S = 20.0
-WRITE_BYTES = 16_384
-"""Bytes that wait for a slow browser in this process and in the kernel, each."""
+WRITE_BYTES = 16_384  # limit of a connection's write buffers, in this process and in the system
+CONTROL_PAUSE_S = 0.02  # pause after each request that is forwarded to the daemon
 
-CONTROL_PAUSE_S = 0.02
-"""Pause after each request of a browser to the daemon."""
-
-FILES = {
+SCRIPTS = ("page", "connection", "drawing", "meters", "mapping", "waterfall", "controls", "figures")
+FILES = {  # URL path: (file, content type)
     "/": ("index.html", "text/html; charset=utf-8"),
     "/style.css": ("style.css", "text/css; charset=utf-8"),
     "/icon.svg": ("icon.svg", "image/svg+xml"),
-    **{
-        f"/{name}.js": (f"{name}.js", "text/javascript; charset=utf-8")
-        for name in (
-            "page",
-            "connection",
-            "drawing",
-            "meters",
-            "mapping",
-            "waterfall",
-            "controls",
-            "figures",
-        )
-    },
+    **{f"/{name}.js": (f"{name}.js", "text/javascript; charset=utf-8") for name in SCRIPTS},
 }
-"""Everything that can be loaded: path, file and type."""
 
 SECURITY = {
     "Content-Security-Policy": (
@@ -77,29 +58,27 @@ _REQUESTS = ("set", "application", "felt", "mute", "tone", "undo", "save")
 
 
 class PageServer:
-    """Serves the page until `run` is cancelled. For one thread.
+    """Serves the page until `run` is cancelled. Only the event loop's thread may use it.
 
-    listen: where. token: that opens the page. rate_hz: frames a second.
+    connections: number of open connections.
     """
 
     def __init__(
         self, listen: Listen, token: str, rate_hz: float, environ: Mapping[str, str]
     ) -> None:
-        self._listen = listen
-        self._token = token
-        self._rate_hz = rate_hz
-        self._environ = environ
+        self._listen, self._token = listen, token
+        self._rate_hz, self._environ = rate_hz, environ
         self._clients = Clients()
-        self._connections = 0
+        self.connections = 0
         folder = files("audioflinger_hook.monitor").joinpath("static")
         self._files = {
             path: (folder.joinpath(name).read_bytes(), kind) for path, (name, kind) in FILES.items()
         }
 
     async def run(self, on_ready: Callable[[str], None]) -> None:
-        """Serve; on_ready is called with the address, which holds the token.
+        """Serve the page; call `on_ready` with its URL. UsageError: the address cannot be used.
 
-        UsageError: the address is in use, or not one of this computer.
+        InternalError: too many files are open.
         """
         bound = _bound(self._listen)
         listen = Listen(self._listen.host, bound.getsockname()[1])
@@ -111,7 +90,7 @@ class PageServer:
         self._link = DaemonLink(frames.take, self._rate_hz, address, self._environ)
         logger = logging.getLogger("audioflinger_hook.monitor")
         logger.addHandler(logging.NullHandler())
-        logger.propagate = False  # An attack must not fill a journal.
+        logger.propagate = False  # do not let an attacker fill the system's journal
         async with serve(
             self._converse,
             sock=bound,
@@ -133,54 +112,38 @@ class PageServer:
                 tasks.create_task(self._link.run())
                 tasks.create_task(frames.run())
 
-    def begin(self) -> bool:
-        """Count a connection; return whether there is room for it."""
-        self._connections += 1
-        return self._connections <= CONNECTIONS_MAX
-
-    def end(self) -> None:
-        """Count a connection that has ended."""
-        self._connections -= 1
-
     def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
-        """Return the response to a request, None for the live connection."""
+        """Return the response to a request, or None to accept the live connection."""
         headers = request.headers
+        access, path = self._access, request.path
         hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
-        upgrade = request.path == "/live"
-        refusal = self._access.refuse_host(hosts, str(connection.local_address[0]))
-        if not refusal:
-            refusal = self._access.refuse_origin(origins, hosts[0], needed=upgrade)
-        if refusal:
+        refusal = access.refuse_host(hosts, str(connection.local_address[0]))
+        if refusal := refusal or access.refuse_origin(origins, hosts[0], needed=path == "/live"):
             return _text(HTTPStatus.FORBIDDEN, refusal)
-        cookie = self._access.has_cookie("; ".join(headers.get_all("Cookie")))
-        bearer = self._access.has_bearer(headers.get_all("Authorization"))
-        if request.path in self._files:
-            return _response(HTTPStatus.OK, *self._files[request.path])
-        full = len(self._clients) >= CLIENTS_MAX
-        if request.path == "/session" and bearer:
+        if path in self._files:
+            return _response(HTTPStatus.OK, *self._files[path])
+        if path not in ("/session", "/metrics", "/live"):
+            if any(sign in path for sign in ("..", "%", "\\", "//")):
+                return _text(HTTPStatus.FORBIDDEN, "this path is refused")
+            return _text(HTTPStatus.NOT_FOUND, "there is no such page")
+        cookie = access.has_cookie("; ".join(headers.get_all("Cookie")))
+        bearer = access.has_bearer(headers.get_all("Authorization"))
+        if path == "/session" and bearer:
             response = _response(HTTPStatus.NO_CONTENT, b"", "text/plain")
-            response.headers["Set-Cookie"] = self._access.cookie
+            response.headers["Set-Cookie"] = access.cookie
             return response
-        if request.path == "/session" and cookie and not full:
-            return _response(HTTPStatus.NO_CONTENT, b"", "text/plain")
-        if request.path == "/metrics" and (cookie or bearer):
-            text = metrics_text(self._clients)
-            return _response(HTTPStatus.OK, text, CONTENT_TYPE)
-        if upgrade and cookie and not full:
-            return None
-        if request.path in ("/live", "/session") and cookie:
-            reason = f"{CLIENTS_MAX} pages are open already; close one of them"
-            return _text(HTTPStatus.SERVICE_UNAVAILABLE, reason)
-        if request.path in ("/session", "/metrics", "/live"):
+        if path == "/metrics" and (cookie or bearer):
+            return _response(HTTPStatus.OK, metrics_text(self._clients), CONTENT_TYPE)
+        if path == "/metrics" or not cookie:
             needed = "the token is missing or wrong; open the address that `cushion monitor` prints"
             return _text(HTTPStatus.FORBIDDEN, needed)
-        if any(sign in request.path for sign in ("..", "%", "\\", "//")):
-            return _text(HTTPStatus.FORBIDDEN, "this path is refused")
-        return _text(HTTPStatus.NOT_FOUND, "there is no such page")
+        if len(self._clients) >= CLIENTS_MAX:
+            reason = f"{CLIENTS_MAX} pages are open already; close one of them"
+            return _text(HTTPStatus.SERVICE_UNAVAILABLE, reason)
+        return None if path == "/live" else _response(HTTPStatus.NO_CONTENT, b"", "text/plain")
 
     async def _converse(self, connection: ServerConnection) -> None:
-        """Serve one browser."""
-        if len(self._clients) >= CLIENTS_MAX:  # some opened at the same moment
+        if len(self._clients) >= CLIENTS_MAX:  # other browsers connected since the first check
             await connection.close(1013, "too many pages are open")
             return
         client = self._clients.add()
@@ -199,11 +162,10 @@ class PageServer:
                 await sending
 
     async def _take(self, client: Client, message: str | bytes) -> bool:
-        """Carry out a browser's message; return whether it is one."""
-        try:
+        """Process a browser's message; return whether the message is valid."""
+        asked = None
+        with suppress(ValueError, RecursionError):
             asked = json.loads(message) if isinstance(message, str) else None
-        except (ValueError, RecursionError):
-            return False
         if not isinstance(asked, dict):
             return False
         if type(asked.get("ack")) is int:
@@ -219,7 +181,7 @@ class PageServer:
 
 
 class _Connection(ServerConnection):
-    """A connection that is counted, and has a small buffer in the kernel."""
+    """A connection with a small write buffer. `PageServer.connections` counts open connections."""
 
     def __init__(self, server: PageServer, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
@@ -229,49 +191,43 @@ class _Connection(ServerConnection):
         own = transport.get_extra_info("socket")
         own.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, WRITE_BYTES)
         super().connection_made(transport)
-        if not self._page_server.begin():
+        self._page_server.connections += 1
+        if self._page_server.connections > CONNECTIONS_MAX:
             assert isinstance(transport, asyncio.Transport)
             transport.abort()
 
     def connection_lost(self, error: Exception | None) -> None:
-        self._page_server.end()
+        self._page_server.connections -= 1
         super().connection_lost(error)
 
 
 def _bound(listen: Listen) -> socket.socket:
-    """Return a listening socket. UsageError: the address cannot be used."""
     where = f"{listen.host}:{listen.port}"
     try:
-        found = socket.getaddrinfo(listen.bind_host, listen.port, type=socket.SOCK_STREAM)
+        found = socket.getaddrinfo(listen.host.strip("[]"), listen.port, type=socket.SOCK_STREAM)
         family, _, _, _, address = found[0]
-        bound = socket.socket(family, socket.SOCK_STREAM)
-        bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
+        with ExitStack() as stack:
+            bound = stack.enter_context(socket.socket(family, socket.SOCK_STREAM))
+            bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             bound.bind(address)
             bound.listen(CONNECTIONS_MAX)
-        except BaseException:
-            bound.close()
-            raise
+            stack.pop_all()
+        return bound
     except OSError as error:
         if error.errno == errno.EADDRINUSE:
             raise UsageError(
                 f"{where} is in use, perhaps by another page; open that one, or give another port "
                 f"with --listen {listen.host}:{listen.port + 1}"
             ) from error
+        problem = f"cannot listen on {where}: {error.strerror}"
         if error.errno in (errno.EMFILE, errno.ENFILE):
-            raise InternalError(f"cannot listen on {where}: {error.strerror}") from error
-        raise UsageError(
-            f"cannot listen on {where}: {error.strerror}; give an address of this computer"
-        ) from error
-    return bound
+            raise InternalError(problem) from error
+        raise UsageError(f"{problem}; give an address of this computer") from error
 
 
 def _response(status: HTTPStatus, body: bytes, kind: str) -> Response:
-    headers = Headers(SECURITY)
-    headers["Content-Type"] = kind
-    headers["Content-Length"] = str(len(body))
-    headers["Connection"] = "close"
-    return Response(status.value, status.phrase, headers, body)
+    own = {"Content-Type": kind, "Content-Length": str(len(body)), "Connection": "close"}
+    return Response(status.value, status.phrase, Headers(SECURITY | own), body)
 
 
 def _text(status: HTTPStatus, reason: str) -> Response:

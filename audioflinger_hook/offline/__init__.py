@@ -1,1 +1,1 @@
-"""Whole files: rendering, batches of files, and principal frequencies."""
+"""Processing of whole files: rendering, also in batches, and lists of principal frequencies."""

@@ -1,21 +1,162 @@
-"""Renders several files at once, each separately, on several cores."""
+"""Worker processes that execute batches of work, and the rendering of several files by them."""
 
 from __future__ import annotations
 
+import multiprocessing
 import os
-from collections.abc import Iterator, Sequence
+import signal
+import threading
+from collections.abc import Callable, Iterator, MutableSequence, Sequence
+from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor, wait
 from dataclasses import dataclass
+from functools import partial
+from itertools import islice
+from multiprocessing import connection, forkserver
 from pathlib import Path
+from types import FrameType
+from typing import Any, Self, TypeVar
 
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.offline.render import RenderReport, render_file
-from audioflinger_hook.offline.workers import ReportShare, WorkerLost, Workers
+from audioflinger_hook.sources.tap import named
 from device.errors import CushionError, InternalError, UsageError
+
+T = TypeVar("T")
+
+WORKERS_MAX = 256
+DIED = "for lack of memory or by a fault of a decoder; look at the file and the machine's log"
+
+_shares: MutableSequence[float] = []  # in a worker process: `LocalWorkers.shares`
+
+
+def usable_cores() -> int:
+    """Return the number of CPU cores that this process may use."""
+    return len(os.sched_getaffinity(0))
+
+
+class Place:
+    """Runs batches of work in this process. Base class of workers. Only one thread may use it."""
+
+    def slots(self) -> int:
+        """Return how many batches can run at the same time."""
+        return 1
+
+    def submit(self, work: Callable[..., T], *arguments: Any) -> Future[T]:
+        """Start or queue a batch; in this class, run it before returning."""
+        future: Future[T] = Future()
+        future.set_result(work(*arguments))
+        return future
+
+    def lost_worker(self, error: BaseException) -> bool:
+        """Return whether `error` means that a worker died; `submit` still works after that."""
+        return False
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: object, error: object, trace: object) -> None:
+        pass
+
+
+class LocalWorkers(Place):
+    """Processes on this computer. If one dies, all end, and the next `submit` starts new processes.
+
+    count: number of processes. preload: module of the work, imported once for all processes.
+    items: number of items whose progress is reported. shares: finished part of each item, 0 to 1.
+    """
+
+    def __init__(self, count: int, preload: str, items: int = 0) -> None:
+        self._count = count
+        # Workers already use all cores, so BLAS threads would compete for them.
+        for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+            os.environ.setdefault(name, "1")
+        # The forkserver imports everything once and forks workers, which start quickly. Forks of
+        # this process would inherit the locks of its threads.
+        self._context = multiprocessing.get_context("forkserver")
+        self._context.set_forkserver_preload([preload])
+        # SIGHUP must end only this process, which then ends the forkserver and the workers.
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGHUP,))
+        try:
+            forkserver.ensure_running()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        self.shares: MutableSequence[float] = self._context.RawArray("d", items)
+        self._pool = self._new_pool()
+
+    def slots(self) -> int:
+        """Return the number of processes."""
+        return self._count
+
+    def submit(self, work: Callable[..., T], *arguments: Any) -> Future[T]:
+        """Start or queue a batch in one of the processes."""
+        try:
+            return self._pool.submit(_unless_ended, work, *arguments)
+        except BrokenExecutor:
+            self._pool.shutdown(wait=True, cancel_futures=True)
+            self._pool = self._new_pool()
+            return self._pool.submit(_unless_ended, work, *arguments)
+
+    def lost_worker(self, error: BaseException) -> bool:
+        """Return whether `error` means that a process died."""
+        return isinstance(error, BrokenExecutor)
+
+    def __exit__(self, kind: object, error: object, trace: object) -> None:
+        if kind is not None:
+            # Terminate the running items. Results appear only when complete, so no partial result
+            # remains.
+            for process in list((self._pool._processes or {}).values()):
+                process.terminate()
+        self._pool.shutdown(wait=True, cancel_futures=True)
+
+    def _new_pool(self) -> ProcessPoolExecutor:
+        return ProcessPoolExecutor(self._count, self._context, _begin_worker, (self.shares,))
+
+
+def report_share_to_pool(item: int, share: float) -> None:
+    """Report the finished part of an item, 0 to 1, from a worker to its `LocalWorkers`."""
+    _shares[item] = share
+
+
+def _begin_worker(shares: MutableSequence[float]) -> None:
+    """Prepare a worker: ignore Ctrl-C and SIGHUP, and exit when the main process ends."""
+    global _shares
+    _shares = shares
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+
+    def end_with_parent() -> None:
+        if parent := multiprocessing.parent_process():
+            connection.wait([parent.sentinel])
+            os._exit(1)
+
+    threading.Thread(target=end_with_parent, daemon=True).start()
+
+
+def _interrupt_once(_signal: int, _frame: FrameType | None) -> None:
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    raise KeyboardInterrupt
+
+
+def _unless_ended(work: Callable[..., T], *arguments: Any) -> T:
+    """Return the work's result. After SIGTERM, interrupt the work and exit the process."""
+    try:
+        signal.signal(signal.SIGTERM, _interrupt_once)
+        try:
+            return work(*arguments)
+        finally:
+            signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    except KeyboardInterrupt:
+        os._exit(1)
+
+
+ReportShare = Callable[[float], None]  # argument: the finished part of the work, 0 to 1
+SHARE_S = 0.1  # time between two reports of progress
+AHEAD = 4  # files submitted for each process, running or waiting
 
 
 @dataclass(frozen=True)
 class Rendered:
-    """The outcome for one file: its report, or an error of one line and its exit code."""
+    """The outcome for one file: its report, or a one-line error and its exit code."""
 
     source: Path
     target: Path
@@ -25,9 +166,10 @@ class Rendered:
 
 
 def targets_in(folder: Path, sources: Sequence[Path]) -> list[Path]:
-    """Return the target of each file: its name in that folder, ending in .wav.
+    """Return the target of each file: a .wav file of the same name in the folder.
 
-    UsageError: there is no such folder, two targets are the same, or one would replace a source.
+    UsageError: there is no such folder, two targets are the same, or a target would replace a
+    source.
     """
     if not folder.is_dir():
         what = "is not a folder" if folder.exists() else "does not exist"
@@ -58,64 +200,77 @@ def render_files(
     workers: int,
     report_share: ReportShare | None = None,
 ) -> Iterator[Rendered]:
-    """Yield the outcome for each file, in their order, with the same bytes as `render_file`.
+    """Render files as `render_file` does, and yield the outcomes in the order of `sources`.
 
-    An error in one file does not affect the others. Ending the iteration early discards unfinished
-    files. Memory grows with the workers, not with the files.
-
-    sources, targets: the sound files, and the file for the vibration of each.
-    settings: used for all files.
-    workers: processes at once; 1 for this process alone.
-    report_share: called with the share of all files that is done.
+    An error in one file does not affect the others. Ending the iteration discards unfinished files.
+    workers: number of processes; 1 uses this process alone.
+    report_share: function that is called with the finished part of all files, 0 to 1.
     """
-
-    def work(item: int, report_share: ReportShare) -> Rendered:
-        return _try_file(sources[item], targets[item], settings, report_share)
-
-    if min(workers, len(sources)) <= 1:
-        for item in range(len(sources)):
-            yield work(item, _share_of(item, len(sources), report_share))
+    count = len(sources)
+    if min(workers, count) <= 1:
+        for item in range(count):
+            share = partial(_report_one, report_share, item, count) if report_share else None
+            yield _try_file(sources[item], targets[item], settings, share)
         return
-    with Workers(work, len(sources), workers) as pool:
-        for item, came in enumerate(pool.results(report_share)):
-            if isinstance(came, WorkerLost):
-                error = f"{sources[item]}: the process that rendered it was {came}; render it again"
-                yield Rendered(
-                    sources[item], targets[item], error=error, exit_code=InternalError.exit_code
-                )
-            else:
-                yield came
+    with LocalWorkers(min(workers, count), __name__, count) as pool:
+
+        def submit(item: int) -> Future[Rendered]:
+            share = partial(report_share_to_pool, item)
+            return pool.submit(_try_file, sources[item], targets[item], settings, share)
+
+        futures: dict[int, Future[Rendered]] = {}
+        left = iter(range(count))
+
+        def submit_more() -> None:
+            """Submit files until AHEAD per process are running or queued; none after a death."""
+            done = [each for each in futures.values() if each.done()]
+            if not any(isinstance(each.exception(), BrokenExecutor) for each in done):
+                under_way = len(futures) - len(done)
+                for item in islice(left, AHEAD * workers - under_way):
+                    futures[item] = submit(item)
+
+        def result(future: Future[Rendered], *, alone: bool) -> Rendered:
+            while not wait([future], SHARE_S).done:
+                if not alone:
+                    submit_more()
+                if report_share:
+                    report_share(sum(pool.shares) / count)
+            return future.result()
+
+        for item in range(count):
+            submit_more()
+            try:
+                try:
+                    came = result(futures.pop(item), alone=False)
+                except BrokenExecutor:
+                    # It is unknown which file killed the process, so each running file is retried
+                    # alone.
+                    came = result(submit(item), alone=True)
+            except BrokenExecutor:
+                died = InternalError(f"{sources[item]}: its process died twice, {DIED}")
+                came = _failed(sources[item], targets[item], died)
+            yield came
 
 
 def _try_file(
-    source: Path, target: Path, settings: Settings, report_share: ReportShare
+    source: Path, target: Path, settings: Settings, report_share: ReportShare | None
 ) -> Rendered:
     def progress(frames: int, expected: int | None) -> None:
-        if expected:
+        if expected and report_share:
             report_share(min(1.0, frames / expected))
 
     try:
-        report = render_file(source, target, settings, progress=progress)
+        return Rendered(source, target, render_file(source, target, settings, progress=progress))
     except CushionError as error:
-        return Rendered(source, target, error=_named(error, source), exit_code=error.exit_code)
+        return _failed(source, target, named(error, source))
     except Exception as error:
         said = f"{type(error).__name__}: {error}; this is a fault of cushion, please report it"
-        wrapped = InternalError(f"{source}: {said}")
-        return Rendered(source, target, error=str(wrapped), exit_code=wrapped.exit_code)
-    return Rendered(source, target, report)
+        return _failed(source, target, InternalError(f"{source}: {said}"))
 
 
-def _named(error: CushionError, source: Path) -> str:
-    """Return an error's text, with the file's name added if it is missing."""
-    text = str(error)
-    return text if str(source) in text else str(type(error)(f"{source}: {text}"))
+def _failed(source: Path, target: Path, error: CushionError) -> Rendered:
+    return Rendered(source, target, error=str(error), exit_code=error.exit_code)
 
 
-def _share_of(item: int, items: int, report_share: ReportShare | None) -> ReportShare:
-    """Return a function that takes the share of one item and reports the share of all items."""
-
-    def one(share: float) -> None:
-        if report_share:
-            report_share((item + share) / items)
-
-    return one
+def _report_one(report_share: ReportShare, item: int, items: int, share: float) -> None:
+    report_share((item + share) / items)

@@ -1,4 +1,4 @@
-"""The principal frequencies of a sound, unit by unit, from the paper's equations."""
+"""The principal frequencies (main spectral peaks) of a sound in each unit (analysis window)."""
 
 from __future__ import annotations
 
@@ -15,20 +15,17 @@ from audioflinger_hook.transform.downmix import MonoMix
 from audioflinger_hook.transform.input_stage import channel_rows, replace_unusable
 from audioflinger_hook.transform.mapping import vibration_hz
 from audioflinger_hook.transform.parameters import TransformParameters
-from audioflinger_hook.transform.reference.transform import ReferenceTransform
+from audioflinger_hook.transform.reference import ReferenceTransform
 from device.errors import UsageError
 from device.layouts import downmix
 
-LONGEST_S = 1e9
-"""Thirty years: no sound is longer, and its frames still fit a float."""
-
-PRINTED_S = 0.6e-6
-"""A time printed with six decimals may be too small by this much."""
+LONGEST_S = 1e9  # longer than any sound; frame numbers up to this time are exact as float64
+PRINTED_S = 0.6e-6  # more than the rounding error of a time that is printed with six decimals
 
 
 @dataclass(frozen=True)
 class PrincipalFrequency:
-    """One principal frequency: audio and vibration in Hz, amplitude in full scale, r in Hz."""
+    """A principal frequency. amplitude: 1 is full scale. r: amplitude times bandwidth, in Hz."""
 
     audio_hz: float
     amplitude: float
@@ -39,7 +36,7 @@ class PrincipalFrequency:
 
 @dataclass(frozen=True)
 class Unit:
-    """One unit: its number from 0, its start, and its principal frequencies."""
+    """One unit (analysis window). unit: number from 0. start_s: seconds from the sound's start."""
 
     unit: int
     start_s: float
@@ -53,12 +50,10 @@ def inspect_file(
     at_s: float | None = None,
     warn: Callable[[str], None] | None = None,
 ) -> Iterator[Unit]:
-    """Yield the units of a sound file in order, or only the one that contains the time `at_s`.
+    """Yield all units of a sound file in order, or only the unit that contains the time `at_s`.
 
-    The channels are mixed first. Memory does not depend on the length. At the end, `warn` is called
-    with each warning about the file.
-
-    UsageError: the file cannot be used, or `at_s` lies outside it.
+    The channels are mixed to mono. At the end, `warn` is called with each warning about the file.
+    UsageError: the file cannot be used, or `at_s` is not within the sound.
     """
     if at_s is not None and not 0.0 <= at_s < np.inf:
         raise UsageError(f"time {at_s:g} s is not in the sound; allowed: 0 s up to its end")
@@ -72,56 +67,40 @@ def inspect_file(
 def inspect_tap(
     tap: Tap, parameters: TransformParameters, *, at_s: float | None = None
 ) -> Iterator[Unit]:
-    """Yield the units of a tap's sound; see `inspect_file`."""
+    """Yield the units of the sound that a tap reads, as `inspect_file` does."""
     transform = ReferenceTransform(parameters, tap.samplerate)
     mix = MonoMix(downmix(tap.channels), tap.samplerate)
     window = transform.latency_frames
     exact = None if at_s is None else min(at_s, LONGEST_S) * tap.samplerate
-    # The start of a unit, printed with six decimals and read again, must select that unit.
+    # The printed start of a unit has six decimals. Given as `at_s`, this time must select the same
+    # unit.
     wanted = None if exact is None else int(exact + PRINTED_S * tap.samplerate) // window
-    frames = 0
-    done = 0
-    while True:
+
+    def unit_of(number: int, frames: FloatArray) -> Unit:
+        found = transform.analyse(frames[None])
+        at_hz = vibration_hz(found.audio_hz, parameters)
+        columns = (found.audio_hz, found.amplitude, found.bandwidth_hz, found.r, at_hz)
+        rows = zip(*(column.tolist() for column in columns), strict=True)
+        principal = [PrincipalFrequency(*row) for row in rows]
+        return Unit(number, number * (window / tap.samplerate), principal)
+
+    frames = done = 0
+    ended = False
+    while not ended:
         buffer = tap.read()
         if buffer is None:
-            units = transform.cut_last()
+            units, ended = transform.cut_last(), True
         else:
             frames += len(buffer)
             units = transform.cut(mix.process(channel_rows(replace_unusable(buffer)[0])))
-        if wanted is None:
-            yield from _units(transform, parameters, units, done, tap.samplerate)
-        elif wanted < done + len(units) and exact is not None and exact < frames:
-            one = units[wanted - done : wanted - done + 1]
-            yield from _units(transform, parameters, one, wanted, tap.samplerate)
+        if exact is None or wanted is None:
+            yield from (unit_of(number, unit) for number, unit in enumerate(units, start=done))
+        elif wanted < done + len(units) and exact < frames:
+            yield unit_of(wanted, units[wanted - done])
             return
         done += len(units)
-        if buffer is None:
-            break
     if wanted is not None:
         raise UsageError(
             f"time {at_s:g} s is after the end of the sound; "
             f"allowed: 0 to {frames / tap.samplerate:.3f} s, the end itself excluded"
         )
-
-
-def _units(
-    transform: ReferenceTransform,
-    parameters: TransformParameters,
-    units: FloatArray,
-    first: int,
-    samplerate: int,
-) -> Iterator[Unit]:
-    window_s = transform.latency_frames / samplerate
-    for number, frames in enumerate(units, start=first):
-        found = transform.analyse(frames[None])
-        columns = (
-            found.audio_hz,
-            found.amplitude,
-            found.bandwidth_hz,
-            found.r,
-            vibration_hz(found.audio_hz, parameters),
-        )
-        principal = [
-            PrincipalFrequency(*row) for row in zip(*(c.tolist() for c in columns), strict=True)
-        ]
-        yield Unit(number, number * window_s, principal)

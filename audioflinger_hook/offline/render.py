@@ -1,20 +1,14 @@
-"""Offline rendering: a sound in, a vibration file out, through the same pipeline as live sound."""
+"""Offline rendering of sound to a file of vibration, with the same steps as for live sound."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
-
-import numpy as np
-from numpy.typing import NDArray
 
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.drive.drive import Drive
-from audioflinger_hook.offline.sections import Plan, plan_for, sections_of
 from audioflinger_hook.pipeline.framework import (
     OFFLINE_HAL_FRAMES,
     Framework,
@@ -22,29 +16,23 @@ from audioflinger_hook.pipeline.framework import (
     drive_of,
     simulated_rig_of,
 )
-from audioflinger_hook.pipeline.step import HapticSink, Pipeline
+from audioflinger_hook.pipeline.step import Pipeline, Step
 from audioflinger_hook.sources import Client, FileTap, TapClient
 from device.drive.channel_map import ChannelMap
 from device.drive.exposure import Exposure
 from device.drive.outputs import FADE_S, AlignedOutput, DrivenOutput, FadedOutput
 from device.errors import UsageError
 from device.output import VibrationOutput
-from device.rig.instruments import ACCELERATION_FULL_SCALE_M_S2
-from device.rig.model_record import SecondReport, in_words
+from device.rig.electronics import ACCELERATION_FULL_SCALE_M_S2
+from device.rig.model_record import SecondReport
 from device.rig.simulated_rig import SimulatedRig
 from device.wav_output import WavOutput
 
-Progress = Callable[[int, int | None], None]
-"""Called after every buffer with the frames done and the total frames (None if unknown)."""
-
-Wait = Callable[[int], None]
-"""Called with the frames done; returns when the next frames are due."""
-
-OpenOutput = Callable[[Path, int, int], VibrationOutput]
-"""Opens the vibration's file: path, rate in Hz and channels of what will be written to it."""
-
-Hear = Callable[[NDArray[np.float32]], None]
-"""Called with the sound of every buffer, (frames, channels), before its vibration is aligned."""
+Progress = Callable[[int, int | None], None]  # frames done, and frames in total (None: unknown)
+Wait = Callable[[int], None]  # called with the frames done; returns when the next buffer is due
+OpenOutput = Callable[[Path, int, int], VibrationOutput]  # arguments: path, rate in Hz, channels
+Observe = Callable[[Framework], Callable[[Step], None] | None]
+"""Called before the first step. The returned function is called after every step."""
 
 ACCELERATION_COMMENT = (
     f"predicted acceleration, full scale = {ACCELERATION_FULL_SCALE_M_S2:g} m/s^2"
@@ -53,10 +41,11 @@ ACCELERATION_COMMENT = (
 
 @dataclass(frozen=True)
 class RenderReport:
-    """What was rendered. Field names contain their units; frames and samples are counts.
+    """The result of a rendering. Field names contain their units; frames and samples are counts.
 
-    strength_db: perceived strength against no damping and no protection, None without damping.
-    exposure: of the rig with the largest A(8); None if no rig is damped, protected or capped.
+    strength_db: change in dB of a rig's Wk-weighted acceleration by damping and protection, for the
+        rig with the lowest value.
+    exposure: of the rig with the largest A(8); None without damping, protection and exposure cap.
     """
 
     frames: int
@@ -71,13 +60,8 @@ class RenderReport:
     peak_acceleration_m_s2: float | None = None
     strength_db: float | None = None
     exposure: Exposure | None = None
-    models: list[SecondReport] = field(default_factory=list)  # second by second
+    models: list[SecondReport] = field(default_factory=list)  # one report for each second
     warnings: list[str] = field(default_factory=list)
-
-    @property
-    def models_in_words(self) -> list[str]:
-        """Lines on the models that simulated the rig; none without a simulated rig."""
-        return in_words(self.models)
 
 
 def render_file(
@@ -87,32 +71,14 @@ def render_file(
     *,
     acceleration: Path | None = None,
     progress: Progress | None = None,
-    workers: int = 1,
 ) -> RenderReport:
     """Write the vibration of a sound file as float32 WAV of the same rate and length.
 
-    With several workers, call it from the main thread. Errors are those of `render`.
-
-    Parameters
-    ----------
-    source : Path
-        The sound file.
-    target : Path
-        The WAV file to create or replace.
-    settings : Settings, optional
-        Settings as in a config file; by default those of an empty config file.
-    acceleration : Path, optional
-        The WAV file for the rig's simulated acceleration.
-    progress : callable, optional
-        Called after every buffer with the frames done and the total frames.
-    workers : int
-        Processes that may share the work if the form of the transform allows it; the bytes do not
-        depend on it.
+    source, target: the sound file, and the WAV file to create or replace.
+    settings: by default those of an empty config file.
+    acceleration, progress: see `audioflinger_hook.offline.render.render`, also for exceptions.
     """
     refuse_same_file(source, target, acceleration)
-    settings = settings or Settings()
-    if workers > 1 and (plan := plan_for(source, settings)):
-        return _render_sections(plan, workers, target, acceleration, progress)
     tap = FileTap(source)
     return render(
         TapClient(tap),
@@ -135,27 +101,22 @@ def render(
     warnings: Sequence[str] = (),
     fade_s: float = FADE_S,
     open_output: OpenOutput = WavOutput,
-    hear: Hear | None = None,
+    observe: Observe | None = None,
 ) -> RenderReport:
-    """Write the vibration of a client's sound as float32 WAV of the mix's rate and length.
+    """Write the vibration of a client's sound as float32 WAV of the same rate and length.
 
-    The latency is removed, so that vibration is aligned with its sound, apart from delays set for
-    actuators. Files appear whole or not at all, and the client is closed. Memory does not depend on
-    the length. Any one thread may call it.
-
-    client: plays the sound.
-    target: the vibration's file. With named actuators it has the device's channels up to the last
-        channel with an actuator. Without them it has one channel, or with `channels` = "each" as
-        many as the mix.
-    settings: how vibration is made.
+    The latency of transform and drive is removed, so that vibration and sound are aligned, except
+    for actuators' delays. Files appear only when complete. Any thread may call this function.
+    client: the source of the sound, which is closed at the end.
+    target: the vibration's file. With named actuators the file has the device's channels up to the
+        last channel with an actuator. Without named actuators it has one channel, or with
+        `channels` = "each" as many as the sound.
     acceleration: file for the rig's simulated acceleration, full scale 100 m/s²; None for none.
-    progress: called after every buffer.
-    wait: called before every buffer, to keep a pace.
-    warnings: warnings about the source, complete when it has ended.
-    fade_s: length of the fade at the end in seconds; 0 keeps every sample as it was computed.
-    open_output: opens the vibration's file; default: a float32 WAV.
-    hear: called with the sound of every buffer.
-    UsageError: the source cannot be used, or a target cannot be written.
+    progress: called after every buffer with the frames done and in total (None if unknown).
+    wait: called with the frames done after every buffer; returns when the next buffer is due.
+    warnings: warnings about the source, for the report; the list may grow until the source ends.
+    fade_s: length of the fade at the end in seconds; 0 leaves all samples unchanged.
+    UsageError: the source cannot be used, or a target cannot be created.
     WriteError: the disk is full or failed.
     InternalError: the haptic effect failed.
     """
@@ -166,14 +127,29 @@ def render(
             client.samplerate, client.channels, settings, hal_frames=OFFLINE_HAL_FRAMES
         )
         rate = framework.samplerate
-        rig, written = _open_outputs(outputs, target, acceleration, framework, fade_s, open_output)
-        chain = Pipeline(client, framework, [one.taken for one in written])
+        channel_map = channel_map_of(settings, framework.haptic_channels)
+        outputs.append(open_output(target, rate, channel_map.channels))
+        rig: SimulatedRig | None = None
+        if acceleration is not None:
+            recorder = WavOutput(
+                acceleration, rate, channel_map.channels, comment=ACCELERATION_COMMENT
+            )
+            rig = simulated_rig_of(settings, rate, channel_map, recorder)
+            outputs.append(rig)
+        faded = [FadedOutput(output, round(fade_s * rate)) for output in outputs]
+        drives = [drive_of(settings, rate, framework.haptic_channels) for _ in faded]
+        driven = [
+            _driven(output, drive, channel_map, framework.latency_frames)
+            for output, drive in zip(faded, drives, strict=True)
+        ]
+        chain = Pipeline(client, framework, driven)
+        take = observe(framework) if observe else None
         frames = 0
         while step := chain.step():
             framework.check_haptics()
             frames += len(step.audio)
-            if hear:
-                hear(step.audio)
+            if take:
+                take(step)
             if progress:
                 progress(frames, client.frames_expected)
             if wait:
@@ -185,6 +161,7 @@ def render(
         raise
     finally:
         client.close()
+    readings = [processor.exposure() for processor in drives[0].processors if processor]
     return RenderReport(
         frames=frames,
         samplerate=rate,
@@ -192,118 +169,32 @@ def render(
         transform=settings.form,
         profile=settings.profile,
         latency_s=framework.latency_s,
-        peak=written[0].file.peak,
+        peak=faded[0].peak,
         limited_samples=framework.limited_samples,
         replaced_samples=framework.replaced_samples,
         peak_acceleration_m_s2=rig.peak_acceleration_m_s2 if rig else None,
-        strength_db=written[0].drive.strength_db,
-        exposure=_largest_exposure(written[0].drive),
+        strength_db=drives[0].strength_db,
+        exposure=max(readings, key=lambda reading: reading.a8_m_s2, default=None),
         models=rig.seconds if rig else [],
         warnings=[*framework.warnings, *framework.bypass_warnings(), *warnings],
     )
 
 
-def _render_sections(
-    plan: Plan,
-    workers: int,
-    target: Path,
-    acceleration: Path | None,
-    progress: Progress | None,
-) -> RenderReport:
-    """Do the work of `render` with vibration that is made in sections."""
-    settings = plan.settings
-    outputs: list[VibrationOutput] = []
-    frames = replaced = 0
-    try:
-        framework = Framework(
-            plan.samplerate, plan.channels, settings, hal_frames=OFFLINE_HAL_FRAMES
-        )
-        rig, written = _open_outputs(outputs, target, acceleration, framework, FADE_S)
-        sink = HapticSink(*(one.taken for one in written), clip=False)
-        # Outputs that remove the framework's latency get that many frames before the first section.
-        sink.send(np.zeros((framework.latency_frames, framework.haptic_channels), np.float32))
-        with closing(sections_of(plan, workers)) as sections:
-            for section in sections:
-                for first in range(0, len(section.vibration), OFFLINE_HAL_FRAMES):
-                    part = section.vibration[first : first + OFFLINE_HAL_FRAMES]
-                    sink.send(part)
-                    frames += len(part)
-                    if progress:
-                        progress(frames, plan.sections * plan.frames)
-                replaced += section.replaced_samples
-        for output in reversed([one.taken for one in written]):
-            output.close()
-    except BaseException:
-        for output in outputs:
-            output.abort()
-        raise
-    return RenderReport(
-        frames=frames,
-        samplerate=plan.samplerate,
-        channels=outputs[0].channels,
-        transform=settings.form,
-        profile=settings.profile,
-        latency_s=framework.latency_s,
-        peak=written[0].file.peak,
-        limited_samples=0,
-        replaced_samples=replaced,
-        peak_acceleration_m_s2=rig.peak_acceleration_m_s2 if rig else None,
-        strength_db=written[0].drive.strength_db,
-        exposure=_largest_exposure(written[0].drive),
-        models=rig.seconds if rig else [],
-        warnings=[*framework.warnings, *section.warnings],
-    )
-
-
-def _open_outputs(
-    outputs: list[VibrationOutput],
-    target: Path,
-    acceleration: Path | None,
-    framework: Framework,
-    fade_s: float,
-    open_output: OpenOutput = WavOutput,
-) -> tuple[SimulatedRig | None, list[_Driven]]:
-    """Add the files to `outputs`; return the simulated rig, and how each file is driven."""
-    rate, settings = framework.samplerate, framework.settings
-    channel_map = channel_map_of(settings, framework.haptic_channels)
-    outputs.append(open_output(target, rate, channel_map.channels))
-    rig: SimulatedRig | None = None
-    if acceleration is not None:
-        recorder = WavOutput(acceleration, rate, channel_map.channels, comment=ACCELERATION_COMMENT)
-        rig = simulated_rig_of(settings, rate, channel_map, recorder)
-        outputs.append(rig)
-    frames = round(fade_s * rate)
-    return rig, [_driven(FadedOutput(output, frames), channel_map, framework) for output in outputs]
-
-
-class _Driven(NamedTuple):
-    """A file, which knows the peak of all samples written, and the output to write to instead.
-
-    The drive is between the two, and the latency of transform and drive is removed.
-    """
-
-    file: FadedOutput
-    taken: VibrationOutput
-    drive: Drive
-
-
-def _driven(written: FadedOutput, channel_map: ChannelMap, framework: Framework) -> _Driven:
-    drive = drive_of(framework.settings, framework.samplerate, framework.haptic_channels)
+def _driven(
+    output: VibrationOutput, drive: Drive, channel_map: ChannelMap, latency_frames: int
+) -> VibrationOutput:
+    """Return an output that applies `drive` and removes the latency of transform and drive."""
     if drive.sources:
-        # After the drive: a delayed actuator starts with frames from before the sound.
-        aligned = AlignedOutput(written, framework.latency_frames + drive.latency_frames)
-        return _Driven(written, DrivenOutput(aligned, drive, channel_map), drive)
-    driven = DrivenOutput(AlignedOutput(written, drive.latency_frames), drive, channel_map)
-    return _Driven(written, AlignedOutput(driven, framework.latency_frames), drive)
-
-
-def _largest_exposure(drive: Drive) -> Exposure | None:
-    readings = [processor.exposure() for processor in drive.processors if processor]
-    return max(readings, key=lambda reading: reading.a8_m_s2, default=None)
+        # AlignedOutput follows the drive, because a delayed actuator first plays frames from before
+        # the sound.
+        aligned = AlignedOutput(output, latency_frames + drive.latency_frames)
+        return DrivenOutput(aligned, drive, channel_map)
+    driven = DrivenOutput(AlignedOutput(output, drive.latency_frames), drive, channel_map)
+    return AlignedOutput(driven, latency_frames)
 
 
 def refuse_same_file(source: Path, target: Path, acceleration: Path | None) -> None:
-    """Raise UsageError if one of the files would overwrite another."""
+    """Raise UsageError if two of the files are the same."""
     named = {"the input": source, "the vibration": target}
     if acceleration is not None:
         named["the acceleration"] = acceleration

@@ -1,1 +1,1 @@
-"""The processing chain: client, mixer, effects and outputs; each step is one cycle."""
+"""The processing chain: client, mixer, effects and outputs."""

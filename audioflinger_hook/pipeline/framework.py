@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.drive.drive import Drive
-from audioflinger_hook.effect.block_watch import BlockWatch
 from audioflinger_hook.effect.chain import BUDGET_SHARE, EffectChains
 from audioflinger_hook.effect.haptic_parameters import (
     DRAIN,
@@ -20,40 +20,34 @@ from audioflinger_hook.effect.haptic_parameters import (
     from_settings,
 )
 from audioflinger_hook.effect.interface import OK, Command, Values
-from audioflinger_hook.effect.module import EffectModule
+from audioflinger_hook.effect.module import BlockWatch, EffectModule
 from audioflinger_hook.effect.registry import EffectRegistry
 from audioflinger_hook.effect.xml import OUTPUT_MIX_STREAM, bundled_effects, read_effects
-from audioflinger_hook.mixer import Mixer, Sink, dump
-from audioflinger_hook.mixer.effects_port import OUTPUT_MIX
+from audioflinger_hook.mixer import Mixer
+from audioflinger_hook.mixer.mix_buffer import OUTPUT_MIX
 from audioflinger_hook.transform import HapticTransform
 from device.drive.channel_map import ChannelMap
 from device.errors import CushionError, InternalError, UsageError
 from device.output import VibrationOutput
 from device.rig import rig_by_name
 from device.rig.simulated_rig import SimulatedRig
-from device.stream.cpu_time import cpu_time_s
+from device.stream.callback_thread import cpu_time_s
 
-HAL_FRAMES = 240
-"""Frames that the output is assumed to take at once; a cycle is 20 ms of such frames."""
-
-OFFLINE_HAL_FRAMES = 32_768
-"""Offline, long cycles cost least."""
+HAL_FRAMES = 240  # frames per buffer of the assumed hardware; see `normal_buffer_frames`
+OFFLINE_HAL_FRAMES = 32_768  # the same for files; long cycles save CPU time
 
 
 class Framework:
-    """One mix with the effects that audio_effects.xml lists, including the haptic effect.
+    """A mixer with the effects that audio_effects.xml lists, including the haptic effect.
 
-    The thread that steps the mix calls all methods but `change` and `look_for_blocked`, which
-    another thread calls; any thread may call `dump`, `bypassed` and the properties.
+    One thread runs the mixer's cycles and calls the methods. Another thread may call `change` and
+    `look_for_blocked`. Any thread may call `bypassed` and read the properties.
 
-    samplerate: rate of the mix in Hz. channels: channels of the mix. The mix has one haptic
-    channel; with `settings.channels` = "each", as many as it has channels; with named actuators,
-    one for each of their sources. settings: how vibration is made. hal_frames: frames that the
-    output takes at once. clock: returns seconds; an effect that takes too long by this clock is
-    bypassed. None offline, as the result must not depend on time. standby_delay_s: see `Mixer`;
-    infinite for files, which keep their silence. warnings: effects that were left out, or are
-    slower than they could be. UsageError: format and settings cannot be combined, or the effects
-    file cannot be read or does not apply the haptic effect.
+    samplerate: Hz. warnings: messages about effects that could not be loaded.
+    haptic_channels: channels of vibration: 1, or one per channel of the mix, or one per source.
+    hal_frames, standby_delay_s: see `Mixer`. If standby_delay_s is infinite, silence is output too.
+    clock: returns seconds, to measure how long effects take; None: no slow effect is bypassed.
+    UsageError: the settings do not fit `samplerate`, or the effects file has no haptic effect.
     """
 
     def __init__(
@@ -67,8 +61,10 @@ class Framework:
         standby_delay_s: float = math.inf,
     ) -> None:
         self.settings = settings or Settings()
+        self.samplerate = samplerate
         self.warnings: list[str] = []
         each = self.settings.channels == "each"
+        self.haptic_channels = channels if each else max(1, len(self.settings.sources))
         self._chains = EffectChains(
             clock or (lambda: 0.0), budget_share=BUDGET_SHARE if clock else float("inf")
         )
@@ -79,127 +75,84 @@ class Framework:
             samplerate,
             channels,
             hal_frames=hal_frames,
-            haptic_channels=channels if each else max(1, len(self.settings.sources)),
+            haptic_channels=self.haptic_channels,
             effects=self._chains,
             standby_delay_s=standby_delay_s,
         )
         if self.haptic.set_parameters(self._taken) != OK or self.haptic.bypassed:
-            self._explain()
-        # Applied now, not a cycle later, so that the first buffer has them.
+            self._try(self.settings)  # raises an error that names the wrong setting
+            problem = self.haptic.bypassed or "refused its parameters"
+            raise UsageError(f"the haptic effect {problem}")
+        # Apply the parameters before the first buffer.
         self._chains.end_of_cycle(0.0)
 
     @property
-    def samplerate(self) -> int:
-        """Rate of the mix in Hz."""
-        return self.mixer.samplerate
-
-    @property
-    def haptic_channels(self) -> int:
-        """Channels of vibration."""
-        return self.mixer.haptic_channels
-
-    @property
     def latency_frames(self) -> int:
-        """Frames by which the vibration comes after its sound."""
+        """Delay of the vibration behind its sound, in frames."""
         return self._reading("latency_frames")
 
     @property
     def latency_s(self) -> float:
-        """Seconds by which the vibration comes after its sound."""
+        """Delay of the vibration behind its sound, in seconds."""
         return self.latency_frames / self.samplerate
 
     @property
     def limited_samples(self) -> int:
-        """Samples of vibration so far that were limited to full scale."""
+        """Number of vibration samples that were limited to full scale."""
         return self._reading("limited_samples")
 
     @property
     def replaced_samples(self) -> int:
-        """Unusable samples of sound so far, which count as 0."""
+        """Number of invalid sound samples that were replaced by 0."""
         return self._reading("replaced_samples")
 
     @property
     def principal(self) -> tuple[tuple[float, float, float], ...]:
-        """What the latest hop vibrates; see `HapticTransform.principal`. Any thread."""
-        status, told = self.haptic.command(PRINCIPAL)
-        return told if status == OK and isinstance(told, tuple) else ()
+        """Partials of the latest hop, as in `HapticTransform.principal`. Any thread may read it."""
+        status, partials = self.haptic.command(PRINCIPAL)
+        return partials if status == OK and isinstance(partials, tuple) else ()
 
     def take_glides(self) -> NDArray[np.float64]:
-        """Return what the partials did since the last call; see `HapticTransform.take_glides`.
-
-        The first call starts the recording, which is for files only.
-        """
-        status, rows = self.haptic.command(GLIDES)
-        self.check_haptics()
-        if status != OK or not isinstance(rows, np.ndarray):
-            raise InternalError(f"the haptic effect failed: status {status}")
-        return rows
+        """Return the glides since the last call; see `HapticTransform.take_glides`."""
+        return self._array(GLIDES)
 
     def change(self, settings: Settings) -> None:
-        """Use other parameters and another gain from the next cycle on.
+        """Apply new transform parameters or a new gain from the next cycle on, but nothing else.
 
-        All other settings must be unchanged. A new gain is reached within one buffer. With other
-        parameters the vibration fades out within one buffer and restarts `latency_frames` later.
-        Parameters are checked here, on the calling thread.
-
-        UsageError: the settings cannot be used with this mix; nothing has changed.
+        A new gain is reached within one buffer. With new parameters, the vibration fades out within
+        one buffer, and a new transform starts. After a UsageError, nothing has changed.
         """
         if settings.transform_parameters != self.settings.transform_parameters:
-            self._try(self.mixer.samplerate, self.mixer.channels, settings)
+            self._try(settings)
         if settings == self.settings:
             return
         self.settings = settings
         self._wanted = self._parameters(settings)
         self.mixer.post(self._take_wanted)
 
-    def send_to(self, *sinks: Sink) -> None:
-        """Send the mix to these sinks from the next cycle on."""
-        self.mixer.sinks = sinks
-
     def drain(self) -> NDArray[np.float32]:
-        """Return the vibration held back after the last sound, (frames, haptic_channels).
-
-        Raises InternalError as `check_haptics` does.
-        """
-        status, drained = self.haptic.command(DRAIN)
-        self.check_haptics()
-        if status != OK or not isinstance(drained, np.ndarray):
-            raise InternalError(f"the haptic effect failed: status {status}")
-        return drained
+        """Return the vibration that the effect still holds. InternalError: see `check_haptics`."""
+        return self._array(DRAIN)
 
     def check_haptics(self) -> None:
-        """Raise InternalError with the reason if the haptic effect is bypassed.
-
-        A file must be complete; a device continues with silence.
-        """
+        """Raise InternalError if the haptic effect is bypassed: a file would lack vibration."""
         if self.haptic.bypassed:
             raise InternalError(f"the haptic effect failed: {self.haptic.bypassed}")
 
     def bypassed(self) -> list[str]:
-        """Return `session, effect: reason` of every bypassed effect."""
+        """Return a text `session, effect: reason` for each bypassed effect."""
         return self._chains.bypassed()
 
     def bypass_warnings(self) -> list[str]:
-        """Return a line for the user about every bypassed effect."""
+        """Return a message for the user about each bypassed effect."""
         return [f"effect bypassed: {reason}" for reason in self.bypassed()]
 
     def look_for_blocked(self, now_s: float) -> None:
-        """Bypass other effects that keep the audio thread; call it at least every 0.1 s.
-
-        For one other thread, and only while sound that is also played elsewhere is processed.
-        """
+        """Bypass every effect that blocks the audio thread, except the haptic effect."""
         others = [effect for effect in self._chains.effects() if effect is not self.haptic]
         self._block_watch.look(others, now_s)
 
-    def dump(self, cycle_times_s: Sequence[float] = ()) -> str:
-        """Describe thread, tracks, chains and effects as `dumpsys media.audio_flinger` would.
-
-        cycle_times_s: durations of the last cycles, if measured.
-        """
-        return dump(self.mixer, cycle_times_s)
-
     def _add_effects(self) -> EffectModule:
-        """Add the effects that the file applies to the output mix; return the haptic effect."""
         registry = EffectRegistry.installed()
         path = self.settings.effects_file
         declared = read_effects(path, registry) if path else bundled_effects(registry)
@@ -226,30 +179,30 @@ class Framework:
     @staticmethod
     def _parameters(settings: Settings) -> Values:
         parameters = from_settings(settings)
-        # The reference form keeps the published values; what reaches a device is clipped.
+        # The vibration of the reference form has the paper's values, so it is not clipped.
         parameters["clip"] = settings.form != "reference"
         return parameters
 
     def _take_wanted(self) -> None:
-        """Give the effect the latest settings, on the thread that steps the mixer."""
-        wanted = self._wanted
-        if wanted is not self._taken:
-            self._taken = wanted
-            # It was checked: only a bypassed effect refuses it, which `bypassed` reports.
-            self.haptic.set_parameters(wanted)
+        """Pass the latest settings to the effect. The mixer's thread calls this method."""
+        if self._wanted is not self._taken:
+            self._taken = self._wanted
+            # The settings are valid, so only a bypassed effect refuses them; `bypassed` reports it.
+            self.haptic.set_parameters(self._taken)
 
-    @staticmethod
-    def _try(samplerate: int, channels: int, settings: Settings) -> None:
-        """Raise UsageError if no transform can have these settings."""
+    def _try(self, settings: Settings) -> None:
+        rate_hz, channels = self.samplerate, self.mixer.channels
         try:
-            HapticTransform(samplerate, channels, settings.transform_parameters, form=settings.form)
-        except ValueError as error:  # the band does not fit the sample rate
-            raise UsageError(f"no transform can be made at {samplerate} Hz: {error}") from error
+            HapticTransform(rate_hz, channels, settings.transform_parameters, form=settings.form)
+        except ValueError as error:  # the sample rate is too low for the band
+            raise UsageError(f"no transform can be made at {rate_hz} Hz: {error}") from error
 
-    def _explain(self) -> None:
-        """Raise UsageError with what is wrong with the format or the settings."""
-        self._try(self.mixer.samplerate, self.mixer.channels, self.settings)
-        raise UsageError(f"the haptic effect {self.haptic.bypassed or 'refused its parameters'}")
+    def _array(self, code: int) -> NDArray[Any]:
+        status, reply = self.haptic.command(code)
+        self.check_haptics()
+        if status != OK or not isinstance(reply, np.ndarray):
+            raise InternalError(f"the haptic effect failed: status {status}")
+        return reply
 
     def _reading(self, name: str) -> int:
         status, value = self.haptic.command(Command.GET_PARAM, name)
@@ -257,10 +210,7 @@ class Framework:
 
 
 def drive_of(settings: Settings, samplerate: int, haptic_channels: int) -> Drive:
-    """Return the drive for a mix with this sample rate in Hz and this many channels of vibration.
-
-    UsageError: there is no such rig, or the sample rate is too low for its processing.
-    """
+    """Return a `Drive`. haptic_channels: channels of vibration. UsageError: see `Drive`."""
     return Drive(
         settings.actuators,
         samplerate,
@@ -273,14 +223,10 @@ def drive_of(settings: Settings, samplerate: int, haptic_channels: int) -> Drive
 
 
 def channel_map_of(settings: Settings, haptic_channels: int) -> ChannelMap:
-    """Return which actuator each channel of a file or simulated rig plays.
-
-    If no actuators are named, each channel of the vibration has its own. UsageError: an actuator's
-    channel is named by a position, and files have no positions.
-    """
-    if not settings.actuators:
-        return ChannelMap.repeated(haptic_channels, haptic_channels)
-    return settings.numbered_channels
+    """Return the map for a file or simulated rig. UsageError: a channel is named by position."""
+    if settings.actuators:
+        return settings.numbered_channels
+    return ChannelMap.repeated(haptic_channels, haptic_channels)
 
 
 def simulated_rig_of(
@@ -289,10 +235,7 @@ def simulated_rig_of(
     channel_map: ChannelMap,
     recorder: VibrationOutput | None = None,
 ) -> SimulatedRig:
-    """Return the simulated rig that each channel of the map plays to, with the chosen model.
-
-    UsageError: a rig lacks what that model needs.
-    """
+    """Return a simulated rig for these channels. UsageError: a rig is unknown or invalid."""
     names = [actuator.rig or settings.rig for actuator in settings.actuators]
     rigs = [rig_by_name(name) for name in names or [settings.rig] * channel_map.actuators]
     connected = [None if source is None else rigs[source] for source in channel_map.sources]

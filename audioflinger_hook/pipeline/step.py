@@ -1,4 +1,4 @@
-"""Client -> mixer -> effect -> outputs; each step is one cycle."""
+"""Moves sound from a client through mixer and effects to the outputs."""
 
 from __future__ import annotations
 
@@ -16,66 +16,54 @@ from device.output import VibrationOutput
 
 
 class Step(NamedTuple):
-    """The sound as mixed and the vibration as sent in one step, float32.
-
-    The last step has no sound, only the vibration that was held back. Both arrays are empty while
-    the client has nothing yet.
-    """
+    """Mixed sound and vibration of one cycle, (frames, channels), float32; both may be empty."""
 
     audio: NDArray[np.float32]
     vibration: NDArray[np.float32]
 
 
 class HapticSink:
-    """Takes the haptic channels out of a mix and sends them to the outputs, after a final clip.
-
-    Samples that are not a number are sent as 0. clip: whether samples are limited to ±1, as for
-    every device. Use from the thread that steps the mixer.
-    """
+    """Sends the haptic channels of a mix to outputs. clip: whether to limit the samples to ±1."""
 
     def __init__(self, *outputs: VibrationOutput, clip: bool = True) -> None:
         self._outputs = outputs
         self._limit = 1.0 if clip else np.inf
-        self.sent = np.zeros((0, 0), np.float32)
-        """The frames sent last; they change with the next buffer."""
+        self.sent = np.zeros((0, 0), np.float32)  # the latest frames; `send` overwrites them
 
     def write(self, buffer: MixBuffer) -> None:
         """Send the vibration of one cycle."""
         self.send(buffer.haptic)
 
     def send(self, vibration: NDArray[np.float32]) -> None:
-        """Send frames that are in no buffer, such as the effect's last vibration at the end."""
+        """Send vibration, limited if `clip` is set. NaN becomes 0."""
         if self.sent.shape != vibration.shape:
             self.sent = np.empty(vibration.shape, np.float32)
         self.sent[...] = vibration
-        if not peak(vibration) <= self._limit:  # also true for NaN
+        if not peak(vibration) <= self._limit:  # this condition is also true for NaN
             np.clip(vibration, -self._limit, self._limit, out=self.sent)
             self.sent[np.isnan(self.sent)] = 0.0
         for output in self._outputs:
             output.write(self.sent)
 
     def standby(self) -> None:
-        """Forget the last buffer."""
+        """Set the frames in `sent` to 0."""
         self.sent[...] = 0.0
 
 
 class RealTimePace:
-    """Due times of frames played in real time from `start_s` of the caller's clock on."""
+    """Computes how long to wait, for playback in real time. start_s: time of the start."""
 
     def __init__(self, samplerate: int, start_s: float) -> None:
         self._samplerate = samplerate
         self._start_s = start_s
 
     def wait_s(self, frames: int, now_s: float) -> float:
-        """Return the seconds until `frames` will have been played; 0 if they have been."""
+        """Return the seconds until `frames` frames have been played; 0 if that time has passed."""
         return max(0.0, self._start_s + frames / self._samplerate - now_s)
 
 
 class Pipeline:
-    """Moves sound from a client through mixer and effect to every output, from one thread.
-
-    Live sound, a replay and a rendering differ only in who calls `step` and when.
-    """
+    """Moves sound from a client through the framework to all outputs, on one thread."""
 
     def __init__(
         self, client: Client, framework: Framework, outputs: Sequence[VibrationOutput]
@@ -85,34 +73,26 @@ class Pipeline:
         self._outputs = tuple(outputs)
         self._sink = HapticSink(*outputs, clip=framework.settings.form != "reference")
         self._ended = False
-        framework.send_to(self._sink)
+        framework.mixer.sinks = (self._sink,)
         client.connect(framework.mixer)
 
     def step(self, now_s: float = 0.0) -> Step | None:
-        """Do one cycle and return what it moved; None once everything has been sent.
-
-        now_s: seconds of any monotonic clock.
-        """
+        """Run one cycle at time `now_s`; return sound and vibration, or None after the end."""
         if self._ended:
             return None
-        frames = self._client.play()
+        frames, mixer = self._client.play(), self._framework.mixer
+        audio = np.zeros((0, mixer.channels), np.float32)
         if frames is None:
             self._ended = True
             self._sink.send(self._framework.drain())
-            audio = np.zeros((0, self._framework.mixer.channels), np.float32)
         elif frames == 0:
-            mixer = self._framework.mixer
-            nothing = np.zeros((0, mixer.channels + mixer.haptic_channels), np.float32)
-            return Step(nothing[:, : mixer.channels], nothing[:, mixer.channels :])
+            return Step(audio, np.zeros((0, mixer.haptic_channels), np.float32))
         else:
-            audio = self._framework.mixer.cycle(now_s, frames).buffer.audio.copy()
+            audio = mixer.cycle(now_s, frames).buffer.audio.copy()
         return Step(audio, self._sink.sent.copy())
 
     def close(self) -> None:
-        """Close the client and finish every output, the first one last.
-
-        So if another output cannot be finished, the first output has not replaced its file yet.
-        """
+        """Close the client, then the outputs in reverse order."""
         self._client.close()
         for output in reversed(self._outputs):
             output.close()

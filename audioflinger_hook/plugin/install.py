@@ -1,4 +1,4 @@
-"""Installs the plugin for hosts other than the daemon: the file, its designs, LV2, and PipeWire."""
+"""Installation of the plugin, its designs, an LV2 bundle and a PipeWire configuration."""
 
 from __future__ import annotations
 
@@ -6,19 +6,21 @@ import json
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from importlib.resources import files
 from pathlib import Path
+from string import Template
 
 from audioflinger_hook.config.profiles import PROFILES, parameters_of
+from audioflinger_hook.core import FILE_NAME
+from audioflinger_hook.core import library_path as plugin_path
 from audioflinger_hook.core.design import core_design
-from audioflinger_hook.plugin import FILE_NAME, plugin_path, turtle
-from audioflinger_hook.plugin.faces import public_faces
+from audioflinger_hook.plugin.variants import DESCRIPTION, description, manifest, public_variants
 from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.parameters import check_format
 from device.atomic_file import write_bytes_atomically
 from device.errors import NotFoundError, UsageError, WriteError
 
-CHANNELS = 2
-"""Channels of the plugins' sound; the plugin for one channel doubles it."""
+CHANNELS = 2  # channels of sound in the designs; the mono variant duplicates its input
 
 RATES_HZ = (44_100, 48_000, 88_200, 96_000, 176_400, 192_000)
 MARKER = "Written by `cushion plugin install`; `cushion plugin remove` removes it."
@@ -27,57 +29,10 @@ CHAIN = "haptic-cushion.conf"
 HOST = "filter-chain.conf"
 HOST_FOLDERS = (Path("/usr/share/pipewire"), Path("/etc/pipewire"))
 
-_HOST = """\
-# {marker}
-# It stands in for PipeWire's own filter-chain.conf, which is not installed here.
-context.spa-libs = {{
-    audio.convert.* = audioconvert/libspa-audioconvert
-    support.* = support/libspa-support
-}}
-context.modules = [
-    {{ name = libpipewire-module-rt args = {{ nice.level = -11 }} flags = [ ifexists nofail ] }}
-    {{ name = libpipewire-module-protocol-native }}
-    {{ name = libpipewire-module-client-node }}
-    {{ name = libpipewire-module-adapter }}
-]
-"""
-
-_CHAIN = """\
-# {marker}
-context.modules = [
-    {{ name = libpipewire-module-filter-chain
-        args = {{
-            node.description = "Haptic Cushion ({profile})"
-            media.name = "Haptic Cushion ({profile})"
-            filter.graph = {{
-                nodes = [
-                    {{ type = ladspa plugin = {plugin}
-                        name = cushion label = haptic_cushion_{profile} }}
-                ]
-            }}
-            capture.props = {{
-                node.name = "haptic-cushion.tap"
-                stream.capture.sink = true
-                node.passive = true
-                audio.position = [ FL FR ]
-            }}
-            playback.props = {{
-                node.name = "haptic-cushion.vibration"
-                node.target = {device}
-                target.object = {device}
-                node.dont-reconnect = true
-                node.passive = true
-                audio.position = [ FL FR ]
-            }}
-        }}
-    }}
-]
-"""
-
 
 @dataclass(frozen=True)
 class Places:
-    """Where everything is installed. data: plugin and designs; bundle: LV2; chain: PipeWire."""
+    """Installation paths. data: folder of plugin and designs. chain: PipeWire's filter chain."""
 
     data: Path
     bundle: Path
@@ -85,7 +40,7 @@ class Places:
 
     @classmethod
     def of(cls, environ: Mapping[str, str]) -> Places:
-        """Return the user's places. UsageError: there is no home folder."""
+        """Return the paths of a user. UsageError: HOME is not an absolute path."""
         home = environ.get("HOME", "")
         if not home.startswith("/"):
             raise UsageError(f"HOME is {home!r}; allowed: an absolute path; set it")
@@ -96,22 +51,22 @@ class Places:
 
     @property
     def plugin(self) -> Path:
-        """The installed plugin."""
+        """Installed plugin."""
         return self.data / FILE_NAME
 
     @property
     def host(self) -> Path:
-        """The configuration of the program that loads the chain."""
+        """Configuration of the PipeWire process that loads the chain."""
         return self.chain.parent.parent / HOST
 
     @property
     def designs(self) -> Path:
-        """The folder of designs."""
+        """Folder of designs."""
         return self.data / "designs"
 
 
 def built_plugin() -> Path:
-    """Return the compiled plugin of this installation. NotFoundError: it is not built."""
+    """Return the path of the compiled plugin. NotFoundError: the plugin is not built."""
     path = plugin_path()
     if path is None:
         raise NotFoundError(
@@ -121,17 +76,18 @@ def built_plugin() -> Path:
 
 
 def install(places: Places, profile: str, device: str | None, rates_hz: tuple[int, ...]) -> None:
-    """Write plugin, designs and LV2 bundle, and with a device PipeWire's drop-in. May be repeated.
+    """Install or update the plugin, its designs and the LV2 bundle.
 
-    profile: of the drop-in. device: name of its sink. rates_hz: samplerates of the designs.
-    NotFoundError: the plugin is not built. UsageError: a foreign file is in the way, or a
-    samplerate is impossible. WriteError: a file cannot be written.
+    device: name of a sink, for which a PipeWire configuration with `profile` is written; None for
+    no configuration. rates_hz: sample rates of the designs.
+    NotFoundError: the plugin is not built or cannot be loaded. UsageError: a path belongs to
+    another program, or a sample rate is not supported. WriteError: a file cannot be written.
     """
     built = built_plugin()
     for rate_hz in rates_hz:
         check_format(rate_hz, 1)
     _refuse_foreign(places)
-    faces = public_faces(built)
+    variants = public_variants(built)
     designs = {
         f"{name}-{rate_hz}.design": core_design(
             rate_hz, CHANNELS, transform=LiveDesign.of(parameters_of(name), rate_hz).records()
@@ -146,48 +102,46 @@ def install(places: Places, profile: str, device: str | None, rates_hz: tuple[in
             write_bytes_atomically(places.designs / name, content)
         content = built.read_bytes()
         for folder in (places.data, places.bundle):
-            # A host may have the old file mapped: it keeps it, since the new one takes its name.
+            # A host may have mapped the old file, which an atomic replacement does not change.
             write_bytes_atomically(folder / FILE_NAME, content)
-        texts = {"manifest.ttl": turtle.manifest, turtle.DESCRIPTION: turtle.description}
+        texts = {"manifest.ttl": manifest, DESCRIPTION: description}
         for name, made in texts.items():
-            write_bytes_atomically(places.bundle / name, made(faces, MARKER).encode())
+            write_bytes_atomically(places.bundle / name, made(variants, MARKER).encode())
         if device is not None:
-            chain = _CHAIN.format(
-                marker=MARKER,
-                profile=profile,
-                plugin=json.dumps(str(places.plugin)),
-                device=json.dumps(device),
-            )
-            write_bytes_atomically(places.chain, chain.encode())
+            names = {"plugin": json.dumps(str(places.plugin)), "device": json.dumps(device)}
+            write_bytes_atomically(places.chain, _filled("chain.conf", profile=profile, **names))
             if not any((folder / HOST).exists() for folder in (places.host.parent, *HOST_FOLDERS)):
-                write_bytes_atomically(places.host, _HOST.format(marker=MARKER).encode())
+                write_bytes_atomically(places.host, _filled("host.conf"))
     except OSError as error:
         raise WriteError(f"cannot write {error.filename}: {error.strerror}") from error
 
 
 def remove(places: Places) -> list[Path]:
-    """Remove what `install` wrote, and return what was removed. May be repeated.
-
-    UsageError: a foreign file is where ours belongs; nothing was removed.
-    """
+    """Remove what `install` wrote; return the paths. UsageError: one belongs to another program."""
     _refuse_foreign(places)
     found = [places.plugin, *sorted(places.designs.glob("*.design")), places.chain]
     if places.host.exists() and _is_ours(places.host):
         found.append(places.host)
-    found += [places.bundle / name for name in (FILE_NAME, "manifest.ttl", turtle.DESCRIPTION)]
+    found += [places.bundle / name for name in (FILE_NAME, "manifest.ttl", DESCRIPTION)]
     removed = [path for path in found if path.exists()]
     for path in removed:
         path.unlink()
     for folder in (places.designs, places.data, places.bundle):
-        with suppress(OSError):  # somebody's own file is in it, or it is gone
+        with suppress(OSError):  # the folder contains other files, or does not exist
             folder.rmdir()
     return removed
 
 
 def loading_commands() -> tuple[str, str]:
-    """Return the commands that load PipeWire's drop-in: now, and at every login."""
+    """Return two commands that load the PipeWire configuration: now, and at every login."""
     now = "pipewire -c filter-chain.conf"
     return now, "systemctl --user enable --now filter-chain.service"
+
+
+def _filled(name: str, **values: str) -> bytes:
+    """Return a template of the folder `pipewire` with values for its variables."""
+    template = files("audioflinger_hook.plugin").joinpath("pipewire", name).read_text()
+    return Template(template).substitute(values, marker=MARKER).encode()
 
 
 def _refuse_foreign(places: Places) -> None:

@@ -1,6 +1,5 @@
-"""Scenes: several sounds made by code, each on its own track."""
+"""Scenes: several synthesised sounds, each on its own track."""
 
-from audioflinger_hook.scenes.demo import demo_scene
-from audioflinger_hook.scenes.tracks import Scene, SceneTrack
+from audioflinger_hook.scenes.demo import Scene, SceneTrack, demo_scene
 
 __all__ = ["Scene", "SceneTrack", "demo_scene"]

@@ -1,4 +1,4 @@
-"""The bundled demo scene: 15 s made by code, the same on every call.
+"""Scenes, and the demo scene: 15 s of synthesised sound, the same on every call.
 
     0         2         4         6         8         10        12        14   s
       engine ----  pause  ---->
@@ -8,37 +8,90 @@
                                                      explosion ------>
                                                               chord ------------>
 
-Each sound has its own rate and sample format, as an application would. The engine is paused and
-resumed. Each sound plays alone for some time, and neighbours overlap a little. A second of digital
-silence precedes the explosion.
+The sounds have different samplerates and sample formats, as sounds of separate applications can.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from audioflinger_hook.mixer import PcmFormat
 from audioflinger_hook.scenes.chord import chord
 from audioflinger_hook.scenes.engine import engine
 from audioflinger_hook.scenes.impacts import explosion, footsteps
-from audioflinger_hook.scenes.shaping import MIN_SAMPLERATE
 from audioflinger_hook.scenes.speech import speech
-from audioflinger_hook.scenes.tracks import Scene, SceneTrack
-from device.errors import UsageError
+from device.units import Float32Array
 
 DEMO_DURATION_S = 15.0
-MAX_SAMPLERATE = 192_000
+SAMPLERATE = 48_000  # samplerate of the mix, Hz
 
-Voice = Callable[[int, "np.random.Generator", float], NDArray[np.float32]]
+# The annotation is a string, so that this module does not import numpy.random.
+Voice: TypeAlias = "Callable[[int, np.random.Generator, float], Float32Array]"
+
+
+# eq=False: a generated __eq__ would fail, since arrays have no single truth value.
+@dataclass(frozen=True, eq=False)
+class SceneTrack:
+    """One sound of a scene.
+
+    name: name of the sound. samplerate: Hz.
+    frames: (frames, channels), full scale 1.
+    start_s: seconds from the start of the scene.
+    pcm_format: sample format of the track.
+    pause_s: start and end of a pause in seconds from the start of the scene, or None.
+    """
+
+    name: str
+    samplerate: int
+    frames: Float32Array
+    start_s: float
+    pcm_format: PcmFormat = PcmFormat.FLOAT
+    pause_s: tuple[float, float] | None = None
+
+    @property
+    def end_s(self) -> float:
+        """End of the sound in seconds from the start of the scene."""
+        paused_s = self.pause_s[1] - self.pause_s[0] if self.pause_s else 0.0
+        return self.start_s + len(self.frames) / self.samplerate + paused_s
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Sounds on a common time axis.
+
+    name: name of the scene. tracks: the sounds. duration_s: duration of the scene in seconds.
+    samplerate, channels: format of the mix; samplerate in Hz.
+    """
+
+    name: str
+    samplerate: int
+    tracks: tuple[SceneTrack, ...]
+    duration_s: float
+    channels: int = 2
+
+    @property
+    def frame_count(self) -> int:
+        """Number of frames of the mix."""
+        return round(self.duration_s * self.samplerate)
+
+    def events(self) -> list[tuple[float, float, str]]:
+        """Return (start_s, end_s, name) of each interval with sound, in order of time."""
+        stretches = []
+        for track in self.tracks:
+            pause_s, resume_s = track.pause_s or (track.end_s, track.end_s)
+            stretches.append((track.start_s, pause_s, track.name))
+            if resume_s < track.end_s:
+                stretches.append((resume_s, track.end_s, track.name))
+        return sorted(stretches)
 
 
 @dataclass(frozen=True)
 class DemoTrack:
-    """One sound of the demo: what makes it, when it plays, how it is stored. Peak in full scale."""
+    """One sound of the demo scene, made by `voice`. peak: largest absolute sample."""
 
     name: str
     voice: Voice
@@ -50,7 +103,7 @@ class DemoTrack:
     pause_s: tuple[float, float] | None = None
 
 
-# Only the explosion comes near full scale.
+# The explosion has the highest peak.
 DEMO_TRACKS = (
     DemoTrack("engine", engine, 0.30, 0.62, 44_100, PcmFormat.I16, pause_s=(2.70, 3.20)),
     DemoTrack("footsteps", footsteps, 4.40, 0.60, 32_000, PcmFormat.I24),
@@ -62,36 +115,15 @@ DEMO_TRACKS = (
 _SEED = 2718
 
 
-def demo_scene(samplerate: int = 48_000) -> Scene:
-    """Return the demo scene: five tracks, to be mixed in stereo.
-
-    Deterministic, without I/O, in under a second. The arrays are read-only.
-
-    Parameters
-    ----------
-    samplerate : int
-        Rate of the mix, 16 000 to 192 000 Hz.
-
-    Raises
-    ------
-    UsageError
-        The rate is out of range.
-    """
-    if not MIN_SAMPLERATE <= samplerate <= MAX_SAMPLERATE:
-        raise UsageError(
-            f"samplerate={samplerate} is outside {MIN_SAMPLERATE} to {MAX_SAMPLERATE} Hz, where "
-            "the demo scene keeps its character; make it at 48000 Hz and resample"
-        )
+def demo_scene() -> Scene:
+    """Return the demo scene with read-only arrays, for a stereo mix at 48 kHz."""
     tracks = []
     for index, demo in enumerate(DEMO_TRACKS):
-        # A generator of its own: a change to one voice leaves the others as they were.
+        # With its own random generator, each sound stays identical if another sound is changed.
         frames = demo.voice(demo.samplerate, np.random.default_rng([_SEED, index]), demo.peak)
         if demo.channels == 1:
             frames = frames.mean(axis=1, keepdims=True, dtype=np.float32)
         frames.setflags(write=False)
-        tracks.append(
-            SceneTrack(
-                demo.name, demo.samplerate, frames, demo.start_s, demo.pcm_format, demo.pause_s
-            )
-        )
-    return Scene("demo", samplerate, tuple(tracks), DEMO_DURATION_S)
+        place = (demo.start_s, demo.pcm_format, demo.pause_s)
+        tracks.append(SceneTrack(demo.name, demo.samplerate, frames, *place))
+    return Scene("demo", SAMPLERATE, tuple(tracks), DEMO_DURATION_S)

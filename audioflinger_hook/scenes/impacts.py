@@ -1,30 +1,27 @@
-"""Things that hit: footsteps on gravel, and an explosion with its boom, tail and debris."""
+"""Synthesised impacts: footsteps on gravel, and an explosion with falling debris."""
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from audioflinger_hook.scenes.shaping import (
-    Signal,
     band,
     curve,
     finished,
     pan,
-    phase_of,
+    phase,
     ring,
     room,
-    time_axis,
+    times_s,
 )
+from device.units import Float32Array, FloatArray
 
 FOOTSTEPS_DURATION_S = 2.5
-FIRST_STEP_S = 0.03
-STEP_INTERVAL_S = 0.42
-TOE_DELAY_S = 0.11
+FIRST_STEP_S, STEP_INTERVAL_S, TOE_DELAY_S = 0.03, 0.42, 0.11
 
 EXPLOSION_DURATION_S = 3.1
 
-# The explosion's noise: (low Hz, high Hz, decay to -60 dB in s, gain). High sounds die first.
+# The explosion's noise: (low Hz, high Hz, decay time to -60 dB in s, gain)
 BLAST_BANDS = (
     (30.0, 110.0, 3.4, 1.4),
     (110.0, 350.0, 2.4, 0.9),
@@ -35,8 +32,8 @@ BLAST_BANDS = (
 DEBRIS_PIECES = 34
 
 
-def footsteps(samplerate: int, rng: np.random.Generator, peak: float) -> NDArray[np.float32]:
-    """Six steps that come nearer, left and right in turn, float32 of shape (frames, 2)."""
+def footsteps(samplerate: int, rng: np.random.Generator, peak: float) -> Float32Array:
+    """Return the sound of six footsteps of rising level, left and right, shape (frames, 2)."""
     frames = np.zeros((round(FOOTSTEPS_DURATION_S * samplerate), 2))
     for step in range(6):
         side = -0.55 if step % 2 == 0 else 0.55
@@ -50,13 +47,13 @@ def footsteps(samplerate: int, rng: np.random.Generator, peak: float) -> NDArray
     return finished(frames, samplerate, peak=peak, fade_in_s=0.002, fade_out_s=0.15)
 
 
-def explosion(samplerate: int, rng: np.random.Generator, peak: float) -> NDArray[np.float32]:
-    """Crack, boom, a tail of 3 s and falling debris, float32 of shape (frames, 2)."""
-    time_s = time_axis(EXPLOSION_DURATION_S, samplerate)
+def explosion(samplerate: int, rng: np.random.Generator, peak: float) -> Float32Array:
+    """Return the sound of an explosion with falling debris, 3.1 s, shape (frames, 2)."""
+    time_s = times_s(EXPLOSION_DURATION_S, samplerate)
 
-    # The boom falls in pitch as the ball of gas expands; driven hard, it gains harmonics.
+    # The pitch falls as the ball of gas expands. Saturation by tanh adds harmonics.
     boom_hz = curve(time_s, ((0.0, 240.0), (0.06, 150.0), (0.3, 86.0), (1.2, 58.0), (3.1, 52.0)))
-    boom = np.sin(phase_of(boom_hz, samplerate)) * 10.0 ** (-3.0 * time_s / 2.2)
+    boom = np.sin(phase(boom_hz, samplerate)) * 10.0 ** (-3.0 * time_s / 2.2)
     boom = np.tanh(3.0 * boom)
 
     blast = np.zeros((time_s.size, 2))
@@ -66,7 +63,7 @@ def explosion(samplerate: int, rng: np.random.Generator, peak: float) -> NDArray
         noise = band(rng.standard_normal((time_s.size, 2)), low_hz, high_hz, samplerate, order=1)
         decay = 10.0 ** (-3.0 * time_s / decay_s)
         blast += gain * decay[:, None] * noise / np.std(noise)
-    # Two slow fronts roll back from afar: the tail breathes instead of only fading.
+    # Two slow level maxima imitate reflections from a distance.
     rolling = curve(
         time_s, ((0.0, 1.0), (0.3, 0.75), (0.62, 1.25), (1.0, 0.8), (1.4, 1.3), (2.0, 0.9))
     )
@@ -80,15 +77,15 @@ def explosion(samplerate: int, rng: np.random.Generator, peak: float) -> NDArray
     return finished(frames, samplerate, peak=peak, fade_in_s=0.001, fade_out_s=0.9)
 
 
-def _step(samplerate: int, rng: np.random.Generator, pitch: float) -> Signal:
-    """One shoe on gravel, 0.25 s: a low thud whose pitch falls, and the crunch of the stones."""
-    time_s = time_axis(0.25, samplerate)
+def _step(samplerate: int, rng: np.random.Generator, pitch: float) -> FloatArray:
+    """Return one footstep, 0.25 s, shape (frames,): a thud of falling pitch, and gravel noise."""
+    time_s = times_s(0.25, samplerate)
     thud_hz = pitch * curve(time_s, ((0.0, 170.0), (0.015, 105.0), (0.08, 72.0), (0.25, 62.0)))
-    thud = np.sin(phase_of(thud_hz, samplerate)) * 10.0 ** (-3.0 * time_s / 0.2)
+    thud = np.sin(phase(thud_hz, samplerate)) * 10.0 ** (-3.0 * time_s / 0.2)
     sole = band(rng.standard_normal(time_s.size), 90.0, 500.0, samplerate, order=1)
     sole *= 10.0 ** (-3.0 * time_s / 0.07)
 
-    # Stones break one by one: sparse impulses, denser at first, each a short bright grain.
+    # Gravel: band-passed random impulses, whose density rises in 10 ms and then falls.
     density = curve(time_s, ((0.0, 0.0), (0.01, 900.0), (0.06, 700.0), (0.16, 120.0), (0.22, 0.0)))
     grains = rng.standard_normal(time_s.size) * (rng.random(time_s.size) < density / samplerate)
     crunch = band(grains, 1400.0, 6500.0, samplerate, order=1)
@@ -96,8 +93,8 @@ def _step(samplerate: int, rng: np.random.Generator, pitch: float) -> Signal:
     return thud + 0.8 * sole + 0.42 * crunch
 
 
-def _debris(samplerate: int, rng: np.random.Generator) -> Signal:
-    """Stones and metal that come down from 0.5 s on, fewer and smaller, spread left to right."""
+def _debris(samplerate: int, rng: np.random.Generator) -> FloatArray:
+    """Return the sound of debris, whose impacts start at 0.5 s, shape (frames, 2)."""
     frames = np.zeros((round(EXPLOSION_DURATION_S * samplerate), 2))
     strike = np.zeros(round(0.22 * samplerate))
     strike[0] = 1.0
@@ -113,8 +110,10 @@ def _debris(samplerate: int, rng: np.random.Generator) -> Signal:
     return frames
 
 
-def _add(frames: Signal, mono: Signal, position: float, start_s: float, samplerate: int) -> None:
-    """Adds `mono` at `position` to `frames` from `start_s` on; samples after the end are cut."""
+def _add(
+    frames: FloatArray, mono: FloatArray, position: float, start_s: float, samplerate: int
+) -> None:
+    """Add `mono` to `frames` from `start_s` on, panned to `position` and cut at the end."""
     start = round(start_s * samplerate)
     stop = min(start + mono.size, frames.shape[0])
     frames[start:stop] += pan(mono[: stop - start], position)

@@ -1,7 +1,7 @@
-"""Somebody speaks, in no language: a voice with pitch, vowels that glide, and hissed consonants.
+"""Synthesised speech without meaning.
 
-The usual source and filter: the glottis gives harmonics of the pitch, the vocal tract's formants
-weigh them (G. Fant, "Acoustic Theory of Speech Production", 1960).
+The source-filter model (G. Fant, "Acoustic Theory of Speech Production", 1960) filters harmonics
+with the formants of the vocal tract. Consonants are band-passed noise.
 """
 
 from __future__ import annotations
@@ -9,22 +9,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from audioflinger_hook.scenes.shaping import (
-    Signal,
-    band,
-    curve,
-    finished,
-    pan,
-    phase_of,
-    room,
-    time_axis,
-)
+from audioflinger_hook.scenes.shaping import band, curve, finished, pan, phase, room, times_s
+from device.units import Float32Array, FloatArray
 
 DURATION_S = 2.15
 
-# Formants F1 to F4 in Hz of a man's vowels (after Peterson and Barney, 1952)
+# Formants F1 to F4 of male vowels in Hz (after Peterson and Barney, 1952)
 FORMANTS_HZ = {
     "a": (730.0, 1090.0, 2440.0, 3400.0),
     "e": (530.0, 1840.0, 2480.0, 3500.0),
@@ -34,7 +25,7 @@ FORMANTS_HZ = {
 }
 BANDWIDTHS_HZ = (70.0, 90.0, 130.0, 200.0)
 
-# Consonants made of noise: (low Hz, high Hz, length in s, gain)
+# Noise of consonants: (low Hz, high Hz, length in s, gain)
 HISSES = {
     "s": (5000.0, 9000.0, 0.09, 0.30),
     "sh": (2000.0, 5500.0, 0.10, 0.34),
@@ -45,7 +36,7 @@ HISSES = {
 
 @dataclass(frozen=True)
 class Syllable:
-    """A consonant of `HISSES` (or none), then a vowel that turns into another at `pitch_hz`."""
+    """A syllable: a consonant of `HISSES`, or "" for none, then two vowels (may be the same)."""
 
     start_s: float
     length_s: float
@@ -65,27 +56,20 @@ SYLLABLES = (
     Syllable(1.58, 0.40, "t", ("a", "o"), 112.0, 1.00),
 )
 
-# Resonances move slowly against the sound itself, so they are worked out at this interval.
-CONTROL_INTERVAL_S = 0.004
+CONTROL_INTERVAL_S = 0.004  # interval at which the slowly varying formants are computed
 HIGHEST_HARMONIC_HZ = 4800.0
 
 
-def speech(samplerate: int, rng: np.random.Generator, peak: float) -> NDArray[np.float32]:
-    """Seven syllables in 2.15 s, float32 of shape (frames, 2), the largest sample at `peak`."""
-    time_s = time_axis(DURATION_S, samplerate)
+def speech(samplerate: int, rng: np.random.Generator, peak: float) -> Float32Array:
+    """Return seven syllables, 2.15 s, shape (frames, 2), with `peak` as largest absolute sample."""
+    time_s = times_s(DURATION_S, samplerate)
     loudness = np.zeros(time_s.size)
     hiss = np.zeros(time_s.size)
     for syllable in SYLLABLES:
         stop_s = syllable.start_s + syllable.length_s
-        loudness += syllable.stress * curve(
-            time_s,
-            (
-                (syllable.start_s - 0.012, 0.0),
-                (syllable.start_s + 0.025, 1.0),
-                (syllable.start_s + 0.6 * syllable.length_s, 0.8),
-                (stop_s + 0.03, 0.0),
-            ),
-        )
+        start_s, middle_s = syllable.start_s, syllable.start_s + 0.6 * syllable.length_s
+        swell = ((start_s - 0.012, 0.0), (start_s + 0.025, 1.0), (middle_s, 0.8))
+        loudness += syllable.stress * curve(time_s, (*swell, (stop_s + 0.03, 0.0)))
         if syllable.consonant:
             hiss += _hiss(time_s, syllable, samplerate, rng)
 
@@ -96,12 +80,12 @@ def speech(samplerate: int, rng: np.random.Generator, peak: float) -> NDArray[np
     return finished(spoken, samplerate, peak=peak, fade_in_s=0.005, fade_out_s=0.08)
 
 
-def _voice(time_s: Signal, samplerate: int, rng: np.random.Generator) -> Signal:
-    """The voiced sound without its syllables' loudness: harmonics weighed by gliding formants."""
+def _voice(time_s: FloatArray, samplerate: int, rng: np.random.Generator) -> FloatArray:
+    """Return the vowels at constant loudness: harmonics filtered by formants, shape (frames,)."""
     pitch_points, formant_points = _articulation()
     jitter = band(rng.standard_normal(time_s.size), None, 25.0, samplerate)
     pitch_hz = curve(time_s, pitch_points) * (1.0 + 0.006 * jitter / np.std(jitter))
-    phasor = np.exp(1j * phase_of(pitch_hz, samplerate))
+    phasor = np.exp(1j * phase(pitch_hz, samplerate))
 
     control_s = np.arange(0.0, DURATION_S + CONTROL_INTERVAL_S, CONTROL_INTERVAL_S)
     control_pitch_hz = np.interp(control_s, time_s, pitch_hz)
@@ -115,8 +99,8 @@ def _voice(time_s: Signal, samplerate: int, rng: np.random.Generator) -> Signal:
     for harmonic in range(1, int(HIGHEST_HARMONIC_HZ / np.min(control_pitch_hz)) + 1):
         power *= phasor
         frequency_hz = harmonic * control_pitch_hz
-        # Glottis and lips together fall by 6 dB an octave; the formants above F4, which are not
-        # made, would lift the top by about as much as the square root here does.
+        # Glottis and lips attenuate by 6 dB per octave. The attenuation here is only 3 dB per
+        # octave, to compensate for the missing formants above F4.
         gain = np.full(control_s.size, harmonic**-0.5)
         for centre_hz, bandwidth_hz in zip(formants_hz, BANDWIDTHS_HZ, strict=True):
             ratio = frequency_hz / centre_hz
@@ -130,33 +114,24 @@ def _voice(time_s: Signal, samplerate: int, rng: np.random.Generator) -> Signal:
 def _articulation() -> tuple[
     list[tuple[float, float]], list[tuple[float, tuple[float, float, float, float]]]
 ]:
-    """The pitch and the formants over time, as points for `curve`."""
+    """Return points for `curve`: (time in s, pitch in Hz) and (time in s, formants in Hz)."""
     pitch: list[tuple[float, float]] = []
     tract: list[tuple[float, tuple[float, float, float, float]]] = []
-    for syllable in SYLLABLES:
-        stop_s = syllable.start_s + syllable.length_s
-        pitch += [(syllable.start_s, syllable.pitch_hz), (stop_s, 0.9 * syllable.pitch_hz)]
-        first, last = syllable.vowels
-        tract += [
-            (syllable.start_s + 0.25 * syllable.length_s, FORMANTS_HZ[first]),
-            (syllable.start_s + 0.85 * syllable.length_s, FORMANTS_HZ[last]),
-        ]
+    for one in SYLLABLES:
+        pitch += [(one.start_s, one.pitch_hz), (one.start_s + one.length_s, 0.9 * one.pitch_hz)]
+        for vowel, share in zip(one.vowels, (0.25, 0.85), strict=True):
+            tract.append((one.start_s + share * one.length_s, FORMANTS_HZ[vowel]))
     return pitch, tract
 
 
-def _hiss(time_s: Signal, syllable: Syllable, samplerate: int, rng: np.random.Generator) -> Signal:
-    """The noise of the consonant that leads into `syllable`, over the whole of `time_s`."""
+def _hiss(
+    time_s: FloatArray, syllable: Syllable, samplerate: int, rng: np.random.Generator
+) -> FloatArray:
+    """Return the noise of a syllable's consonant, sampled at the times `time_s`."""
     low_hz, high_hz, length_s, gain = HISSES[syllable.consonant]
     noise = band(rng.standard_normal(time_s.size), low_hz, high_hz, samplerate)
     stop_s = syllable.start_s + 0.01
     start_s = stop_s - length_s
-    shape = curve(
-        time_s,
-        (
-            (start_s, 0.0),
-            (start_s + min(0.004, 0.2 * length_s), 1.0),
-            (start_s + 0.7 * length_s, 0.8),
-            (stop_s, 0.0),
-        ),
-    )
+    rise_s, fall_s = start_s + min(0.004, 0.2 * length_s), start_s + 0.7 * length_s
+    shape = curve(time_s, ((start_s, 0.0), (rise_s, 1.0), (fall_s, 0.8), (stop_s, 0.0)))
     return gain * syllable.stress * shape * noise / (3.0 * np.std(noise))

@@ -1,13 +1,14 @@
-"""What a daemon needs besides sound; nothing here uses audio, a sound server or a device.
+"""Services of the daemon that need no sound server and no device.
 
 | module | contents |
 | --- | --- |
 | `state` | the daemon's state |
-| `meters` | levels and buffer times, measured on the audio threads |
-| `status`, `status_view`, `json_codec` | the status, its text and its JSON |
+| `meters` | levels and computing times, measured in the audio threads |
+| `figure`, `status`, `shown` | descriptions of the status figures, and their text |
+| `json_codec` | the status as JSON |
 | `runtime_folder` | the private folder, and the lock for one daemon per user |
 | `status_server`, `status_client` | the status socket and its client |
 | `systemd` | notifications and the watchdog |
-| `unit`, `install` | the systemd unit and the udev rule; installing the unit |
-| `one_line` | foreign text as one line |
+| `install` | the systemd unit and the udev rule |
+| `one_line` | conversion of untrusted text to one line |
 """

@@ -1,10 +1,11 @@
-"""Installs and removes the systemd user unit."""
+"""The text and the installation of the systemd user unit, and the text of the udev rule."""
 
 from __future__ import annotations
 
 import os
 import re
 import stat
+import string
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
@@ -12,9 +13,130 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from audioflinger_hook.service import unit
+from audioflinger_hook.service.one_line import one_line
 from device.atomic_file import make_private_folder, write_bytes_atomically
 from device.errors import UsageError
+
+NAME = "cushion.service"
+MARK = "# Written by `cushion install-service`."  # first words of every unit of this program
+
+UDEV_PATH = "/etc/udev/rules.d/70-cushion.rules"  # the name must sort before 73-seat-late.rules
+
+_TEMPLATE = string.Template("""\
+$mark Changes belong into a drop-in: systemctl --user edit cushion
+
+[Unit]
+Description=Haptic Cushion: sound to vibration
+After=pipewire-pulse.service pulseaudio.service wireplumber.service
+# no restart after ten failures in five minutes
+StartLimitIntervalSec=300
+StartLimitBurst=10
+
+[Service]
+Type=$type
+NotifyAccess=main
+ExecStart=$command
+$reload
+TimeoutStartSec=30
+TimeoutStopSec=10
+WatchdogSec=10
+Restart=on-failure
+RestartSec=2
+# no restart after a mistake in config or usage (2) or a missing program (3); 130: ended by Ctrl-C
+RestartPreventExitStatus=2 3
+SuccessExitStatus=130
+
+# preserved, since a daemon that was started by hand may use the same folder
+RuntimeDirectory=cushion
+RuntimeDirectoryMode=0700
+RuntimeDirectoryPreserve=yes
+UMask=0077
+
+# audio threads request real-time priority; after 200 ms without a pause the kernel sends SIGXCPU
+LimitRTPRIO=20
+LimitRTTIME=200ms:2s
+LimitCORE=0
+MemoryMax=512M
+OOMPolicy=stop
+
+# restrictions that need no privilege
+NoNewPrivileges=yes
+RestrictAddressFamilies=AF_UNIX AF_NETLINK
+RestrictNamespaces=yes
+RestrictSUIDSGID=yes
+LockPersonality=yes
+SystemCallArchitectures=native
+SystemCallFilter=@system-service
+SystemCallErrorNumber=EPERM
+
+# restrictions that need a user namespace; without user namespaces systemd ignores them
+ProtectSystem=strict
+$writable
+PrivateTmp=yes
+
+[Install]
+WantedBy=default.target
+""")
+
+
+NOTIFY_RELOAD = 253  # first version of systemd with Type=notify-reload
+
+
+def unit_text(command: Sequence[str], state_folder: Path, systemd: int = 0) -> str:
+    """Return the text of a unit that runs `command`, which must begin with an absolute path.
+
+    state_folder: the daemon may write to this folder. systemd: version of systemd, 0 if unknown.
+    UsageError: systemd does not accept a path or argument.
+    """
+    program, *arguments = command
+    words = [_path(program, "install the program elsewhere"), *map(_quoted, arguments)]
+    # The prefix "-" permits a missing folder.
+    writable = _path(str(state_folder), "set XDG_STATE_HOME to another", "-")
+    reloads = systemd >= NOTIFY_RELOAD
+    return _TEMPLATE.substitute(
+        mark=MARK,
+        type="notify-reload" if reloads else "notify",
+        command=" ".join(words),
+        reload="ReloadSignal=SIGHUP" if reloads else "ExecReload=/bin/kill -HUP $MAINPID",
+        writable=f"ReadWritePaths={writable}",
+    )
+
+
+def _path(path: str, advice: str, prefix: str = "") -> str:
+    # systemd refuses these characters even in quoted paths. $ needs no escape in paths.
+    if not path.startswith("/") or any(sign in path for sign in "\"'\\"):
+        raise UsageError(
+            f"systemd cannot use the path {one_line(path)!r}; allowed: an absolute path without "
+            f"quotes and backslashes; {advice}"
+        )
+    return f'"{prefix}{_printable(path).replace("%", "%%")}"'
+
+
+def _quoted(argument: str) -> str:
+    text = _printable(argument).replace("\\", "\\\\").replace('"', '\\"')
+    return f'"{text.replace("%", "%%").replace("$", "$$")}"'
+
+
+def _printable(text: str) -> str:
+    if not text.isprintable():
+        problem = "it has unprintable characters; choose another name"
+        raise UsageError(f"systemd cannot use {one_line(text)!r}: {problem}")
+    return text
+
+
+UDEV_RULE = """\
+# Haptic Cushion: the logged-in user may access USB audio devices directly.
+ACTION!="remove", SUBSYSTEM=="usb", ENV{DEVTYPE}=="usb_device", \
+ENV{ID_USB_INTERFACES}=="*:0101??:*", TAG+="uaccess"
+"""
+"""Gives the user at the computer access to USB devices that have an audio control interface."""
+
+UDEV_COMMAND = (  # shell command, which requires root
+    f"sudo tee {UDEV_PATH} >/dev/null <<'END'\n{UDEV_RULE}END\n"
+    "sudo udevadm control --reload && "
+    "sudo udevadm trigger --subsystem-match=usb --action=change\n"
+)
+
 
 UNIT_BYTES_MAX = 1 << 16
 SYSTEMCTL_S = 5.0
@@ -24,7 +146,10 @@ FORGET = ("systemctl --user daemon-reload",)
 
 @dataclass(frozen=True)
 class Installed:
-    """The unit's path, whether it has changed, and the commands to type next."""
+    """Result of an installation or removal. path: of the unit. changed: whether it has changed.
+
+    commands: shell commands that the user must run next.
+    """
 
     path: Path
     changed: bool
@@ -32,9 +157,9 @@ class Installed:
 
 
 def own_command(argv0: str = sys.argv[0], python: str = sys.executable) -> tuple[str, ...]:
-    """Return the command that starts this program: `cushion`, or Python with -m.
+    """Return the command that starts this program: the path of `cushion`, or Python with -m.
 
-    Links are not resolved, as the Python behind a virtual environment's link lacks its packages.
+    Links are not resolved, because a virtual environment's Python is a link.
     """
     script = Path(argv0).absolute()
     if script.name == "cushion" and script.is_file() and os.access(script, os.X_OK):
@@ -43,24 +168,22 @@ def own_command(argv0: str = sys.argv[0], python: str = sys.executable) -> tuple
 
 
 def systemd_version() -> int:
-    """Return the version of systemd, 0 if there is none."""
+    """Return the version of systemd, or 0 if `systemctl` does not report the version."""
     try:
-        told = subprocess.run(
+        told = subprocess.check_output(
             ["systemctl", "--version"],
             stdin=subprocess.DEVNULL,
-            capture_output=True,
-            text=True,
-            errors="replace",
+            stderr=subprocess.DEVNULL,
             timeout=SYSTEMCTL_S,
-        ).stdout
-    except (OSError, subprocess.TimeoutExpired):
+        )
+    except (OSError, subprocess.SubprocessError):
         return 0
-    found = re.match(r"systemd (\d{1,6})\b", told)
+    found = re.match(rb"systemd (\d{1,6})\b", told)
     return int(found[1]) if found else 0
 
 
 def _unit_path(environ: Mapping[str, str]) -> Path:
-    return _home(environ, "XDG_CONFIG_HOME", ".config") / "systemd" / "user" / unit.NAME
+    return _home(environ, "XDG_CONFIG_HOME", ".config") / "systemd" / "user" / NAME
 
 
 def install(
@@ -69,61 +192,58 @@ def install(
     environ: Mapping[str, str] = os.environ,
     systemd: int = 0,
 ) -> Installed:
-    """Write the unit that runs `cushion run` with these arguments.
+    """Write the unit that runs `cushion run` with `arguments`; create missing folders.
 
-    Makes missing folders, and writes the file atomically if its text differs. The returned
-    commands load and start it. command: default `own_command`; systemd: `systemd_version`.
-
-    UsageError: systemd does not accept a path or argument, a folder is not writable, or the unit
-    was not written by this program.
-    WriteError: the disk is full or failed.
+    command: by default `own_command()`. systemd: version of systemd, 0 if unknown.
+    UsageError: systemd does not accept a path or argument, no home folder is known, a folder is not
+    writable, or another program wrote the unit. WriteError: the disk is full or failed.
     """
-    path = _unit_path(environ)
+    installed_text(environ)  # refuses a unit of another program before folders are created
     state = state_folder(environ)
-    text = unit.unit_text([*(command or own_command()), "run", *arguments], state, systemd)
-    before = _written_before(path)
+    text = unit_text([*(command or own_command()), "run", *arguments], state, systemd)
     make_private_folder(state)
-    if before != text:
-        _write(path, text)
-    return Installed(path, before != text, START)
+    return restore(text, environ)
 
 
 def installed_text(environ: Mapping[str, str] = os.environ) -> str | None:
-    """Return the text of the unit that `install` wrote, None without one. UsageError: as there."""
-    return _written_before(_unit_path(environ))
+    """Return the unit's text, or None. UsageError: no home folder, or a unit of another program."""
+    path, text = _unit_path(environ), ""
+    with suppress(OSError, UnicodeDecodeError):
+        try:
+            found = path.lstat()
+        except (FileNotFoundError, NotADirectoryError):  # `install` reports NotADirectoryError
+            return None
+        if stat.S_ISREG(found.st_mode) and found.st_size <= UNIT_BYTES_MAX:
+            text = path.read_text(encoding="utf-8")
+    if not text.startswith(MARK):
+        raise UsageError(
+            f"{path} was not written by `cushion install-service` and is left alone; "
+            "move it away first"
+        )
+    return text
 
 
 def restore(text: str | None, environ: Mapping[str, str] = os.environ) -> Installed:
-    """Write or remove the unit, so that it is again what `installed_text` returned.
-
-    UsageError, WriteError: as for `install`.
-    """
+    """Write `text` as the unit, or remove the unit if `text` is None. Errors: see `install`."""
     if text is None:
         return remove(environ)
     path = _unit_path(environ)
-    changed = _written_before(path) != text
+    changed = installed_text(environ) != text
     if changed:
-        _write(path, text)
+        make_private_folder(path.parent)
+        write_bytes_atomically(path, text.encode())
     return Installed(path, changed, START)
 
 
 def state_folder(environ: Mapping[str, str] = os.environ) -> Path:
-    """Return the folder of what this program keeps for itself. UsageError: there is no home."""
+    """Return the state folder. UsageError: neither XDG_STATE_HOME nor HOME is an absolute path."""
     return _home(environ, "XDG_STATE_HOME", ".local/state") / "cushion"
 
 
-def _write(path: Path, text: str) -> None:
-    make_private_folder(path.parent)
-    write_bytes_atomically(path, text.encode())
-
-
 def remove(environ: Mapping[str, str] = os.environ) -> Installed:
-    """Remove the unit that `install` wrote, if there is one.
-
-    UsageError: the unit was not written by this program, or the folder is not writable.
-    """
+    """Remove the unit. UsageError: another program wrote the unit, or removal failed."""
     path = _unit_path(environ)
-    if _written_before(path) is None:
+    if installed_text(environ) is None:
         return Installed(path, False, ())
     try:
         path.unlink()
@@ -132,27 +252,9 @@ def remove(environ: Mapping[str, str] = os.environ) -> Installed:
     return Installed(path, True, FORGET)
 
 
-def _written_before(path: Path) -> str | None:
-    """Return the text of the installed unit, or None."""
-    text = ""
-    with suppress(OSError, UnicodeDecodeError):
-        try:
-            found = path.lstat()
-        except (FileNotFoundError, NotADirectoryError):  # `install` reports NotADirectoryError
-            return None
-        if stat.S_ISREG(found.st_mode) and found.st_size <= UNIT_BYTES_MAX:
-            text = path.read_text(encoding="utf-8")
-    if not text.startswith(unit.MARK):
-        raise UsageError(
-            f"{path} was not written by `cushion install-service` and is left alone; "
-            "move it away first"
-        )
-    return text
-
-
 def _home(environ: Mapping[str, str], variable: str, otherwise: str) -> Path:
     text = environ.get(variable, "")
-    # The XDG specification requires that relative paths be ignored.
+    # By the XDG specification, relative paths are ignored.
     if text.startswith("/"):
         return Path(text)
     home = environ.get("HOME", "")

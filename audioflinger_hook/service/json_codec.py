@@ -1,4 +1,4 @@
-"""Frozen dataclasses to JSON and back; reading accepts exactly what writing produces."""
+"""Conversion of dataclasses to JSON and back, with strict checks of keys and types."""
 
 from __future__ import annotations
 
@@ -19,25 +19,24 @@ _SCALARS = {str: "a text", int: "a whole number", float: "a number", bool: "true
 
 
 def to_json(document: Any) -> str:
-    """Return a dataclass as one line of JSON, with enums as their values.
-
-    ValueError: a number is not finite, which JSON cannot express.
-    """
+    """Return a dataclass as one line of JSON. ValueError: a number is not finite."""
     return json.dumps(document, allow_nan=False, default=_plain)
 
 
 def from_json(kind: type[T], text: str | bytes) -> T:
     """Return the dataclass in a JSON document; the inverse of `to_json`.
 
-    UsageError: the text is not JSON, or a key is missing, unknown or repeated, or a value has
-    another type or is not finite. The message names the key, the value and what is allowed.
+    UsageError: the text is not JSON, a key is missing, unknown or repeated, or a value is invalid.
     """
     try:
         document = json.loads(text, object_pairs_hook=_unique, parse_constant=_refuse_constant)
-    except (ValueError, RecursionError) as error:  # RecursionError: thousands of brackets
-        raise UsageError(
-            f"the document is not JSON: {one_line(str(error))}; give one JSON document"
-        ) from error
+    except (ValueError, RecursionError) as error:  # RecursionError: deeply nested brackets
+        raise UsageError(f"the document is not JSON: {one_line(str(error))}") from error
+    return from_document(kind, document)
+
+
+def from_document(kind: type[T], document: object) -> T:
+    """Return the dataclass in a parsed JSON document. UsageError: see `from_json`."""
     return _typed(kind, document, "")  # type: ignore[no-any-return]
 
 
@@ -46,7 +45,7 @@ def _plain(value: Any) -> Any:
         return {field.name: getattr(value, field.name) for field in fields(value)}
     if isinstance(value, Mapping):
         return {key.value: item for key, item in value.items()}
-    return value.value  # of an enum
+    return value.value  # member of an enumeration
 
 
 def _typed(kind: Any, value: Any, where: str) -> Any:
@@ -70,33 +69,31 @@ def _typed(kind: Any, value: Any, where: str) -> Any:
             return by_value[value]
         raise _wrong(where, value, ", ".join(by_value))
     if kind is float and type(value) in (int, float):
-        # An integer of hundreds of digits is too large for a float.
+        # An integer of hundreds of digits may be too large for a float.
         number = float(value) if type(value) is float or abs(value) < 2**1023 else math.inf
         if math.isfinite(number):
             return number
         raise _wrong(where, value, "a finite number")
-    if type(value) is kind:  # so True is no number
+    if type(value) is kind:  # isinstance would accept True as an int
         return value
     raise _wrong(where, value, _SCALARS[kind])
 
 
 def _typed_items(kinds: dict[str, Any], value: Any, where: str) -> dict[str, Any]:
-    """Return an object's values, typed. The object must have exactly these keys."""
+    """Return the converted values of a JSON object, which must have exactly the keys of `kinds`."""
     if not isinstance(value, dict):
         raise _wrong(where, value, "an object")
     path = f"{where}." if where else ""
     if missing := [name for name in kinds if name not in value]:
         raise UsageError(f"the document has no {path}{missing[0]}; give every key")
     if unknown := [name for name in value if name not in kinds]:
-        raise UsageError(
-            f"the document has the unknown key {one_line(path + unknown[0], 60)}; "
-            f"allowed: {', '.join(kinds)}"
-        )
+        key = one_line(path + unknown[0], 60)
+        raise UsageError(f"the document has the unknown key {key}; allowed: {', '.join(kinds)}")
     return {name: _typed(kinds[name], value[name], path + name) for name in kinds}
 
 
 def _wrong(where: str, value: Any, allowed: str) -> UsageError:
-    # Hexadecimal, as printing a long number in decimal takes quadratic time.
+    # The conversion of a long integer to decimal takes quadratic time, so use hexadecimal.
     is_long = type(value) is int and abs(value) > 10**15
     shown = one_line(hex(value) if is_long else repr(value), 60)
     return UsageError(f"the document's {where or 'whole'} is {shown}; allowed: {allowed}")

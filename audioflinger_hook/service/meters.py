@@ -1,4 +1,4 @@
-"""Measurements on the audio thread: levels in dBFS, and the time that buffers take."""
+"""Measurements in the audio threads: levels, and computing times of buffers."""
 
 from __future__ import annotations
 
@@ -8,26 +8,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from audioflinger_hook.service.figure import figure
 from device.blocks import peak
 from device.units import Float32Array, FloatArray, amplitude_to_db
 
-FLOOR_DBFS = -150.0
-"""The level of silence; lower levels are reported as this, so that every level is a number."""
+FLOOR_DBFS = -150.0  # lowest reported level, also for silence
+RMS_TIME_S = 0.3  # time constant of the RMS
+PEAK_FALL_DB_PER_S = 20.0  # decay rate of a displayed peak
 
-RMS_TIME_S = 0.3
-"""Time constant of the RMS."""
-
-PEAK_FALL_DB_PER_S = 20.0
-"""How fast a peak falls."""
-
-GATHERED_S = 0.06
-"""Least sound that a `BufferedLevelMeter` measures at once; longer blocks cost less CPU time."""
-
-SHORTEST_S = 1e-6
-LONGEST_S = 10.0
-STEP = 1.04
-"""Ratio of the upper edges of neighbouring bins, which limits the error of a percentile to 4 %."""
-
+GATHERED_S = 0.06  # shortest measured block; longer blocks need less CPU time
+SHORTEST_S = 1e-6  # upper edge of the first bin of computing times
+LONGEST_S = 10.0  # about the upper edge of the last bin, which also counts longer times
+STEP = 1.04  # ratio of the edges of a bin, which limits the error of percentiles to 4 %
 BINS = math.ceil(math.log(LONGEST_S / SHORTEST_S) / math.log(STEP)) + 1
 _BINS_PER_E = 1.0 / math.log(STEP)
 _BELOW = math.pow(10.0, (FLOOR_DBFS - 1.0) / 20.0)
@@ -35,31 +27,28 @@ _BELOW = math.pow(10.0, (FLOOR_DBFS - 1.0) / 20.0)
 
 @dataclass(frozen=True)
 class Level:
-    """Peak and RMS in dBFS: 0 is a sample of 1.0 (peak) or a square wave of it (RMS)."""
+    """Peak and RMS in dBFS. A square wave of amplitude 1 has 0 dBFS."""
 
-    peak_dbfs: float = FLOOR_DBFS
-    rms_dbfs: float = FLOOR_DBFS
+    peak_dbfs: float = figure("peak", FLOOR_DBFS, metric="cushion_level_peak_ratio{^signal}")
+    rms_dbfs: float = figure("RMS", FLOOR_DBFS, metric="cushion_level_rms_ratio{^signal}")
 
 
-Reading = tuple[float, float]
-"""Peak and mean square, 1.0 for full scale."""
-
-_OfChannels = tuple[FloatArray, FloatArray]
+Reading = tuple[float, float]  # peak and mean square, 1.0 for full scale
 
 
 class LevelMeter:
-    """Peak and RMS over all channels of the latest frames.
+    """Measures peak and RMS of a signal, of all channels together and of each channel.
 
-    The peak rises at once and falls by 20 dB per second; the RMS follows within 0.3 s. Both depend
-    on the frames alone, not on a clock. One thread calls `add`, any thread may call `level`. Blocks
-    with samples that are not finite are ignored.
+    The peak rises immediately, and falls by 20 dB per second of signal. The RMS has a time constant
+    of 0.3 s. Blocks with non-finite samples are ignored. One thread calls `add` and `reset`. Any
+    thread may call the other methods.
     """
 
     def __init__(self, samplerate: float) -> None:
         self._rms_rate = -1.0 / (RMS_TIME_S * samplerate)
         self._fall_rate = -PEAK_FALL_DB_PER_S * math.log(10.0) / (20.0 * samplerate)
-        self._reading = (0.0, 0.0)  # one object, so a reader sees both or neither
-        self._of_channels: _OfChannels | None = None
+        self._reading = (0.0, 0.0)  # a single object, so other threads read consistent values
+        self._of_channels: tuple[FloatArray, FloatArray] | None = None
 
     def add(self, block: Float32Array) -> float:
         """Measure a block of shape (frames, channels) or (frames,); return its peak."""
@@ -74,7 +63,7 @@ class LevelMeter:
         held, mean = self._reading
         keep, fall = math.exp(frames * self._rms_rate), math.exp(frames * self._fall_rate)
         held = max(loudest, held * fall)
-        # Values below the floor become 0, so that silence leads to no denormals.
+        # Values below the floor become 0, since subnormal numbers are slow.
         mean = keep * mean + (1.0 - keep) * square
         self._reading = (held if held > _BELOW else 0.0, mean if mean > _BELOW**2 else 0.0)
         if block.ndim == 2 and block.shape[1] > 1:
@@ -84,24 +73,23 @@ class LevelMeter:
     def _add_channels(self, block: Float32Array, keep: float, fall: float) -> None:
         peaks = np.maximum(block.max(axis=0), -block.min(axis=0)).astype(np.float64)
         squares = np.einsum("ij,ij->j", block, block, dtype=np.float64) / len(block)
+        squares *= 1.0 - keep
         if self._of_channels is not None and len(self._of_channels[0]) == len(peaks):
             held, mean = self._of_channels
             peaks = np.maximum(peaks, fall * held)
-            squares = keep * mean + (1.0 - keep) * squares
-        else:
-            squares *= 1.0 - keep
+            squares += keep * mean
         self._of_channels = (
             np.where(peaks > _BELOW, peaks, 0.0),
             np.where(squares > _BELOW**2, squares, 0.0),
         )
 
     def reset(self) -> None:
-        """Restart with silence; for the thread that calls `add`."""
+        """Restart with silence."""
         self._reading = (0.0, 0.0)
         self._of_channels = None
 
     def level(self) -> Level:
-        """Return the current level, FLOOR_DBFS or more."""
+        """Return the current level, at least FLOOR_DBFS."""
         return level_of(*self._reading)
 
     def reading(self) -> Reading:
@@ -117,10 +105,10 @@ class LevelMeter:
 
 
 class BufferedLevelMeter:
-    """The level of frames that are measured in blocks of 60 ms or more.
+    """A level meter that gathers frames into blocks of at least 60 ms.
 
-    One thread calls `add`; any thread may read `meter`. loudest: peak of the latest measured block;
-    measured: whether the last `add` measured a block.
+    One thread calls `add` and `reset`. Any thread may read `meter`. loudest: peak of the latest
+    measured block. measured: whether the latest `add` completed a block.
     """
 
     def __init__(self, samplerate: int) -> None:
@@ -132,7 +120,7 @@ class BufferedLevelMeter:
         self._frames = 0
 
     def add(self, frames: Float32Array) -> None:
-        """Take (frames, channels), any number of frames; the array must not change afterwards."""
+        """Append an array (frames, channels), which must not change afterwards."""
         self._blocks.append(frames)
         self._frames += len(frames)
         self.measured = self._frames >= self._frames_least
@@ -141,53 +129,46 @@ class BufferedLevelMeter:
             self._blocks, self._frames = [], 0
 
     def reset(self) -> None:
-        """Restart with silence; for the thread that calls `add`, or while none does."""
+        """Restart with silence."""
         self._blocks, self._frames = [], 0
         self.loudest = 0.0
         self.meter.reset()
 
 
-TIME_BOUNDS_S = (1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2, 5e-2)
-"""Bounds of the histogram of computing times that others read."""
-
+TIME_BOUNDS_S = (1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2, 5e-2)  # bins for Prometheus
 _BOUND_BINS = [math.ceil(math.log(bound / SHORTEST_S) * _BINS_PER_E) for bound in TIME_BOUNDS_S]
 
 
 @dataclass(frozen=True)
 class BufferTimes:
-    """Computing times of buffers in ms: median, 99th percentile and maximum; 0 before the first.
+    """Computing times of buffers; 0 before the first buffer."""
 
-    buffer_ms: playing time of the last buffer; share_percent: computing time in % of playing time.
-    counts: buffers that took no longer than each of `TIME_BOUNDS_S`, then all; busy_s: their sum;
-    late: buffers that took longer to compute than to play.
-    """
-
-    p50_ms: float = 0.0
-    p99_ms: float = 0.0
-    max_ms: float = 0.0
-    buffer_ms: float = 0.0
-    share_percent: float = 0.0
-    counts: tuple[int, ...] = ()
-    busy_s: float = 0.0
-    late: int = 0
+    p50_ms: float = figure("median", 0.0)
+    p99_ms: float = figure("99th percentile", 0.0)
+    max_ms: float = figure("longest", 0.0)
+    buffer_ms: float = figure("playing time of the last buffer", 0.0)
+    share_percent: float = figure("computing time as a share of playing time", 0.0)
+    counts: tuple[int, ...] = figure("buffers under each of `TIME_BOUNDS_S`, then all", ())
+    busy_s: float = figure("sum of all", 0.0, show="")
+    late: int = figure(
+        "buffers that took longer to compute than to play",
+        0,
+        quiet=0,
+        tone="wait",
+        metric="cushion_late_callbacks",
+    )
 
 
 class BufferClock:
-    """A histogram of computing times, of constant size.
-
-    One thread calls `add`, any thread may call `times`.
-    """
+    """Histogram of computing times. One thread calls `add`; any thread may call `times`."""
 
     def __init__(self) -> None:
         self._counts = [0] * BINS
-        self._max_s = 0.0
-        self._busy_s = 0.0
-        self._played_s = 0.0
-        self._buffer_s = 0.0
+        self._max_s = self._busy_s = self._played_s = self._buffer_s = 0.0
         self._late = 0
 
     def add(self, busy_s: float, buffer_s: float) -> None:
-        """Count a buffer that took `busy_s` to compute and plays for `buffer_s`."""
+        """Count a buffer with computing time `busy_s` and playing time `buffer_s` in s."""
         busy_s = max(0.0, busy_s)
         ratio = min(busy_s, LONGEST_S) / SHORTEST_S
         index = math.ceil(math.log(ratio) * _BINS_PER_E) if ratio > 1.0 else 0
@@ -199,7 +180,7 @@ class BufferClock:
         self._late += busy_s > buffer_s
 
     def times(self) -> BufferTimes:
-        """Return the times so far; percentiles are at most 4 % too long, never too short."""
+        """Return statistics since the start. Percentiles above 1 µs are up to 4 % too high."""
         counted = np.cumsum(self._counts)
         longest_s = self._max_s
         if not counted[-1]:
@@ -217,15 +198,11 @@ class BufferClock:
 
 
 def level_of(peak: float, square: float) -> Level:
-    """Return the level of a peak and a mean square."""
-    return Level(_dbfs(peak), _dbfs(math.sqrt(square)))
-
-
-def _dbfs(amplitude: float) -> float:
-    return max(FLOOR_DBFS, amplitude_to_db(amplitude))
+    """Return the level for a peak and a mean square (full scale 1), at least FLOOR_DBFS."""
+    return Level(*(max(FLOOR_DBFS, amplitude_to_db(one)) for one in (peak, math.sqrt(square))))
 
 
 def _percentile_s(counted: NDArray[np.int_], share: float) -> float:
-    """Return the upper edge of the bin that reaches the share; inf for the last bin."""
+    """Return a percentile in seconds, rounded up to the upper edge of its bin. share: 0 to 1."""
     index = int(np.searchsorted(counted, math.ceil(share * int(counted[-1]))))
     return SHORTEST_S * STEP**index if index < BINS - 1 else math.inf

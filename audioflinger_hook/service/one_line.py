@@ -1,17 +1,13 @@
-"""Foreign text as one line for a terminal. Pure; any thread may call."""
+"""Conversion of untrusted text to one line for a terminal."""
 
 from __future__ import annotations
 
-SHOWN_MAX = 200
-"""Largest length of a foreign text, such as a reason or a name."""
+SHOWN_MAX = 200  # default limit in characters
 
 
 def one_line(text: str, limit: int = SHOWN_MAX) -> str:
-    """Return the text with single spaces, cut to `limit` characters.
-
-    Characters that are not printable become `?`, such as escape sequences and direction marks.
-    """
-    # Cut first, so that the cost does not depend on the length.
+    """Return one line of at most `limit` characters, with `?` for unprintable characters."""
+    # Cut the text first, so that the computing time is limited.
     words = " ".join(text[: 4 * limit].split())
     shown = "".join(sign if sign.isprintable() else "?" for sign in words)
     return shown if len(shown) <= limit else shown[: limit - 1] + "…"

@@ -1,4 +1,4 @@
-"""The daemon's private folder, usually in $XDG_RUNTIME_DIR, and the lock: one daemon per user."""
+"""The daemon's private folder, and the lock that limits each user to one daemon."""
 
 from __future__ import annotations
 
@@ -20,26 +20,26 @@ FOLDER_NAME = "cushion"
 LOCK_NAME = "daemon.lock"
 HOLDER_BYTES_MAX = 4096
 
-_FOLDER_MODE = 0o700
 _OPEN_FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
-# The sticky bit protects the file from programs that tidy runtime folders.
+# The sticky bit protects the file from programs that clean runtime folders.
 _LOCK_MODE = stat.S_ISVTX | 0o600
-# O_NONBLOCK: opening a pipe with this name must not block.
+# With O_NONBLOCK, a pipe of this name cannot block the call.
 _OPEN_LOCK = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK
 
 
 class RuntimeFolder:
-    """The open folder `$XDG_RUNTIME_DIR/cushion`; renaming its path does not redirect it.
+    """The open folder `$XDG_RUNTIME_DIR/cushion`. Any thread may use the folder until `close`.
 
-    If the variable is not set, it is `/run/user/UID/cushion`, or `cushion-UID` in the folder for
-    temporary files.
+    If the variable is not set, the path is `/run/user/UID/cushion`. Without `/run/user/UID`, the
+    path is `cushion-UID` in the folder for temporary files.
 
-    Any thread may use the folder until its opener closes it. create: whether to create a missing
-    folder. path: for messages. fd: for calls that take a folder's descriptor.
+    create: whether to create a missing folder.
+    path: path at the time of opening.
+    fd: file descriptor, which refers to the same folder even after a rename.
 
-    UsageError: the variable is unusable, or the folder is a link, has another owner, or is
-    accessible to other users.
-    NotFoundError: the folder does not exist, and `create` is False.
+    UsageError: the variable is not a usable path, or the folder is a link, has another owner, or
+    is accessible to other users. NotFoundError: the folder does not exist. InternalError: the disk
+    or the system failed.
     """
 
     def __init__(self, environ: Mapping[str, str], create: bool) -> None:
@@ -47,12 +47,12 @@ class RuntimeFolder:
         try:
             if create:
                 with contextlib.suppress(FileExistsError):
-                    self.path.mkdir(mode=_FOLDER_MODE)
+                    self.path.mkdir(mode=0o700)
             self.fd = os.open(self.path, _OPEN_FOLDER)
         except FileNotFoundError as error:
             raise NotFoundError(f"{self.path} is missing; start `cushion run`") from error
         except OSError as error:
-            # With O_NOFOLLOW | O_DIRECTORY the kernel may report a link as "not a directory".
+            # With O_NOFOLLOW | O_DIRECTORY, Linux may report ENOTDIR for a link.
             if error.errno in (errno.ELOOP, errno.ENOTDIR):
                 raise UsageError(f"{self.path} is a link or not a folder; remove it") from error
             problem = f"cannot open {self.path}: {error.strerror}"
@@ -61,34 +61,29 @@ class RuntimeFolder:
             raise UsageError(f"{problem}; set {VARIABLE} to a folder of your own") from error
         found = os.fstat(self.fd)
         mode = stat.S_IMODE(found.st_mode)
-        problem = ""
-        if found.st_uid != os.geteuid():
-            problem = (
-                f"{self.path} belongs to user {found.st_uid}, not to {os.geteuid()}; run as that "
-                f"user, or set {VARIABLE} to a folder of your own"
-            )
-        elif mode & 0o077:
-            problem = f"{self.path} is open to others (mode {mode:04o}); allowed: 0700; remove it"
-        if problem:
-            self.close()
-            raise UsageError(problem)
+        if found.st_uid == os.geteuid() and not mode & 0o077:
+            return
+        self.close()
+        if found.st_uid == os.geteuid():
+            raise UsageError(f"{self.path} is open to others (mode {mode:04o}); allowed: 0700")
+        raise UsageError(
+            f"{self.path} belongs to user {found.st_uid}, not to {os.geteuid()}; run as that user, "
+            f"or set {VARIABLE} to a folder of your own"
+        )
 
     def address(self, name: str) -> str:
-        """Return a short address of a socket in the folder, for bind and connect.
-
-        A socket's address has at most 108 bytes, which the folder's own path may exceed.
-        """
+        """Return a socket address in the folder, shorter than Linux's limit of 108 bytes."""
         return f"/proc/self/fd/{self.fd}/{name}"
 
     def entry(self, name: str) -> os.stat_result | None:
-        """Return the state of an entry without following links, None if there is no entry."""
+        """Return the `os.stat` result of a directory entry or link, None if missing."""
         try:
             return os.stat(name, dir_fd=self.fd, follow_symlinks=False)
         except FileNotFoundError:
             return None
 
     def close(self) -> None:
-        """Close the descriptor; the folder stays. May be repeated."""
+        """Close the descriptor. A second call has no effect."""
         if self.fd >= 0:
             os.close(self.fd)
             self.fd = -1
@@ -102,7 +97,7 @@ class RuntimeFolder:
 
 @dataclass(frozen=True)
 class Holder:
-    """The daemon that holds the lock: process, start time as text, address of the device."""
+    """The daemon that holds the lock. started: start time as text. device: the device's address."""
 
     pid: int
     started: str
@@ -110,13 +105,13 @@ class Holder:
 
 
 class DaemonLock:
-    """The lock, held until `release` or the end of the process, even by `kill -9`.
+    """The lock that limits each user to one daemon, held until `release` or the end of the process.
 
-    Programs that the daemon starts do not inherit it. One thread makes and releases it. holder:
-    described to a second daemon.
+    Programs that the daemon starts do not inherit the lock. holder: this daemon, as named in the
+    error message of another daemon.
 
-    UsageError: another daemon holds the lock, or the lock file is no regular file of this user.
-    WriteError: the disk is full.
+    UsageError: another daemon holds the lock, or the lock file is not a regular file of this user.
+    WriteError: the file cannot be written.
     """
 
     def __init__(self, folder: RuntimeFolder, holder: Holder) -> None:
@@ -129,17 +124,16 @@ class DaemonLock:
             raise
 
     def write(self, holder: Holder) -> None:
-        """Write the holder to the lock file. WriteError: the disk is full."""
+        """Write the holder to the lock file. WriteError: the file cannot be written."""
         try:
             os.ftruncate(self._fd, 0)
             os.pwrite(self._fd, to_json(holder).encode() + b"\n", 0)
         except OSError as error:
-            raise WriteError(
-                f"cannot write {self._path}: {error.strerror}; free some space"
-            ) from error
+            full = f"cannot write {self._path}: {error.strerror}; free some space"
+            raise WriteError(full) from error
 
     def release(self) -> None:
-        """Release the lock; the empty file stays. May be repeated."""
+        """Release the lock and leave an empty file. A second call has no effect."""
         if self._fd >= 0:
             with contextlib.suppress(OSError):
                 os.ftruncate(self._fd, 0)
@@ -187,7 +181,7 @@ def _open_locked(folder: RuntimeFolder) -> int:
                 fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError as error:
                 raise _held(fd) from error
-            # If the file was removed between opening and locking, this lock is worthless.
+            # If the file was removed before the lock was taken, another daemon can lock a new file.
             entry = folder.entry(LOCK_NAME)
             if entry is not None and os.path.samestat(entry, found):
                 os.fchmod(fd, _LOCK_MODE)
@@ -196,11 +190,11 @@ def _open_locked(folder: RuntimeFolder) -> int:
 
 
 def _held(fd: int) -> UsageError:
-    """Return the error for a lock that is held, with the holder if the file names it."""
+    """Return the error for a lock that another daemon holds, with the holder if known."""
     who = ""
     with contextlib.suppress(OSError, OverflowError, UsageError):
         holder = from_json(Holder, os.pread(fd, HOLDER_BYTES_MAX, 0))
-        # The file may still name a former holder, until the new holder has written.
+        # The file may still name an earlier daemon, whose process does not exist.
         os.kill(max(1, holder.pid), 0)
         started, device = one_line(holder.started, 40), one_line(holder.device, 80)
         who = f" (process {holder.pid}, started {started}, device {device})"

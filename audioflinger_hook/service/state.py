@@ -1,4 +1,4 @@
-"""The daemon's state with its start and reason, and counts of recoveries by cause."""
+"""The daemon's state, and the number of recoveries for each cause."""
 
 from __future__ import annotations
 
@@ -12,28 +12,20 @@ from audioflinger_hook.service.one_line import one_line
 
 
 class DaemonState(Enum):
-    """The daemon's states; users see the values."""
+    """States of the daemon. Their values appear in the status."""
 
-    STARTING = "starting"
-    """Reading its config, taking its lock."""
-    WAITING_FOR_SERVER = "waiting-for-server"
-    """No sound server answers; connecting is retried."""
-    WAITING_FOR_DEVICE = "waiting-for-device"
-    """The configured device is not available."""
-    WAITING_FOR_SOUND_SOURCE = "waiting-for-sound-source"
-    """The tap is not available or not allowed; the reason says which and why."""
-    RUNNING = "running"
-    """Sound comes in and vibration goes out."""
-    IDLE = "idle"
-    """Everything is available, and nothing plays."""
-    RECOVERING = "recovering"
-    """A lost or changed stream or server is being reopened."""
-    STOPPING = "stopping"
-    """The last state."""
+    STARTING = "starting"  # before the first check of server, device and tap
+    WAITING_FOR_SERVER = "waiting-for-server"  # retries the connection to a sound server
+    WAITING_FOR_DEVICE = "waiting-for-device"  # the configured device is not available
+    WAITING_FOR_SOUND_SOURCE = "waiting-for-sound-source"  # the tap is missing or not allowed
+    RUNNING = "running"  # an engine plays from the tap to the device
+    IDLE = "idle"  # tap and device are available, and no sound plays
+    RECOVERING = "recovering"  # reopens what was lost or moved
+    STOPPING = "stopping"  # last state
 
 
 class Cause(Enum):
-    """Causes of recoveries; users see the values."""
+    """Causes of recoveries. Their values appear in the status."""
 
     SERVER_LOST = "server-lost"
     DEVICE_LOST = "device-lost"
@@ -42,27 +34,20 @@ class Cause(Enum):
     TAP_MOVED = "tap-moved"
     DEFAULT_CHANGED = "default-changed"
     FORMAT_CHANGED = "format-changed"
-    ENGINE_LOST = "engine-lost"
-    """The native engine ended or hung, and was started again."""
+    ENGINE_LOST = "engine-lost"  # the native engine ended or hung and was restarted
     STALL = "stall"
     RESYNC = "resync"
-    RESUMED = "resumed"
-    """The machine was suspended."""
+    RESUMED = "resumed"  # the machine was suspended
 
 
-READY = frozenset((DaemonState.RUNNING, DaemonState.IDLE))
-"""Tap and device are there."""
+READY = frozenset((DaemonState.RUNNING, DaemonState.IDLE))  # tap and device are available
 
-PLAYED = frozenset((DaemonState.RUNNING, DaemonState.IDLE, DaemonState.RECOVERING))
-"""Only a daemon that played can recover."""
-
-NOTES_MAX = 32
-"""Notes kept until they are read; older ones are dropped."""
+NOTES_MAX = 32  # largest number of unread notes; a further note replaces the oldest note
 
 
 @dataclass(frozen=True)
 class Note:
-    """One recovery: its cause, and one line of text."""
+    """A recovery. text: description in one line."""
 
     cause: Cause
     text: str
@@ -70,7 +55,7 @@ class Note:
 
 @dataclass(frozen=True)
 class StateReport:
-    """A consistent report: the state, its reason and duration, and recoveries by cause."""
+    """State at one time. since_s: duration of the state. recoveries: number for each cause."""
 
     state: DaemonState
     reason: str
@@ -79,28 +64,26 @@ class StateReport:
 
 
 class StateKeeper:
-    """The state of one daemon, which starts with STARTING at `now_s`.
+    """State of one daemon, initially STARTING. All times are in seconds, from the same clock.
 
-    One thread changes it and takes the notes; any thread may call `report`. Times are seconds of
-    one clock; a clock that runs backwards counts as standing still. The object's size is constant.
-
-    ready_s: when it was first READY, None before.
+    Only one thread may change the state and read notes. Any thread may read `state` and call
+    `report`. ready_s: time of the first state that is in READY, or None.
     """
 
     def __init__(self, now_s: float) -> None:
         self.ready_s: float | None = None
         self._counts = dict.fromkeys(Cause, 0)
         self._notes: deque[Note] = deque(maxlen=NOTES_MAX)
-        # State, reason and start are replaced as one object, so a reader sees a consistent report.
+        # State, reason and start time are one object, so other threads read consistent values.
         self._current = (DaemonState.STARTING, "", now_s)
 
     @property
     def state(self) -> DaemonState:
-        """The current state."""
+        """Current state."""
         return self._current[0]
 
     def enter(self, state: DaemonState, now_s: float, reason: str = "") -> bool:
-        """Enter a state, or change the current state's reason; return whether the state is new."""
+        """Enter a state, or change the reason. Return whether the state has changed."""
         before, _, began_s = self._current
         is_new = state is not before
         self._current = (state, one_line(reason), now_s if is_new else began_s)
@@ -108,29 +91,24 @@ class StateKeeper:
             self.ready_s = now_s
         return is_new
 
-    def recover(self, cause: Cause, now_s: float, reason: str = "") -> bool:
-        """Count a cause and enter or keep RECOVERING; return whether the state is new.
-
-        A daemon that does not play yet, or is stopping, only counts.
-        """
+    def recover(self, cause: Cause, now_s: float, reason: str = "") -> None:
+        """Count a recovery. From a state in READY, change to RECOVERING."""
         self.count(cause, reason)
-        if self.state not in PLAYED:
-            return False
-        return self.enter(DaemonState.RECOVERING, now_s, reason or cause.value)
+        if self.state in READY or self.state is DaemonState.RECOVERING:
+            self.enter(DaemonState.RECOVERING, now_s, reason or cause.value)
 
     def count(self, cause: Cause, text: str = "") -> None:
-        """Count a recovery that is complete already; text: what happened."""
+        """Count a recovery without a change of state. text: description of the recovery."""
         self._counts[cause] += 1
         self._notes.append(Note(cause, one_line(text) or cause.value))
 
     def notes(self) -> list[Note]:
         """Return the recoveries since the last call, at most the latest NOTES_MAX."""
-        notes = list(self._notes)
-        self._notes.clear()
-        return notes
+        notes, self._notes = self._notes, deque(maxlen=NOTES_MAX)
+        return list(notes)
 
     def report(self, now_s: float) -> StateReport:
-        """Return the report at `now_s`."""
+        """Return the state at `now_s`."""
         state, reason, began_s = self._current
         recoveries = MappingProxyType(self._counts.copy())
         return StateReport(state, reason, max(0.0, now_s - began_s), recoveries)

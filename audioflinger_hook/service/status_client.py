@@ -1,4 +1,4 @@
-"""Asking a running daemon for its status."""
+"""Client that requests the status of a running daemon."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import os
 import socket
 import struct
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 
 from audioflinger_hook.service.json_codec import from_json
 from audioflinger_hook.service.one_line import one_line
@@ -22,21 +23,19 @@ NO_DAEMON = "no daemon is running; start one with `cushion run`"
 def ask_status(
     timeout_s: float, clock: Callable[[], float], environ: Mapping[str, str] = os.environ
 ) -> Status:
-    """Return the status of this user's daemon within `timeout_s`; not for an audio thread.
+    """Return the status of this user's daemon; wait up to `timeout_s`.
 
-    NotFoundError: no daemon is running.
-    UsageError: $XDG_RUNTIME_DIR is not usable, or folder or socket belong to another user.
-    InternalError: the daemon does not answer in time, or its answer has another form than this
-    version expects.
+    clock: returns seconds. NotFoundError: no daemon is running. UsageError: $XDG_RUNTIME_DIR is not
+    usable, or the folder or socket belongs to another user. InternalError: the daemon does not
+    answer in time, or the client does not understand the answer.
     """
     end_s = clock() + timeout_s
     try:
         with RuntimeFolder(environ, create=False) as folder:
             line = _exchange(folder, end_s, clock)
     except TimeoutError as error:
-        raise InternalError(
-            f"the daemon has not answered within {timeout_s:g} s; try again, or restart it"
-        ) from error
+        late = f"the daemon has not answered within {timeout_s:g} s; try again, or restart it"
+        raise InternalError(late) from error
     except (NotFoundError, FileNotFoundError, ConnectionRefusedError) as error:
         raise NotFoundError(NO_DAEMON) from error
     except OSError as error:
@@ -45,15 +44,14 @@ def ask_status(
         return from_json(Status, line)
     except CushionError as error:
         reason = _error_in(line) or f"its answer is not understood ({error})"
-        raise InternalError(
-            f"the daemon does not report its status: {reason}; restart it with this version"
-        ) from error
+        missing = f"the daemon does not report its status: {reason}"
+        raise InternalError(f"{missing}; restart it with this version") from error
 
 
 def _exchange(folder: RuntimeFolder, end_s: float, clock: Callable[[], float]) -> bytes:
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as client:
-        # The kernel's timeouts on a blocking socket: a non-blocking connect to a socket whose
-        # queue is full fails at once.
+        # Use a blocking socket with timeouts of the operating system. A non-blocking `connect`
+        # would fail if the queue of the listening socket is full.
         _set_timeout(client, socket.SO_SNDTIMEO, end_s - clock())
         try:
             client.connect(folder.address(NAME))
@@ -71,25 +69,23 @@ def _exchange(folder: RuntimeFolder, end_s: float, clock: Callable[[], float]) -
         except BlockingIOError as error:
             raise TimeoutError from error
         except PermissionError as error:
-            raise UsageError(
-                f"no permission to connect to {folder.path / NAME}; run as the daemon's user"
-            ) from error
+            refused = f"no permission to connect to {folder.path / NAME}"
+            raise UsageError(f"{refused}; run as the daemon's user") from error
     return bytes(answer)
 
 
 def _set_timeout(client: socket.socket, option: int, left_s: float) -> None:
     if left_s <= 0.0:
         raise TimeoutError
-    microseconds = max(1, int(1e6 * left_s))  # 0 would mean no limit
+    microseconds = max(1, int(1e6 * left_s))  # 0 would disable the timeout
     value = struct.pack("@ll", *divmod(microseconds, 1_000_000))
     client.setsockopt(socket.SOL_SOCKET, option, value)
 
 
 def _error_in(line: bytes) -> str:
-    """Return the text of a line `{"error": ...}`, "" for any other line."""
-    try:
-        answer = json.loads(line)
-    except (ValueError, RecursionError):
-        return ""
-    error = answer.get("error") if isinstance(answer, dict) else None
-    return one_line(error) if isinstance(error, str) else ""
+    """Return the text of a line `{"error": ...}`, or "" for other lines."""
+    with suppress(ValueError, RecursionError):
+        match json.loads(line):
+            case {"error": str(error)}:
+                return one_line(error)
+    return ""

@@ -1,8 +1,10 @@
-"""The daemon's server: a socket in its folder that answers only the daemon's user.
+"""Server for a daemon's status and control, on a Unix socket that only its user may use.
 
-A request is one line of JSON. `{"ask": "status"}` is answered by the status. With the number of the
-protocol, `{"ask": "watch", "protocol": 1, "rate_hz": 30}` is answered by lines without end, and
-`{"ask": "control", "protocol": 1, ...}` by one line.
+A request is one line of JSON:
+
+- `{"ask": "status"}` is answered by one line with the status.
+- `{"ask": "watch", "protocol": 1, "rate_hz": 30}` is answered by an unlimited sequence of lines.
+- `{"ask": "control", "protocol": 1, ...}` is answered by one line; see `daemon/live_control.py`.
 """
 
 from __future__ import annotations
@@ -28,41 +30,21 @@ from device.errors import InternalError, UsageError
 NAME = "status.sock"
 ASK_STATUS = {"ask": "status"}
 
-PROTOCOL = 1
-"""Number of the form of `watch` and `control`; another number is refused."""
-
-WATCHERS_MAX = 4
-"""Clients that may watch at a time; the other threads are left for the rest."""
-
+PROTOCOL = 1  # version of `watch` and `control`; requests with another version are refused
+WATCHERS_MAX = 4  # largest number of watching clients, less than CLIENTS_MAX
 RATE_MAX_HZ = 60.0
-SELDOM_S = 0.25
-"""Time between frames that contain only the state."""
+SELDOM_S = 0.25  # shortest interval of frames without levels and frequencies
 
-STATUS_EVERY_S = 2.0
-"""A watching client gets frames at its rate, and the whole status as often as this."""
+STATUS_EVERY_S = 2.0  # interval of complete statuses for a watching client
+WATCH_BUFFER_BYTES = 8192  # send buffer of a watching client; while it is full, frames are skipped
 
-WATCH_BUFFER_BYTES = 8192
-"""Size of a watching client's buffer in the kernel. What does not fit is never sent: the next
-frame replaces it."""
+CLIENTS_MAX = 8  # clients that are served at a time; others wait in the socket's queue
+REQUEST_BYTES_MAX = 4096  # largest request, including its line break
+REQUEST_TIME_S = 1.0  # timeout for the arrival of a request, and for the delivery of an answer
+LIFETIME_S = 10.0  # longest connection of a client that does not watch
 
-CLIENTS_MAX = 8
-"""Clients served at a time; others wait in the socket's queue."""
-
-REQUEST_BYTES_MAX = 4096
-"""Largest size of one request, including its line break."""
-
-REQUEST_TIME_S = 1.0
-"""Time for a whole request to arrive, and for its answer to be read."""
-
-LIFETIME_S = 10.0
-"""Longest connection; then it is closed to make room for other clients."""
-
-PAUSE_S = 0.01
-"""Pause after each answer to a client, which limits the CPU time that clients can cause."""
-
-STOP_S = 2.0
-"""Longest wait of `stop` for a status function that hangs."""
-
+PAUSE_S = 0.01  # pause after each answer, which limits the CPU load by clients
+STOP_S = 2.0  # timeout of `stop`, in case a thread hangs in `read`
 _ADVICE = 'send {"ask": "status"} and a line break'
 _KNOWN = 'allowed: {"ask": "status"}, or watch or control with "protocol": 1'
 _PEER = struct.Struct("3i")
@@ -70,7 +52,7 @@ _ASK = json.dumps(ASK_STATUS).encode()
 
 
 def answer(request: bytes, read: Callable[[], Status]) -> bytes:
-    """Return the line that answers a request: the status, or `{"error": ...}`; never raises."""
+    """Return the answer to a request: the status, or `{"error": ...}`. Raises nothing."""
     try:
         asked = json.loads(request)
     except (ValueError, RecursionError):
@@ -79,51 +61,52 @@ def answer(request: bytes, read: Callable[[], Status]) -> bytes:
         return _error(f"the request is not known; {_KNOWN}")
     try:
         return to_json(read()).encode() + b"\n"
-    except Exception as error:  # an error of the program must not end its thread
+    except Exception as error:  # an exception must not end the server's thread
         return _error(f"the status is not available: {type(error).__name__}: {error}")
 
 
 class Live(Protocol):
-    """What a page shows and changes; the server's threads call it.
+    """Frames and settings for watching clients. The server's threads call the methods.
 
-    settings: another object after each change.
+    A frame is a message with levels and frequencies.
     """
 
-    settings: dict[str, Any]
+    settings: dict[str, Any]  # a new object after each change
 
     def frame(self, missed: int, *, in_memory: bool) -> tuple[bytes, bool]:
-        """Return what changes many times a second, as a line of JSON.
+        """Return a frame as a line of JSON, and whether the next frame is due only after SELDOM_S.
 
-        And whether the next one may come after SELDOM_S. missed: frames that were not sent.
-        in_memory: whether the client reads the engine's figures directly.
+        missed: number of frames that a slow client missed. in_memory: whether the client can read
+        levels and frequencies from a memory-mapped file.
         """
         ...
 
     def watched_by(self, page: str) -> None:
-        """Note the address of a page that watches."""
+        """Store the address of a live page that has connected."""
         ...
 
     def control(self, request: dict[str, Any]) -> dict[str, Any]:
-        """Carry out a request and return its answer; never raises."""
+        """Carry out a request and return the answer. Raises nothing."""
         ...
 
 
 def peer_uid(connected: socket.socket) -> int:
-    """Return the user of the process at the other end."""
+    """Return the user ID of the process at the other end of a socket."""
     raw = connected.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _PEER.size)
     return int(_PEER.unpack(raw)[1])
 
 
 class StatusServer:
-    """Answers requests within a `with`; each of its threads serves one client.
+    """Context manager whose threads answer requests; each thread serves one client at a time.
 
-    No client can raise an error or keep others waiting. One thread makes, enters and leaves the
-    server. Hold the `DaemonLock` first: the lock, not the socket, ensures that only one daemon
-    runs. `read` is called on the server's threads; if it raises, the client gets an error. live:
-    what clients may watch and control; None: nothing.
+    The caller must hold the `DaemonLock`.
 
-    UsageError: a running daemon answers there, or another kind of file has the socket's name.
-    InternalError: the system provides no socket.
+    read: returns the status. The server's threads call it; an exception becomes an error answer.
+    live: for `watch` and `control`, or None to refuse these requests.
+
+    clock: returns seconds.
+    UsageError: another daemon listens, or the socket's name is in use by another user or file.
+    InternalError: the socket cannot be created.
     """
 
     def __init__(
@@ -133,11 +116,8 @@ class StatusServer:
         clock: Callable[[], float],
         live: Live | None = None,
     ) -> None:
-        self._folder = folder
-        self._read = read
-        self._live = live
+        self._folder, self._read, self._clock, self._live = folder, read, clock, live
         self._watchers = threading.Semaphore(WATCHERS_MAX)
-        self._clock = clock
         self._clients: set[socket.socket] = set()
         self._stopping = threading.Event()
         self._listener, self._inode = _listen(folder)
@@ -147,14 +127,14 @@ class StatusServer:
         ]
 
     def stop(self) -> None:
-        """Close all connections and remove the socket. May be repeated."""
+        """Close all connections and remove the socket. A second call has no effect."""
         if self._stopping.is_set():
             return
         self._stopping.set()
         end_s = self._clock() + STOP_S
         for connected in (self._listener, *self._clients):
-            with contextlib.suppress(OSError):  # the client is gone
-                connected.shutdown(socket.SHUT_RDWR)  # wakes the threads that wait for it
+            with contextlib.suppress(OSError):  # already disconnected
+                connected.shutdown(socket.SHUT_RDWR)  # wakes threads that wait for this socket
         for thread in self._threads:
             thread.join(max(0.0, end_s - self._clock()))
         with contextlib.suppress(OSError):
@@ -173,7 +153,7 @@ class StatusServer:
 
     def _serve(self) -> None:
         while not self._stopping.wait(PAUSE_S):
-            with contextlib.suppress(OSError):  # stopped, no descriptor left, client gone or late
+            with contextlib.suppress(OSError):  # server stopped, client lost, or too many files
                 client, _ = self._listener.accept()
                 with client:
                     self._clients.add(client)
@@ -183,7 +163,7 @@ class StatusServer:
                         self._clients.discard(client)
 
     def _converse(self, client: socket.socket) -> None:
-        """Answer this client until it disconnects; raises TimeoutError if it takes too long."""
+        """Answer a client until the connection ends. TimeoutError: the client is too slow."""
         if peer_uid(client) != os.geteuid():
             return
         last_s = self._clock() + LIFETIME_S
@@ -192,8 +172,7 @@ class StatusServer:
             end_s = min(self._clock() + REQUEST_TIME_S, last_s)
             while b"\n" not in requests and len(requests) < REQUEST_BYTES_MAX:
                 self._set_timeout(client, end_s)
-                received = client.recv(REQUEST_BYTES_MAX - len(requests))
-                requests += received
+                requests += (received := client.recv(REQUEST_BYTES_MAX - len(requests)))
                 if not received:
                     if requests:
                         client.sendall(_error(f"the request has no line break; {_ADVICE}"))
@@ -213,22 +192,19 @@ class StatusServer:
             self._stopping.wait(PAUSE_S)
 
     def _asked_of_live(self, request: bytes) -> dict[str, Any] | None:
-        """Return a request to watch or control, None for any other."""
-        try:
+        """Return a `watch` or `control` request, or None for other requests."""
+        with contextlib.suppress(ValueError, RecursionError):
             asked = json.loads(request)
-        except (ValueError, RecursionError):
-            return None
-        known = isinstance(asked, dict) and asked.get("ask") in ("watch", "control")
-        return asked if known and self._live is not None else None
+            known = isinstance(asked, dict) and asked.get("ask") in ("watch", "control")
+            return asked if known and self._live is not None else None
+        return None
 
     def _reply(self, asked: dict[str, Any]) -> bytes:
         assert self._live is not None
-        if refusal := _other_protocol(asked):
-            return refusal
-        return json.dumps(self._live.control(asked)).encode() + b"\n"
+        return _other_protocol(asked) or _line(self._live.control(asked))
 
     def _let_watch(self, client: socket.socket, asked: dict[str, Any]) -> None:
-        """Send lines until the client is gone; what it does not read in time is left out."""
+        """Send lines until the client disconnects. A slow client gets fewer frames."""
         rate_hz = asked.get("rate_hz", 30.0)
         if refusal := _other_protocol(asked):
             client.sendall(refusal)
@@ -249,10 +225,8 @@ class StatusServer:
         assert live is not None
         client.setblocking(False)
         client.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, WATCH_BUFFER_BYTES)
-        rest = (
-            json.dumps({"hello": {"protocol": PROTOCOL, "version": __version__}}).encode() + b"\n"
-        )
-        # Its time limit is the pause; `stop` and the client's end cut it short.
+        rest = _line({"hello": {"protocol": PROTOCOL, "version": __version__}})
+        # poll() waits until the next frame is due. `stop` or a disconnection ends the wait.
         ends = select.poll()
         ends.register(client, select.POLLHUP)
         now_s = due_s = self._clock()
@@ -261,12 +235,12 @@ class StatusServer:
             if not rest:
                 try:
                     rest, seldom = live.frame(missed, in_memory=in_memory)
-                except Exception as error:  # an engine that ends meanwhile must not end this thread
+                except Exception as error:  # an engine that ends must not end this thread
                     client.send(_error(f"no frame: {type(error).__name__}: {error}"))
                     return
                 if live.settings is not told:
                     told, status_due_s = live.settings, now_s
-                    rest += json.dumps({"settings": told}).encode() + b"\n"
+                    rest += _line({"settings": told})
                 if now_s >= status_due_s:
                     status_due_s = now_s + STATUS_EVERY_S
                     rest += b'{"status": %b}\n' % answer(_ASK, self._read).rstrip()
@@ -287,7 +261,6 @@ class StatusServer:
 
 
 def _other_protocol(asked: dict[str, Any]) -> bytes | None:
-    """Return the refusal of a request of another protocol."""
     if asked.get("protocol") == PROTOCOL:
         return None
     return _error(
@@ -297,14 +270,18 @@ def _other_protocol(asked: dict[str, Any]) -> bytes | None:
 
 
 def _error(message: str) -> bytes:
-    return json.dumps({"error": one_line(message)}).encode() + b"\n"
+    return _line({"error": one_line(message)})
+
+
+def _line(document: dict[str, Any]) -> bytes:
+    return json.dumps(document).encode() + b"\n"
 
 
 def _listen(folder: RuntimeFolder) -> tuple[socket.socket, tuple[int, int]]:
-    """Return a listening socket and its device and inode; a dead daemon's socket is replaced."""
+    """Replace an ended daemon's socket; return the new one, and its device and inode numbers."""
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
-        os.fchmod(listener.fileno(), 0o600)  # so the file has this mode from the start
+        os.fchmod(listener.fileno(), 0o600)  # `bind` creates the file with this mode
         _remove_dead(folder)
         listener.bind(folder.address(NAME))
         listener.listen(CLIENTS_MAX)
@@ -334,7 +311,7 @@ def _remove_dead(folder: RuntimeFolder) -> None:
         except ConnectionRefusedError:
             os.unlink(NAME, dir_fd=folder.fd)
             return
-        except BlockingIOError:  # a running daemon whose queue is full
+        except BlockingIOError:  # a daemon runs, and its queue is full
             pass
     raise UsageError(
         f"another cushion daemon answers at {path}; allowed: one per user; "

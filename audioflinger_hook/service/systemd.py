@@ -1,7 +1,8 @@
-"""Messages to systemd, and the rule for its watchdog; needs no library."""
+"""Messages to systemd, and the timing of the messages to systemd's watchdog."""
 
 from __future__ import annotations
 
+import math
 import os
 import socket
 from collections.abc import Mapping
@@ -9,17 +10,14 @@ from collections.abc import Mapping
 from audioflinger_hook.service.one_line import one_line
 from audioflinger_hook.service.state import DaemonState
 
-SEND_TIMEOUT_S = 0.2
-"""Longest wait for room in systemd's queue."""
-
-CHECKS_PER_PERIOD = 4
-"""The watchdog is fed after this part of its period, which leaves time for a late check."""
+SEND_TIMEOUT_S = 0.2  # longest wait for space in systemd's queue
+CHECKS_PER_PERIOD = 4  # checks per watchdog period; a single late check has no effect
 
 
 class Notifier:
-    """Messages to the service manager at $NOTIFY_SOCKET, if it names a path or an abstract socket.
+    """Sends messages to the service manager at $NOTIFY_SOCKET, if the variable names a socket.
 
-    A message may take 0.2 s, so audio threads must not send. Use from one thread at a time.
+    A call may block for up to SEND_TIMEOUT_S.
     """
 
     def __init__(self, environ: Mapping[str, str] = os.environ) -> None:
@@ -30,10 +28,7 @@ class Notifier:
         self._address = b"\0" + address[1:] if name.startswith("@") else address
 
     def send(self, *assignments: str, status: str = "") -> bool:
-        """Send assignments such as READY=1; return whether they were sent. Raises nothing.
-
-        status: what the daemon does, in one line that `systemctl status` shows.
-        """
+        """Send NAME=VALUE pairs and a status text; return whether all were sent. Raises nothing."""
         if not self._enabled:
             return False
         if status:
@@ -50,39 +45,36 @@ class Notifier:
 
 
 class Watchdog:
-    """Decides when to feed systemd's watchdog: while sound flows, or has a reason not to flow.
+    """Timing of messages to systemd's watchdog.
 
-    period_s: from `watchdog_period_s`; with None, never feed. check_s: longest time between calls
-    of `due`. Use from one thread at a time.
+    period_s: None disables the watchdog. check_s: longest interval between calls of `due`.
     """
 
     def __init__(self, period_s: float | None) -> None:
         self.check_s = None if period_s is None else period_s / CHECKS_PER_PERIOD
-        self._fed_s: float | None = None
-        self._buffers: int | None = None
+        self._fed_s = -math.inf
+        self._buffers = -1
 
     def due(self, buffers: int, state: DaemonState, now_s: float) -> bool:
-        """Return whether to feed now, which the caller then does.
+        """Return whether to send a message now. now_s: seconds.
 
-        buffers: count since the start; if it stays unchanged in state RUNNING, the daemon hangs.
+        buffers: number of processed buffers or frames. In the state RUNNING, the result is False
+        if this number has not changed since the latest message.
         """
-        if self.check_s is None:
-            return False
-        if self._fed_s is not None and now_s - self._fed_s < self.check_s:
+        if self.check_s is None or now_s - self._fed_s < self.check_s:
             return False
         if state is DaemonState.RUNNING and buffers == self._buffers:
             return False
-        self._buffers = buffers
-        self._fed_s = now_s
+        self._fed_s, self._buffers = now_s, buffers
         return True
 
 
 def watchdog_period_s(pid: int, environ: Mapping[str, str] = os.environ) -> float | None:
-    """Return $WATCHDOG_USEC in seconds, None if it is not set or $WATCHDOG_PID is not `pid`."""
+    """Return $WATCHDOG_USEC in seconds; None if unset, invalid or not for process `pid`."""
     if environ.get("WATCHDOG_PID", str(pid)) != str(pid):
         return None
     text = environ.get("WATCHDOG_USEC", "")
-    # Accept only ASCII digits, and no more than a time can have.
+    # Accept only ASCII digits, and no more digits than a 64-bit integer can have.
     if not (text.isascii() and text.isdigit() and len(text) < 20) or not int(text):
         return None
     return int(text) * 1e-6

@@ -1,17 +1,11 @@
-"""Where sound comes from: taps deliver buffers, clients write them into the mixer's tracks.
+"""Sources of sound: taps deliver buffers, and clients write the buffers to tracks of the mixer.
 
-address         the grammar of `--tap`
-tap             the interfaces of taps and clients
-file, capture   taps
-tap_client      one tap on one track
-scene           one track for each sound of a scene
-applications    one track for each application
+address -> file, film -> tap_client -> one track; scene, applications -> one track for each sound
 """
 
 from audioflinger_hook.sources.address import TapAddress, open_client, open_tap, parse_tap
 from audioflinger_hook.sources.applications import VoicesClient
-from audioflinger_hook.sources.capture import CaptureTap
-from audioflinger_hook.sources.file import FileTap, FramesTap
+from audioflinger_hook.sources.file import CaptureTap, FileTap, FramesTap
 from audioflinger_hook.sources.scene import SceneClient, mixdown
 from audioflinger_hook.sources.tap import Client, Tap
 from audioflinger_hook.sources.tap_client import PushTap, TapClient

@@ -1,4 +1,4 @@
-"""The grammar of `--tap`: where the sound comes from."""
+"""Addresses of sound sources, as the option `--tap` accepts them."""
 
 from __future__ import annotations
 
@@ -7,38 +7,27 @@ from pathlib import Path
 from typing import Literal, get_args
 
 from audioflinger_hook.scenes import Scene, demo_scene
-from audioflinger_hook.sources.capture import CaptureTap
-from audioflinger_hook.sources.file import FileTap, FramesTap
+from audioflinger_hook.sources.file import CaptureTap, FileTap, FramesTap
 from audioflinger_hook.sources.scene import CYCLE_FRAMES, SceneClient, mixdown
 from audioflinger_hook.sources.tap import Client, Tap
 from audioflinger_hook.sources.tap_client import TapClient
 from device.errors import NotFoundError, UsageError
 
 Kind = Literal["default", "sink", "app", "file", "capture", "scene"]
-
 KINDS: tuple[Kind, ...] = get_args(Kind)
 
 GRAMMAR = (
     "default, sink:NAME, app:NAME, file:PATH, capture:DIR, scene:demo, or the name of a sink alone"
 )
-
 SCENES = ("demo",)
 
+# A text with one of these endings is a path, not the name of a sink.
 SOUND_SUFFIXES = (".wav", ".flac", ".ogg", ".mp3", ".aiff", ".aif", ".opus")
-"""A word that ends so is taken for a path, not for the name of a sink."""
 
 
 @dataclass(frozen=True)
 class TapAddress:
-    """One source of sound.
-
-    Attributes
-    ----------
-    kind : str
-        One of `KINDS`.
-    name : str
-        Name, path or folder; empty for `default`.
-    """
+    """Address of a source of sound. kind: one of `KINDS`. name: name or path; "" for `default`."""
 
     kind: Kind
     name: str = ""
@@ -48,33 +37,22 @@ class TapAddress:
 
 
 def parse_tap(text: str) -> TapAddress:
-    """Return the address that a text stands for.
+    """Parse an address. A text without a colon is the name of a sink.
 
-    A word without a colon is the name of a sink, unless it is a path. Names are taken literally.
-
-    Parameters
-    ----------
-    text : str
-        What the user wrote.
-
-    Raises
-    ------
-    UsageError
-        The kind is unknown, a name is missing, or `default` has a name. A path without "file:" is
-        refused as well.
+    text: an address as described by `GRAMMAR`.
+    UsageError: the kind is unknown, a name is missing, `default` has a name, or a path has no
+    "file:".
     """
     if text == "default":
         return TapAddress("default")
-    before, colon, name = text.partition(":")
+    kind, colon, name = text.partition(":")
     if not colon:
+        kind, name = "sink", text
         if "/" in text or Path(text).suffix.lower() in SOUND_SUFFIXES:
             raise UsageError(
                 f"tap {text!r} is not the name of a sink; did you mean file:{text}? allowed: "
                 f"{GRAMMAR}"
             )
-        kind, name = "sink", text
-    else:
-        kind = before
     for known in KINDS:
         if kind == known != "default" and name.strip():
             return TapAddress(known, name)
@@ -88,35 +66,18 @@ def parse_tap(text: str) -> TapAddress:
 
 
 def open_client(address: TapAddress) -> Client:
-    """Return a client of the mixer: one track per sound for a scene, else one track.
+    """Open a client, with one track for each sound of a scene, or one track for other sources.
 
-    Parameters
-    ----------
-    address : TapAddress
-        The source.
-
-    Raises
-    ------
-    UsageError, NotFoundError
-        As for `open_tap`.
+    address: address of the sound. UsageError, NotFoundError: as for `open_tap`.
     """
     return SceneClient(_scene(address)) if address.kind == "scene" else TapClient(open_tap(address))
 
 
 def open_tap(address: TapAddress) -> Tap:
-    """Return an open tap, with its format.
+    """Open a tap for a file, a capture or a scene.
 
-    Parameters
-    ----------
-    address : TapAddress
-        The source: a file, a capture or a scene.
-
-    Raises
-    ------
-    UsageError
-        The scene is unknown, or the file or the capture cannot be used.
-    NotFoundError
-        The source needs a sound server.
+    address: address of the sound.
+    UsageError: the source cannot be used. NotFoundError: the source needs a sound server.
     """
     if address.kind == "file":
         return FileTap(Path(address.name))
@@ -133,8 +94,6 @@ def open_tap(address: TapAddress) -> Tap:
 
 def _scene(address: TapAddress) -> Scene:
     if address.name not in SCENES:
-        raise UsageError(
-            f"tap {str(address)!r}: unknown scene; allowed: "
-            + ", ".join(f"scene:{name}" for name in SCENES)
-        )
+        allowed = ", ".join(f"scene:{name}" for name in SCENES)
+        raise UsageError(f"tap {str(address)!r}: unknown scene; allowed: {allowed}")
     return demo_scene()

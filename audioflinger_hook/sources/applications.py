@@ -1,4 +1,4 @@
-"""A client for several independent sounds: one track per sound; one sound sets the pace."""
+"""A client that plays several independent sounds, such as those of applications."""
 
 from __future__ import annotations
 
@@ -10,18 +10,15 @@ from numpy.typing import NDArray
 
 from audioflinger_hook.mixer import Mixer, PcmFormat, Track
 
-PACE_LOST_S = 0.05
-"""If the voice that sets the pace is silent for this long, another voice takes over."""
-
-WAITING_S = 0.04
-"""Limit of a voice's waiting frames; older frames are dropped, else the delay would grow."""
+PACE_LOST_S = 0.05  # if the pacing voice has no new frames for this time, another sets the pace
+WAITING_S = 0.04  # longest queue of a voice; the oldest frames beyond it are dropped
 
 _Frames = NDArray[np.float32]
 
 
 @dataclass(eq=False)
 class Voice:
-    """One sound, whose frames wait here until a cycle takes them. dropped: count of frames lost."""
+    """One sound with a queue of frames. frames, dropped: number of queued and of dropped frames."""
 
     name: str
     track: Track
@@ -30,7 +27,7 @@ class Voice:
     dropped: int = 0
 
     def take(self, count: int) -> _Frames:
-        """Return the next `count` frames; if there are fewer, silence precedes them."""
+        """Remove and return `count` frames. A shorter queue is padded with silence at the start."""
         out = np.zeros((count, self.track.channels), np.float32)
         at = count - min(count, self.frames)
         while at < count:
@@ -45,18 +42,13 @@ class Voice:
 
 
 class VoicesClient:
-    """Mixes sounds that arrive independently, such as applications.
+    """Plays sounds (voices) that arrive independently.
 
-    The first voice sets the pace: its frames become cycles, and the frames of other voices are
-    mixed into them. The supervising thread calls `add` and `remove`. The thread on which all sounds
-    arrive calls the other methods and steps the pipeline.
+    One voice sets the pace: when its frames arrive, as many frames of each voice are played. One
+    thread calls `add` and `remove`. Another thread calls `push` and `play`.
 
-    Parameters
-    ----------
-    samplerate : int
-        Rate of the mix and of every voice, Hz.
-    channels : int
-        Channels of the mix and of every voice.
+    samplerate, channels: format of the mix and of all voices; samplerate in Hz.
+    pending_frames: number of frames that `play` has not written yet.
     """
 
     frames_expected = None
@@ -69,19 +61,14 @@ class VoicesClient:
         self._voices: tuple[Voice, ...] = ()
         self._pacer: Voice | None = None
         self._paced_s = 0.0
-        self._due = 0
-
-    @property
-    def pending_frames(self) -> int:
-        """Frames for which cycles are due."""
-        return self._due
+        self.pending_frames = 0
 
     def connect(self, mixer: Mixer) -> None:
-        """Keep the mixer; voices can be added from now on."""
+        """Set the mixer. Call this before the first `add`."""
         self._mixer = mixer
 
     def add(self, name: str) -> Voice:
-        """Return a new voice, with a track of this name."""
+        """Create a voice with a track of this name."""
         assert self._mixer is not None
         track = self._mixer.create_track(
             name, PcmFormat.FLOAT, self.samplerate, self.channels, start_threshold=1
@@ -92,7 +79,7 @@ class VoicesClient:
         return voice
 
     def remove(self, voice: Voice) -> None:
-        """Release a voice and its track; no more frames may be pushed to it."""
+        """Remove a voice and its track. The caller must not push more frames for this voice."""
         assert self._mixer is not None
         self._voices = tuple(other for other in self._voices if other is not voice)
         if self._pacer is voice:
@@ -101,17 +88,14 @@ class VoicesClient:
         self._mixer.remove_track(voice.track)
 
     def push(self, voice: Voice, frames: _Frames, now_s: float) -> None:
-        """Take frames of one voice, (frames, channels) float32, which arrived at now_s.
-
-        The array is kept, not copied. `pending_frames` then says whether cycles are due.
-        """
+        """Queue frames of a voice, (frames, channels), without a copy. now_s: present time in s."""
         voice.waiting.append(frames)
         voice.frames += len(frames)
         if self._pacer is None or now_s - self._paced_s > PACE_LOST_S:
             self._pacer = voice
         if voice is self._pacer:
             self._paced_s = now_s
-            self._due += len(frames)
+            self.pending_frames += len(frames)
             return
         while voice.frames - len(voice.waiting[0]) > self._most_waiting:
             dropped = voice.waiting.popleft()
@@ -119,19 +103,19 @@ class VoicesClient:
             voice.dropped += len(dropped)
 
     def play(self) -> int | None:
-        """Write the frames that are due, at most one cycle, and return their number."""
+        """Write pending frames, at most one cycle. Return the number of frames; None for 0."""
         assert self._mixer is not None
-        count = min(self._due, self._mixer.frames)
+        count = min(self.pending_frames, self._mixer.frames)
         if not count:
             return None
-        self._due -= count
+        self.pending_frames -= count
         for voice in self._voices:
             voice.track.write(voice.take(count))
         return count
 
     def close(self) -> None:
-        """Drop all waiting frames."""
-        self._due = 0
+        """Drop all queued frames."""
+        self.pending_frames = 0
         for voice in self._voices:
             voice.waiting.clear()
             voice.frames = 0

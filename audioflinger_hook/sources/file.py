@@ -1,4 +1,4 @@
-"""A tap on a sound file."""
+"""Taps of stored sound: a file, frames in memory, a capture."""
 
 from __future__ import annotations
 
@@ -12,91 +12,50 @@ from pathlib import Path
 
 import numpy as np
 import soundfile
-from numpy.typing import NDArray
 
+from audioflinger_hook.capture import Capture, CaptureBuffer
+from audioflinger_hook.sources.tap import SteadyTap, named, reason_of
 from audioflinger_hook.transform.parameters import check_format
 from device.errors import UsageError
+from device.units import Float32Array
 
-BLOCKSIZE_FRAMES = 32_768
-"""Frames per buffer: long enough to make the cost of a call negligible; 64 channels take 8 MB."""
-
+BLOCKSIZE_FRAMES = 32_768  # frames per buffer; 64 channels take 8 MB
 EXACT_FORMATS = frozenset({"WAV", "WAVEX", "RF64", "W64", "AIFF", "AU", "CAF"})
 EXACT_SUBTYPES = frozenset({"PCM_U8", "PCM_S8", "PCM_16", "PCM_24", "PCM_32", "FLOAT", "DOUBLE"})
-"""Formats in which a frame's position in the file follows from the frame's number."""
+"""Formats in which reading can start at any frame without a change of the samples."""
 
-FRAMES_UNKNOWN = 1 << 40
-"""libsndfile reports such a number for a stream whose header does not state its length."""
+FRAMES_UNKNOWN = 1 << 40  # libsndfile reports at least this length for an unknown length
 
 
-class FileTap:
-    """The frames of any file that libsndfile reads, as float32.
+class FileTap(SteadyTap):
+    """A tap of a sound file in any format of libsndfile.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    blocksize : int
-        Frames of a buffer.
-    first : int
-        The frame to begin with; other than 0 only for a file that is `divisible`.
-
-    Attributes
-    ----------
-    warnings : list of str
-        Warnings for the user, one line each; complete at the end of the file.
-
-    Raises
-    ------
-    UsageError
-        The file is missing, unreadable, not sound or empty, or the transform does not support
-        its rate or channel count.
+    path: path of the file. blocksize: frames per buffer. first: first frame to read; must be 0
+        unless `divisible` is true.
+    UsageError: the file has no sound or cannot be read, or its format is not supported.
     """
-
-    format_changed = False
-    discontinuity = False
 
     def __init__(self, path: Path, blocksize: int = BLOCKSIZE_FRAMES, *, first: int = 0) -> None:
         self.path = path
-        self.warnings: list[str] = []
         self._blocksize = blocksize
         self._file = _open(path)
-        self.samplerate: int = self._file.samplerate
-        self.channels: int = self._file.channels
-        self._delivered = first
+        frames, format_ = int(self._file.frames), (self._file.samplerate, self._file.channels)
+        expected = frames if 0 < frames < FRAMES_UNKNOWN else None
         try:
             if first:
                 self._skip_to(first)
-            check_format(self.samplerate, self.channels)
-            # The header may promise frames that are missing: only a first buffer proves sound.
-            self._next = self._read()
-            if not len(self._next):
+            check_format(*format_)
+            super().__init__(*format_, self._decoded(first, expected), expected)
+            if self._next is None:
                 raise UsageError(f"{path} has no sound (0 frames); give a file with sound in it")
         except UsageError as error:
             self.close()
-            if str(path) in str(error):
-                raise
-            raise UsageError(f"{path}: {error}") from None
-
-    @property
-    def frames_expected(self) -> int | None:
-        """Frames that the header promises, or None if the header has no number."""
-        frames = int(self._file.frames)
-        return frames if 0 < frames < FRAMES_UNKNOWN else None
+            raise named(error, path) from None
 
     @property
     def divisible(self) -> bool:
-        """Whether a part of the file, read alone, has the same frames as in the whole file."""
+        """Whether reading can start at any frame without a change of the samples."""
         return self._file.format in EXACT_FORMATS and self._file.subtype in EXACT_SUBTYPES
-
-    def read(self) -> NDArray[np.float32] | None:
-        """Return the next buffer, or None at the end."""
-        buffer = self._next
-        if not len(buffer):
-            self._note_short_body()
-            return None
-        self._delivered += len(buffer)
-        self._next = self._read()
-        return buffer
 
     def close(self) -> None:
         """Close the file."""
@@ -106,44 +65,44 @@ class FileTap:
         try:
             self._file.seek(frame)
         except (soundfile.LibsndfileError, RuntimeError) as error:
-            raise UsageError(f"{self.path} has no frame {frame} ({_reason(error)})") from None
+            raise UsageError(f"{self.path} has no frame {frame} ({reason_of(error)})") from None
 
-    def _read(self) -> NDArray[np.float32]:
-        if self.warnings:  # no frames follow one that cannot be decoded
-            return np.zeros((0, self.channels), np.float32)
+    def _decoded(self, first: int, expected: int | None) -> Iterator[Float32Array]:
+        """Yield buffers up to the end or the first damaged frame."""
+        delivered = first
+        while len(buffer := self._read()):
+            delivered += len(buffer)
+            yield buffer
+            if self.warnings:  # the frame after this buffer cannot be decoded
+                return
+        missing = expected is not None and delivered < expected
+        if not self.warnings and (missing or _body_is_short(self._file.extra_info)):
+            self.warnings.append(
+                f"{self.path} is shorter than its header says; "
+                f"the {delivered} frames that are there were taken"
+            )
+
+    def _read(self) -> Float32Array:
         buffer = np.empty((self._blocksize, self.channels), np.float32)
         before = self._file.tell()
         try:
-            filled: NDArray[np.float32] = self._file.read(out=buffer)
+            filled: Float32Array = self._file.read(out=buffer)
             return filled
         except (soundfile.LibsndfileError, RuntimeError) as error:
-            self.warnings.append(f"{self.path} is damaged ({_reason(error)}); taken up to there")
+            self.warnings.append(f"{self.path} is damaged ({reason_of(error)}); taken up to there")
             return buffer[: max(0, self._file.tell() - before)]
-
-    def _note_short_body(self) -> None:
-        if self.warnings:
-            return
-        expected = self.frames_expected
-        short = _body_is_short(self._file.extra_info)
-        if short or (expected is not None and self._delivered < expected):
-            self.warnings.append(
-                f"{self.path} is shorter than its header says; "
-                f"the {self._delivered} frames that are there were taken"
-            )
 
 
 def _open(path: Path) -> soundfile.SoundFile:
-    """Return the opened file, or raise UsageError with what is wrong with it."""
     try:
-        # By descriptor, not by name: libsndfile would trust a name's ending and read text named
-        # .vox as sound.
+        # From a name instead of a descriptor, libsndfile would read text files *.vox as sound.
         descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
     except (FileNotFoundError, NotADirectoryError):
         raise UsageError(f"{path} does not exist; give the path of a sound file") from None
     except PermissionError:
         raise UsageError(f"{path} may not be read; check its permissions") from None
     except (OSError, ValueError) as error:
-        raise UsageError(f"{path} cannot be opened ({_reason(error)})") from None
+        raise UsageError(f"{path} cannot be opened ({reason_of(error)})") from None
     kind = os.fstat(descriptor)
     try:
         if stat.S_ISDIR(kind.st_mode):
@@ -159,20 +118,15 @@ def _open(path: Path) -> soundfile.SoundFile:
         raise
     except (soundfile.LibsndfileError, OSError, TypeError, ValueError) as error:
         raise UsageError(
-            f"{path} is not a sound file that can be read ({_reason(error)}); "
+            f"{path} is not a sound file that can be read ({reason_of(error)}); "
             "allowed: WAV, FLAC, Ogg, MP3, AIFF and other formats of libsndfile; the sound of a "
             "film becomes one by `ffmpeg -i FILM sound.wav`"
         ) from None
 
 
-def _reason(error: Exception) -> str:
-    text = getattr(error, "error_string", None) or getattr(error, "strerror", None) or str(error)
-    return str(text).strip().rstrip(".") or type(error).__name__
-
-
 @contextmanager
 def _quiet_decoder() -> Iterator[None]:
-    """Hide what decoders print on stderr; our own error reports it."""
+    """Suppress messages of decoders on stderr. The raised error has the same information."""
     sys.stderr.flush()
     kept = os.dup(2)
     nowhere = os.open(os.devnull, os.O_WRONLY)
@@ -185,18 +139,15 @@ def _quiet_decoder() -> Iterator[None]:
         os.close(nowhere)
 
 
-PROMISES = (
+PROMISES = (  # patterns in libsndfile's log of a file that is shorter than its header says
     r"^\s*(?:data|SSND|Data Size|riff)\s*:\s*(?P<promised>\d+) \(should be (?P<there>\d+)\)",
     r"frame count (?P<there>\d+) does not match value from 'ds64' chunk of (?P<promised>\d+)",
 )
-"""Lines in libsndfile's log if a WAV, AIFF, AU, W64 or RF64 body is shorter than promised."""
 
-UNKNOWN_LENGTH = 0xFFFF_0000
-"""A recorder that does not know the length writes a length from here to 4 GB."""
+UNKNOWN_LENGTH = 0xFFFF_0000  # from here to 4 GB: written by recorders that do not know the length
 
 
 def _body_is_short(log: str) -> bool:
-    """Return whether libsndfile's log says that a file's body ends too early."""
     for pattern in PROMISES:
         if found := re.search(pattern, log, re.MULTILINE):
             promised, there = int(found["promised"]), int(found["there"])
@@ -204,36 +155,69 @@ def _body_is_short(log: str) -> bool:
     return re.search(r"Ogg\s*: (Last page lacks|Junk after the last page)", log) is not None
 
 
-class FramesTap:
-    """Frames from memory, in buffers of `blocksize`; the last may be shorter.
+class FramesTap(SteadyTap):
+    """A tap of frames in memory.
 
-    Parameters
-    ----------
-    frames : array of float32
-        (frames, channels).
-    samplerate : int
-        Hz.
-    blocksize : int
-        Frames of a buffer.
+    frames: (n, channels). samplerate: Hz. blocksize: frames per buffer.
     """
 
-    format_changed = False
-    discontinuity = False
+    def __init__(self, frames: Float32Array, samplerate: int, blocksize: int) -> None:
+        starts = range(0, len(frames), blocksize)
+        buffers = (frames[first : first + blocksize] for first in starts)
+        super().__init__(samplerate, frames.shape[1], buffers, len(frames))
 
-    def __init__(self, frames: NDArray[np.float32], samplerate: int, blocksize: int) -> None:
-        self._frames = frames
-        self._blocksize = blocksize
-        self._position = 0
-        self.samplerate = samplerate
-        self.frames_expected, self.channels = frames.shape
 
-    def read(self) -> NDArray[np.float32] | None:
-        """Return the next buffer, or None after the last."""
-        first = self._position
-        if first >= len(self._frames):
+class CaptureTap:
+    """A `Tap` that reads a capture from disk, in its original buffers and formats.
+
+    folder: folder of the capture.
+    time_s: time of delivery of the last buffer, in seconds of the recorder's monotonic clock.
+    warnings: lines for the user, complete after `read` has returned None.
+    facts: settings that the recorder stored, by name.
+    UsageError: the folder is not a readable capture, has no sound, or has a format that the
+        transform does not support. `read` may raise it, too, after a change of the format.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._capture = Capture(folder)
+        self._buffers = self._capture.buffers("tap")
+        self._next: CaptureBuffer | None = next(self._buffers, None)
+        self.warnings = self._capture.warnings
+        self.facts = self._capture.facts
+        self.frames_expected = self._capture.frames_expected("tap")
+        if self._next is None or not self.frames_expected:
+            self.close()
+            why = "".join(f" ({text})" for text in self.warnings)
+            raise UsageError(f"{folder} has no sound (0 frames){why}; give one with sound in it")
+        self.samplerate, self.channels = self._next.format
+        self._check_format()
+        self.format_changed = False
+        self.discontinuity = self._next.discontinuity
+        self.time_s = self._next.time_s
+
+    def read(self) -> Float32Array | None:
+        """Return the next buffer, or None at the end."""
+        buffer = self._next or next(self._buffers, None)
+        self._next = None
+        if buffer is None:
             return None
-        self._position = first + self._blocksize
-        return self._frames[first : self._position]
+        self.format_changed = buffer.format != (self.samplerate, self.channels)
+        self.discontinuity = buffer.discontinuity
+        self.time_s = buffer.time_s
+        if self.format_changed:
+            self.samplerate, self.channels = buffer.format
+            self._check_format()
+        return buffer.frames
 
     def close(self) -> None:
-        """Do nothing, as no resource is held."""
+        """Close the capture."""
+        self._next = None
+        self._buffers.close()
+
+    def _check_format(self) -> None:
+        try:
+            check_format(self.samplerate, self.channels)
+        except UsageError as error:
+            self.close()
+            raise named(error, self.folder) from None

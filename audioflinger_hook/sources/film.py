@@ -1,4 +1,4 @@
-"""A tap on a sound track of a film, or of any file that FFmpeg reads; needs the extra `films`."""
+"""A tap of a film's sound track in any format of FFmpeg. It needs the optional package PyAV."""
 
 from __future__ import annotations
 
@@ -10,94 +10,64 @@ import numpy as np
 from numpy.typing import NDArray
 
 from audioflinger_hook.sources.file import BLOCKSIZE_FRAMES
+from audioflinger_hook.sources.tap import SteadyTap, named, reason_of
 from audioflinger_hook.transform.parameters import check_format
 from device.errors import UsageError
+from device.units import Float32Array
 
-FILMS = frozenset(
-    f".{ending}"
-    for ending in (
-        "mka", "mkv", "mp4", "m4v", "m4a", "mov", "avi", "webm", "mpg", "mpeg", "ts", "m2ts",
-        "vob", "wmv", "flv", "ogv",
-    )
-)  # fmt: skip
-"""Endings of the names of files that libsndfile does not read, or takes for something else."""
+FILMS = frozenset(  # endings of files that libsndfile cannot read or misinterprets
+    {
+        *(".mka", ".mkv", ".mp4", ".m4v", ".m4a", ".mov", ".avi", ".webm"),
+        *(".mpg", ".mpeg", ".ts", ".m2ts", ".vob", ".wmv", ".flv", ".ogv"),
+    }
+)
 
-GAP_S = 0.02
-"""A longer gap between the times of two packets is filled with silence; a shorter one is jitter."""
-
-GAP_MAX_S = 24 * 3600.0
-"""A longer gap is a broken time stamp and is not filled."""
+GAP_S = 0.02  # longest gap between two packets that is not filled with silence
+GAP_MAX_S = 24 * 3600.0  # a longer gap comes from a wrong time stamp and is not filled
 
 EXTRA = "sound tracks of films need PyAV; pip install 'haptic-cushion[films]'"
 
 
-class FilmTap:
-    """The frames of one sound track, as float32, aligned with the film's beginning.
+class FilmTap(SteadyTap):
+    """A tap of one sound track of a film. If the track begins late, silence precedes it.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    track : int, optional
-        The sound track, counted from 1. Default: the file's default track.
-    language : str, optional
-        Language of the track, as in the file, such as "eng".
-
-    Attributes
-    ----------
-    warnings : list of str
-        Warnings for the user, one line each; complete at the end of the file.
-
-    Raises
-    ------
-    UsageError
-        The file cannot be read, has no such sound track, or no sound in it.
+    track: counted from 1; None for the first track in `language`, or for the file's default track.
+    language: language of the track, as in the file, such as "eng". UsageError: PyAV is missing, the
+    file cannot be read, has no such track or no sound, or its format is not supported.
     """
-
-    format_changed = False
-    discontinuity = False
 
     def __init__(self, path: Path, *, track: int | None = None, language: str | None = None):
         try:
             import av
         except ImportError:
             raise UsageError(f"{path}: {EXTRA}") from None
-        self.warnings: list[str] = []
         self._path = path
         self._errors = (av.error.FFmpegError, ValueError)
         try:
             self._container: Any = _opened(av, path)
         except (*self._errors, OSError) as error:
-            raise UsageError(f"{path} cannot be read as a film ({_reason(error)})") from None
+            raise UsageError(f"{path} cannot be read as a film ({reason_of(error)})") from None
         try:
             stream = self._chosen(track, language)
-            self.samplerate = int(stream.codec_context.sample_rate)
-            self.channels = int(stream.codec_context.channels)
-            check_format(self.samplerate, self.channels)
-            self._layout = stream.codec_context.layout
+            codec = stream.codec_context
+            format_ = (int(codec.sample_rate), int(codec.channels))
+            check_format(*format_)
+            self._layout = codec.layout
             self._start_s = (self._container.start_time or 0) / av.time_base
             length_s = (self._container.duration or 0) / av.time_base
-            self.frames_expected = round(length_s * self.samplerate) or None
-            self._buffers = self._buffered(stream)
-            self._next: NDArray[np.float32] | None = next(self._buffers, None)
+            expected = round(length_s * format_[0]) or None
+            super().__init__(*format_, self._buffered(stream), expected)
             if self._next is None:
                 raise UsageError(f"{path} has no sound in its track; {' '.join(self.warnings)}")
         except UsageError as error:
             self.close()
-            named = str(path) in str(error)
-            raise error if named else UsageError(f"{path}: {error}") from None
-
-    def read(self) -> NDArray[np.float32] | None:
-        """Return the next buffer, or None at the end."""
-        buffer, self._next = self._next, next(self._buffers, None)
-        return buffer
+            raise named(error, path) from None
 
     def close(self) -> None:
         """Close the file."""
         self._container.close()
 
     def _chosen(self, track: int | None, language: str | None) -> Any:
-        """Return the stream that is asked for."""
         streams = list(self._container.streams.audio)
         spoken = [stream.metadata.get("language", "und") for stream in streams]
         there = ", ".join(f"{n} ({word})" for n, word in enumerate(spoken, 1))
@@ -115,9 +85,8 @@ class FilmTap:
             raise UsageError(f"{self._path} has no sound track in {language!r}; there are {there}")
         return streams[spoken.index(language)]
 
-    def _buffered(self, stream: Any) -> Iterator[NDArray[np.float32]]:
-        """Yield buffers of one size, but for the last."""
-        waiting: list[NDArray[np.float32]] = []
+    def _buffered(self, stream: Any) -> Iterator[Float32Array]:
+        waiting: list[Float32Array] = []
         frames = 0
         for part in self._parts(stream):
             waiting.append(part)
@@ -128,8 +97,8 @@ class FilmTap:
         if frames:
             yield np.concatenate(waiting)
 
-    def _parts(self, stream: Any) -> Iterator[NDArray[np.float32]]:
-        """Yield the frames as decoded, with silence where the film has no sound."""
+    def _parts(self, stream: Any) -> Iterator[Float32Array]:
+        """Yield decoded frames, with silence in gaps of the sound track."""
         import av
 
         even = av.AudioResampler("flt", self._layout, self.samplerate)
@@ -154,7 +123,7 @@ class FilmTap:
                 yield part
 
     def _decoded(self, stream: Any) -> Iterator[Any]:
-        """Yield what can be decoded; damaged packets are left out, with one warning."""
+        """Yield decoded frames; skip damaged packets, with one warning."""
         packets = self._container.demux(stream)
         while True:
             try:
@@ -171,15 +140,13 @@ class FilmTap:
 
     def _note(self, error: Exception) -> None:
         if not self.warnings:
-            self.warnings.append(f"{self._path} is damaged ({_reason(error)}); its sound was taken")
+            self.warnings.append(
+                f"{self._path} is damaged ({reason_of(error)}); its sound was taken"
+            )
 
 
 def _opened(av: Any, path: Path) -> Any:
-    """Open a film whose titles may be in any encoding; PyAV 19 takes them so by itself."""
+    """Open a film. PyAV before version 19 needs an option to accept invalid text in metadata."""
     if int(av.__version__.partition(".")[0]) >= 19:
         return av.open(str(path))
     return av.open(str(path), metadata_errors="replace")
-
-
-def _reason(error: Exception) -> str:
-    return str(getattr(error, "strerror", None) or error).strip() or type(error).__name__

@@ -1,4 +1,4 @@
-"""A client for a scene: one track per sound, each started, paused and resumed at its time."""
+"""A client that plays a scene with one track per sound."""
 
 from __future__ import annotations
 
@@ -6,29 +6,21 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from audioflinger_hook.mixer import Mixer, Track
 from audioflinger_hook.mixer.pcm import encode
 from audioflinger_hook.mixer.track import period_frames
 from audioflinger_hook.scenes import Scene, SceneTrack
+from device.units import Float32Array
 
-CYCLE_FRAMES = 256
-"""Frames of a cycle, as many as a sound server delivers at a time."""
+CYCLE_FRAMES = 256  # frames of a cycle, a typical number for a sound server
 
 
 class SceneClient:
-    """Plays a scene: each sound has its own track, as an application would have.
+    """Plays a scene with one track per sound.
 
-    A track starts on its exact frame. A pause begins with the cycle that contains its time, and
-    ramps over that cycle.
-
-    Parameters
-    ----------
-    scene : Scene
-        The sounds.
-    cycle_frames : int
-        Frames of a cycle, at most the mixer's.
+    A sound may start at any frame of a cycle. A pause begins and ends with a fade over one cycle.
+    scene: the played scene. cycle_frames: frames of a cycle, at most those of a mixer cycle.
     """
 
     def __init__(self, scene: Scene, cycle_frames: int = CYCLE_FRAMES) -> None:
@@ -40,12 +32,12 @@ class SceneClient:
         self._position = 0
 
     def connect(self, mixer: Mixer) -> None:
-        """Make a track for every sound."""
+        """Create a track for every sound."""
         self._cycle_frames = min(self._cycle_frames, mixer.frames)
         self._voices = [_Voice.on(mixer, track) for track in self._scene.tracks]
 
     def play(self) -> int | None:
-        """Write the frames of every sound for the next cycle and return the cycle's length."""
+        """Write all sounds for the next cycle. Return its length in frames, or None at the end."""
         first = self._position
         frames = min(self._cycle_frames, self._scene.frame_count - first)
         if frames <= 0:
@@ -56,13 +48,11 @@ class SceneClient:
         return frames
 
     def close(self) -> None:
-        """Do nothing, as no resource is held."""
+        """Do nothing: the client has no resources to release."""
 
 
 @dataclass
 class _Voice:
-    """One sound that is played into its track."""
-
     track: Track
     stored: bytes
     frame_bytes: int
@@ -72,28 +62,20 @@ class _Voice:
 
     @classmethod
     def on(cls, mixer: Mixer, sound: SceneTrack) -> _Voice:
-        """Make the track; convert times to frames of the mix."""
         rate, channels = sound.samplerate, sound.frames.shape[1]
         period = period_frames(rate, mixer.samplerate, mixer.frames)
         start = round(sound.start_s * mixer.samplerate)
-        # silence up to the sound's own frame in the cycle it starts in comes from the client
-        pause, resume = -1, -1  # no frame of the mix
+        pause, resume = -1, -1  # no frame has these numbers, so there is no pause
         if sound.pause_s:
             pause, resume = (round(at_s * mixer.samplerate) for at_s in sound.pause_s)
         track = mixer.create_track(
             sound.name, sound.pcm_format, rate, channels, ring_frames=4 * period, start_threshold=1
         )
-        return cls(
-            track,
-            encode(sound.frames, sound.pcm_format),
-            channels * sound.pcm_format.bytes_per_sample,
-            start,
-            pause,
-            resume,
-        )
+        stored = encode(sound.frames, sound.pcm_format)
+        frame_bytes = channels * sound.pcm_format.bytes_per_sample
+        return cls(track, stored, frame_bytes, start, pause, resume)
 
     def play(self, first: int, last: int) -> None:
-        """Do what is due in the mix's frames from `first` up to `last`."""
         if first <= self.start < last:
             self._start(self.start - first)
         if first <= self.pause < last:
@@ -102,31 +84,25 @@ class _Voice:
             self.track.start()
         if self.start < last:
             self._fill()
-            # a stopped track cannot be paused any more
+            # A stopped track ignores a pause, so stop only after the last pause.
             if not self.stored and self.resume < last:
                 self.track.stop()
 
     def _start(self, lead_frames: int) -> None:
+        """Start the track, with `lead_frames` frames of silence before the sound in this cycle."""
         lead = round(lead_frames * self.track.samplerate / self.track.mix_samplerate)
         silence = encode(np.zeros((lead, self.track.channels), np.float32), self.track.format)
         self.stored = silence + self.stored
         self.track.start()
 
     def _fill(self) -> None:
-        """Keep the ring full."""
-        most = self.track.room * self.frame_bytes
+        most = self.track.ring.room * self.frame_bytes
         taken = self.track.write(self.stored[:most]) * self.frame_bytes
         self.stored = self.stored[taken:]
 
 
-def mixdown(scene: Scene) -> NDArray[np.float32]:
-    """Return the mixed sound of a scene, (frames, channels) float32.
-
-    Parameters
-    ----------
-    scene : Scene
-        The sounds.
-    """
+def mixdown(scene: Scene) -> Float32Array:
+    """Return the mix of all sounds of `scene`, (frames, channels). scene: a scene."""
     mixer = Mixer(scene.samplerate, scene.channels, standby_delay_s=math.inf)
     client = SceneClient(scene)
     client.connect(mixer)

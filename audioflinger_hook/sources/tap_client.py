@@ -1,33 +1,19 @@
-"""A client that plays a tap on one track, and a tap whose buffers are pushed to it."""
+"""A client that plays a tap on one track, and a tap that receives buffers by `push`."""
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from audioflinger_hook.mixer import Mixer, PcmFormat, Track
 from audioflinger_hook.mixer.resampler import frames_out, tail_frames_out
 from audioflinger_hook.sources.tap import Tap
+from device.units import Float32Array
 
 
 class PushTap:
-    """A tap whose `read` returns each pushed buffer once.
+    """A `Tap` of the buffers from `push`. One thread uses it, but any thread may call `interrupt`.
 
-    Use from the capturing thread; any thread may call `interrupt`.
-
-    Parameters
-    ----------
-    samplerate : int
-        Rate of the next buffers, Hz; `change` sets another rate.
-    channels : int
-        Channels of the next buffers.
-
-    Attributes
-    ----------
-    format_changed : bool
-        Whether the buffer read last has another format than the one before it.
-    discontinuity : bool
-        Whether frames are missing before the buffer read last.
+    samplerate, channels: format of the first buffer; samplerate in Hz.
     """
 
     frames_expected = None
@@ -35,26 +21,25 @@ class PushTap:
     def __init__(self, samplerate: int, channels: int) -> None:
         self.samplerate = samplerate
         self.channels = channels
-        self.format_changed = False
-        self.discontinuity = False
-        self._buffer: NDArray[np.float32] | None = None
+        self.format_changed = self.discontinuity = False
+        self._buffer: Float32Array | None = None
         self._format = (samplerate, channels)
         self._begun = self._broken = self._ended = False
-        # replaced by the interrupting thread, compared by the capturing thread
+        # `interrupt` replaces this object, and `push` detects the change.
         self._interruption = self._seen = object()
 
     @property
     def waiting(self) -> bool:
-        """Whether a buffer was pushed but not read."""
+        """Whether a pushed buffer has not been read yet."""
         return self._buffer is not None
 
     @property
     def starved(self) -> bool:
-        """Whether nothing can be read now, but more may follow."""
+        """Whether the next buffer has not been pushed yet, and the sound has not ended."""
         return self._buffer is None and not self._ended
 
     def change(self, samplerate: int, channels: int) -> bool:
-        """Set the format of the next buffers and return whether it is new. Not during `push`."""
+        """Set the format of the next buffers; samplerate in Hz. Return whether it has changed."""
         changed = (samplerate, channels) != (self.samplerate, self.channels)
         self.samplerate, self.channels = samplerate, channels
         return changed
@@ -63,88 +48,63 @@ class PushTap:
         """Mark the next buffer as a discontinuity, unless it is the first buffer."""
         self._interruption = object()
 
-    def push(self, frames: NDArray[np.float32]) -> bool:
-        """Take a buffer, (frames, channels) float32, and return whether it is a discontinuity.
-
-        An unread buffer is replaced.
-        """
+    def push(self, frames: Float32Array) -> bool:
+        """Store a buffer; drop an unread one. Return whether frames are missing before `frames`."""
         interruption = self._interruption
-        broken = self._begun and interruption is not self._seen
-        self._seen = interruption
-        self._begun = True
-        self._broken = broken or self.waiting
+        self._broken = self.waiting or (self._begun and interruption is not self._seen)
+        self._seen, self._begun = interruption, True
         self._buffer = frames
         return self._broken
 
-    def read(self) -> NDArray[np.float32] | None:
-        """Return the buffer, or None."""
+    def read(self) -> Float32Array | None:
+        """Return and remove the stored buffer; return None if there is none."""
         buffer, self._buffer = self._buffer, None
         if buffer is not None:
-            format_now = (self.samplerate, self.channels)
-            self.format_changed = format_now != self._format
-            self._format = format_now
+            before, self._format = self._format, (self.samplerate, self.channels)
+            self.format_changed = before != self._format
             self.discontinuity = self._broken
         return buffer
 
     def end(self) -> None:
-        """Mark the waiting buffer as the last one."""
+        """Declare that no more buffers follow."""
         self._ended = True
 
     def close(self) -> None:
-        """Drop the waiting buffer."""
+        """Drop the stored buffer."""
         self._buffer = None
 
 
 class TapClient:
-    """Plays every buffer of a tap as it arrives; the mix has the tap's first format.
+    """Plays each buffer of a tap as soon as the tap delivers it. tap: source of the buffers.
 
-    At the mixer's rate each buffer is one cycle, or several if it is longer than a cycle. So
-    nothing is delayed, and the sound passes bit for bit. When the tap's format changes, a track
-    of the new format takes over, and the mix stays unchanged.
-
-    Parameters
-    ----------
-    tap : Tap
-        The source.
-
-    Attributes
-    ----------
-    buffers, format_changes, discontinuities : int
-        Counts so far.
+    If tap and mixer have the same samplerate and number of channels, the mix equals the sound,
+    without delay. After a change of the tap's format, a new track plays the sound.
+    buffers, format_changes, discontinuities: numbers since the start.
     """
 
     def __init__(self, tap: Tap) -> None:
         self.samplerate = tap.samplerate
         self.channels = tap.channels
-        self.buffers = 0
-        self.format_changes = 0
-        self.discontinuities = 0
+        self.frames_expected = tap.frames_expected
+        self.buffers = self.format_changes = self.discontinuities = 0
         self._tap = tap
         self._track: Track | None = None
-        self._pending: NDArray[np.float32] = np.zeros((0, tap.channels), np.float32)
+        self._pending: Float32Array = np.zeros((0, tap.channels), np.float32)
         self._tail = 0
         self._ended = False
 
     @property
-    def frames_expected(self) -> int | None:
-        """Frames that the tap expects."""
-        return self._tap.frames_expected
-
-    @property
     def pending_frames(self) -> int:
-        """Frames of the buffer read last that have not been played."""
+        """Number of frames of the last buffer that have not been played yet."""
         return len(self._pending)
 
     def connect(self, mixer: Mixer) -> None:
-        """Make the track."""
+        """Create the track."""
         self._mixer = mixer
         self._begin(self._tap.samplerate, self._tap.channels)
 
     def play(self) -> int | None:
-        """Write the next buffer, or the rest of a buffer, and return the frames of its cycle.
-
-        Return 0 if a `PushTap` has no buffer yet.
-        """
+        """Write part of a buffer. Return the number of mix frames; 0: no buffer yet; None: end."""
         while True:
             if not len(self._pending):
                 if getattr(self._tap, "starved", False):
@@ -166,7 +126,7 @@ class TapClient:
         self._tap.close()
 
     def _next_buffer(self) -> bool:
-        """Take the tap's next buffer; False at the end."""
+        """Read the tap's next buffer; return False at the end."""
         buffer = None if self._ended else self._tap.read()
         if buffer is None:
             return False
@@ -179,30 +139,27 @@ class TapClient:
         return True
 
     def _begin(self, samplerate: int, channels: int) -> None:
-        """Play on a new track; the track before plays to its end."""
+        """Create a track for the following buffers. A previous track plays its remaining frames."""
         if self._track is not None:
             self._stop()
             self._mixer.remove_track(self._track)
         mixer = self._mixer
         self._rate = samplerate
         self._written = self._mixed = 0
-        # at most this many frames fit into one cycle
-        self._most_at_once = max(1, (mixer.frames - 1) * samplerate // mixer.samplerate)
-        if samplerate == mixer.samplerate:
-            self._most_at_once = mixer.frames
+        most = max(1, (mixer.frames - 1) * samplerate // mixer.samplerate)
+        self._most_at_once = mixer.frames if samplerate == mixer.samplerate else most
         self._track = mixer.create_track(
             "tap", PcmFormat.FLOAT, samplerate, channels, start_threshold=1
         )
         self._track.start()
 
     def _stop(self) -> None:
-        """Let the track play to its end; keep how long frames in its resampler will sound."""
         assert self._track is not None
         self._track.stop()
         self._tail = max(self._tail, tail_frames_out(self._rate, self._mixer.samplerate))
 
     def _play_tail(self) -> int | None:
-        """Return the frames of one of the last cycles, which play what resamplers still hold."""
+        """Return the frame count of a cycle with the resamplers' last output; None at the end."""
         if not self._ended:
             self._ended = True
             self._stop()

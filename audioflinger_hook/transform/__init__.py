@@ -1,27 +1,24 @@
-"""The transform: principal frequencies of sound, mapped to 20-220 Hz of vibration.
+"""The transform computes vibration from the principal frequencies (main spectral peaks) of sound.
 
-    input_stage -> spectrum -> principal, mapping -> reference/  (unit by unit)
-    native/                                                      (overlapped, early)
-
-| module | what it does |
+| module | contents |
 | --- | --- |
-| `haptic` | `HapticTransform`, which users hold; it calls the core |
-| `parameters` | what shapes the vibration, and the ranges |
-| `design/` | all numbers and tables of the live form |
-| `native/` | the live form, in C; tests/oracle has it for whole sounds, in NumPy |
-| `reference/` | the paper's equations, literally |
-| `channel_bank` | the reference form of each channel |
-| `input_stage`, `downmix`, `spectrum`, `principal`, `mapping` | steps that several forms share |
+| `haptic` | `HapticTransform`, the public class |
+| `parameters` | parameters of the transform, with their ranges |
+| `design/` | constants and tables of the live form |
+| `native/` | the live form in C; tests/oracle has an implementation in NumPy |
+| `reference` | the reference form: the paper's equations without changes |
+| `input_stage`, `downmix`, `principal`, `mapping` | steps that both forms share |
 
-Pure: samples in, samples out; no clock, no I/O, no mixer.
+The live form computes vibration in real time. Its terms: a hop (18 ms) is the interval between two
+analyses. A tick (2 ms) is the interval between two searches for onsets. An onset is a sudden start
+of sound. A partial is one sinusoid of the vibration.
 """
 
 from audioflinger_hook.transform.arrays import FloatArray, Frames, IntArray
 from audioflinger_hook.transform.haptic import Form, HapticTransform
 from audioflinger_hook.transform.parameters import TransformParameters
 
-TRANSFORM_VERSION = 2
-"""Raised whenever the bytes of a vibration change: results of older versions are made again."""
+TRANSFORM_VERSION = 3  # increases with each change of the vibration's samples
 
 __all__ = [
     "TRANSFORM_VERSION",

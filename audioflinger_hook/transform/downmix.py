@@ -1,9 +1,8 @@
-"""The mono mix of a sound's channels; where its halves cancel, the sum of their powers instead.
+"""The mono mix of a sound's channels, in which opposite channels (L = -R) do not cancel.
 
-Two opposite channels (L = -R) have no mean. Power shows where that is so. With the mean m of the
-halves L' and R' and half of their difference s, the power of both halves is that of m plus that of
-s. While the share of m is under `CANCELS_FROM`, s is added to m with a factor from 0 to 1. Sound
-whose mean keeps more than that share keeps every bit of it.
+Let l and r, the halves, be weighted sums of the left and of the right channels. Let m be
+(l + r) / 2, and s be (l - r) / 2. The mean power of l and r is the power of m plus that of s.
+If the power of m is under `CANCELS_FROM` times this mean, the mix is m + f s, with f from 0 to 1.
 """
 
 from __future__ import annotations
@@ -16,105 +15,76 @@ import scipy
 from audioflinger_hook.transform.arrays import FloatArray
 from device.layouts import KNOWN, downmix
 
-GROUP_FRAMES = 16
-"""Frames whose power counts as one number, which makes the recursions cheap."""
+GROUP_FRAMES = 16  # powers are averaged over groups of frames, which saves computing time
+POWER_S = 0.05  # time constant of the averages of the powers of m and s
 
-POWER_S = 0.05
-"""Time constant of the powers that are compared."""
+NEWEST_S, EVIDENCE_S, EVIDENCE_FRAMES = 0.000_25, 0.000_062_5, 3
+"""Time constant of the newest power in s, and shortest duration of cancellation in s and frames.
 
-NEWEST_S, EVIDENCE_S = 0.000_25, 0.000_062_5
-"""The newest power, and how long it must have lasted before it counts as cancelled: among the first
-samples of any sound some are opposite by chance. From silence, opposite channels are added
-from 0.6 ms on and fully after 3 ms."""
-
-EVIDENCE_FRAMES = 3
-"""The least number of frames for that, whatever the samplerate."""
+The first samples of a sound can be opposite by chance. When opposite channels start, the factor
+rises after 0.7 ms and reaches 1 after 3 ms."""
 
 CANCELS_FROM, CANCELS_UP_TO = 0.1, 0.025
-"""Shares of power in the mean where the factor begins to rise from 0, and where it reaches 1: -10
-and -16 dB. Independent channels, or sound in one of them, have a share of 0.5. Reverberation and
-drones in real stereo have down to 0.14 for some 0.1 s."""
+"""Shares of m in the power of both halves, -10 and -16 dB, for factors of 0 and 1.
 
-POWER_GUARD = 1e-25
-"""Added to what is squared: no power decays into denormal numbers, however long the silence."""
+With independent channels of equal power, m has a share of 0.5."""
+
+POWER_GUARD = 1e-25  # added before squaring, to avoid slow subnormal numbers
 
 
 def mix_weights(halves: FloatArray) -> FloatArray:
-    """Return the weights of the mean and of half the difference of two halves, (2, channels).
-
-    halves: (channels, 2), as from `device.layouts.downmix`.
-    """
+    """Return each channel's weights in m and s, (2, channels), from its weights in l and r."""
     left, right = halves.T
     return np.stack((0.5 * (left + right), 0.5 * (left - right)))
 
 
 def source_mixes(weights: FloatArray) -> list[FloatArray]:
-    """Return `mix_weights` of each source; weights: (channels, sources, 2)."""
+    """Return `mix_weights` of each mono mix. weights: weights in l and r, (channels, mixes, 2)."""
     return [mix_weights(weights[:, source]) for source in range(weights.shape[1])]
 
 
 def downmix_table() -> FloatArray:
-    """Return all down-mixes as one table: the number of channels, then both rows of their weights.
-
-    Numbers of channels that are not in it are averaged.
-    """
+    """Return the number of channels and `mix_weights` of each known layout, except mono."""
     rows = [mix_weights(downmix(channels)).reshape(-1) for channels in KNOWN if channels > 1]
     return np.concatenate([np.concatenate(([row.size / 2], row)) for row in rows])
 
 
-class CancellationRules:
-    """The numbers of the rule for one samplerate in Hz; see the constants of this module.
+def cancellation_shares(samplerate: int) -> tuple[float, float, float]:
+    """Return three constants of `MonoMix` for a samplerate in Hz.
 
-    slow, newest: shares of a new group of frames in the powers. evidence: share of the newest power
-    that counts as power of the mean.
+    The first two are the weights of a new group of frames in exponential averages of power with the
+    time constants `POWER_S` and `NEWEST_S`. The third is the share of the shorter average that is
+    added to m's power.
     """
-
-    def __init__(self, samplerate: int) -> None:
-        self.slow = -math.expm1(-GROUP_FRAMES / (POWER_S * samplerate))
-        self.newest = -math.expm1(-GROUP_FRAMES / (NEWEST_S * samplerate))
-        frames = max(EVIDENCE_FRAMES, EVIDENCE_S * samplerate)
-        self.evidence = min(0.5 * CANCELS_UP_TO, frames / (POWER_S * samplerate))
+    frames = max(EVIDENCE_FRAMES, EVIDENCE_S * samplerate)
+    return (
+        -math.expm1(-GROUP_FRAMES / (POWER_S * samplerate)),
+        -math.expm1(-GROUP_FRAMES / (NEWEST_S * samplerate)),
+        min(0.5 * CANCELS_UP_TO, frames / (POWER_S * samplerate)),
+    )
 
 
 class MonoMix:
-    """The mono mix of a stream, continued from block to block; any split gives the same bytes.
+    """The mono mix of a stream. Block sizes do not affect the result.
 
-    The factor on s is found from whole groups of frames, and moves evenly within the next group.
-
-    halves: (channels, 2), how much each channel counts in the left and the right half.
-    samplerate: Hz. Use from one thread at a time.
+    The factor f is computed after each group of frames, and interpolated over the next group.
+    halves: weights of each channel in l and r, (channels, 2).
     """
 
     def __init__(self, halves: FloatArray, samplerate: int) -> None:
         mean, side = mix_weights(halves)
         self._mean, self._side = _routes(mean), _routes(side)
-        self._rules = CancellationRules(samplerate)
+        self._slow, self._newest, self._evidence = cancellation_shares(samplerate)
         self.reset()
 
     def reset(self) -> None:
-        """Return to the state of a new stream."""
+        """Start a new stream."""
         self._powers = np.zeros((3, 1))
-        self._factors = np.zeros(2)  # at the start and the end of the group under way
-        self._begun = np.zeros((2, 0))  # squares of that group
-
-    @property
-    def past(self) -> bytes:
-        """What is carried from block to block; settable at the same samplerate."""
-        parts = (self._powers, self._factors, self._begun)
-        return b"".join(part.tobytes() for part in parts)
-
-    @past.setter
-    def past(self, past: bytes) -> None:
-        numbers = np.frombuffer(past).copy()
-        self._powers, self._factors = numbers[:3].reshape(3, 1), numbers[3:5]
-        self._begun = numbers[5:].reshape(2, -1)
+        self._factors = np.zeros(2)  # factors at the start and at the end of the current group
+        self._begun = np.zeros((2, 0))  # squares of the current, incomplete group
 
     def process(self, rows: FloatArray) -> FloatArray:
-        """Return (frames,) for the channels as rows, (channels, frames) float64, usable samples.
-
-        Channels are added one by one: a sum whose order depended on the block's shape would make
-        the result depend on how the stream was cut. Called on the audio thread.
-        """
+        """Return the mono mix, (frames,), of finite samples, (channels, frames)."""
         mono = _sum(rows, self._mean)
         if not self._side or not mono.size:
             return mono
@@ -129,11 +99,7 @@ class MonoMix:
         return np.where(factor > 0.0, mono + factor * side, mono)
 
     def _note(self, squares: FloatArray) -> FloatArray:
-        """Take note of squares, (2, frames): of mean and side.
-
-        Return the factor at the start of the group under way and at the end of each that these
-        frames reach; the last may not be reached yet.
-        """
+        """Return the factors f at the start of the current group and at the end of each group."""
         squares = np.concatenate((self._begun, squares), axis=1)
         groups = squares.shape[1] // GROUP_FRAMES
         whole = squares[:, : groups * GROUP_FRAMES].reshape(2, groups, GROUP_FRAMES)
@@ -148,15 +114,12 @@ class MonoMix:
         return found
 
     def _factor(self, of_mean: FloatArray, of_side: FloatArray) -> FloatArray:
-        """Return the factor on s after each group, from the groups' powers."""
-        rules = self._rules
-        mean = self._smooth(0, rules.slow, of_mean)
-        both = mean + self._smooth(1, rules.slow, of_side)
-        mean = mean + rules.evidence * self._smooth(2, rules.newest, of_mean + of_side)
-        most = (CANCELS_FROM - mean / both) / (CANCELS_FROM - CANCELS_UP_TO)
-        most = np.clip(most, 0.0, 1.0)
-        factor: FloatArray = most * most * (3.0 - 2.0 * most)
-        return factor
+        """Return the factor f for each group, from the mean powers of m and s in each group."""
+        mean = self._smooth(0, self._slow, of_mean)
+        both = mean + self._smooth(1, self._slow, of_side)
+        mean = mean + self._evidence * self._smooth(2, self._newest, of_mean + of_side)
+        most = np.clip((CANCELS_FROM - mean / both) / (CANCELS_FROM - CANCELS_UP_TO), 0.0, 1.0)
+        return np.asarray(most * most * (3.0 - 2.0 * most))
 
     def _smooth(self, which: int, newest: float, power: FloatArray) -> FloatArray:
         smoothed, self._powers[which] = scipy.signal.lfilter(
@@ -170,7 +133,7 @@ def _routes(weights: FloatArray) -> list[tuple[int, float]]:
 
 
 def _sum(rows: FloatArray, routes: list[tuple[int, float]]) -> FloatArray:
-    """Return a weighted sum of rows, one after another: (frames,)."""
+    # The order of additions is fixed, so the rounding does not depend on the block size.
     (first, weight), *others = routes
     total: FloatArray = rows[first] * weight
     for channel, weight in others:

@@ -1,7 +1,4 @@
-"""Filters and spectra of designs: step by step those of `scipy.signal`, but with NumPy alone.
-
-So a program that only makes vibration does not load SciPy, which takes 0.6 s and 75 MB.
-"""
+"""Filter design with the formulas of `scipy.signal`, without an import of SciPy."""
 
 from __future__ import annotations
 
@@ -14,7 +11,7 @@ from audioflinger_hook.transform.arrays import ComplexArray, FloatArray
 
 
 class Roots(NamedTuple):
-    """A filter by its zeros, poles and gain; complex ones come in conjugate pairs."""
+    """Zeros, poles and gain of a filter. Complex zeros and poles are in conjugate pairs."""
 
     zeros: ComplexArray
     poles: ComplexArray
@@ -30,38 +27,27 @@ _POLES = np.array(
     ]
 )
 
-# Prototypes: analogue low-passes whose pass band ends at 1 rad/s.
-BUTTERWORTH = Roots(np.empty(0, complex), -np.exp(0.25j * np.pi * np.array([-1.0, 1.0])), 1.0)
-"""Of second order."""
-ELLIPTIC_6 = Roots(
+# Prototypes: analogue low-passes with a pass band up to 1 rad/s. `BUTTERWORTH` has order 2.
+_NONE = np.empty(0, complex)
+BUTTERWORTH = Roots(_NONE, -np.exp(0.25j * np.pi * np.array([-1.0, 1.0])), 1.0)
+BUTTERWORTH_1 = Roots(_NONE, np.array([-1.0 + 0.0j]), 1.0)
+BUTTERWORTH_5 = Roots(_NONE, -np.exp(0.2j * np.pi * np.array([-2.0, -1.0, 0.0, 1.0, 2.0])), 1.0)
+ELLIPTIC_6 = Roots(  # `scipy.signal.ellipap(6, 0.5, 40.0)`
     np.concatenate((_ZEROS, _ZEROS.conj())),
     np.concatenate((_POLES, _POLES.conj())),
     0.009999999999999957,
 )
-"""`scipy.signal.ellipap(6, 0.5, 40.0)`: order, ripple and attenuation in dB."""
-ELLIPTIC_3 = Roots(
-    np.array([1.9068870819108696j, -1.9068870819108696j]),
-    np.array(
-        [
-            -0.72652966850057,
-            -0.24842903972823374 - 1.0429618934121478j,
-            -0.24842903972823374 + 1.0429618934121478j,
-        ]
-    ),
-    0.2296715890441024,
-)
-"""`scipy.signal.ellipap(3, 0.5, 26.0)`."""
 
 
 def low_pass(prototype: Roots, edge_hz: float, samplerate: float) -> Roots:
-    """Return the digital low-pass whose pass band ends at a frequency below half the rate."""
+    """Return the digital low-pass with the band edge `edge_hz`, which is below samplerate / 2."""
     zeros, poles, gain = prototype
     edge = _warped(edge_hz, samplerate)
     return _digital(Roots(edge * zeros, edge * poles, gain * edge ** (poles.size - zeros.size)))
 
 
 def high_pass(prototype: Roots, edge_hz: float, samplerate: float) -> Roots:
-    """Return the digital high-pass whose pass band begins at a frequency below half the rate."""
+    """Return the digital high-pass with the band edge `edge_hz`, which is below samplerate / 2."""
     zeros, poles, gain = prototype
     edge = _warped(edge_hz, samplerate)
     at_zero = np.zeros(poles.size - zeros.size)
@@ -70,7 +56,7 @@ def high_pass(prototype: Roots, edge_hz: float, samplerate: float) -> Roots:
 
 
 def band_pass(prototype: Roots, low_hz: float, high_hz: float, samplerate: float) -> Roots:
-    """Return the digital band-pass of twice the order between frequencies below half the rate."""
+    """Return the digital band-pass. Its order is twice the order of the prototype."""
     low, high = _warped(low_hz, samplerate), _warped(high_hz, samplerate)
     width, centre = high - low, float(np.sqrt(low * high))
     zeros, poles = (_split(roots * width / 2, centre) for roots in prototype[:2])
@@ -79,19 +65,22 @@ def band_pass(prototype: Roots, low_hz: float, high_hz: float, samplerate: float
     return _digital(Roots(zeros, poles, prototype.gain * width**degree))
 
 
-def response(
-    b: FloatArray, a: FloatArray, frequencies_hz: FloatArray, samplerate: float
-) -> ComplexArray:
-    """Return the frequency response of a digital filter at some frequencies, (frequencies,)."""
-    delay = np.exp(-1j * (2.0 * np.pi * frequencies_hz / samplerate))
-    found: ComplexArray = polyval(delay, b, tensor=False) / polyval(delay, a, tensor=False)
-    return found
+def response(b: FloatArray, a: FloatArray, hz: FloatArray, samplerate: float) -> ComplexArray:
+    """Return the frequency response at `hz`, (frequencies,). b, a: coefficients of the filter."""
+    delay = np.exp(-1j * (2.0 * np.pi * hz / samplerate))
+    return np.asarray(polyval(delay, b, tensor=False) / polyval(delay, a, tensor=False))
+
+
+def response_of_sections(sections: FloatArray, hz: FloatArray, samplerate: float) -> ComplexArray:
+    """Return the frequency response at `hz` of a filter of second-order sections, (sections, 6)."""
+    passed = [response(row[:3], row[3:], hz, samplerate) for row in sections]
+    return np.asarray(np.prod(passed, axis=0))
 
 
 def lowest_bins(samples: FloatArray, bins: int, length: int) -> ComplexArray:
-    """Return the first bins of the spectrum of samples that zeros extend to a length, (bins,).
+    """Return the lowest `bins` bins of the FFT of samples zero-padded to `length`, (bins,).
 
-    It is a chirp's convolution (chirp-z transform): the length may be far longer than the samples.
+    With the chirp-z transform, the computing time is nearly independent of `length`.
     """
     count = samples.size
     steps = np.arange(max(bins, count), dtype=np.float64)
@@ -99,12 +88,11 @@ def lowest_bins(samples: FloatArray, bins: int, length: int) -> ComplexArray:
     size = fast_length(count + bins - 1, (2, 3, 5, 7, 11))
     turn = np.fft.fft(1.0 / np.concatenate((chirp[count - 1 : 0 : -1], chirp[:bins])), size)
     found = np.fft.ifft(turn * np.fft.fft(samples * chirp[:count], size))
-    low: ComplexArray = found[count - 1 : count + bins - 1] * chirp[:bins]
-    return low
+    return np.asarray(found[count - 1 : count + bins - 1] * chirp[:bins])
 
 
 def fast_length(least: int, primes: tuple[int, ...] = (2, 3, 5)) -> int:
-    """Return the smallest length from `least` on whose only prime factors are these."""
+    """Return the smallest length, `least` or more, that has no prime factors except `primes`."""
     length = max(1, least)
     while True:
         rest = length
@@ -117,7 +105,7 @@ def fast_length(least: int, primes: tuple[int, ...] = (2, 3, 5)) -> int:
 
 
 def _warped(hz: float, samplerate: float) -> float:
-    """Return the frequency that the bilinear transform at 2 Hz turns into a share of the rate."""
+    """Return the prewarped frequency in rad/s for a bilinear transform at a samplerate of 2 Hz."""
     return float(4.0 * np.tan(np.pi * (hz / (samplerate / 2)) / 2.0))
 
 
@@ -127,7 +115,7 @@ def _split(roots: ComplexArray, centre: float) -> ComplexArray:
 
 
 def _digital(analogue: Roots) -> Roots:
-    """Return the bilinear transform at a rate of 2 Hz."""
+    """Return the bilinear transform of an analogue filter at a samplerate of 2 Hz."""
     zeros, poles, gain = analogue
     scale = np.real(np.prod(4.0 - zeros) / np.prod(4.0 - poles))
     at_nyquist = -np.ones(poles.size - zeros.size)

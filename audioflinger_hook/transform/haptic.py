@@ -1,34 +1,26 @@
-"""The transform for its users: sound of any channels in, vibration out."""
+"""The public class of the transform, which computes vibration from sound."""
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 
 from audioflinger_hook.core.compiled_core import GLIDE_NUMBERS, Core
 from audioflinger_hook.core.design import core_design
 from audioflinger_hook.transform.arrays import FloatArray, Frames
-from audioflinger_hook.transform.channel_bank import ChannelBank
 from audioflinger_hook.transform.design import LiveDesign
-from audioflinger_hook.transform.downmix import MonoMix, source_mixes
-from audioflinger_hook.transform.input_stage import Mixdown, fit_block
+from audioflinger_hook.transform.downmix import source_mixes
+from audioflinger_hook.transform.input_stage import fit_block
 from audioflinger_hook.transform.parameters import TransformParameters, check_format
-from audioflinger_hook.transform.reference.transform import ReferenceTransform
+from audioflinger_hook.transform.reference import ReferenceStream, ReferenceTransform
 from device.errors import UsageError
 
 
 class CoreStream:
-    """One stream of the live form, (frames, channels) to (frames, channels or 1), compiled.
+    """The live form of one stream, computed by the compiled core.
 
-    Any split gives the same bytes. Memory grows with the largest block. Use from one thread at a
-    time.
-
-    design: all numbers and tables.
-    channels: channels of the sound.
-    each: whether every channel is transformed separately, instead of their mono mix.
-    weights: (channels, outputs, 2) of sources, each of which is transformed; None without.
-    NotFoundError: the core is not built.
+    each: whether each channel has its own vibration. NotFoundError: the core cannot be loaded.
     """
 
     def __init__(
@@ -57,94 +49,90 @@ class CoreStream:
 
     @property
     def delivered_frames(self) -> int:
-        """Frames of vibration given so far."""
+        """Number of frames of vibration that `process` and `finish` have returned."""
         return int(self._core.readings.frames)
 
     @property
     def replaced_samples(self) -> int:
-        """Unusable samples so far, which counted as 0."""
+        """Number of invalid samples of sound, which were replaced by 0."""
         return int(self._core.readings.replaced)
 
     @property
     def limited_samples(self) -> int:
-        """Samples of vibration that the limiter has changed, some not delivered yet."""
+        """Number of vibration samples changed by the limiter; some may not be returned yet."""
         return int(self._core.readings.limited)
 
     @property
     def told(self) -> tuple[tuple[float, float, float], ...]:
-        """What the latest hop of all channels vibrates, at most 16."""
+        """See `HapticTransform.principal`."""
         return self._core.partials
 
     def take_glides(self) -> FloatArray:
-        """Return what all slots did since the last call; see `HapticTransform.take_glides`."""
+        """See `HapticTransform.take_glides`."""
         self._records_glides = True
         found, self._glides = self._glides, []
         return np.concatenate([np.empty((0, GLIDE_NUMBERS)), *found])
 
     def process(self, frames: Frames) -> FloatArray:
-        """Return (frames, channels out) of vibration for a block that `fit_block` takes.
-
-        Raises as `fit_block` does. Called on the audio thread.
-        """
+        """Return vibration, (frames, outputs). UsageError: see `HapticTransform.process`."""
         fitted = fit_block(frames, self._channels)
         if self._records_glides:
             self._core.record_glides(len(fitted))
-            vibration = self._core.vibrate(fitted)
+        vibration = self._core.vibrate(fitted)
+        if self._records_glides:
             self._glides.append(self._core.record_glides(0))
-            return vibration
-        return self._core.vibrate(fitted)
+        return vibration
 
     def finish(self) -> FloatArray:
-        """Return the last `latency_frames` of vibration, as if silence followed; restart."""
+        """End the sound: return the last `latency_frames` of vibration, and reset."""
         rest = self.process(np.zeros((self.latency_frames, self._channels)))
         self._core.reset()
         return rest
 
     def reset(self) -> None:
-        """Start a new stream; the counters go on."""
+        """Start a new stream. The counts of samples and of frames keep their values."""
         self._core.reset()
 
 
 Form = Literal["live", "reference"]
-
-FORMS: tuple[Form, ...] = ("live", "reference")
+FORMS: tuple[Form, ...] = get_args(Form)
 
 
 class HapticTransform:
-    """Vibration for a stream of sound, block by block; pure: no clock, no I/O.
+    """Computes the vibration for a stream of sound, block by block.
 
-    Any split of the stream into blocks gives the same bytes. Use from one thread at a time.
+    Block sizes do not affect the vibration. Only one thread at a time may use the object.
 
     Parameters
     ----------
     samplerate : int
-        Frames a second, 1 000 to 768 000.
+        Hz, 1 000 to 768 000.
     channels : int
         Channels of the sound, 1 to 64.
     parameters : TransformParameters, optional
-        What shapes the vibration; default: the paper's.
+        Parameters of the transform, by default those of the paper.
     form : {'live', 'reference'}
-        `live` is what a cushion plays, `reference` the paper's equations literally.
+        `live` has low latency. `reference` follows the paper's equations exactly.
     per_channel : bool
-        Whether each channel is transformed alone, instead of the mono mix of all: see `downmix`.
+        Whether each channel is transformed separately, instead of the mono mix of all channels.
     weights : ndarray, optional
-        (channels, outputs, 2): each output is the mean of two mixes of the channels by these
-        weights, and is transformed alone. See `MonoMix`.
+        Array (channels, outputs, 2) of the weights with which each channel is added to a left and
+        a right signal for each output. The mono mix of these two signals is transformed.
     single : bool
-        Whether the caller will round the vibration to float32. The reference form then takes a
-        third of the time and gives the same float32 values. The live form ignores it.
+        Whether the caller rounds the vibration to float32. The reference form is then faster, with
+        the same rounded values.
 
     Attributes
     ----------
     channels_out : int
-        Channels of the vibration.
+        Number of channels of the vibration.
 
     Raises
     ------
     UsageError
-        The format or the form is not supported.
+        The samplerate, channels or form are not supported, or `band_low_hz` is too high.
     NotFoundError
-        The live form is asked for, and the core is not built.
+        The live form needs the compiled core, which cannot be loaded.
     """
 
     def __init__(
@@ -168,33 +156,25 @@ class HapticTransform:
         streamed = channels if weights is None else weights.shape[1]
         per_channel |= weights is not None
         self.channels_out = streamed if per_channel else 1
-        self._references: list[ReferenceTransform] = []
-        self._stream: ChannelBank | CoreStream
+        self._stream: ReferenceStream | CoreStream
         if form == "live":
-            self._stream = self._live_stream(per_channel, weights)
-            return
-        self._references = [
-            ReferenceTransform(self.parameters, samplerate, single=single)
-            for _ in range(self.channels_out)
-        ]
-        mixdown = None if weights is None else Mixdown(weights, samplerate)
-        self._stream = ChannelBank(self._references, channels, mixdown)
-
-    def _live_stream(self, per_channel: bool, weights: FloatArray | None) -> CoreStream:
-        design = LiveDesign.of(self.parameters, self.samplerate)
-        return CoreStream(design, self.channels, per_channel, weights)
+            design = LiveDesign.of(self.parameters, samplerate)
+            self._stream = CoreStream(design, channels, per_channel, weights)
+        else:
+            references = [
+                ReferenceTransform(self.parameters, samplerate, single=single)
+                for _ in range(self.channels_out)
+            ]
+            self._stream = ReferenceStream(references, channels, weights)
 
     @property
     def latency_frames(self) -> int:
-        """Frames by which the vibration of an onset follows its sound; exact and constant.
-
-        Synchronisation uses this one: people see and hear when something begins.
-        """
+        """Constant delay in frames from an onset of the sound to its vibration."""
         return self._stream.latency_frames
 
     @property
     def tonal_latency_frames(self) -> int:
-        """Frames by which sustained levels and endings follow; no less, and constant."""
+        """Delay in frames from a change or end of a steady sound to the change of its vibration."""
         return self._stream.tonal_latency_frames
 
     @property
@@ -204,73 +184,46 @@ class HapticTransform:
 
     @property
     def limited_samples(self) -> int:
-        """Samples of vibration that the limiter has changed so far.
-
-        A hop is counted when it is computed, which is up to one hop before it is delivered.
-        """
+        """Number of vibration samples changed by the limiter; some may not be returned yet."""
         return min(self._stream.limited_samples, self._stream.delivered_frames * self.channels_out)
 
     @property
     def replaced_samples(self) -> int:
-        """Unusable samples of sound so far, which counted as 0."""
+        """Number of invalid samples of sound, which were replaced by 0."""
         return self._stream.replaced_samples
 
     @property
     def principal(self) -> tuple[tuple[float, float, float], ...]:
-        """What the latest hop vibrates, at most 16 partials; () in the reference form.
+        """The strongest partials of the latest hop, at most 16; () in the reference form.
 
-        Each is (Hz of the sound, Hz of vibration, amplitude in full scale). With several outputs,
-        those of all. Any thread may read it while another one calls `process`.
+        A partial is (audio frequency in Hz, vibration frequency in Hz, amplitude; full scale is 1).
+        Any thread may read this property.
         """
         return self._stream.told
 
     def take_glides(self) -> FloatArray:
-        """Return what the partials of the live form did since the last call, one row a glide.
+        """Return all glides since the last call, (glides, 9); none in the reference form.
 
-        The first call starts the recording and returns no rows; the vibration is the same with and
-        without it. Not for live sound: rows are allocated as they come, 72 bytes each.
-
-        Returns
-        -------
-        ndarray
-            (glides, 9) float64 with the columns of `GLIDE_COLUMNS`; `PartialSynthesis` plays them.
-            The frame is counted from the start of the recording, in the vibration as `process`
-            returns it, without the low-pass's delay.
+        A glide is a partial's course over some frames, from a start to an end value of frequency
+        and amplitude. `core.structures.GLIDE_COLUMNS` lists the columns. The first call returns no
+        rows and starts the recording; frames are counted from this call. Until the next call, each
+        glide needs 72 bytes of memory.
         """
         return self._stream.take_glides()
 
-    @property
-    def past(self) -> tuple[bytes, ...]:
-        """The state of the reference form's input stage, carried from one unit to the next.
-
-        May be set to that of another stream of the same format, to continue in the same way.
-        """
-        return tuple(part.past for part in self._input_parts())
-
-    @past.setter
-    def past(self, past: tuple[bytes, ...]) -> None:
-        for part, its in zip(self._input_parts(), past, strict=True):
-            part.past = its
-
-    def _input_parts(self) -> list[ReferenceTransform | MonoMix]:
-        """Return what keeps a state before the first unit of the reference form."""
-        if not isinstance(self._stream, ChannelBank) or not self._references:
-            return []
-        return [*self._references, self._stream.mix]
-
     def process(self, frames: Frames) -> FloatArray:
-        """Return the vibration now due, (frames, channels_out) float64, full scale +-1.
+        """Return the next frames of vibration, (frames, channels_out) float64, full scale +-1.
 
-        frames: (frames, channels), or (frames,) for one channel; float32 or float64, 0 frames
-            upwards. Samples that are not finite or exceed 1e3 count as 0 and in `replaced_samples`.
-        UsageError: the block has another type or shape.
+        frames: (frames, channels), or (frames,) for one channel, of a floating-point type.
+            Samples beyond +-1e3 and non-finite samples become 0 and increase `replaced_samples`.
+        UsageError: `frames` has the wrong type or shape.
         """
         return self._stream.process(frames)
 
     def finish(self) -> FloatArray:
-        """Return the last `latency_frames` of vibration, (frames, channels_out); start again."""
+        """End the sound: return the last vibration, (latency_frames, channels_out), and reset."""
         return self._stream.finish()
 
     def reset(self) -> None:
-        """Start a new stream; the counters go on."""
+        """Start a new stream; `limited_samples` and `replaced_samples` keep their values."""
         self._stream.reset()

@@ -1,37 +1,26 @@
-"""The input stage: replaces unusable samples, mixes channels, and band-passes for the analysis."""
+"""The input stage: replacement of invalid samples, and the band-pass before the analysis."""
 
 from __future__ import annotations
 
 import numpy as np
 import scipy
 
-from audioflinger_hook.transform.arrays import ComplexArray, FloatArray, Frames
-from audioflinger_hook.transform.downmix import MonoMix
-from audioflinger_hook.transform.filters import BUTTERWORTH, band_pass, high_pass
+from audioflinger_hook.transform.arrays import FloatArray, Frames
+from audioflinger_hook.transform.filters import BUTTERWORTH, Roots, band_pass, high_pass
 from audioflinger_hook.transform.parameters import TransformParameters
 from device.errors import UsageError
 
-SAMPLES = (np.dtype(np.float32), np.dtype(np.float64))
-"""The types of a sample, in the machine's own byte order."""
-
-MAGNITUDE_MAX = 1e3
-"""Samples above this (60 dB over full scale) count as damaged, like NaN and Inf."""
-
-DENORMAL_GUARD = 1e-25
-"""Added to every sample, so that filters do not decay into denormal numbers in a long silence.
-Arithmetic with those is many times slower. It is too small to change any result."""
-
-NYQUIST_MARGIN = 0.49
-"""A band edge from this fraction of the samplerate up cannot be filtered; the low edge alone is."""
+SAMPLES = (np.dtype(np.float32), np.dtype(np.float64))  # in native byte order
+MAGNITUDE_MAX = 1e3  # larger samples (60 dB above full scale) are invalid, like NaN and Inf
+DENORMAL_GUARD = 1e-25  # added to every sample to avoid slow subnormal numbers in filters
+NYQUIST_MARGIN = 0.49  # highest edge of the band-pass, as a share of the samplerate
 
 
 def fit_block(frames: Frames, channels: int) -> Frames:
-    """Return a block as (frames, channels) of one of `SAMPLES`, each where its type may stand.
+    """Return a block as an aligned array (frames, channels) of float32 or float64.
 
-    frames: (frames, channels) or, of one channel, (frames,); an array of any floating-point type,
-    or numbers that make one.
-
-    UsageError: the block has another type or shape.
+    frames: (frames, channels), or (frames,) for one channel, of any floating-point type.
+    UsageError: `frames` has the wrong type or shape.
     """
     frames = np.asarray(frames)
     if frames.dtype.kind != "f":
@@ -52,14 +41,13 @@ def fit_block(frames: Frames, channels: int) -> Frames:
 
 
 def replace_unusable(frames: Frames) -> tuple[Frames, int]:
-    """Return the frames with unusable samples set to 0, and the number of these samples.
+    """Return frames of any shape with invalid samples set to 0, and the number of these samples.
 
-    Unusable samples are not finite, or above `MAGNITUDE_MAX` in magnitude. Sound without one is
-    returned as it is, not copied. Any shape. Called on the audio thread.
+    A sample is invalid if it is not finite, or beyond +-`MAGNITUDE_MAX`.
     """
     flat = frames.reshape(-1)
-    # One product proves most blocks usable: no sample exceeds the root of the sum of squares,
-    # and one that is not finite makes the sum so. (vdot, unlike dot, does not warn of that.)
+    # This fast test accepts most blocks. No sample exceeds the root of the sum of squares, and a
+    # non-finite sample makes the sum non-finite. Unlike dot, vdot does not warn.
     if np.vdot(flat, flat) <= MAGNITUDE_MAX**2:
         return frames, 0
     usable = np.abs(frames) <= MAGNITUDE_MAX
@@ -69,45 +57,14 @@ def replace_unusable(frames: Frames) -> tuple[Frames, int]:
 
 
 def channel_rows(usable: Frames) -> FloatArray:
-    """Return (frames, channels) of samples as (channels, frames) float64.
-
-    Each channel is then one stretch of memory.
-    """
+    """Return samples, (frames, channels), as contiguous float64, (channels, frames)."""
     return np.asarray(usable.T, np.float64, order="C")
 
 
-class Mixdown:
-    """Weighted sums of a sound's channels; each sum is transformed separately.
+def band_pass_roots(parameters: TransformParameters, samplerate: int) -> Roots:
+    """Return a Butterworth band-pass, or a high-pass if `band_high_hz` needs a higher samplerate.
 
-    weights: (channels, outputs, 2): of the two halves of each output, which is their mean; see
-    `MonoMix`. samplerate: Hz. Unusable samples count as 0 before they are mixed, and in
-    `replaced_samples`. Use from one thread at a time.
-    """
-
-    def __init__(self, weights: FloatArray, samplerate: int) -> None:
-        self.channels, self.outputs, _ = weights.shape
-        self.replaced_samples = 0
-        self._mixes = [MonoMix(weights[:, output], samplerate) for output in range(self.outputs)]
-
-    def process(self, frames: Frames) -> FloatArray:
-        """Return (frames, outputs) float64 for a block; raises the errors of `fit_block`."""
-        usable, replaced = replace_unusable(fit_block(frames, self.channels))
-        self.replaced_samples += replaced
-        rows = channel_rows(usable)
-        return np.stack([mix.process(rows) for mix in self._mixes], axis=1)
-
-    def reset(self) -> None:
-        """Start a new stream; the count goes on."""
-        for mix in self._mixes:
-            mix.reset()
-
-
-def band_pass_roots(
-    parameters: TransformParameters, samplerate: int
-) -> tuple[ComplexArray, ComplexArray, float]:
-    """Return zeros, poles and gain of a second-order Butterworth band-pass.
-
-    UsageError: the whole band lies above what the samplerate in Hz can hold.
+    Each edge has order 2. UsageError: `band_low_hz` is too high for the samplerate.
     """
     low, high = parameters.band_low_hz, parameters.band_high_hz
     if low >= NYQUIST_MARGIN * samplerate:
@@ -116,50 +73,34 @@ def band_pass_roots(
             f"allowed: under {NYQUIST_MARGIN * samplerate:g} Hz"
         )
     if high >= NYQUIST_MARGIN * samplerate:
-        zeros, poles, gain = high_pass(BUTTERWORTH, low, samplerate)
-    else:
-        zeros, poles, gain = band_pass(BUTTERWORTH, low, high, samplerate)
-    return zeros, poles, gain
+        return high_pass(BUTTERWORTH, low, samplerate)
+    return band_pass(BUTTERWORTH, low, high, samplerate)
 
 
 def design_band_pass(
     parameters: TransformParameters, samplerate: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Return b and a of `band_pass_roots` as one recursion. Raises as it does."""
+    """Return the coefficients (b, a) of `band_pass_roots`, with the same UsageError."""
     b, a = scipy.signal.zpk2tf(*band_pass_roots(parameters, samplerate))
     return b, a
 
 
 class BandPass:
-    """The band-passed stream, continued from block to block; any split gives the same bytes.
+    """Band-pass of a stream. Block sizes do not affect the result.
 
-    b, a: of `design_band_pass`. One direct-form recursion costs a quarter of second-order
-    sections. Its rounding stays under 1e-10 of full scale up to 96 kHz (2e-9 at 192 kHz, 1e-6 at
-    768 kHz).
+    b, a: from `design_band_pass`.
     """
 
-    def __init__(
-        self, b: FloatArray, a: FloatArray, denormal_guard: float = DENORMAL_GUARD
-    ) -> None:
-        self._b, self._a = b, a
-        self._guard = denormal_guard
+    def __init__(self, b: FloatArray, a: FloatArray, guard: float = DENORMAL_GUARD) -> None:
+        self._b, self._a, self._guard = b, a, guard
         self.reset()
 
     def reset(self) -> None:
-        """Return to the zero state of a new stream."""
+        """Start a new stream."""
         self._state = np.zeros(self._a.size - 1)
 
-    @property
-    def past(self) -> bytes:
-        """The filter state carried from one unit to the next; settable at the same samplerate."""
-        return self._state.tobytes()
-
-    @past.setter
-    def past(self, past: bytes) -> None:
-        self._state = np.frombuffer(past).copy()
-
     def process(self, mono: FloatArray) -> FloatArray:
-        """Return the filtered block, (frames,) float64. Called on the audio thread."""
+        """Return the filtered samples, (frames,)."""
         if not mono.size:
             return mono
         filtered, self._state = scipy.signal.lfilter(

@@ -1,14 +1,14 @@
-"""From audio to vibration: the frequency and the amplitude of each principal frequency.
+"""Mapping of principal frequencies of sound to frequencies and amplitudes of vibration.
 
-Equation (4) gives every octave of sound the same span in Hz, 25 Hz with the defaults. What can be
-told apart grows with the frequency itself: the just noticeable difference of whole-body vibration
-rises linearly from 5 to 40 Hz (Bellmann, 2002), and over 20 to 90 Hz it is a third of the
-frequency and more (Merchel, Altinsoy and Stamm, Internoise 2011). Under equation (4) the lowest
-octave of sound is felt over more than an octave, the highest over an eighth of its frequency, less
-than one JND. `jnd` gives every octave of sound the same ratio instead, 1.34 with the defaults.
+By default, the mapping `paper`, equation (4), maps every octave of sound to 25 Hz of vibration. For
+whole-body vibration, the just noticeable difference (JND) of frequency grows with frequency
+(Bellmann, 2002). From 20 to 90 Hz the JND is at least a third of the frequency (Merchel, Altinsoy
+and Stamm, Internoise 2011). The mapping `paper` therefore maps the highest octave of sound to a
+range of less than one JND. The mapping `jnd` maps every octave of sound to the same ratio of
+vibration frequencies, by default 1.34.
 
-A steady tone of amplitude A has r = A R, where R = 1.30 fs/N is the r of a full-scale one. Both
-amplitude mappings give it A. They differ for everything that is more than one tone.
+r is a peak's amplitude times its half-power bandwidth. A steady tone of amplitude A has r = A R
+with R = 1.30 fs/N (fs: samplerate, N: frames of a window). Its vibration has the same amplitude.
 """
 
 from __future__ import annotations
@@ -23,45 +23,37 @@ from audioflinger_hook.transform.parameters import TransformParameters
 
 @dataclass(frozen=True, eq=False)
 class VibrationMapping:
-    """The mapping of frequency and amplitude for one set of parameters."""
+    """Mapping of frequency and amplitude for given parameters."""
 
-    band_low_hz: float
-    """f_m: the lowest frequency of audio."""
-    bottom_hz: float
-    """F_b: the vibration frequency of f_m."""
-    scale_hz: float
-    """B_c: Hz of vibration per factor e of audio frequency; 0 for mapping "jnd"."""
-    scale_ratio: float
-    """Exponent: vibration follows this power of audio frequency for "jnd"; 0 for "paper"."""
-    by_energy: int
-    """Level law: 1 for "energy", 0 for "tonal"."""
-    full_scale_r: float
-    """R: r of a full-scale tone, in Hz."""
+    band_low_hz: float  # f_m, lowest audio frequency
+    bottom_hz: float  # F_b, vibration frequency of f_m
+    scale_hz: float  # B_c, Hz of vibration per factor e of audio frequency; 0 for mapping "jnd"
+    scale_ratio: float  # exponent c of the mapping "jnd"; 0 for mapping "paper"
+    energy_mapping: int  # amplitude mapping: 1 for "energy", 0 for "tonal"
+    full_scale_r: float  # R, r of a full-scale tone in Hz
 
     @classmethod
     def of(cls, parameters: TransformParameters, full_scale_r: float = 1.0) -> VibrationMapping:
-        """Return the mapping for these parameters."""
+        """Return the mapping for given parameters."""
         equal_jnds = parameters.mapping == "jnd"
         return cls(
             band_low_hz=parameters.band_low_hz,
             bottom_hz=parameters.vibration_bottom_hz,
             scale_hz=0.0 if equal_jnds else parameters.scale_hz,
             scale_ratio=parameters.scale_ratio if equal_jnds else 0.0,
-            by_energy=int(parameters.level_law == "energy"),
+            energy_mapping=int(parameters.amplitude_mapping == "energy"),
             full_scale_r=full_scale_r,
         )
 
     def vibration_hz(self, audio_hz: FloatArray) -> FloatArray:
-        """Return the vibration frequencies s(x) in Hz, of any shape.
+        """Return the vibration frequencies s(x), in Hz, of audio frequencies x of any shape.
 
-        `paper`: s(x) = B_c ln(x / f_m) + F_b; `jnd`: s(x) = F_b (x / f_m)^c, with c such that the
-        band's ends are the same. With the defaults both make 21.54 Hz of 50 Hz and 220 Hz of
-        12 kHz; of 1 kHz they make 130 and 77 Hz.
+        `paper`: s(x) = B_c ln(x / f_m) + F_b, by default 130 Hz for 1 kHz. `jnd`: s(x) =
+        F_b (x / f_m)^c, by default 77 Hz for 1 kHz. The mappings agree at both ends of the band.
         """
         octaves = np.log(audio_hz / self.band_low_hz)
         if self.scale_ratio:
-            geometric: FloatArray = self.bottom_hz * np.exp(self.scale_ratio * octaves)
-            return geometric
+            return np.asarray(self.bottom_hz * np.exp(self.scale_ratio * octaves))
         return self.scale_hz * octaves + self.bottom_hz
 
     def audio_hz(self, vibration_hz: float) -> float:
@@ -69,38 +61,23 @@ class VibrationMapping:
         if self.scale_ratio:
             octaves = np.log(vibration_hz / self.bottom_hz) / self.scale_ratio
         else:
-            octaves = np.float64((vibration_hz - self.bottom_hz) / self.scale_hz)
+            octaves = (vibration_hz - self.bottom_hz) / self.scale_hz
         return self.band_low_hz * float(np.exp(octaves))
 
     def amplitudes(self, amplitude: FloatArray, r: FloatArray) -> FloatArray:
-        """Return the amplitudes of one window's principal frequencies, (partials,), not limited.
+        """Return the vibration amplitudes of one window's principal frequencies, (partials,).
 
-        amplitude: their heights A; r: A times half-power bandwidth df, Hz.
+        amplitude: heights A_k of the spectral peaks. r: A_k times half-power bandwidth, Hz.
 
-        `tonal`: P_k r_k / R with P_k = r_k / sum r, equation (6): each has its share of the sum, so
-        a sound of many is weak. `energy`: sqrt(A_k r_k / R), so that the power a_k^2 is A_k^2
-        times df over the width of a tone: what a spectral peak of that height and width holds. A
-        single full-scale sample, whose spectrum is flat, comes out 25 dB weaker.
+        `tonal`: P_k r_k / R with P_k = r_k / sum r, equation (6). Sound with many
+        principal frequencies thus has weak vibration. `energy`: sqrt(A_k r_k / R). The square of
+        this amplitude is proportional to the power of the spectral peak.
         """
-        if self.by_energy:
-            strength: FloatArray = np.sqrt(amplitude * r / self.full_scale_r)
-        else:
-            strength = r * r / (r.sum() * self.full_scale_r)
-        return strength
-
-    def level_ratio(self, amplitude: FloatArray, r: FloatArray) -> float:
-        """Return the ratio of one window's vibration level to its level by energy.
-
-        It is 1 for a steady tone, 1 / M for M equal ones by `tonal`, always 1 by `energy`. A window
-        that is only partly filled by its sound gives the same ratio.
-        """
-        if self.by_energy or not r.size:
-            return 1.0
-        strength = self.amplitudes(amplitude, r)
-        energy = float((amplitude * r).sum()) / self.full_scale_r
-        return float(np.sqrt(float((strength * strength).sum()) / energy))
+        if self.energy_mapping:
+            return np.asarray(np.sqrt(amplitude * r / self.full_scale_r))
+        return np.asarray(r * r / (r.sum() * self.full_scale_r))
 
 
 def vibration_hz(audio_hz: FloatArray, parameters: TransformParameters) -> FloatArray:
-    """Return the vibration frequencies s(x) in Hz, of any shape, for audio frequencies in Hz."""
+    """Return the vibration frequencies, in Hz, of audio frequencies in Hz."""
     return VibrationMapping.of(parameters).vibration_hz(audio_hz)

@@ -1,7 +1,4 @@
-"""The transform's parameters: their defaults, their ranges and what follows from them.
-
-Symbols in parentheses are the paper's: T, f_m, f_h, C_th, n, F_b, B_c.
-"""
+"""The transform's parameters and derived quantities. The paper's symbols are in parentheses."""
 
 from __future__ import annotations
 
@@ -12,29 +9,27 @@ from typing import Annotated, Any
 
 from audioflinger_hook.transform.filters import fast_length
 from device.errors import UsageError
+from device.layouts import CHANNELS_MAX
 from device.values import Choice, Described, Number, Refusal
 
 SAMPLERATE_MIN_HZ = 1_000
 SAMPLERATE_MAX_HZ = 768_000
-CHANNELS_MAX = 64
 THRESHOLD_MIN_HZ = 0.001
-
-HALF_POWER_WIDTH_BINS = 1.30
-"""Half-power width of a Hamming window in units of 1/T; a steady tone's r is A times this."""
 
 
 @dataclass(frozen=True)
 class TransformParameters(Described):
-    """All parameters that shape the vibration; the defaults are the paper's.
+    """Parameters of the transform. The defaults are the paper's values.
 
-    The fields `loudness_*` and `speech_suppression_db` act only in the live form. If `loudness_db`
-    is 0, the other four loudness fields have no effect. For all levels, 0 dB is a full-scale tone;
-    for loudness, a full-scale tone of 1 kHz.
+    The reference form uses only `amplitude_mapping`, `mapping` and the first six fields (`window_s`
+    to `partials_max`). If `loudness_db` is 0, six fields have no effect: `loudness_target_db`,
+    `loudness_floor_db`, `loudness_gate_db`, `dynamics`, `rise_db` and `jitter_db`.
+    A full-scale tone has a level of 0 dB. A full-scale tone of 1 kHz has a loudness of 0 dB.
 
     Raises
     ------
     UsageError
-        Parameters are out of range or contradict each other; the message names all of them.
+        Parameters are out of range or contradict each other; the message names these parameters.
     """
 
     window_s: Annotated[float, Number("length of the analysis window (T)", 0.01, 0.2, "s")] = (
@@ -52,70 +47,113 @@ class TransformParameters(Described):
     threshold_hz: Annotated[
         float,
         Number(
-            "least amplitude times bandwidth of a principal frequency (C_th)",
+            "product of amplitude and bandwidth that a principal frequency exceeds (C_th)",
             THRESHOLD_MIN_HZ,
             1_000.0,
             "Hz",
         ),
     ] = 0.3
     partials_max: Annotated[
-        int, Number("most principal frequencies at one time (n)", 1, 64, whole=True)
+        int, Number("largest number of principal frequencies at one time (n)", 1, 64, whole=True)
     ] = 16
     loudness_db: Annotated[
         float,
-        Number("largest gain for soft sound; 0: loudness is not followed", 0, 60, "dB"),
+        Number(
+            "largest gain of loudness control for soft sound; 0: loudness control is off",
+            0,
+            60,
+            "dB",
+        ),
     ] = 0.0
     loudness_target_db: Annotated[
-        float, Number("level of the vibration at usual loudness", -40.0, 0.0, "dB")
+        float,
+        Number(
+            "level of the vibration for sound of usual loudness; 0 dB: full scale", -40.0, 0.0, "dB"
+        ),
     ] = -18.0
     dynamics: Annotated[
-        float, Number("change of the vibration for each phon of loudness", 0.1, 1.0, "dB")
+        float, Number("change of the vibration's level for each phon of loudness", 0.1, 1.0, "dB")
     ] = 0.275
     loudness_floor_db: Annotated[
-        float, Number("loudness below which there is no vibration", -90.0, -30.0, "dB")
+        float,
+        Number(
+            "lowest loudness of sound that causes vibration; 0 dB: full-scale tone of 1 kHz",
+            -90.0,
+            -30.0,
+            "dB",
+        ),
     ] = -60.0
     loudness_gate_db: Annotated[
-        float, Number("range above the floor in which vibration fades in", 1.0, 30.0, "dB")
+        float,
+        Number(
+            "range of loudness above the noise floor in which the vibration fades in",
+            1.0,
+            30.0,
+            "dB",
+        ),
     ] = 10.0
+    rise_db: Annotated[
+        float,
+        Number(
+            "largest extra gain while some frequencies of the sound become louder; 0: off",
+            0.0,
+            12.0,
+            "dB",
+        ),
+    ] = 6.0
+    jitter_db: Annotated[
+        float,
+        Number("changes of loudness that are smaller than this value are averaged", 0.0, 6.0, "dB"),
+    ] = 2.5
     speech_suppression_db: Annotated[
-        float, Number("reduction of speech (live form only); 0: off", 0.0, 24.0, "dB")
+        float,
+        Number("attenuation of the vibration of speech (live form only); 0: off", 0.0, 24.0, "dB"),
     ] = 0.0
-    level_law: Annotated[
+    amplitude_mapping: Annotated[
         str,
         Choice(
-            "amplitudes as in the paper, which favours tones (tonal), or noise as strong as a tone "
-            "of the same energy (energy)",
+            "amplitudes by the paper's equation (6), which favours tones (tonal), or by energy, so "
+            "that noise is as strong as a tone of equal energy (energy)",
             ("tonal", "energy"),
         ),
     ] = "tonal"
     strength: Annotated[
         str,
         Choice(
-            "measure of strength: full scale (flat), sensitivity of a seated body (felt), or that "
-            "with the rig's resonance levelled (rig)",
+            "weight of amplitudes in the strength: 1 (flat), the sensitivity of a seated body "
+            "(felt), or this sensitivity times the rig's response (rig)",
             ("flat", "felt", "rig"),
         ),
     ] = "flat"
     resonance_hz: Annotated[
-        float, Number("resonance that strength = rig levels; 0: that of the rig", 0.0, 400.0, "Hz")
+        float,
+        Number(
+            "resonance frequency that strength = rig compensates; 0: that of the rig",
+            0.0,
+            400.0,
+            "Hz",
+        ),
     ] = 0.0
-    resonance_q: Annotated[float, Number("Q of resonance_hz", 0.1, 20.0)] = 1.0
+    resonance_q: Annotated[float, Number("Q of the resonance at resonance_hz", 0.1, 20.0)] = 1.0
+    resonance_gain_db: Annotated[
+        float, Number("gain that damping adds to the drive", 0.0, 40.0, "dB")
+    ] = 0.0
     merge_ratio: Annotated[
         float,
-        Number("partials closer than this share of their frequency are one; 0: off", 0.0, 1.0),
+        Number("partials closer than this share of their frequency are merged; 0: off", 0.0, 1.0),
     ] = 0.0
     mapping: Annotated[
         str,
         Choice(
-            "vibration frequency by the paper's equation (4) (paper), or the same ratio for every "
-            "octave (jnd)",
+            "how vibration frequencies follow from those of the sound: by the paper's equation 4 "
+            "(paper), or by the same ratio for every octave of the sound (jnd)",
             ("paper", "jnd"),
         ),
     ] = "paper"
 
     @classmethod
     def contradictions(cls, values: Mapping[str, Any]) -> dict[str, Refusal]:
-        """Return the frequency limits that are too close to each other."""
+        """Return, by field name, why frequency limits are too close to each other."""
         found: dict[str, Refusal] = {}
         low, high = values.get("band_low_hz"), values.get("band_high_hz")
         if low is not None and high is not None and high < 2 * low:
@@ -132,42 +170,42 @@ class TransformParameters(Described):
 
     @property
     def vibration_bottom_hz(self) -> float:
-        """F_b = 1/T: the lowest vibration that has a whole cycle in one unit sequence, in Hz."""
+        """F_b = 1/T, the lowest vibration frequency in Hz."""
         return 1.0 / self.window_s
 
     @property
     def scale_hz(self) -> float:
-        """B_c: vibration Hz per factor e of audio frequency; s(f_h) is `vibration_top_hz`."""
+        """B_c of the mapping "paper": rise of vibration in Hz per factor e of audio frequency."""
         span = math.log(self.band_high_hz / self.band_low_hz)
         return (self.vibration_top_hz - self.vibration_bottom_hz) / span
 
     @property
     def scale_ratio(self) -> float:
-        """Factors e of vibration frequency per factor e of audio frequency, for mapping "jnd"."""
+        """Exponent c of the audio frequency in the mapping "jnd"."""
         span = math.log(self.band_high_hz / self.band_low_hz)
         return math.log(self.vibration_top_hz / self.vibration_bottom_hz) / span
 
     @property
     def live_threshold_hz(self) -> float:
-        """C_th of the live form: lower by `loudness_db`, the most that loudness may add."""
+        """C_th of the live form: `threshold_hz` lowered by `loudness_db`, but at least 0.001 Hz."""
         lowered = self.threshold_hz * math.pow(10.0, -self.loudness_db / 20.0)
         return max(lowered, THRESHOLD_MIN_HZ)
 
     def window_frames(self, samplerate: int) -> int:
-        """N = round(T fs): frames in one unit sequence."""
+        """Return N = round(T fs), the number of frames in an analysis window."""
         return round(self.window_s * samplerate)
 
     def fft_length(self, samplerate: int) -> int:
-        """Length of the zero-padded FFT: the smallest fast length of at least 2 N."""
+        """Return the length of the zero-padded FFT: 2 N or more, with only the factors 2, 3, 5."""
         return fast_length(2 * self.window_frames(samplerate))
 
     def unit_strength_hz(self, samplerate: int) -> float:
-        """r of a steady full-scale tone, 1.30 fs/N: r divided by it is 1 for this tone."""
-        return HALF_POWER_WIDTH_BINS * samplerate / self.window_frames(samplerate)
+        """Return amplitude times half-power bandwidth of a full-scale tone: 1.30 fs/N, in Hz."""
+        return 1.30 * samplerate / self.window_frames(samplerate)
 
 
 def check_format(samplerate: int, channels: int) -> None:
-    """Raise UsageError if a stream's rate or channel count is not supported."""
+    """Raise UsageError if the samplerate (Hz) or the number of channels is not supported."""
     problems = []
     if not SAMPLERATE_MIN_HZ <= samplerate <= SAMPLERATE_MAX_HZ:
         problems.append(

@@ -1,19 +1,17 @@
-"""Sound cards without a server: what they offer, who uses them, and their own volumes.
+"""Sound cards without a sound server: their formats, volumes, and the programs that use them.
 
 | module | contents |
 | --- | --- |
-| `cards` | cards and their playback and capture devices, by number or id |
-| `usb_stream` | the formats that a USB card offers, and its own clock |
-| `negotiation` | the best format, rate and channel count for a card |
-| `use` | who uses a device now, and how it was opened |
+| `cards` | cards, their playback and capture devices, and the programs that use them |
+| `offers` | the formats, rates and channel counts that a card offers, and the choice among them |
 | `mixer` | a card's own volumes and mutes |
-| `decibels` | what the steps of a volume mean in dB |
+| `decibels` | the level in dB of each step of a volume control |
 
-Streams on cards are opened by `device.stream`.
+`device.stream` opens streams on cards.
 """
 
 from device.alsa.cards import find_capture, find_playback, list_cards
 from device.alsa.mixer import set_card_volume
-from device.alsa.negotiation import choose_setup
+from device.alsa.offers import choose_setup
 
 __all__ = ["choose_setup", "find_capture", "find_playback", "list_cards", "set_card_volume"]

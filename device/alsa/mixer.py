@@ -1,21 +1,19 @@
-"""A sound card's own volumes and mutes, as its driver offers them to every program.
+"""A sound card's own volumes and mutes, which its driver offers to every program.
 
-This works while the driver holds the device, and playback continues. Structures and numbers are
-those of <sound/asound.h>, used by ioctl on the card's control file.
+The controls can be changed while another program plays. The structures and request numbers for
+ioctl on the card's control file are those of <sound/asound.h>.
 """
-
-from __future__ import annotations
 
 import ctypes
 import errno
 import math
 import os
+from ctypes import c_char, c_int, c_long, c_longlong, c_ubyte, c_uint, c_uint32, c_ulong, c_void_p
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
 
+from device.alsa.cards import DEVICES
 from device.alsa.decibels import Decibels, parse_decibels
-from device.alsa.use import DEVICES
 from device.errors import NotFoundError, UsageError
 from device.volume_limit import MAX_VOLUME_DB, limit_volume_db
 
@@ -23,157 +21,115 @@ _VOLUME, _SWITCH = "Playback Volume", "Playback Switch"
 _MIXER = 2
 _BOOLEAN, _INTEGER = 1, 2
 _READABLE, _WRITABLE, _HAS_TABLE = 1 << 0, 1 << 1, 1 << 4
-READ_BACK_DB = 1.0
-"""A level may be read back this much lower: drivers round to the steps of the device."""
+_READ_BACK_DB = 1.0  # a level that is read back may be lower by this: drivers round down
 
-_MOST_ELEMENTS = 4_096
-_TABLE_WORDS = 1_024
+_MOST_ELEMENTS, _TABLE_WORDS = 4_096, 1_024
 
-# Not fcntl.ioctl, which keeps Python's lock with large structures: audio threads would wait for it
-# as long as a device takes to answer.
+# fcntl.ioctl keeps the GIL for large structures: audio threads would wait for the GIL until the
+# device answers.
 _ioctl = ctypes.CDLL(None, use_errno=True).ioctl
-_ioctl.argtypes = (ctypes.c_int, ctypes.c_ulong, ctypes.c_void_p)
+_ioctl.argtypes = (c_int, c_ulong, c_void_p)
 
 
 class _Id(ctypes.Structure):
     _fields_ = (
-        ("number", ctypes.c_uint),
-        ("interface", ctypes.c_int),
-        ("device", ctypes.c_uint),
-        ("subdevice", ctypes.c_uint),
-        ("name", ctypes.c_char * 44),
-        ("index", ctypes.c_uint),
+        ("number", c_uint),
+        ("interface", c_int),
+        ("device", c_uint),
+        ("subdevice", c_uint),
+        ("name", c_char * 44),
+        ("index", c_uint),
     )
 
 
 class _List(ctypes.Structure):
     _fields_ = (
-        ("offset", ctypes.c_uint),
-        ("space", ctypes.c_uint),
-        ("used", ctypes.c_uint),
-        ("count", ctypes.c_uint),
-        ("ids", ctypes.c_void_p),
-        ("reserved", ctypes.c_ubyte * 50),
+        ("offset", c_uint),
+        ("space", c_uint),
+        ("used", c_uint),
+        ("count", c_uint),
+        ("ids", c_void_p),
+        ("reserved", c_ubyte * 50),
     )
-
-
-class _Bounds(ctypes.Structure):
-    _fields_ = (("lowest", ctypes.c_long), ("highest", ctypes.c_long), ("step", ctypes.c_long))
-
-
-class _InfoOf(ctypes.Union):
-    _fields_ = (("steps", _Bounds), ("reserved", ctypes.c_ubyte * 128))
 
 
 class _Info(ctypes.Structure):
     _fields_ = (
         ("id", _Id),
-        ("type", ctypes.c_int),
-        ("access", ctypes.c_uint),
-        ("count", ctypes.c_uint),
-        ("owner", ctypes.c_int),
-        ("of", _InfoOf),
-        ("reserved", ctypes.c_ubyte * 64),
+        ("type", c_int),
+        ("access", c_uint),
+        ("count", c_uint),
+        ("owner", c_int),
+        ("lowest", c_long),
+        ("highest", c_long),
+        ("reserved", c_ubyte * (128 + 64 - 2 * ctypes.sizeof(c_long))),
     )
 
 
 class _ValueOf(ctypes.Union):
-    _fields_ = (("steps", ctypes.c_long * 128), ("wide", ctypes.c_longlong * 64))
+    _fields_ = (("steps", c_long * 128), ("wide", c_longlong * 64))
+    # the member `wide` determines the alignment of the union on 32-bit processors
 
 
 class _Value(ctypes.Structure):
-    _fields_ = (
-        ("id", _Id),
-        ("indirect", ctypes.c_uint),
-        ("of", _ValueOf),
-        ("reserved", ctypes.c_ubyte * 128),
-    )
+    _anonymous_ = ("of",)
+    _fields_ = (("id", _Id), ("indirect", c_uint), ("of", _ValueOf), ("reserved", c_ubyte * 128))
 
 
 class _Table(ctypes.Structure):
-    _fields_ = (
-        ("number", ctypes.c_uint),
-        ("length", ctypes.c_uint),
-        ("words", ctypes.c_uint32 * _TABLE_WORDS),
-    )
+    _fields_ = (("number", c_uint), ("length", c_uint), ("words", c_uint32 * _TABLE_WORDS))
 
 
-def _request(number: int, size: int) -> int:
-    """_IOWR('U', number, size)."""
-    return 3 << 30 | size << 16 | ord("U") << 8 | number
-
-
-_GET_LIST = _request(0x10, ctypes.sizeof(_List))
-_GET_INFO = _request(0x11, ctypes.sizeof(_Info))
-_READ = _request(0x12, ctypes.sizeof(_Value))
-_WRITE = _request(0x13, ctypes.sizeof(_Value))
-_READ_TABLE = _request(0x1A, 8)  # the size excludes the words
+_GET_LIST, _GET_INFO, _READ, _WRITE, _READ_TABLE = 0x10, 0x11, 0x12, 0x13, 0x1A
 
 
 @dataclass(frozen=True)
-class MixerVolume:
-    """A playback volume of a card. name: the driver's. channels: count.
+class MixerControl:
+    """One playback volume control or mute switch of a card."""
 
-    decibels: the meaning of its steps; None if the driver does not report it.
-    """
-
-    name: str
-    channels: int
-    decibels: Decibels | None = field(repr=False)
-    number: int = field(repr=False)
-
-
-@dataclass(frozen=True)
-class MixerSwitch:
-    """A playback mute of a card. name: the driver's. channels: count."""
-
-    name: str
+    name: str  # from the driver
     channels: int
     number: int = field(repr=False)
+    decibels: Decibels | None = field(default=None, repr=False)  # of volume steps, if known
 
 
 class CardMixer:
-    """The volumes and mutes of one card; a context manager. One thread at a time uses it.
+    """The volumes and mutes of one card; a context manager. Only one thread at a time may use it.
 
-    card: ALSA's number. devices: the directory of device files.
-
-    NotFoundError: the card is missing or was unplugged, or this user may not open it. All methods
-    raise it.
+    card: number in ALSA. devices: directory of the device files. volumes, switches: the card's
+    volume controls and mute switches. Constructor and methods raise NotFoundError if the card is
+    missing or refuses a request, or if this user may not open the card.
     """
 
     def __init__(self, card: int, devices: Path = DEVICES) -> None:
-        self._card = card
-        self._node = devices / f"controlC{card}"
+        self._card, self._node = card, devices / f"controlC{card}"
         try:
             self._file = os.open(self._node, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
         except OSError as error:
             raise self._refusal(error) from None
-        volumes: list[MixerVolume] = []
-        switches: list[MixerSwitch] = []
+        self.volumes: list[MixerControl] = []
+        self.switches: list[MixerControl] = []
         try:
             for number in self._numbers():
-                self._take(number, volumes, switches)
+                self._take(number)
         except BaseException:
             self.close()
             raise
-        self.volumes = tuple(volumes)
-        self.switches = tuple(switches)
 
-    def volume_db(self, volume: MixerVolume) -> tuple[float, ...] | None:
-        """Return the level of each channel in dB, -inf for silence; None if unknown."""
+    def volume_db(self, volume: MixerControl) -> tuple[float, ...] | None:
+        """Return the level of each channel in dB, -inf for silence; None if levels are unknown."""
         if volume.decibels is None:
             return None
         return tuple(map(volume.decibels.level, self._steps(volume)))
 
     def set_volume_db(
-        self, volume: MixerVolume, wanted_db: float, limit_db: float = MAX_VOLUME_DB
+        self, volume: MixerControl, wanted_db: float, limit_db: float = MAX_VOLUME_DB
     ) -> float:
-        """Set all channels to the nearest level not above wanted_db, limit_db and 0 dB.
+        """Set all channels to the highest level that exceeds none of wanted_db, limit_db and 0 dB.
 
-        A level below the lowest becomes the lowest. Returns the level in dB, as it was read back.
-
-        UsageError: wanted_db is NaN, the meaning of the steps is unknown, or the lowest is above
-        the limit. NotFoundError: the device does not take the level.
+        If all levels exceed wanted_db, the lowest level is set. The return value is the highest
+        channel level in dB, read back from the card. UsageError: wanted_db is NaN, the levels are
+        unknown, or the lowest exceeds limit_db or 0 dB. NotFoundError: the card refuses the level.
         """
         decibels = volume.decibels
         if decibels is None:
@@ -186,40 +142,35 @@ class CardMixer:
         step = decibels.lowest if step is None else step
         self._set(volume, step)
         level_db, found_db = decibels.level(step), list(map(decibels.level, self._steps(volume)))
-        # Some kernels drop a value that the device refuses, and report success.
-        if not all(level_db - READ_BACK_DB <= found <= level_db for found in found_db):
+        # Some kernels report success although the device refused the value.
+        if not all(level_db - _READ_BACK_DB <= found <= level_db for found in found_db):
             raise NotFoundError(
                 f"sound card {self._card}: {volume.name!r} was set to {_shown(level_db)} and is "
                 f"{_shown(max(found_db))}: the device does not take it"
             )
         return max(found_db)
 
-    def muted(self, switch: MixerSwitch) -> tuple[bool, ...]:
+    def muted(self, switch: MixerControl) -> tuple[bool, ...]:
         """Return whether each channel is muted."""
         return tuple(not on for on in self._steps(switch))
 
-    def set_muted(self, switch: MixerSwitch, muted: bool) -> None:
-        """Mute all channels, or none. NotFoundError: the device does not do it."""
+    def set_muted(self, switch: MixerControl, muted: bool) -> None:
+        """Mute or unmute all channels. NotFoundError: a channel keeps its former state."""
         self._set(switch, int(not muted))
         if set(self.muted(switch)) != {muted}:
-            stays = "muted" if not muted else "open"
+            stays = "open" if muted else "muted"
             raise NotFoundError(f"sound card {self._card}: {switch.name!r} stays {stays}")
 
     def close(self) -> None:
-        """Close the control file. Further calls do nothing."""
+        """Close the control file. May be repeated."""
         if self._file >= 0:
             os.close(self._file)
             self._file = -1
 
-    def __enter__(self) -> CardMixer:
+    def __enter__(self) -> "CardMixer":
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _numbers(self) -> list[int]:
@@ -229,53 +180,51 @@ class CardMixer:
         listing = _List(space=len(ids), ids=ctypes.addressof(ids))
         self._ask(_GET_LIST, listing)
         return [
-            each.number
-            for each in ids[: listing.used]
-            if each.interface == _MIXER and each.name.endswith((_VOLUME.encode(), _SWITCH.encode()))
+            control.number
+            for control in ids[: listing.used]
+            if control.interface == _MIXER
+            and control.name.endswith((_VOLUME.encode(), _SWITCH.encode()))
         ]
 
-    def _take(self, number: int, volumes: list[MixerVolume], switches: list[MixerSwitch]) -> None:
-        info = _Info()
-        info.id.number = number
+    def _take(self, number: int) -> None:
+        info = _Info(_Id(number))
         self._ask(_GET_INFO, info)
         allowed = _READABLE | _WRITABLE
         if info.access & allowed != allowed or not 0 < info.count <= 128:
             return
         name = info.id.name.decode(errors="replace")
         if info.type == _BOOLEAN and name.endswith(_SWITCH):
-            switches.append(MixerSwitch(name, info.count, number))
+            self.switches.append(MixerControl(name, info.count, number))
         if info.type == _INTEGER and name.endswith(_VOLUME):
-            steps = info.of.steps
             words = self._table(number) if info.access & _HAS_TABLE else []
-            decibels = parse_decibels(words, steps.lowest, steps.highest)
-            volumes.append(MixerVolume(name, info.count, decibels, number))
+            decibels = parse_decibels(words, info.lowest, info.highest)
+            self.volumes.append(MixerControl(name, info.count, number, decibels))
 
     def _table(self, number: int) -> list[int]:
         table = _Table(number=number, length=4 * _TABLE_WORDS)
         try:
             self._ask(_READ_TABLE, table)
-        except NotFoundError:  # some drivers announce a table that they do not have
+        except NotFoundError:  # some drivers announce a table that does not exist
             return []
         words = list(table.words)
         return words[: 2 + words[1] // 4]
 
-    def _steps(self, control: MixerVolume | MixerSwitch) -> list[int]:
-        held = _Value()
-        held.id.number = control.number
+    def _steps(self, control: MixerControl) -> list[int]:
+        held = _Value(_Id(control.number))
         self._ask(_READ, held)
-        return list(held.of.steps[: control.channels])
+        return list(held.steps[: control.channels])
 
-    def _set(self, control: MixerVolume | MixerSwitch, step: int) -> None:
-        held = _Value()
-        held.id.number = control.number
-        for channel in range(control.channels):
-            held.of.steps[channel] = step
+    def _set(self, control: MixerControl, step: int) -> None:
+        held = _Value(_Id(control.number))
+        held.steps[: control.channels] = [step] * control.channels
         self._ask(_WRITE, held)
 
-    def _ask(self, request: int, what: ctypes.Structure) -> None:
+    def _ask(self, number: int, what: ctypes.Structure) -> None:
+        size = ctypes.sizeof(what) if number != _READ_TABLE else 8  # excludes the table's words
+        request = 3 << 30 | size << 16 | ord("U") << 8 | number  # _IOWR('U', number, size)
         if _ioctl(self._file, request, ctypes.byref(what)) < 0:
-            number = ctypes.get_errno()
-            raise self._refusal(OSError(number, os.strerror(number)))
+            code = ctypes.get_errno()
+            raise self._refusal(OSError(code, os.strerror(code)))
 
     def _refusal(self, error: OSError) -> NotFoundError:
         what = f"the mixer of sound card {self._card} ({self._node})"
@@ -293,33 +242,17 @@ class CardMixer:
 
 
 def set_card_volume(
-    card: int, wanted_db: float, limit_db: float = MAX_VOLUME_DB, devices: Path = DEVICES
+    card: int, wanted_db: float, limit_db: float = MAX_VOLUME_DB
 ) -> tuple[float, ...]:
     """Set all playback volumes of a card, unmute it, and return the level of each volume in dB.
 
-    Levels are rounded down and never exceed wanted_db, limit_db or 0 dB. Volumes in series are all
-    set and read back, and all of them before the mutes, so that nothing is ever too loud. Where one
-    of them cannot be set, the mutes stay.
-
-    Parameters
-    ----------
-    card : int
-        ALSA's number.
-    wanted_db : float
-        The level for each volume.
-    limit_db : float
-        Upper limit of the level.
-    devices : Path
-        The directory of device files.
-
-    Raises
-    ------
-    NotFoundError
-        The card is missing, has no volume, or does not take the level or let its mute be lifted.
-    UsageError
-        wanted_db is NaN, or a volume's steps are unknown or cannot be set so low.
+    The returned levels exceed none of wanted_db, limit_db and 0 dB. So that the card is never too
+    loud, it is unmuted only after all volumes were set and read back successfully.
+    card: number in ALSA. wanted_db: level of each volume. limit_db: upper limit.
+    NotFoundError: the card is missing, has no volume, or refuses a request. UsageError: wanted_db
+    is NaN, or a volume's levels are unknown or all exceed wanted_db, limit_db or 0 dB.
     """
-    with CardMixer(card, devices) as mixer:
+    with CardMixer(card) as mixer:
         if not mixer.volumes:
             has = "a mute and no volume" if mixer.switches else "neither volume nor mute"
             raise NotFoundError(f"sound card {card} has {has} that can be set")

@@ -1,107 +1,161 @@
-"""The delay line between the tap's clock and the output's clock."""
+"""The delay line between the clock of the capture and the clock of the output."""
 
-from __future__ import annotations
-
-import enum
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
 
-from device.clock.delay_control import RateLoop, TargetDelay
+import numpy as np
+
+from device import blocks
+from device.clock.delay_control import PLAYING, DelayState, DelayStatus, RateLoop, TargetDelay
 from device.clock.frame_clock import ClockReading
-from device.clock.ring import CubicReader, Joint, NewestFrames
-from device.clock.stream_timing import LEAST_S, StreamTiming, WriteTiming, Written
-from device.errors import UsageError
-from device.units import Float32Array, FloatArray, check_channels
+from device.clock.stream_timing import LEAST_S, Part, StreamTiming, WriteTiming, Written
+from device.units import Block, Float32Array, check_channels
 
-LATENESS_LIMIT_S = 0.03  # per side; later callbacks are underflows
+LARGEST = 1e6  # larger magnitudes are invalid, and arithmetic could overflow to inf
+FADE_S = 0.005
+SLOPE_S = 0.0005  # time constant with which an extrapolated slope decays
+STEEPEST_HZ = 250.0  # an extrapolated slope is at most that of a full-scale sine of this frequency
 RESYNC_FRAMES = 256
-FAR_OFF_S = 0.1
-"""An error of the delay that is corrected at once, even before both clocks are settled."""
-LOCK_S = 0.00025
-UNLOCK_S = 0.001
-LOCK_AFTER_S = 1.0
+FAR_OFF_S = 0.1  # a larger error causes a jump even before both clocks are settled
 STARVED_AGAIN_S = 1.0
-HOLD_OFF_S = 0.25
-"""Silence after the second starvation within a second: regular bursts would buzz."""
+HOLD_OFF_S = 0.25  # silence after two starvations within a second: frequent restarts would buzz
 
 
-class DelayState(enum.Enum):
-    """The state of a delay line. Every recovery passes FILLING or STARVED."""
+class NewestFrames:
+    """A ring buffer of the newest frames; new frames overwrite the oldest frames.
 
-    EMPTY = "empty"
-    """Nothing has been written since the start or the last flush; reads give silence."""
-    FILLING = "filling"
-    """Frames arrive, but there are too few for the target, or a clock is still unknown."""
-    SETTLING = "settling"
-    """Playing; the delay is being steered to the target."""
-    LOCKED = "locked"
-    """Playing; the delay has been on the target for a second."""
-    STARVED = "starved"
-    """The frames ran out; reads give silence until the target is filled again."""
+    One thread writes and another reads, without locks. The writer first sets `claimed`, the count
+    of all frames including the frames being stored. The writer then stores the frames, and
+    publishes the new count as `Written.frames`. The reader uses the frames from index `oldest` to
+    below this count. After the use, the reader loads `oldest` again. If `oldest` is now above the
+    index of the first used frame, the writer may have overwritten frames meanwhile. Attributes must
+    be loaded and stored atomically and in order, as in CPython.
 
-
-_PLAYING = (DelayState.SETTLING, DelayState.LOCKED)
-
-
-class DelayStatus(NamedTuple):
-    """A consistent report of a delay line, from the last read.
-
-    target_s: the delay that is aimed at. delay_s: time from the capture of a frame to its place in
-    the output, without the latencies of the sound cards; 0 unless SETTLING or LOCKED. ratio_ppm:
-    how much faster than nominal frames are read, within ±2000, and 1000 more while the target
-    moves. resyncs: jumps because the delay was too far off, without those to a new offset.
-    underflows: how often frames ran out. overflows: how often frames were lost before their read.
+    frames: float32 (capacity, channels); frame k is in row k % capacity.
     """
 
-    target_s: float
-    delay_s: float
-    ratio_ppm: float
-    resyncs: int
-    underflows: int
-    overflows: int
-    state: DelayState
+    def __init__(self, capacity: int, channels: int) -> None:
+        self.frames = np.zeros((capacity, channels), np.float32)
+        self.claimed = 0
+
+    @property
+    def oldest(self) -> int:
+        """Index, in the whole stream, of the oldest frame that is not being overwritten."""
+        return self.claimed - len(self.frames)
+
+    def store(self, block: Block) -> int:
+        """Store a block, (frames, channels), of any length; return the count of all frames so far.
+
+        NaN, and magnitudes above `LARGEST`, become 0. Only the writing thread calls it.
+        """
+        capacity = len(self.frames)
+        self.claimed = end = self.claimed + len(block)
+        block = block[-capacity:]
+        first = (end - len(block)) % capacity
+        with np.errstate(over="ignore", invalid="ignore"):
+            for part, start in ((block[: capacity - first], first), (block[capacity - first :], 0)):
+                rows = self.frames[start : start + len(part)]
+                rows[:] = part
+                if not blocks.peak(part) <= LARGEST:
+                    rows[~(np.abs(rows) <= LARGEST)] = 0.0  # NaN becomes 0, too
+        return end
+
+
+class CubicReader:
+    """Reads a ring of frames at any ratio, by cubic Lagrange interpolation of four frames.
+
+    For a sine of 500 Hz at 48 kHz, the r.m.s. error is -130 dB relative to the sine. The next read
+    starts at frame `position` + `fraction` of the stream. A single float64 would keep only about
+    20 bits of the fraction after a day. ring: `NewestFrames.frames`. Only the reading thread
+    calls the methods. NotFoundError: the compiled library is missing.
+    """
+
+    def __init__(self, ring: Float32Array) -> None:
+        self._ring = ring
+        self._cubic = blocks.require_compiled().cubic
+        self.jump_to(0)
+
+    def jump_to(self, position: int) -> None:
+        """Set the position to a whole number of frames."""
+        self.position, self.fraction = position, 0.0
+
+    def readable(self, written: int, step: float) -> int:
+        """Return how many frames can be read. written: count of all frames stored so far."""
+        reach = written - self.position - 2 - self.fraction  # the cubic needs two later frames
+        return max(0, math.ceil(reach / step))
+
+    def read(self, out: Float32Array, step: float) -> None:
+        """Fill `out`, (frames, channels). Each frame of `out` advances the position by `step`."""
+        frames = np.require(out, np.float32, ["C", "A", "W"])  # `out` itself, unless strided
+        self._cubic(self._ring, frames, (self.position - 1) % len(self._ring), self.fraction, step)
+        if frames is not out:
+            out[:] = frames
+        end = self.fraction + len(out) * step
+        self.position += math.floor(end)
+        self.fraction = end - math.floor(end)
+
+
+class Joint:
+    """Cross-fades from the previous signal to the next signal over 5 ms, without a click.
+
+    The previous signal may have ended, so its last value and slope are extrapolated. The
+    extrapolation is faded out while the next signal is faded in, both with a raised cosine. Only
+    the reading thread calls the methods.
+    """
+
+    def __init__(self, samplerate: float, channels: int) -> None:
+        frames = max(2, round(FADE_S * samplerate))
+        since = np.arange(1, frames + 1)[:, np.newaxis]
+        self._rising = 0.5 - 0.5 * np.cos(np.pi * since / frames)
+        self._falling = 1.0 - self._rising
+        self._ramp = since * np.exp(-(since - 1) / (SLOPE_S * samplerate)) * self._falling
+        self._steepest = 2.0 * math.pi * STEEPEST_HZ / samplerate
+        self._tail = np.zeros((frames, channels))
+        self._scratch = np.zeros_like(self._tail)
+        self._last_two = np.zeros((2, channels), np.float32)
+        self._done = frames
+
+    def begin(self) -> None:
+        """Start a fade at the next frame."""
+        before, last = self._last_two.astype(np.float64)
+        slope = np.clip(last - before, -self._steepest, self._steepest)
+        np.multiply(self._falling, last, out=self._tail)
+        self._tail += self._ramp * slope
+        self._done = 0
+
+    def apply(self, out: Float32Array) -> None:
+        """Fade a block, (frames, channels), in place, and remember its last two frames."""
+        if not len(out):
+            return
+        under_way = min(len(out), len(self._tail) - self._done)
+        if under_way:
+            now = slice(self._done, self._done + under_way)
+            mixed = np.multiply(out[:under_way], self._rising[now], out=self._scratch[:under_way])
+            out[:under_way] = np.add(mixed, self._tail[now], out=mixed)
+            self._done += under_way
+        self._last_two[0] = self._last_two[1]
+        self._last_two[-len(out) :] = out[-2:]
 
 
 class DelayLine:
-    """Gives the written frames at the output's rate, after a constant delay.
+    """Returns the written frames at the output's rate, after a constant delay.
 
-    The target is 1.5 capture blocks + one output block + lateness + offset (see `TargetDelay` and
-    `Lateness`). A delay further off than max(256 frames, half a capture block) is corrected by a
-    jump; otherwise the read ratio is steered (see `RateLoop`). The delay counts from a frame's
-    capture to its place in the output's block, by `FrameClock`, so block sizes do not show in it.
+    The delay is the time from a frame's capture to its output, measured with a `FrameClock` for
+    each side. `TargetDelay` gives the target of the delay. If the delay
+    differs from the target by more than max(256 frames, half a capture block), it jumps to the
+    target. While a clock is not settled, only differences of more than 0.1 s cause a jump. With
+    settled clocks, `RateLoop` corrects smaller differences by the read ratio.
 
-    One thread at a time calls `write` and one calls `read`; any thread may call the rest, and
-    none waits. Frames cross as in `NewestFrames`, all else as an immutable object in one attribute.
-    Times are seconds of one monotonic clock, taken when the callback began.
-
-    Parameters
-    ----------
-    channels : int
-        Of every block.
-    samplerate_in, samplerate_out : float
-        Nominal rates in Hz; they may differ.
-    capacity_s : float
-        Seconds of memory, allocated at once. The target stays within three quarters of it.
-    capture_block, output_block : int
-        Frames of a usual `write` and `read`. Other lengths work and count as lateness.
-    offset_s : float
-        Delay added to the necessary delay, in seconds, 0 or more.
-    lateness_least_s : float
-        Least lateness to plan for, so that the first late callbacks do not move the delay.
-
-    Attributes
-    ----------
-    status : DelayStatus
-        Status after the last read. Any thread may read it.
-
-    Raises
-    ------
-    UsageError
-        offset_s or capacity_s is out of range.
-    InternalError
-        A block has a wrong shape. Nothing else that is passed to `write` or `read` raises, and
-        `read` then still gives finite frames.
+    One thread at a time calls `write` and one calls `read`. Any thread may call the other methods.
+    No method waits. Time arguments are the start times of callbacks.
+    channels: number of channels. samplerate_in, samplerate_out: nominal, Hz; they may differ.
+    capacity_s: length of the ring buffer; the target is at most 75 % of it.
+    capture_block, output_block: usual length of a `write` and a `read`, in frames; longer blocks
+    count as late. offset_s: additional delay, 0 or more. lateness_least_s: least assumed lateness,
+    so that the first late callbacks do not change the delay. expect_jump: function to call before a
+    gap in the capture. status: state, delay and counts at the last read.
+    UsageError: offset_s or capacity_s is out of range. InternalError: a block has a wrong shape.
+    Other invalid arguments of `write` and `read` raise no error. All frames from `read` are finite.
     """
 
     def __init__(
@@ -116,85 +170,50 @@ class DelayLine:
         offset_s: float = 0.0,
         lateness_least_s: float = 0.0,
     ) -> None:
-        least_s = 1.5 * capture_block / samplerate_in + output_block / samplerate_out
-        needed_s = (least_s + 2.0 * LATENESS_LIMIT_S) / 0.75
-        if not needed_s <= capacity_s < math.inf:
-            raise UsageError(
-                f"capacity_s={capacity_s} is too short for these blocks; "
-                f"choose {needed_s:.3f} or more"
-            )
         self.channels = channels
-        self.samplerate_in = float(samplerate_in)
-        self.samplerate_out = float(samplerate_out)
+        self.samplerate_in, self.samplerate_out = float(samplerate_in), float(samplerate_out)
         self._lateness_least_s = lateness_least_s
-        self._most_offset_s = 0.75 * (capacity_s - needed_s)
         self._resync_frames = max(RESYNC_FRAMES, capture_block // 2)
-
+        least_s = 1.5 * capture_block / samplerate_in + output_block / samplerate_out
+        self._target = TargetDelay(least_s, capacity_s, self._resync_frames / samplerate_in)
         self._ring = NewestFrames(math.ceil(capacity_s * samplerate_in), channels)
-        # the writer's state
-        self._writes = WriteTiming(samplerate_in, capture_block, LATENESS_LIMIT_S)
-        # the reader's state
-        self._reads = StreamTiming(samplerate_out, output_block, LATENESS_LIMIT_S)
+        self._writes = WriteTiming(samplerate_in, capture_block)
+        self.expect_jump = self._writes.expect_jump
+        self._reads = StreamTiming(samplerate_out, output_block)
         self._output_block = output_block
-        self._output_s = output_block / samplerate_out
-        self._read_frames = 0
         self._reader = CubicReader(self._ring.frames)
         self._joint = Joint(samplerate_out, channels)
         self._loop = RateLoop(samplerate_in)
-        jump_s = self._resync_frames / self.samplerate_in
-        self._target = TargetDelay(least_s, 0.75 * capacity_s, jump_s)
         self._state = DelayState.EMPTY
         self._step = self._nominal_step = self.samplerate_in / self.samplerate_out
         self._delay_s = 0.0
-        self._on_target_s = 0.0
-        self._known = False
-        self._stepped_s = 0.0
-        self._starved_at_s = -math.inf
-        self._not_before_s = -math.inf
-        self._from_frame = 0
-        self._fresh = False
-        self._flushed: int | None = None
-        self._resyncs = self._underflows = self._overflows = 0
-        # any thread's state
-        self._flush_wanted: int | None = None
-        self._offset_s = 0.0
-        self.offset_s = self._offset_in_force_s = offset_s
+        self._flushing = False
+        self._starved_at_s = self._not_before_s = -math.inf
+        self._read_frames = self._resyncs = self._underflows = self._overflows = 0
+        self._from_frame = self._flush_wanted = -1  # last flushed frame, last frame to flush
+        self.offset_s = offset_s
         self._target.set_goal(2.0 * LEAST_S, offset_s)
         self._target.jump()
-        self.status = self._status()
+        self.status = DelayStatus(self._target.current_s)
 
     @property
     def offset_s(self) -> float:
-        """Delay added to the necessary delay, s. A change takes effect in the next read."""
+        """Additional delay in s. A change takes effect in the next read."""
         return self._offset_s
 
     @offset_s.setter
     def offset_s(self, offset_s: float) -> None:
-        if not 0.0 <= offset_s <= self._most_offset_s:
-            raise UsageError(
-                f"offset_s={offset_s} is out of range; "
-                f"choose 0 to {self._most_offset_s:.3f}, or a larger capacity_s"
-            )
+        self._target.check_offset(offset_s)
         self._offset_s = float(offset_s)
 
     def flush(self) -> None:
-        """Drop all frames so far: the next read fades to silence. Any thread may call it."""
+        """Drop all written frames: the next read fades to silence. Any thread may call it."""
         self._flush_wanted = self._ring.claimed
 
-    def expect_jump(self) -> None:
-        """Let the clock start again at the next late callback. Any thread may call it."""
-        self._writes.expect_jump()
+    def write(self, frames: Block, now_s: float, earlier: Sequence[Part] = ()) -> None:
+        """Copy a block, (frames, channels), that was captured until now_s.
 
-    def write(
-        self,
-        frames: FloatArray | Float32Array,
-        now_s: float,
-        earlier: Sequence[tuple[float, int]] = (),
-    ) -> None:
-        """Store a copy of (frames, channels), any number of frames, captured until now_s.
-
-        earlier: if the frames were captured in parts, (time, frames until then) of each part except
-        the last, in order. Called by one thread at a time.
+        earlier: all parts of the block except the last part, see `Part`.
         """
         check_channels(frames, self.channels)
         if len(frames):
@@ -203,17 +222,15 @@ class DelayLine:
 
     @property
     def readable(self) -> int:
-        """Frames that a `read` would give now; 0 while not playing. For the reading thread."""
+        """Number of frames that `read` can return, 0 unless playing. For the reading thread."""
         written = self._writes.written
-        if written is None or self._state not in _PLAYING:
-            return 0
-        return self._reader.readable(written.frames, self._step)
+        playing = self._state in PLAYING
+        return self._reader.readable(written.frames, self._step) if written and playing else 0
 
     def read(self, out: Float32Array, now_s: float, ahead: int = 0) -> int:
-        """Fill (frames, channels), any number, to be played from now_s on; silence if missing.
+        """Fill `out`, (frames, channels); return how many frames are filled. Missing frames are 0.
 
-        ahead: how many of the last frames are optional (see `readable`). Returns how many frames
-        were filled. Called by the output's audio thread.
+        ahead: number of frames at the end of `out` that need not be filled.
         """
         check_channels(out, self.channels)
         frames = len(out)
@@ -222,15 +239,14 @@ class DelayLine:
         now_s = float(now_s)
         written = self._writes.written
         clock = self._reads.update(now_s, self._read_frames)
-        if self._flush_wanted != self._flushed:
-            self._flushed = self._flush_wanted
-            self._from_frame = self._flushed or 0
+        if self._flush_wanted != self._from_frame:
+            self._from_frame = self._flush_wanted
             self._stop(DelayState.EMPTY)
-            self._fresh = True
+            self._flushing = True
         played, filled = 0, frames - ahead
         if written is not None and clock is not None:
             self._steer(written, clock, now_s, frames, ahead)
-            if self._state in _PLAYING:
+            if self._state in PLAYING:
                 there = self._reader.readable(written.frames, self._step)
                 filled = max(filled, min(frames, there))
                 played = self._play(out[: min(filled, there)], filled, now_s)
@@ -238,50 +254,44 @@ class DelayLine:
         self._read_frames += filled
         out[played:] = 0.0
         self._joint.apply(out[played:])
-        self.status = self._status()
+        ppm = 1e6 * (self._step / self._nominal_step - 1.0)
+        counts = self._resyncs, self._underflows, self._overflows
+        self.status = DelayStatus(self._target.current_s, self._delay_s, ppm, *counts, self._state)
         return filled
 
     def _steer(
         self, written: Written, clock: ClockReading, now_s: float, frames: int, ahead: int
     ) -> None:
-        """Update state, position and step for a read of `frames`."""
         seconds = frames / self.samplerate_out
-        early_s = clock.time_of(clock.frames + frames - ahead) - now_s - self._output_s
+        early_s = clock.time_of(clock.frames + frames - ahead) - now_s
+        early_s -= self._output_block / self.samplerate_out
         self._reads.add_lateness(early_s, seconds, clock)
         known = clock.settled and written.clock.settled
-        # A corrected clock changes the measured delay, but not the delay: do not steer.
-        stepped_s = clock.stepped_s - written.clock.stepped_s
-        if known and self._known:
-            self._target.rebase(stepped_s - self._stepped_s)
-        self._known, self._stepped_s = known, stepped_s
+        self._target.follow_clocks(clock.stepped_s - written.clock.stepped_s, known)
         late_s = written.lateness_s + self._reads.lateness.estimate_s
-        lateness_s = max(self._lateness_least_s, late_s)
-        wanted_s, self._offset_in_force_s = self._offset_in_force_s, self._offset_s
-        self._target.set_goal(lateness_s, self._offset_in_force_s)
-        by_user = wanted_s != self._offset_in_force_s
+        by_user = self._target.set_goal(max(self._lateness_least_s, late_s), self._offset_s)
         slew = self._target.move(seconds)
         captured = written.clock.frames_at(clock.time_s)
-        if self._state in _PLAYING:
+        if self._state in PLAYING:
             self._measure(captured, seconds, slew, known, by_user)
-        if self._state not in _PLAYING and written.frames > self._from_frame:
+        if self._state not in PLAYING and written.frames > self._from_frame:
             if self._state is DelayState.EMPTY:
                 self._state = DelayState.FILLING
             held_off = self._starved_at_s <= now_s < self._not_before_s
             # A start too close to the newest frame would starve at the first late callback.
             provided = written.lateness_known and self._reads.lateness.known
-            # Start at once after a flush: the clocks may correct the delay later by a jump.
-            fresh = self._state is DelayState.FILLING and self._fresh
-            if provided and (known or fresh) and not held_off:
+            # After a flush the start is immediate; a jump may correct the delay later.
+            flushed = self._state is DelayState.FILLING and self._flushing
+            if provided and (known or flushed) and not held_off:
                 self._start(written, captured, frames)
 
     def _measure(
         self, captured: float, seconds: float, slew: float, known: bool, by_user: bool
     ) -> None:
-        """Steer, or stop for a jump; by_user: the user has just changed the delay."""
-        held = self._reader.behind(captured)
+        """Control the read ratio. After a large error or an overflow, stop; a jump follows."""
+        held = captured - self._reader.position - self._reader.fraction
         self._delay_s = held / self.samplerate_in
         error = held - self._target.current_s * self.samplerate_in
-        error_s = error / self.samplerate_in
         if self._reader.position - 1 < self._ring.oldest:
             self._overflows += 1
             self._stop(DelayState.FILLING)
@@ -291,14 +301,10 @@ class DelayLine:
         elif known:
             ratio = self._loop.update(error, seconds)
             self._step = self._nominal_step * (ratio - slew)
-            self._on_target_s = self._on_target_s + seconds if abs(error_s) < LOCK_S else 0.0
-            if self._on_target_s >= LOCK_AFTER_S:
-                self._state = DelayState.LOCKED
-            elif abs(error_s) > UNLOCK_S:
-                self._state = DelayState.SETTLING
+            self._state = DelayState.LOCKED if self._loop.locked else DelayState.SETTLING
 
     def _start(self, written: Written, captured: float, frames: int) -> None:
-        """Play from the target delay, once a usual block is readable from there."""
+        """Start to play at the target delay if a block of usual length can be read."""
         self._target.jump()
         position = math.floor(captured - self._target.current_s * self.samplerate_in)
         earliest = max(self._from_frame, written.run_start, self._ring.oldest) + 1
@@ -308,16 +314,15 @@ class DelayLine:
             self._loop.restart()
             self._step = self._nominal_step * self._loop.ratio
             self._delay_s = (captured - position) / self.samplerate_in
-            self._on_target_s = 0.0
             self._joint.begin()
-            self._fresh = False
+            self._flushing = False
             self._state = DelayState.SETTLING
 
     def _play(self, out: Float32Array, wanted: int, now_s: float) -> int:
-        """Fill `out` with the readable part of the frames wanted; return how many were played."""
+        """Fill `out` from the ring; return the number of filled frames, 0 after an overflow."""
         first = self._reader.position - 1
         self._reader.read(out, self._step)
-        if first < self._ring.oldest:  # the writer overwrote frames in the meantime
+        if first < self._ring.oldest:  # the writer overwrote frames during the read
             self._overflows += 1
             self._stop(DelayState.FILLING)
             return 0
@@ -331,19 +336,7 @@ class DelayLine:
         return len(out)
 
     def _stop(self, state: DelayState) -> None:
-        """Fade to silence."""
-        if self._state in _PLAYING:
+        if self._state in PLAYING:
             self._joint.begin()
         self._state = state
         self._delay_s = 0.0
-
-    def _status(self) -> DelayStatus:
-        return DelayStatus(
-            self._target.current_s,
-            self._delay_s,
-            1e6 * (self._step / self._nominal_step - 1.0),
-            self._resyncs,
-            self._underflows,
-            self._overflows,
-            self._state,
-        )

@@ -1,44 +1,35 @@
-"""A stream's true clock: callback times without their lateness."""
-
-from __future__ import annotations
+"""A stream's true clock, estimated from the times of its callbacks."""
 
 import itertools
 import math
 from collections import deque
 from typing import NamedTuple
 
-WINDOW_S = 60.0
-"""How long callbacks are considered: several times the slowest beat between blocks."""
+WINDOW_S = 60.0  # length of the evaluated history
 BUCKET_S = 0.5  # only the earliest callback of each such interval is kept
 SETTLED_S = 0.1
-PREFILL_S = 0.06  # a new stream fills its buffers at once: these early callbacks are no clock
-MAX_DEVIATION = 2_000e-6
-"""Greatest deviation of a sound card's rate from nominal; anything more is jitter."""
-STALLED_S = 0.25  # a callback later than this means lost frames: the line starts again
-EARLY_S = 0.03  # a callback earlier than this delivers a backlog: the line before it was wrong
-ASTRAY_S = 0.3  # callbacks that are outliers for this long mean a jump of the counter
-STRANDED_S = 2.0
-"""No callback near the line for this long: it lies under a single one that came too early."""
-STRANDED_BLOCKS = 1.5
-"""Distance from the line that is not near, in blocks; beats between blocks stay within one."""
-ALERT_S = 0.5  # for this long after `expect_jump` a single outlier means a jump
+PREFILL_S = 0.06  # a new stream fills its buffers at once: these early callbacks are ignored
+MAX_DEVIATION = 2_000e-6  # of a sound card's rate from nominal; a larger deviation is jitter
+STALLED_S = 0.25  # a callback later than this means lost frames: a new line starts
+EARLY_S = 0.03  # a callback earlier than this delivers a backlog: the previous line was wrong
+ASTRAY_S = 0.3  # if callbacks are outliers for this long, the counter has jumped
+STRANDED_S = 2.0  # if no callback is near the line for this long, the line is too early
+STRANDED_BLOCKS = 1.5  # largest distance of a near callback; periodic lateness stays within 1 block
+ALERT_S = 0.5  # for this long after `expect_jump`, a single outlier means a jump
 
 _OUTLIER = 6.0
-_FIRST_SPREAD_S = 0.005
-_LEAST_SPREAD_S = 150e-6
-_FIRST_TIME_S = 0.25
-_SPREAD_TIME_S = 5.0
-_USUAL_DRIFT = 150e-6
-_LEARNED_DRIFT = 10e-6
+_FIRST_SPREAD_S, _LEAST_SPREAD_S = 0.005, 150e-6
+_FIRST_TIME_S, _SPREAD_TIME_S = 0.25, 5.0
+_USUAL_DRIFT, _LEARNED_DRIFT = 150e-6, 10e-6
 _LEAST_NOISE_S = 5e-6
 
 
 class ClockReading(NamedTuple):
-    """A straight line through a counter and time; immutable, for any thread.
+    """A linear relation between a frame counter and time.
 
-    time_s: the earliest time at which the counter can have reached `frames`. settled: enough
-    callbacks were seen to rely on it. astray: the last one was an outlier, perhaps of a new line.
-    stepped_s: how far corrections have moved the line to later times so far.
+    time_s: the earliest time at which the counter can have reached `frames`. settled: whether
+    callbacks were seen for 0.1 s. astray: whether the last callback was an outlier. stepped_s: the
+    sum of all corrections of time_s, in s; positive if they made it later.
     """
 
     time_s: float
@@ -49,71 +40,61 @@ class ClockReading(NamedTuple):
     stepped_s: float
 
     def frames_at(self, time_s: float) -> float:
-        """Return the counter at a time near the last callback, with its fraction."""
+        """Return the counter at a time near the last callback."""
         return self.frames + (time_s - self.time_s) * self.frames_per_s
 
     def time_of(self, frames: float) -> float:
-        """Return the time in seconds at which the counter reaches `frames`."""
+        """Return the time at which the counter reaches `frames`."""
         return self.time_s + (frames - self.frames) / self.frames_per_s
 
 
 class FrameClock:
-    """The line under a stream's callbacks: its clock.
+    """The clock of a stream: a line in the plot of callback times over the frame counter.
 
-    samplerate: nominal, Hz. block_frames: of a usual callback. Only the stream's own thread calls
-    `update`; any thread may use the reading that it returns.
+    A callback can be late, for example on a busy machine, but never early. If the server's block is
+    not a multiple of the stream's block, the lateness varies periodically. The line therefore lies
+    under the callbacks of the last minute: it is the middle edge of their lower convex hull.
+    Source: S. Moon, P. Skelly, D. Towsley, "Estimation and removal of clock skew from network delay
+    measurements" (INFOCOM 1999). With few or noisy callbacks, the previous rate has more weight.
 
-    A callback can only be late: because the machine is busy, or because the server's blocks are no
-    multiple of the stream's, which beats over minutes. So the line lies under all callbacks of the
-    last minute: it is the middle edge of the lower convex hull of (counter, lateness). S. Moon,
-    P. Skelly, D. Towsley, "Estimation and removal of clock skew from network delay measurements"
-    (INFOCOM 1999). As far as the callbacks leave it open, the previous rate holds.
-
-    Lost frames, a backlog or a restarted stream start a new line and keep the rate. So does a line
-    that no callback comes near any more.
-
-    reading: the last `ClockReading`; None before the first callback. restarts: lines started after
-    the first one. strandings: those of them because no callback came near the line.
+    After lost frames, a backlog or a restart of the stream, a new line with the same rate begins.
+    If no callback has been near the line for 2 s, the line is called stranded; a new one begins.
+    samplerate: nominal, Hz. block_frames: usual frames per callback. reading: the present line,
+    None before the first callback; any thread may use it. restarts: number of lines after the
+    first. strandings: number of stranded lines. Only the stream's own thread calls the methods.
     """
 
     def __init__(self, samplerate: float, block_frames: int = 256) -> None:
         self._nominal_s = 1.0 / samplerate
         self._near_s = STRANDED_BLOCKS * block_frames / samplerate
-        self._stranded_s = 0.0
         # The line starts at counter _frames and time _time_s.
-        # Points are (seconds of the counter since then, seconds later than nominal).
+        # Points are (counter in s since the start, lateness in s relative to the nominal rate).
         self._deviation = self._known_deviation = 0.0
         self._drift = _USUAL_DRIFT
         self._points: deque[tuple[float, float]] = deque()
         self._best: tuple[float, float] | None = None
-        self._time_s = self._offset_s = self._fallen_s = self._bucket_s = 0.0
-        self._frames = 0
-        self._begun_s = self._age_s = self._astray_s = 0.0
-        self._usual_s, self._spread_s = 0.0, _FIRST_SPREAD_S
-        self._alert_s = 0.0
-        self._stepped_s = 0.0
+        self._time_s = self._offset_s = self._fallen_s = self._bucket_s = self._usual_s = 0.0
+        self._frames, self._spread_s = 0, _FIRST_SPREAD_S
+        self._astray_s = self._stranded_s = 0.0
+        self._begun_s = self._age_s = self._alert_s = self._stepped_s = 0.0
         self._filling = True
         self.reading: ClockReading | None = None
         self.restarts = self.strandings = 0
 
     def expect_jump(self) -> None:
-        """Announce that frames may be lost."""
+        """Announce that the counter may jump soon because of lost frames."""
         self._alert_s = ALERT_S
 
     def update(self, now_s: float, frames: int) -> ClockReading | None:
-        """Take a callback at time now_s, with the counter at `frames`; returns `reading`.
-
-        A time that is not finite, or an unchanged counter, changes nothing.
-        """
-        if not math.isfinite(now_s):
-            return self.reading
+        """Process a callback at now_s, with the counter at `frames`; return `reading`."""
         reading = self.reading
+        if not math.isfinite(now_s):
+            return reading
         if reading is None:
             return self._begin(now_s, frames)
-        moved = frames - self._frames
         if frames == reading.frames:
             return reading
-        counted_s = moved * self._nominal_s
+        counted_s = (frames - self._frames) * self._nominal_s
         later_s = now_s - self._time_s - counted_s
         late_s = later_s - self._offset_s - self._deviation * counted_s
         early_s = self._fallen_s - late_s
@@ -134,7 +115,7 @@ class FrameClock:
             self._filling = False
             self._forget(now_s, frames, self._spread_s)
             return self._read(frames, now_s, another_line=True)
-        if not outlier:  # persistent lateness must not become the usual one
+        if not outlier:  # persistent outliers must not raise the usual lateness
             share = min(1.0, seconds / min(_SPREAD_TIME_S, _FIRST_TIME_S + self._age_s))
             self._spread_s += share * (abs(late_s - self._usual_s) - self._spread_s)
             self._spread_s = max(self._spread_s, _LEAST_SPREAD_S)
@@ -153,26 +134,20 @@ class FrameClock:
 
     def _begin(self, now_s: float, frames: int) -> ClockReading:
         self.restarts += self.reading is not None
-        self._begun_s = now_s
-        self._age_s = 0.0
-        self._filling = True
-        # The rate outlives the line.
-        self._known_deviation = self._deviation
+        self._begun_s, self._age_s, self._filling = now_s, 0.0, True
+        self._known_deviation = self._deviation  # the new line keeps the rate
         self._forget(now_s, frames, _FIRST_SPREAD_S)
         return self._read(frames, now_s, another_line=True)
 
     def _forget(self, now_s: float, frames: int, spread_s: float) -> None:
-        """Start a line at this callback."""
-        self._time_s, self._frames = now_s, frames
-        self._offset_s = self._fallen_s = 0.0
-        self._usual_s, self._spread_s = 0.0, spread_s
-        self._astray_s = self._stranded_s = 0.0
+        self._time_s, self._frames, self._spread_s = now_s, frames, spread_s
+        self._offset_s = self._fallen_s = self._usual_s = 0.0
+        self._astray_s = self._stranded_s = self._bucket_s = 0.0
         self._points.clear()
         self._best = (0.0, 0.0)
-        self._bucket_s = 0.0
 
     def _fit(self, counted_s: float) -> None:
-        """Fit the line to the earliest callbacks of the last minute."""
+        """Fit the line to the earliest callback of each 0.5 s in the last minute."""
         points = self._points
         assert self._best is not None
         points.append(self._best)
@@ -198,19 +173,17 @@ class FrameClock:
     def _read(self, frames: int, now_s: float, *, another_line: bool = False) -> ClockReading:
         settled = self._age_s >= SETTLED_S and now_s - self._begun_s >= SETTLED_S
         period_s = self._nominal_s * (1.0 + self._deviation)
-        moved = frames - self._frames
-        time_s = self._time_s + self._offset_s + moved * period_s
+        time_s = self._time_s + self._offset_s + (frames - self._frames) * period_s
         if self.reading is not None and not another_line:
             self._stepped_s += time_s - self.reading.time_of(frames)
         astray = self._astray_s != 0.0
-        self.reading = ClockReading(
-            time_s, frames, 1.0 / period_s, settled, astray, self._stepped_s
-        )
+        stepped_s = self._stepped_s
+        self.reading = ClockReading(time_s, frames, 1.0 / period_s, settled, astray, stepped_s)
         return self.reading
 
 
 def _middle_slope(points: deque[tuple[float, float]]) -> float | None:
-    """Return the slope of the lower convex hull's edge under the mean of the points."""
+    """Return the slope of the points' lower convex hull at their mean x; None for one point."""
     hull: list[tuple[float, float]] = []
     total = 0.0
     for x, y in points:

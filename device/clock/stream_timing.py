@@ -1,6 +1,4 @@
-"""The clock of one stream, and how late its callbacks come."""
-
-from __future__ import annotations
+"""The clock of one stream, and the lateness of its callbacks."""
 
 import bisect
 import math
@@ -10,32 +8,27 @@ from typing import NamedTuple
 
 from device.clock.frame_clock import STALLED_S, ClockReading, FrameClock
 
-SHARE = 0.001
-"""The share of callbacks that may come later than the estimate."""
+SHARE = 0.001  # share of callbacks that may be later than the estimate
 LEAST_S = 0.0005
+LATENESS_LIMIT_S = 0.03  # largest estimate per side; later callbacks may cause underflows
 
-_BIN_S = 0.0001
-_HALF_LIFE_S = 60.0
-_EVERY_S = 0.5
-_RISE_S = 0.0001
-_FALL_S = 0.001
+Part = tuple[float, int]  # time of capture of a part; frames of the block up to the part's end
+
+_BIN_S, _RISE_S, _FALL_S = 0.0001, 0.0001, 0.001
+_HALF_LIFE_S, _EVERY_S = 60.0, 0.5
 _HEAVIEST = 1e12
 
 
 class StreamTiming:
-    """A stream's clock, and the lateness measured against it.
+    """A `FrameClock`, and the `Lateness` relative to it. Only the stream's thread uses it."""
 
-    samplerate: nominal, Hz. block_frames: of a usual callback. lateness_limit_s: see `Lateness`.
-    Called by the stream's own thread; other threads may use what it returns.
-    """
-
-    def __init__(self, samplerate: float, block_frames: int, lateness_limit_s: float) -> None:
+    def __init__(self, samplerate: float, block_frames: int) -> None:
         self._clock = FrameClock(samplerate, block_frames)
-        self.lateness = Lateness(lateness_limit_s)
+        self.lateness = Lateness(LATENESS_LIMIT_S)
         self.expect_jump = self._clock.expect_jump
 
     def update(self, now_s: float, frames: int) -> ClockReading | None:
-        """Update the clock; see `FrameClock`. Lateness against a stranded line is forgotten."""
+        """Update the clock, see `FrameClock.update`; after a stranded line, forget the lateness."""
         strandings = self._clock.strandings
         reading = self._clock.update(now_s, frames)
         if self._clock.strandings != strandings:
@@ -43,18 +36,18 @@ class StreamTiming:
         return reading
 
     def add_lateness(self, late_s: float, seconds: float, clock: ClockReading) -> None:
-        """Count a callback that was late_s late, `seconds` of its stream after the previous."""
+        """Count a callback's lateness, unless its clock is not settled. seconds: of its block."""
         if not clock.settled:
-            self.lateness.forget_pause()
+            self.lateness.paused_s = 0.0  # the stream has restarted
         elif math.isfinite(late_s):
             self.lateness.add(late_s, seconds, clock.astray)
 
 
 class Written(NamedTuple):
-    """What the writing side publishes for the reading one.
+    """Values that the writing thread passes to the reading thread.
 
-    frames: count written so far, as of `clock`. run_start: the first frame after the last stall;
-    earlier ones are not played after it. lateness_s, lateness_known: see `Lateness`.
+    frames: number of frames written so far, the counter of `clock`. run_start: index of the first
+    frame after the last gap in the capture; earlier frames are not played after the gap.
     """
 
     frames: int
@@ -65,32 +58,26 @@ class Written(NamedTuple):
 
 
 class WriteTiming:
-    """The timing of the writing side, from the times of capture.
+    """The clock and the lateness of the captured stream, from the capture times of its frames.
 
-    The parameters are those of `StreamTiming`. `add` is called by the writing thread; any thread
-    may call the rest. written: None until a frame's capture time is known.
+    The writing thread calls `add`; any thread may call `expect_jump`. written: None until a frame's
+    capture time is known.
     """
 
-    def __init__(self, samplerate: float, block_frames: int, lateness_limit_s: float) -> None:
+    def __init__(self, samplerate: float, block_frames: int) -> None:
         self._samplerate = samplerate
         self._block_s = block_frames / samplerate
-        self._timing = StreamTiming(samplerate, block_frames, lateness_limit_s)
+        self._timing = StreamTiming(samplerate, block_frames)
         self._last_s = -math.inf
-        self._jump_wanted: object = None
-        self._jump_expected: object = None
+        self._jump_wanted = self._jump_expected = object()
         self.written: Written | None = None
 
     def expect_jump(self) -> None:
-        """Announce that the source is about to change, with a gap before the next frames."""
+        """Announce that the source will change, with a gap before the next frames."""
         self._jump_wanted = object()
 
-    def add(
-        self, frames: int, end: int, now_s: float, earlier: Sequence[tuple[float, int]]
-    ) -> None:
-        """Take the times of the last `frames`, 1 or more, up to count `end`.
-
-        now_s, earlier: see `DelayLine.write`.
-        """
+    def add(self, frames: int, end: int, now_s: float, earlier: Sequence[Part]) -> None:
+        """Process the capture times of the last `frames` of `end` frames; see `DelayLine.write`."""
         first_s = earlier[0][0] if earlier else now_s
         stalled = not first_s - self._last_s < STALLED_S
         if math.isfinite(now_s):
@@ -102,14 +89,12 @@ class WriteTiming:
         clock = None
         for part_s, frames_by_then in (*earlier, (now_s, frames)):
             part_end = start + frames_by_then
-            clock = self._timing.update(part_s, part_end)
-            if clock is not None:
-                # how far the captured frames lagged behind the clock just before these arrived
+            if clock := self._timing.update(part_s, part_end):
+                # lag of the captured frames behind the clock just before this part arrived
                 late_s = part_s - clock.time_of(part) - self._block_s
-                seconds = (part_end - part) / self._samplerate
-                self._timing.add_lateness(late_s, seconds, clock)
+                self._timing.add_lateness(late_s, (part_end - part) / self._samplerate, clock)
             part = part_end
-        if clock is None:  # no time has been finite so far
+        if clock is None:  # no time has been finite yet
             return
         before, lateness = self.written, self._timing.lateness
         run_start = start if stalled or before is None else before.run_start
@@ -117,39 +102,34 @@ class WriteTiming:
 
 
 class Lateness:
-    """The 99.9th percentile of lateness over the last minutes, in steps of 0.1 ms.
+    """The 99.9th percentile of the callbacks' lateness, in steps of 0.1 ms.
 
-    limit_s: the most to provide for; later callbacks are left to cause an underflow. Called by
-    the thread whose callbacks are measured.
-
-    With fewer than 1000 callbacks it is the greatest lateness. All callbacks that one pause delays
-    count as one, the latest, or not at all if the pause turns out to be a jump of the counter.
-
-    estimate_s: 0.5 ms to `limit_s`. It follows every rise, but a fall only if greater than 1 ms,
-    so that it rests. known: whether it has been evaluated. Any thread may read both.
+    The weight of a callback halves every 60 s. With few callbacks, the estimate is the greatest
+    lateness. All callbacks that one pause of the machine delays count as one, with the greatest
+    lateness. A pause that turns out to be a jump of the frame counter does not count.
+    limit_s: largest estimate; callbacks that are later may cause an underflow. estimate_s: 0.5 ms
+    to `limit_s`; a decrease of up to 1 ms is ignored. known: whether the estimate has been
+    computed. paused_s: greatest lateness of the present pause, 0 for none. Any thread may read the
+    attributes; one thread calls the methods.
     """
 
     def __init__(self, limit_s: float) -> None:
         self._limit_s = limit_s
         self._counts = [0.0] * (max(1, round(limit_s / _BIN_S)) + 1)
-        self._unseen_s = self._paused_s = 0.0
-        self._weight = 1.0
-        self.estimate_s = min(LEAST_S, limit_s)
+        self._unseen_s = self.paused_s = 0.0
+        self._weight, self.estimate_s = 1.0, min(LEAST_S, limit_s)
         self.known = False
 
     def add(self, late_s: float, seconds: float, paused: bool) -> None:
-        """Count a callback that was late_s late, `seconds` of its stream after the previous.
-
-        paused: it is one of several after the same pause, and more may come.
-        """
+        """Count one callback. paused: whether a pause has delayed the callback."""
         if paused:
-            self._paused_s = max(self._paused_s, late_s)
+            self.paused_s = max(self.paused_s, late_s)
             return
-        if self._paused_s:
-            self._count(self._paused_s)
-            self._paused_s = 0.0
+        if self.paused_s:
+            self._count(self.paused_s)
+            self.paused_s = 0.0
         self._count(late_s)
-        # Newer entries gain weight instead of all older ones losing it.
+        # The weight of new entries increases, so that old entries need no update.
         self._weight *= 2.0 ** min(1.0, seconds / _HALF_LIFE_S)
         if self._weight > _HEAVIEST:
             self._counts = [count / self._weight for count in self._counts]
@@ -160,15 +140,11 @@ class Lateness:
             self._evaluate()
 
     def forget(self) -> None:
-        """Drop all entries, which were no lateness."""
+        """Discard all entries, which were measured against a wrong clock."""
         self._counts = [0.0] * len(self._counts)
         self._weight = 1.0
-        self._paused_s = 0.0
+        self.paused_s = 0.0
         self.estimate_s = min(LEAST_S, self._limit_s)
-
-    def forget_pause(self) -> None:
-        """Drop the last pause: the stream started again."""
-        self._paused_s = 0.0
 
     def _count(self, late_s: float) -> None:
         last = len(self._counts) - 1

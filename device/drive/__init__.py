@@ -1,18 +1,7 @@
-"""What is done for the actuators of a device, as designs, and the device's channels.
+"""Parameters of the signal processing for a device's actuators, and maps of its channels.
 
-| module                | holds                                                                |
-| --------------------- | -------------------------------------------------------------------- |
-| settings.py           | what a user may choose for one actuator                              |
-| design.py             | `DriveDesign`: damping, protection and exposure meter of one rig     |
-| damping, protection, exposure | their parts                                                  |
-| safety.py             | temperatures and doses that outlive a process                        |
-| channel_map.py        | which actuator each channel of a device plays                        |
-| channel_positions.py  | channel maps for a sink of a sound server                            |
-| channel_router.py     | routes actuators to the channels of an open output                   |
-| outputs.py            | outputs behind a drive, and without the latency                      |
-
-The core drives by these designs (audioflinger_hook/core). `design` needs SciPy, which loads slowly:
-import it from its module.
+The core (audioflinger_hook/core) processes the vibration with these parameters. The module `design`
+is not imported here, because it needs SciPy, which loads slowly.
 """
 
 from device.drive.channel_map import ChannelMap, Wiring, channels_needed

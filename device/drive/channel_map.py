@@ -1,6 +1,4 @@
-"""Which actuator each channel of a device plays."""
-
-from __future__ import annotations
+"""The assignment of a device's channels to actuators."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,41 +9,35 @@ import numpy as np
 from device.errors import UsageError
 from device.units import Float32Array, FloatArray
 
-CHANNELS_MAX = 32
-"""Largest number of channels of a stream."""
+CHANNELS_MAX = 32  # largest number of channels of a stream
 
-Wiring = tuple[tuple[int | str, ...], ...]
-"""The device's channels for each actuator: numbers from 0, or positions such as "front-left"."""
+Wiring = tuple[tuple[int | str, ...], ...]  # for each actuator: channel numbers from 0 or positions
 
 
 @dataclass(frozen=True)
 class ChannelMap:
-    """Which actuator each channel of a device plays. Any thread may use it.
+    """The actuator that each channel of a device drives. Any thread may use it.
 
-    Attributes
-    ----------
-    actuators : int
-        Number of actuators.
-    sources : tuple[int | None, ...]
-        The actuator of every channel of the device, counted from 0; None for silence.
+    actuators: number of actuators. sources: the actuator of every channel, from 0; None for
+    silence.
     """
 
     actuators: int
     sources: tuple[int | None, ...]
 
     @classmethod
-    def repeated(cls, actuators: int, channels: int) -> ChannelMap:
-        """Return a map without silent channels: actuators repeat over the channels."""
+    def repeated(cls, actuators: int, channels: int) -> "ChannelMap":
+        """Return a map in which consecutive channels drive the actuators in turn."""
         return cls(actuators, tuple(channel % actuators for channel in range(channels)))
 
     @classmethod
     def on_coils(
         cls, actuators: int, channels: int, coils: Sequence[int], device: str = "the device"
-    ) -> ChannelMap:
-        """Return a map whose actuators repeat over the channels with coils; others are silent.
+    ) -> "ChannelMap":
+        """Return a map in which the channels with coils drive the actuators in turn.
 
-        coils: these channels, counted from 0; empty where all channels have coils.
-        UsageError: the device's profile lacks such a channel.
+        All other channels are silent. coils: numbers of the channels with coils, from 0; empty if
+        all channels have coils. UsageError: the device lacks one of these channels.
         """
         if not coils:
             return cls.repeated(actuators, channels)
@@ -67,15 +59,12 @@ class ChannelMap:
         channels: int,
         positions: Sequence[str] = (),
         device: str = "the device",
-    ) -> ChannelMap:
-        """Return the map for the actuators' channels; channels without an actuator are silent.
+    ) -> "ChannelMap":
+        """Return the map for the channels of each actuator (`wiring`); other channels are silent.
 
-        wiring: the channels of each actuator.
-        channels: channels of the device.
-        positions: names of the device's channels in order; empty if they have no names.
-        device: the device's name, for messages.
-        UsageError: an actuator has no channel, a channel has two actuators, or the device has no
-            such channel.
+        positions: names of the channels in order, empty if unknown. device: name for messages.
+        UsageError: an actuator has no channel, two actuators share a channel, or the device lacks a
+        channel.
         """
         numbered = [
             [_number(channel, channels, positions, device, actuator) for channel in its_channels]
@@ -91,17 +80,17 @@ class ChannelMap:
 
     @property
     def channels(self) -> int:
-        """Channels of the device."""
+        """Number of channels of the device."""
         return len(self.sources)
 
     @cached_property
     def is_identity(self) -> bool:
-        """Whether each channel plays the actuator with the same number."""
+        """Whether each channel drives the actuator with the same number."""
         return self.sources == tuple(range(self.actuators))
 
     @cached_property
     def is_direct(self) -> bool:
-        """Whether the map is the identity, or all channels play the only actuator."""
+        """Whether the map is the identity, or all channels drive the only actuator."""
         return self.is_identity or (self.actuators == 1 and set(self.sources) == {0})
 
     def write(self, vibration: Float32Array | FloatArray, out: Float32Array) -> None:
@@ -110,7 +99,7 @@ class ChannelMap:
             out[:, channel] = np.float32(0.0) if source is None else vibration[:, source]
 
     def mapped(self, vibration: Float32Array | FloatArray) -> Float32Array | FloatArray:
-        """Return vibration, (frames, actuators), as (frames, channels); unchanged if equal."""
+        """Return vibration, (frames, actuators), as (frames, channels); may be the same array."""
         if self.is_identity:
             return vibration
         out = np.empty((len(vibration), self.channels), np.float32)
@@ -119,21 +108,15 @@ class ChannelMap:
 
 
 def channels_needed(wiring: Sequence[Sequence[int | str]]) -> int:
-    """Return the least number of channels that a device needs; 1 if all have positions.
+    """Return how many channels a device needs for a wiring; 1 if it names only positions.
 
-    Parameters
-    ----------
-    wiring : sequence of sequence of int or str
-        Channel numbers from 0 or position names of each actuator.
+    wiring: channel numbers from 0 or position names of each actuator.
     """
     return 1 + max((c for channels in wiring for c in channels if isinstance(c, int)), default=0)
 
 
 def check_wiring(wiring: Sequence[Sequence[int | str]]) -> dict[int, tuple[str, str]]:
-    """Return what is wrong with the channels: actuator from 1 -> (what, what is allowed).
-
-    Whether a device has such channels is not checked.
-    """
+    """Return errors that a wiring has on any device: {actuator from 1: (error, allowed values)}."""
     found: dict[int, tuple[str, str]] = {}
     taken: dict[int | str, int] = {}
     for actuator, channels in enumerate(wiring, 1):
@@ -152,7 +135,7 @@ def check_wiring(wiring: Sequence[Sequence[int | str]]) -> dict[int, tuple[str, 
 def _number(
     channel: int | str, channels: int, positions: Sequence[str], device: str, actuator: int
 ) -> int:
-    """Return the channel's number from 0. UsageError: there is no such number or position."""
+    """Return the channel's number from 0. UsageError: the device lacks the number or position."""
     if isinstance(channel, str):
         if channel in positions:
             return list(positions).index(channel)

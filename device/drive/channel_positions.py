@@ -1,6 +1,4 @@
-"""Channel maps for sinks of a sound server, which matches channels by their positions."""
-
-from __future__ import annotations
+"""Channel maps for sinks of a sound server, which assigns channels by their positions."""
 
 from collections.abc import Sequence
 
@@ -9,30 +7,30 @@ from device.drive.settings import ActuatorSettings, wiring_of
 from device.errors import UsageError
 from device.server.identity import identity_of
 from device.server.snapshot import Sink
-from device.usb.coils import coil_channels
+from device.usb.identity import coil_channels
 
 _POSITIONS = (
     *("front-left", "front-right", "rear-left", "rear-right"),
     *("front-center", "lfe", "side-left", "side-right"),
 )
 
+# Positions that the server's ALSA plugin gives to a stream's channels, by channel count. If the
+# sink has other positions, the server mixes the channels.
 STREAM_POSITIONS = {1: ("mono",)} | {count: _POSITIONS[:count] for count in (2, 4, 5, 6, 8)}
-"""Positions that ALSA's plugin gives to a stream's channels, by channel count. The server matches
-these with the sink's positions. If the sink has other positions, the server mixes the channels."""
 
 
 def sink_channel_map(
     sink: Sink, actuators: Sequence[ActuatorSettings], haptic_channels: int = 1
 ) -> ChannelMap:
-    """Return which actuator each channel of a stream to this sink plays.
+    """Return which actuator each channel of a stream to this sink drives.
 
-    haptic_channels: channels of the vibration; without named actuators they repeat over the sink's.
-
-    UsageError: the sink has no such channel, or a stream cannot reach its channels one by one.
+    haptic_channels: number of channels of the vibration. If `actuators` is empty, the sink's
+    channels, or its channels with coils, repeat the vibration's channels. UsageError: the sink
+    lacks a channel, or a stream cannot address the sink's channels individually.
     """
     wanted = actuators_of_channels(sink, actuators, haptic_channels)
     repeats = not actuators and None not in wanted.sources
-    if repeats or len({*wanted.sources}) == 1:  # all channels are equal: their order has no effect
+    if repeats or len({*wanted.sources}) == 1:  # all channels are equal, so their order is free
         return wanted
     name = f"the sink {sink.name!r}"
     stream = STREAM_POSITIONS.get(sink.channels, ())
@@ -49,11 +47,10 @@ def sink_channel_map(
 def actuators_of_channels(
     sink: Sink, actuators: Sequence[ActuatorSettings], haptic_channels: int
 ) -> ChannelMap:
-    """Return which actuator each channel of a sink plays, in the sink's own order.
+    """Return which actuator each channel of a sink drives, in the sink's own order.
 
-    Without named actuators, channels of a known device that drive no coils are silent.
-
-    UsageError: the sink has no such channel.
+    If `actuators` is empty and some channels are known to have coils, all others are silent.
+    UsageError: the sink lacks a channel.
     """
     name = f"the sink {sink.name!r}"
     if actuators:

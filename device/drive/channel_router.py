@@ -1,6 +1,4 @@
-"""Routes the actuators of a drive to the channels of a device."""
-
-from __future__ import annotations
+"""Copies the signal of each actuator to its channels of a device."""
 
 from collections.abc import Callable, Sequence
 
@@ -11,17 +9,11 @@ from device.drive.settings import ActuatorSettings
 from device.errors import InternalError
 from device.units import Float32Array
 
-Fill = Callable[[Float32Array, float], None]
-"""Called with (out, now_s); writes the next vibration, (frames, actuators), into `out`."""
+Fill = Callable[[Float32Array, float], None]  # (out, now_s): writes (frames, actuators) into out
 
 
 class ChannelRouter:
-    """Routes actuators to one output's channels; outlives the output's streams.
-
-    For the supervising thread alone.
-
-    actuators: the named actuators; if empty, the vibration's channels repeat over the device's.
-    """
+    """Connects actuators with each stream that an output opens. Only one thread may use it."""
 
     def __init__(self, actuators: Sequence[ActuatorSettings]) -> None:
         self.actuators = actuators
@@ -33,15 +25,12 @@ class ChannelRouter:
         return self._routed.fill
 
     def change(self, actuators: Sequence[ActuatorSettings], channel_map: ChannelMap | None) -> bool:
-        """Change the actuators; return whether the open stream can continue with them.
-
-        channel_map: of the new actuators on the open channels, None if there is none.
-        """
+        """Change the actuators; return whether the open stream can continue with the new map."""
         before, self.actuators = self.actuators, actuators
         if before == actuators:
             return True
         routed = self._routed
-        if routed is None or channel_map is None or len(before) != len(actuators):
+        if not (routed and channel_map) or len(before) != len(actuators):
             return False
         if routed.channels != channel_map.channels:
             return False
@@ -50,13 +39,10 @@ class ChannelRouter:
 
 
 class RoutedFill:
-    """Fills a device's channels from a `Fill` that has one column for each actuator.
+    """Fills a device's channels from a `Fill` function, which fills one column for each actuator.
 
-    The output's thread calls `fill`; any thread may call `change`.
-
-    fill: writes the actuators' signals.
-    channel_map: which actuator each channel plays.
-    block_frames: usual length of a block; another length allocates new memory.
+    The output's thread calls `fill`, which allocates memory only for blocks of an unusual length.
+    Any thread may call `change`.
     """
 
     def __init__(self, fill: Fill, channel_map: ChannelMap, block_frames: int) -> None:
@@ -66,11 +52,14 @@ class RoutedFill:
 
     @property
     def channels(self) -> int:
-        """Channels of the device."""
+        """Number of channels of the device."""
         return self._wanted.channels
 
     def change(self, channel_map: ChannelMap) -> None:
-        """Fade within the next block to a map of equally many actuators and channels."""
+        """Change to another map, with a cross-fade over the next block.
+
+        InternalError: the maps differ in their number of actuators or channels.
+        """
         old = self._wanted
         if (old.actuators, old.channels) != (channel_map.actuators, channel_map.channels):
             raise InternalError(
@@ -80,7 +69,7 @@ class RoutedFill:
         self._wanted = channel_map
 
     def fill(self, out: Float32Array, now_s: float) -> None:
-        """Write the next vibration, (frames, channels)."""
+        """Write the next block of vibration into `out`, (frames, channels)."""
         old, new = self._map, self._wanted
         if new is old and new.is_direct:
             self._fill(out[:, : new.actuators], now_s)

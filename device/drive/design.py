@@ -1,6 +1,4 @@
-"""What is done for one rig, as a design for the core: damping, protection, exposure meter."""
-
-from __future__ import annotations
+"""Damping, protection and exposure meter of one rig, as numbers and tables for the core."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -10,29 +8,24 @@ from typing import NamedTuple
 import numpy as np
 
 from device.drive.damping import Damping, choose_damping
-from device.drive.exposure import DoseSums
-from device.drive.exposure.design import exposure_records, worst_second
+from device.drive.exposure import DoseSums, exposure_records, worst_second
 from device.drive.protection.design import latency_frames, protection_records
 from device.drive.protection.limits import Limits
 from device.drive.safety import SafetyBounds
-from device.records import Records
 from device.rig import ActuatorParameters, Rig, rig_by_name
 from device.rig.thermal import Temperatures
-from device.units import amplitude_to_db
+from device.units import Records, amplitude_to_db
 
 
 @dataclass(frozen=True)
 class DriveDesign:
     """Damping, protection and exposure meter of one rig. Immutable; any thread may use it.
 
-    The damping makes up for the strength that it takes. Protection is always on, since a damped
-    signal exceeds full scale and must not be clipped.
-
-    rig: what is driven. samplerate: Hz, 6000 or more. damping: None for none. exposure_cap: one of
-    `CAPS`; above half of the cap's dose the gain falls slowly. limits: None for those of the rig.
-    records: numbers and tables, by name; see `DriveDesign` of the core. worst_second: bound on the
-    dose that a second can add.
-    UsageError: the sample rate is too low.
+    Protection is always on, since a damped signal may exceed full scale and must not be clipped.
+    samplerate: Hz, 6000 or more. damping: None without damping. exposure_cap: one of `CAPS`; above
+    half of the cap's dose the gain falls slowly. limits: None for the limits of the rig. records:
+    numbers and tables, named as in `DriveDesign` of the core. worst_second: upper bound on the dose
+    of one second. UsageError: samplerate is too low, or the rig lacks [thermal] for its limits.
     """
 
     rig: Rig
@@ -46,44 +39,44 @@ class DriveDesign:
     def __post_init__(self) -> None:
         damping = self.damping
         sections = damping.sections(self.samplerate) if damping else np.empty((0, 6))
-        records: Records = {
+        exposure = exposure_records(self.rig, self.samplerate, self.exposure_cap)
+        protection = protection_records(self.rig, self.samplerate, self.limits)
+        records = {
             "damping_gain": damping.gain if damping else 0.0,
             "damping.count": len(sections),
             "damping.sections": sections,
+            **{f"protection.{name}": value for name, value in protection.items()},
+            **{f"exposure.{name}": value for name, value in exposure.items()},
         }
-        exposure = exposure_records(self.rig, self.samplerate, self.exposure_cap)
-        protection = protection_records(self.rig, self.samplerate, self.limits)
-        records |= {f"protection.{name}": value for name, value in protection.items()}
-        records |= {f"exposure.{name}": value for name, value in exposure.items()}
         object.__setattr__(self, "records", records)
         object.__setattr__(self, "worst_second", worst_second(self.rig, self.samplerate))
 
     @property
     def latency_frames(self) -> int:
-        """Delay of the vibration in frames: that of the protection."""
+        """Delay of the vibration by the protection, in frames."""
         return latency_frames(self.samplerate)
 
     @property
     def knows_seat(self) -> bool:
-        """Whether the rig describes its seat; if not, the seat is taken to move like the mass."""
+        """Whether the rig describes its seat; else exposure is that of the moving mass."""
         return self.rig.seat is not None
 
     @property
     def makeup_db(self) -> float:
-        """Gain of the damping that makes up for what it takes at the resonance; 0 without it."""
+        """Gain in dB that restores the level at the resonance after damping; 0 without damping."""
         return amplitude_to_db(self.damping.gain) if self.damping else 0.0
 
     def resistance_ohm(self, coil_c: float) -> float:
-        """Return the resistance of the coil at a temperature in °C."""
-        thermal = self.rig.thermal
+        """Return the coil's resistance at coil_c, °C; constant if the rig has no [thermal]."""
+        thermal, ohm = self.rig.thermal, self.rig.actuator.resistance_ohm
         if thermal is None:
-            return self.rig.actuator.resistance_ohm
+            return ohm
         warm = Temperatures(thermal)
         warm.coil_k = coil_c - thermal.ambient_c
-        return warm.resistance_ohm(self.rig.actuator.resistance_ohm)
+        return warm.resistance_ohm(ohm)
 
     def bounds(self) -> SafetyBounds:
-        """Return the worst that the actuator can have done unrecorded."""
+        """Return upper bounds on the actuator's temperature and the exposure dose."""
         return SafetyBounds(self.rig, self.worst_second)
 
 
@@ -95,17 +88,16 @@ def drive_design(
     protection: str = "off",
     exposure_cap: str = "off",
 ) -> DriveDesign | None:
-    """Return the design for these choices; None if all three are "off".
+    """Return the design; None if damping, protection and exposure_cap are all "off".
 
-    rig: a name or a file, see `rig_by_name`. UsageError: there is no such rig, or the sample rate
-    is too low for the processing.
+    rig: a name or a file. UsageError: the rig is missing or invalid, or the rate is too low.
     """
     plan = DrivePlan.of(rig, samplerate, damping, protection, exposure_cap)
     return plan and plan.design()
 
 
 class DrivePlan(NamedTuple):
-    """What a design is for; see `DriveDesign`."""
+    """The arguments of a design; see `DriveDesign`."""
 
     rig: Rig
     samplerate: int
@@ -115,17 +107,14 @@ class DrivePlan(NamedTuple):
     @classmethod
     def of(
         cls, rig: str, samplerate: int, damping: str, protection: str, exposure_cap: str
-    ) -> DrivePlan | None:
-        """Return the plan for the choices of `drive_design`. UsageError: there is no such rig."""
-        if (damping, protection, exposure_cap) == ("off", "off", "off"):
+    ) -> "DrivePlan | None":
+        """Return the plan; None if the last three are "off". UsageError: see `rig_by_name`."""
+        if {damping, protection, exposure_cap} == {"off"}:
             return None
         return cls(rig_by_name(rig), samplerate, damping != "off", exposure_cap)
 
     def design(self) -> DriveDesign:
-        """Return the design. The first one of a rig takes half a second and loads SciPy.
-
-        UsageError: the sample rate is too low for the processing.
-        """
+        """Return the design; slow for a new plan. UsageError: the sample rate is too low."""
         return _designed(self)
 
 
@@ -143,6 +132,6 @@ def designs_of(plans: Sequence[DrivePlan]) -> list[DriveDesign]:
 
 @lru_cache(maxsize=8)
 def damping_for(actuator: ActuatorParameters, source_impedance_ohm: float) -> Damping:
-    """Return the damping chosen for a rig, made up; the first call per rig takes about a second."""
+    """Return the damping filter with its gain; the first call for each actuator is slow."""
     chosen = choose_damping(actuator, source_impedance_ohm=source_impedance_ohm)[0]
     return replace(chosen.damping, gain=chosen.makeup)

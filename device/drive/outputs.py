@@ -1,6 +1,4 @@
-"""Outputs that wrap another output: they remove the latency, apply a drive, or fade the end."""
-
-from __future__ import annotations
+"""Outputs that wrap another output, to remove latency, process the vibration, or fade its end."""
 
 from typing import Protocol
 
@@ -11,52 +9,33 @@ from device.errors import InternalError
 from device.output import VibrationOutput
 from device.units import Float32Array, FloatArray
 
-FADE_S = 0.005
-"""Length of the fade at the end of a file: a tone that lasts to the end stops without a click."""
+FADE_S = 0.005  # length of the fade at the end of a file, which prevents a click
 
 
 class Driver(Protocol):
-    """Processing before an output, such as `Drive`."""
+    """Processes the vibration before an output. `Drive` implements this interface."""
 
-    @property
-    def inputs(self) -> int:
-        """Columns of an input block."""
-        ...
-
-    @property
-    def latency_frames(self) -> int:
-        """Delay of the vibration in frames."""
-        ...
+    inputs: int  # channels of an input block
+    latency_frames: int  # delay of the vibration
 
     def process(self, vibration: FloatArray) -> FloatArray | Float32Array:
-        """Return the driven vibration for a block; the block does not change."""
+        """Return the processed vibration of a block; the block does not change."""
         ...
 
 
-class AlignedOutput:
-    """Drops the first `latency_frames` of an output, so that vibration starts with its sound.
+class WrappedOutput:
+    """Passes blocks to another output of the same sample rate and number of channels."""
 
-    For files; a playing device uses the delay line instead. The delivering thread calls it.
-
-    output: gets all later frames.
-    latency_frames: number of frames to drop.
-    """
-
-    def __init__(self, output: VibrationOutput, latency_frames: int) -> None:
+    def __init__(self, output: VibrationOutput) -> None:
         self._output = output
-        self._to_skip = latency_frames
-        self.samplerate = output.samplerate
-        self.channels = output.channels
+        self.samplerate, self.channels = output.samplerate, output.channels
 
     def write(self, vibration: FloatArray | Float32Array) -> None:
-        """Take a block, (frames, channels)."""
-        skipped = min(self._to_skip, len(vibration))
-        self._to_skip -= skipped
-        if skipped < len(vibration):
-            self._output.write(vibration[skipped:])
+        """Take a block, (frames, channels); the block does not change."""
+        self._output.write(vibration)
 
     def close(self) -> None:
-        """Finish the output."""
+        """Finish the output. May be repeated."""
         self._output.close()
 
     def abort(self) -> None:
@@ -64,16 +43,26 @@ class AlignedOutput:
         self._output.abort()
 
 
-class DrivenOutput:
-    """Applies a drive before an output that is not live.
+class AlignedOutput(WrappedOutput):
+    """Drops the first latency_frames frames, so that vibration starts together with its sound."""
 
-    The drive's latency stays in the vibration. `close` first writes the frames that the rigs'
-    processing still holds, but no frames that a `delay_ms` moves past the end. The thread that
-    delivers the vibration calls it.
+    def __init__(self, output: VibrationOutput, latency_frames: int) -> None:
+        super().__init__(output)
+        self._to_skip = latency_frames
 
-    output: gets the signals of the device's channels.
-    drive: processes the vibration.
-    channel_map: which of the drive's columns each channel of the output plays.
+    def write(self, vibration: FloatArray | Float32Array) -> None:
+        """Take a block, (frames, channels)."""
+        skipped = min(self._to_skip, len(vibration))
+        self._to_skip -= skipped
+        if skipped < len(vibration):
+            super().write(vibration[skipped:])
+
+
+class DrivenOutput(WrappedOutput):
+    """Processes vibration with a `Driver` before another output; the driver's latency remains.
+
+    `close` first writes the frames that the `Driver` has delayed. If an actuator's `delay_ms` moves
+    a part of the signal beyond the end of the output, this part is lost.
     """
 
     def __init__(self, output: VibrationOutput, drive: Driver, channel_map: ChannelMap) -> None:
@@ -81,52 +70,38 @@ class DrivenOutput:
             raise InternalError(
                 f"the output has {output.channels} channels, the channel map {channel_map.channels}"
             )
-        self._output = output
-        self._drive = drive
-        self._map = channel_map
-        self._closed = False
-        self.samplerate = output.samplerate
+        super().__init__(output)
+        self._drive, self._map, self._closed = drive, channel_map, False
         self.channels = drive.inputs
 
     def write(self, vibration: FloatArray | Float32Array) -> None:
         """Take a block, (frames, channels); the block does not change."""
         if self._closed:
             raise InternalError("the output is closed: nothing can be written to it")
-        # In double precision, to avoid rounding between the stages.
+        # Double precision keeps the rounding between the stages negligible.
         driven = self._drive.process(vibration.astype(np.float64))
-        self._output.write(self._map.mapped(driven))
+        super().write(self._map.mapped(driven))
 
     def close(self) -> None:
-        """Write the frames still held back, and finish the output."""
+        """Write the delayed frames, and finish the output. May be repeated."""
         if not self._closed:
             self.write(np.zeros((self._drive.latency_frames, self.channels)))
             self._closed = True
-        self._output.close()
+        super().close()
 
     def abort(self) -> None:
         """Discard the output."""
         self._closed = True
-        self._output.abort()
+        super().abort()
 
 
-class FadedOutput:
-    """Fades the last frames before it closes an output, by a raised cosine, at the same length.
-
-    For files whose end cuts the sound off. The last `FADE_S` seconds are held back until the end;
-    a shorter file is faded from its first frame on. The thread that delivers the vibration calls
-    it.
-
-    output: gets all frames.
-    frames: length of the fade, 0 for none.
-    peak: largest magnitude that was written so far; 1.0 is full scale.
-    """
+class FadedOutput(WrappedOutput):
+    """Fades out the last `frames` frames with a raised cosine. peak: largest magnitude written."""
 
     def __init__(self, output: VibrationOutput, frames: int) -> None:
-        self._output = output
+        super().__init__(output)
         self._frames = frames
         self._held = np.zeros((0, output.channels))
-        self.samplerate = output.samplerate
-        self.channels = output.channels
         self.peak = 0.0
 
     def write(self, vibration: FloatArray | Float32Array) -> None:
@@ -137,19 +112,18 @@ class FadedOutput:
         self._pass_on(known[:passed])
 
     def close(self) -> None:
-        """Write the frames held back, faded, and finish the output. May be repeated."""
+        """Fade and write the last frames, and finish the output. May be repeated."""
         held, self._held = self._held, self._held[:0]
         shares = (np.arange(len(held)) + 0.5) / max(1, len(held))
-        gains = 0.5 + 0.5 * np.cos(np.pi * shares)
-        self._pass_on(held * gains[:, None])
-        self._output.close()
+        self._pass_on(held * (0.5 + 0.5 * np.cos(np.pi * shares))[:, None])
+        super().close()
 
     def abort(self) -> None:
         """Discard the output."""
         self._held = self._held[:0]
-        self._output.abort()
+        super().abort()
 
     def _pass_on(self, vibration: FloatArray) -> None:
         if len(vibration):
             self.peak = max(self.peak, float(np.abs(vibration).max()))
-            self._output.write(vibration)
+            super().write(vibration)

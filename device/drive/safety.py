@@ -1,25 +1,20 @@
-"""State that must outlive a process: how warm coil and magnet are, and the dose of the day."""
-
-from __future__ import annotations
+"""State that must outlive a process: temperatures of coil and magnet, and exposure of the day."""
 
 import math
 from dataclasses import dataclass, replace
 
-from device.drive.exposure.dose import DoseSums
-from device.drive.protection.limits import limits_of
-from device.drive.protection.thermal import CoilTemperature
+from device.drive.exposure import DoseSums
+from device.drive.protection.limits import APPROACH_S, limits_of
 from device.rig import Rig
-
-_STEP_S = 0.01
-"""Step in which the protection's law of power is followed; it changes over 2 s."""
-
+from device.rig.thermal import Temperatures
 
 NO_DOSE = DoseSums()
+_STEP_S = 0.01  # time step, much shorter than `APPROACH_S`
 
 
 @dataclass(frozen=True)
 class SafetyState:
-    """What one actuator must not forget. Temperatures in °C; None if the rig has no [thermal]."""
+    """Stored state of one actuator. Temperatures in °C; None if the rig has no [thermal]."""
 
     coil_c: float | None = None
     magnet_c: float | None = None
@@ -27,14 +22,10 @@ class SafetyState:
 
 
 class SafetyBounds:
-    """The worst that a protected actuator can have done in a time that nobody recorded. Pure.
-
-    rig: of the actuator. worst_s: the dose of a second of the strongest drive.
-    """
+    """Upper bounds on temperatures and dose. worst_s: upper bound on the dose of one second."""
 
     def __init__(self, rig: Rig, worst_s: DoseSums) -> None:
-        self._rig = rig
-        self._worst_s = worst_s
+        self._rig, self._worst_s = rig, worst_s
         amplifier = rig.amplifier
         volts = min(rig.dac.full_scale_v * amplifier.gain, amplifier.output_limit_v)
         ohm = rig.actuator.resistance_ohm
@@ -43,7 +34,7 @@ class SafetyBounds:
 
     @property
     def warmest(self) -> SafetyState:
-        """The state of an actuator that has been at its limit for long, without a dose."""
+        """The state after a long time at the temperature limit, with a dose of 0."""
         thermal, limit_c = self._rig.thermal, self._limit_c
         if thermal is None or limit_c is None:
             return SafetyState()
@@ -52,16 +43,13 @@ class SafetyBounds:
         return SafetyState(limit_c, magnet_c)
 
     def after_unrecorded(self, state: SafetyState, seconds: float) -> SafetyState:
-        """Return the worst state after so many unrecorded seconds under protection."""
+        """Return the worst possible state after `seconds` of any vibration with protection."""
         seconds = max(0.0, seconds)
-        worst = self._worst_s
-        added = DoseSums(
-            seconds, worst.squares * seconds, worst.fourths * seconds, worst.high * seconds
-        )
-        return replace(self._heated(state, seconds, self._most_w), dose=state.dose.plus(added))
+        dose = state.dose.plus(self._worst_s, seconds)
+        return replace(self._heated(state, seconds, self._most_w), dose=dose)
 
     def after_rest(self, state: SafetyState, seconds: float) -> SafetyState:
-        """Return the state after so many seconds without any drive."""
+        """Return the state after `seconds` without vibration."""
         return self._heated(state, max(0.0, seconds), 0.0)
 
     def _heated(self, state: SafetyState, seconds: float, most_w: float) -> SafetyState:
@@ -71,11 +59,26 @@ class SafetyBounds:
         known = self.warmest if state.coil_c is None or state.magnet_c is None else state
         assert known.coil_c is not None
         assert known.magnet_c is not None
+        warm, ambient_c = Temperatures(thermal), thermal.ambient_c
+        # Coil and magnet are never colder than the surroundings.
+        warm.coil_k = max(0.0, known.coil_c - ambient_c)
+        warm.magnet_k = max(0.0, known.magnet_c - ambient_c)
         count = max(1, math.ceil(min(seconds, 60.0) / _STEP_S)) if most_w else 1
-        coil = CoilTemperature(thermal, self._rig.actuator.resistance_ohm, seconds / count)
-        coil.set_temperatures(known.coil_c, known.magnet_c)
         for _ in range(count if seconds else 0):
-            coil.step(min(most_w, coil.power_allowed(limit_c)) if most_w else 0.0)
-        # A step may end microkelvins above what protection holds.
-        coil_c = min(coil.coil_c, max(limit_c, known.coil_c))
-        return replace(state, coil_c=coil_c, magnet_c=coil.magnet_c)
+            power_w = min(most_w, power_to_limit_w(warm, limit_c - ambient_c))
+            warm.heat(power_w, seconds / count)
+        # A finite time step may exceed the temperature limit slightly.
+        coil_c = min(ambient_c + warm.coil_k, max(limit_c, known.coil_c))
+        return replace(state, coil_c=coil_c, magnet_c=ambient_c + warm.magnet_k)
+
+
+def power_to_limit_w(warm: Temperatures, limit_k: float) -> float:
+    """Return the power in W with which the coil approaches limit_k, in K above the surroundings.
+
+    The power is the heat flow to the magnet, plus the heat that the coil can still store divided
+    by `APPROACH_S`.
+    """
+    thermal = warm.parameters
+    onward_w = (warm.coil_k - warm.magnet_k) / thermal.coil_k_per_w
+    left_j = thermal.coil_j_per_k * (limit_k - warm.coil_k)
+    return max(0.0, onward_w + left_j / APPROACH_S)

@@ -1,6 +1,4 @@
-"""What a user may choose for one actuator, and checks of several actuators together."""
-
-from __future__ import annotations
+"""The settings of one actuator, and checks of several actuators together."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,23 +9,16 @@ from device.units import db_to_amplitude
 from device.values import Choice, Described, Description, Number, Refusal, Text
 
 SOURCES = ("mix", "left", "right", "front", "back")
-"""Sources that an actuator may play; "all" means the same as "mix"."""
-
 POLARITIES = ("normal", "inverted")
 DAMPING = ("off", "auto")
 PROTECTION = ("off", "on")
 EXPOSURE_CAP = ("off", "action", "limit")
 
-GAIN_MIN_DB, GAIN_MAX_DB = -60.0, 0.0
-"""Largest gain: 0 dB makes full-scale vibration full scale of the device; more would clip."""
-
-DELAY_MAX_MS = 500.0
-"""Longest delay. Sound travels 170 m in this time, further than two seats are apart. The limit sets
-the memory that is allocated at the start."""
-
-ACTUATORS_MAX = CHANNELS_MAX
-"""Largest number of actuators: one for each channel."""
-
+GAIN_MIN_DB, GAIN_MAX_DB = -60.0, 0.0  # above 0 dB full-scale vibration would clip
+DELAY_MAX_MS = (
+    500.0  # longest delay, which determines the allocated memory; sound travels 170 m in 500 ms
+)
+ACTUATORS_MAX = CHANNELS_MAX  # largest number of actuators: one for each channel
 LIKE_ALL = "; default: the top-level value"
 
 
@@ -69,22 +60,23 @@ class _DeviceChannels(Description):
 
 @dataclass(frozen=True)
 class ActuatorSettings(Described):
-    """What one actuator plays, and on which channels.
+    """Settings of one actuator, such as its source and channels.
 
-    For `rig`, `damping`, `protection` and `exposure_cap`, None means the setting that applies to
-    all actuators. The rig's existence is not checked here. A delay is rounded to the nearest frame.
-
-    Raises
-    ------
-    UsageError
-        Some choices are refused; the message names all of them.
+    For `rig`, `damping`, `protection` and `exposure_cap`, None means the top-level value of the
+    config. Whether the rig exists is not checked here. A delay is rounded to the nearest frame.
+    UsageError: values are invalid; the message names all of them.
     """
 
     channels: Annotated[
         tuple[int | str, ...], _DeviceChannels("channels of the device that drive the actuator")
     ]
     source: Annotated[
-        str, Choice("part of the sound that is played; all means mix", SOURCES, aliases=("all",))
+        str,
+        Choice(
+            "part of the sound that the actuator plays; all is another name of mix",
+            SOURCES,
+            aliases=("all",),
+        ),
     ] = SOURCES[0]
     rig: Annotated[
         str | None,
@@ -112,19 +104,13 @@ class ActuatorSettings(Described):
 
     @property
     def factor(self) -> float:
-        """Factor of level and polarity, -1 to 1."""
+        """Factor on the actuator's signal, from gain and polarity, -1 to 1."""
         amplitude = db_to_amplitude(self.gain_db)
         return -amplitude if self.polarity == "inverted" else amplitude
 
 
 def wiring_refusals(wired: Sequence[Sequence[int | str]]) -> dict[int, Refusal]:
-    """Return why actuators' channels are refused, by the actuator's number, from 1.
-
-    Parameters
-    ----------
-    wired : sequence of sequence of int or str
-        Channel numbers from 0 or position names of each actuator.
-    """
+    """Return the errors of a wiring by actuator number, from 1. wired: channels per actuator."""
     if len(wired) > ACTUATORS_MAX:
         allowed = f"up to {ACTUATORS_MAX} actuators"
         return {ACTUATORS_MAX + 1: Refusal("is one too many", allowed)}
@@ -132,23 +118,11 @@ def wiring_refusals(wired: Sequence[Sequence[int | str]]) -> dict[int, Refusal]:
 
 
 def sources_of(actuators: Sequence[ActuatorSettings]) -> tuple[str, ...]:
-    """Return the sources that the actuators play, without repeats, in the order of `SOURCES`.
-
-    Parameters
-    ----------
-    actuators : sequence of ActuatorSettings
-        All actuators of a run.
-    """
+    """Return the sources in use, in the order of `SOURCES`. actuators: all actuators of a run."""
     played = {actuator.source for actuator in actuators}
     return tuple(source for source in SOURCES if source in played)
 
 
 def wiring_of(actuators: Sequence[ActuatorSettings]) -> Wiring:
-    """Return the channels of every actuator.
-
-    Parameters
-    ----------
-    actuators : sequence of ActuatorSettings
-        All actuators of a run.
-    """
+    """Return the channels of each actuator. actuators: all actuators of a run."""
     return tuple(actuator.channels for actuator in actuators)

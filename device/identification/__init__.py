@@ -1,16 +1,12 @@
-"""Identification of a rig: sweep in, parameters with 95 % intervals out.
+"""Identification of a rig from sweeps: parameters with 95 % intervals.
 
-| module | holds |
+| module | contents |
 | --- | --- |
-| sweep, recording, transfer | what is played, what was recorded, and whether it can be used |
+| recording, transfer | the played sweep, its recording, and checks of the recording |
 | responses, output_error | models of a response, and their fit |
-| acceleration, impedance, mechanics | f0, Q and sensitivity; R and L; Bl, mass, Qms |
-| calibration | all of it in turn, from low levels up; the rig with its new values |
-| simulated_laboratory | plays sweeps to the simulated rig |
-| live/ | plays sweeps to real devices |
-
-What cannot be identified raises `IdentificationError`, whose message gives the reason, the values
-and what to do.
+| acceleration, impedance, mechanics | resonance; coil and amplifier; Bl and mass |
+| calibration | all these measurements, from low levels up; the rig with the identified values |
+| simulated_laboratory, live/ | sweeps on the simulated rig; sweeps on real devices |
 """
 
 from device.identification.recording import IdentificationError

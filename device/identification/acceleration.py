@@ -1,8 +1,9 @@
-"""The mode of a rig from its acceleration: f0, Q and sensitivity, with intervals."""
+"""Identifies a rig's resonance from its acceleration: f0, Q, sensitivity, with 95 % intervals."""
 
 import itertools
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,137 +13,101 @@ from device.identification.output_error import (
     Estimate,
     Extra,
     Fit,
-    check_converged,
-    check_misfit,
+    check_fit,
     fit,
     fit_with_extras,
     require,
 )
 from device.identification.recording import ComplexArray, IdentificationError, Recording
-from device.identification.responses import (
-    DELAY,
-    EDDY,
-    LAG,
-    MODE,
-    SEAT,
-    Factor,
-    high_pass,
-    product,
-)
+from device.identification.responses import DELAY, EDDY, LAG, MODE, SEAT, Factor, high_pass, product
 from device.identification.transfer import check_recording
 from device.units import FloatArray
 
+# Largest accepted half-width of a 95 % interval, relative to the value.
 WIDEST_F0, WIDEST_Q, WIDEST_SENSITIVITY = 0.02, 0.2, 0.2
-"""Half the widest accepted 95 % interval, as a share."""
 
+# Relative rise of f0 and Q, per (excursion / Xmax)^2; intervals are extended down by the rise.
+# If stiffness is 50 % higher at Xmax, f0 rises by 3/8 of 50 % (describing function). Q rises with
+# f0, and because Bl falls by a quarter.
 F0_BY_LEVEL, Q_BY_LEVEL = 0.19, 0.4
-"""Shares by which f0 and Q rise, per square of the level in Xmax. If stiffness is 50 % higher at
-Xmax, f0 rises by 3/8 of that (describing function). Q rises with it, and because Bl falls by a
-quarter. Intervals are extended down by this much, because they are for the rig at rest."""
+
+# Largest relative r.m.s. change of the response by a hardening spring, per (excursion / Xmax)^2.
+# A seat is accepted only if it changes the response by more.
 HARDENING = 0.5
-"""A spring that hardens changes the response by up to this share, r.m.s., per square of the level
-in Xmax. A seat that changes it less is not taken for one, however little noise there is."""
+# Tried remaining delays. They may be negative: `find_delay` can be late by a quarter of a period.
 _DELAYS_S = np.arange(-8e-3, 4e-3, 0.25e-3)
-"""Starts for an unknown delay. It was measured at the peak of the impulse response, up to a quarter
-of a period after its beginning."""
 _ADVICE = "raise the level a little, make the sweep longer or bring it closer to the resonance"
 
 
 @dataclass(frozen=True)
 class Mode:
-    """The mode that an acceleration sweep shows.
-
-    Against current, f0 and Q are the mechanical ones (f0, Qms). Against voltage, they are those of
-    the poles under that drive, including the electrical damping.
-    """
+    """The resonance of the acceleration. Under voltage drive, q includes electrical damping."""
 
     f0_hz: Estimate
     q: Estimate
-    sensitivity: Estimate  # m/s^2 per V or A above the resonance; Bl / m against current
-    on_seat: bool  # the response needs a moving frame; f0 and Q are those on it
-    level_of_x_max: float  # largest excursion of the moving mass, without the frame's
+    sensitivity: Estimate  # m/s^2 per V or A above the resonance; Bl / m relative to current
+    on_seat: bool  # whether the fit includes a moving frame; then f0 and Q include the seat
+    level_of_x_max: float  # largest excursion of the moving mass from the ground, in units of Xmax
     fit: Fit
-    inverted: bool = False  # the accelerometer has the other sign
-    high_pass_hz: Estimate | None = None  # the amplifier's corner, if it is not that of the rig
+    inverted: bool = False  # whether the accelerometer has the opposite sign
+    high_pass_hz: Estimate | None = None  # the amplifier's corner, if it differs from the rig's
 
 
-def identify_mode(
-    recording: Recording, x_max_m: float, *, widest: float = 1.0, on_seat: bool | None = None
-) -> Mode:
-    """Return the mode that a recording of acceleration, for a current or a voltage, shows.
-
-    x_max_m gives the level; `widest` is a factor on the widest accepted intervals. on_seat: whether
-    there is a seat, if another recording shows it.
-    """
+def identify_mode(recording: Recording, x_max_m: float, *, on_seat: bool | None = None) -> Mode:
+    """Return the resonance in acceleration per current or voltage. on_seat: None if unknown."""
     check_recording(recording)
-    mode, shown = _identify(recording, x_max_m, widest, on_seat)
+    mode, shown = _identify(recording, x_max_m, on_seat)
     if mode.on_seat and on_seat is None:
-        try:
-            simple, without = _identify(recording, x_max_m, widest, False)
-        except IdentificationError:
-            return mode
-        change = float(np.sqrt(np.mean(np.abs(without / shown - 1.0) ** 2)))
-        if change < HARDENING * mode.level_of_x_max**2:
-            return simple
+        with suppress(IdentificationError):
+            simple, without = _identify(recording, x_max_m, False)
+            change = float(np.sqrt(np.mean(np.abs(without / shown - 1.0) ** 2)))
+            if change < HARDENING * mode.level_of_x_max**2:
+                return simple
     return mode
 
 
 def _identify(
-    recording: Recording, x_max_m: float, widest: float, on_seat: bool | None
+    recording: Recording, x_max_m: float, on_seat: bool | None
 ) -> tuple[Mode, ComplexArray]:
-    """Return the mode, and the fitted response in the band."""
+    """Return the resonance, and the fitted frequency response in the band."""
     electrical = recording.names[0] != "current"
     factors = [MODE, *([LAG] if electrical else []), *([DELAY] if recording.delayed else [])]
-    recording, found, extras, inverted = _fit_mode(
-        recording, factors, on_seat, math.isfinite(x_max_m)
-    )
+    level_known = math.isfinite(x_max_m)
+    recording, found, extras, inverted = _fit_mode(recording, factors, on_seat, level_known)
     on_seat = any(extra.name == "seat" for extra in extras)
-    check_converged(recording, found)
-    refuse_outside(recording, found.logs[1])
-    check_misfit(
-        recording,
-        found,
+    advice = (
         "more than one resonance and a seat are in the band, or this is another channel; check "
-        "the input, fasten what rattles, or sweep a narrower band around the resonance",
+        "the input, fasten what rattles, or sweep a narrower band around the resonance"
     )
-    values = [found.estimate({index: 1.0}) for index in range(3)]
-    limits = ("sensitivity", WIDEST_SENSITIVITY), ("f0_hz", WIDEST_F0), ("q", WIDEST_Q)
-    for (name, limit), value in zip(limits, values, strict=True):
-        require(name, value, limit * widest, _ADVICE)
-    f = recording.frequencies_hz[recording.band]
+    check_fit(recording, found, advice)
+    sensitivity, f0, q = (found.estimate({index: 1.0}) for index in range(3))
+    require("sensitivity", sensitivity, WIDEST_SENSITIVITY, _ADVICE)
+    require("f0_hz", f0, WIDEST_F0, _ADVICE)
+    require("q", q, WIDEST_Q, _ADVICE)
     model = product(*factors, *(extra.factor for extra in extras))
-    shown = model(f, found.logs)[0]
-    moved = recording.excursion_m(shown)
-    sensitivity, f0, q = values
-    # Clock drift turns the phase by this angle, which at f0 shifts it by angle / (2 Q).
+    shown = model(recording.frequencies_hz[recording.band], found.logs)[0]
+    # Clock drift turns the phase by this angle, and so shifts f0 by the share angle / (2 Q).
     turned = math.tau * f0.value * recording.drift_reach * recording.sweep.duration_s
     f0 = f0.widen(0.5 * turned / q.value)
-    share = moved / x_max_m
+    share = recording.excursion_m(shown) / x_max_m
     square = excursion_square(share, on_seat)
     f0, q = f0.extend_down(F0_BY_LEVEL * square), q.extend_down(Q_BY_LEVEL * square)
-    corner = corner_of(
-        found,
-        extras,
-        sum(factor.parameters for factor in factors),
-        recording.high_pass_hz or 0.0,
-    )
+    first = sum(factor.parameters for factor in factors)
+    corner = corner_of(found, extras, first, recording.high_pass_hz or 0.0)
     return Mode(f0, q, sensitivity, on_seat, share, found, inverted, corner), shown
 
 
 def _fit_mode(
     recording: Recording, factors: list[Factor], on_seat: bool | None, level_known: bool
 ) -> tuple[Recording, Fit, tuple[Extra, ...], bool]:
-    """Return recording, fit, what the evidence adds, and whether the polarity is inverted."""
+    """Return the recording of likelier sign, its fit and `Extra` factors, and if it is inverted."""
     candidates = [recording]
     if not recording.polarity_known:
         candidates.append(replace(recording, response=-recording.response))
     found = []
     for candidate in candidates:
-        starts = _starts(candidate, factors)
-        simple = fit(candidate, product(*factors), starts)
-        extras = []
-        if LAG in factors:
-            extras.append(_eddy())
+        simple = fit(candidate, product(*factors), _starts(candidate, factors))
+        extras = [_eddy()] if LAG in factors else []
         if recording.high_pass_hz is not None:
             extras.append(high_pass_extra(recording))
         if on_seat is not False and (seat := seat_extra(simple.logs[1], level_known=level_known)):
@@ -154,15 +119,15 @@ def _fit_mode(
 
 
 def _eddy() -> Extra:
-    """Return what a coil with eddy currents adds to its lag under voltage drive."""
+    """Return a factor for the effect of eddy currents on the coil's lag under voltage drive."""
     corners = np.log([60.0, 200.0, 600.0])
     starts = tuple(-math.log(math.tau) - np.array([hz, hz - 0.2]) for hz in corners)
-    ends = -math.log(math.tau) - np.log([10e3, 5.0])
-    return Extra("eddy", EDDY, starts, np.full(2, ends[0]), np.full(2, ends[1]))
+    lowest, highest = (np.full(2, -math.log(math.tau * hz)) for hz in (10e3, 5.0))
+    return Extra("eddy", EDDY, starts, lowest, highest)
 
 
 def high_pass_extra(recording: Recording) -> Extra:
-    """Return another corner of the amplifier's high-pass than the one divided out."""
+    """Return a factor for an amplifier whose high-pass deviates from the rig's."""
     known, low = recording.high_pass_hz or 0.0, recording.sweep.low_hz
     starts = tuple(np.log([hz]) for hz in (0.3 * low, 0.7 * low, 0.1 * low, 1.5 * low))
     limits = np.log([LOWEST_CORNER * low]), np.log([4.0 * low])
@@ -170,14 +135,13 @@ def high_pass_extra(recording: Recording) -> Extra:
 
 
 _SAME_CORNER = 0.01
-LOWEST_CORNER = 0.02
-"""As a share of the sweep's lowest frequency: a lower corner is as good as none."""
+LOWEST_CORNER = 0.02  # relative to the sweep's lowest frequency; a lower corner is negligible
 
 
 def corner_of(found: Fit, extras: Sequence[Extra], first: int, known_hz: float) -> Estimate | None:
-    """Return the fitted corner, 0 if it is too low to be seen; None if it is the known one.
+    """Return the fitted high-pass corner in Hz: 0 if negligible, None if absent or near known_hz.
 
-    first: the number of parameters before those of the extras.
+    first: index in `found.logs` of the first parameter of `extras`.
     """
     for extra in extras:
         if extra.name == "high_pass":
@@ -192,19 +156,15 @@ def corner_of(found: Fit, extras: Sequence[Extra], first: int, known_hz: float) 
 
 
 def excursion_square(level_of_x_max: float, on_seat: bool) -> float:
-    """Return the largest square of the spring's excursion in Xmax.
-
-    On a seat the frame also moves, by m / M, which the mass alone does not show. Twice the square
-    covers any frame of at least 2.4 times the moving mass.
-    """
+    """Return an upper bound on the square of (excursion of the spring / Xmax)."""
+    # On a seat the frame moves. The factor 2 suffices if the frame weighs over 2.4 moving masses.
     return level_of_x_max**2 * (2.0 if on_seat else 1.0)
 
 
 def seat_extra(log_hz: float, *, level_known: bool) -> Extra | None:
-    """Return the seat of an actuator by its log f0; None if none fits below such a mode.
+    """Return the seat's factor for an actuator's log f0; None if no seat resonance fits below f0.
 
-    A seat's own mode must be damped and lie below that of the actuator. A hardening spring looks
-    like one, so it must explain far more than noise would, unless a known level tells them apart.
+    A hardening spring has a similar effect: a seat needs more evidence if the level is unknown.
     """
     own = log_hz - math.log(4.0)
     highest = np.array([log_hz - math.log(1.5), math.log(5.0)] * 2)
@@ -216,7 +176,7 @@ def seat_extra(log_hz: float, *, level_known: bool) -> Extra | None:
 
 
 def _starts(recording: Recording, factors: Sequence[Factor]) -> list[FloatArray]:
-    """Return a grid over the band and usual Q, each with its best sensitivity."""
+    """Return start values: a grid of f0 in the band and Q of 1 to 30, each with a sensitivity."""
     sweep, band = recording.sweep, recording.band
     f = recording.frequencies_hz[band]
     drive, measured = recording.reference_spectrum[band], recording.response_spectrum[band]
@@ -240,19 +200,6 @@ def _starts(recording: Recording, factors: Sequence[Factor]) -> list[FloatArray]
 
 
 def find_delay_s(f: FloatArray, turned: ComplexArray) -> float:
-    """Return the delay, s, that makes a cross-spectrum, (bins,), most positive."""
+    """Return the delay in s whose removal maximises the real part of a cross-spectrum's sum."""
     agreements = [np.sum(turned * np.exp(1j * math.tau * f * s)).real for s in _DELAYS_S]
     return float(_DELAYS_S[int(np.argmax(agreements))])
-
-
-def refuse_outside(recording: Recording, log_hz: float) -> None:
-    """Refuse a resonance, by log f0, outside the sweep or too close to its ends."""
-    sweep = recording.sweep
-    low, high = 1.1 * sweep.low_hz, 0.9 * sweep.high_hz
-    if log_hz <= math.log(low) or log_hz >= math.log(high):
-        end, to = ("lower", "start lower") if log_hz <= math.log(low) else ("upper", "go higher")
-        raise IdentificationError(
-            f"the resonance is outside the band, {low:.4g} to {high:.4g} Hz of a sweep from "
-            f"{sweep.low_hz:.4g} to {sweep.high_hz:.4g} Hz: it is beyond the {end} end; {to}, or "
-            "check which input it is"
-        )

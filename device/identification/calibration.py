@@ -1,8 +1,4 @@
-"""Calibration: sweeps at a quarter, half and all of a level, and everything that follows from them.
-
-A problem at a low level ends the calibration before anything gets loud. Whoever measures is a
-`Laboratory`; only what its channels can identify is given.
-"""
+"""Calibration: plays a sweep at a quarter, half and all of its level, and identifies the rig."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -11,8 +7,7 @@ from typing import Protocol
 import numpy as np
 
 from device.identification.acceleration import Mode, identify_mode
-from device.identification.drive import Drive, identify_drive
-from device.identification.impedance import Impedance, identify_impedance
+from device.identification.impedance import Drive, Impedance, identify_drive, identify_impedance
 from device.identification.mechanics import (
     Values,
     add_values,
@@ -21,9 +16,8 @@ from device.identification.mechanics import (
     solve_mechanics,
 )
 from device.identification.output_error import Estimate
-from device.identification.recording import PLAYED, IdentificationError, Recording
+from device.identification.recording import PLAYED, IdentificationError, Recording, Sweep
 from device.identification.simulated_laboratory import LARGEST_SHARE
-from device.identification.sweep import Sweep
 from device.identification.transfer import (
     Quality,
     assess_quality,
@@ -33,18 +27,16 @@ from device.identification.transfer import (
 from device.rig.parameters import DriveMode
 from device.rig.rig import MIN_CURRENT_DRIVE_RATIO, Rig, Source
 
-STEPS = (0.25, 0.5, 1.0)
-"""The levels in order, as shares of the wanted level."""
+STEPS = (0.25, 0.5, 1.0)  # successive levels, relative to the wanted level
 TOO_FAR = 1.1 * LARGEST_SHARE
-_UNEXPECTED = 1.3
-"""A response may grow by this factor more or less than the level."""
+_UNEXPECTED = 1.3  # largest ratio, or inverse ratio, of a response's growth to the level's growth
 
 
 class Laboratory(Protocol):
     """Plays a sweep and records the response."""
 
     def measure(self, sweep: Sweep, pairs: Sequence[tuple[str, str]]) -> list[Recording]:
-        """Return a recording per pair (reference, response), all of the same sweep."""
+        """Play once; return one recording for each pair (reference, response)."""
         ...
 
 
@@ -53,15 +45,19 @@ def play_steps(
     rig: Rig,
     sweep: Sweep,
     pairs: Sequence[tuple[str, str]],
-    tell: Callable[[float], None],
+    on_level: Callable[[float], None],
     *,
     scaled: bool,
 ) -> list[Recording]:
-    """Return the recordings of the last of STEPS, each of which predicts the next excursion."""
+    """Play the sweep at each of STEPS; return the recordings of the last step.
+
+    scaled: as for `calibrate`. IdentificationError: a recording is invalid, a response does not
+    grow like the level, or (if scaled) the next step would move the actuator too far.
+    """
     recordings: list[Recording] = []
     for step, after in zip(STEPS, (*STEPS[1:], STEPS[-1]), strict=True):
         louder = replace(sweep, level=step * sweep.level)
-        tell(louder.level)
+        on_level(louder.level)
         before, recordings = recordings, laboratory.measure(louder, pairs)
         for recording in recordings:
             check_recording(recording)
@@ -80,14 +76,13 @@ def play_steps(
 
 
 def _compare(quiet: Recording, loud: Recording) -> None:
-    """Refuse a response that does not grow with the level."""
     ratio = loud.sweep.level / quiet.sweep.level
     grown = float(np.std(loud.response) / np.std(quiet.response))
     if not ratio / _UNEXPECTED <= grown <= ratio * _UNEXPECTED:
         raise IdentificationError(
-            f"{loud.names[1]} grew by {grown:.3g} where the level grew by {ratio:.3g}: something "
-            "rattles, limits, or is not the rig that is described; stay below level "
-            f"{quiet.sweep.level:.3g}, and find out what it is"
+            f"{loud.names[1]} grew by {grown:.3g}, but the level by {ratio:.3g}: something rattles "
+            "or limits, or the rig's file describes another rig; find the reason, or stay below "
+            f"level {quiet.sweep.level:.3g}"
         )
 
 
@@ -98,39 +93,38 @@ ALL_PAIRS = (
     (PLAYED, "voltage"),
 )
 
+# parameters that are needed to compute f0 and Qms from the damped resonance
 COIL = ("force_factor_n_per_a", "resistance_ohm", "inductance_h", "moving_mass_kg")
-"""Parameters from which the mechanics follow from the damped mode."""
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """The result; values are None if the measurement does not show them."""
+    """The result of `calibrate`; a field is None if the measurement does not determine it."""
 
-    rig: Rig | None  # with the values; None if none can be written
+    rig: Rig | None  # with the identified values; None if no rig can be written
     values: Values
-    mode: Mode | None  # against the current
-    driven: Mode | None  # against the voltage or the played signal
+    mode: Mode | None  # from acceleration per current
+    driven: Mode | None  # from acceleration per voltage, or per "drive" (see `live.laboratory`)
     impedance: Impedance | None
-    sweep: Sweep  # the loudest
-    level_of_x_max: float | None = None  # largest excursion; None if acceleration has no scale
-    matched: bool = False  # the rig's f0 and Qms rely on its assumed coil, so they are no values
+    sweep: Sweep  # the loudest sweep
+    level_of_x_max: float | None = None  # largest excursion relative to Xmax; None if unknown
+    matched: bool = False  # f0 and Qms rely on the rig's assumed coil, so they are not in `values`
     why_not: str = ""  # why there is no rig
     qualities: tuple[Quality, ...] = ()  # of every recording
     drive: Drive | None = None  # from samples to volts at the coil
 
     @property
     def on_seat(self) -> bool:
-        """Whether a response needs a moving frame, first of all one without the coil's part."""
-        return next(
-            (found.on_seat for found in (self.mode, self.impedance, self.driven) if found), False
-        )
+        """Whether the actuator's frame moves, from `mode`, else `impedance`, else `driven`."""
+        shown = self.mode or self.impedance or self.driven
+        return shown is not None and shown.on_seat
 
 
 def calibrate(
     laboratory: Laboratory,
     rig: Rig,
     sweep: Sweep,
-    tell: Callable[[float], None] = lambda level: None,
+    on_level: Callable[[float], None] = lambda level: None,
     *,
     pairs: Sequence[tuple[str, str]] = ALL_PAIRS,
     scaled: bool = True,
@@ -138,13 +132,13 @@ def calibrate(
 ) -> Calibration:
     """Play the sweep at a quarter, half and all of its level, and identify the rig.
 
-    `tell` is called with each level before it is played. The laboratory can measure the pairs, of
-    ALL_PAIRS and ("drive", "acceleration"); with `scaled`, accelerations are in m/s^2. `weighed` is
-    the moving mass, kg, if it was weighed. What is unexpected ends it: nothing louder is played.
+    on_level: called with each level before it is played. pairs: pairs to measure, of ALL_PAIRS and
+    ("drive", "acceleration"). scaled: whether accelerations are in m/s^2. weighed: moving mass, kg;
+    None if not weighed. IdentificationError: a check fails; no higher level is then played.
     """
-    recordings = play_steps(laboratory, rig, sweep, pairs, tell, scaled=scaled)
+    recordings = play_steps(laboratory, rig, sweep, pairs, on_level, scaled=scaled)
     there = {recording.names: recording for recording in recordings}
-    mode = driven = impedance = level = None
+    mode = driven = impedance = level = drive = None
     x_max_m = rig.actuator.x_max_m if scaled else float("inf")
     if recording := there.get(("current", "acceleration")):
         mode = identify_mode(recording, x_max_m)
@@ -154,14 +148,10 @@ def calibrate(
         level = driven.level_of_x_max if scaled and level is None else level
     if recording := there.get(("voltage", "current")):
         impedance = identify_impedance(recording, level_of_x_max=level or 0.0, mode=mode)
-    drive = None
     if recording := there.get((PLAYED, "voltage")):
         drive = identify_drive(recording, rig, impedance)
-    found = Calibration(
-        None, {}, mode, driven, impedance, sweep, level,
-        qualities=tuple(assess_quality(recording) for recording in recordings),
-        drive=drive,
-    )  # fmt: skip
+    found = Calibration(None, {}, mode, driven, impedance, sweep, level, drive=drive)
+    found = replace(found, qualities=tuple(map(assess_quality, recordings)))
     if impedance is None and mode is None:
         found = _add_by_coil(found, rig, there)
     else:
@@ -172,19 +162,20 @@ def calibrate(
 def _add_direct(
     found: Calibration, rig: Rig, scaled: bool, weighed: Estimate | None
 ) -> Calibration:
-    """Add the values that the current shows, without values of the rig's file."""
+    """Add the values that need a recording of the current, but no parameters of the rig's file."""
     mode, impedance = found.mode, found.impedance
     values: Values = {}
+    if impedance is not None:
+        inductances = impedance.inductances(found.sweep.low_hz, found.sweep.high_hz)
+        values = {
+            "actuator.resonance_hz": impedance.f0_hz,
+            "actuator.q_mechanical": impedance.q_mechanical,
+            "actuator.resistance_ohm": impedance.resistance_ohm,
+            **{f"actuator.{name}": value for name, value in inductances.items()},
+        }
     if mode is not None:
         values |= {"actuator.resonance_hz": mode.f0_hz, "actuator.q_mechanical": mode.q}
-    elif impedance is not None:
-        values["actuator.resonance_hz"] = impedance.f0_hz
-        values["actuator.q_mechanical"] = impedance.q_mechanical
     if impedance is not None:
-        values["actuator.resistance_ohm"] = impedance.resistance_ohm
-        ends = found.sweep.low_hz, found.sweep.high_hz
-        for name, value in impedance.inductances(*ends).items():
-            values[f"actuator.{name}"] = value
         rig = _without_eddy(rig)
         if weighed is not None and not found.on_seat:
             values |= by_known_mass(impedance, weighed)
@@ -196,7 +187,7 @@ def _add_direct(
 def _add_by_coil(
     found: Calibration, rig: Rig, there: dict[tuple[str, str], Recording]
 ) -> Calibration:
-    """Add the values that acceleration alone shows; the mechanics need the rig's coil."""
+    """Add f0 and Qms from the acceleration, computed with the coil values of the rig's file."""
     assert found.driven is not None
     driving = rig
     if ("drive", "acceleration") in there:  # the amplifier's impedance reduces the damping
@@ -209,23 +200,20 @@ def _add_by_coil(
     assumed = [name for name in COIL if f"actuator.{name}" in rig.assumed()]
     if not assumed:
         return replace(found, rig=add_values(rig, values, _describe(found)), values=values)
-    driven = found.driven
-    words = (
-        f"with the assumed {', '.join(assumed)} it gives the mode that was identified, "
-        f"{driven.f0_hz.value:.2f} Hz with Q {driven.q.value:.2f}: {_describe(found)}"
-    )
-    return replace(found, rig=add_values(rig, values, words, assumed=True), matched=True)
+    shown = f"{found.driven.f0_hz.value:.2f} Hz with Q {found.driven.q.value:.2f}"
+    words = f"with the assumed {', '.join(assumed)} it gives the mode that was identified, {shown}"
+    rig = add_values(rig, values, f"{words}: {_describe(found)}", assumed=True)
+    return replace(found, rig=rig, matched=True)
 
 
 def _without_eddy(rig: Rig) -> Rig:
-    """Return the rig without what its file said of eddy currents."""
     plain = replace(rig.actuator, inductance_eddy_h=0.0, resistance_eddy_ohm=0.0)
     sources = tuple(s for s in rig.sources if not s.parameter.endswith(("eddy_h", "eddy_ohm")))
     return replace(rig, actuator=plain, sources=sources)
 
 
 def _add_drive(found: Calibration) -> Calibration:
-    """Add what the amplifier does, also if only the acceleration shows its high-pass."""
+    """Add the amplifier's values; without a measured voltage, at most the high-pass corner."""
     drive, rig, values = found.drive, found.rig, {}
     corner = next((c.high_pass_hz for c in (drive, found.driven) if c and c.high_pass_hz), None)
     if corner:
@@ -236,18 +224,15 @@ def _add_drive(found: Calibration) -> Calibration:
     if drive is not None:
         values["amplifier.gain"] = drive.volts.scaled(1.0 / rig.dac.full_scale_v)
         volts = drive.volts.value
+        words = f"only gain times this counts, {volts:.4g} V: {_describe(found)}"
         sources = tuple(
-            replace(
-                source,
-                kind="identified",
-                words=f"only gain times this counts, {volts:.4g} V: {_describe(found)}",
-            )
+            replace(source, kind="identified", words=words)
             if source.parameter == "dac.full_scale_v" and source.kind == "assumed"
             else source
             for source in rig.sources
         )
         if amplifier.output_limit_v < volts:
-            # No sweep is so loud that it clips; a limit that is too low hides excursion.
+            # The sweep did not clip, so the limit of the rig's file is too low.
             amplifier = replace(amplifier, output_limit_v=volts)
             words = "full scale without clipping: the sweep was too quiet to show a limit"
             sources = (

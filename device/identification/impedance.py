@@ -1,4 +1,7 @@
-"""The electrical side of a rig from its impedance: Re, coil, f0, Qms, Qes, with intervals."""
+"""Identifies parameters of actuator and amplifier from voltage and current, with 95 % intervals.
+
+Actuator: Re, inductance, f0, Qms, Qes, Bl^2 / m. Amplifier: gain, high-pass, source impedance.
+"""
 
 import itertools
 import math
@@ -13,43 +16,34 @@ from device.identification.acceleration import (
     HARDENING,
     Q_BY_LEVEL,
     Mode,
+    corner_of,
     excursion_square,
-    refuse_outside,
+    find_delay_s,
+    high_pass_extra,
     seat_extra,
-)
-from device.identification.coil_laws import (
-    DOUBLE,
-    LAWS,
-    MIXED,
-    PARALLEL,
-    PLAIN,
-    CoilLaw,
-    closest_parallel,
 )
 from device.identification.output_error import (
     Estimate,
+    Extra,
     Fit,
     Known,
-    check_converged,
-    check_misfit,
+    check_fit,
     fit,
+    fit_with_extras,
     penalty,
     require,
     unlimited,
 )
 from device.identification.recording import ComplexArray, IdentificationError, Recording
+from device.identification.responses import CoilLaw, closest_parallel
 from device.identification.transfer import check_recording
+from device.rig.rig import Rig
 from device.units import FloatArray
 
-WIDEST = {
-    "resistance_ohm": 0.05,
-    "f0_hz": 0.03,
-    "q_mechanical": 0.3,
-    "q_electrical": 0.3,
-}
-"""Half the widest accepted 95 % interval, as a share."""
-COIL_OHM = 0.3, 150.0
-"""Resistances of coils that an amplifier for loudspeakers drives, with room on both sides."""
+# Largest accepted half-width of a 95 % interval, relative to the value.
+WIDEST = {"resistance_ohm": 0.05, "f0_hz": 0.03, "q_mechanical": 0.3, "q_electrical": 0.3}
+WIDEST_VOLTS = 0.05
+COIL_OHM = 0.3, 150.0  # range of plausible coil resistances
 _ADVICE = (
     "its rise at the resonance is small against the noise: raise the level a little, make the "
     "sweep longer, or measure the acceleration"
@@ -58,32 +52,31 @@ _ADVICE = (
 
 @dataclass(frozen=True)
 class Impedance:
-    """What current for voltage at the coil shows; on a seat, f0 and m are those on it."""
+    """The actuator's electrical parameters; on a seat, f0 and Bl^2 / m include the seat."""
 
     resistance_ohm: Estimate
     f0_hz: Estimate  # with the coil open
     q_mechanical: Estimate
-    q_electrical: Estimate  # at the coil itself, without a source
+    q_electrical: Estimate  # of the coil itself, without a source impedance
     motional_ohm_rad_s: Estimate  # Bl^2 / m
-    on_seat: bool  # see `Mode`
+    on_seat: bool  # as in `Mode`
     law: CoilLaw
     fit: Fit
 
     def admittance(self, frequencies_hz: FloatArray) -> ComplexArray:
-        """Return current for voltage, (bins,), of the fitted model."""
+        """Return current per voltage, (bins,), of the fitted model."""
         return responses.admittance(frequencies_hz, self.fit.logs, self.law)[0]
 
     def inductances(self, low_hz: float, high_hz: float) -> dict[str, Estimate]:
-        """Return L, and L2 and R2 where there are eddy currents, by the rig's parameters.
+        """Return L of PLAIN, else L1, L2 and R2 of PARALLEL, by the names of the rig's parameters.
 
-        Other laws than L1 + (L2 || R2) are given as the closest of that kind between both
-        frequencies.
+        Other laws are approximated by PARALLEL between low_hz and high_hz.
         """
         first, last = 4, 4 + self.law.parameters
-        if self.law is PLAIN:
+        if self.law is responses.PLAIN:
             return {"inductance_h": self.fit.estimate({first: 1.0})}
         logs, covariance = self.fit.logs[first:last], self.fit.covariance[first:last, first:last]
-        if self.law is not PARALLEL:
+        if self.law is not responses.PARALLEL:
             logs, covariance = closest_parallel(self.law, logs, covariance, low_hz, high_hz)
         found = replace(self.fit, logs=logs, covariance=covariance)
         return {
@@ -93,28 +86,25 @@ class Impedance:
         }
 
 
+# Powers in Bl^2 / m = Res w0 / Qms, by index in `Fit.logs`. w0 = tau f0 adds the factor tau.
 MOTIONAL = {3: 1.0, 1: 1.0, 2: -1.0}
-"""Bl^2 / m = Res w0 / Qms as powers of the fit's parameters, times tau because w0 = tau f0."""
 
 
 def identify_impedance(
     recording: Recording, *, level_of_x_max: float = 0.0, mode: Mode | None = None
 ) -> Impedance:
-    """Return the electrical side from a recording of current for the coil's voltage.
+    """Return the electrical parameters. recording: of the coil's voltage (reference) and current.
 
-    The intervals of f0 and Q are extended down by the shift at level_of_x_max. mode: that of the
-    acceleration for the current, which the coil's law does not touch; None if it was not measured.
+    level_of_x_max: largest excursion relative to Xmax. f0 and Q rise with it, so their intervals
+    are extended down. mode: resonance in acceleration per current; None if not measured.
     """
     check_recording(recording)
     found, law, on_seat = _choose(recording, mode, level_of_x_max)
-    check_converged(recording, found)
-    refuse_outside(recording, found.logs[1])
-    check_misfit(
-        recording,
-        found,
-        "this is not a coil with one resonance; check what is connected, and that voltage and "
-        "current are not swapped",
+    advice = (
+        "this is not a coil with one resonance; check the connections, and that voltage and "
+        "current are not swapped"
     )
+    check_fit(recording, found, advice)
     ohm = math.exp(found.logs[0])
     if not COIL_OHM[0] <= ohm <= COIL_OHM[1]:
         raise IdentificationError(
@@ -140,33 +130,29 @@ def identify_impedance(
     return Impedance(**values, motional_ohm_rad_s=motional, on_seat=on_seat, law=law, fit=found)
 
 
+# Relative standard deviations of f0 and Qms from the values in `mode`, apart from noise.
 _SAME_F0, _SAME_Q = 1e-3, 5e-3
-"""Shares by which f0 and Qms may differ from those of the acceleration, besides noise: the level
-weighs differently on both. These are standard deviations."""
-
-
-_LEAST_EDDY = 3e-4
-"""A law that changes the admittance by less than this share, and what a hardening spring adds, is
-not taken for that of the coil."""
+_LEAST_EDDY = 3e-4  # a law other than PLAIN must change the admittance by this share
 
 
 def _choose(
     recording: Recording, mode: Mode | None, level_of_x_max: float
 ) -> tuple[Fit, CoilLaw, bool]:
-    """Return the fit with the best evidence, its law, and whether it has a seat."""
+    """Return the fit of least cost plus penalty, its law, and whether it includes a seat."""
     tried: list[tuple[bool, float, Fit, CoilLaw, bool]] = []
     known, near = None, None
     if mode:
         near = mode.fit.logs[1:3]
         noise = np.diag(mode.fit.covariance)[1:3]
         known = Known(1, near, np.sqrt(noise + np.array([_SAME_F0, _SAME_Q]) ** 2))
-    for law in LAWS:
-        if law in (MIXED, DOUBLE) and min(tried, key=lambda one: one[:2])[3] is PLAIN:
+    for law in responses.LAWS:
+        plain_is_best = tried and min(tried, key=lambda one: one[:2])[3] is responses.PLAIN
+        if plain_is_best and law in (responses.MIXED, responses.DOUBLE):
             break
         model = partial(responses.admittance, law=law)
         low, high = unlimited(4 + law.parameters)
         low[1], high[1] = np.log([0.8 * recording.sweep.low_hz, 1.2 * recording.sweep.high_hz])
-        low[4:], high[4:] = law.lowest, law.highest
+        low[4:], high[4:] = np.transpose(law.limits)
         found = fit(recording, model, _starts(recording, law, near), (low, high), known)
         near = found.logs[1:3] if near is None and found.converged else near
         price = penalty(law.parameters, found.bins)
@@ -178,10 +164,10 @@ def _choose(
             price += seat.doubt * penalty(seat.factor.parameters, found.bins)
             tried.append((not found.converged, found.cost + price, found, law, True))
     best = min(tried, key=lambda one: one[:2])
-    plain = min((one for one in tried if one[3] is PLAIN), key=lambda one: one[:2])
+    plain = min((one for one in tried if one[3] is responses.PLAIN), key=lambda one: one[:2])
     f = recording.frequencies_hz[recording.band]
     least = _LEAST_EDDY + HARDENING * level_of_x_max**2
-    if not plain[0]:  # without noise, also what no coil has would be evidence
+    if not plain[0]:  # without noise, any difference between two laws would count as evidence
         shown, simple = (responses.admittance(f, one[2].logs, one[3])[0] for one in (best, plain))
         best = plain if np.abs(simple / shown - 1.0).max() < least else best
     _, _, found, law, seated = best
@@ -189,10 +175,7 @@ def _choose(
 
 
 def _starts(recording: Recording, law: CoilLaw, near: FloatArray | None) -> list[FloatArray]:
-    """Return a grid of f0, Qms and the law's shape; the rest follows by linear least squares.
-
-    near: the logs of f0 and Qms, if the acceleration or a simpler law has shown them.
-    """
+    """Return start values of all parameters. near: logs of f0 and Qms from another fit."""
     sweep, band = recording.sweep, recording.band
     f = recording.frequencies_hz[band]
     drive, current = recording.reference_spectrum[band], recording.response_spectrum[band]
@@ -213,9 +196,61 @@ def _starts(recording: Recording, law: CoilLaw, near: FloatArray | None) -> list
         re = max(solved[0], 1e-3)
         rise = max(solved[1], 1e-3 * re)
         amplitudes = np.maximum(solved[2:], 1e-6 * re)
-        starts.append(
-            np.concatenate(
-                [[math.log(re), log_hz, log_q, math.log(rise)], np.log(amplitudes), shape]
-            )
-        )
+        first = [math.log(re), log_hz, log_q, math.log(rise)]
+        starts.append(np.concatenate([first, np.log(amplitudes), shape]))
     return starts
+
+
+LEAST_SOURCE = 1e-3  # a source impedance below this share of the coil's resistance is negligible
+
+
+@dataclass(frozen=True)
+class Drive:
+    """The amplifier's values, identified from the played signal and the coil's voltage."""
+
+    volts: Estimate  # open-circuit peak for a sample of 1.0
+    high_pass_hz: Estimate | None  # None: as in the rig
+    source_ohm: Estimate | None  # None: as in the rig
+
+
+def identify_drive(recording: Recording, rig: Rig, impedance: Impedance | None) -> Drive:
+    """Return the amplifier's values. recording: of played signal (reference) and coil voltage.
+
+    `recording.correction` must contain the frequency response of the rig's amplifier. impedance:
+    None if the current was not measured.
+    """
+    f = recording.frequencies_hz[recording.band][recording.usable]
+    factors = [responses.GAIN, *([responses.DELAY] if recording.delayed else [])]
+    extras = [high_pass_extra(recording)]
+    if impedance:
+        r = impedance.resistance_ohm.value
+        starts = tuple(np.log([share * r]) for share in (0.03, 0.3, 3.0, 30.0))
+        ends = np.log([1e-3 * r]), np.log([1e4 * r])
+        extras.append(Extra("source", responses.load(impedance.admittance(f)), starts, *ends))
+    found, chosen, _ = fit_with_extras(recording, factors, [_drive_start(recording)], extras)
+    advice = (
+        "this is not an amplifier with one high-pass; switch off equalisers, and check the inputs"
+    )
+    check_fit(recording, found, advice, resonance=False)
+    volts, source = found.estimate({0: 1.0}), None
+    names = [extra.name for extra in chosen]
+    if impedance and "source" in names:  # each of the extras has one parameter
+        source = found.estimate({len(factors) + names.index("source"): 1.0})
+        if source.value < LEAST_SOURCE * impedance.resistance_ohm.value:
+            source = None
+    if source is None:
+        volts = volts.scaled(1.0 + rig.amplifier.source_impedance_ohm / rig.actuator.resistance_ohm)
+    require("volts per full scale", volts, WIDEST_VOLTS, "raise the level a little")
+    corner = corner_of(found, chosen, len(factors), recording.high_pass_hz or 0.0)
+    return Drive(volts, corner, source)
+
+
+def _drive_start(recording: Recording) -> FloatArray:
+    """Return the logarithm of the gain and, if `recording.delayed`, the delay in ms."""
+    band = recording.band
+    played, measured = recording.reference_spectrum[band], recording.response_spectrum[band]
+    start = [math.log(float(np.linalg.norm(measured) / np.linalg.norm(played)))]
+    if recording.delayed:
+        delay_s = find_delay_s(recording.frequencies_hz[band], played.conj() * measured)
+        start.append(delay_s / responses.DELAY_S)
+    return np.array(start)

@@ -1,11 +1,8 @@
-"""Moving mass, Bl, f0 and Qms, from several measurements or with what the rig's file states.
+"""Moving mass, Bl, f0 and Qms, from several measurements or with values of the rig's file.
 
-Under voltage drive the mode's poles solve (s^2 + s w0 / Qms + w0^2) Z + s Bl^2 / m = 0, where Z
-is the coil's impedance at rest.
-The impedance alone gives Bl^2 / m only (Thiele, Small).
+Under voltage drive the resonance's poles solve (s^2 + s w0 / Qms + w0^2) Z + s Bl^2 / m = 0. Z is
+the impedance of the coil at rest. An impedance measurement gives only Bl^2 / m (Thiele, Small).
 """
-
-from __future__ import annotations
 
 import json
 import math
@@ -29,55 +26,48 @@ from device.identification.recording import IdentificationError
 from device.rig.rig import Rig, Source
 from device.units import FloatArray
 
-Values = dict[str, Estimate]
-"""By parameter of the rig, such as "actuator.resonance_hz"."""
+Values = dict[str, Estimate]  # by parameter, such as "actuator.resonance_hz"
 
 
 def add_values(rig: Rig, values: Values, words: str, *, assumed: bool = False) -> Rig:
-    """Return the rig with identified values; the words name the sweep and its level.
-
-    Values that rely on assumed ones stay "assumed" and have no interval.
-    """
-    known = tuple(
-        Source(name, "assumed", words)
-        if assumed
-        else Source(name, "identified", words, estimate.interval)
-        for name, estimate in values.items()
-    )
-    others = tuple(source for source in rig.sources if source.parameter not in values)
+    """Return the rig with these values. words: their source. assumed: whether they are assumed."""
+    sources = [source for source in rig.sources if source.parameter not in values]
     found: dict[str, dict[str, float]] = {}
     for parameter, estimate in values.items():
+        sources.append(
+            Source(parameter, "assumed", words)
+            if assumed
+            else Source(parameter, "identified", words, estimate.interval)
+        )
         stage, name = parameter.split(".")
         found.setdefault(stage, {})[name] = estimate.value
     stages = {name: replace(getattr(rig, name), **new) for name, new in found.items()}
-    return replace(rig, **stages, sources=others + known)
+    return replace(rig, **stages, sources=tuple(sources))
 
 
 def format_rig(rig: Rig) -> str:
-    """Return the rig as TOML for `read_rig`, with every source."""
+    """Return the rig as TOML for `read_rig`, with the known sources of its values."""
     sources = {source.parameter: source for source in rig.sources}
     lines = [f"name = {json.dumps(rig.name)}"]
     for stage, parameters in rig.stages().items():
         lines += ["", f"[{stage}]"]
         for field in fields(parameters):
             plain = getattr(parameters, field.name)
-            value = _toml(plain)
-            if plain == field.default and f"{stage}.{field.name}" not in sources:
-                continue
-            if source := sources.get(f"{stage}.{field.name}"):
-                interval = ""
+            value, source = _toml(plain), sources.get(f"{stage}.{field.name}")
+            if source:
+                words = f"{source.kind} = {json.dumps(source.words)}"
                 if source.interval:
                     low, high = source.interval
-                    interval = f", interval = [{_toml(low)}, {_toml(high)}]"
-                value = (
-                    f"{{ value = {value}, {source.kind} = {json.dumps(source.words)}{interval} }}"
-                )
+                    words += f", interval = [{_toml(low)}, {_toml(high)}]"
+                value = f"{{ value = {value}, {words} }}"
+            elif plain == field.default:
+                continue
             lines.append(f"{field.name} = {value}")
     return "\n".join(lines) + "\n"
 
 
 def write_rig(rig: Rig, path: str | Path) -> None:
-    """Write the rig's file atomically; see `write_bytes_atomically` for errors."""
+    """Write the rig's file atomically; errors as in `write_bytes_atomically`."""
     write_bytes_atomically(path, format_rig(rig).encode())
 
 
@@ -91,27 +81,24 @@ _STEP = 1e-5
 
 
 def solve_mechanics(mode: Mode, rig: Rig) -> Values:
-    """Return f0 and Qms, with the coil open, that explain a mode for the voltage at the coil.
+    """Return f0 and Qms for an open coil, from a `Mode` of acceleration per coil voltage.
 
-    The intervals assume that the rest of the rig is exact.
+    The intervals assume that the other parameters of the rig are exact.
     """
     centre = mode.fit.logs[1:3]
     logs = _solve_logs(centre, rig)
-    columns = [
-        (_solve_logs(centre + shift, rig) - _solve_logs(centre - shift, rig)) / (2.0 * _STEP)
-        for shift in _STEP * np.eye(2)
+    shifts = _STEP * np.eye(2)
+    rises = [
+        _solve_logs(centre + shift, rig) - _solve_logs(centre - shift, rig) for shift in shifts
     ]
-    slopes = np.column_stack(columns)
+    slopes = np.column_stack(rises) / (2.0 * _STEP)
     covariance = slopes @ mode.fit.covariance[1:3, 1:3] @ slopes.T
-    reach = 1.96 * np.sqrt(np.diag(covariance))
-    f0, q = (
-        Estimate(math.exp(log), math.exp(log - r), math.exp(log + r))
-        for log, r in zip(logs, np.minimum(reach, 50.0), strict=True)
-    )
+    reach = np.minimum(1.96 * np.sqrt(np.diag(covariance)), 50.0)
+    f0, q = (Estimate(*one) for one in np.exp([logs, logs - reach, logs + reach]).T.tolist())
     share = excursion_square(mode.level_of_x_max, mode.on_seat)
     require("f0_hz", f0, WIDEST_F0, "measure the current as well")
     require("q_mechanical", q, 2.0 * WIDEST_Q, "measure the current as well")
-    # Qms is Q without the electrical damping, so the effect of the level grows alike.
+    # Qms excludes the electrical damping, so the relative effect of the level is larger.
     extent = Q_BY_LEVEL * share * max(1.0, float(np.abs(slopes[1]).max()))
     return {
         "actuator.resonance_hz": f0.extend_down(F0_BY_LEVEL * share),
@@ -120,7 +107,7 @@ def solve_mechanics(mode: Mode, rig: Rig) -> Values:
 
 
 def _solve_logs(logs: FloatArray, rig: Rig) -> FloatArray:
-    """Return the logs of f0 and Qms for the logs of the mode's frequency and Q."""
+    """Return the logs of f0 and Qms. logs: logs of f0 and Q under voltage drive."""
     a = rig.actuator
     w, q = math.tau * math.exp(logs[0]), math.exp(logs[1])
     real = -w / (2.0 * q)
@@ -147,26 +134,24 @@ WIDEST_MASS, WIDEST_BL = 0.2, 0.2
 
 
 def by_known_mass(impedance: Impedance, mass: Estimate) -> Values:
-    """Return Bl for a moving mass, kg, that was weighed, and the mass."""
+    """Return the weighed moving mass, kg, and Bl, computed from the impedance and this mass."""
     half = {index: 0.5 * power for index, power in MOTIONAL.items()}
     alone = multiply_powers([(impedance.fit, half)], math.sqrt(math.tau * mass.value))
-    share = mass.relative / 1.96
-    spread = math.hypot(math.log(alone.high / alone.value), 0.5 * 1.96 * share)
+    spread = math.hypot(math.log(alone.high / alone.value), 0.5 * mass.relative)
     low, high = alone.value * math.exp(-spread), alone.value * math.exp(spread)
     return _checked(Estimate(alone.value, low, high), mass, "weigh the mass again")
 
 
 def by_acceleration(impedance: Impedance, mode: Mode) -> Values:
-    """Return Bl and m from the impedance (Bl^2 / m) and acceleration for current (Bl / m).
+    """Return Bl and m from the impedance (Bl^2 / m) and acceleration per current (Bl / m).
 
-    Both must be on solid ground: on a seat the coil feels the frame move, and the accelerometer
-    does not.
+    Both must be measured on solid ground, because a moving frame would change only the impedance.
     """
     force_factor, mass = (
         multiply_powers([(impedance.fit, MOTIONAL), (mode.fit, {0: power})], math.tau)
         for power in (-1.0, -2.0)
     )
-    return _checked(force_factor, mass, "fasten the accelerometer to what moves and sweep again")
+    return _checked(force_factor, mass, "fasten the accelerometer to the moving part")
 
 
 def _checked(force_factor: Estimate, mass: Estimate, advice: str) -> Values:

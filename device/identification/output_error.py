@@ -1,8 +1,8 @@
-"""Output-error fits: the model's answer to the measured drive against the measured response.
+"""Output-error fits: minimise the difference between the response and its model.
 
-Ljung, "System Identification", 2nd ed. 1999, chapter 7: for noise on the response alone, weighted
-by its spectrum, this is the maximum-likelihood estimate. The bins of a whole recording, silence to
-silence, are independent.
+If only the response is noisy, weighting by the inverse noise spectrum gives the maximum-likelihood
+estimate (Ljung, "System Identification", 2nd ed. 1999, chapter 7). A recording begins and ends with
+silence, so its frequency bins are treated as independent.
 """
 
 import math
@@ -12,12 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
-from device.identification.recording import (
-    ComplexArray,
-    IdentificationError,
-    Recording,
-    box_mean,
-)
+from device.identification.recording import ComplexArray, IdentificationError, Recording, box_mean
 from device.identification.responses import Factor, Response, product
 from device.units import FloatArray
 
@@ -25,14 +20,10 @@ Model = Callable[[FloatArray, FloatArray], Response]
 
 MOST_MISFIT = 0.1
 _NORMAL_95 = 1.959964
-_WEIGHTINGS = 4
-"""The fit needs the noise's spectrum, which follows from a fit: both alternate this often."""
+_WEIGHTINGS = 4  # number of repeated fits, each with the noise spectrum of the fit before
 _SMOOTH_BINS = 101
-_LEFT_OUT = 1e-4
-"""Standard deviation of each parameter without any noise: what resampling, converters and a level
-above 0 leave."""
-_FAR = 25.0
-"""The bound of all logarithms; it keeps exponentials finite."""
+_LEFT_OUT = 1e-4  # standard deviation that resampling and converters add to each parameter
+_FAR = 25.0  # largest magnitude of a logarithm; it keeps exponentials finite
 
 
 @dataclass(frozen=True)
@@ -45,16 +36,16 @@ class Estimate:
 
     @property
     def relative(self) -> float:
-        """Half the interval as a share of the value."""
+        """Half the width of the interval, relative to the value."""
         return 0.5 * (self.high - self.low) / abs(self.value) if self.value else math.inf
 
     @property
     def interval(self) -> tuple[float, float]:
-        """low and high."""
+        """The ends of the interval."""
         return self.low, self.high
 
     def scaled(self, factor: float) -> "Estimate":
-        """Return it in another unit."""
+        """Return the estimate times a factor."""
         return Estimate(factor * self.value, factor * self.low, factor * self.high)
 
     def extend_down(self, share: float) -> "Estimate":
@@ -62,7 +53,7 @@ class Estimate:
         return Estimate(self.value, self.low - share * self.value, self.high)
 
     def widen(self, share: float) -> "Estimate":
-        """Return the estimate with an independent error, a share of the value, in its interval."""
+        """Return the estimate with an interval widened by an independent relative error `share`."""
         more = share * self.value
         low = self.value - math.hypot(self.value - self.low, more)
         return Estimate(self.value, low, self.value + math.hypot(self.high - self.value, more))
@@ -70,32 +61,29 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Fit:
-    """The result of a fit."""
+    """The parameters of a fitted response."""
 
-    logs: FloatArray  # logarithms of the parameters, (parameters,)
-    covariance: FloatArray  # of the logarithms
-    misfit: float  # r.m.s. of the residual beyond noise, as a share of the response's r.m.s.
-    cost: float  # the negative logarithm of the likelihood
+    logs: FloatArray  # parameters as in `responses`: logarithms or delays, (parameters,)
+    covariance: FloatArray  # of `logs`
+    misfit: float  # r.m.s. of the residual beyond noise, relative to the response's r.m.s.
+    cost: float  # negative log-likelihood
     bins: int
     converged: bool = True
 
     def estimate(self, weights: dict[int, float], factor: float = 1.0) -> Estimate:
-        """Return factor times the product of parameters to some powers, {index: power}."""
+        """Return factor times a product of powers of parameters. weights: {index: power}."""
         return multiply_powers([(self, weights)], factor)
 
 
 def multiply_powers(parts: Sequence[tuple[Fit, dict[int, float]]], factor: float = 1.0) -> Estimate:
-    """Return factor times a product of powers of parameters, of one or several independent fits.
-
-    Powers are linear in logarithms, so the interval follows without linearisation.
-    """
+    """Return factor times a product of powers. parts: independent fits with {index: power} each."""
     log, variance = math.log(factor), 0.0
     for fit, powers in parts:
         row = np.zeros(len(fit.logs))
-        for index, power in powers.items():
-            row[index] = power
+        row[list(powers)] = list(powers.values())
         log += float(row @ fit.logs)
         variance += float(row @ fit.covariance @ row)
+    # Powers are linear in the logarithms, so no linearisation is needed.
     reach = _NORMAL_95 * math.sqrt(variance) if variance >= 0.0 else math.inf
     if reach > 5.0:
         return Estimate(math.exp(log), 0.0, math.inf)
@@ -104,21 +92,20 @@ def multiply_powers(parts: Sequence[tuple[Fit, dict[int, float]]], factor: float
 
 @dataclass(frozen=True)
 class Known:
-    """What another measurement says of the first parameters of a model from `first` on."""
+    """Parameters of a model, from index `first` on, known from another measurement."""
 
     first: int
     logs: FloatArray
-    deviation: FloatArray  # standard deviation of each
+    deviation: FloatArray  # standard deviation of each parameter
 
     def misses(self, p: FloatArray) -> FloatArray:
-        """Return by how many standard deviations the parameters differ."""
+        """Return the deviations of p from the known values, in standard deviations."""
         return (p[self.first : self.first + len(self.logs)] - self.logs) / self.deviation
 
     def slopes(self, parameters: int) -> FloatArray:
         """Return the derivatives of `misses`."""
-        rows = np.zeros((len(self.logs), parameters))
-        rows[:, self.first : self.first + len(self.logs)] = np.diag(1.0 / self.deviation)
-        return rows
+        after = parameters - self.first - len(self.logs)
+        return np.pad(np.diag(1.0 / self.deviation), ((0, 0), (self.first, after)))
 
 
 def fit(
@@ -128,10 +115,10 @@ def fit(
     limits: tuple[FloatArray, FloatArray] | None = None,
     known: Known | None = None,
 ) -> Fit:
-    """Return the parameters of a model that explain a checked recording best.
+    """Fit the parameters of a model to a recording that `check_recording` has accepted.
 
-    Of the starts, the best two are followed. The limits are the lowest and highest logarithms; a
-    parameter at a limit is fixed and has no variance. Only a converged fit has meaning.
+    The fit starts from the best two of `starts`. limits: lowest and highest parameters. A parameter
+    that ends at a limit gets the variance 0. Only a converged fit is valid.
     """
     low, high = limits or unlimited(len(starts[0]))
     band, usable = recording.band, recording.usable
@@ -143,7 +130,7 @@ def fit(
     def left(p: FloatArray) -> ComplexArray:
         return np.asarray((measured - model(f, p)[0] * drive) / deviation)
 
-    # Real and imaginary part of a residual have a variance of a half each.
+    # The real and the imaginary part of a residual each have half of its variance.
     def stacked(p: FloatArray) -> FloatArray:
         e = left(p)
         more = [known.misses(p) / math.sqrt(2.0)] if known else []
@@ -166,15 +153,14 @@ def fit(
         return float(found.cost), np.asarray(found.x), bool(found.success) and not lost
 
     ranked = sorted(starts, key=lambda start: float(np.sum(np.abs(left(start)) ** 2)))
-    tried = [solved(start) for start in ranked[:2]]
-    logs = min(tried, key=lambda one: one[0])[1]
-    converged = False
+    _, logs, converged = min(map(solved, ranked[:2]), key=lambda one: one[0])
     for _ in range(_WEIGHTINGS):
-        deviation = deviation * np.sqrt(_smooth(np.abs(left(logs)) ** 2))
+        power = box_mean(np.abs(left(logs)) ** 2, min(_SMOOTH_BINS, len(f)))
+        deviation = deviation * np.sqrt(np.maximum(power, 1e-12 * float(power.max()) + 1e-300))
         _, logs, converged = solved(logs)
     e = left(logs)
     slopes = measured_slopes(logs)
-    # Neighbouring bins correlate where the model cannot follow; those of noise are independent.
+    # Model errors correlate neighbouring bins; the noise of neighbouring bins is independent.
     turned = e * np.exp(-1j * np.angle(drive))
     correlation = float(np.real(np.vdot(turned[1:], turned[:-1])) / np.sum(np.abs(turned) ** 2))
     held = max(0.0, min(correlation, 0.98))
@@ -188,8 +174,8 @@ def fit(
         information[np.ix_(free, free)], rcond=1e-14, hermitian=True
     )
     covariance[free, free] += _LEFT_OUT**2
-    power = float(np.sum(np.abs(measured) ** 2))
-    misfit = math.sqrt(held * float(np.sum(np.abs(e * deviation) ** 2)) / power)
+    whole = float(np.sum(np.abs(measured) ** 2))
+    misfit = math.sqrt(held * float(np.sum(np.abs(e * deviation) ** 2)) / whole)
     likelihood = float(np.sum(np.log(deviation**2))) + float(np.sum(np.abs(e) ** 2))
     if known:
         likelihood += 0.5 * float(np.sum(known.misses(logs) ** 2))
@@ -197,22 +183,28 @@ def fit(
 
 
 def unlimited(parameters: int) -> tuple[FloatArray, FloatArray]:
-    """Return limits that only keep exponentials finite."""
+    """Return wide limits, which only keep exponentials finite."""
     return np.full(parameters, -_FAR), np.full(parameters, _FAR)
 
 
-def check_converged(recording: Recording, found: Fit) -> None:
-    """Refuse a fit that did not converge."""
+def check_fit(recording: Recording, found: Fit, advice: str, *, resonance: bool = True) -> None:
+    """Raise IdentificationError for a poor fit. resonance: whether f0 must be in the swept band."""
     if not found.converged:
         raise IdentificationError(
             f"the fit of {recording.names[1]} for {recording.names[0]} does not converge: its "
-            "response is not that of one resonance; check that these channels are not swapped or "
-            "others, fasten what rattles, and sweep around the resonance"
+            "response is not that of one resonance; check the inputs, fasten loose parts, and "
+            "sweep around the resonance"
         )
-
-
-def check_misfit(recording: Recording, found: Fit, advice: str) -> None:
-    """Refuse a fit that leaves too much of the response unexplained."""
+    sweep = recording.sweep
+    low, high = 1.1 * sweep.low_hz, 0.9 * sweep.high_hz
+    if resonance and not math.log(low) < found.logs[1] < math.log(high):
+        below = found.logs[1] <= math.log(low)
+        end, to = ("lower", "start lower") if below else ("upper", "go higher")
+        raise IdentificationError(
+            f"the resonance is outside the band, {low:.4g} to {high:.4g} Hz of a sweep from "
+            f"{sweep.low_hz:.4g} to {sweep.high_hz:.4g} Hz: it is beyond the {end} end; {to}, or "
+            "check the inputs"
+        )
     if found.misfit > MOST_MISFIT:
         raise IdentificationError(
             f"the fit leaves {100 * found.misfit:.0f} % of the {recording.names[1]} unexplained, "
@@ -222,18 +214,18 @@ def check_misfit(recording: Recording, found: Fit, advice: str) -> None:
 
 @dataclass(frozen=True)
 class Extra:
-    """Something a response may contain beyond the simple model."""
+    """An optional factor of a response beyond the simple model."""
 
     name: str
     factor: Factor
-    starts: tuple[FloatArray, ...]  # of its parameters
+    starts: tuple[FloatArray, ...]  # start values of its parameters
     lowest: FloatArray
     highest: FloatArray
-    doubt: float = 1.0  # how much more it must explain than Schwarz's criterion asks
+    doubt: float = 1.0  # factor on `penalty`
 
 
 def penalty(parameters: int, bins: int) -> float:
-    """Return by how much more parameters must lower the cost (Schwarz 1978)."""
+    """Return the decrease of cost that justifies this number of added parameters (Schwarz 1978)."""
     return 0.5 * parameters * math.log(2 * bins)
 
 
@@ -242,16 +234,11 @@ def fit_with_extras(
     factors: Sequence[Factor],
     starts: Sequence[FloatArray],
     extras: Sequence[Extra],
-    limits: tuple[FloatArray, FloatArray] | None = None,
 ) -> tuple[Fit, tuple[Extra, ...], float]:
-    """Return the fit, those of the extras that the evidence asks for, and its cost with penalties.
-
-    The extra that explains most comes first. Their parameters follow those of the factors in the
-    order of the second result.
-    """
-    found = fit(recording, product(*factors), starts, limits)
+    """Return the fit with the least cost plus penalties, its extras, and this sum."""
+    found = fit(recording, product(*factors), starts)
     chosen: tuple[Extra, ...] = ()
-    low, high = limits or unlimited(len(found.logs))
+    low, high = unlimited(len(found.logs))
     left = list(extras)
     paid = 0.0
     while left:
@@ -275,15 +262,10 @@ def fit_with_extras(
 
 
 def require(name: str, estimate: Estimate, relative: float, advice: str) -> None:
-    """Refuse an interval that is too wide."""
+    """Raise IdentificationError if an estimate's interval is wider than ±`relative`."""
     width = estimate.relative if math.isfinite(estimate.high) else math.inf
     if not width <= relative:
         raise IdentificationError(
             f"{name} is not identified: its interval of 95 % is ±{100 * width:.3g} %, at most "
             f"±{100 * relative:.3g} % is allowed; {advice}"
         )
-
-
-def _smooth(power: FloatArray) -> FloatArray:
-    mean = box_mean(power, min(_SMOOTH_BINS, len(power)))
-    return np.asarray(np.maximum(mean, 1e-12 * float(mean.max()) + 1e-300))

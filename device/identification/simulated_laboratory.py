@@ -1,4 +1,4 @@
-"""A laboratory that plays sweeps to the simulated rig and reads its instruments."""
+"""A laboratory that plays sweeps on the simulated rig and reads its instruments."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -7,81 +7,64 @@ from dataclasses import replace
 import numpy as np
 
 from device.errors import UsageError
-from device.identification.recording import PLAYED, Recording
-from device.identification.sweep import Sweep
+from device.identification.recording import PLAYED, Recording, Sweep
 from device.rig.actuator import Motion
 from device.rig.adaptive_actuator import AdaptiveActuator
-from device.rig.electronics import Amplifier, Band, Dac
-from device.rig.instruments import Daq, InstrumentChain
-from device.rig.model_levels import ModelLevel
-from device.rig.parameters import AmplifierParameters, DaqParameters
+from device.rig.electronics import Amplifier, Band, Dac, Daq, InstrumentChain
+from device.rig.parameters import AmplifierParameters, DaqParameters, Model
 from device.rig.rig import Rig
 from device.units import FloatArray
 
-LARGEST_SHARE = 0.15
-"""Largest excursion as a share of Xmax. Beyond it, the hardening spring shifts f0 too much."""
+LARGEST_SHARE = 0.15  # largest excursion / Xmax; a larger one shifts f0: the spring hardens
 USUAL_SHARE = 0.05
 
 
 class SimulatedLaboratory:
-    """One rig with its instruments; every run begins at rest. One thread uses it.
-
-    snr_db sets noise that is added to each response, in the whole recorded band, relative to it
-    during the sweep. move(volts, samplerate) takes the place of the rig's own models, for coils
-    that these do not describe.
-    """
+    """A simulated `Laboratory`. snr_db: of acceleration and current. move: actuator simulation."""
 
     def __init__(
         self,
         rig: Rig,
         *,
         seat: bool = False,
-        level: ModelLevel = ModelLevel.NONLINEAR,
+        model: Model = "nonlinear",
         snr_db: float = math.inf,
         seed: int = 0,
         move: Callable[[FloatArray, float], Motion] | None = None,
     ) -> None:
         self.rig, self._move = rig, move
-        self._seat, self._level, self._snr_db, self._seed = seat, level, snr_db, seed
-        InstrumentChain(rig, 48_000)  # refuses a rig without instruments
+        self._seat, self._model, self._snr_db, self._seed = seat, model, snr_db, seed
+        InstrumentChain(rig, 48_000)  # raises UsageError for a rig without instruments
 
     def sweep_at_excursion(self, sweep: Sweep, share: float = USUAL_SHARE) -> Sweep:
-        """Return the sweep at the level of that share of Xmax; see `sweep_at_excursion`."""
+        """Return the sweep at the level, at most 1, for a peak excursion of share * Xmax."""
         return sweep_at_excursion(self.rig, sweep, share, seat=self._seat)
 
     def measure(self, sweep: Sweep, pairs: Sequence[tuple[str, str]]) -> list[Recording]:
-        """Return a recording per pair (reference, response), all of the same sweep.
-
-        Each is of "voltage" (at the coil's terminals), "current", "acceleration" or PLAYED.
-        """
+        """Return a recording for each pair (reference, response), as in `calibration.ALL_PAIRS`."""
         rate = sweep.samplerate
         amplifier = self.rig.amplifier
         drive = Amplifier(amplifier, rate).drive(Dac(self.rig.dac).volts(sweep.samples()))
         if self._move:
             motion = self._move(drive, rate)
         else:
-            adaptive = AdaptiveActuator(self.rig, rate, level=self._level, seat=self._seat)
+            adaptive = AdaptiveActuator(self.rig, rate, model=self._model, seat=self._seat)
             motion = adaptive.move(drive, ["acceleration_m_s2", "current_a"])
         voltage = drive - amplifier.source_impedance_ohm * motion.current_a
 
         chain = InstrumentChain(self.rig, rate, self._seed)
         daq = self.rig.daq
-        assert daq is not None  # the chain has refused such a rig
+        assert daq is not None  # the constructor has refused a rig without DAQ
         current_range = min(
             amplifier.current_limit_a, amplifier.output_limit_v / self.rig.actuator.resistance_ohm
         )
-        acceleration, current = (
-            self._add_noise(sweep, signal, np.random.default_rng(seed))
-            for signal, seed in zip(
-                (motion.acceleration_m_s2, motion.current_a),
-                np.random.SeedSequence(self._seed).spawn(2),
-                strict=True,
-            )
-        )
+        first, second = np.random.SeedSequence(self._seed).spawn(2)
+        acceleration = self._add_noise(sweep, motion.acceleration_m_s2, first)
+        current = self._add_noise(sweep, motion.current_a, second)
         read = {
             "acceleration": chain.acceleration_m_s2(acceleration),
             "current": _read_scaled(daq, current_range, rate, self._seed + 2, current),
-            # The reference is a divider's volts: loud, without the noise of the others.
+            # the voltage is large, so the added noise is omitted
             "voltage": _read_scaled(daq, amplifier.output_limit_v, rate, self._seed + 3, voltage),
             PLAYED: sweep.samples(),
         }
@@ -93,10 +76,10 @@ class SimulatedLaboratory:
             PLAYED: math.inf,
         }
         recordings = []
-        for pair in pairs:
-            reference, response = pair
+        for reference, response in pairs:
             ends = limits[reference], limits[response]
-            found = Recording(sweep, read[reference], read[response], pair, ends)
+            names = reference, response
+            found = Recording(sweep, read[reference], read[response], names, ends)
             if response == "acceleration":
                 found = replace(found, correction=chain.band.response(found.frequencies_hz))
             if reference == PLAYED:
@@ -105,33 +88,34 @@ class SimulatedLaboratory:
         return recordings
 
     def _add_noise(
-        self, sweep: Sweep, signal: FloatArray, random: np.random.Generator
+        self, sweep: Sweep, signal: FloatArray, seed: np.random.SeedSequence
     ) -> FloatArray:
         if math.isinf(self._snr_db):
             return signal
         sounding = signal[sweep.lead_frames : len(signal) - round(sweep.tail_s * sweep.samplerate)]
         rms = float(np.sqrt(np.mean(sounding**2))) * 10.0 ** (-self._snr_db / 20.0)
-        return np.asarray(signal + rms * random.standard_normal(len(signal)))
+        noise = np.random.default_rng(seed).standard_normal(len(signal))
+        return np.asarray(signal + rms * noise)
 
 
 def through_amplifier(recording: Recording, amplifier: AmplifierParameters) -> Recording:
-    """Return a recording of a response to samples, with the amplifier's band to divide out."""
+    """Return the recording with the amplifier's frequency response as its correction."""
     band = Band(amplifier.low_cut_hz, amplifier.high_cut_hz, recording.sweep.samplerate)
     correction = band.response(recording.frequencies_hz)
     return replace(recording, correction=correction, high_pass_hz=amplifier.low_cut_hz)
 
 
 def sweep_at_excursion(rig: Rig, sweep: Sweep, share: float, *, seat: bool = False) -> Sweep:
-    """Return the sweep whose linear excursion is that share of the rig's Xmax.
+    """Return the sweep with the level, at most 1, that moves a linear rig by `share` of Xmax.
 
-    Its level is at most full scale.
+    UsageError: share is not above 0, or is above LARGEST_SHARE.
     """
     if not 0.0 < share <= LARGEST_SHARE:
         raise UsageError(
             f"share={share!r} of Xmax must be above 0, up to {LARGEST_SHARE}: louder, f0 "
             "shifts; choose a lower one"
         )
-    adaptive = AdaptiveActuator(rig, sweep.samplerate, level=ModelLevel.LINEAR, seat=seat)
+    adaptive = AdaptiveActuator(rig, sweep.samplerate, model="linear", seat=seat)
     loud = replace(sweep, level=1.0)
     amplifier = Amplifier(replace(rig.amplifier, output_limit_v=1e9), sweep.samplerate)
     volts = amplifier.drive(Dac(rig.dac).volts(loud.samples()))
@@ -142,6 +126,6 @@ def sweep_at_excursion(rig: Rig, sweep: Sweep, share: float, *, seat: bool = Fal
 def _read_scaled(
     daq: DaqParameters, full_range: float, rate: float, seed: int, signal: FloatArray
 ) -> FloatArray:
-    """Read a signal through a divider or shunt that fits the DAQ's range."""
+    """Read a signal through the DAQ, scaled so that full_range becomes the DAQ's range."""
     scale = full_range / daq.range_v
     return np.asarray(Daq(daq, rate, seed).volts(signal / scale) * scale)

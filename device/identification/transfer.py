@@ -1,4 +1,4 @@
-"""Transfer function, coherence and distortion of a recording, and whether it can be used."""
+"""Transfer function, coherence and distortion of a recording, and checks of the recording."""
 
 from dataclasses import dataclass, replace
 
@@ -14,38 +14,33 @@ from device.identification.recording import (
 )
 from device.units import FloatArray
 
+# Least number of samples in a row at the peak, and of such runs, that prove clipping.
 _CLIPPED_RUN, _CLIPPED_RUNS = 3, 4
-"""This many samples in a row at the peak, this often: a single crest may stay within one step of a
-converter, but the crests of a sweep differ."""
 _AT_THE_LIMIT = 0.999
-_MIN_SIGNAL = 1.5
-"""A signal's r.m.s. must exceed that of the silence before it by this factor."""
-_BEFORE_S = 0.05
-_FADE_SHARE = 0.2
-_SMOOTH_BINS = 15
+_MIN_SIGNAL = 1.5  # least ratio of a signal's r.m.s. to that of the silence before it
+ORDERS = 5  # highest measured order of distortion
+_BEFORE_S, _FADE_SHARE, _SMOOTH_BINS = 0.05, 0.2, 15
 
 
 @dataclass(frozen=True)
 class Transfer:
-    """Response for reference inside the swept band, (bins,) each."""
+    """Response divided by reference inside the swept band, (bins,) each."""
 
     frequencies_hz: FloatArray
-    response: ComplexArray  # in the unit of the response per that of the reference
-    coherence: FloatArray  # share of the response's power that follows the sweep linearly
+    response: ComplexArray  # in the unit of the response per unit of the reference
+    coherence: FloatArray  # share of the response's power that is linear in the sweep
 
 
 def estimate_transfer(recording: Recording) -> Transfer:
-    """Return the transfer function without harmonics and without noise outside its time.
+    """Return the transfer function; a window on the impulse response removes harmonics.
 
-    The impulse response is cut from shortly before its start to the length of the silence after
-    the sweep. Coherence compares means over 15 bins with and without the residual.
+    Coherence is 1 - (residual power / response power); both powers are averaged over 15 bins.
     """
     rate = recording.sweep.samplerate
     impulse = _impulse_response(recording)
-    before, after = round(_BEFORE_S * rate), round(recording.sweep.tail_s * rate)
+    after, before = (_fade_out(round(s * rate)) for s in (recording.sweep.tail_s, _BEFORE_S))
     gate = np.zeros(recording.length)
-    gate[:after] = _fade_out(after)
-    gate[-before:] = _fade_out(before)[::-1]
+    gate[: len(after)], gate[-len(before) :] = after, before[::-1]
     response = np.asarray(rfft(impulse * gate))
     band = recording.band
     measured = recording.response_spectrum[band]
@@ -57,27 +52,26 @@ def estimate_transfer(recording: Recording) -> Transfer:
 
 @dataclass(frozen=True)
 class Distortion:
-    """What one order adds; shares below the floor are noise."""
+    """The distortion of one order; a share below the floor is noise."""
 
     order: int  # 2 or more
     frequencies_hz: FloatArray  # of the drive, (bins,)
-    share: FloatArray  # of the linear response at the drive's frequency, by amplitude, (bins,)
-    floor: FloatArray  # the share that silence would show, (bins,)
+    share: FloatArray  # amplitude relative to the linear response at the drive frequency, (bins,)
+    floor: FloatArray  # as `share`, but half way in time between two harmonics, (bins,)
 
 
-def measure_distortion(recording: Recording, orders: int = 5) -> list[Distortion]:
-    """Return the distortion of orders 2 to `orders` at drives whose harmonic is in the band.
+def measure_distortion(recording: Recording) -> list[Distortion]:
+    """Return the distortion of orders 2 to ORDERS, where the harmonic is in the band.
 
-    A sweep's harmonic of order n precedes it by rise ln n, so its impulse response stands alone
-    there (Farina 2000). The floor is the larger value half way to either neighbouring order,
-    because a response that rings at the ends of the band spreads far ahead of itself.
+    In the impulse response, each order appears at its own time. `floor` is the larger of two
+    shares: half way in time to the previous order, and half way to the next order.
     """
     sweep, rate = recording.sweep, recording.sweep.samplerate
     impulse = _impulse_response(recording)
     linear = np.abs(estimate_transfer(recording).response)
     f = recording.frequencies_hz[recording.band]
     found = []
-    for order in range(2, orders + 1):
+    for order in range(2, ORDERS + 1):
         before, lead, after = (sweep.harmonic_lead_s(n) for n in (order - 1, order, order + 1))
         half = round(0.25 * (after - lead) * rate)
         drives = f[f * order <= f[-1]]
@@ -85,9 +79,12 @@ def measure_distortion(recording: Recording, orders: int = 5) -> list[Distortion
         times_s = [lead, 0.5 * (lead + before), 0.5 * (lead + after)]
         fit = [time_s for time_s in times_s if round(time_s * rate) + half <= recording.length]
         if not len(drives) or lead not in fit:
-            break  # neither the band nor the recording has room for this and higher orders
+            break  # the band or the recording is too short for this order and higher orders
         for time_s in fit:
-            part = _cut(impulse, -round(time_s * rate), half)
+            # Keep only the impulse response near this time.
+            frames = np.arange(-half, half) - round(time_s * rate)
+            part = np.zeros_like(impulse)
+            part[frames] = impulse[frames] * np.hanning(2 * half)
             spectrum = np.abs(rfft(part))[recording.band]
             shares.append(np.interp(order * drives, f, spectrum) / np.interp(drives, f, linear))
         found.append(Distortion(order, drives, shares[0], np.max(shares[1:], axis=0)))
@@ -95,10 +92,10 @@ def measure_distortion(recording: Recording, orders: int = 5) -> list[Distortion
 
 
 def _impulse_response(recording: Recording) -> FloatArray:
-    """Deconvolve in the swept band, (length,); its end precedes time 0."""
+    """Return the impulse response in the swept band, (length,); negative times are at its end."""
     reference, response = recording.reference_spectrum, recording.response_spectrum
     f, sweep = recording.frequencies_hz, recording.sweep
-    # The spectrum is empty outside the band; a soft edge does not ring into the response.
+    # The spectrum is weak outside the band; a soft edge limits the oscillation of the response.
     edge = np.clip((f / sweep.low_hz - 0.8) / 0.2, 0.0, 1.0)
     edge *= np.clip((1.1 - f / sweep.high_hz) / 0.1, 0.0, 1.0)
     power = np.abs(reference) ** 2
@@ -113,57 +110,41 @@ def _fade_out(frames: int) -> FloatArray:
     return window
 
 
-def _cut(impulse: FloatArray, centre: int, half: int) -> FloatArray:
-    """Return the impulse response within half frames of a position, windowed; the rest is 0."""
-    frames = np.arange(centre - half, centre + half)
-    part = np.zeros_like(impulse)
-    part[frames] = impulse[frames] * np.hanning(2 * half)
-    return part
-
-
-LOW_COHERENCE = 0.9
-"""Below this, a tenth of the response's power is not a linear response."""
-
-ABOVE_FLOOR = 3.0
-"""Distortion must exceed its floor by this factor."""
-
+LOW_COHERENCE = 0.9  # at a lower value, over a tenth of the response's power is not linear
+ABOVE_FLOOR = 3.0  # least ratio of distortion to its floor
 _JOINED_HZ = 2.0
-_SMOOTH_HZ = 5.0
-"""Shares are r.m.s. values over this width; the largest of many noisy bins would mislead."""
+_SMOOTH_HZ = 5.0  # width of r.m.s. smoothing; without it, the largest of many bins is noise
 
 
 @dataclass(frozen=True)
 class Harmonic:
-    """Largest share of one order; 0 if no order exceeds the noise."""
+    """Largest distortion of one order; 0 if it is not above `ABOVE_FLOOR` times its floor."""
 
     order: int  # 2 or more
-    largest_share: float  # of the linear response, by amplitude
-    at_hz: float  # of the drive
+    largest_share: float  # amplitude relative to the linear response
+    at_hz: float  # frequency of the drive
 
 
 @dataclass(frozen=True)
 class Quality:
-    """How linear one recording's response is."""
+    """Linearity of one recording's response."""
 
     names: tuple[str, str]
-    coherence: float  # the median
+    coherence: float  # median over the band
     low_hz: tuple[tuple[float, float], ...]  # ranges with coherence below LOW_COHERENCE
-    harmonics: tuple[Harmonic, ...]  # the orders that band and sweep have room for
+    harmonics: tuple[Harmonic, ...]  # all orders that can be measured in this band and sweep
 
 
-def assess_quality(recording: Recording, orders: int = 5) -> Quality:
+def assess_quality(recording: Recording) -> Quality:
     """Return coherence and distortion of a recording."""
     found = estimate_transfer(recording)
     f = found.frequencies_hz
-    ranges: list[tuple[float, float]] = []
-    for hz in f[found.coherence < LOW_COHERENCE]:
-        if ranges and hz - ranges[-1][1] <= _JOINED_HZ:
-            ranges[-1] = ranges[-1][0], float(hz)
-        else:
-            ranges.append((float(hz), float(hz)))
+    low = f[found.coherence < LOW_COHERENCE]
+    parts = np.split(low, np.flatnonzero(np.diff(low) > _JOINED_HZ) + 1)
+    ranges = tuple((float(part[0]), float(part[-1])) for part in parts if len(part))
     harmonics = []
     sweep = recording.sweep
-    for one in measure_distortion(recording, orders):
+    for one in measure_distortion(recording):
         apart_s = sweep.harmonic_lead_s(one.order + 1) - sweep.harmonic_lead_s(one.order)
         if 0.5 * apart_s < 1.0 / sweep.low_hz:
             break  # the sweep is too short to separate these orders
@@ -173,13 +154,12 @@ def assess_quality(recording: Recording, orders: int = 5) -> Quality:
         at = int(np.argmax(clear))
         hz = float(one.frequencies_hz[at]) if clear[at] > 0.0 else 0.0
         harmonics.append(Harmonic(one.order, float(clear[at]), hz))
-    return Quality(
-        recording.names, float(np.median(found.coherence)), tuple(ranges), tuple(harmonics)
-    )
+    coherence = float(np.median(found.coherence))
+    return Quality(recording.names, coherence, ranges, tuple(harmonics))
 
 
 def check_recording(recording: Recording) -> None:
-    """Refuse a recording that has no signal, clips, or shows the wrong channel."""
+    """Raise IdentificationError if a recording has no signal, clips or is of the wrong channel."""
     lead = slice(0, round(0.9 * recording.sweep.lead_frames))
     sounding = slice(recording.sweep.lead_frames, None)
     signals = (recording.reference, recording.response)
@@ -187,23 +167,22 @@ def check_recording(recording: Recording) -> None:
         noise, whole = float(np.std(samples[lead])), float(np.std(samples[sounding]))
         if whole <= _MIN_SIGNAL * noise or not np.any(samples[sounding]):
             raise IdentificationError(
-                f"{name}: no signal, {whole:.3g} r.m.s. during the sweep and {noise:.3g} in "
-                "the silence before it; check power, cables and that channel, or raise the "
-                "level"
+                f"{name}: no signal, {whole:.3g} r.m.s. during the sweep and {noise:.3g} in the "
+                "silence before it; check power, cables and that channel, or raise the level"
             )
-    found = estimate_transfer(replace(recording, correction=None))  # without the correction
+    found = estimate_transfer(replace(recording, correction=None))
     coherent = float(np.median(found.coherence))
     if coherent < 0.3:
         raise IdentificationError(
             f"{recording.names[1]} does not follow the sweep: its coherence is {coherent:.2f}, it "
-            "must be 0.3 or more; this is another channel, or noise: check which input it is"
+            "must be 0.3 or more; this is another channel, or noise: check the inputs"
         )
     gain = np.abs(found.response)
     spread = float(np.std(found.response) / np.mean(gain))
     if spread < 0.02 and recording.names[0] != PLAYED:
         raise IdentificationError(
             f"{recording.names[1]} is the {recording.names[0]} itself, times {np.mean(gain):.3g}, "
-            f"to {100 * spread:.1f} %; this is the wrong channel: check which input it is"
+            f"to {100 * spread:.1f} %; this is the wrong channel: check the inputs"
         )
     for name, samples, limit in zip(recording.names, signals, recording.limits, strict=True):
         if clipped := _count_clipped(samples, limit, plateaus=samples is recording.response):
@@ -214,7 +193,7 @@ def check_recording(recording: Recording) -> None:
 
 
 def _count_clipped(samples: FloatArray, limit: float, *, plateaus: bool) -> int:
-    """Count samples at the limit, or, if it is unknown, at a peak to which crests are cut."""
+    """Count samples at the limit. plateaus: if there are none, count the samples of flat peaks."""
     magnitude = np.abs(samples)
     beyond = int(np.count_nonzero(magnitude >= _AT_THE_LIMIT * limit))
     if beyond or not plateaus:

@@ -1,43 +1,40 @@
-/* What is done to blocks of frames; device/compiled_blocks.py calls it by ctypes. */
+/* Operations on blocks of frames, which device/blocks.py calls with ctypes. */
 
-#ifndef DEVICE_BLOCKS_H
-#define DEVICE_BLOCKS_H
+#pragma once
 
 #include <stddef.h>
 #include <stdint.h>
 
 #define API __attribute__((visibility("default")))
 
-/* An array of numbers, one row after another. */
+/* A C-contiguous array of numbers. */
 typedef struct {
     void *buf;
-    size_t ndim, shape[3], len; /* len: in bytes */
+    size_t ndim, shape[3], len; /* len: bytes */
 } View;
 
-/* Compiled for every processor and for those with wide registers, with the same operations on each
- * number, so all give the same bits. */
+/* On x86-64 with GCC and glibc, SIMD_CLONES compiles two versions of a function: for AVX2, and for all
+ * processors. Both give identical results. */
 #if defined(__x86_64__) && defined(__GLIBC__) && defined(__GNUC__) && \
-    !defined(__clang__) && !defined(ONE_MACHINE) /* clang's versions of one function do not link */
+    !defined(__clang__) && !defined(ONE_MACHINE) /* clang cannot link several versions of a function */
 #define SIMD_CLONES __attribute__((target_clones("avx2", "default")))
 #else
 #define SIMD_CLONES
 #endif
 
-/* Let numbers under 1e-307 count as 0, and return what `usual_numbers` needs. What decays would
- * otherwise stay at such numbers, with which many processors compute tens of times as slowly. */
+/* On x86 with SSE2 and on 64-bit ARM, make the processor treat denormal numbers as 0. Return the previous
+ * value of the control register, which `usual_numbers` restores. Decaying states would become denormal, and
+ * many processors are slow with denormal numbers. */
 #if defined(__SSE2__)
 #include <xmmintrin.h>
 static inline unsigned long long flush_tiny_numbers(void)
 {
     const unsigned int before = _mm_getcsr();
-    _mm_setcsr(before | 0x8040u); /* results and operands */
+    _mm_setcsr(before | 0x8040u); /* flush denormal results and operands */
     return before;
 }
 
-static inline void usual_numbers(unsigned long long before)
-{
-    _mm_setcsr((unsigned int)before);
-}
+static inline void usual_numbers(unsigned long long before) { _mm_setcsr((unsigned int)before); }
 #elif defined(__aarch64__) && defined(__GNUC__)
 static inline unsigned long long flush_tiny_numbers(void)
 {
@@ -52,37 +49,26 @@ static inline void usual_numbers(unsigned long long before)
     __asm__ __volatile__("msr fpcr, %0" : : "r"(before));
 }
 #else
-static inline unsigned long long flush_tiny_numbers(void)
-{
-    return 0;
-}
+static inline unsigned long long flush_tiny_numbers(void) { return 0; }
 
-static inline void usual_numbers(unsigned long long before)
-{
-    (void)before;
-}
+static inline void usual_numbers(unsigned long long before) { (void)before; }
 #endif
 
-/* The largest magnitude; NaN if any sample is none. */
+/* Return the largest magnitude of `count` samples; NaN if any sample is NaN, 0 if count is 0. */
 API double blocks_peak(const void *frames, size_t count, int is_double);
 
-/* Those below return NULL, or what does not fit; then nothing was done. */
+/* The functions below return NULL, or an error message if an argument is invalid. */
 
-/* Fill a block with frames between those of a ring: frame k is at fraction + k step after that behind
- * `row`. */
+/* Interpolate a ring buffer cubically into `out`; both are (frames, channels). Frame k of `out` is at
+ * position row + 1 + fraction + k * step of the ring. */
 API const char *blocks_cubic(const View *ring, const View *out, size_t row, double fraction, double step);
 
-/* Move the linear actuator by volts from start to stop: volts, poles, state, taps, moved. */
+/* Simulate the linear actuator in the frames from start to stop - 1. views: volts, poles, state, taps, moved.
+ * Volts that are NaN or above `limit` in magnitude count as 0; *replaced receives their number. */
 API const char *blocks_linear_motion(const View views[5], size_t start, size_t stop, double limit,
                                      size_t *replaced);
 
-/* Add the non-linear model's answer: volts, moved, model, table, maps, bases, path, report. numbers: start,
- * stop, length of the first block and of the others. */
-API const char *blocks_nonlinear_motion(const View views[8], const size_t numbers[4], size_t mask,
-                                        size_t *done);
-
-/* Count the blocks that may be linear; the last view is the pair. */
-API const char *blocks_linear_suffices(const View views[9], const size_t numbers[4], double margin,
-                                       size_t *count);
-
-#endif
+/* Simulate a rig. views: volts, moved, Model, table, steps, by_sample, by_coarse, State, report; see
+ * rig_steps.h. numbers: start, stop, frames of the first block, frames of the other blocks, model. The model
+ * is 0 for the cheapest sufficient model, 1 for the linear model, or 2 for the non-linear model. */
+API const char *blocks_move_rig(const View views[9], const size_t numbers[5]);

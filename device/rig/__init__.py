@@ -1,20 +1,18 @@
 """The simulated rig: every stage between the vibration signal and the seat.
 
-| module | holds |
+| module | contents |
 | --- | --- |
-| parameters, rig, rig_file | what a rig is, variants of it, and its TOML file |
-| electronics, actuator, instruments | DAC and amplifier; linear actuator; accelerometer to DAQ |
-| simulated_rig | all stages behind `VibrationOutput` |
-| shapes, co_energy, equations, thermal, seat | the physics beyond the linear actuator |
-| step_maps, nonlinear_model, passive_step | solvers of the non-linear equations |
-| model_levels, adaptive_actuator, crossfade | the cheapest model that suffices |
-| model_record | which model ran, its cost and its true error |
+| parameters, rig | the parameters of a rig, modified rigs, and the TOML file of a rig |
+| electronics, actuator | DAC and amplifier, accelerometer to DAQ; linear actuator |
+| simulated_rig | all stages behind the interface `VibrationOutput` |
+| co_energy, equations, thermal | non-linear actuator physics, seat, temperatures |
+| adaptive_actuator | selects the cheapest sufficient actuator model for each block |
+| model_record | the selected models, their cost and their true error |
 
-Only the descriptions are imported here, because SciPy takes half a second to load.
+Only the parameters are imported here: most other modules need SciPy, which loads slowly.
 """
 
 from device.rig.parameters import ActuatorParameters
-from device.rig.rig import Rig
-from device.rig.rig_file import CONSUMER, PAPER, read_rig, rig_by_name
+from device.rig.rig import CONSUMER, PAPER, Rig, read_rig, rig_by_name
 
 __all__ = ["CONSUMER", "PAPER", "ActuatorParameters", "Rig", "read_rig", "rig_by_name"]

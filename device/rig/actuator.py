@@ -1,23 +1,19 @@
 """The voice-coil actuator as a linear electro-mechanical model: volts in, motion out.
 
-Equations (8)-(10) of the paper for a force linear in the current, with the electrical side that
-follows from the same co-energy:
+The equations are (8)-(10) of the paper, for a force proportional to the current, and the electrical
+equation that follows from the same co-energy:
 
     m x'' + c x' + k x = Bl i            v = (R + Rs) i + L di/dt + Bl x'
 
-The solution is exact for a voltage that is a straight line between samples (first-order hold).
-Before the first sample it was 0. All quantities share three poles: the voltage passes through them
-once, and each quantity is a sum of the last four results. The order of all sums is fixed, so the
-bytes do not depend on how the signal is split into blocks.
-
-One compiled function computes all quantities; where it could not be built, SciPy and NumPy compute
-the same sums in the same order.
+The solution is exact if the voltage is linear between samples, and 0 before the first sample.
+All quantities have the same three poles, so that one all-pole filter of the voltage suffices. Each
+quantity is a weighted sum of the last four filtered values. The order of all sums is fixed, so the
+result is bit-identical for all block lengths, and for compiled code and NumPy.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Literal, get_args
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 import scipy
@@ -34,39 +30,27 @@ QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)
 def state_space(
     p: ActuatorParameters, source_impedance_ohm: float
 ) -> tuple[FloatArray, FloatArray, dict[Quantity, FloatArray]]:
-    """Return rate and drive of s' = rate s + drive v, and the row of each quantity.
+    """Return rate and drive of s' = rate s + drive v, and rows: each quantity is its row times s.
 
-    s = (x sqrt(k), x' sqrt(m), i sqrt(L)), which keeps the exponential well conditioned.
+    s = (x sqrt(k), x' sqrt(m), i sqrt(L)), which keeps the matrix exponential well conditioned.
     """
-    m, c, k = p.moving_mass_kg, p.damping_n_s_per_m, p.stiffness_n_per_m
-    bl, inductance = p.force_factor_n_per_a, p.inductance_h
+    m, c, inductance = p.moving_mass_kg, p.damping_n_s_per_m, p.inductance_h
     resistance = p.resistance_ohm + source_impedance_ohm
     w0 = p.resonance_rad_s
-    coupling = bl / np.sqrt(m * inductance)
+    coupling = p.force_factor_n_per_a / np.sqrt(m * inductance)
     rate = np.array(
-        [
-            [0.0, w0, 0.0],
-            [-w0, -c / m, coupling],
-            [0.0, -coupling, -resistance / inductance],
-        ]
+        [[0.0, w0, 0.0], [-w0, -c / m, coupling], [0.0, -coupling, -resistance / inductance]]
     )
-    drive = np.array([0.0, 0.0, 1.0 / np.sqrt(inductance)])
-    rows: dict[Quantity, FloatArray] = {
-        "displacement_m": np.array([1.0 / np.sqrt(k), 0.0, 0.0]),
-        "velocity_m_s": np.array([0.0, 1.0 / np.sqrt(m), 0.0]),
-        "current_a": np.array([0.0, 0.0, 1.0 / np.sqrt(inductance)]),
-        "acceleration_m_s2": rate[1] / np.sqrt(m),
-    }
-    return rate, drive, rows
+    x, v, i = np.diag(1.0 / np.sqrt([p.stiffness_n_per_m, m, inductance]))
+    rows = x, v, i, rate[1] / np.sqrt(m)
+    return rate, i, dict(zip(QUANTITIES, rows, strict=True))
 
 
 def first_order_hold(
     rate: FloatArray, drive: FloatArray, period_s: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return P, A, B of s[n] = P s[n-1] + A v[n-1] + B v[n], exact for v linear between samples.
-
-    All come from one exponential (Van Loan 1978).
-    """
+    """Return P, A, B of s[n] = P s[n-1] + A v[n-1] + B v[n], exact for v linear between samples."""
+    # all from one matrix exponential (Van Loan 1978)
     n = len(rate)
     whole = np.zeros((n + 2, n + 2))
     whole[:n, :n] = rate * period_s
@@ -80,39 +64,29 @@ def first_order_hold(
 SEAT_ACCELERATION = "seat_acceleration_m_s2"
 
 _TAPS = 4
-_ABSURD_V = 1e100
-_SILENT_V = 1e-30
-_PART_FRAMES = 32_768
-"""The signal is computed in parts that end at multiples of this. There a decayed state is set to 0:
-at fixed places, so that the result does not depend on the blocks."""
+_ABSURD_V, _SILENT_V = 1e100, 1e-30
+_PART_FRAMES = 32_768  # decayed states become 0 only at multiples of this frame count
 
 
-@dataclass(frozen=True)
-class Motion:
-    """Motion at each sample, float64, (frames,); quantities that were not asked for have length 0.
+class Motion(NamedTuple):
+    """Motion at each sample, float64, (frames,); quantities that were not requested are empty.
 
-    Displacement and velocity are relative to the frame; a positive current pushes to positive
-    displacement. The seat's acceleration is that of the frame.
+    Displacement and velocity are relative to the actuator's frame. A positive current causes a
+    force towards positive displacement. The seat's acceleration is that of the frame.
     """
 
-    displacement_m: FloatArray
-    velocity_m_s: FloatArray
-    current_a: FloatArray
-    acceleration_m_s2: FloatArray
-    seat_acceleration_m_s2: FloatArray = field(default_factory=lambda: np.empty(0))
+    displacement_m: FloatArray = np.empty(0)
+    velocity_m_s: FloatArray = np.empty(0)
+    current_a: FloatArray = np.empty(0)
+    acceleration_m_s2: FloatArray = np.empty(0)
+    seat_acceleration_m_s2: FloatArray = np.empty(0)
 
 
 class LinearActuator:
-    """The linear actuator at one sample rate. One thread calls `move`.
-
-    replaced_samples counts the volts so far that were not finite and became 0.
-    """
+    """The linear actuator at one sample rate. One thread calls `move`."""
 
     def __init__(
-        self,
-        parameters: ActuatorParameters,
-        samplerate: float,
-        source_impedance_ohm: float = 0.0,
+        self, parameters: ActuatorParameters, samplerate: float, source_impedance_ohm: float = 0.0
     ) -> None:
         if not (np.isfinite(samplerate) and samplerate > 0):
             raise UsageError(f"samplerate={samplerate!r} Hz must be above 0; choose another rate")
@@ -120,135 +94,87 @@ class LinearActuator:
             raise UsageError(
                 f"source_impedance_ohm={source_impedance_ohm!r} must be 0 or more; correct the rig"
             )
-        self.parameters = parameters
-        self.samplerate = samplerate
+        self.parameters, self.samplerate = parameters, samplerate
         self.source_impedance_ohm = source_impedance_ohm
-        self._poles, self._taps = _filters(parameters, samplerate, source_impedance_ohm)
-        self._weights: dict[tuple[Quantity, ...], FloatArray] = {}
-        self._filtered = np.empty(_TAPS + _PART_FRAMES)
-        self._product = np.empty(_PART_FRAMES)
+        self._poles, self._taps = motion_filters(parameters, samplerate, source_impedance_ohm)
         self._state = np.zeros(2 * len(self._poles) + _TAPS)
         self._sections = self._state[: 2 * len(self._poles)].reshape(-1, 2)
         self._last = self._state[2 * len(self._poles) :]
         self.reset()
 
     def reset(self) -> None:
-        """Come to rest: no motion, no current, no voltage; the count is 0."""
+        """Set motion, current, voltage and `replaced_samples` to 0."""
         self.replaced_samples = 0
         self._state[:] = 0.0
         self._frames_to_check = _PART_FRAMES
 
     def move(self, volts: FloatArray, outputs: Sequence[Quantity] = QUANTITIES) -> Motion:
-        """Return the motion under the next volts, (frames,); it is always finite.
+        """Return the motion for the amplifier's next open-circuit volts, (frames,).
 
-        NaN, infinity and magnitudes above 1e100 count as 0. Each quantity in outputs adds a third
-        to the cost of the poles.
+        NaN, infinity and magnitudes above 1e100 become 0, so that the motion is always finite.
         """
         volts = np.ascontiguousarray(volts, dtype=np.float64)
         moved = np.empty((len(outputs), len(volts)))
-        self.move_into(volts, outputs, moved, 0, len(volts))
-        rows = dict(zip(outputs, moved, strict=True))
-        return Motion(*[rows[name] if name in rows else np.empty(0) for name in QUANTITIES])
-
-    def move_into(
-        self,
-        volts: FloatArray,
-        outputs: Sequence[Quantity],
-        moved: FloatArray,
-        start: int,
-        end: int,
-    ) -> None:
-        """As `move`, for a part of contiguous float64 volts, into moved, (outputs, frames)."""
-        wanted = tuple(outputs)
-        while start < end:
-            stop = min(start + self._frames_to_check, end)
+        taps = np.array([self._taps[name] for name in outputs]).reshape(-1, _TAPS)
+        start, frames = 0, len(volts)
+        while start < frames:
+            stop = min(start + self._frames_to_check, frames)
             if blocks.compiled is not None:
-                taps = self._taps_of(wanted)
                 self.replaced_samples += blocks.compiled.linear_motion(
                     volts, self._poles, self._state, taps, moved, start, stop, _ABSURD_V
                 )
             else:
-                recent = self._pass_poles(volts[start:stop])
-                for name, row in zip(wanted, moved, strict=True):
-                    self._weigh(name, recent, row[start:stop])
-            self._let_decay(stop - start)
+                self._move_part(volts[start:stop], taps, moved[:, start:stop])
+            self._frames_to_check -= stop - start
+            if self._frames_to_check == 0:
+                self._frames_to_check = _PART_FRAMES
+                if np.abs(self._sections).max() < _SILENT_V:
+                    self._sections[:] = 0.0
             start = stop
+        return Motion(**dict(zip(outputs, moved, strict=True)))
 
-    def _taps_of(self, wanted: tuple[Quantity, ...]) -> FloatArray:
-        """Return the taps of these quantities, (quantities, 4)."""
-        if wanted not in self._weights:
-            rows = np.array([self._taps[name] for name in wanted])
-            self._weights[wanted] = rows.reshape(len(wanted), _TAPS)
-        return self._weights[wanted]
-
-    def _pass_poles(self, volts: FloatArray) -> FloatArray:
-        """Return (frames + 3,): three earlier results, then those of these volts."""
+    def _move_part(self, volts: FloatArray, taps: FloatArray, moved: FloatArray) -> None:
+        """Compute the same sums as the compiled `linear_motion`, in the same order."""
         drive, replaced = finite_or_zero(volts, _ABSURD_V)
         self.replaced_samples += replaced
-        end = _TAPS + len(drive)
-        self._filtered[:_TAPS] = self._last
-        self._filtered[_TAPS:end], after = scipy.signal.sosfilt(
-            self._poles, drive, zi=self._sections
-        )
-        self._sections[:] = after
-        self._last[:] = self._filtered[end - _TAPS : end]
-        return self._filtered[1:end]
-
-    def _let_decay(self, frames: int) -> None:
-        """Set a decayed state to 0 if a part ends with these frames."""
-        self._frames_to_check -= frames
-        if self._frames_to_check == 0:
-            self._frames_to_check = _PART_FRAMES
-            if np.abs(self._sections).max() < _SILENT_V:
-                self._sections[:] = 0.0
-
-    def _weigh(self, quantity: Quantity, recent: FloatArray, out: FloatArray) -> None:
-        """Compute a quantity, (frames,), from the filtered drive, (frames + 3,)."""
-        taps, frames = self._taps[quantity], len(out)
-        product = self._product[:frames]
-        np.multiply(recent[:frames], taps[_TAPS - 1], out=out)
-        # np.convolve may vary its order of summation within the array.
+        filtered, self._sections[:] = scipy.signal.sosfilt(self._poles, drive, zi=self._sections)
+        recent = np.concatenate([self._last, filtered])
+        self._last[:] = recent[-_TAPS:]
+        # np.convolve may vary its order of summation within the array
+        moved[:] = taps[:, -1:] * recent[1 : 1 - _TAPS]
         for delay in reversed(range(_TAPS - 1)):
-            start = _TAPS - 1 - delay
-            np.multiply(recent[start : start + frames], taps[delay], out=product)
-            out += product
+            moved += taps[:, delay, None] * recent[_TAPS - delay : len(recent) - delay]
 
 
-def motion_filter(
-    p: ActuatorParameters, samplerate: float, source_impedance_ohm: float, quantity: Quantity
-) -> tuple[FloatArray, FloatArray]:
-    """Return sections, (2, 6), and taps, (4,), newest first, from volts to a quantity."""
-    poles, taps = _filters(p, samplerate, source_impedance_ohm)
-    return poles.copy(), taps[quantity].copy()
-
-
-# The same few actuators are created repeatedly, and a matrix exponential waits for all threads of
-# its library. Cached arrays are never written to.
+# Cached, since the same actuators are created repeatedly, and the library that computes a matrix
+# exponential waits for all of its threads.
 @lru_cache(maxsize=256)
-def _filters(
+def motion_filters(
     p: ActuatorParameters, samplerate: float, source_impedance_ohm: float
 ) -> tuple[FloatArray, dict[Quantity, FloatArray]]:
-    """Return the poles' sections, (2, 6), with gain 1 at 0 Hz, and each quantity's taps, (4,)."""
+    """Return sections for the volts, (2, 6), and each quantity's FIR taps, (4,), newest first.
+
+    The sections have gain 1 at 0 Hz. The cached arrays must not be changed.
+    """
     rate, drive, rows = state_space(p, source_impedance_ohm)
     step, from_last, from_new = first_order_hold(rate, drive, 1.0 / samplerate)
-    # The real pole, then the pair: complex, or the two slower real ones if it is overdamped. One
-    # section of third order with all its poles close to 1 would lose digits.
+    # First the real pole, then the pair, which is complex or overdamped. A single third-order
+    # section with all poles close to 1 would lose precision.
     rates = np.linalg.eigvals(rate)
     order = np.lexsort((rates.real, np.abs(rates.imag)))
     single, *pair = np.exp(rates[order] / samplerate)
     poles = np.array([_section(single, 0j), _section(*pair)])
 
-    # The state after the first samples of an impulse; the taps make the poles reproduce it.
+    # The first states of the impulse response, which poles and taps together reproduce.
     states = [from_new, step @ from_new + from_last]
     while len(states) < _TAPS:
         states.append(step @ states[-1])
     denominator = np.convolve(poles[0, 3:], poles[1, 3:])[:_TAPS]
     gain = poles[0, 0] * poles[1, 0]
-    taps: dict[Quantity, FloatArray] = {}
-    for name, row in rows.items():
-        impulse_response = np.array([row @ state for state in states])
-        taps[name] = np.convolve(denominator, impulse_response)[:_TAPS] / gain
-    return poles, taps
+    impulses = {name: np.array([row @ state for state in states]) for name, row in rows.items()}
+    return poles, {
+        name: np.convolve(denominator, impulse)[:_TAPS] / gain for name, impulse in impulses.items()
+    }
 
 
 def _section(first: complex, second: complex) -> list[float]:

@@ -1,80 +1,67 @@
-"""An actuator that models only what a scene needs: each block gets the cheapest sufficient model.
+"""An actuator that selects for each block the fastest model with a sufficiently small error.
 
-The exact linear solution of the whole signal is always there, and the non-linear model adds to it
-(model_levels.py). Its answer to its own remainder, the Born term, estimates the error of leaving
-that out. The non-linear model begins with the best known state, and a change of model is
-crossfaded.
+First, the linear model computes a block. This model neglects non-linear parts of force and voltage.
+The error is estimated from the linear response to these parts. If the estimate exceeds the
+tolerance, the non-linear model computes this block and 7 more, or fewer if excursion decreases.
+Each block starts from the last excursion, speed and current (native/rig_model.c).
+
+The linear model is exact for a voltage that is linear between samples. The non-linear model is
+solved by ETDRK4 of Cox and Matthews, Exponential time differencing for stiff systems (2002). This
+method makes at least one fourth-order Runge-Kutta step per sample. The flux may decay within less
+than a sample, so each step contains the exact solution of this decay.
 """
 
 import math
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass
 
 import numpy as np
 
 from device import blocks
 from device.errors import UsageError
-from device.rig.actuator import QUANTITIES, SEAT_ACCELERATION, LinearActuator, Motion
-from device.rig.co_energy import energies
-from device.rig.crossfade import crossfade
-from device.rig.equations import FLUX, Equations
-from device.rig.model_levels import BlockReport, ModelLevel, ModelLevels
-from device.rig.nonlinear_model import ROWS, STEP_TOLERANCE, Path
-from device.rig.parameters import check_tolerance
+from device.rig.actuator import QUANTITIES, SEAT_ACCELERATION, Motion, first_order_hold
+from device.rig.co_energy import energies, table_of
+from device.rig.equations import Equations
+from device.rig.parameters import MODELS, Model, check_tolerance
 from device.rig.rig import Rig
-from device.rig.thermal import Temperatures
 from device.units import FloatArray, finite_or_zero
 
 BLOCK_S = 0.1
-FADE_S = 0.01
-MARGIN = 2.0
-"""The Born term times this estimates the error without it."""
-
-_FADE_SHARE = 0.25
-"""A crossfade may deviate by this share of the tolerance."""
-_STEP_SHARE = 0.15
-"""Steps of the non-linear model may be off by this share of the tolerance: of the roughest drives
-some samples are off by six times what the steps' points say."""
-_ALIKE = 0.7
-"""A block with this share of the excursion of one that was not linear is not estimated,"""
-_TRUSTED = 7
-"""for this many blocks."""
-_FLUX_SHARE = 0.05
-"""A difference of flux decays within the linear model's first step, between whose points it is
-interpolated: that errs by up to 4 % of its force, as measured."""
-_SILENT = 1e-2
-"""Share of the tolerance at the least peak, below which d becomes 0."""
 _ABSURD_V = 1e6
 _REPORTS = 4_096
-_PART_BLOCKS = 4
 _NAMES = (*QUANTITIES, SEAT_ACCELERATION)
+FLOOR = 0.01  # errors are relative to a peak, or to this share of Xmax if the peak is less
+MARGIN = 2.5  # assumed ratio of the error to the first-order correction
+LONGEST_STEP_S = 1.0 / 40_000.0
+_SHORTEST_STEP_S = 0.25e-6  # `unresolved_frames` counts end stops that need shorter steps
+_TURN, _CONTACT_TURN = 0.35, 0.125  # largest phase per step in rad, without and with end stops
+_COARSE_HZ = 6_000.0  # rate at which the first-order correction is computed
+_STATES = 5
+STATE_NUMBERS = 2 * _STATES + 8  # length of a rig's state, which is 0 at rest
 
 
-@dataclass
-class _Progress:
-    """Where the models are: at the last node."""
+@dataclass(frozen=True)
+class BlockReport:
+    """The model used for one block, or for the part of a block in one call of `move`."""
 
-    level: ModelLevel
-    path: Path = field(default_factory=Path)
-    pair: FloatArray = field(default_factory=lambda: np.zeros((2, 5)))  # linear, and with Born term
-    samples: int = 0
-
-    def copy(self) -> "_Progress":
-        return _Progress(self.level, self.path.copy(), self.pair.copy(), self.samples)
+    frame: int  # index of the first frame, 0 at the start
+    frames: int
+    model: Model  # "linear" or "nonlinear"
+    estimate: float  # error of a selected linear model relative to the peak, else 0
 
 
 class AdaptiveActuator:
-    """One actuator with all its models; it keeps its state between blocks. One thread calls it.
+    """One actuator with both models; it keeps its state between blocks. One thread calls it.
 
-    Between samples the voltage is a straight line, and it was 0 before the first. Samples after the
-    last node are computed twice: for now by narrower steps, and for the state with the next node.
-    So the state of a model does not depend on how the signal is split.
-
-    tolerance: allowed error of excursion and acceleration as a share of a block's peak, above 0 and
-    at most 1. level: use this model always, whatever its error. seat, temperature: the actuator is
-    on the rig's seat instead of solid ground; the coil warms up. step_tolerance: what the steps of
-    the non-linear model may be off by, None for what the tolerance asks for.
+    The voltage is linear between samples, and was 0 before the first sample. A fixed model gives
+    bit-identical results however the signal is divided into calls. "auto" selects a model for each
+    block of 0.1 s since the start, or for the part of the block in one call.
+    tolerance: allowed error of excursion and acceleration relative to a block's peak, 0 to 1.
+    model: "auto", or a fixed model; a rig without [large_signal] is always linear. seat: whether
+    the actuator is on the rig's seat instead of solid ground. refine: how often non-linear steps
+    are halved. UsageError: the rig lacks the wanted seat, a number is out of range, or the library
+    is missing.
     """
 
     def __init__(
@@ -83,259 +70,152 @@ class AdaptiveActuator:
         samplerate: float,
         tolerance: float = 1e-3,
         *,
-        level: ModelLevel | None = None,
+        model: Model = "auto",
         seat: bool = False,
-        temperature: bool = False,
-        step_tolerance: float | None = None,
+        refine: int = 0,
     ) -> None:
         check_tolerance(tolerance)
-        for wanted, name in ((seat, "seat"), (temperature, "thermal")):
-            if wanted and getattr(rig, name) is None:
-                raise UsageError(f"rig {rig.name!r} describes no [{name}]; add it to its file")
-        source = rig.amplifier.source_impedance_ohm
-        if rig.large_signal is None and not (seat or temperature):
-            level = level or ModelLevel.LINEAR  # there is no remainder
-        self.rig, self.samplerate, self.tolerance, self.level = rig, samplerate, tolerance, level
-        self._base = LinearActuator(rig.actuator, samplerate, source)
-        large = energies(rig.actuator, rig.large_signal)
-        self.equations = Equations(rig.actuator, large, source, rig.seat if seat else None)
-        step_tolerance = step_tolerance or min(STEP_TOLERANCE, _STEP_SHARE * tolerance)
-        self._levels = ModelLevels(self.equations, samplerate, step_tolerance)
-        self.temperatures: Temperatures | None = None
-        if temperature and rig.thermal:
-            self.temperatures = Temperatures(rig.thermal)
-        self._q = self._levels.widest
-        self._block = self._q * max(1, round(BLOCK_S * samplerate / self._q))
-        self._fade = self._q * max(1, round(FADE_S * samplerate / self._q))
-        model = self._levels.nonlinear
-        self._least_m, self._least_m_s2 = model.least_m, model.least_m_s2
-        size, rate = _SILENT * tolerance * model.least_m, rig.actuator.resonance_rad_s
-        per_m = rig.actuator.stiffness_n_per_m * rig.actuator.inductance_h
-        per_m /= rig.actuator.force_factor_n_per_a
-        self._silent = size * np.array([1.0, rate, per_m, 1.0, rate])
+        if not (np.isfinite(samplerate) and samplerate > 0):
+            raise UsageError(f"samplerate={samplerate!r} Hz must be above 0; choose another rate")
+        if seat and rig.seat is None:
+            raise UsageError(f"rig {rig.name!r} describes no [seat]; add it to its file")
+        if blocks.compiled is None:
+            raise UsageError(
+                "the simulated rig needs device/blocks_library.so, which is missing or damaged; "
+                "install a C compiler and then this package again"
+            )
+        if rig.large_signal is None:
+            model = "linear"  # the rig has no non-linear parameters
+        self.rig, self.samplerate, self.tolerance, self.model = rig, samplerate, tolerance, model
+        self._move = blocks.compiled.move_rig
+        source_ohm, frame = rig.amplifier.source_impedance_ohm, rig.seat if seat else None
+        stored = energies(rig.actuator, rig.large_signal)
+        equations = Equations(rig.actuator, stored, source_ohm, frame)
+        self._design = ModelDesign(equations, samplerate, tolerance, refine)
+        self._rows = 5 if seat else 4
+        coarse = self._design.coarse
+        self.block_frames = coarse * max(1, round(BLOCK_S * samplerate / coarse))
         self.reset()
 
     def reset(self) -> None:
-        """Come to rest, cool down, and clear reports and counts."""
-        self._base.reset()
-        self._levels.stepped_samples = 0
-        if self.temperatures:
-            self.temperatures.reset()
-        self.equations.resistance_ohm = self.equations.linear_resistance_ohm
-        self.replaced_samples = 0  # volts that were not finite or above 1e6 and became 0
+        """Reset to rest, and clear reports and counts."""
+        self._state = np.zeros(STATE_NUMBERS)
+        self._frames = 0
+        self.replaced_samples = 0  # volts that were NaN or above 1e6 in magnitude, and became 0
         self.reports: deque[BlockReport] = deque(maxlen=_REPORTS)
-        self.frames_by_level = dict.fromkeys(ModelLevel, 0)
-        self._at = _Progress(self.level or ModelLevel.LINEAR)
-        self._beyond_m, self._trusted = math.inf, 0
-        # Volts and linear solution after the last node.
-        self._pending = np.empty(0), np.empty((ROWS, 0))
+        self.frames_by_model: dict[Model, int] = {"linear": 0, "nonlinear": 0}
 
     @property
-    def block_frames(self) -> int:
-        """Frames for which a model is chosen, about 0.1 s."""
-        return self._block
-
-    @property
-    def stepped_frames(self) -> int:
-        """Frames so far that were solved step by step, whatever model was selected."""
-        return self._levels.stepped_samples
+    def unresolved_frames(self) -> int:
+        """Number of frames with an end stop too hard for the shortest step, or a diverged state."""
+        return int(self._state[-1])
 
     def move(self, volts: FloatArray, outputs: Sequence[str] = QUANTITIES) -> Motion:
-        """Return the motion under the amplifier's next open-circuit volts, (frames,).
-
-        It is always finite. Of the `outputs`, seat_acceleration_m_s2 needs a seat.
-        """
+        """Return the motion, always finite, for the amplifier's open-circuit volts, (frames,)."""
         finite = np.ascontiguousarray(volts, dtype=np.float64)
-        if not blocks.peak(finite) <= _ABSURD_V:  # NaN as well
+        if not blocks.peak(finite) <= _ABSURD_V:  # also true for NaN
             finite, replaced = finite_or_zero(finite, _ABSURD_V)
             self.replaced_samples += replaced
-        moved = np.empty((ROWS, len(finite)))
-        mask = sum(1 << row for row, name in enumerate(_NAMES) if name in outputs)
-        if SEAT_ACCELERATION in outputs:
-            mask |= 8  # it follows from the acceleration of the moving mass
-        start, frames = 0, len(finite)
-        while start < frames:
-            # Parts that stay in the cache end at nodes.
-            stop = min(start + _PART_BLOCKS * self._block - len(self._pending[0]), frames)
-            self._base.move_into(finite, QUANTITIES, moved[: len(QUANTITIES)], start, stop)
-            self._solve(finite, moved, start, stop, mask)
-            start = stop
-        nothing: FloatArray = np.empty(0)
-        return Motion(
-            *(row if name in outputs else nothing for name, row in zip(_NAMES, moved, strict=True))
-        )
+        whole, block = len(finite), self.block_frames
+        moved = np.empty((self._rows, whole))
+        first = min(block - self._frames % block, whole)
+        lengths = [first, *(min(block, whole - start) for start in range(first, whole, block))]
+        lengths = lengths if whole else []
+        found = np.zeros((len(lengths), 2))
+        numbers = 0, whole, first, block, MODELS.index(self.model)
+        if whole:
+            self._move(finite, moved, self._design.arrays, self._state, found, numbers)
+        for frames, (nonlinear, estimate) in zip(lengths, found.tolist(), strict=True):
+            model: Model = "nonlinear" if nonlinear else "linear"
+            self.reports.append(BlockReport(self._frames, frames, model, estimate))
+            self.frames_by_model[model] += frames
+            self._frames += frames
+        rows = dict(zip(_NAMES, moved, strict=False))
+        return Motion(**{name: rows[name] for name in outputs})
 
-    def _solve(self, volts: FloatArray, moved: FloatArray, start: int, end: int, mask: int) -> None:
-        """Add the models' answer to the linear solution, and keep what is after the last node."""
-        known = len(self._pending[0])
-        if known:
-            begin, start = start, min(start + self._q - known, end)
-            head = np.concatenate([self._pending[0], volts[begin:start]])
-            rows = np.concatenate([self._pending[1], moved[:, begin:start]], axis=1)
-            if len(head) < self._q:
-                self._pending = head, rows.copy()
-                self._solve_provisionally(head, rows, mask)
-            else:
-                self._pending = np.empty(0), np.empty((ROWS, 0))
-                self._advance(head, rows, 0, self._q, mask)
-            moved[:, begin:start] = rows[:, known:]
-        stop = start + (end - start) // self._q * self._q
-        if stop > start:
-            self._advance(volts, moved, start, stop, mask)
-        if stop < end:
-            rest = moved[:, stop:end].copy()
-            self._pending = volts[stop:end].copy(), rest.copy()
-            self._solve_provisionally(self._pending[0], rest, mask)
-            moved[:, stop:end] = rest
 
-    def _solve_provisionally(self, volts: FloatArray, moved: FloatArray, mask: int) -> None:
-        path, stepped = self._at.path.copy(), self._levels.stepped_samples
-        frames = moved.shape[1]
-        self._levels.solve(self._at.level, volts, moved, path, 0, (frames,) * 3, mask)
-        self._levels.stepped_samples = stepped
+class ModelDesign:
+    """Both models of one rig at one sample rate.
 
-    def _advance(
-        self, volts: FloatArray, moved: FloatArray, start: int, stop: int, mask: int
+    arrays: numbers, the table of the energies, the coefficients for each step length, and the
+    linear model's matrices over one sample and over several. refine: as for `AdaptiveActuator`.
+    """
+
+    def __init__(
+        self, equations: Equations, samplerate: float, tolerance: float, refine: int = 0
     ) -> None:
-        """Solve from node to node, block by block."""
-        while start < stop:
-            room = self._block - self._at.samples % self._block
-            first = min(room, stop - start)
-            frames = first
-            if first == room and self.temperatures is None:
-                frames += (stop - start - first) // self._block * self._block
-            blocks_of = first, self._block, frames
-            if self.level:
-                rows = self._levels.solve(
-                    self.level, volts, moved, self._at.path, start, blocks_of, mask
-                )
-                level = self.level
-            else:
-                level, rows = self._select(volts, moved, start, blocks_of, mask)
-            done = first + (len(rows) - 1) * self._block
-            self._report(level, rows, first)
-            self._warm(moved, start, start + done)
-            start += done
+        e, p, seat = equations, equations.actuator, equations.seat
+        period_s = 1.0 / samplerate
+        self.coarse = max(1, round(samplerate / _COARSE_HZ))
+        longest_s = min(LONGEST_STEP_S, _TURN / _fastest_rad_s(e))
+        first = max(0, math.ceil(math.log2(period_s / longest_s) - 1e-9)) + refine
+        last = math.ceil(math.log2(period_s / _SHORTEST_STEP_S)) + refine
+        levels = 1 + max(first, last)
+        table, stops = table_of(e.energies, p.x_max_m), e.energies.stops
+        least_m = FLOOR * p.x_max_m
+        frame = astuple(seat) if seat else (0, 0, 0)
+        contact_kg = e.mass * seat.mass_kg / (e.mass + seat.mass_kg) if seat else e.mass
+        numbers = np.array(
+            [
+                e.mass, e.damping, e.stiffness, e.force_factor, e.inductance,
+                e.resistance_ohm, e.resistance_ohm,  # of a warm coil and of a cold coil
+                stops.start, stops.hardness, e.energies.stop_loss_s_per_m,
+                contact_kg, _CONTACT_TURN / 2**refine,
+                table.lowest_m, table.intervals_per_m, len(table.rows), *frame,
+                least_m, least_m * p.resonance_rad_s**2, tolerance, MARGIN,
+                period_s, levels, first, self.coarse,
+            ],
+            dtype=np.float64,
+        )  # fmt: skip
+        decay_per_s, scale, maps = e.resistance_ohm / e.inductance, e.scale, []
+        steps = [_step(decay_per_s, period_s / 2**level) for level in range(levels)]
+        for width, entry in ((1, e.entry[:, 1:]), (self.coarse, e.entry)):
+            # Squared coordinates are energies, so that entries have similar magnitudes.
+            rate, scaled = scale[:, None] * e.rate / scale, scale[:, None] * entry
+            holds = [first_order_hold(rate, one, width * period_s) for one in scaled.T]
+            inputs = [np.column_stack([hold[k] for hold in holds]) for k in (1, 2)]
+            parts = holds[0][0] * scale, *inputs
+            maps.append(np.concatenate([(part / scale[:, None]).ravel() for part in parts]))
+        self.arrays = (numbers, table.rows, np.array(steps), *maps)
 
-    def _select(
-        self,
-        volts: FloatArray,
-        moved: FloatArray,
-        start: int,
-        blocks_of: tuple[int, int, int],
-        mask: int,
-    ) -> tuple[ModelLevel, FloatArray]:
-        """Solve the next blocks by the linear model, or one by the non-linear model."""
-        at, (first, each, _) = self._at, blocks_of
-        estimates = self._estimate(volts, moved, start, blocks_of)
-        level = ModelLevel.LINEAR if len(estimates) else ModelLevel.NONLINEAR
-        old = None
-        if level is not at.level and at.samples:
-            faded = min(self._fade, first)
-            before = moved[:, start : start + faded].copy()
-            self._levels.solve(
-                at.level,
-                volts[start : start + faded],
-                before,
-                at.path.copy(),
-                0,
-                (faded,) * 3,
-                mask,
-            )
-            old = before
-        if level is ModelLevel.LINEAR:
-            frames = first + (len(estimates) - 1) * each
-            if at.level is not level:
-                at.path.begin(at.path.d)
-            if not self._levels.passes_linear(volts, moved, at.path, start + frames):
-                self._levels.solve(level, volts, moved, at.path, start, (first, each, frames), mask)
-            at.pair[(np.abs(at.pair) <= self._silent).all(axis=1)] = 0.0
-            if (np.abs(at.path.d) <= self._silent).all():
-                at.path.begin(np.zeros(5))
-                at.pair[0] = 0.0
-            rows = estimates
-        else:
-            if at.level is not level:
-                at.path.begin(at.pair[1])
-            frames = first
-            while (
-                frames < blocks_of[2]
-                and old is None
-                and self._is_alike(moved, start + frames, each)
-            ):
-                frames += each
-            blocks_of = first, each, frames
-            rows = self._levels.solve(level, volts, moved, at.path, start, blocks_of, mask)
-            at.pair[:] = at.path.d
-        at.level = level
-        if old is not None:
-            rows_asked = slice(0, ROWS if mask >> 4 else len(QUANTITIES))
-            crossfade(
-                moved[rows_asked, start : start + first],
-                old[rows_asked],
-                _FADE_SHARE * self.tolerance,
-            )
-        return level, rows
 
-    def _estimate(
-        self, volts: FloatArray, moved: FloatArray, start: int, blocks_of: tuple[int, int, int]
-    ) -> FloatArray:
-        """Return peaks and errors of the first blocks for which the linear model suffices.
+def _fastest_rad_s(e: Equations) -> float:
+    """Return an estimate of the equations' fastest rate in rad/s, without the end stops."""
+    reach = np.linspace(-1.0, 1.0, 41) * e.actuator.x_max_m
+    stiffness = np.abs(e.energies.spring(reach)[2]).max()
+    # The coil's voltage acts like a spring, or like a damper if its current settles faster.
+    spring = e.force_factor / math.sqrt(e.inductance * e.mass)
+    damper = e.force_factor**2 / (e.resistance_ohm * e.mass)
+    fastest = math.sqrt(stiffness / e.mass) + e.damping / e.mass + min(spring, damper)
+    if e.seat:
+        big = e.seat.mass_kg
+        fastest *= 1.0 + e.mass / big
+        fastest += math.sqrt(e.seat.stiffness_n_per_m / big) + e.seat.damping_n_s_per_m / big
+    return fastest
 
-        After a block that was beyond it, blocks that move as much are taken to be so as well.
-        """
-        first = blocks_of[0]
-        if first < self._fade and self._at.level is ModelLevel.NONLINEAR:
-            return np.empty((0, 4))  # too short for the crossfade that a change needs
-        if self._is_alike(moved, start, first):
-            return np.empty((0, 4))
-        at = self._at
-        estimates = self._levels.nonlinear.count_linear(
-            volts, moved, at.path, at.pair, start, blocks_of, self.tolerance, MARGIN
-        )
-        if not len(estimates):
-            self._beyond_m, self._trusted = self._reached_m(moved, start, first), _TRUSTED
-        elif at.level is ModelLevel.NONLINEAR and self._flux_is_apart(moved[3, start:][:first]):
-            return np.empty((0, 4))
-        return estimates
 
-    def _flux_is_apart(self, acceleration_m_s2: FloatArray) -> bool:
-        """Return whether a change to the linear model would show in a block's acceleration."""
-        p = self.rig.actuator
-        force_n = p.force_factor_n_per_a * abs(self._at.path.d[FLUX]) / p.inductance_h
-        peak_m_s2 = max(self._least_m_s2, float(np.abs(acceleration_m_s2).max(initial=0.0)))
-        apart_m_s2 = _FLUX_SHARE * force_n / p.moving_mass_kg
-        return bool(apart_m_s2 > self.tolerance * peak_m_s2)
+def _step(decay_per_s: float, width_s: float) -> tuple[float, ...]:
+    """Return the width of a step and its flux coefficients, in the order of `Step` in C."""
+    whole, half_s = decay_per_s * width_s, 0.5 * width_s
+    two, three = _phi(2, -whole), _phi(3, -whole)
+    return (
+        *(width_s, decay_per_s, 0.0, 0.0),
+        math.exp(-0.5 * whole),
+        half_s * _phi(1, -0.5 * whole),
+        half_s * half_s * _phi(2, -0.5 * whole),
+        math.exp(-whole),
+        width_s * _phi(1, -whole),
+        width_s * width_s * two,
+        width_s * (2.0 * two - 4.0 * three),
+        width_s * (4.0 * three - two),
+    )
 
-    def _reached_m(self, moved: FloatArray, start: int, frames: int) -> float:
-        return float(np.abs(moved[0, start : start + frames : self._q]).max())
 
-    def _is_alike(self, moved: FloatArray, start: int, frames: int) -> bool:
-        """Return whether a block moves as much as one that was beyond the linear model."""
-        if not self._trusted or self._reached_m(moved, start, frames) < _ALIKE * self._beyond_m:
-            return False
-        self._trusted -= 1
-        return True
-
-    def _report(self, level: ModelLevel, rows: FloatArray, first: int) -> None:
-        frames = first
-        for peak_m, peak_m_s2, wrong_m, wrong_m_s2 in rows.tolist():
-            estimate = wrong_m / max(peak_m, self._least_m)
-            estimate = max(estimate, wrong_m_s2 / max(peak_m_s2, self._least_m_s2))
-            self.reports.append(BlockReport(self._at.samples, frames, level, estimate, peak_m))
-            self.frames_by_level[level] += frames
-            self._at.samples += frames
-            frames = self._block
-
-    def _warm(self, moved: FloatArray, start: int, stop: int) -> None:
-        if self.temperatures is None:
-            return
-        current_a = moved[2, start:stop]
-        coil_ohm = self.equations.resistance_ohm - self.equations.source_impedance_ohm
-        power_w = coil_ohm * float(np.mean(np.square(current_a)))
-        self.temperatures.heat(power_w, (stop - start) / self.samplerate)
-        self.equations.resistance_ohm = (
-            self.temperatures.resistance_ohm(self.rig.actuator.resistance_ohm)
-            + self.equations.source_impedance_ohm
-        )
-        self._at.path.fields["fresh"] = 1.0
+def _phi(order: int, z: float) -> float:
+    """Return (exp(z) - the first `order` terms of its power series) / z^order. z: 0 or less."""
+    if abs(z) < 1.0:
+        return math.fsum(z**k / math.factorial(k + order) for k in range(20))
+    found = math.exp(z)
+    for k in range(order):
+        found = (found - 1.0 / math.factorial(k)) / z
+    return found

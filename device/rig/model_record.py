@@ -1,8 +1,4 @@
-"""What a simulated rig's models did, second by second: which ran, their cost and their true error.
-
-The true error is the difference from the non-linear model with steps that may be off by a
-hundredth of the usual; each block of the signal is solved by both.
-"""
+"""For each second of signal: the models that a simulated rig selected, their CPU time and error."""
 
 from collections import deque
 from collections.abc import Callable, Iterable
@@ -13,26 +9,17 @@ import numpy as np
 
 from device.errors import UsageError
 from device.rig.actuator import Motion, Quantity
-from device.rig.adaptive_actuator import AdaptiveActuator
-from device.rig.model_levels import ModelLevel
-from device.rig.nonlinear_model import FLOOR, STEP_TOLERANCE
-from device.rig.parameters import Model, check_tolerance
+from device.rig.adaptive_actuator import FLOOR, AdaptiveActuator
+from device.rig.parameters import Model
 from device.rig.rig import Rig
 from device.units import FloatArray
 
 SHOWN: tuple[Quantity, ...] = ("acceleration_m_s2", "displacement_m", "current_a")
-
-_TRUE_SHARE = 1e-2
-_SECONDS = 86_400
-"""So many seconds are kept at most, a day."""
+_SECONDS = 86_400  # largest number of kept reports
 
 
 def actuator_of(rig: Rig, samplerate: float, model: Model, tolerance: float) -> AdaptiveActuator:
-    """Return an actuator with the model that a user chose.
-
-    UsageError: the rig lacks what the non-linear model needs; the message names the values.
-    """
-    check_tolerance(tolerance)
+    """Return an actuator. UsageError: `model` is "nonlinear", but the rig has no [large_signal]."""
     if model == "nonlinear" and rig.large_signal is None:
         raise UsageError(
             f"rig {rig.name!r} has no data for the non-linear model: large_signal.stop_m is "
@@ -40,68 +27,52 @@ def actuator_of(rig: Rig, samplerate: float, model: Model, tolerance: float) -> 
             "there, with usual values as defaults: stiffness_rise, force_factor_loss, "
             "inductance_change, stop_n_per_m2, stop_loss_s_per_m"
         )
-    levels: dict[Model, ModelLevel | None] = {
-        "auto": None, "linear": ModelLevel.LINEAR, "nonlinear": ModelLevel.NONLINEAR
-    }  # fmt: skip
-    return AdaptiveActuator(rig, samplerate, tolerance, level=levels[model])
+    return AdaptiveActuator(rig, samplerate, tolerance, model=model)
 
 
 @dataclass(frozen=True)
 class SecondReport:
-    """One second of all actuators."""
+    """Values for one second of signal, from all actuators of a rig."""
 
     second: int
-    nonlinear_percent: float  # share of the time
+    nonlinear_percent: float  # share of the frames that the non-linear model moved
     cost_ms: float  # CPU time of the models
-    error_percent: float  # largest, of acceleration and excursion, of their peaks in this second
+    error_percent: float  # largest error of acceleration or excursion, relative to its peak
 
 
 class _Compared:
-    """One actuator beside the truth."""
+    """An actuator and its reference: the non-linear model with half the step length."""
 
     def __init__(self, actuator: AdaptiveActuator) -> None:
         self.actuator = actuator
-        self._true = AdaptiveActuator(
-            actuator.rig,
-            actuator.samplerate,
-            level=ModelLevel.NONLINEAR if actuator.rig.large_signal else ModelLevel.LINEAR,
-            step_tolerance=_TRUE_SHARE * STEP_TOLERANCE,
-        )
-        p = actuator.rig.actuator
+        rig, p = actuator.rig, actuator.rig.actuator
+        self._true = AdaptiveActuator(rig, actuator.samplerate, model="nonlinear", refine=1)
         self._least = np.array([p.resonance_rad_s**2, 1.0]) * (FLOOR * p.x_max_m)
         self.begin()
 
     def begin(self) -> None:
-        """Begin another second."""
-        self._wrong, self._peaks = np.zeros(2), self._least.copy()
-        self._nonlinear = self.actuator.frames_by_level[ModelLevel.NONLINEAR]
+        self._wrong, self._peaks = np.zeros(2), self._least
+        self._nonlinear = self.actuator.frames_by_model["nonlinear"]
 
     def compare(self, volts: FloatArray, motion: Motion) -> None:
-        """Take the motion under some volts."""
         true = self._true.move(volts, SHOWN[:2])
-        for index, name in enumerate(SHOWN[:2]):
-            expected: FloatArray = getattr(true, name)
-            wrong = np.abs(getattr(motion, name) - expected).max(initial=0.0)
-            self._wrong[index] = max(self._wrong[index], wrong)
-            peak = np.abs(expected).max(initial=0.0)
-            self._peaks[index] = max(self._peaks[index], peak)
+        found, expected = (
+            np.array([one.acceleration_m_s2, one.displacement_m]) for one in (motion, true)
+        )
+        wrong = np.abs(found - expected).max(axis=1, initial=0.0)
+        self._wrong = np.maximum(self._wrong, wrong)
+        self._peaks = np.maximum(self._peaks, np.abs(expected).max(axis=1, initial=0.0))
 
-    @property
-    def error(self) -> float:
-        """The largest error of this second as a share of its peak."""
-        return float((self._wrong / self._peaks).max())
-
-    @property
-    def nonlinear_frames(self) -> int:
-        """Frames of this second that the non-linear model computed."""
-        return self.actuator.frames_by_level[ModelLevel.NONLINEAR] - self._nonlinear
+    def end(self) -> tuple[float, int]:
+        """Return this second's largest relative error and its number of non-linear frames."""
+        nonlinear = self.actuator.frames_by_model["nonlinear"] - self._nonlinear
+        error = float((self._wrong / self._peaks).max())
+        self.begin()
+        return error, nonlinear
 
 
 class ModelRecord:
-    """The seconds of some actuators that move together. One thread uses an object.
-
-    clock: CPU time in seconds, which is asked before and after each block.
-    """
+    """Moves actuators and reports each second of signal. One thread. clock: returns CPU time, s."""
 
     def __init__(
         self, actuators: Iterable[AdaptiveActuator], samplerate: int, clock: Callable[[], float]
@@ -112,55 +83,51 @@ class ModelRecord:
         self.seconds: deque[SecondReport] = deque(maxlen=_SECONDS)
 
     def move(self, index: int, volts: FloatArray) -> Motion:
-        """Move one actuator, and compare; all of them move by the same blocks in turn."""
+        """Move one actuator and its reference by a block, of the same length for all actuators."""
         one = self._compared[index]
         start_s = self._clock()
         motion = one.actuator.move(volts, SHOWN)
         self._cost_s += self._clock() - start_s
         one.compare(volts, motion)
-        if one.actuator.stepped_frames:
+        if one.actuator.unresolved_frames:
             raise UsageError(
-                f"rig {one.actuator.rig.name!r}: the non-linear model does not converge "
-                f"{self._frames / self._samplerate:.2f} s after the start; check its "
-                "[large_signal], or choose --model linear"
+                f"rig {one.actuator.rig.name!r}: its stops are too hard for the non-linear model "
+                f"{self._frames / self._samplerate:.2f} s after the start; lower "
+                "large_signal.stop_n_per_m2, or choose --model linear"
             )
         return motion
 
     def advance(self, frames: int) -> None:
-        """Count frames by which all actuators have moved; end a second that is full."""
+        """Count a block by which all actuators have moved; report a second when it has ended."""
         before = self._frames // self._samplerate
         self._frames += frames
         if self._frames // self._samplerate > before:
             self._finish(before)
 
     def finish(self) -> None:
-        """End the last second, which may be shorter."""
+        """Report the last, possibly incomplete second."""
         if self._frames > self._begun:
             self._finish(self._frames // self._samplerate)
 
     def _finish(self, second: int) -> None:
         frames, self._begun = self._frames - self._begun, self._frames
-        nonlinear = sum(one.nonlinear_frames for one in self._compared)
-        share = min(1.0, nonlinear / max(1, frames * len(self._compared)))
-        error = max((one.error for one in self._compared), default=0.0)
-        numbers = (100.0 * share, 1e3 * self._cost_s, 100.0 * error)
+        errors, nonlinear = zip(*(one.end() for one in self._compared), strict=True)
+        share = min(1.0, sum(nonlinear) / max(1, frames * len(errors)))
+        numbers = (100.0 * share, 1e3 * self._cost_s, 100.0 * max(errors))
         self.seconds.append(SecondReport(second, *(float(f"{x:.4g}") for x in numbers)))
         self._cost_s = 0.0
-        for one in self._compared:
-            one.begin()
 
 
 def in_words(seconds: Iterable[SecondReport]) -> list[str]:
-    """Return lines for a user: consecutive seconds of one kind share a line."""
+    """Return lines for a user; consecutive seconds with the same models share a line."""
     lines = []
     for kind, group in groupby(seconds, key=_kind):
         part = list(group)
-        first, last = part[0].second, part[-1].second + 1
         cost_ms = sum(one.cost_ms for one in part) / len(part)
         error = max(one.error_percent for one in part)
         lines.append(
-            f"{first} to {last} s: {kind}, {cost_ms:.2g} ms of CPU a second, true error up to "
-            f"{error:.2g} %"
+            f"{part[0].second} to {part[-1].second + 1} s: {kind}, {cost_ms:.2g} ms of CPU a "
+            f"second, true error up to {error:.2g} %"
         )
     return lines
 

@@ -1,8 +1,7 @@
-"""The parameters of each stage between the vibration signal and the seat, with units and limits.
+"""The parameters of each stage of a rig, with units and allowed values.
 
-Symbols are those of Thiele and Small for moving-coil transducers (Qms, Qes, Qts) and of the paper
-(equations 8-10): m x'' + c x' + k x = F with k = m w0^2. The rig's file (rig_file.py) says where
-each value comes from.
+Symbols follow Thiele and Small for moving-coil transducers (Qms, Qes, Qts), and the paper
+(equations 8-10): m x'' + c x' + k x = F with k = m w0^2.
 """
 
 import math
@@ -15,16 +14,16 @@ from device.errors import UsageError
 
 @dataclass(frozen=True)
 class Limit:
-    """Which values are allowed, and the words for a message, such as "above 0"."""
+    """The allowed values, and their description for a message, such as "above 0"."""
 
     test: Callable[[Any], bool]
     words: str
 
     def allows(self, value: object) -> bool:
-        """Return whether the value is allowed; a value of the wrong type is not."""
+        """Whether the value is allowed; a value of the wrong type is not allowed."""
         try:
             return not isinstance(value, bool) and self.test(value)
-        except (TypeError, OverflowError):  # a word; an integer beyond all floats
+        except (TypeError, OverflowError):  # a text; an integer beyond the range of float
             return False
 
 
@@ -48,40 +47,35 @@ Celsius = Annotated[float, Limit(lambda t: -50 <= t <= 150, "from -50 to 150")]
 Bits = Annotated[int, _whole(8, 32)]
 DriveMode = Literal["voltage", "current"]
 
-Model = Literal["auto", "linear", "nonlinear"]
-"""Which model of the actuator a user chose."""
+Model = Literal["auto", "linear", "nonlinear"]  # the user's choice of actuator model
 MODELS: tuple[Model, ...] = get_args(Model)
-LEAST_TOLERANCE = 1e-5
-"""The smallest error, as a share of the peak, that a user may ask for."""
-_HIGHEST_TOLERANCE = 1.0
+LEAST_TOLERANCE = 1e-5  # smallest error, relative to the peak, that a user may request
 
 
 def check_tolerance(tolerance: float) -> None:
-    """Raise UsageError for a tolerance that is not above 0 and at most 1."""
-    if not 0.0 < tolerance <= _HIGHEST_TOLERANCE:
+    """Raise UsageError unless the tolerance is above 0 and at most 1."""
+    if not 0.0 < tolerance <= 1.0:
         raise UsageError(
-            f"tolerance={tolerance!r} must be above 0 and at most {_HIGHEST_TOLERANCE:g}; "
-            "0.01 allows 1 % of the peak"
+            f"tolerance={tolerance!r} must be above 0 and at most 1; 0.01 allows 1 % of the peak"
         )
 
 
 class Stage:
-    """Base of all stages; each field is annotated with its limit."""
+    """Base class of all stages. Each field is annotated with its `Limit`."""
 
     def __post_init__(self) -> None:
-        wrong = self.problems(vars(self))
-        if wrong:
+        if wrong := self.problems(vars(self)):
             stage = type(self).__name__.removesuffix("Parameters")
             raise UsageError(f"{stage} of the rig: {'; '.join(wrong)}; correct the rig")
 
     @classmethod
     def limits(cls) -> dict[str, Limit]:
-        """Return the limit of each parameter, by name."""
+        """Return the `Limit` of each parameter, by name."""
         return {field.name: get_args(field.type)[1] for field in fields(cls)}  # type: ignore[arg-type]
 
     @classmethod
     def problems(cls, values: dict[str, Any]) -> list[str]:
-        """Return what is wrong with the values, each with its limit; absent ones are ignored."""
+        """Return an error text for each invalid value; missing values are ignored."""
         found = [
             f"{name}={values[name]!r} must be {limit.words}"
             for name, limit in cls.limits().items()
@@ -100,56 +94,36 @@ class DacParameters(Stage):
     bits: Bits
     full_scale_v: Positive  # peak volts for a sample of 1.0 at a volume of 0 dB
     samplerate_hz: Positive = 48_000.0
-    latency_s: NotNegative = 0.0  # from a sample's turn to its voltage
+    latency_s: NotNegative = 0.0  # from the clock edge of a sample to its voltage
     volume_limit_db: NotPositive = 0.0
 
 
 @dataclass(frozen=True)
 class AmplifierParameters(Stage):
-    """A power amplifier; cuts of 0 and infinity leave an end of its band open."""
+    """A power amplifier. A low cut of 0 or a high cut of infinity omits the filter."""
 
-    gain: Positive  # volts out, without a load, per volt in
+    gain: Positive  # open-circuit output volts per input volt
     output_limit_v: Positive  # peak volts at which it clips
     source_impedance_ohm: NotNegative  # 0: ideal voltage drive; far above R: current drive
     drive_mode: Annotated[DriveMode, _one_of(*get_args(DriveMode))] = "voltage"
     low_cut_hz: NotNegative = 0.0  # -3 dB
     high_cut_hz: UpToInfinity = math.inf  # -3 dB
     current_limit_a: UpToInfinity = math.inf  # peak
-    channels: Annotated[int, _whole(1, 64)] = 1  # how many actuators it drives
+    channels: Annotated[int, _whole(1, 64)] = 1  # number of actuators that it can drive
 
 
-EDDY = ("inductance_eddy_h", "resistance_eddy_ohm")
-"""Parameters of eddy currents, of which there are both or none."""
+EDDY = ("inductance_eddy_h", "resistance_eddy_ohm")  # both parameters are 0, or both are above 0
 
 
 @dataclass(frozen=True)
 class ActuatorParameters(Stage):
     """A voice-coil actuator near its rest position; all but the last two values are above 0.
 
-    Attributes
-    ----------
-    moving_mass_kg : float
-        m.
-    resonance_hz : float
-        f0, undamped.
-    q_mechanical : float
-        Qms: the Q with the coil open.
-    force_factor_n_per_a : float
-        Bl.
-    resistance_ohm : float
-        R of the coil.
-    inductance_h : float
-        L of the coil.
-    x_max_m : float
-        The excursion, either way, up to which the linear model holds.
-    inductance_eddy_h, resistance_eddy_ohm : float
-        L2 and R2 of eddy currents, R2 parallel to L2, in series with L; 0: none. Calibration uses
-        them; the models of the rig leave them out.
-
-    Raises
-    ------
-    UsageError
-        A parameter is out of range.
+    moving_mass_kg: m. resonance_hz: f0, undamped. q_mechanical: Qms, the Q with the coil open.
+    force_factor_n_per_a: Bl. resistance_ohm, inductance_h: R and L of the coil. x_max_m: excursion
+    in either direction up to which the linear model holds. inductance_eddy_h, resistance_eddy_ohm:
+    L2 and R2 of eddy currents: R2 parallel to L2, in series with L; 0 for none. Only calibration
+    uses L2 and R2. UsageError: a parameter is out of range.
     """
 
     moving_mass_kg: Positive
@@ -164,16 +138,15 @@ class ActuatorParameters(Stage):
 
     @classmethod
     def problems(cls, values: dict[str, Any]) -> list[str]:
-        """Return what is wrong with the values; L2 without R2, and R2 without L2, too."""
+        """Return an error text for each invalid value, and one if only one of L2 and R2 is 0."""
         found = super().problems(values)
-        eddy = {name: values.get(name, 0.0) for name in EDDY}
-        if not found and len([name for name in EDDY if eddy[name] > 0.0]) == 1:
-            given, other = sorted(EDDY, key=lambda name: -eddy[name])
-            found = [f"{given}={eddy[given]!r} needs {other} above 0 as well, or both must be 0"]
+        other, given = sorted(EDDY, key=lambda name: bool(values.get(name, 0.0)))
+        if not found and values.get(given, 0.0) and not values.get(other, 0.0):
+            found = [f"{given}={values[given]!r} needs {other} above 0 as well, or both must be 0"]
         return found
 
     def coil_ohm(self, s: complex) -> complex:
-        """Return the coil's impedance at rest, R + s L1 + (s L2, parallel to R2)."""
+        """Return the coil's impedance without motion, R + s L + (s L2 parallel to R2)."""
         eddy = s * self.inductance_eddy_h
         if eddy:
             eddy *= self.resistance_eddy_ohm / (self.resistance_eddy_ohm + eddy)
@@ -206,7 +179,7 @@ class ActuatorParameters(Stage):
 
 
 def detune(p: ActuatorParameters, share: float) -> ActuatorParameters:
-    """Return the actuator with its f0 changed by a share (-0.1: 10 % lower) through stiffness."""
+    """Return the actuator with another stiffness, so that f0 changes by a share (-0.1: -10 %)."""
     factor = 1.0 + share
     return replace(p, resonance_hz=p.resonance_hz * factor, q_mechanical=p.q_mechanical * factor)
 
@@ -214,7 +187,7 @@ def detune(p: ActuatorParameters, share: float) -> ActuatorParameters:
 def vary(
     p: ActuatorParameters, mass: float = 1.0, stiffness: float = 1.0, force_factor: float = 1.0
 ) -> ActuatorParameters:
-    """Return the actuator with moving mass, stiffness and Bl times factors; friction stays."""
+    """Return the actuator with scaled moving mass, stiffness and Bl, and unchanged friction."""
     ratio, impedance = math.sqrt(stiffness / mass), math.sqrt(stiffness * mass)
     return replace(
         p,
@@ -227,37 +200,30 @@ def vary(
 
 @dataclass(frozen=True)
 class LargeSignalParameters(Stage):
-    """How an actuator departs from the linear one towards Xmax, and its end stops.
+    """Deviations of an actuator from the linear model up to Xmax, and its end stops."""
 
-    The stops push back with stop_n_per_m2 times the square of the indentation. That force grows by
-    stop_loss_s_per_m times the speed inwards (Hunt and Crossley 1975).
-    """
-
-    stop_m: Positive  # excursion, in both directions, at which the stops begin
-    stiffness_rise: NotNegative = 0.5  # share that k gains at Xmax
-    force_factor_loss: Share = 0.25  # share that Bl loses at Xmax
+    stop_m: Positive  # excursion, in both directions, at which the end stops begin
+    stiffness_rise: NotNegative = 0.5  # relative increase of k at Xmax
+    force_factor_loss: Share = 0.25  # relative decrease of Bl at Xmax
     inductance_change: Share = 0.3  # L is L0 (1 - change tanh(x / Xmax))
-    stop_n_per_m2: NotNegative = 1.3e9
-    stop_loss_s_per_m: NotNegative = 0.5
+    stop_n_per_m2: NotNegative = 1.3e9  # force over the squared indentation of an end stop
+    stop_loss_s_per_m: NotNegative = 0.5  # relative rise of this force per m/s (Hunt-Crossley 1975)
 
 
 @dataclass(frozen=True)
 class ThermalParameters(Stage):
-    """Coil and magnet as two masses that warm up."""
+    """Coil and magnet as two thermal masses."""
 
-    coil_k_per_w: Positive  # from coil to magnet
+    coil_k_per_w: Positive  # thermal resistance from coil to magnet
     coil_j_per_k: Positive
-    magnet_k_per_w: Positive  # from magnet to the surroundings
+    magnet_k_per_w: Positive  # thermal resistance from magnet to the surroundings
     magnet_j_per_k: Positive
-    ambient_c: Celsius = 20.0  # the stated resistance holds at this temperature
+    ambient_c: Celsius = 20.0  # temperature for which the actuator's resistance is given
 
 
 @dataclass(frozen=True)
 class SeatParameters(Stage):
-    """Frame, cushion and sitter: a second mass on a spring and damper to the ground.
-
-    A soft spring comes close to a free frame.
-    """
+    """Frame, cushion and seated person: a second mass on a spring and damper to the ground."""
 
     mass_kg: Positive
     stiffness_n_per_m: Positive
@@ -266,28 +232,28 @@ class SeatParameters(Stage):
 
 @dataclass(frozen=True)
 class AccelerometerParameters(Stage):
-    """A piezoelectric accelerometer: charge for acceleration, with its own resonance."""
+    """A piezoelectric accelerometer with its own resonance; its output is a charge."""
 
     sensitivity_pc_per_m_s2: Positive
     resonance_hz: Positive
     q_resonance: Positive
-    limit_m_s2: Positive  # the largest acceleration that it shows, either way
+    limit_m_s2: Positive  # largest measurable acceleration in either direction
 
 
 @dataclass(frozen=True)
 class ConditioningParameters(Stage):
-    """A charge amplifier: volts for charge, between two corners (-3 dB)."""
+    """A charge amplifier: charge in, volts out, with a band between two corners (-3 dB)."""
 
     gain_v_per_pc: Positive
     low_cut_hz: NotNegative
     high_cut_hz: UpToInfinity
-    noise_pc: NotNegative  # r.m.s. at its input over its whole band
+    noise_pc: NotNegative  # r.m.s. at the input, in the whole band
     output_limit_v: Positive  # peak
 
 
 @dataclass(frozen=True)
 class DaqParameters(Stage):
-    """A data-acquisition input with its codes over ±range_v."""
+    """A data-acquisition input with a range of ±range_v."""
 
     bits: Bits
     range_v: Positive

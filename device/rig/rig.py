@@ -1,7 +1,22 @@
-"""A rig: the parameters of its stages, and the source of each value."""
+"""A rig: the parameters of its stages, the source of each value, and its TOML file.
 
+    [actuator]
+    resonance_hz = { value = 90.0, given = "the paper: about 90 Hz" }
+    q_mechanical = { value = 8.0, assumed = "a rubber suspension" }
+    force_factor_n_per_a = { value = 9.8, measured = "impedance", interval = [9.6, 10.0] }
+    inductance_h = 1e-3
+
+Each stage is a table with the name of a field of `Rig`. The source of a value may be omitted.
+`[actuator]` may also contain derived values (`DERIVED`), which must agree with the other values.
+"""
+
+import difflib
 import math
-from dataclasses import dataclass, field, fields
+import tomllib
+from collections.abc import Iterable
+from dataclasses import MISSING, dataclass, field, fields
+from importlib.resources import files
+from pathlib import Path
 from typing import Any, Literal, get_args
 
 from device.errors import UsageError
@@ -21,8 +36,7 @@ from device.rig.parameters import (
 SourceKind = Literal["given", "assumed", "measured", "identified"]
 SOURCE_KINDS: tuple[SourceKind, ...] = get_args(SourceKind)
 
-MIN_CURRENT_DRIVE_RATIO = 10.0
-"""Ten times the coil's resistance removes nine tenths of the electrical damping."""
+MIN_CURRENT_DRIVE_RATIO = 10.0  # least source impedance / coil resistance of a current drive
 
 
 @dataclass(frozen=True)
@@ -31,43 +45,17 @@ class Source:
 
     parameter: str  # "stage.name"
     kind: SourceKind  # given: by a paper or datasheet; identified: by a fit to a measurement
-    words: str  # by whom, why or how
-    interval: tuple[float, float] | None = None  # 95 %, in the parameter's unit
+    words: str  # the paper, the reason or the method
+    interval: tuple[float, float] | None = None  # 95 % confidence, in the parameter's unit
 
 
 @dataclass(frozen=True)
 class Rig:
-    """One chain from the vibration signal to the seat and back, under a name.
+    """All stages between vibration signal and seat, and from the accelerometer to the DAQ.
 
-    Attributes
-    ----------
-    name : str
-        The name that `--rig` takes.
-    dac : DacParameters
-        The digital-to-analogue converter.
-    amplifier : AmplifierParameters
-        The power amplifier.
-    actuator : ActuatorParameters
-        The actuator near its rest position.
-    large_signal : LargeSignalParameters | None
-        Its behaviour towards Xmax and beyond.
-    thermal : ThermalParameters | None
-        How its coil warms up.
-    seat : SeatParameters | None
-        The frame, cushion and sitter.
-    accelerometer : AccelerometerParameters | None
-        The sensor at the seat.
-    conditioning : ConditioningParameters | None
-        The sensor's charge amplifier.
-    daq : DaqParameters | None
-        The data-acquisition input.
-    sources : tuple[Source, ...]
-        One for each value whose origin the file states.
-
-    Raises
-    ------
-    UsageError
-        Values of different stages contradict one another; the message names all of them.
+    name: the rig's name, from its file. dac, amplifier, actuator, large_signal, thermal: see their
+    classes. seat, accelerometer, conditioning, daq: see their classes. sources: one for each value
+    with a stated source. UsageError: values contradict one another.
     """
 
     name: str
@@ -83,25 +71,25 @@ class Rig:
     sources: tuple[Source, ...] = field(default=(), repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        wrong = find_contradictions(self.stages())
-        if wrong:
+        if wrong := find_contradictions(self.stages()):
             raise UsageError(f"rig {self.name!r}: {'; '.join(wrong)}; correct the rig")
 
     def stages(self) -> dict[str, Any]:
-        """Return the parameters by the stage's name, in signal order, without absent stages."""
+        """Return the parameters of the existing stages by name, in signal order."""
         named = {f.name: getattr(self, f.name) for f in fields(self)}
         return {name: stage for name, stage in named.items() if isinstance(stage, Stage)}
 
     def assumed(self) -> tuple[str, ...]:
-        """Return the parameters, as "stage.name", whose values are assumed."""
+        """Return the parameters with assumed values, as "stage.name"."""
         return tuple(source.parameter for source in self.sources if source.kind == "assumed")
 
 
 def find_contradictions(stages: dict[str, Any]) -> list[str]:
-    """Return what values of different stages contradict one another; absent stages are ignored."""
-    get = stages.get
-    actuator, amplifier, dac = get("actuator"), get("amplifier"), get("dac")
-    large, accelerometer = get("large_signal"), get("accelerometer")
+    """Return the contradictions between the stages' values; missing stages are ignored."""
+    dac, amplifier, actuator, large = map(
+        stages.get, ("dac", "amplifier", "actuator", "large_signal")
+    )
+    accelerometer, conditioning, daq = map(stages.get, ("accelerometer", "conditioning", "daq"))
     wrong = []
     if actuator and large and large.stop_m <= actuator.x_max_m:
         wrong.append(
@@ -109,8 +97,7 @@ def find_contradictions(stages: dict[str, Any]) -> list[str]:
             f"actuator.x_max_m={actuator.x_max_m!r}, where the linear range ends"
         )
     if actuator:
-        for name in ("amplifier", "conditioning"):
-            stage = get(name)
+        for name, stage in (("amplifier", amplifier), ("conditioning", conditioning)):
             if stage and not stage.low_cut_hz < actuator.resonance_hz < stage.high_cut_hz:
                 wrong.append(
                     f"actuator.resonance_hz={actuator.resonance_hz!r} must be inside the band of "
@@ -136,7 +123,6 @@ def find_contradictions(stages: dict[str, Any]) -> list[str]:
                 f"amplifier.output_limit_v={amplifier.output_limit_v!r} must be above one step "
                 f"of the DAC after the gain, {step_v:.3g} V"
             )
-    conditioning, daq = get("conditioning"), get("daq")
     if conditioning:
         noise_v = conditioning.noise_pc * conditioning.gain_v_per_pc
         for name, limit_v in (
@@ -159,3 +145,156 @@ def find_contradictions(stages: dict[str, Any]) -> list[str]:
     if daq and daq.range_v <= daq.noise_v:
         wrong.append(f"daq.range_v={daq.range_v!r} must be above daq.noise_v={daq.noise_v!r}")
     return wrong
+
+
+SUFFIX = ".toml"
+SHIPPED = ("paper", "consumer")
+_NAMES = ", ".join(SHIPPED)
+
+STAGES: dict[str, type[Stage]] = {
+    stage.name: kind
+    for stage in fields(Rig)
+    for kind in (stage.type, *get_args(stage.type))
+    if isinstance(kind, type) and issubclass(kind, Stage)
+}
+REQUIRED = ("dac", "amplifier", "actuator")
+DERIVED = ("stiffness_n_per_m", "damping_n_s_per_m", "q_electrical", "q_total")
+AGREEMENT = 0.02  # relative tolerance of derived values, which usually have two or three digits
+
+
+def read_rig(path: str | Path) -> Rig:
+    """Return the rig of a TOML file. The rig's default name is the file's name without .toml.
+
+    path: the file. UsageError: it cannot be read, or values are wrong; the message names them all.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "it is not text in UTF-8"
+        raise UsageError(
+            f"cannot read the rig file {path}: {reason}; check it, or choose one of: {_NAMES}"
+        ) from None
+    return parse_rig(text, path.stem, str(path))
+
+
+def parse_rig(text: str, name: str, origin: str) -> Rig:
+    """Return the rig that a TOML text describes. origin: name of the text for messages.
+
+    name: the rig's name, unless the text states another. UsageError: as for `read_rig`.
+    """
+    try:
+        document = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise UsageError(f"the rig file {origin} is not TOML: {error}; correct it") from None
+    reading = _Reading()
+    stages = reading.read(document)
+    stated = document.get("name", name)
+    if not (isinstance(stated, str) and stated):
+        reading.wrong.append(f"name={stated!r} must be a word")
+    reading.wrong += find_contradictions(stages)
+    if reading.wrong:
+        raise UsageError(f"the rig file {origin}: {'; '.join(reading.wrong)}; correct the file")
+    return Rig(name=stated, sources=tuple(reading.sources), **stages)
+
+
+@dataclass
+class _Reading:
+    """The sources and problems found in one file."""
+
+    wrong: list[str] = field(default_factory=list)
+    sources: list[Source] = field(default_factory=list)
+
+    def read(self, document: dict[str, Any]) -> dict[str, Any]:
+        self._refuse_unknown("", document, [*STAGES, "name", "description"])
+        stages: dict[str, Any] = {}
+        for name, kind in STAGES.items():
+            if name not in document:
+                if name in REQUIRED:
+                    self.wrong.append(f"[{name}] is missing")
+            elif not isinstance(document[name], dict):
+                self.wrong.append(f"{name}={document[name]!r} must be a table, [{name}]")
+            elif stage := self._stage(name, kind, document[name]):
+                stages[name] = stage
+        return stages
+
+    def _stage(self, name: str, kind: type[Stage], table: dict[str, Any]) -> Stage | None:
+        before = len(self.wrong)
+        known = {f.name: f for f in fields(kind)}  # type: ignore[arg-type]
+        following = DERIVED if name == "actuator" else ()
+        every = [*known, *following]
+        self._refuse_unknown(f"{name}.", table, every)
+        values = {k: self._value(f"{name}.{k}", table[k]) for k in every if k in table}
+        for key, description in known.items():
+            if key not in values and description.default is MISSING:
+                self.wrong.append(f"{name}.{key} is missing")
+        stated = {key: values.pop(key) for key in following if key in values}
+        self.wrong += [f"{name}.{problem}" for problem in kind.problems(values)]
+        if len(self.wrong) > before:
+            return None
+        are_floats = {key: get_args(known[key].type)[0] is float for key in values}
+        stage = kind(**{k: float(v) if are_floats[k] else v for k, v in values.items()})
+        for key, value in stated.items():
+            follows = getattr(stage, key)
+            follows = follows() if callable(follows) else follows
+            if not (isinstance(value, float) and abs(value / follows - 1.0) <= AGREEMENT):
+                self.wrong.append(
+                    f"actuator.{key}={value!r} contradicts the rest, from which {follows:.4g} "
+                    "follows: correct one of them, or leave it out"
+                )
+        return stage
+
+    def _value(self, parameter: str, stated: object) -> Any:
+        """Return the bare value and store its source, if there is one."""
+        if not isinstance(stated, dict):
+            return stated
+        value, interval = stated.get("value", math.nan), stated.get("interval")
+        kinds = [kind for kind in SOURCE_KINDS if kind in stated]
+        unknown = set(stated) - {"value", "interval", *SOURCE_KINDS}
+        if "value" not in stated or len(kinds) != 1 or unknown:
+            self.wrong.append(
+                f"{parameter} must be a number or {{ value = ..., KIND = 'why' }} with one KIND "
+                f"of {', '.join(SOURCE_KINDS)}"
+            )
+            return value
+        bounds = None
+        if interval is not None and not (bounds := _interval_around(value, interval)):
+            self.wrong.append(f"{parameter}: interval={interval!r} must be [low, high] around it")
+        self.sources.append(Source(parameter, kinds[0], str(stated[kinds[0]]), bounds))
+        return value
+
+    def _refuse_unknown(self, prefix: str, table: Iterable[str], known: list[str]) -> None:
+        for key in table:
+            if key not in known:
+                near = difflib.get_close_matches(key, known, 1)
+                hint = f", did you mean {near[0]}?" if near else ""
+                self.wrong.append(f"{prefix}{key} is unknown{hint}")
+
+
+def _interval_around(value: Any, interval: Any) -> tuple[float, float] | None:
+    try:
+        low, high = interval
+        return (float(low), float(high)) if low <= value <= high else None
+    except (TypeError, ValueError):
+        return None
+
+
+def _shipped(name: str) -> Rig:
+    text = files("device.rig").joinpath(name + SUFFIX).read_text(encoding="utf-8")
+    return parse_rig(text, name, f"{name}{SUFFIX} of this package")
+
+
+_RIGS = {name: _shipped(name) for name in SHIPPED}
+PAPER, CONSUMER = _RIGS["paper"], _RIGS["consumer"]
+
+
+def rig_by_name(name: str) -> Rig:
+    """Return a rig. name: the name of a built-in rig, or a path that ends in .toml.
+
+    UsageError: no rig has this name, or the file is missing or invalid.
+    """
+    if name in _RIGS:
+        return _RIGS[name]
+    if name.endswith(SUFFIX):
+        return read_rig(name)
+    raise UsageError(f"no rig is named {name!r}; choose one of: {_NAMES}; or a file, NAME{SUFFIX}")

@@ -1,7 +1,5 @@
 """A simulated rig in place of a device: DAC, amplifier and actuator for each channel."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -10,8 +8,7 @@ from device.errors import InternalError, UsageError
 from device.output import VibrationOutput
 from device.rig.actuator import LinearActuator, Motion
 from device.rig.adaptive_actuator import AdaptiveActuator
-from device.rig.electronics import Amplifier, Dac
-from device.rig.instruments import CONDITIONING_V_PER_M_S2
+from device.rig.electronics import CONDITIONING_V_PER_M_S2, Amplifier, Dac
 from device.rig.model_record import SHOWN, ModelRecord, SecondReport, actuator_of
 from device.rig.parameters import Model
 from device.rig.rig import Rig
@@ -21,21 +18,16 @@ from device.units import Float32Array, FloatArray, check_channels
 class SimulatedRig:
     """A `VibrationOutput` that moves one simulated actuator for each channel.
 
-    One thread writes; any thread may read the attributes at any time. Actuators that choose a model
-    move by blocks of 0.1 s counted from the start, and by the rest at `close`. The bytes of a
-    record therefore do not depend on how the vibration was cut.
-
-    rig: the rig of all channels, or that of each channel, None where nothing is connected.
-    channels: number of channels, 1 or more; None for as many as rigs are listed. recorder: gets
-    what the accelerometers show, at the same rate and channels, with 1.0 for
-    ACCELERATION_FULL_SCALE_M_S2. It is closed or aborted with the rig. tolerance: none for linear
-    actuators, else the error that `AdaptiveActuator` may make, with the `model`. clock: CPU time in
-    seconds; with it, `seconds` says second by second which model ran, its cost and its true error,
-    for about 5 ms more of CPU a second and actuator. acceleration_m_s2: (frames, channels) of what
-    the last `write` or `close` moved, a new array each time; 0 without a rig.
-    peak_acceleration_m_s2, peak_displacement_m, peak_current_a: largest magnitudes of any channel
-    since the start or `reset`. overcurrent_samples: samples beyond the amplifier's current limit; a
-    real one would limit it or switch off.
+    One thread writes; any thread may read the attributes at any time. Unless tolerance is None, the
+    rig is simulated in blocks of 0.1 s, independent of the writes; `close` processes the rest.
+    rig: one for all channels, or a list with one for each channel, None for an unconnected channel.
+    channels: 1 or more; None for the list's length. recorder: records the accelerations as samples,
+    1.0 for ACCELERATION_FULL_SCALE_M_S2; `close` and `abort` also close and abort the recorder.
+    tolerance, model: see `AdaptiveActuator`; tolerance None for `LinearActuator`. clock: returns
+    the CPU time, s, for `seconds`; None for no reports.
+    acceleration_m_s2: (frames, channels) of the last `write` or `close`; 0 in channels without rig.
+    peak_acceleration_m_s2, peak_displacement_m, peak_current_a: largest magnitudes since the start
+    or `reset`. overcurrent_samples: number of samples with a current beyond the amplifier's limit.
     """
 
     def __init__(
@@ -59,57 +51,46 @@ class SimulatedRig:
                 f"the recorder needs {recorder.channels} channels at {recorder.samplerate} Hz, "
                 f"the simulated rig gives {len(rigs)} at {samplerate} Hz"
             )
-        self.samplerate = samplerate
-        self.channels = len(rigs)
-        self._recorder = recorder
-        self._closed = False
-        self._stages = [
-            _Stage(
-                one,
-                [k for k, other in enumerate(rigs) if other == one],
-                samplerate,
-                tolerance,
-                model,
-                clock,
-            )
-            for one in dict.fromkeys(rigs)
-            if one is not None
-        ]
+        self.samplerate, self.channels = samplerate, len(rigs)
+        self._recorder, self._closed = recorder, False
+        self._stages: list[_Stage] = []
+        for one in dict.fromkeys(filter(None, rigs)):
+            columns = [column for column, other in enumerate(rigs) if other == one]
+            self._stages.append(_Stage(one, columns, samplerate, tolerance, model, clock))
         chosen = [one for one in self.actuators if isinstance(one, AdaptiveActuator)]
         self._grid_frames = max((one.block_frames for one in chosen), default=0)
         self.reset()
 
     @property
     def actuators(self) -> list[LinearActuator | AdaptiveActuator]:
-        """The actuators, rig by rig."""
+        """The actuators, grouped by rig."""
         return [actuator for stage in self._stages for actuator in stage.actuators]
 
     @property
     def clipped_samples(self) -> int:
-        """Samples that DACs or amplifiers clipped so far."""
+        """Number of samples that DACs or amplifiers have clipped."""
         stages = self._stages
         return sum(one.dac.clipped_samples + one.amplifier.clipped_samples for one in stages)
 
     @property
     def replaced_samples(self) -> int:
-        """Samples so far that were not finite and became 0."""
+        """Number of samples that were not finite and became 0."""
         return sum(stage.dac.replaced_samples for stage in self._stages)
 
     @property
     def seconds(self) -> list[SecondReport]:
-        """What the models did in each whole second so far, of the rig with the largest error."""
+        """For each second of signal, the report of the rig with the largest error in it."""
         records = [stage.record.seconds for stage in self._stages if stage.record]
-        return [max(several, key=_error) for several in zip(*records, strict=False)]
+        together = zip(*records, strict=False)
+        return [max(several, key=lambda one: one.error_percent) for several in together]
 
     def reset(self) -> None:
-        """Return to rest and forget peaks and counts; recorded frames stay."""
+        """Reset actuators, peaks and counts; recorded frames are kept."""
         for stage in self._stages:
             stage.reset()
         self.acceleration_m_s2: FloatArray = np.zeros((0, self.channels))
         self._waiting: FloatArray = np.zeros((0, self.channels))
-        self.peak_acceleration_m_s2 = 0.0
-        self.peak_displacement_m = 0.0
-        self.peak_current_a = 0.0
+        self.peak_acceleration_m_s2 = self.peak_displacement_m = self.peak_current_a = 0.0
         self.overcurrent_samples = 0
 
     def write(self, vibration: FloatArray | Float32Array) -> None:
@@ -128,14 +109,13 @@ class SimulatedRig:
         self.acceleration_m_s2 = np.concatenate([np.zeros((0, self.channels)), *moved])
 
     def _move(self, vibration: FloatArray | Float32Array) -> FloatArray:
-        """Move the actuators, and record; return the acceleration."""
         # Channels as rows: each actuator then reads and writes contiguous memory.
         acceleration = np.zeros(vibration.shape[::-1])
         for stage in self._stages:
             volts = stage.volts(vibration)
             limit_a = stage.rig.amplifier.current_limit_a
-            for channel, actuator, drive in zip(stage.columns, stage.actuators, volts, strict=True):
-                motion = stage.move(actuator, drive)
+            for index, channel in enumerate(stage.columns):
+                motion = stage.move(index, volts[index])
                 acceleration[channel] = motion.acceleration_m_s2
                 self.peak_displacement_m = _larger(self.peak_displacement_m, motion.displacement_m)
                 self.peak_current_a = _larger(self.peak_current_a, motion.current_a)
@@ -149,26 +129,28 @@ class SimulatedRig:
         return acceleration.T
 
     def close(self) -> None:
-        """Move by what waits for the rest of a block, and close the recorder."""
-        if self._grid_frames and not self._closed:
+        """Process the frames of an incomplete block, and close the recorder."""
+        if self._closed:
+            return
+        if self._grid_frames:
             waiting, self._waiting = self._waiting, self._waiting[:0]
             self.acceleration_m_s2 = self._move(waiting)
         for stage in self._stages:
-            if stage.record and not self._closed:
+            if stage.record:
                 stage.record.finish()
-        if not self._closed and self._recorder:
+        if self._recorder:
             self._recorder.close()
         self._closed = True
 
     def abort(self) -> None:
-        """Finish, and discard the recorded frames."""
+        """Discard the frames of an incomplete block, and the recorded frames."""
         if not self._closed and self._recorder:
             self._recorder.abort()
         self._closed = True
 
 
 class _Stage:
-    """DAC and amplifier of the channels with one kind of rig, and their actuators."""
+    """DAC, amplifier and actuators of all channels with the same rig."""
 
     def __init__(
         self,
@@ -179,8 +161,7 @@ class _Stage:
         model: Model,
         clock: Callable[[], float] | None,
     ) -> None:
-        self.rig = rig
-        self.columns = columns
+        self.rig, self.columns = rig, columns
         self.dac = Dac(rig.dac)
         self.amplifier = Amplifier(rig.amplifier, samplerate)
         source = rig.amplifier.source_impedance_ohm
@@ -200,10 +181,10 @@ class _Stage:
         if self._clock and chosen:
             self.record = ModelRecord(chosen, self._samplerate, self._clock)
 
-    def move(self, actuator: LinearActuator | AdaptiveActuator, volts: FloatArray) -> Motion:
+    def move(self, index: int, volts: FloatArray) -> Motion:
         if self.record:
-            return self.record.move(self.actuators.index(actuator), volts)
-        return actuator.move(volts, SHOWN)
+            return self.record.move(index, volts)
+        return self.actuators[index].move(volts, SHOWN)
 
     def volts(self, vibration: FloatArray | Float32Array) -> FloatArray:
         """Return the amplifier's output, (columns, frames), contiguous."""
@@ -211,10 +192,5 @@ class _Stage:
         return np.ascontiguousarray(self.amplifier.drive(self.dac.volts(own)).T)
 
 
-def _error(second: SecondReport) -> float:
-    return second.error_percent
-
-
 def _larger(peak: float, samples: FloatArray) -> float:
-    """Return the larger of a peak and the largest magnitude among the samples."""
     return max(peak, float(np.max(np.abs(samples), initial=0.0)))

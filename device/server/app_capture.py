@@ -1,14 +1,12 @@
-"""One application's sound, captured before the mix.
+"""Captures one application's sound before the server mixes it.
 
-A server records one playing stream (sink input) if the record stream asks for that when it is
-made; PortAudio and ALSA cannot. The sound comes after the application's own volume and mute, and
-before the sink's; at 100 % and equal rates the samples are bit-identical.
+A server can record a single playing stream (sink input) if the recording stream requests it.
+PortAudio and ALSA cannot request that. Volume and mute of the playing stream act on the captured
+sound; those of its sink do not. Samples at volume 100 % and the stream's own rate are unchanged.
 
-The server ends the capture with the application's stream. PulseAudio also ends it when that stream
-moves to another sink. While the application pauses, it delivers silence, and PipeWire nothing.
+PulseAudio ends the capture when the application's stream moves to another sink. While the
+application pauses, PulseAudio delivers silence, and PipeWire delivers nothing.
 """
-
-from __future__ import annotations
 
 import ctypes
 import itertools
@@ -27,15 +25,12 @@ from device.server import libpulse
 from device.stream.pcms import APPLICATION_ID, APPLICATION_NAME, ROLE, TAG
 from device.stream.streams import CallbackCounts, OnBlock
 
-FRAGMENT_FRAMES = 256  # frames that the server gathers before it delivers: 5.3 ms at 48 kHz
-
-BACKLOG_S = 0.5
-"""Sound that the server keeps while the capturing thread is delayed; older sound is dropped."""
-
+FRAGMENT_FRAMES = 256  # frames that the server collects before a delivery: 5.3 ms at 48 kHz
+BACKLOG_S = 0.5  # the server keeps this much sound while the capturing thread is delayed
 _FLAGS = (
     libpulse.STREAM_DONT_MOVE
     | libpulse.STREAM_ADJUST_LATENCY
-    | libpulse.STREAM_DONT_INHIBIT_AUTO_SUSPEND  # a card may sleep while the application pauses
+    | libpulse.STREAM_DONT_INHIBIT_AUTO_SUSPEND  # a card may suspend while the application pauses
 )
 _FLOAT32 = libpulse.FLOAT32_LE if sys.byteorder == "little" else libpulse.FLOAT32_BE
 _numbers = itertools.count(1)
@@ -52,7 +47,7 @@ class EndReason(StrEnum):
 
 @dataclass(frozen=True)
 class PlayingStream:
-    """A stream that plays, as the server describes it. paused: by the application ("corked")."""
+    """An application's playing stream. paused: whether the application has paused it."""
 
     name: str
     channels: int
@@ -61,10 +56,11 @@ class PlayingStream:
 
 
 class AppCapture(CallbackCounts):
-    """Delivers the frames of one application's stream. Made by `AppCaptures.open`.
+    """Delivers the frames of one application's stream. `AppCaptures.open` returns the object.
 
-    Any thread may read the attributes, those of a `CaptureStream` and these: stream_index, of the
-    sink input; ended, None while it runs, else the reason. xruns counts holes, which are silence.
+    Any thread may read the attributes. stream_index: index of the sink input. ended: why the
+    capture ended; None while it runs. xruns: number of gaps in the sound, filled with silence. The
+    other attributes are as in `CaptureStream`.
     """
 
     def __init__(
@@ -73,33 +69,28 @@ class AppCapture(CallbackCounts):
         samplerate: int,
         channels: int,
         on_frames: OnBlock,
-        close: Callable[[AppCapture], bool],
+        close: Callable[["AppCapture"], bool],
     ) -> None:
         super().__init__(audible=True)
         self.stream_index = stream_index
         self.tag = f"{os.getpid()}-app-{next(_numbers)}"
         self.ended: EndReason | None = None
         self._samplerate, self._channels = samplerate, channels
-        self._on_frames = on_frames
-        self._close = close
+        self._on_frames, self._close = on_frames, close
         self._handle: Any = None
-        self._pending = True  # the server has not reported the stream as ready
-        self._failed = False  # the server ended the stream; the reason is not known yet
+        self._pending = True  # the server has not yet reported the stream as ready
+        self._failed = False  # the stream has ended or may not be used
         self._data, self._size = ctypes.c_void_p(), ctypes.c_size_t()
 
     def close(self) -> bool:
-        """End the capture; whether that was in time.
-
-        After True, on_frames is not called any more. For any thread but the captures' own; may be
-        repeated, and raises nothing.
-        """
+        """End the capture; return whether it ended in time. on_frames must not call this."""
         self.ended = self.ended or EndReason.CLOSED
         return self._close(self)
 
     # -------------------------------------------------------------- on the connection's thread
 
     def _start(self, library: libpulse.LibPulse, context: Any, playing: PlayingStream) -> bool:
-        """Ask for a stream that records the application; whether the server accepts that."""
+        """Request a stream that records the application; return whether libpulse accepts it."""
         positions = playing.channel_map
         if self._channels != playing.channels:
             positions = library.types.PA_CHANNEL_MAP()
@@ -132,13 +123,12 @@ class AppCapture(CallbackCounts):
         ):
             library.stream_unref(handle)
             return False
-        self._handle = handle
-        self._pending, self._failed = True, False
+        self._handle, self._pending, self._failed = handle, True, False
         self.opened_s = self.last_callback_s = time.monotonic()
         return True
 
     def _read(self, library: libpulse.LibPulse) -> None:
-        """Deliver everything that has arrived as one buffer: PulseAudio splits fragments."""
+        """Join all pieces of sound that have arrived, and deliver them as one block."""
         handle, data, size = self._handle, self._data, self._size
         if handle is None or self._failed or (self._pending and not self._is_ready(library)):
             return
@@ -146,28 +136,25 @@ class AppCapture(CallbackCounts):
         while library.stream_peek(handle, byref(data), byref(size)) >= 0:
             if not size.value:
                 if pieces and self.ended is None:
-                    self._deliver(pieces[0] if len(pieces) == 1 else b"".join(pieces))
+                    self._deliver(b"".join(pieces))
                 return
             if data.value:
                 pieces.append(string_at(data.value, size.value))
-            else:  # a hole
+            else:  # a gap
                 self.xruns += 1
                 pieces.append(bytes(size.value))
             library.stream_drop(handle)
         self._failed = True
 
     def _is_ready(self, library: libpulse.LibPulse) -> bool:
-        """Whether the stream has begun to run."""
         state = library.stream_get_state(self._handle)
         if state < libpulse.STREAM_READY:
             return False
-        self._pending = False
+        self._pending, self._failed = False, True
         if state == libpulse.STREAM_READY:
-            # only a monitor is valid, never a microphone
-            name: bytes | None = library.stream_get_device_name(self._handle)
-            self._failed = bool(name) and not (name or b"").endswith(b".monitor")
-        else:
-            self._failed = True
+            # Only a monitor is permitted, never a microphone.
+            name: bytes = library.stream_get_device_name(self._handle) or b".monitor"
+            self._failed = not name.endswith(b".monitor")
         return not self._failed
 
     def _deliver(self, data: bytes) -> None:

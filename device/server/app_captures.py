@@ -1,15 +1,13 @@
-"""Captures of applications: one connection of libpulse and one thread for all of them.
+"""Captures of applications: all share one libpulse connection and one thread.
 
-They use another connection than `PulseConnection`: sound arrives hundreds of times per second, and
-queries must not delay it.
+The connection is separate from `PulseConnection`, whose queries would delay sound.
 """
-
-from __future__ import annotations
 
 import itertools
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 from device.errors import CushionError, LostError, NotFoundError
@@ -20,26 +18,16 @@ from device.stream.pcms import APPLICATION_ID, APPLICATION_NAME
 from device.stream.streams import OnBlock
 
 ATTEMPTS = 3  # PipeWire occasionally refuses a stream on a busy machine
-START_LIMIT_S = 0.5  # until the first sound of an application that plays
-_QUERY_AFTER_S = 1.0  # of silence from the server: does it still live?
+START_LIMIT_S = 0.5  # longest wait for the first sound of a playing application
+_QUERY_AFTER_S = 1.0  # after this time without a message, a query tests whether the server answers
 
 
 class AppCaptures(ConnectionThread):
-    """Opens captures of applications; connected from the moment it is made.
+    """Opens captures of applications. The constructor connects to the server.
 
-    `close` ends all captures. Any thread but its own, which calls on_frames, may call the methods.
-
-    Attributes
-    ----------
-    lost : LostError or None
-        Why the connection and all captures were lost. Make another object to connect again.
-
-    Raises
-    ------
-    LostError
-        No server answers.
-    NotFoundError
-        The library libpulse is not installed.
+    `close` ends all captures. The object's own thread calls on_frames; any other thread may call
+    the methods. lost: why all captures were lost, or None; make a new object after a loss.
+    LostError: no server answers. NotFoundError: pulsectl or libpulse is not installed.
     """
 
     def __init__(self) -> None:
@@ -50,8 +38,7 @@ class AppCaptures(ConnectionThread):
         self._context: Any = None
         self._numbers = itertools.count(1)
         self._answers: dict[int, PlayingStream | None] = {}
-        self._query = 0  # number of the query to a silent server, or 0
-        self._queried_s = self._heard_s = time.monotonic()
+        self._heard_s = time.monotonic()
         types = self._library.types
         self._info_callback = types.PA_SINK_INPUT_INFO_CB_T(self._take_info)
         self._event_callback = types.PA_SUBSCRIBE_CB_T(self._take_event)
@@ -62,26 +49,24 @@ class AppCaptures(ConnectionThread):
     ) -> AppCapture:
         """Return a running capture of the playing stream (sink input) with this index.
 
-        samplerate (Hz), channels: the server converts to them. A paused application is captured
-        once it continues.
-
-        on_frames: called by the thread that all captures share, with read-only frames, which it may
-        keep, and the time of arrival. It must neither block nor open or close captures.
-
-        NotFoundError: no application plays such a stream. LostError: the connection is lost, or the
-        server refuses or does not answer in time.
+        The server converts the sound to this samplerate (Hz) and number of channels. PipeWire
+        captures a paused application only after the application continues. on_frames: called by
+        this object's thread with read-only frames and their arrival time. on_frames may keep the
+        frames, and must neither wait nor open or close captures. NotFoundError: no playing stream
+        has this index. LostError: the connection is lost, or the server refuses the capture or does
+        not answer in time.
         """
         capture = AppCapture(stream_index, samplerate, channels, on_frames, self._close)
         try:
             self._ask(lambda: self._start_capture(capture))
         except CushionError:
-            capture.close()  # a late server may still make it
+            capture.close()  # the server may still make the stream later
             raise
         return capture
 
     def _close(self, capture: AppCapture) -> bool:
         if threading.current_thread() is self._thread:
-            return False  # the next round gives it up, as it has ended
+            return False  # `_maintain` closes the stream, because `ended` is set
         try:
             self._ask(lambda: self._give_up(capture))
         except LostError:
@@ -91,14 +76,14 @@ class AppCaptures(ConnectionThread):
     # ------------------------------------------------------------------ on the connection's thread
 
     def _start_capture(self, capture: AppCapture) -> None:
-        if capture.ended:  # the caller has given up
+        if capture.ended:  # the caller has closed the capture
             return
         index = capture.stream_index
         gone = NotFoundError(
             f"no application plays a stream with the index {index}, or it ended just now; "
             "`pactl list short sink-inputs` shows those that play"
         )
-        self._captures.append(capture)  # from now on its application's end is noticed
+        self._captures.append(capture)  # from now on `_take_event` detects the end of the stream
         try:
             playing = self._find_playing(index)
             if playing is None:
@@ -107,7 +92,7 @@ class AppCaptures(ConnectionThread):
                 self._drop_stream(capture)
                 if not capture._start(self._library, self._context, playing):
                     break
-                # PipeWire reports the stream as ready when the application plays.
+                # PipeWire reports the stream as ready only when the application plays.
                 limit_s = 0.0 if playing.paused else START_LIMIT_S
                 self._wait_for(lambda: not capture._pending, limit_s)
                 runs = not capture._pending and not capture._failed
@@ -124,7 +109,6 @@ class AppCaptures(ConnectionThread):
             raise
 
     def _maintain(self) -> None:
-        """End captures whose streams have ended."""
         for capture in tuple(self._captures):
             if capture._failed and capture.ended is None:
                 plays = self._find_playing(capture.stream_index) is not None
@@ -133,24 +117,25 @@ class AppCaptures(ConnectionThread):
                 self._give_up(capture)
 
     def _give_up(self, capture: AppCapture) -> None:
-        if capture in self._captures:
+        with suppress(ValueError):
             self._captures.remove(capture)
         capture.ended = capture.ended or EndReason.CLOSED
         self._drop_stream(capture)
 
     def _drop_stream(self, capture: AppCapture) -> None:
-        """End the stream of a capture, if it has one."""
         handle, capture._handle = capture._handle, None
         if handle is not None:
             self._dropped.append(handle)
             self._close_left()
 
     def _close_left(self) -> None:
-        """Close dropped streams, which libpulse can do when they are ready."""
+        """Close unused streams that are ready or have failed; libpulse cannot close others."""
         for handle in tuple(self._dropped):
             if self._library.stream_get_state(handle) >= libpulse.STREAM_READY:
                 self._dropped.remove(handle)
-                self._library.stream_disconnect(handle)  # without effect if the server has ended it
+                self._library.stream_disconnect(
+                    handle
+                )  # no effect if the server has ended the stream
                 self._library.stream_unref(handle)
 
     def _wake_up(self) -> None:
@@ -182,13 +167,14 @@ class AppCaptures(ConnectionThread):
             self._step(_QUERY_AFTER_S / 2 if self._captures else None)
             self._do_requests()
             self._maintain()
-            self._check_silence(time.monotonic())
+            if self._captures and time.monotonic() - self._heard_s >= _QUERY_AFTER_S:
+                self._find_playing(0)  # raises LostError if the server hangs
 
     def _step(self, limit_s: float | None, for_requests: bool = True) -> None:
-        """Wait for the server, and for requests if `for_requests`; then read the streams."""
+        """Wait for the server, with `for_requests` also for requests; then read the streams."""
         library, loop = self._library, self._loop
         prepared = library.mainloop_prepare(loop, -1 if limit_s is None else int(limit_s * 1e6))
-        # preparing clears earlier wake-ups
+        # `mainloop_prepare` clears earlier wake-ups
         if self._stopping or (for_requests and not self._requests.empty()):
             library.mainloop_wakeup(loop)
         if prepared < 0 or library.mainloop_poll(loop) < 0:
@@ -203,7 +189,7 @@ class AppCaptures(ConnectionThread):
             self._close_left()
 
     def _wait_for(self, condition: Callable[[], bool], limit_s: float) -> bool:
-        """Wait until the condition holds, limit_s at most; whether it does. Streams continue."""
+        """Read streams until the condition is true; return False if limit_s passes first."""
         deadline_s = time.monotonic() + limit_s
         while not condition():
             if self._stopping:
@@ -218,26 +204,7 @@ class AppCaptures(ConnectionThread):
         if not self._wait_for(condition, ANSWER_LIMIT_S):
             raise self._no_answer()
 
-    def _check_silence(self, now_s: float) -> None:
-        """Query a silent server, to tell whether it hangs."""
-        if self._query in self._answers:
-            del self._answers[self._query]
-            self._query = 0
-        if not self._captures or now_s - self._heard_s < _QUERY_AFTER_S:
-            return
-        if not self._query:
-            self._queried_s, self._query = now_s, self._send_query(0)
-        elif now_s - self._queried_s > ANSWER_LIMIT_S:
-            raise self._no_answer()
-
     def _find_playing(self, stream_index: int) -> PlayingStream | None:
-        """Query the playing stream with this index; None if there is none."""
-        number = self._send_query(stream_index)
-        self._wait_for_answer(lambda: number in self._answers)
-        return self._answers.pop(number)
-
-    def _send_query(self, stream_index: int) -> int:
-        """Query a playing stream; returns the key of the answer in `_answers`."""
         number = next(self._numbers)
         operation = self._library.context_get_sink_input_info(
             self._context, stream_index, self._info_callback, number
@@ -245,7 +212,8 @@ class AppCaptures(ConnectionThread):
         if not operation:
             raise self._loss()
         self._library.operation_unref(operation)
-        return number
+        self._wait_for_answer(lambda: number in self._answers)
+        return self._answers.pop(number)
 
     def _take_info(self, context: Any, info: Any, end: int, number: int) -> None:
         if end:
@@ -266,7 +234,6 @@ class AppCaptures(ConnectionThread):
                     capture.ended = EndReason.GONE
 
     def _reason(self) -> str:
-        """Return why libpulse refused the latest call."""
         code = self._library.context_errno(self._context)
         return str(self._library.strerror(code).decode("utf-8", "replace"))
 

@@ -1,14 +1,12 @@
-"""Which applications are captured: the user's rules. Pure functions on a snapshot.
+"""The user's rules, which select the applications to capture. Pure functions on a snapshot.
 
     NAME              the application's name, id or binary
-    application:NAME  its name or id
+    application:NAME  the application's name or id
     binary:NAME       the program's file name
-    role:NAME         the role of its sound, such as video, music or game
+    role:NAME         the role of the sound, such as video, music or game
 
-Case is ignored. NAME must match as a whole; `*`, `?` and `[...]` match as in a shell.
+Case is ignored. NAME must match a whole name, id or role; `*`, `?` and `[...]` match as in a shell.
 """
-
-from __future__ import annotations
 
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -17,41 +15,33 @@ from device.errors import UsageError
 from device.server.identity import is_ours
 from device.server.snapshot import ServerSnapshot, Stream
 
-_KINDS = ("application", "binary", "role")
-# Loopbacks and virtual sinks have these roles on PulseAudio, these properties on PipeWire.
+# roles (PulseAudio) and properties (PipeWire) of loopbacks and virtual sinks
 _SERVER_ROLES = ("abstract", "filter")
 _SERVER_PROPERTIES = ("node.link-group", "pulse.module.id")
 
 
 @dataclass(frozen=True)
 class Rule:
-    """One rule. kind: "application", "binary", "role" or "" for NAME alone. name: casefolded."""
+    """A rule. kind: "application", "binary", "role"; "" if not given. name: NAME, casefolded."""
 
     kind: str
     name: str
 
     @classmethod
-    def parse(cls, text: str) -> Rule:
-        """Parse a user's rule; UsageError if it is empty or of an unknown kind."""
-        kind, colon, name = text.partition(":")
-        kind = kind.strip().casefold()
-        if not colon:
-            kind, name = "", text
-        elif kind not in _KINDS:
+    def parse(cls, text: str) -> "Rule":
+        """Parse a user's rule. UsageError: it has no name, or an empty or unknown kind."""
+        before, colon, after = text.partition(":")
+        kind, name = (part.strip().casefold() for part in (before, after if colon else text))
+        kind = kind if colon else ""
+        if not name or kind not in ("", "application", "binary", "role") or (colon and not kind):
             raise UsageError(
-                f"the rule {text!r} for applications is invalid: write application, binary or role "
-                "before the colon; for a name with a colon write application:NAME"
-            )
-        name = name.strip().casefold()
-        if not name:
-            raise UsageError(
-                f"the rule {text!r} for applications has no name; write NAME, application:NAME, "
-                "binary:NAME or role:NAME"
+                f"the rule {text!r} for applications is invalid; write NAME, application:NAME, "
+                "binary:NAME or role:NAME, and the last three for a name with a colon"
             )
         return cls(kind, name)
 
     def matches(self, stream: Stream) -> bool:
-        """Whether the rule matches this stream; unknown properties never match."""
+        """Whether the rule matches this stream; an unknown property matches no rule."""
         names = (stream.application, stream.properties.get("application.id", ""))
         values = {
             "role": (stream.role,),
@@ -59,52 +49,36 @@ class Rule:
             "application": names,
             "": (stream.binary, *names),
         }
-        return any(
-            value.casefold() == self.name or fnmatchcase(value.casefold(), self.name)
-            for value in values[self.kind]
-            if value
-        )
+        known = [value.casefold() for value in values[self.kind] if value]
+        return any(value == self.name or fnmatchcase(value, self.name) for value in known)
 
 
 class AppRules:
     """Selects the applications to capture. Immutable: any thread may use it.
 
-    Parameters
-    ----------
-    include : tuple[str, ...]
-        A stream must match one of these rules; () selects all applications.
-    exclude : tuple[str, ...]
-        A stream must match none of these, whatever `include` says.
-
-    Raises
-    ------
-    UsageError
-        A rule is empty or of an unknown kind.
+    include: a stream must match at least one of these rules; () selects all applications. exclude:
+    a stream must match none of these rules. UsageError: see `Rule.parse`.
     """
 
     def __init__(self, include: tuple[str, ...] = (), exclude: tuple[str, ...] = ()) -> None:
-        self.include = tuple(Rule.parse(text) for text in include)
-        self.exclude = tuple(Rule.parse(text) for text in exclude)
+        self.include = tuple(map(Rule.parse, include))
+        self.exclude = tuple(map(Rule.parse, exclude))
 
     def take(self, stream: Stream) -> bool:
-        """Whether the rules select a stream, whatever it is and wherever it plays."""
+        """Whether the rules select a stream, whatever made it and wherever it plays."""
         included = not self.include or any(rule.matches(stream) for rule in self.include)
         return included and not any(rule.matches(stream) for rule in self.exclude)
 
     def select(
         self, snapshot: ServerSnapshot, haptic_sink: str | None = None
     ) -> tuple[Stream, ...]:
-        """Return the streams to capture, in the server's order, paused and muted ones included.
-
-        Streams on the haptic sink, or without a device, are left out. So are our own, and the
-        server's loopbacks and virtual sinks.
-        """
+        """Return the selected applications' streams that play to any sink except haptic_sink."""
         return tuple(
             stream
             for stream in snapshot.sink_inputs
             if is_application(stream)
             and stream.device_index is not None
-            and (haptic_sink is None or stream.device_name != haptic_sink)
+            and stream.device_name != haptic_sink
             and self.take(stream)
         )
 
@@ -115,7 +89,7 @@ def app_name(stream: Stream) -> str:
 
 
 def is_application(stream: Stream) -> bool:
-    """Whether a stream is neither ours nor a loopback or virtual sink of the server's."""
+    """Whether a stream is neither ours nor part of a loopback or virtual sink of the server."""
     of_server = stream.role in _SERVER_ROLES or any(
         name in stream.properties for name in _SERVER_PROPERTIES
     )

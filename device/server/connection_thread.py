@@ -1,6 +1,4 @@
-"""The thread that owns a connection to the sound server and does the work of other threads."""
-
-from __future__ import annotations
+"""The thread that owns a connection to the sound server and serves requests of other threads."""
 
 import os
 import queue
@@ -12,7 +10,7 @@ from typing import Any, TypeVar
 
 from device.errors import CushionError, InternalError, LostError
 
-ANSWER_LIMIT_S = 2.0  # how long a server may take for one answer; after that it counts as lost
+ANSWER_LIMIT_S = 2.0  # longest time for one answer; a slower server counts as lost
 
 Result = TypeVar("Result")
 
@@ -21,14 +19,12 @@ class ConnectionThread(ABC):
     """Connects on a new thread, then serves requests until the connection is lost or closed.
 
     The thread calls the methods that derived classes override, except `_wake_up`.
-
-    lost: why the connection was lost; None if it was not. Make another object to connect again.
+    lost: why the connection was lost, or None.
     """
 
     def __init__(self, name: str) -> None:
-        self._requests: queue.SimpleQueue[tuple[Future[Any], Callable[[], Any]]]
-        self._requests = queue.SimpleQueue()
-        self._gate = threading.Lock()  # a request is queued or refused, never forgotten
+        self._requests = queue.SimpleQueue[tuple[Future[Any], Callable[[], Any]]]()
+        self._gate = threading.Lock()  # ensures that every request is either queued or refused
         self._ended = self._stopping = False
         self.lost: LostError | None = None
         ready: Future[None] = Future()
@@ -41,7 +37,7 @@ class ConnectionThread(ABC):
             raise self._no_answer() from None
 
     def close(self) -> bool:
-        """End the connection; whether that was in time. Any thread may call it, more than once."""
+        """End the connection; return whether it ended in time. May be repeated, by any thread."""
         self._stopping = True
         with self._gate:
             if not self._ended:
@@ -51,7 +47,7 @@ class ConnectionThread(ABC):
         return not self._thread.is_alive()
 
     def _ask(self, work: Callable[[], Result]) -> Result:
-        """Return what `work` returns on the connection's thread. Called by any other thread."""
+        """Return the result of `work`, run on the connection's thread, which must not call this."""
         if threading.current_thread() is self._thread:
             raise InternalError("the connection's thread must not query the connection")
         future: Future[Result] = Future()
@@ -67,7 +63,7 @@ class ConnectionThread(ABC):
 
     @abstractmethod
     def _wake_up(self) -> None:
-        """Interrupt the thread's waiting. Called with the gate closed, by any thread."""
+        """Interrupt the thread's waiting. Any thread that holds `_gate` may call this."""
 
     @abstractmethod
     def _open(self) -> None:
@@ -75,21 +71,20 @@ class ConnectionThread(ABC):
 
     @abstractmethod
     def _serve(self) -> None:
-        """Serve the connection until `_stopping`; an exception ends it."""
+        """Serve requests until `_stopping` is true; an exception ends the connection."""
 
     @abstractmethod
     def _disconnect(self) -> None:
-        """End the connection, which may be lost."""
+        """End the connection, which may already be lost."""
 
     @abstractmethod
     def _free(self) -> None:
-        """Free what `_wake_up` needs. Called with the gate closed."""
+        """Free the resources that `_wake_up` uses. Called while `_gate` is held."""
 
     def _report_loss(self, error: LostError) -> None:  # noqa: B027
         """Report that an open connection was lost."""
 
     def _fail(self, future: Future[Any], error: Exception) -> None:
-        """Answer a request that raised."""
         future.set_exception(error)
 
     def _run(self, ready: Future[None]) -> None:
@@ -126,7 +121,6 @@ class ConnectionThread(ABC):
 
     @staticmethod
     def _reason_of(error: Exception) -> str:
-        """Return an exception's name and text."""
         return ": ".join(filter(None, (type(error).__name__, str(error))))
 
     def _no_answer(self) -> LostError:
@@ -136,13 +130,13 @@ class ConnectionThread(ABC):
 
 
 def where() -> str:
-    """Return " at ADDRESS" if an address of the server is set."""
+    """Return " at ADDRESS" if the environment sets a server address, else ""."""
     address = os.environ.get("PULSE_SERVER")
     return f" at {address}" if address else ""
 
 
 def no_server() -> LostError:
-    """Return the error of a connection that no server accepts."""
+    """Return the error to raise if no sound server answers."""
     return LostError(
         f"no sound server answers{where()}; start PulseAudio or pipewire-pulse, or set "
         "PULSE_SERVER to the address of one that runs"

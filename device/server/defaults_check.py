@@ -1,10 +1,8 @@
 """Detects a connection to PipeWire that reports outdated default devices.
 
-PipeWire's PulseAudio server keeps the default devices per connection. One connection in some
-hundreds is made while they change, and reports the old ones from then on.
+PipeWire's PulseAudio server stores the default devices for each connection. A connection that is
+made during a change of the defaults may report the old defaults until it is closed.
 """
-
-from __future__ import annotations
 
 import math
 import threading
@@ -14,13 +12,9 @@ from typing import NamedTuple
 
 from device.server.snapshot import ServerSnapshot, default_name
 
-AFTER_S = 1.0  # the check comes this long after the last change,
-
-AT_MOST_S = 5.0  # and this long after the first one, also while changes go on
-
-RENEW_AGAIN_S = 30.0  # least time between two detections
-
-AGAIN_S = 0.5  # time between two queries: a change in progress has reached both by then
+AFTER_S, AT_MOST_S = 1.0, 5.0  # a check is due 1 s after the last change, or 5 s after the first
+RENEW_AGAIN_S = 30.0  # shortest time between two detections
+AGAIN_S = 0.5  # time between two queries, in which a change in progress ends
 
 
 class Defaults(NamedTuple):
@@ -29,17 +23,12 @@ class Defaults(NamedTuple):
     sink: str
     source: str
 
-    @classmethod
-    def of(cls, snapshot: ServerSnapshot) -> Defaults:
-        """Return the defaults of a snapshot."""
-        return cls(snapshot.default_sink, snapshot.default_source)
-
 
 class DefaultsCheck:
     """Compares a connection's defaults with those of new connections, if the server is PipeWire.
 
-    disagreed: called on another thread with the connection's defaults if two new connections
-    report others. due_s: when to call `check_if_due`, by time.monotonic(); None for never.
+    disagreed: called on another thread, with the connection's defaults, if two new connections
+    agree on other defaults. due_s: time.monotonic() of the next check, or None.
     """
 
     def __init__(self, disagreed: Callable[[Defaults], None]) -> None:
@@ -49,7 +38,7 @@ class DefaultsCheck:
         self.due_s: float | None = None
 
     def note_change(self, now_s: float, snapshot: ServerSnapshot) -> None:
-        """Schedule a check after a change."""
+        """Schedule a check after a new snapshot. now_s: time.monotonic()."""
         if snapshot.kind != "PipeWire":
             return
         if self._changed_s is None:
@@ -58,11 +47,11 @@ class DefaultsCheck:
         self.due_s = max(settled_s, self._not_before_s)
 
     def check_if_due(self, now_s: float, snapshot: ServerSnapshot) -> None:
-        """Start a check on another thread if it is due."""
+        """Start a check on another thread if a check is due."""
         if self.due_s is None or now_s < self.due_s:
             return
         self.due_s = self._changed_s = None
-        known = Defaults.of(snapshot)
+        known = Defaults(snapshot.default_sink, snapshot.default_source)
 
         def check() -> None:
             first = fetch_defaults()
@@ -77,7 +66,7 @@ class DefaultsCheck:
 
 
 def fetch_defaults() -> Defaults | None:
-    """Return what a new connection reports, None if it fails. It waits, also if a server hangs."""
+    """Return the defaults of a new connection; None on failure. A hanging server blocks it."""
     import pulsectl
 
     try:

@@ -1,9 +1,8 @@
-"""Drop-in mode: applications play to a virtual sink, and the server forwards it to the real one.
+"""Drop-in mode: applications play to a virtual sink, which the server forwards to a real sink.
 
-So the sound can be delayed to match the vibration, and continues if this process is killed.
+The server can therefore delay the sound so that it matches the vibration. The sound continues even
+if this process is killed.
 """
-
-from __future__ import annotations
 
 import threading
 import time
@@ -11,26 +10,15 @@ from collections.abc import Callable
 from contextlib import suppress
 
 from device.errors import LostError, NotFoundError, UsageError
-from device.server.forwarding import (
-    SINK,
-    Loopback,
-    Route,
-    is_cushion_sink,
-    loopback_arguments,
-    loopbacks,
-    our_sink,
-    real_sinks,
-    round_delay_ms,
-    sink_arguments,
-)
+from device.server import forwarding
+from device.server.forwarding import SINK, Loopback, Route, loopbacks, round_delay_ms
 from device.server.identity import find_sink
 from device.server.moved_streams import TAKES_S, DefaultSinkClaim, MovedStreams, is_unused
 from device.server.pulse import PulseConnection
 from device.server.snapshot import Listener, ServerSnapshot
 
-_APPEARS_S = 1.5  # at most until a sink or loopback appears; 20 ms are usual
-_AGAIN_S = 1.0  # after the server refuses a request
-
+_APPEARS_S = 1.5  # longest wait until a sink or loopback appears
+_AGAIN_S = 1.0  # time between a refused request and its repetition
 _CONTESTED = (
     "another program keeps choosing another default sink; there is no vibration for sound there "
     f"until {SINK!r} is the default sink again"
@@ -38,40 +26,20 @@ _CONTESTED = (
 
 
 class DropIn(Listener):
-    """The virtual sink `cushion`, forwarded to a real sink and made the default, until `close`.
+    """Makes the virtual sink `cushion` the default and forwards it to a real sink, until `close`.
 
-    A thread follows the user: another default sink becomes the target, and while the target is
-    missing, another sink replaces it. Volume keys change the virtual sink and with it the
-    vibration. Any thread but the connection's may use it.
-
-    Parameters
-    ----------
-    connection : PulseConnection
-        To the server.
-    target : str or None
-        The real sink's name. None stands for the default sink, or for the target of a killed
-        process, whose virtual sink is taken over without a gap.
-    delay_s : float or None
-        From the virtual sink's monitor until the real sink plays it: 0 to 0.5 s, at least 0.02 s
-        in effect. None keeps the delay of a killed process.
-    haptic_sink : str or None
-        Name of the sink for vibration, which is never a target.
-
-    Attributes
-    ----------
-    target_name : str
-        The present target, "" while there is none.
-    reason : str
-        A problem to tell the user, in one line; "" if there is none.
-
-    Raises
-    ------
-    LostError
-        The connection is lost; later this ends the thread without an error.
-    NotFoundError
-        The target is missing, the default sink cannot be one, or a module cannot be loaded.
-    UsageError
-        delay_s is out of range, or no module accepts the target's name.
+    The real sink is the target. If the user chooses another default sink, a thread makes it the
+    target. While the target is missing, the sound goes to another sink. Any thread except the
+    connection's may call the methods.
+    connection: to the server. target: a sink's name; None selects the default sink. If a killed
+    process left its virtual sink as the default, None keeps that process's target, without a gap in
+    the sound. delay_s: time from capture at the virtual sink's monitor to playback by the target, 0
+    to 0.5 s; at least 0.02 s is used. None keeps the delay of a killed process, or else selects
+    0.02 s. haptic_sink: plays vibration and is never a target. target_name: name of the present
+    target. reason: text about a problem, or "". LostError: the connection is lost; a later loss
+    ends the thread without an error. NotFoundError: the target is missing or not allowed, or the
+    server refuses a module.
+    UsageError: delay_s is out of range, or the server's modules cannot handle the target's name.
     """
 
     def __init__(
@@ -84,16 +52,14 @@ class DropIn(Listener):
     ) -> None:
         snapshot = connection.snapshot()
         left = next((one.route for one in reversed(loopbacks(snapshot)) if one.complete), None)
-        self.target_name = self.reason = ""
-        self._refusal = ""
-        self._connection = connection
-        self._haptic_sink = haptic_sink
-        self._delay_ms = round_delay_ms(
-            left.delay_ms / 1e3 if left and delay_s is None else delay_s
-        )
+        self.target_name = self.reason = self._refusal = ""
+        self._connection, self._haptic_sink = connection, haptic_sink
+        if left and delay_s is None:
+            delay_s = left.delay_ms / 1e3
+        self._delay_ms = round_delay_ms(delay_s)
+        self._targets: list[str] = []  # previous targets, the latest last
         self._target, self._restore = self._first_route(snapshot, target, left)
-        self._targets: list[str] = []  # targets so far, the latest last
-        self._circular: set[str] = set()  # sinks that play to ours
+        self._circular: set[str] = set()  # sinks that play to the virtual sink
         self._default = DefaultSinkClaim(connection, snapshot.default_sink)
         self._streams = MovedStreams(connection)
         self._wake, self._stop = threading.Event(), threading.Event()
@@ -110,10 +76,10 @@ class DropIn(Listener):
 
     @property
     def delay_s(self) -> float:
-        """The requested delay, at least 0.02 s. Setting it takes effect soon.
+        """The requested delay in s, at least 0.02. A thread applies a new value soon.
 
-        Sound is repeated or lost by the difference, and silent or doubled for up to 20 ms; on
-        PipeWire a delay of 0.15 s or more may be doubled for that long. UsageError: out of range.
+        A change repeats or drops a part of the sound, and may cause silence or doubled sound for a
+        short time. UsageError: the value is out of range.
         """
         return self._delay_ms / 1e3
 
@@ -123,16 +89,13 @@ class DropIn(Listener):
         self._wake.set()
 
     def spare(self, haptic_sink: str | None) -> None:
-        """Never forward to this sink from now on."""
+        """Change the haptic sink, which is never a target; None if there is none."""
         if haptic_sink != self._haptic_sink:
             self._haptic_sink = haptic_sink
             self._wake.set()
 
     def close(self) -> None:
-        """Restore the user's sound without us. May be repeated; raises nothing.
-
-        The default sink and the streams move back before the forwarding ends.
-        """
+        """Undo all changes on the sound server. May be repeated; raises nothing."""
         if self._closed:
             return
         self._closed = True
@@ -149,7 +112,7 @@ class DropIn(Listener):
         self._wake.set()
 
     def on_default_sink(self, name: str) -> None:
-        """Note the persistent default sink."""
+        """Store the name of a default sink that has persisted."""
         self._default.stable_name = name
         self._wake.set()
 
@@ -171,12 +134,12 @@ class DropIn(Listener):
             except (NotFoundError, UsageError, LostError) as error:
                 if self._connection.lost is not None:
                     return
-                self.reason = str(error)  # one late answer is no loss
+                self.reason = str(error)  # the connection still works: only one answer was late
                 wait_s = 0.0
                 self._stop.wait(_AGAIN_S)
 
     def _follow(self, snapshot: ServerSnapshot) -> bool:
-        """Do what is due; return whether nothing is left to do until the next event."""
+        """Change sinks, loopback and streams as needed; return False if a repetition is needed."""
         now_s = time.monotonic()
         self._streams.free_vibration(snapshot, self._haptic_sink)
         choice = self._default.detect_choice(snapshot, now_s, self._possible_targets(snapshot))
@@ -193,50 +156,47 @@ class DropIn(Listener):
             self._circular.add(target)
             self._refusal = f"the sink {target!r} plays to {SINK!r} itself; choose another one"
             return False
-        if not self._default.contested:
+        contested = self._default.contested
+        if not contested:
             self._streams.collect(snapshot, target, now_s)
-        self.reason = _CONTESTED if self._default.contested else self._refusal
-        settled = self._default.settled or self._default.contested
-        return settled and self._streams.all_here
+        self.reason = _CONTESTED if contested else self._refusal
+        return (contested or self._default.settled) and self._streams.all_here
 
     def _accept_choice(self, choice: str, snapshot: ServerSnapshot) -> None:
-        """Make a new default sink the target, as the user wants to hear the sound there."""
+        """Make a new default sink the target, or store why it cannot be the target."""
         if choice in self._possible_targets(snapshot):
             self._refusal = ""
             self._target = self._restore = choice
             self._circular.discard(choice)
             self._streams.forget()
         else:
-            self._refusal = (
-                f"the sound does not go to {choice!r}, the new default sink: "
-                f"{self._why_unfit(choice)}"
-            )
+            why = self._why_unfit(choice)
+            self._refusal = f"the sound does not go to {choice!r}, the new default sink: {why}"
 
     def _choose_target(self, snapshot: ServerSnapshot) -> str | None:
-        """Return the sink to forward to: the chosen one, else an earlier one, else any."""
+        """Return the sink to forward to: the chosen sink, else the latest target, else any sink."""
         fit = [name for name in self._possible_targets(snapshot) if name not in self._circular]
         return self._target if self._target in fit else next(iter(fit), None)
 
     def _possible_targets(self, snapshot: ServerSnapshot) -> list[str]:
-        """Return all possible targets, earlier ones first."""
-        names = real_sinks(snapshot, self._haptic_sink)
+        """Return the names of all possible targets: former targets, latest first, then others."""
+        names = forwarding.real_sinks(snapshot, self._haptic_sink)
         before = [name for name in reversed(self._targets) if name in names]
         return [*before, *(name for name in names if name not in before)]
 
     def _ensure_sink(self, snapshot: ServerSnapshot, target: str | None) -> ServerSnapshot:
-        """Make the virtual sink if it is missing."""
-        if target is None or our_sink(snapshot) is not None:
+        if target is None or snapshot.sink(SINK) is not None:
             return snapshot
-        arguments = sink_arguments(snapshot, find_sink(snapshot, target))
+        arguments = forwarding.sink_arguments(snapshot, find_sink(snapshot, target))
         self._connection.load_module("module-null-sink", arguments)
         self._streams.forget()
-        snapshot = self._await(lambda seen: our_sink(seen) is not None)
-        if our_sink(snapshot) is None:
+        snapshot = self._await(lambda seen: seen.sink(SINK) is not None)
+        if snapshot.sink(SINK) is None:
             raise NotFoundError(f"the sound server does not make the sink {SINK!r}; restart it")
         return snapshot
 
     def _ensure_loopback(self, snapshot: ServerSnapshot, target: str | None) -> ServerSnapshot:
-        """Make one loopback to the target, and unload all others."""
+        """Keep or make one loopback to the target, and unload all others."""
         found = loopbacks(snapshot)
         keep = None
         if target is not None:
@@ -251,8 +211,7 @@ class DropIn(Listener):
         return self._connection.latest
 
     def _load_loopback(self, snapshot: ServerSnapshot, route: Route, found: list[Loopback]) -> int:
-        """Load a loopback, and wait until it plays; returns its index."""
-        arguments = loopback_arguments(snapshot, route, find_sink(snapshot, SINK))
+        arguments = forwarding.loopback_arguments(snapshot, route, find_sink(snapshot, SINK))
         module = self._connection.load_module("module-loopback", arguments)
         sounds_s = time.monotonic() + route.delay_ms / 1e3
 
@@ -271,18 +230,16 @@ class DropIn(Listener):
 
     def _restore_all(self) -> None:
         snapshot = self._connection.snapshot()
-        names = [sink.name for sink in snapshot.sinks]
-        back = self._restore if self._restore in names else self._choose_target(snapshot)
+        back = self._restore if snapshot.sink(self._restore) else self._choose_target(snapshot)
         if back is not None:
             if snapshot.default_sink == SINK:
                 with suppress(NotFoundError):
                     self._connection.set_default_sink(back)
-            snapshot = self._await(is_unused, TAKES_S)
-            self._streams.restore(snapshot, back)
+            self._streams.restore(self._await(is_unused, TAKES_S), back)
             snapshot = self._await(is_unused, TAKES_S)
         for one in loopbacks(snapshot):
             self._unload(one.module)
-        sink = our_sink(snapshot)
+        sink = snapshot.sink(SINK)
         if sink is not None and sink.module is not None:
             self._unload(sink.module)
 
@@ -293,7 +250,7 @@ class DropIn(Listener):
     def _await(
         self, condition: Callable[[ServerSnapshot], bool], limit_s: float = _APPEARS_S
     ) -> ServerSnapshot:
-        """Return the first snapshot that meets the condition, or the last one in time."""
+        """Return the first snapshot that meets the condition, or, after limit_s, the latest one."""
         until_s = time.monotonic() + limit_s
         while not condition(snapshot := self._connection.snapshot()):
             if time.monotonic() > until_s:
@@ -304,12 +261,11 @@ class DropIn(Listener):
     def _first_route(
         self, snapshot: ServerSnapshot, target: str | None, left: Route | None
     ) -> tuple[str, str]:
-        """Return the target and the default sink to restore."""
-        sink = our_sink(snapshot)
-        if sink is not None and not is_cushion_sink(sink):
+        sink = snapshot.sink(SINK)
+        if sink is not None and (sink.module is None or forwarding.MARK not in sink.properties):
             raise NotFoundError(f"there is a sink {SINK!r} that is not ours; rename or remove it")
         default = snapshot.default_sink
-        names = real_sinks(snapshot, self._haptic_sink)
+        names = self._possible_targets(snapshot)
         if target is not None:
             find_sink(snapshot, target)
         elif default != SINK:
@@ -323,11 +279,11 @@ class DropIn(Listener):
                 f"sound cannot be forwarded to the sink {target!r}: {self._why_unfit(target)}; "
                 "choose another default sink, or name a sink"
             )
-        if default not in ("", SINK):
-            return target, default
-        return target, left.restore if left is not None else target
+        if default in ("", SINK):
+            default = left.restore if left is not None else target
+        return target, default
 
     def _why_unfit(self, name: str) -> str:
         if not name:
             return "there is no sink"
-        return "the vibration goes there" if name == self._haptic_sink else "it is one of ours"
+        return "the vibration goes there" if name == self._haptic_sink else "this program made it"

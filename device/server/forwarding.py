@@ -1,11 +1,9 @@
 """Drop-in mode's virtual sink and loopback on the server. Pure functions.
 
-Properties of the loopback's two streams hold all that a later process needs.
+A later process reads the loopback's parameters from the properties of its two streams.
 """
 
-from __future__ import annotations
-
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from dataclasses import dataclass
 
 from device.errors import UsageError
@@ -14,19 +12,17 @@ from device.server.snapshot import ServerSnapshot, Sink, Stream
 from device.stream.pcms import APPLICATION_NAME, FALLBACK_SINK
 
 SINK = "cushion"  # name of the virtual sink
-
-MIN_DELAY_S, MAX_DELAY_S = 0.02, 0.5
-"""The least is the shortest that both servers play without gaps, with the devices' latency."""
-
-_MARK = "cushion.drop_in"
-_TARGET = "cushion.target"
-_RESTORE = "cushion.restore"
-_DELAY = "cushion.delay_ms"
+MIN_DELAY_S, MAX_DELAY_S = 0.02, 0.5  # at the shortest delay, both servers still play without gaps
+MARK = "cushion.drop_in"  # property of the sink that this program makes
+_TARGET, _RESTORE, _DELAY = "cushion.target", "cushion.restore", "cushion.delay_ms"
 
 
 @dataclass(frozen=True)
 class Route:
-    """Where a loopback goes. restore: the user's default sink. delay_ms: until the target plays."""
+    """Parameters of a loopback. target: sink that plays its sound.
+
+    restore: sink that becomes the default again when the loopback ends.
+    """
 
     target: str
     restore: str
@@ -35,7 +31,7 @@ class Route:
 
 @dataclass(frozen=True)
 class Loopback:
-    """Our loopback. module: its index. complete: both streams are on their devices."""
+    """A loopback of this program. complete: whether it links virtual sink and target."""
 
     module: int
     route: Route
@@ -43,7 +39,7 @@ class Loopback:
 
 
 def round_delay_ms(delay_s: float | None) -> int:
-    """Return a delay in whole ms, at least MIN_DELAY_S; UsageError: out of range."""
+    """Return a delay in whole ms, at least MIN_DELAY_S. UsageError: delay_s is out of range."""
     delay_s = MIN_DELAY_S if delay_s is None else delay_s
     if not 0.0 <= delay_s <= MAX_DELAY_S:
         raise UsageError(f"delay_s={delay_s!r} is out of range; choose 0 to {MAX_DELAY_S} s")
@@ -51,7 +47,7 @@ def round_delay_ms(delay_s: float | None) -> int:
 
 
 def loopbacks(snapshot: ServerSnapshot) -> list[Loopback]:
-    """Return our loopbacks, those of earlier processes included, the newest last."""
+    """Return this program's loopbacks, including those of earlier processes, the newest last."""
     monitors = {source.index for source in snapshot.sources if source.monitor_of == SINK}
     taps, outs = (
         {one.module: one for one in streams if one.module is not None and _TARGET in one.properties}
@@ -60,36 +56,29 @@ def loopbacks(snapshot: ServerSnapshot) -> list[Loopback]:
     found = []
     for module in sorted({*taps, *outs}):
         tap, out = taps.get(module), outs.get(module)
-        route = _route((out or taps[module]).properties)
+        known = (out or taps[module]).properties
+        delay = known.get(_DELAY, "")
+        delay_ms = int(delay) if delay.isdecimal() else 0
+        route = Route(known[_TARGET], known.get(_RESTORE, ""), delay_ms)
         taps_us = tap is not None and tap.device_index in monitors
         plays = out is not None and out.device_name == route.target
         found.append(Loopback(module, route, taps_us and plays))
     return found
 
 
-def our_sink(snapshot: ServerSnapshot) -> Sink | None:
-    """Return the virtual sink, of this process or an earlier one."""
-    return next((sink for sink in snapshot.sinks if sink.name == SINK), None)
-
-
-def is_cushion_sink(sink: Sink) -> bool:
-    """Whether this program made a sink of our name."""
-    return _MARK in sink.properties and sink.module is not None
-
-
 def is_application(stream: Stream) -> bool:
-    """Whether a playing stream is neither vibration nor one of our loopbacks."""
+    """Whether a playing stream belongs neither to this program nor to one of its loopbacks."""
     return _TARGET not in stream.properties and not is_ours(stream)
 
 
 def real_sinks(snapshot: ServerSnapshot, haptic_sink: str | None) -> list[str]:
-    """Return the names of all possible targets, sound cards first."""
+    """Return the names of all possible targets; sinks of sound cards precede virtual sinks."""
     sinks = [sink for sink in snapshot.sinks if sink.name not in (SINK, FALLBACK_SINK, haptic_sink)]
     return [sink.name for sink in sorted(sinks, key=lambda sink: not identity_of(sink).bus)]
 
 
 def reachable_sinks(snapshot: ServerSnapshot, target: str) -> set[str]:
-    """Return the target and all sinks that other virtual sinks and loopbacks forward it to."""
+    """Return the target, and all sinks but `SINK` to which modules forward the target's sound."""
     names = {target}
     while more := {
         stream.device_name
@@ -102,33 +91,31 @@ def reachable_sinks(snapshot: ServerSnapshot, target: str) -> set[str]:
 
 
 def carries_sound_of(snapshot: ServerSnapshot, stream: Stream, sinks: Collection[str]) -> bool:
-    """Whether a playing stream belongs to a module that forwards one of these sinks."""
-    if any(sink.name in sinks and _belong_together(sink, stream) for sink in snapshot.sinks):
-        return True
+    """Whether a playing stream belongs to a module that forwards the sound of these sinks."""
     monitors = {source.index for source in snapshot.sources if source.monitor_of in sinks}
-    return any(
-        tap.device_index in monitors and _belong_together(tap, stream)
-        for tap in snapshot.source_outputs
-    )
+    inputs: list[Sink | Stream] = [sink for sink in snapshot.sinks if sink.name in sinks]
+    inputs += [tap for tap in snapshot.source_outputs if tap.device_index in monitors]
+    return any(_belong_together(one, stream) for one in inputs)
 
 
 def sink_arguments(snapshot: ServerSnapshot, target: Sink) -> list[str]:
-    """Return the arguments of module-null-sink, for a sink of the target's format.
+    """Return the arguments of module-null-sink for a virtual sink with the target's format.
 
-    Without norewinds an idle PulseAudio renders 2 s ahead, and a tap would be that late.
+    Without norewinds=1 an idle PulseAudio would render 2 s ahead; a capture would be 2 s late.
     """
     own = ["format=float32le", "norewinds=1"] if snapshot.kind == "PulseAudio" else []
-    properties = f"device.description='{APPLICATION_NAME}' {_MARK}=1"
+    properties = f"device.description='{APPLICATION_NAME}' {MARK}=1"
     return [f"sink_name={SINK}", *_format(target), *own, f'sink_properties="{properties}"']
 
 
 def loopback_arguments(snapshot: ServerSnapshot, route: Route, sink: Sink) -> list[str]:
-    """Return the arguments of module-loopback; sink: the virtual one.
+    """Return the arguments of module-loopback. sink: the virtual sink.
 
-    Its streams must not move: both servers unload the whole loopback when its target vanishes,
-    where PipeWire would otherwise connect it to its own source. PulseAudio adds 5 ms after every
-    few underruns and keeps them; the bounds limit that to 20 ms. UsageError: no module accepts a
-    name.
+    The loopback's streams may not move, so that PulseAudio and PipeWire unload it when its target
+    vanishes. If the streams could move, PipeWire would connect the loopback's output to the virtual
+    sink, which is its input. After every few underruns, PulseAudio permanently adds 5 ms of delay;
+    max_latency_msec limits this to 20 ms in all. UsageError: the name of a sink has a character
+    that a module's arguments cannot contain.
     """
     for name in (route.target, route.restore):
         if not name.isprintable() or set(name) & set("\"'\\"):
@@ -159,17 +146,7 @@ def _format(sink: Sink) -> list[str]:
     return [f"rate={sink.samplerate}", f"channels={sink.channels}", *names]
 
 
-def _route(properties: Mapping[str, str]) -> Route:
-    delay = properties.get(_DELAY, "")
-    return Route(
-        target=properties[_TARGET],
-        restore=properties.get(_RESTORE, ""),
-        delay_ms=int(delay) if delay.isdecimal() else 0,
-    )
-
-
 def _belong_together(one: Sink | Stream, other: Stream) -> bool:
-    if one.module is not None and one.module == other.module:
-        return True
-    group = one.properties.get("node.link-group")
-    return group is not None and group == other.properties.get("node.link-group")
+    group, others = (each.properties.get("node.link-group") for each in (one, other))
+    same_module = one.module is not None and one.module == other.module
+    return same_module or (group is not None and group == others)

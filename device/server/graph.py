@@ -1,35 +1,27 @@
-"""PipeWire's graph: its nodes, ports and links, as `pw-dump` describes and `pw-cli` announces them.
+"""PipeWire's graph of nodes, ports and links, from the output of `pw-dump` and `pw-cli`.
 
-`pw-dump` prints the same JSON on every version from 0.3 to 1.6. Objects are known by their ids,
-since names need not be unique. The server uses an id again at once, so an object that has gone is
-forgotten at once.
+`pw-dump` prints JSON of the same form in PipeWire 0.3 to 1.6. Names of nodes need not be
+unique. The server may reuse an id at once, so a removed object must be deleted at once.
 """
-
-from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any
 
-SESSION_MANAGERS = ("WirePlumber", "pipewire-media-session")
-"""Names of the programs that link streams to sinks, as their clients give them."""
+SESSION_MANAGERS = ("WirePlumber", "pipewire-media-session")  # programs that link streams to sinks
+LINK_ENDS = ("output-port-id", "input-port-id", "output-node-id", "input-node-id")
 
-SINK_CLASSES = ("Audio/Sink", "Audio/Duplex")
-"""Media classes of nodes that play what is linked to them."""
-
-Key = TypeVar("Key", int, str)
-
-LinkPair = tuple[int, int]
-"""Ids of an output port and of the input port that it is linked to."""
+LinkPair = tuple[int, int]  # ids of the output port and the input port of a link
+Index = dict[Any, set[int]]  # ids of objects, by name or by the id of their node
 
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """A node. media_class: such as "Audio/Sink"; "" for none. state: such as "running"."""
+    """A node. is_sink: whether it plays sound from other nodes. state: such as "running"."""
 
     id: int
     name: str
-    media_class: str
+    is_sink: bool
     state: str
     properties: Mapping[str, Any]
 
@@ -42,7 +34,6 @@ class Port:
     node_id: int
     name: str
     channel: str
-    is_input: bool
     is_monitor: bool
 
 
@@ -59,15 +50,15 @@ class Link:
 
     @property
     def pair(self) -> LinkPair:
-        """The two ports."""
+        """The ids of the output port and the input port."""
         return self.output_id, self.input_id
 
 
 class Graph:
-    """The objects of one server. Not safe for several threads: `GraphWatch` holds its lock.
+    """The objects of one server. Not thread-safe: hold `GraphWatch.lock`.
 
-    nodes, ports, links: by id. version: of the server, "" while it is unknown. clock_hz: the rate
-    that the server prefers, 0 while it is unknown; a stream may have it choose another one.
+    nodes, ports, links: by id. version: of the server, "" while unknown. clock_hz: the server's
+    configured sample rate, 0 while unknown.
     """
 
     def __init__(self) -> None:
@@ -77,38 +68,31 @@ class Graph:
         self.version = ""
         self.clock_hz = 0
         self._clients: dict[int, Mapping[str, Any]] = {}
-        self._sinks: dict[int, Node] = {}
-        self._named: dict[str, set[int]] = {}
-        self._ports_of: dict[int, set[int]] = {}
-        self._links_of: dict[int, set[int]] = {}
+        self._named: Index = {}
+        self._ports_of: Index = {}
+        self._links_of: Index = {}
         self._serials: dict[int, int] = {}
         self._announced: set[int] = set()
         self._changes = 0
 
     def apply(self, objects: Iterable[Any]) -> bool:
-        """Take one document of `pw-dump`: the objects that are new, have changed or are gone.
-
-        Return whether nodes, ports or links are others now; a new state alone does not count.
-        """
+        """Store objects of `pw-dump`; return whether nodes, ports or links (not states) changed."""
         before = self._changes
         for item in objects:
             if isinstance(item, dict) and isinstance(item.get("id"), int):
                 number = item["id"]
                 if number in self._announced and _serial(item) < self._serials[number]:
-                    continue  # it is of an object that had this id before
+                    continue  # it describes an object that had this id before
                 self._announced.discard(number)
                 self._apply_one(item)
         return self._changes != before
 
     def announce(self, objects: Iterable[Any]) -> bool:
-        """Take objects that `pw-dump` will describe later: those that are new or gone.
-
-        Return whether nodes, ports or links are others now; a new state alone does not count.
-        """
+        """Process new and removed objects that `pw-cli` reports; return the same as `apply`."""
         before = self._changes
         for item in objects:
             number, serial = item["id"], _serial(item)
-            if str(item.get("type", "")).endswith(":Core"):  # all are announced anew
+            if str(item.get("type", "")).endswith(":Core"):  # the server announces all objects anew
                 self._announced.clear()
             elif item.get("info") is None:
                 self._forget(number)
@@ -122,27 +106,27 @@ class Graph:
         return node_id not in self._announced
 
     def sink(self, name: str) -> Node | None:
-        """Return the sink of this name, None if there is none."""
-        return next((node for node in self.nodes_named(name) if node.id in self._sinks), None)
+        """Return the sink of this name, if there is one."""
+        return next((node for node in self.nodes_named(name) if node.is_sink), None)
 
     def sinks(self) -> Iterator[Node]:
-        """Return all nodes that play what is linked to them."""
-        return iter(self._sinks.values())
+        """Return all nodes that play sound from other nodes."""
+        return (node for node in self.nodes.values() if node.is_sink)
 
     def is_sink(self, node_id: int) -> bool:
-        """Whether a node plays what is linked to it."""
-        return node_id in self._sinks
+        """Whether a node plays sound from other nodes."""
+        return node_id in self.nodes and self.nodes[node_id].is_sink
 
     def nodes_named(self, name: str) -> Iterator[Node]:
         """Return all nodes of this name."""
         return (self.nodes[node_id] for node_id in self._named.get(name, ()))
 
     def node_named(self, name: str) -> Node | None:
-        """Return the node of this name, None if there is none; for names that are our own."""
+        """Return a node of this name, or None."""
         return next(self.nodes_named(name), None)
 
     def ports_of(self, node_id: int, prefix: str = "") -> dict[str, int]:
-        """Return the ids of a node's ports by their names without this prefix, such as "input_"."""
+        """Return {rest of the name: id} for those ports of a node whose names begin with prefix."""
         ports = (self.ports[port_id] for port_id in self._ports_of.get(node_id, ()))
         start = len(prefix)
         return {port.name[start:]: port.id for port in ports if port.name.startswith(prefix)}
@@ -153,10 +137,7 @@ class Graph:
 
     @property
     def session_manager(self) -> int | None:
-        """The serial number of the client that links streams to sinks, None while none runs.
-
-        Its id may be that of the one before.
-        """
+        """Serial number of the client that links streams to sinks; None if no such client runs."""
         for client in self._clients.values():
             if client.get("application.name") in SESSION_MANAGERS:
                 return _number(client.get("object.serial"))
@@ -175,19 +156,24 @@ class Graph:
         if not isinstance(info, dict):
             self._forget(number)
             return
-        properties = info.get("props") or {}
+        known = info.get("props") or {}
         if kind.endswith(":Node"):
-            self._forget_other(number, self.nodes)
-            self._add_node(number, info, properties)
+            name, state = str(known.get("node.name", "")), str(info.get("state", ""))
+            is_sink = known.get("media.class") in ("Audio/Sink", "Audio/Duplex")
+            self._put(self.nodes, Node(number, name, is_sink, state, known))
         elif kind.endswith(":Port"):
-            self._forget_other(number, self.ports)
-            self._add_port(number, info, properties)
+            name, channel = str(known.get("port.name", "")), str(known.get("audio.channel", ""))
+            is_monitor = str(known.get("port.monitor")).lower() == "true"
+            port = Port(number, _number(known.get("node.id")), name, channel, is_monitor)
+            self._put(self.ports, port)
         elif kind.endswith(":Link"):
-            self._forget_other(number, self.links)
-            self._add_link(number, info)
+            state = str(info.get("state", ""))
+            output, input_, from_node, to_node = (_number(info.get(end)) for end in LINK_ENDS)
+            self._put(self.links, Link(number, output, input_, from_node, to_node, state))
         elif kind.endswith(":Client"):
-            self._forget_other(number, self._clients)
-            self._clients[number] = properties
+            if number not in self._clients:
+                self._forget(number)
+            self._clients[number] = known
         elif kind.endswith(":Core"):
             self.version = str(info.get("version", self.version))
         self._serials[number] = _serial(item)
@@ -198,84 +184,53 @@ class Graph:
             forced_hz = _number(found.get("clock.force-rate"))
             self.clock_hz = max(0, forced_hz if forced_hz > 0 else _number(found.get("clock.rate")))
 
-    def _add_node(self, number: int, info: Mapping[str, Any], properties: Any) -> None:
-        before = self.nodes.get(number)
-        node = Node(
-            number,
-            str(properties.get("node.name", "")),
-            str(properties.get("media.class", "")),
-            str(info.get("state", "")),
-            properties,
-        )
-        self._changes += before is None or before.properties != node.properties
-        self._drop_node(number)
-        self.nodes[number] = node
-        self._named.setdefault(node.name, set()).add(number)
-        if node.media_class in SINK_CLASSES:
-            self._sinks[number] = node
-
-    def _add_port(self, number: int, info: Mapping[str, Any], properties: Any) -> None:
-        port = Port(
-            number,
-            _number(properties.get("node.id")),
-            str(properties.get("port.name", "")),
-            str(properties.get("audio.channel", "")),
-            is_input=info.get("direction") == "input",
-            is_monitor=str(properties.get("port.monitor")).lower() == "true",
-        )
-        if self.ports.get(number) != port:
-            self._drop_port(number)
-            self._changes += 1
-            self.ports[number] = port
-            self._ports_of.setdefault(port.node_id, set()).add(number)
-
-    def _add_link(self, number: int, info: Mapping[str, Any]) -> None:
-        link = Link(
-            number,
-            _number(info.get("output-port-id")),
-            _number(info.get("input-port-id")),
-            _number(info.get("output-node-id")),
-            _number(info.get("input-node-id")),
-            str(info.get("state", "")),
-        )
-        before = self.links.get(number)
-        self._changes += before is None or before.pair != link.pair
-        self._drop_link(number)
-        self.links[number] = link
-        for node_id in (link.output_node_id, link.input_node_id):
-            self._links_of.setdefault(node_id, set()).add(number)
-
-    def _forget_other(self, number: int, kind: Mapping[int, Any]) -> None:
-        """Forget what had this id before, if that was an object of another kind."""
-        if number not in kind:
-            self._forget(number)
+    def _put(self, table: dict[int, Any], new: Node | Port | Link) -> None:
+        """Store an object; it replaces any object with the same id, even of another kind."""
+        before = table.get(new.id)
+        if before is None:
+            self._forget(new.id)
+        self._changes += before is None or _wiring(before) != _wiring(new)
+        self._drop(new.id)
+        table[new.id] = new
+        for index, key in self._entries(new):
+            index.setdefault(key, set()).add(new.id)
 
     def _forget(self, number: int) -> None:
-        self._changes += any(number in kind for kind in (self.nodes, self.ports, self.links))
+        self._changes += self._drop(number)
         self._serials.pop(number, None)
         self._announced.discard(number)
-        self._drop_port(number)
-        self._drop_link(number)
-        self._drop_node(number)
         self._clients.pop(number, None)
 
-    def _drop_node(self, number: int) -> None:
-        if node := self.nodes.pop(number, None):
-            _discard(self._named, node.name, number)
-            self._sinks.pop(number, None)
+    def _drop(self, number: int) -> bool:
+        """Remove an object from its table and indexes; return whether the object existed."""
+        table: dict[int, Any]
+        for table in (self.nodes, self.ports, self.links):
+            if one := table.pop(number, None):
+                for index, key in self._entries(one):
+                    index[key].discard(number)
+                    if not index[key]:
+                        del index[key]
+                return True
+        return False
 
-    def _drop_port(self, number: int) -> None:
-        if port := self.ports.pop(number, None):
-            _discard(self._ports_of, port.node_id, number)
+    def _entries(self, one: Node | Port | Link) -> list[tuple[Index, Any]]:
+        """Return the indexes that hold an object, each with the object's key in it."""
+        if isinstance(one, Node):
+            return [(self._named, one.name)]
+        if isinstance(one, Port):
+            return [(self._ports_of, one.node_id)]
+        return [(self._links_of, node) for node in {one.output_node_id, one.input_node_id}]
 
-    def _drop_link(self, number: int) -> None:
-        if link := self.links.pop(number, None):
-            for node_id in {link.output_node_id, link.input_node_id}:
-                _discard(self._links_of, node_id, number)
+
+def _wiring(one: Node | Port | Link) -> object:
+    """Return the part of an object whose change `apply` reports; a new state is no change."""
+    if isinstance(one, Node):
+        return one.properties
+    return one.pair if isinstance(one, Link) else one
 
 
 def _serial(item: Mapping[str, Any]) -> int:
-    """Return the number of an object that no other one ever has; -1 for one that is gone."""
+    """Return an object's serial number, which is never reused; -1 for a removed object."""
     return _number(((item.get("info") or {}).get("props") or {}).get("object.serial"))
 
 
@@ -284,11 +239,3 @@ def _number(value: Any) -> int:
         return int(value)
     except (TypeError, ValueError):
         return -1
-
-
-def _discard(index: dict[Key, set[int]], key: Key, number: int) -> None:
-    numbers = index.get(key)
-    if numbers is not None:
-        numbers.discard(number)
-        if not numbers:
-            del index[key]

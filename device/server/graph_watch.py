@@ -1,57 +1,47 @@
 """Follows PipeWire's graph and keeps our links in it.
 
-`pw-dump --monitor` reports every change, so nothing is polled. One `pw-cli` that stays open makes
-and removes links within a millisecond, and announces what is new; links belong to it, so they
-vanish with the program, however that ends.
+`pw-dump --monitor` reports every change, so nothing is polled. One running `pw-cli` makes and
+removes links, and announces new objects. The links vanish when this program ends, because they
+belong to the `pw-cli` process, which then ends too.
 """
-
-from __future__ import annotations
 
 import fcntl
 import json
 import math
 import os
+import re
 import select
 import subprocess
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from typing import Any
 
 from device.errors import NotFoundError
-from device.process import started
-from device.server.announcements import Announcements
-from device.server.graph import Graph
+from device.process import end, started
+from device.server.graph import LINK_ENDS, Graph
 from device.server.link_keeper import LinkKeeper
 
-READER, EDITOR = "pw-dump", "pw-cli"
-"""Programs of PipeWire that report and change the graph."""
-
+READER, EDITOR = "pw-dump", "pw-cli"  # programs of PipeWire that report and change the graph
 PIPE_BYTES, READ_BYTES = 1 << 20, 1 << 16
-GATHER_S = 0.2
-"""Changes are reported at once, and again after so long."""
+LONGEST_LINE_BYTES = 1 << 14  # longer lines are truncated, since names may have any length
+GATHER_S = 0.2  # shortest time between two reports of changes
+DESCRIBED_S = 0.001  # longest wait for an announcement before a longer description is read
 
-DESCRIBED_S = 0.001
-"""Time for more to arrive: `pw-dump` writes hundreds of lines for one change."""
-
+# After BUSY_READS reads within BUSY_S, each read waits BUSY_WAIT_S longer.
 BUSY_READS, BUSY_S, BUSY_WAIT_S = 250, 5.0, 0.02
-"""After so many reads in so long, each one waits longer. A stream that comes and goes takes 25."""
 
-END_S = 0.5
-"""Longest wait for the thread's end."""
+END_S = 0.5  # longest wait for the thread's end
 
 
 class GraphWatch:
-    """The graph as it is now, and the links that are wanted in it.
+    """Keeps `graph` up to date, and makes the wanted links. Only one thread may use the object.
 
-    One thread makes it and calls the methods. Hold `lock` while `graph` or `keeper` is used.
-
-    on_change: called by the thread of this object after changes, a few together; it must return at
-    once. Links do not wait for it.
-    lost: whether the connection is gone; make another object to connect again.
-    NotFoundError: a program of PipeWire is not installed.
+    Hold `lock` while you use `graph` or `keeper`. on_change: called by this object's thread after
+    one or more changes; it must return at once. lost: whether the connection is lost; make a new
+    object after a loss. NotFoundError: a program of PipeWire is not installed.
     """
 
     def __init__(self, on_change: Callable[[], None]) -> None:
@@ -61,11 +51,8 @@ class GraphWatch:
         self._on_change = on_change
         self._editor = Editor()
         try:
-            self._process = _started(
-                [READER, "--monitor", "--no-colors"],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-            )
+            command = [READER, "--monitor", "--no-colors"]
+            self._process = _started(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE)
         except NotFoundError:
             self._editor.close()
             raise
@@ -74,12 +61,10 @@ class GraphWatch:
         self._thread.start()
 
     def close(self) -> None:
-        """End the connection; our links vanish. May be repeated; raises nothing."""
+        """End the connection, which removes our links. May be repeated; raises nothing."""
         self._process.kill()
-        self._process.wait()
-        self._thread.join(END_S)
-        if self._process.stdout:
-            self._process.stdout.close()
+        self._thread.join(END_S)  # the thread reads until `pw-dump` has ended
+        end(self._process)
         self._editor.close()
 
     def _follow(self) -> None:
@@ -108,20 +93,17 @@ class GraphWatch:
 
 
 class Arrivals:
-    """When to read the two files: what is described waits for more, and both in a busy graph."""
+    """Selects the file to read: announcements of `pw-cli` have priority over `pw-dump`."""
 
     def __init__(self, described: int, announced: int) -> None:
         self._either, self._announced = select.poll(), select.poll()
-        for poll, file in (
-            (self._either, described),
-            (self._either, announced),
-            (self._announced, announced),
-        ):
-            poll.register(file, select.POLLIN)
+        self._either.register(described, select.POLLIN)
+        for poll in (self._either, self._announced):
+            poll.register(announced, select.POLLIN)
         self._reads_s = deque([-BUSY_S], maxlen=BUSY_READS)
 
     def wait(self, until_s: float) -> set[int]:
-        """Return the files to read now; none if nothing arrives until then."""
+        """Return the files to read now; an empty set if nothing arrives before until_s."""
         now_s = time.monotonic()
         wait_ms = None if until_s == math.inf else max(0.0, 1e3 * (until_s - now_s))
         ready = {file for file, _ in self._either.poll(wait_ms)}
@@ -130,61 +112,49 @@ class Arrivals:
             time.sleep(BUSY_WAIT_S)
             ready = {file for file, _ in self._either.poll(0)}
         elif ready and (first := self._announced.poll(1e3 * DESCRIBED_S)):
-            ready = {file for file, _ in first}  # a link does not wait for long descriptions
+            ready = {file for file, _ in first}  # a new link must not wait for long descriptions
         if ready:
             self._reads_s.append(now_s)
         return ready
 
 
 class Editor:
-    """One running `pw-cli`, started again if it has ended.
-
-    printed: file that it prints announcements to, whichever process it is.
-    """
+    """A running `pw-cli`; `send` restarts it if it has ended. printed: read end of its output."""
 
     def __init__(self) -> None:
-        self._process: subprocess.Popen[bytes] | None = None
         self.printed, self._output = os.pipe()
         try:
-            self._start()
+            self._process = self._start()
         except NotFoundError:
             self._close_pipe()
             raise
 
     def send(self, command: str) -> None:
-        """Send one command. Never waits and raises nothing: a lost command is sent again later."""
-        if self._process is None or self._process.poll() is not None:
-            self._end()
+        """Send one command. This never waits or raises; the caller must repeat a lost command."""
+        if self._process.poll() is not None:
+            end(self._process)
             with suppress(NotFoundError):
-                self._start()
-        if self._process is not None and self._process.stdin is not None:
-            with suppress(OSError):
-                os.write(self._process.stdin.fileno(), f"{command}\n".encode())
+                self._process = self._start()
+        assert self._process.stdin is not None
+        with suppress(OSError, ValueError):  # `pw-cli` has ended
+            os.write(self._process.stdin.fileno(), f"{command}\n".encode())
 
     def close(self) -> None:
-        """End it, and with it all links that it made. May be repeated; raises nothing."""
-        self._end()
+        """End `pw-cli`, which removes its links. May be repeated; raises nothing."""
+        end(self._process)
         self._close_pipe()
-
-    def _end(self) -> None:
-        process, self._process = self._process, None
-        if process is not None:
-            process.kill()
-            process.wait()
-            if process.stdin is not None:
-                with suppress(OSError):
-                    process.stdin.close()
-
-    def _start(self) -> None:
-        self._process = _started([EDITOR, "--monitor"], stdin=subprocess.PIPE, stdout=self._output)
-        assert self._process.stdin is not None
-        os.set_blocking(self._process.stdin.fileno(), False)
 
     def _close_pipe(self) -> None:
         for file in (self.printed, self._output):
             with suppress(OSError):
                 os.close(file)
         self.printed = self._output = -1
+
+    def _start(self) -> subprocess.Popen[bytes]:
+        process = _started([EDITOR, "--monitor"], stdin=subprocess.PIPE, stdout=self._output)
+        assert process.stdin is not None
+        os.set_blocking(process.stdin.fileno(), False)
+        return process
 
 
 def _started(command: list[str], *, stdin: int, stdout: int) -> subprocess.Popen[bytes]:
@@ -197,40 +167,75 @@ def _started(command: list[str], *, stdin: int, stdout: int) -> subprocess.Popen
 
 
 class Documents:
-    """The JSON arrays that `pw-dump` writes to a file.
-
-    file: its number. ended: whether there are no more.
-    """
+    """Reads the JSON arrays that `pw-dump` prints. ended: whether no more output will come."""
 
     def __init__(self, file: int) -> None:
         self.file = file
-        with suppress(OSError):  # a full pipe would make `pw-dump` wait
+        with suppress(OSError):  # `pw-dump` would wait while the pipe is full
             fcntl.fcntl(file, fcntl.F_SETPIPE_SZ, PIPE_BYTES)
         self._waiting = b""
         self.ended = False
 
     def read(self) -> list[Any]:
-        """Return all arrays that have arrived; waits until something is there.
-
-        Each begins and ends with a line of its own, and only its brackets are in the first column.
-        """
+        """Wait until the file has content; return the arrays that are complete."""
         block = os.read(self.file, READ_BYTES)
         self.ended = not block
         *whole, self._waiting = (self._waiting + block).split(b"\n]\n")
-        return [json.loads(_without_parameters(text) + b"\n]") for text in whole]
+        return [json.loads(_PARAMETERS.sub(b"", text) + b"\n]") for text in whole]
 
 
-_PARAMETERS, _END = b'\n      "params": {', b"\n      }"
+# Formats and volumes of nodes: most of the text, and unused.
+_PARAMETERS = re.compile(rb'(?<=\n      "params": \{)(?:\n        .*)+')
+
+_ADDED = re.compile(r"remote \d+ added global: \tid (\d+), type ([\w:]+)/\d+")
+_REMOVED = re.compile(r"remote \d+ removed global: \tid (\d+)")
+_PROPERTY = re.compile(r'\s*\*?\s*([\w.-]+) = "(.*)"')
+_KINDS = (":Core", ":Node", ":Port", ":Link")
+_ENDS = {"link." + end.removesuffix("-id").replace("-", "."): end for end in LINK_ENDS}
 
 
-def _without_parameters(text: bytes) -> bytes:
-    """Return a document without formats and volumes of nodes: most of its text, and not used."""
-    parts, begin = [], 0
-    while (start := text.find(_PARAMETERS, begin)) >= 0:
-        end = text.find(_END, start)
-        if end < 0:
-            break
-        parts.append(text[begin : start + len(_PARAMETERS)])
-        begin = end
-    parts.append(text[begin:])
-    return b"".join(parts)
+class Announcements:
+    """Reads the objects that `pw-cli --monitor` prints; it reports them earlier than `pw-dump`.
+
+    `pw-dump` waits until it knows all properties of an object. `pw-cli` prints both ends of a link
+    at once.
+    """
+
+    def __init__(self, file: int) -> None:
+        self.file = file
+        self._line = b""
+        self._object: dict[str, Any] | None = None
+
+    def read(self) -> list[dict[str, Any]]:
+        """Wait for content; return new and removed objects, in the form of `pw-dump`.
+
+        For a removed object, `info` is None. A link is returned as soon as both its ends are known,
+        any other object when the next announcement begins. Never raises.
+        """
+        try:
+            block = os.read(self.file, READ_BYTES)
+        except OSError:
+            return []
+        *lines, self._line = (self._line + block).split(b"\n")
+        self._line = self._line[:LONGEST_LINE_BYTES]
+        return [one for line in lines for one in self._take(line.decode(errors="replace"))]
+
+    def _take(self, line: str) -> Iterator[dict[str, Any]]:
+        item = self._object
+        if line.startswith("remote "):
+            if item is not None and not item["type"].endswith(":Link"):
+                yield item
+            self._object = None
+            if (added := _ADDED.match(line)) and added[2].endswith(_KINDS):
+                self._object = {"id": int(added[1]), "type": added[2], "info": {"props": {}}}
+            elif removed := _REMOVED.match(line):
+                yield {"id": int(removed[1]), "info": None}
+        elif item is not None and (known := _PROPERTY.match(line)):
+            name, value = known.groups()
+            info = item["info"]
+            info["props"][name] = value
+            if name in _ENDS:
+                info[_ENDS[name]] = value
+                if info.keys() >= set(LINK_ENDS):
+                    yield item
+                    self._object = None

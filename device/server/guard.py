@@ -1,13 +1,10 @@
-"""Guards our streams: no vibration on another sink, and no microphone as input.
+"""Guards this program's streams: only the haptic sink plays vibration; no microphone is captured.
 
-A server that loses a device moves its streams to another one without notice. A guard silences its
-stream at the first event about it, and releases it when it is known to be on its own device. And
-on PulseAudio a fallback sink catches the output: queued frames (about 10 ms) move with the stream
-before the event arrives. PulseAudio prefers this silent sink for our role of stream. On PipeWire
-the output ends instead (see `pcms`).
+If a device is lost, the server moves the device's streams to another device without notice. A guard
+silences a stream at the first event about it, but frames already queued play on the new device. On
+PulseAudio this device is our silent fallback sink, which PulseAudio prefers for our stream's role.
+On PipeWire the output ends instead (see `pcms`).
 """
-
-from __future__ import annotations
 
 import threading
 import time
@@ -25,14 +22,14 @@ from device.stream.streams import CaptureStream, PlaybackStream
 
 
 class Hold(Enum):
-    """Whether the stream may be audible; the value says why."""
+    """Whether the stream may be audible; the value is the reason."""
 
     FREE = "the stream is where it belongs"
     UNSETTLED = "an event about the stream is not checked yet"
     NO_STREAM = "the server does not have the stream, or it has no device yet"
     NO_DEVICE = "its sink or monitor is gone"
     ELSEWHERE = "the stream is on another device"
-    LOST = "there is no connection to the server"
+    LOST = "the server is not connected"
 
     @property
     def audible(self) -> bool:
@@ -41,17 +38,17 @@ class Hold(Enum):
 
     @property
     def misplaced(self) -> bool:
-        """Whether the stream is not on its device, as for a few ms after any underrun."""
+        """Whether the stream is not on its own device; also true for some ms after an underrun."""
         return self in (Hold.NO_STREAM, Hold.NO_DEVICE, Hold.ELSEWHERE)
 
 
 @dataclass(frozen=True)
 class StreamPlacement:
-    """Knowledge of one stream; `after_...` returns updated knowledge, `hold` judges it.
+    """What is known about one stream. The methods `after_...` return an updated copy.
 
-    name: of the device where it belongs, a sink if it plays, else a source, which must be a monitor
-    unless any_source. stream, device: their indexes. on: index of the stream's present device.
-    unsettled: number of the event that is not checked yet, or 0.
+    name: of the stream's own device, the only one on which it may be audible. stream, device: index
+    of the stream and of its own device. on: index of the stream's present device. unsettled: number
+    of the event that is not checked yet, or 0.
     """
 
     tag: str
@@ -66,7 +63,7 @@ class StreamPlacement:
 
     @property
     def hold(self) -> Hold:
-        """The decision."""
+        """Whether and why the stream must be silent."""
         if not self.connected:
             return Hold.LOST
         if self.device is None:
@@ -77,8 +74,8 @@ class StreamPlacement:
             return Hold.ELSEWHERE
         return Hold.UNSETTLED if self.unsettled else Hold.FREE
 
-    def after_event(self, event: Event) -> StreamPlacement:
-        """Return what is known after an event, before any query."""
+    def after_event(self, event: Event) -> "StreamPlacement":
+        """Return a copy updated by an event. The server is not queried."""
         stream, device = ("sink_input", "sink") if self.plays else ("source_output", "source")
         gone = event.kind == "remove"
         if event.facility == stream and event.index == self.stream:
@@ -90,53 +87,35 @@ class StreamPlacement:
         return self
 
     def may_be_back(self, event: Event) -> bool:
-        """Whether this event may be about our missing stream: one was made."""
+        """Whether this event reports a new stream while ours is missing, so that it may be ours."""
         stream = "sink_input" if self.plays else "source_output"
         return self.stream is None and event.facility == stream and event.kind == "new"
 
-    def after_snapshot(self, snapshot: ServerSnapshot) -> StreamPlacement:
-        """Return what is known after a snapshot; one older than the event changes nothing."""
+    def after_snapshot(self, snapshot: ServerSnapshot) -> "StreamPlacement":
+        """Return a copy updated by a snapshot; one older than `unsettled` changes nothing."""
         if snapshot.events < self.unsettled:
             return self
         streams = snapshot.sink_inputs if self.plays else snapshot.source_outputs
         sources = [one for one in snapshot.sources if one.monitor_of or self.any_source]
         devices = {one.name: one.index for one in (snapshot.sinks if self.plays else sources)}
         stream = find_tagged(streams, self.tag)
-        return replace(
-            self,
-            connected=True,
-            stream=None if stream is None else stream.index,
-            device=devices.get(self.name),
-            on=None if stream is None else stream.device_index,
-            unsettled=0,
-        )
+        index, on = (stream.index, stream.device_index) if stream else (None, None)
+        device = devices.get(self.name)
+        return replace(self, connected=True, stream=index, device=device, on=on, unsettled=0)
 
-    def after_loss(self) -> StreamPlacement:
-        """Return what is known after the loss of the server."""
+    def after_loss(self) -> "StreamPlacement":
+        """Return a copy updated for the loss of the server."""
         return replace(self, connected=False, stream=None, device=None, on=None)
 
 
 class StreamGuard(Listener):
-    """Silences a stream unless it is known to be on its device.
+    """Silences a stream unless it is known to be on its own device.
 
-    It alone sets `stream.audible`, from the moment it is made. Any thread but the connection's
-    may use it; any thread may read `hold` and call `misplaced_s`.
-
-    Parameters
-    ----------
-    connection : PulseConnection
-        Reports where the stream is.
-    stream : PlaybackStream or CaptureStream
-        The stream to silence.
-    device_name : str
-        Of the haptic sink for a `PlaybackStream`, of a monitor for a `CaptureStream`.
-    any_source : bool
-        Whether device_name may be any source, for measurements.
-
-    Attributes
-    ----------
-    hold : Hold
-        The present decision.
+    Only the guard sets `stream.audible`. Any thread except the connection's may call the methods.
+    Any thread may read `hold`, the present decision, and call `misplaced_s`.
+    connection: reports where the stream is. device_name: the stream's own device, which is the
+    haptic sink for a `PlaybackStream` and a monitor for a `CaptureStream`. any_source: whether a
+    capture may be from a source that is no monitor, for measurements. stream: the stream to guard.
     """
 
     def __init__(
@@ -147,25 +126,27 @@ class StreamGuard(Listener):
         *,
         any_source: bool = False,
     ) -> None:
-        self._connection = connection
-        self._stream = stream
+        self._connection, self._stream = connection, stream
         self._lock = threading.Lock()
         self._released = False
         plays = isinstance(stream, PlaybackStream)
-        self._placement = StreamPlacement(stream.tag, device_name, plays, any_source=any_source)
-        self.hold = self._placement.hold
+        placement = StreamPlacement(stream.tag, device_name, plays, any_source=any_source)
         self._misplaced_at_s: float | None = None
-        self._judge(lambda placement: placement)
+        self._judge(lambda: placement)
         connection.add(self)
 
     def misplaced_s(self, now_s: float) -> float:
-        """Return how long the stream has been misplaced; now_s is time.monotonic()."""
+        """Return for how many s the stream has been misplaced. now_s: time.monotonic()."""
         began_s = self._misplaced_at_s
         return 0.0 if began_s is None else max(0.0, now_s - began_s)
 
     def retarget(self, device_name: str) -> None:
-        """Change the stream's device; afterwards let the server move the stream."""
-        self._judge(lambda placement: replace(placement, name=device_name, device=None))
+        """Change the stream's own device; silence the stream until it is on this device."""
+        self._judge(lambda: replace(self._placement, name=device_name, device=None))
+        self.look()
+
+    def look(self) -> None:
+        """Ask the server where the stream is. LostError: the server does not answer."""
         self._connection.snapshot()
 
     def release(self) -> None:
@@ -177,21 +158,21 @@ class StreamGuard(Listener):
 
     def on_event(self, event: Event) -> bool:
         """Silence the stream at once if this event may have moved it."""
-        self._judge(lambda placement: placement.after_event(event))
+        self._judge(lambda: self._placement.after_event(event))
         placement = self._placement
         return placement.unsettled == event.number or placement.may_be_back(event)
 
     def on_snapshot(self, snapshot: ServerSnapshot) -> None:
-        """Check where the stream is."""
-        self._judge(lambda placement: placement.after_snapshot(snapshot))
+        """Check whether the stream is on its own device."""
+        self._judge(lambda: self._placement.after_snapshot(snapshot))
 
     def on_lost(self, error: LostError) -> None:
-        """Silence the stream, as its moves are not reported any more."""
-        self._judge(lambda placement: placement.after_loss())
+        """Silence the stream, because the lost server reports no moves."""
+        self._judge(lambda: self._placement.after_loss())
 
-    def _judge(self, change: Callable[[StreamPlacement], StreamPlacement]) -> None:
+    def _judge(self, change: Callable[[], StreamPlacement]) -> None:
         with self._lock:
-            self._placement = change(self._placement)
+            self._placement = change()
             self.hold = self._placement.hold
             self._stream.audible = self.hold.audible and not self._released
             if not self.hold.misplaced:
@@ -201,34 +182,18 @@ class StreamGuard(Listener):
 
 
 class FallbackSink:
-    """The silent sink that PulseAudio moves our stream to if its own sink vanishes.
+    """The silent sink to which PulseAudio moves our stream if the haptic sink vanishes.
 
-    Make it before the playback stream. One that an earlier process left is taken over. PipeWire
-    does not need it. Any thread but the connection's uses it.
-
-    Parameters
-    ----------
-    connection : PulseConnection
-        To the server.
-
-    Attributes
-    ----------
-    active : bool
-        Whether the sink is ready.
-    reason : str
-        Why not, in one line.
-
-    Raises
-    ------
-    LostError
-        The connection is lost.
+    Make this object before the playback stream. A fallback sink that an earlier process left is
+    reused. Any thread except the connection's may use the object. connection: to the server.
+    active: whether the sink is ready. reason: why it is not ready, in one line. LostError: the
+    connection is lost.
     """
 
     def __init__(self, connection: PulseConnection) -> None:
         self._connection = connection
         self._modules: list[int] = []
-        self.active = False
-        self.reason = ""
+        self.active, self.reason = False, ""
         snapshot = connection.snapshot()
         if snapshot.kind == "PipeWire":
             self.reason = "PipeWire ends the stream instead"
@@ -239,7 +204,9 @@ class FallbackSink:
             modules = {sink.name: sink.module for sink in snapshot.sinks}
             left = modules.get(FALLBACK_SINK)
             if left is None:
-                left = connection.load_module("module-null-sink", _FALLBACK_ARGUMENTS)
+                known = f"device.description=Haptic-Cushion-(silent) device.intended_roles={ROLE}"
+                arguments = (f"sink_name={FALLBACK_SINK}", f'sink_properties="{known}"')
+                left = connection.load_module("module-null-sink", arguments)
             self._modules.append(left)
             self.active = True
         except NotFoundError as error:
@@ -249,14 +216,8 @@ class FallbackSink:
             self.close()
 
     def close(self) -> None:
-        """Unload what was loaded. May be repeated; raises nothing."""
+        """Unload the sink's modules. May be repeated; raises nothing."""
         self.active = False
         while self._modules:
-            with suppress(LostError, NotFoundError):  # it is gone already
+            with suppress(LostError, NotFoundError):  # the module is already unloaded
                 self._connection.unload_module(self._modules.pop())
-
-
-_FALLBACK_ARGUMENTS = (
-    f"sink_name={FALLBACK_SINK}",
-    f'sink_properties="device.description=Haptic-Cushion-(silent) device.intended_roles={ROLE}"',
-)

@@ -1,9 +1,4 @@
-"""Finds sinks, monitors, our own streams and real devices in a snapshot. Pure functions.
-
-Names must match exactly; an error suggests the nearest ones.
-"""
-
-from __future__ import annotations
+"""Finds sinks and sources by exact name, this program's streams, and a device's identity."""
 
 import os
 import socket
@@ -20,27 +15,29 @@ Device = TypeVar("Device", Sink, Source)
 
 
 def find_sink(snapshot: ServerSnapshot, name: str) -> Sink:
-    """Return the sink with exactly this name; NotFoundError suggests the nearest names."""
-    names = (sink.name for sink in snapshot.sinks if sink.name != FALLBACK_SINK)
-    return _find("sink", name, snapshot.sinks, names)
+    """Return the sink with exactly this name. NotFoundError: none has it; the text lists names."""
+    return _find("sink", name, snapshot.sinks)
 
 
 def find_source(snapshot: ServerSnapshot, name: str) -> Source:
-    """Return the monitor or input with exactly this name; NotFoundError suggests others."""
-    return _find("source", name, snapshot.sources, (source.name for source in snapshot.sources))
+    """Return the source with exactly this name. NotFoundError: see `find_sink`."""
+    return _find("source", name, snapshot.sources)
 
 
 def monitor_of(snapshot: ServerSnapshot, sink_name: str) -> Source:
-    """Return the monitor of the sink with exactly this name; NotFoundError: one is missing."""
-    sink = find_sink(snapshot, sink_name)
+    """Return the monitor of a sink. NotFoundError: the sink or its monitor is missing."""
+    find_sink(snapshot, sink_name)
     for source in snapshot.sources:
-        if source.monitor_of == sink.name:
+        if source.monitor_of == sink_name:
             return source
     raise NotFoundError(f"the sink {sink_name!r} has no monitor; tap another sink")
 
 
 def default_monitor(snapshot: ServerSnapshot, haptic_sink: str | None = None) -> Source:
-    """Return the default sink's monitor; NotFoundError: there is none, or it is the haptic sink."""
+    """Return the default sink's monitor.
+
+    NotFoundError: there is no default sink, it has no monitor, or it plays the vibration.
+    """
     name = snapshot.default_sink
     if not name:
         raise NotFoundError(
@@ -62,7 +59,7 @@ def is_own_stream(stream: Stream) -> bool:
 
 
 def is_ours(stream: Stream) -> bool:
-    """Whether a stream belongs to this process, or is vibration or a capture of any other."""
+    """Whether a stream belongs to this process, or to any process of this program."""
     return (
         stream.role == ROLE
         or stream.properties.get("application.id") == APPLICATION_ID
@@ -72,21 +69,21 @@ def is_ours(stream: Stream) -> bool:
 
 
 def is_cushion_stream(stream: Stream) -> bool:
-    """Whether a stream belongs to this program, in any process."""
+    """Whether a process of this program opened the stream."""
     return TAG in stream.properties
 
 
 def find_tagged(streams: Iterable[Stream], tag: str) -> Stream | None:
-    """Return our stream with this tag, or None."""
+    """Return the stream whose property `TAG` has this value, or None."""
     return next((stream for stream in streams if stream.properties.get(TAG) == tag), None)
 
 
 @dataclass(frozen=True)
 class DeviceIdentity:
-    """A text that identifies a device whenever it is plugged in; "" if unknown.
+    """The properties that identify a sink's device; "" if unknown.
 
-    vendor_id, product_id: four hexadecimal digits of a USB device. serial: the server's, which is
-    udev's VENDOR_MODEL_SERIAL. bus_path: its socket. alsa_card: ALSA's number, which may change.
+    vendor_id, product_id: four hexadecimal digits each. serial: udev's VENDOR_MODEL_SERIAL.
+    bus_path: the physical port. alsa_card: the card's number in ALSA, which may change.
     """
 
     bus: str
@@ -97,7 +94,7 @@ class DeviceIdentity:
     alsa_card: str
 
     def is_usb(self, vendor_id: str, product_id: str) -> bool:
-        """Whether it is this USB device; ids are hexadecimal."""
+        """Whether the device is a USB device with these hexadecimal ids."""
         wanted = ("usb", _usb_id(vendor_id), _usb_id(product_id))
         return bool(self.vendor_id) and (self.bus, self.vendor_id, self.product_id) == wanted
 
@@ -124,9 +121,10 @@ def _usb_id(text: str) -> str:
         return ""
 
 
-def _find(kind: str, name: str, devices: Iterable[Device], names: Iterable[str]) -> Device:
+def _find(kind: str, name: str, devices: tuple[Device, ...]) -> Device:
     for device in devices:
         if device.name == name:
             return device
+    names = [device.name for device in devices if device.name != FALLBACK_SINK]
     advice = "connect a sound card, or restart the sound server"
     raise NotFoundError(no_such(kind, name, names, advice))

@@ -1,28 +1,25 @@
-"""The functions of libpulse that record a stream.
+"""The functions of libpulse that are needed to record a stream.
 
-pulsectl declares the structures, but its few record functions read a single peak value, and take
-sizes of 32 bits where libpulse writes 64.
+The library pulsectl declares the C structures. Its own functions for recording are unusable: they
+declare sizes as 32 bits where libpulse writes 64 bits.
 
-Functions that may wait release Python's lock; for the others that would cost more than the call.
-One thread at a time uses libpulse, except for `mainloop_wakeup`. Callbacks run within
-`mainloop_dispatch` and must not raise.
+Functions that may wait release the GIL; the other functions return at once and keep it. Only one
+thread at a time may call libpulse, but any thread may call `mainloop_wakeup`. Callbacks run within
+`mainloop_dispatch` and must raise no exceptions.
 """
-
-from __future__ import annotations
 
 import ctypes
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from ctypes import c_char_p, c_int, c_uint32, c_void_p
 from functools import cache
+from types import SimpleNamespace
 from typing import Any
 
-from device.errors import NotFoundError
-from device.extras import not_installed
+from device.errors import NotFoundError, not_installed
 
 FLOAT32_LE, FLOAT32_BE = 5, 6
-CONTEXT_NOAUTOSPAWN = 0x1
-CONTEXT_READY, CONTEXT_FAILED = 4, 5
+CONTEXT_NOAUTOSPAWN, CONTEXT_READY, CONTEXT_FAILED = 0x1, 4, 5
 STREAM_READY = 2
 STREAM_DONT_MOVE = 0x0200
 STREAM_ADJUST_LATENCY = 0x2000
@@ -31,8 +28,7 @@ SUBSCRIBE_SINK_INPUTS = 0x0004
 EVENT_MASK, EVENT_SINK_INPUT_REMOVED = 0x003F, 0x0022
 DEFAULT_MAP = 0
 
-
-_AT_ONCE: dict[str, tuple[Any, ...]] = {  # name: result, arguments
+_FUNCTIONS: dict[str, tuple[Any, ...]] = {  # name: result, arguments
     "strerror": (c_char_p, c_int),
     "mainloop_new": (c_void_p,),
     "mainloop_free": (None, c_void_p),
@@ -53,10 +49,7 @@ _AT_ONCE: dict[str, tuple[Any, ...]] = {  # name: result, arguments
     "context_get_sink_input_info": (c_void_p, c_void_p, c_uint32, c_void_p, c_void_p),
     "operation_unref": (None, c_void_p),
     "channel_map_init_extend": (c_void_p, c_void_p, c_uint32, c_int),
-    "stream_new_with_proplist": (
-        c_void_p,
-        *(c_void_p, c_char_p, c_void_p, c_void_p, c_void_p),
-    ),
+    "stream_new_with_proplist": (c_void_p, c_void_p, c_char_p, c_void_p, c_void_p, c_void_p),
     "stream_set_monitor_stream": (c_int, c_void_p, c_uint32),
     "stream_connect_record": (c_int, c_void_p, c_char_p, c_void_p, c_int),
     "stream_get_state": (c_int, c_void_p),
@@ -65,30 +58,26 @@ _AT_ONCE: dict[str, tuple[Any, ...]] = {  # name: result, arguments
     "stream_drop": (c_int, c_void_p),
     "stream_disconnect": (c_int, c_void_p),
     "stream_unref": (None, c_void_p),
-}
-_WAITING: dict[str, tuple[Any, ...]] = {
     "mainloop_poll": (c_int, c_void_p),
     "context_connect": (c_int, c_void_p, c_char_p, c_int, c_void_p),
 }
+_WAITING = ("mainloop_poll", "context_connect")
 
 
-class LibPulse:
-    """The library's functions, without their prefix `pa_`. types: pulsectl's. Use `load`."""
+class LibPulse(SimpleNamespace):
+    """libpulse's functions without the prefix `pa_`; made by `load`. types: pulsectl's C types."""
 
     def __init__(self) -> None:
         self.types = load_pulsectl()._pulsectl
-        for library, functions in (
-            (ctypes.PyDLL("libpulse.so.0"), _AT_ONCE),
-            (ctypes.CDLL("libpulse.so.0"), _WAITING),
-        ):
-            for name, (result, *arguments) in functions.items():
-                function = getattr(library, f"pa_{name}")
-                function.restype, function.argtypes = result, arguments
-                setattr(self, name, function)
+        at_once, waiting = ctypes.PyDLL("libpulse.so.0"), ctypes.CDLL("libpulse.so.0")
+        for name, (result, *arguments) in _FUNCTIONS.items():
+            function = getattr(waiting if name in _WAITING else at_once, f"pa_{name}")
+            function.restype, function.argtypes = result, arguments
+            setattr(self, name, function)
 
     @contextmanager
     def properties(self, values: Mapping[str, str]) -> Iterator[Any]:
-        """Provide a property list inside this context."""
+        """Provide a libpulse property list with these values inside this context."""
         properties = self.proplist_new()
         for name, value in values.items():
             self.proplist_sets(properties, name.encode(), value.encode())
@@ -97,19 +86,15 @@ class LibPulse:
         finally:
             self.proplist_free(properties)
 
-    def __getattr__(self, name: str) -> Any:
-        # tells type checkers that any attribute may exist
-        raise AttributeError(name)
-
 
 @cache
 def load() -> LibPulse:
-    """Load the library once. Any thread may call it; NotFoundError: it is not installed."""
+    """Return the loaded library. NotFoundError: see `load_pulsectl`."""
     return LibPulse()
 
 
 def load_pulsectl() -> Any:
-    """Return the module pulsectl; NotFoundError: the library libpulse is not installed."""
+    """Return the module pulsectl. NotFoundError: pulsectl or libpulse is not installed."""
     try:
         import pulsectl
     except ModuleNotFoundError:

@@ -1,116 +1,87 @@
-"""Keeps exactly the links that are wanted at our nodes of PipeWire's graph."""
+"""Keeps the links of our nodes in PipeWire's graph equal to the wanted links."""
 
-from __future__ import annotations
-
-from collections.abc import Callable, Mapping, Set
+from collections.abc import Callable, Collection, Mapping, Set
 from typing import Protocol
 
-from device.server.graph import Graph, LinkPair
+from device.server.graph import Graph, Link, LinkPair
 
-RETRY_S = 0.1
-"""Time between two equal requests."""
-
-HOLDS_S = 0.2
-"""A link that lasts so long has been accepted; one that vanishes earlier counts as missing."""
-
+RETRY_S = 0.1  # shortest time between two equal requests
+HOLDS_S = 0.2  # a link that exists for a shorter time counts as missing
 PAUSED_S = 0.3
-"""How long a link may be paused beside an active one of the same nodes.
-
-PipeWire 0.3.65 resumes one of several links between two nodes and forgets the others, so their
-channels are silent until the links are made again.
-"""
+"""Longest time for a paused link while another link of the same nodes is active. PipeWire 0.3.65
+sometimes resumes only one of several links. The others stay silent until they are made again."""
 
 
 class Wiring(Protocol):
-    """What is to be linked. The methods are called with the graph's lock held."""
+    """Tells which links and nodes are wanted. The methods are called with the graph locked."""
 
     def nodes(self, graph: Graph) -> Set[int]:
-        """Return the ids of our nodes, which have no other links than the wanted ones."""
-        ...
+        """Return the ids of our nodes. Unwanted links of these nodes are removed."""
 
     def links(self, graph: Graph) -> Set[LinkPair]:
         """Return the wanted links."""
-        ...
 
     def made_nodes(self) -> Mapping[str, str]:
-        """Return the commands of `pw-cli` for nodes that are to be there, by their names."""
-        ...
-
-
-class NoWiring:
-    """Nothing is to be linked, and no node is ours."""
-
-    def nodes(self, graph: Graph) -> Set[int]:
-        """Return no node."""
-        return frozenset()
-
-    def links(self, graph: Graph) -> Set[LinkPair]:
-        """Return no link."""
-        return frozenset()
-
-    def made_nodes(self) -> Mapping[str, str]:
-        """Return no node."""
-        return {}
+        """Return the `pw-cli` commands that make the wanted nodes, keyed by node name."""
 
 
 class LinkKeeper:
-    """Asks for links and nodes that are missing and for the end of others. Waits for nothing.
+    """Requests missing links and nodes, and the removal of unwanted ones. Never waits.
 
-    Both the graph's thread, after each change, and the supervising thread, for what was not done,
-    call the methods, with the graph's lock held.
-
-    send: takes one command of `pw-cli`. wiring: what is to be linked; set it and call `update`.
+    The thread that reads the graph calls `update` after changes. Another thread also calls it, to
+    repeat requests that had no effect. Both threads hold the graph's lock.
+    send: function that takes one `pw-cli` command. wiring: the wanted links, None if all links are
+    permitted; call `update` after a change of `wiring`.
     """
 
     def __init__(self, graph: Graph, send: Callable[[str], None]) -> None:
-        self._graph = graph
-        self._send = send
-        self._asked_s: dict[tuple[str, LinkPair | int | str], float] = {}
+        self._graph, self._send = graph, send
+        self._asked_s: dict[str, float] = {}  # by command
         self._made: set[str] = set()
         self._missing_s: dict[LinkPair, float] = {}
         self._present_s: dict[LinkPair, float] = {}
         self._paused_s: dict[int, float] = {}
-        self.wiring: Wiring = NoWiring()
+        self.wiring: Wiring | None = None
 
     def update(self, now_s: float) -> None:
-        """Send what is due now."""
+        """Send each needed request, unless it was already sent less than RETRY_S ago."""
         graph = self._graph
+        if self.wiring is None:
+            return
         wanted, nodes = self.wiring.links(graph), self.wiring.nodes(graph)
         links = {link.id: link for node_id in nodes for link in graph.links_of(node_id)}
         present = {link.pair for link in links.values()}
         self._asked_s = {what: s for what, s in self._asked_s.items() if now_s - s < RETRY_S}
         for link in links.values():
             if link.pair not in wanted:
-                self._ask("destroy", link.id, f"destroy {link.id}", now_s)
-        for pair in wanted - present:
-            command = f"create-link -1 {pair[0]} -1 {pair[1]}"
-            properties = "{ link.passive=true object.linger=false }"
-            self._ask("create", pair, f"{command} {properties}", now_s)
-        self._make_nodes(now_s)
+                self._ask(f"destroy {link.id}", now_s)
+        properties = "{ link.passive=true object.linger=false }"
+        for output_id, input_id in wanted - present:
+            self._ask(f"create-link -1 {output_id} -1 {input_id} {properties}", now_s)
+        self._make_nodes(self.wiring.made_nodes(), now_s)
         self._note_times(wanted, present, now_s)
-        self._renew_paused(links.keys(), now_s)
+        self._renew_paused(links.values(), now_s)
 
     def are_there(self, pairs: Set[LinkPair]) -> bool:
-        """Whether all of these wanted links were there at the latest update."""
+        """Whether all of these wanted links existed when `update` was last called."""
         return pairs <= self._present_s.keys()
 
     def missing_for_s(self, pairs: Set[LinkPair], now_s: float) -> float:
-        """Return how long the one of these links has been missing that has been so for longest."""
+        """Return the longest time in s for which one of these wanted links has been missing."""
         return max((now_s - self._missing_s.get(pair, now_s) for pair in pairs), default=0.0)
 
-    def _make_nodes(self, now_s: float) -> None:
-        made = self.wiring.made_nodes()
+    def _make_nodes(self, made: Mapping[str, str], now_s: float) -> None:
         self._made.update(made)
         for name in self._made:
             nodes = list(self._graph.nodes_named(name))
             if name in made and not nodes:
-                self._ask("create", name, made[name], now_s)
-            for node in nodes[name in made :]:  # a busy server may have made two
-                self._ask("destroy", node.id, f"destroy {node.id}", now_s)
+                self._ask(made[name], now_s)
+            for node in nodes[name in made :]:  # a busy server may have made two nodes
+                self._ask(f"destroy {node.id}", now_s)
 
-    def _ask(self, kind: str, what: LinkPair | int | str, command: str, now_s: float) -> None:
-        if (kind, what) not in self._asked_s:
-            self._asked_s[kind, what] = now_s
+    def _ask(self, command: str, now_s: float) -> None:
+        if command not in self._asked_s:
+            self._asked_s[command] = now_s
             self._send(command)
 
     def _note_times(self, wanted: Set[LinkPair], present: Set[LinkPair], now_s: float) -> None:
@@ -123,22 +94,16 @@ class LinkKeeper:
             and (pair not in present or pair in missing)
         }
 
-    def _renew_paused(self, link_ids: Set[int], now_s: float) -> None:
-        """Remove links that the server has left paused; the next update makes them again.
-
-        Those from nodes that were made here may stay paused: they carry nothing.
-        """
+    def _renew_paused(self, links: Collection[Link], now_s: float) -> None:
+        """Remove links that the server has left paused; a later update makes them again."""
         ours = {node.id for name in self._made for node in self._graph.nodes_named(name)}
         active = {
-            (link.output_node_id, link.input_node_id)
-            for link in map(self._graph.links.__getitem__, link_ids)
-            if link.state == "active"
+            (link.output_node_id, link.input_node_id) for link in links if link.state == "active"
         }
         before, self._paused_s = self._paused_s, {}
-        for link_id in link_ids:
-            link = self._graph.links[link_id]
+        for link in links:
             ends = link.output_node_id, link.input_node_id
             if link.state == "paused" and ends in active and link.output_node_id not in ours:
-                since_s = self._paused_s[link_id] = before.get(link_id, now_s)
+                since_s = self._paused_s[link.id] = before.get(link.id, now_s)
                 if now_s - since_s > PAUSED_S:
-                    self._ask("destroy", link_id, f"destroy {link_id}", now_s)
+                    self._ask(f"destroy {link.id}", now_s)

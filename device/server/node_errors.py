@@ -1,97 +1,69 @@
-"""How often PipeWire counts our nodes as late, as `pw-top` reports it.
+"""PipeWire's counts of processing cycles in which our nodes were late, from `pw-top`.
 
-The server keeps the counts, so a look now and then misses none. `pw-top` prints them from
-PipeWire 1.0; before that it needs a terminal, and the counts stay unknown.
+The server adds up the counts, so rare readings are enough. Before PipeWire 1.0, `pw-top` needs a
+terminal, so the counts stay unknown.
 """
-
-from __future__ import annotations
 
 import os
 import subprocess
 from collections.abc import Collection
-from contextlib import suppress
+from contextlib import ExitStack
+from typing import IO
 
-from device.process import started
+from device.process import end, memory_file, started
 
-PROGRAM = "pw-top"
-COMMAND = [PROGRAM, "--batch-mode", "--iterations=2"]
-"""The first listing has no counts yet. Two take a second."""
-
-INTERVAL_S = 10.0
-"""Time from one look to the next."""
-
-ERRORS_COLUMN = 8
-"""Of a listing: S ID QUANT RATE WAIT BUSY W/Q B/Q ERR FORMAT NAME."""
+COMMAND = ["pw-top", "--batch-mode", "--iterations=2"]  # the first listing has no counts yet
+INTERVAL_S = 10.0  # time between two readings
+ERRORS_COLUMN = 8  # index of ERR in: S ID QUANT RATE WAIT BUSY W/Q B/Q ERR FORMAT NAME
 
 
 class NodeErrors:
-    """The counts of some nodes, by name. One thread calls the methods; they raise nothing."""
+    """Counts of late cycles by node. Only one thread may call the methods; they raise nothing."""
 
     def __init__(self) -> None:
-        self._process: subprocess.Popen[bytes] | None = None
-        self._printed = b""
+        self.process: subprocess.Popen[bytes] | None = None  # the running `pw-top`
+        self._printed: IO[bytes]
+        self._look = ExitStack()  # ends the process and closes its file
         self._due_s = -INTERVAL_S
         self._counts: dict[str, int] = {}
         self._may_ask = True
 
     def update(self, names: Collection[str], now_s: float) -> None:
-        """Look if that is due. Never waits: a listing is read by a later call.
-
-        names: of the nodes to look for. The count of one that has gone is kept.
-        """
-        if self._process is not None:
-            self._read(names)
-        elif self._may_ask and names and now_s - self._due_s >= INTERVAL_S:
-            self._due_s = now_s
-            self._ask()
+        """Start `pw-top` for these nodes if that is due, or read its result. Never waits."""
+        if self.process is None:
+            if self._may_ask and names and now_s - self._due_s >= INTERVAL_S:
+                self._due_s = now_s
+                self._ask()
+        elif (code := self.process.poll()) is not None:
+            self._may_ask = code == 0
+            self._printed.seek(0)
+            listing = self._printed.read().decode(errors="replace")
+            self._counts.update(errors_in(listing, names))
+            self.close()
 
     def count(self, suffix: str) -> int | None:
-        """Return the errors of all nodes whose names end so, None while no count is known."""
+        """Return the sum of the counts of nodes whose names end in suffix; None if unknown."""
         if not self._counts:
             return None
         return sum(count for name, count in self._counts.items() if name.endswith(suffix))
 
-    @property
-    def is_looking(self) -> bool:
-        """Whether a look is under way."""
-        return self._process is not None
-
     def close(self) -> None:
-        """End a look that is under way. May be repeated."""
-        process, self._process = self._process, None
-        self._printed = b""
-        if process is not None:
-            process.kill()
-            process.wait()
-            if process.stdout:
-                process.stdout.close()
+        """End a running `pw-top`. May be repeated."""
+        self.process = None
+        self._look.close()
 
     def _ask(self) -> None:
         try:
-            self._process = started(COMMAND, stdout=subprocess.PIPE)
+            self._printed = self._look.enter_context(os.fdopen(memory_file("pw-top"), "r+b"))
+            self.process = started(COMMAND, stdout=self._printed.fileno())
+            self._look.callback(end, self.process)
         except OSError:
             self._may_ask = False
-            return
-        assert self._process.stdout is not None
-        os.set_blocking(self._process.stdout.fileno(), False)
-
-    def _read(self, names: Collection[str]) -> None:
-        process = self._process
-        assert process is not None
-        assert process.stdout is not None
-        code = process.poll()  # before reading, so that nothing can follow what is read
-        with suppress(BlockingIOError):
-            while block := os.read(process.stdout.fileno(), 1 << 16):
-                self._printed += block
-        if code is None:
-            return
-        self._counts.update(errors_in(self._printed.decode(errors="replace"), names))
-        self._may_ask = code == 0
-        self.close()
+            self.close()
 
 
 def errors_in(listing: str, names: Collection[str]) -> dict[str, int]:
-    """Return the latest count of each of these nodes in what `pw-top` printed."""
+    """Return the latest error count of each node in `names`, from the output of `pw-top`."""
     found: dict[str, int] = {}
     for line in listing.splitlines():
         words = line.split()

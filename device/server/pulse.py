@@ -1,10 +1,8 @@
 """A control connection to PulseAudio or PipeWire: snapshots, events and changes.
 
-pulsectl belongs to one thread, which waits for events, takes a snapshot after them and does what
-others ask for. No function of pulsectl is called inside its event callback or by another thread.
+One thread owns the pulsectl object. This thread takes snapshots after events and serves requests of
+other threads. The object is never used inside pulsectl's event callback or on another thread.
 """
-
-from __future__ import annotations
 
 import math
 import os
@@ -32,42 +30,21 @@ from device.server.snapshot import (
 from device.volume_limit import limit_volume_db
 
 FACILITIES = ("sink", "source", "sink_input", "source_output", "module", "card", "server")
-"""What is reported; clients come and go without a change for us."""
-
-_GATHER_S = 0.02  # events come in dozens: a snapshot is taken this long after the first of them
-_BUSY_POLLS, _BUSY_S = 50, 1.0  # after so many in so long, each event waits for more of them
-_REST_RATIO = 100.0  # on a server with hundreds of streams, snapshots take a hundredth of a core
-_REST_MAX_S = 2.0  # and only streams wait for it
-
-
+_GATHER_S = 0.02  # time from the first event of a group to the snapshot; events come in dozens
+_BUSY_POLLS, _BUSY_S = 50, 1.0  # after 50 polls in 1 s, each event waits for further events
+_REST_RATIO = 100.0  # wait for this many durations of a snapshot: about 1 % of a core
+_REST_MAX_S = 2.0  # longest wait by this ratio, only for events about streams
 _VOLUME_LOOKS, _VOLUME_LOOK_S = 25, 0.02
-_VOLUME_ROUNDING = 1e-4
-"""Seven of the 65 536 steps of a server's volume."""
+_VOLUME_ROUNDING = 1e-4  # between six and seven of the server's 65 536 volume steps
 
 
 class PulseConnection(ConnectionThread):
-    """A connection from the moment it is made until it is lost or closed.
+    """A connection that lasts from its construction until it is lost or closed.
 
-    Any thread but its own may call the methods. NotFoundError: the named object is gone.
-
-    Parameters
-    ----------
-    listeners : Listener
-        Receive events, snapshots and the loss of the server.
-
-    Attributes
-    ----------
-    latest : ServerSnapshot
-        The latest snapshot. Any thread may read it.
-    lost : LostError or None
-        Why the connection was lost. Make another object to connect again.
-
-    Raises
-    ------
-    LostError
-        No server answers. Every method raises it after the loss of the server.
-    NotFoundError
-        The library libpulse is not installed.
+    Any thread except its own may call the methods. They raise NotFoundError if a stream, device or
+    module is gone. listeners: see `Listener`. latest: the latest snapshot; any thread may read it.
+    lost: None, or why the connection was lost. After a loss, make a new object. LostError: no
+    server answers or the server was lost. NotFoundError: pulsectl or libpulse is not installed.
     """
 
     latest: ServerSnapshot
@@ -88,7 +65,7 @@ class PulseConnection(ConnectionThread):
         super().__init__("pulse")
 
     def snapshot(self) -> ServerSnapshot:
-        """Take a new snapshot; `latest` is known without a query."""
+        """Query the server and return a new snapshot."""
         return self._ask(self._refresh)
 
     def move_source_output(self, index: int, source_index: int) -> None:
@@ -100,31 +77,25 @@ class PulseConnection(ConnectionThread):
         self._ask(lambda: self._pulse.sink_input_move(index, sink_index))
 
     def set_sink_volume_db(self, name: str, wanted_db: float) -> None:
-        """Set all channels of a sink, 0 dB at most, and unmute it once they are so quiet.
+        """Set all channels of a sink to wanted_db, at most 0 dB; then unmute the sink.
 
-        The server's scale is 60 log10 of its own number, with 1.0 at 0 dB. NotFoundError: the sink
-        is gone or stays louder.
+        NotFoundError: the sink is gone, or its volume stays too high. UsageError: wanted_db is NaN.
         """
-        volume = 10.0 ** (limit_volume_db(wanted_db, -math.inf, name) / 60.0)
+        volume = 10.0 ** (limit_volume_db(wanted_db, -math.inf, name) / 60.0)  # see `decibels`
 
-        def loudest() -> float:
-            return max(self._pulse.get_sink_by_name(name).volume.values, default=0.0)
+        def find() -> Any:
+            return self._pulse.get_sink_by_name(name)
 
-        def unmute() -> None:
-            self._pulse.sink_mute(self._pulse.get_sink_by_name(name).index, False)
-
-        self._ask(
-            lambda: self._pulse.volume_set_all_chans(self._pulse.get_sink_by_name(name), volume)
-        )
+        self._ask(lambda: self._pulse.volume_set_all_chans(find(), volume))
         for _ in range(_VOLUME_LOOKS):  # PipeWire answers before it has set the volume
-            if self._ask(loudest) <= volume + _VOLUME_ROUNDING:
-                self._ask(unmute)
+            if max(self._ask(find).volume.values, default=0.0) <= volume + _VOLUME_ROUNDING:
+                self._ask(lambda: self._pulse.sink_mute(find().index, False))
                 return
             time.sleep(_VOLUME_LOOK_S)
         raise NotFoundError(f"the sink {name!r} does not take the level {wanted_db:g} dB")
 
     def set_default_sink(self, name: str) -> None:
-        """Make a sink the default, as a user would; streams may follow it up to 50 ms later."""
+        """Make a sink the default sink. Streams may move to it later."""
         self._ask(lambda: self._pulse.sink_default_set(name))
 
     def load_module(self, name: str, arguments: Sequence[str] = ()) -> int:
@@ -142,9 +113,8 @@ class PulseConnection(ConnectionThread):
         self._ask(lambda: self._pulse.module_unload(index))
 
     def modules(self) -> dict[int, str]:
-        """Return the names of the server's modules by index."""
-        modules = self._ask(lambda: self._pulse.module_list())
-        return {module.index: module.name for module in modules}
+        """Return the names of the server's modules, keyed by index."""
+        return {one.index: one.name for one in self._ask(lambda: self._pulse.module_list())}
 
     def add(self, listener: Listener) -> None:
         """Add a listener, which gets a snapshot at once."""
@@ -156,8 +126,8 @@ class PulseConnection(ConnectionThread):
         self._ask(work)
 
     def remove(self, listener: Listener) -> None:
-        """Remove a listener; it raises nothing, even if it is unknown or all is lost."""
-        if listener in self._listeners:
+        """Remove a listener. Removing an unknown listener has no effect."""
+        with suppress(ValueError):
             self._listeners.remove(listener)
 
     def _ask(self, work: Callable[[], Result]) -> Result:
@@ -181,16 +151,15 @@ class PulseConnection(ConnectionThread):
     def _connect(self) -> None:
         pulsectl = load_pulsectl()
         patch_samplerates(pulsectl)
-        self._deadline_s = time.monotonic() + ANSWER_LIMIT_S
-        try:
-            self._pulse = pulsectl.Pulse("haptic-cushion", connect=False)
-            self._pulse.set_poll_func(self._poll, lambda *_: None)
-            self._pulse.connect()
-        except Exception:
-            raise no_server() from None
-        self._pulse.event_mask_set(*FACILITIES)
-        self._pulse.event_callback_set(self._on_event)
-        self._deadline_s = None
+        with self._deadline():
+            try:
+                self._pulse = pulsectl.Pulse("haptic-cushion", connect=False)
+                self._pulse.set_poll_func(self._poll, lambda *_: None)
+                self._pulse.connect()
+            except Exception:
+                raise no_server() from None
+            self._pulse.event_mask_set(*FACILITIES)
+            self._pulse.event_callback_set(self._on_event)
 
     def _serve(self) -> None:
         while not self._stopping:
@@ -222,17 +191,16 @@ class PulseConnection(ConnectionThread):
         future.set_exception(error)
 
     def _refresh(self) -> ServerSnapshot:
-        """Take and report a snapshot; events in the meantime cause another snapshot."""
+        """Take and report a snapshot; events during the query cause another snapshot."""
         began_s, self._due_s = time.monotonic(), None
         changed, self._changed = self._changed, set()
         known = self.latest if changed and changed <= STREAMS else None
         with self._deadline():
-            snapshot = take_snapshot(self._pulse, self._events, known)
-        self.latest = snapshot
+            self.latest = snapshot = take_snapshot(self._pulse, self._events, known)
         now_s = time.monotonic()
         self._rested_s = now_s + min(_REST_MAX_S, _REST_RATIO * (now_s - began_s))
         if self._due_s is not None and self._due_s > now_s and self._changed <= STREAMS:
-            self._due_s = max(self._due_s, self._rested_s)  # events came in the meantime
+            self._due_s = max(self._due_s, self._rested_s)  # events came during the query
         for listener in tuple(self._listeners):
             listener.on_snapshot(snapshot)
         if snapshot.default_sink != self._default_seen:
@@ -242,18 +210,20 @@ class PulseConnection(ConnectionThread):
         return snapshot
 
     def _on_outdated(self, known: Defaults) -> None:
-        """Connect again unless the defaults have changed; listeners do not notice. Any thread."""
-        with suppress(CushionError):  # it has ended
-            self._ask(lambda: self._reconnect(known))
+        """Connect again if the defaults are still outdated. Other threads call this."""
 
-    def _reconnect(self, known: Defaults) -> None:
-        if Defaults.of(self._refresh()) == known:
-            self._pulse.close()
-            self._connect()
-            self._refresh()
+        def reconnect() -> None:
+            seen = self._refresh()
+            if (seen.default_sink, seen.default_source) == known:
+                self._pulse.close()
+                self._connect()
+                self._refresh()
+
+        with suppress(CushionError):  # the connection has ended
+            self._ask(reconnect)
 
     def _on_event(self, info: Any) -> None:
-        """Note an event and pass it on. Called inside libpulse: it must not call pulsectl."""
+        """Count and report an event. This runs inside libpulse, so queries are forbidden."""
         self._events += 1
         event = Event(str(info.facility._value), str(info.t._value), info.index, self._events)
         urgent = False
@@ -266,10 +236,10 @@ class PulseConnection(ConnectionThread):
             due_s = max(due_s, self._rested_s)
         if self._due_s is None or due_s < self._due_s:
             self._due_s = due_s
-            self._pulse.event_listen_stop()  # only leaves the loop, on this thread
+            self._pulse.event_listen_stop()  # only sets a flag that ends libpulse's loop
 
     def _poll(self, descriptors: Sequence[Any], timeout_s: float) -> int:
-        """Wait, instead of libpulse, for its descriptors, for requests and for the deadline."""
+        """Replace libpulse's poll: wait for its file descriptors, requests or the deadline."""
         poller = select.poll()
         for item in descriptors:
             poller.register(item.fd, item.events)
@@ -290,12 +260,11 @@ class PulseConnection(ConnectionThread):
         for item in descriptors:
             item.revents = found.get(item.fd, 0)
         if self._deadline_s is not None and time.monotonic() >= self._deadline_s and not found:
-            self._pulse.close()  # leaves libpulse's loop first
+            self._pulse.close()  # leaves libpulse's loop before it closes the connection
         return len(found)
 
     @contextmanager
     def _deadline(self) -> Iterator[None]:
-        """Limit the time of queries inside this context."""
         self._deadline_s = time.monotonic() + ANSWER_LIMIT_S
         try:
             yield

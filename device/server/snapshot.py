@@ -1,9 +1,4 @@
-"""The state of a sound server at one moment, and the events that change it.
-
-All values are immutable: any thread may keep and read them.
-"""
-
-from __future__ import annotations
+"""The state of a sound server at one moment, and its events. Any thread may use the objects."""
 
 import math
 from collections.abc import Mapping
@@ -12,25 +7,20 @@ from typing import Any
 
 from device.errors import LostError
 
-NOWHERE = 0xFFFF_FFFF
-"""The index that servers give for "none"."""
-
-STREAMS = frozenset({"sink_input", "source_output"})
-"""Facilities of events that leave sinks and sources as they are."""
-
-HARDWARE_VOLUME = 0x01
-FLAT_VOLUMES = 0x40
-"""Flags of sinks, as in pulse/def.h."""
+NOWHERE = 0xFFFF_FFFF  # index that servers give for "none"
+STREAMS = frozenset({"sink_input", "source_output"})  # event facilities: streams, not devices
+HARDWARE_VOLUME, FLAT_VOLUMES = 0x01, 0x40  # flags of sinks, as in pulse/def.h
+DEFAULT_SETTLES_S = 0.2  # time for which a new default sink must persist before it is reported
 
 
 @dataclass(frozen=True)
 class Sink:
-    """A device to play to. monitor: name of its monitor source.
+    """A playback device. monitor: name of its monitor source.
 
-    index: the server's, never reused. module: index of the module that made it, or None.
-    channel_map: such as "front-left,front-right". volume_db: 0 for 100 %. volume_in_monitor:
-    whether its monitor carries this volume. flat_volumes: whether the volumes of streams that play
-    to it contain its own. mute: whether it is muted.
+    index: on the server, never reused. module: index of the module that made the sink, or None.
+    channel_map: such as "front-left,front-right". volume_db: relative to 100 %. volume_in_monitor:
+    whether the volume acts on the monitor's sound. flat_volumes: whether the volumes of the sink's
+    streams include the sink's volume.
     """
 
     index: int
@@ -49,7 +39,7 @@ class Sink:
 
     @property
     def weakened(self) -> str:
-        """What makes it softer, as text: "muted", or such as "volume 30 %"; "" for neither."""
+        """What lowers the sink's level: "muted" or, for example, "volume 30 %"; "" for nothing."""
         percent = round(100.0 * 10.0 ** (self.volume_db / 60.0))
         return "muted" if self.mute else f"volume {percent} %" if percent < 100 else ""
 
@@ -61,7 +51,7 @@ class Sink:
 
 @dataclass(frozen=True)
 class Source:
-    """A device to record from. monitor_of: name of its sink, or None. volume: 1.0 for 100 %."""
+    """A recording device. monitor_of: the monitored sink's name or None. volume: 1.0 for 100 %."""
 
     index: int
     name: str
@@ -79,9 +69,9 @@ class Source:
 class Stream:
     """A sink input, which plays, or a source output, which records. Unknown text is "".
 
-    device_index, device_name: of its sink or source; None and "" while it has none. corked: paused
-    by the application. module: index of the module that made it; None for an application's.
-    volume_db: 0 for 100 %.
+    device_index, device_name: None and "" without a device. corked: paused by the application.
+    module: index of the module that made the stream; None for an application's stream. volume_db:
+    relative to 100 %.
     """
 
     index: int
@@ -101,24 +91,12 @@ class Stream:
 
 @dataclass(frozen=True)
 class ServerSnapshot:
-    """Everything that a server holds at one moment.
+    """The state of a server at one moment.
 
-    Attributes
-    ----------
-    kind : str
-        "PulseAudio" or "PipeWire".
-    version : str
-        Of that server.
-    default_sink, default_source : str
-        Their names, "" for none.
-    sinks : tuple[Sink, ...]
-        Devices to play to.
-    sources : tuple[Source, ...]
-        Devices to record from, monitors included.
-    sink_inputs, source_outputs : tuple[Stream, ...]
-        Streams that play, and streams that record.
-    events : int
-        Events of the connection before the snapshot began: later ones may not be included.
+    kind, version: "PulseAudio" or "PipeWire", and its version. default_sink, default_source: names,
+    "" for none. sinks, sources: playback and recording devices, monitors included.
+    sink_inputs, source_outputs: playing and recording streams. events: number of the connection's
+    events before the snapshot began; the snapshot may miss later events.
     """
 
     kind: str
@@ -131,9 +109,13 @@ class ServerSnapshot:
     source_outputs: tuple[Stream, ...]
     events: int
 
+    def sink(self, name: str | None) -> Sink | None:
+        """Return the sink with exactly this name, or None."""
+        return next((sink for sink in self.sinks if sink.name == name), None)
+
 
 def patch_samplerates(pulsectl: Any) -> None:
-    """Make pulsectl keep sample rates: its field for them points into memory that is freed."""
+    """Make pulsectl copy sample rates: its own field for them points into freed memory."""
 
     def keep(item: Any, struct: Any) -> None:
         item.samplerate = int(struct.sample_spec.rate) if struct else 0
@@ -143,20 +125,16 @@ def patch_samplerates(pulsectl: Any) -> None:
 
 
 def take_snapshot(pulse: Any, events: int, known: ServerSnapshot | None = None) -> ServerSnapshot:
-    """Query a connected pulsectl.Pulse for everything, on its thread.
+    """Return a snapshot from a connected pulsectl.Pulse. Only its thread may call this.
 
-    Streams come first: one that moves in the meantime then appears on a device that exists.
-    known: what was there before, if only streams have changed since.
+    events: number of events so far. known: a snapshot whose devices are reused if the default
+    devices are the same. Streams are queried before devices, so that each stream's device is known.
     """
     sink_inputs, source_outputs = pulse.sink_input_list(), pulse.source_output_list()
     info = pulse.server_info()
     kind, version = _kind(info.server_name or "", info.server_version or "")
-    default_sink = default_name(info.default_sink_name)
-    default_source = default_name(info.default_source_name)
-    if known is not None and (known.default_sink, known.default_source) == (
-        default_sink,
-        default_source,
-    ):
+    defaults = default_name(info.default_sink_name), default_name(info.default_source_name)
+    if known is not None and (known.default_sink, known.default_source) == defaults:
         sinks, sources = known.sinks, known.sources
     else:
         sinks = tuple(_sink(sink, kind) for sink in pulse.sink_list())
@@ -164,57 +142,38 @@ def take_snapshot(pulse: Any, events: int, known: ServerSnapshot | None = None) 
         sources = tuple(_source(source, names) for source in pulse.source_list())
     sink_names = {sink.index: sink.name for sink in sinks}
     source_names = {source.index: source.name for source in sources}
-    return ServerSnapshot(
-        kind=kind,
-        version=version,
-        default_sink=default_sink,
-        default_source=default_source,
-        sinks=sinks,
-        sources=sources,
-        sink_inputs=tuple(_stream(item, item.sink, sink_names) for item in sink_inputs),
-        source_outputs=tuple(_stream(item, item.source, source_names) for item in source_outputs),
-        events=events,
-    )
+    playing = tuple(_stream(item, item.sink, sink_names) for item in sink_inputs)
+    recording = tuple(_stream(item, item.source, source_names) for item in source_outputs)
+    return ServerSnapshot(kind, version, *defaults, sinks, sources, playing, recording, events)
 
 
 def _kind(name: str, version: str) -> tuple[str, str]:
-    """Parse "pulseaudio" and "16.1", or "PulseAudio (on PipeWire 0.3.65)"."""
+    """Return kind and version. name: such as "pulseaudio" or "PulseAudio (on PipeWire 0.3.65)"."""
     _, on, pipewire = name.partition("(on PipeWire")
-    if on:
-        return "PipeWire", pipewire.strip(" )")
-    return "PulseAudio", version
+    return ("PipeWire", pipewire.strip(" )")) if on else ("PulseAudio", version)
 
 
 def default_name(name: str | None) -> str:
-    """Return a default's name; PipeWire gives names like "@DEFAULT_SINK@" for none."""
+    """Return the name of a default device; PipeWire reports "@DEFAULT_SINK@" for no sink."""
     return "" if name is None or name.startswith("@") else name
 
 
 def _sink(item: Any, kind: str) -> Sink:
-    """Return a sink. Its monitor carries its volume on PulseAudio, unless the card has a volume.
-
-    PipeWire says of each sink whether it does.
-    """
-    in_hardware = bool(item.flags & HARDWARE_VOLUME)
-    pipewire_says = item.proplist.get("monitor.channel-volumes") == "true"
+    by_property = item.proplist.get("monitor.channel-volumes") == "true"
+    in_software = not item.flags & HARDWARE_VOLUME
     return Sink(
         monitor=item.monitor_source_name or "",
         module=_known(item.owner_module),
         volume_db=decibels(_loudest(item)),
-        volume_in_monitor=pipewire_says if kind == "PipeWire" else not in_hardware,
+        volume_in_monitor=by_property if kind == "PipeWire" else in_software,
         flat_volumes=bool(item.flags & FLAT_VOLUMES),
-        mute=bool(item.mute),
         **_device(item),
     )
 
 
 def _source(item: Any, sink_names: Mapping[int, str]) -> Source:
-    return Source(
-        monitor_of=sink_names.get(item.monitor_of_sink),
-        volume=_loudest(item),
-        mute=bool(item.mute),
-        **_device(item),
-    )
+    sink_name = sink_names.get(item.monitor_of_sink)
+    return Source(monitor_of=sink_name, volume=_loudest(item), **_device(item))
 
 
 def _device(item: Any) -> dict[str, Any]:
@@ -226,6 +185,7 @@ def _device(item: Any) -> dict[str, Any]:
         "channels": item.channel_count,
         "properties": dict(item.proplist),
         "channel_map": ",".join(item.channel_list),
+        "mute": bool(item.mute),
     }
 
 
@@ -244,14 +204,13 @@ def _stream(item: Any, device: int, names: Mapping[int, str]) -> Stream:
         corked=item.corked,
         mute=bool(item.mute),
         properties=properties,
-        # for PulseAudio, an application's owner is the module of its connection
+        # on PulseAudio, the owner module of an application's stream is that of its connection
         module=_known(item.owner_module) if _known(item.client) is None else None,
         volume_db=decibels(_loudest(item)),
     )
 
 
 def _loudest(item: Any) -> float:
-    """Return the volume of the loudest channel, 1.0 for a stream without a volume."""
     return float(max(item.volume.values, default=1.0))
 
 
@@ -260,19 +219,15 @@ def _known(index: int) -> int | None:
 
 
 def decibels(volume: float) -> float:
-    """Return the dB of a server's volume, which is 1.0 at 0 dB: 60 log10 of it."""
+    """Return a server's volume in dB: 60 log10 of the volume, which is 1.0 at 0 dB."""
     return 60.0 * math.log10(volume) if volume > 0.0 else -math.inf
-
-
-DEFAULT_SETTLES_S = 0.2  # how long a new default sink must persist until it is reported
 
 
 @dataclass(frozen=True)
 class Event:
-    """A change on the server. number: counts this connection's events, from 1.
+    """A change on the server. number: of the event on this connection, counted from 1.
 
-    facility: "sink", "source", "sink_input", "source_output", "server" or others. kind: "new",
-    "change" or "remove".
+    facility: such as "sink_input" or "server". kind: "new", "change" or "remove".
     """
 
     facility: str
@@ -284,35 +239,32 @@ class Event:
 class Listener:
     """Receives the reports of a `PulseConnection`, on the connection's thread.
 
-    The methods must return at once, must not query the connection and must not raise.
+    The methods must return at once, query no server and raise no exceptions.
     """
 
     def on_event(self, event: Event) -> bool:
-        """Handle an event at once; True asks for a snapshot now instead of a few ms later."""
+        """Handle an event at once; return True to request a snapshot now instead of later."""
         return False
 
     def on_snapshot(self, snapshot: ServerSnapshot) -> None:
-        """Handle a new snapshot, which follows events."""
+        """Handle a new snapshot, taken after events or a request."""
 
     def on_default_sink(self, name: str) -> None:
-        """Handle a default sink that has been a new one for DEFAULT_SETTLES_S; "" is none."""
+        """Handle a default sink that has persisted for DEFAULT_SETTLES_S; "" for none."""
 
     def on_lost(self, error: LostError) -> None:
-        """Handle the loss of the server, which is the last call."""
+        """Handle the loss of the server; no other call follows."""
 
 
-_BLOCKS = {"PulseAudio": (0.0, 1.0), "PipeWire": (1.0, 2.0)}
-"""Kind of server: blocks of latency in the tap and in the output, as measured.
-
-The server's own numbers are unusable: PipeWire reports 0.
-"""
+# Latency in blocks by kind of server, as measured; PipeWire itself reports 0.
+_TAP_BLOCKS, _OUTPUT_BLOCKS = {"PipeWire": 1.0}, {"PulseAudio": 1.0, "PipeWire": 2.0}
 
 
 def tap_latency_s(snapshot: ServerSnapshot, block_frames: int, samplerate: int) -> float:
-    """Return the seconds from a frame's mixing until a capture stream delivers it."""
-    return _BLOCKS.get(snapshot.kind, (0.0, 0.0))[0] * block_frames / samplerate
+    """Return the time in s from the server's mixing of a frame until a capture delivers it."""
+    return _TAP_BLOCKS.get(snapshot.kind, 0.0) * block_frames / samplerate
 
 
 def output_latency_s(snapshot: ServerSnapshot, block_frames: int, samplerate: int) -> float:
-    """Return the seconds from a playback stream's request for a frame until its mixing."""
-    return _BLOCKS.get(snapshot.kind, (0.0, 0.0))[1] * block_frames / samplerate
+    """Return the time in s from a stream's request for a frame until the server mixes the frame."""
+    return _OUTPUT_BLOCKS.get(snapshot.kind, 0.0) * block_frames / samplerate

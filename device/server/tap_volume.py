@@ -1,35 +1,31 @@
-"""The volume that a tap's sound carries, as far as the server knows it."""
-
-from __future__ import annotations
+"""The volume that the server has applied to captured sound, in dB."""
 
 import math
 from collections.abc import Collection
 
-from device.server.snapshot import NOWHERE, ServerSnapshot, Sink, Source, decibels
+from device.server.snapshot import NOWHERE, ServerSnapshot, Source, decibels
 
-APART_DB = 20.0
-"""A stream that is turned up so much more than the one that counts would be far too strong."""
+APART_DB = 20.0  # a stream that is louder by more than this would cause far too strong vibration
 
 
 class TapVolume:
-    """Follows the volumes that lower or raise the sound of one tap. For one thread.
+    """Determines the volume of the sound in one tap (capture). Only one thread may use it.
 
-    Volumes of several streams cannot be separated in their mix. The one that has played longest
-    counts as long as it plays, so that a short notification changes nothing. While another one is
-    turned up by over `APART_DB` more, that one counts.
+    If several streams play, the stream of the previous call still determines the volume. If it no
+    longer plays, the oldest stream does. Therefore a short notification has no effect. If another
+    stream's volume is higher by more than `APART_DB`, the highest volume is used.
     """
 
     def __init__(self) -> None:
-        self._stream = NOWHERE
-        self._stream_db = 0.0
+        self._stream, self._stream_db = NOWHERE, 0.0
 
     def follow(
         self, snapshot: ServerSnapshot, players: Collection[int], monitor: Source | None = None
     ) -> float:
-        """Return the volume in dB; a stream's counts until another one plays.
+        """Return the volume in dB. While no stream plays, the last stream's volume is used.
 
-        players: indices of the streams that play into the tap. monitor: what is captured; None for
-        the streams themselves.
+        players: indices of the streams that play into the tap. monitor: the captured monitor; None
+        if streams are captured directly.
         """
         streams = {
             stream.index: stream
@@ -43,25 +39,20 @@ class TapVolume:
             if loudest.volume_db > stream.volume_db + APART_DB:
                 stream = loudest
             self._stream_db = stream.volume_db
-            sink = _sink(snapshot, stream.device_name)
+            sink = snapshot.sink(stream.device_name)
             if sink is not None and sink.flat_volumes:
                 self._stream_db -= sink.volume_db
         return self._stream_db + (monitor_volume_db(snapshot, monitor) if monitor else 0.0)
 
 
 def monitor_volume_db(snapshot: ServerSnapshot, monitor: Source) -> float:
-    """Return the volume that a monitor's sound has beyond that of the streams, in dB."""
-    sink = _sink(snapshot, monitor.monitor_of)
+    """Return the volume in dB that a monitor adds to the volume of its streams."""
+    sink = snapshot.sink(monitor.monitor_of)
     carried_db = sink.volume_db if sink is not None and sink.volume_in_monitor else 0.0
     return carried_db + decibels(monitor.volume)
 
 
 def muted_sink(snapshot: ServerSnapshot, sink_name: str | None) -> str:
-    """Return the name of the sink if it is muted or at 0 %; "" for others."""
-    sink = _sink(snapshot, sink_name)
-    muted = sink is not None and (sink.mute or sink.volume_db == -math.inf)
-    return sink.name if sink is not None and muted else ""
-
-
-def _sink(snapshot: ServerSnapshot, name: str | None) -> Sink | None:
-    return next((sink for sink in snapshot.sinks if sink.name == name), None)
+    """Return the name of the sink if it is muted or at 0 %; else ""."""
+    sink = snapshot.sink(sink_name)
+    return sink.name if sink and (sink.mute or sink.volume_db == -math.inf) else ""

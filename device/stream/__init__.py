@@ -3,13 +3,12 @@
 | module | contents |
 | --- | --- |
 | `streams` | `CaptureStream`, `PlaybackStream`: one block per callback |
-| `portaudio` | the one PyAudio instance; opens and closes streams within a time limit, in silence |
+| `portaudio` | the single PyAudio instance; opens and closes streams within a time limit |
 | `pcms` | `PcmConfig`: named ALSA devices, and the sinks, monitors and cards they open |
-| `pulse_plugin` | whether ALSA has its plugin for sound servers |
 | `sample_format` | `SampleFormat`, and the encoder from float frames to integers |
-| `callback_thread` | `AudioPriority`, and Python's state of a thread between callbacks |
+| `callback_thread` | priority, Python thread state and CPU time of the callbacks' threads |
 
-PyAudio is loaded by the first opening.
+PyAudio is loaded when the first stream is opened.
 """
 
 from device.stream.callback_thread import AudioPriority

@@ -1,69 +1,53 @@
-"""A callback's thread: real-time priority, where the system grants it, and Python's state of it.
+"""The threads that run callbacks: real-time priority, Python thread state and CPU time.
 
-Each thread asks for priority itself, since only PortAudio knows its threads. It gets a low
-real-time one, which its children do not inherit, else a better nice level, else nothing. The kernel
-limits it: after SPIN_S of uninterrupted processor time the process gets SIGXCPU, upon which
-`revoke` must be called; after KILL_S it is killed.
+Each thread requests its priority itself, because PortAudio does not tell which threads it created.
+The thread gets a low real-time priority, which child processes do not inherit. If this is refused,
+the thread tries to lower its nice level. The kernel limits the uninterrupted CPU time of real-time
+threads. After SPIN_S the kernel sends SIGXCPU to the process, whose signal handler must call
+`AudioPriority.revoke`. After KILL_S the kernel kills the process.
 """
-
-from __future__ import annotations
 
 import ctypes
 import getpass
 import os
 import resource
 import threading
+import time
 from collections import deque
 from contextlib import suppress
 from pathlib import Path
 
-PRIORITY, NICE = 10, -11
-"""Below sound servers (20 and above) and the kernel's threads (50); their nice level."""
-
-SPIN_S, KILL_S = 0.2, 2.0
-"""Limits of uninterrupted processor time. A callback takes a hundredth of the first."""
-
-THREADS_MAX = 64  # that asked are remembered; older ones belong to closed streams
+PRIORITY, NICE = 10, -11  # sound servers usually have priority 20 or more, and nice level -11
+SPIN_S, KILL_S = 0.2, 2.0  # limits of uninterrupted CPU time
+THREADS_MAX = 64  # number of remembered threads; older threads belong to closed streams
 
 
 class AudioPriority:
-    """Grants priority to the threads that call `claim`. One object serves a whole process.
+    """Gives real-time priority to the threads that call `claim`. A process needs only one object.
 
-    Parameters
-    ----------
-    wanted : bool
-        Whether threads ask for priority at all.
-
-    Attributes
-    ----------
-    wanted : bool
-        As above; set by `set_wanted`, cleared by `revoke`, set again by `restore`.
-    round : int
-        Counts the times that `restore` did something: threads that claimed before claim again.
-    warning : str
-        What is missing and how to get it; "" unless a thread was refused.
+    wanted: whether `claim` has an effect. round: number of times that `restore` undid `revoke`;
+    after each increase, every thread must call `claim` again. warning: why threads were refused
+    priority or lost it, with the remedy; "" otherwise.
     """
 
     def __init__(self, wanted: bool = True) -> None:
-        self.wanted = False
+        self.wanted = self._revoked = False
         self.round = 0
         self.warning = ""
-        self._revoked = False
         self._threads: deque[int] = deque(maxlen=THREADS_MAX)
         self.set_wanted(wanted)
 
     def set_wanted(self, wanted: bool) -> None:
-        """Let threads ask from now on, or take priority away from all. For the main thread."""
+        """Allow `claim`, or undo it for all threads. Only the main thread may call this."""
         if wanted and not self.wanted:
-            _use_limits()
-            _limit_spinning()
+            _set_limits()
         self.wanted, self._revoked = wanted, False
         if not wanted:
             self._drop_priorities()
             self.warning = ""
 
     def claim(self) -> None:
-        """Raise the calling thread's priority as far as allowed, without waiting or exceptions."""
+        """Increase the calling thread's priority if permitted. This never waits or raises."""
         if not self.wanted:
             return
         self._threads.append(threading.get_native_id())
@@ -71,7 +55,7 @@ class AudioPriority:
             self.warning = priority_advice()
 
     def revoke(self) -> None:
-        """Take priority away from all threads, as one ran too long. For a signal handler."""
+        """Remove all threads' priority because one ran too long. SIGXCPU's handler calls this."""
         self._revoked = self._revoked or self.wanted
         self.wanted = False
         self._drop_priorities()
@@ -81,10 +65,7 @@ class AudioPriority:
         )
 
     def restore(self) -> None:
-        """Undo `revoke` once a vanished device's stream is closed. For the main thread.
-
-        PortAudio's thread spins from the moment that its card is pulled out.
-        """
+        """Undo `revoke`. Call this after closing the stream whose thread ran too long."""
         if self._revoked:
             self.round += 1
             self.warning = ""
@@ -93,55 +74,54 @@ class AudioPriority:
     def _drop_priorities(self) -> None:
         mine = {int(entry.name) for entry in Path("/proc/self/task").iterdir()}
         for thread in mine.intersection(self._threads):
-            with suppress(OSError):  # it has ended
+            with suppress(OSError):  # the thread has ended
                 os.sched_setscheduler(thread, os.SCHED_OTHER, os.sched_param(0))
         self._threads.clear()
 
 
 def priority_advice() -> str:
-    """Return what to tell a user whose audio threads have no real-time priority."""
+    """Return advice for a user whose audio threads cannot get real-time priority."""
+    try:
+        user = getpass.getuser()
+    except (KeyError, OSError):  # in a container the user may have no name
+        user = str(os.getuid())
     return (
         "the audio threads have no real-time priority, so vibration may break up on a busy "
-        f"machine; put `{_user()} - rtprio {2 * PRIORITY}` into "
+        f"machine; put `{user} - rtprio {2 * PRIORITY}` into "
         "/etc/security/limits.d/cushion.conf and log in again, or set realtime = false"
     )
 
 
 def _real_time() -> bool:
-    """Set the calling thread's real-time priority; a privileged process ignores the limit."""
+    """Give the calling thread real-time priority; return whether that was permitted."""
+    policy = os.SCHED_RR | os.SCHED_RESET_ON_FORK
     allowed = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
     for priority in (PRIORITY, min(PRIORITY, allowed)):
         with suppress(OSError, ValueError):
-            policy = os.SCHED_RR | os.SCHED_RESET_ON_FORK
             os.sched_setscheduler(0, policy, os.sched_param(priority))
             return True
     return False
 
 
 def _nicer() -> bool:
-    """Improve the calling thread's nice level, which Linux keeps per thread."""
+    """Lower the nice level of the calling thread alone; return whether it is now below 0."""
     limit = resource.getrlimit(resource.RLIMIT_NICE)[0]
     lowest = -20 if limit == resource.RLIM_INFINITY else 20 - limit
     for level in (NICE, max(NICE, lowest)):
         with suppress(OSError):
-            if os.getpriority(os.PRIO_PROCESS, 0) <= level < 0:
-                return True
             if level < 0:
-                os.setpriority(os.PRIO_PROCESS, 0, level)
+                if os.getpriority(os.PRIO_PROCESS, 0) > level:
+                    os.setpriority(os.PRIO_PROCESS, 0, level)
                 return True
     return False
 
 
-def _use_limits() -> None:
-    """Raise the soft limits to the hard ones."""
+def _set_limits() -> None:
+    """Raise the soft limits of priorities to their hard limits. Limit uninterrupted CPU time."""
     for limit in (resource.RLIMIT_RTPRIO, resource.RLIMIT_NICE):
         hard = resource.getrlimit(limit)[1]
         with suppress(OSError, ValueError):
             resource.setrlimit(limit, (hard, hard))
-
-
-def _limit_spinning() -> None:
-    """Limit a real-time thread's uninterrupted processor time; a lower limit stays."""
     _, hard = resource.getrlimit(resource.RLIMIT_RTTIME)
     kill_us = int(KILL_S * 1e6)
     most_us = kill_us if hard == resource.RLIM_INFINITY else min(hard, kill_us)
@@ -149,54 +129,45 @@ def _limit_spinning() -> None:
         resource.setrlimit(resource.RLIMIT_RTTIME, (min(int(SPIN_S * 1e6), most_us), most_us))
 
 
-def _user() -> str:
-    try:
-        return getpass.getuser()
-    except (KeyError, OSError):  # a container's user without a name
-        return str(os.getuid())
+RELEASE_LIMIT_S = 0.05  # several callback periods; without a callback, the stream has stopped
 
-
-RELEASE_LIMIT_S = 0.05  # several callbacks: if none comes in this time, the stream has stopped
-
-_LOCKED = 0
-"""PyGILState_LOCKED of Python's C API: the caller already holds the lock, as in a callback."""
+_LOCKED = 0  # PyGILState_LOCKED of Python's C API: the caller holds the GIL, as in a callback
 
 _ensure = ctypes.pythonapi.PyGILState_Ensure
-_ensure.restype = ctypes.c_int
 _release = ctypes.pythonapi.PyGILState_Release
 _release.argtypes = [ctypes.c_int]
 _release.restype = None
 
 
 class GilState:
-    """Python's state of the thread that calls one stream's callbacks.
+    """The Python thread state of the thread that calls one stream's callbacks.
 
-    Python creates and frees a state for every call from a thread that it does not know. At some
-    hundred callbacks per second that costs as much as the callbacks.
-
-    That thread calls `keep` and `release`, inside a callback. A stream that stops between two
-    callbacks leaks the state, about 20 kB; `wait_released` avoids that.
+    Without `keep`, Python creates and frees a thread state at every callback, which takes CPU time.
+    Only a callback may call `keep` and `release`. If the stream stops before `release`, the state
+    is never freed. Before closing the stream, another thread therefore calls `wait_released`.
     """
 
     def __init__(self) -> None:
-        self._kept = False
         self._released = threading.Event()
         self._released.set()
 
     def keep(self) -> None:
-        """Keep the state after this callback returns. Further calls do nothing."""
-        if not self._kept:
-            self._kept = True
+        """Keep the state from callback to callback, until `release`. May be repeated."""
+        if self._released.is_set():
             self._released.clear()
             _ensure()
 
     def release(self) -> None:
-        """Let Python free the state after this callback and every later one."""
-        if self._kept:
-            self._kept = False
+        """Undo `keep`: Python frees the state when this callback returns. May be repeated."""
+        if not self._released.is_set():
             _release(_LOCKED)
             self._released.set()
 
     def wait_released(self) -> bool:
-        """Wait until released, RELEASE_LIMIT_S at most; whether it was. Any other thread."""
+        """Wait up to RELEASE_LIMIT_S for `release`; return whether the state is released."""
         return self._released.wait(RELEASE_LIMIT_S)
+
+
+def cpu_time_s() -> float:
+    """Return the CPU time of the calling thread in seconds; only differences are meaningful."""
+    return time.thread_time()

@@ -1,191 +1,75 @@
 """Named PCMs (ALSA devices), and the sinks, monitors and cards that they open.
 
-PortAudio lists ALSA's devices once, when it starts, by name. So a private ALSA configuration
-defines the names. ALSA reads it again when its path changes, so a PCM can open another device each
-time, also a card that returns under another number.
+PortAudio reads the names of ALSA's devices only once, when it starts. Therefore a private ALSA
+configuration, a file in memory, defines fixed names. ALSA reads the configuration again when the
+file's path changes, so that the same name can then open another device.
 
-At first every PCM opens ALSA's `null`, and `default`, which PortAudio 19.6 needs, always does. So
-PortAudio starts without a sound server, and no unnamed device can play or record.
+At first every PCM opens ALSA's `null` device. The PCM `default`, which PortAudio 19.6 needs, always
+opens `null`. Therefore PortAudio can start without a sound server. PortAudio finds no other PCMs.
 """
 
-from __future__ import annotations
-
-import fcntl
+import ctypes
 import os
-import shutil
-import stat
-import tempfile
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 
-from device.errors import UsageError
-from device.stream.pulse_plugin import missing_plugin
+from device.errors import LostError
+from device.process import memory_file
 
-PREFIX = "cushion-alsa-"
-_ATTEMPTS = 10
-_OPEN = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
-
-
-class PrivateDir:
-    """A new directory that only this user may enter, held until `close`. For one thread.
-
-    inside: its parent, made if missing. None stands for $XDG_RUNTIME_DIR/cushion, or the directory
-    for temporary files where that is not possible. path: of the directory. UsageError: no directory
-    can be made there.
-    """
-
-    def __init__(self, inside: Path | None = None) -> None:
-        parent = inside or runtime_dir() or Path(tempfile.gettempdir())
-        try:
-            parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-            remove_stale(parent)
-            self.path, self._lock_file = _make(parent)
-        except OSError as error:
-            raise UsageError(
-                f"the ALSA configuration cannot be written to {parent} ({error.strerror}); set "
-                "XDG_RUNTIME_DIR or TMPDIR to a folder that can be written"
-            ) from None
-
-    def close(self) -> None:
-        """Remove the directory with its content. May be repeated; raises nothing."""
-        if self._lock_file >= 0:
-            shutil.rmtree(self.path, ignore_errors=True)
-            os.close(self._lock_file)
-            self._lock_file = -1
-
-
-def runtime_dir() -> Path | None:
-    """Return $XDG_RUNTIME_DIR/cushion, made if missing; None if other users may enter it."""
-    base = os.environ.get("XDG_RUNTIME_DIR", "")
-    if not base.startswith("/") or set(base) & set(" :"):  # where ALSA splits a path
-        return None
-    folder = Path(base) / "cushion"
-    try:
-        folder.mkdir(mode=0o700, exist_ok=True)
-        found = folder.lstat()
-    except (OSError, ValueError):
-        return None
-    private = stat.S_ISDIR(found.st_mode) and not stat.S_IMODE(found.st_mode) & 0o077
-    return folder if private and found.st_uid == os.geteuid() else None
-
-
-def remove_stale(parent: Path) -> int:
-    """Remove this user's directories that no process holds, and count them; raises nothing."""
-    with suppress(OSError):
-        return sum(map(_remove_if_stale, list(parent.glob(f"{PREFIX}*"))))
-    return 0
-
-
-def _remove_if_stale(folder: Path) -> bool:
-    try:
-        held = os.open(folder, _OPEN)
-    except OSError:
-        return False
-    try:
-        if os.fstat(held).st_uid != os.geteuid():
-            return False
-        fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        shutil.rmtree(folder, ignore_errors=True)
-        return True
-    except OSError:  # a process holds it
-        return False
-    finally:
-        os.close(held)
-
-
-def _make(parent: Path) -> tuple[Path, int]:
-    """Return a new directory and the descriptor that locks it."""
-    for _ in range(_ATTEMPTS):
-        path = Path(tempfile.mkdtemp(prefix=PREFIX, dir=parent))
-        try:
-            held = os.open(path, _OPEN)
-        except FileNotFoundError:
-            continue
-        fcntl.flock(held, fcntl.LOCK_EX)
-        # Another process may have removed it before it was locked.
-        with suppress(FileNotFoundError):
-            if os.path.samestat(path.lstat(), os.fstat(held)):
-                return path, held
-        os.close(held)
-    raise UsageError(f"another program keeps removing directories in {parent}; stop that program")
-
-
-# media.role (no other program's), application.id and application.name of all our streams
+# media.role (used by no other program), application.id and application.name of all our streams
 ROLE, APPLICATION_ID, APPLICATION_NAME = "haptic", "haptic-cushion", "Haptic Cushion"
 
-FALLBACK_SINK = "cushion_refuge"
-"""Name of the silent sink that catches our output: see `FallbackSink`."""
+FALLBACK_SINK = "cushion_refuge"  # name of the silent sink that receives our moved streams
+TAG = "cushion.stream"  # property with a value that is unique for each opened stream
 
-TAG = "cushion.stream"  # property of a stream that identifies one opening of it
+PLUGIN = "libasound_module_pcm_pulse.so"  # ALSA's plugin for sound servers
 
 _REWRITTEN = ("ALSA_CONFIG_PATH", "PULSE_PROP", "PULSE_PROP_OVERRIDE")
 
 
 class Pcm:
-    """One name that PortAudio knows, made by `PcmConfig`.
+    """A PCM of a `PcmConfig`, which PortAudio finds by `name`. target: device that it opens."""
 
-    target: what the next opening opens, set by the thread that opens streams; it may be missing.
-    """
-
-    def __init__(self, config: PcmConfig, name: str) -> None:
-        self.config = config
-        self.name = name
-        self.target = Target()
+    def __init__(self, config: "PcmConfig", name: str) -> None:
+        self.config, self.name, self.target = config, name, Target()
 
 
 class PcmConfig:
-    """A private ALSA configuration that defines PCMs of the given names.
+    """A private ALSA configuration that defines one PCM for each given name.
 
-    Make it before PortAudio and other threads start: it sets the environment of the process and
-    its children. PULSE_LATENCY_MSEC is removed, as it would block the output, and no JACK server
-    is started. The user's PULSE_PROP stays, and ours follows it. One thread at a time uses it.
-
-    Parameters
-    ----------
-    names : str
-        Of the PCMs, one word each.
-    folder : Path or None
-        Parent of the private directory; see `PrivateDir`.
-
-    Attributes
-    ----------
-    pcms : Mapping[str, Pcm]
-        The PCMs by name.
-
-    Raises
-    ------
-    UsageError
-        The directory cannot be written.
+    Make this object before PortAudio and other threads start: the constructor changes the
+    environment of the process. This removes PULSE_LATENCY_MSEC, which would block the output, and
+    prevents the start of a JACK server. The user's properties in PULSE_PROP are kept. Only one
+    thread at a time may use the object.
+    names: one word each. pcms: PCMs by name. LostError: the file in memory cannot be made.
     """
 
-    def __init__(self, *names: str, folder: Path | None = None) -> None:
+    def __init__(self, *names: str) -> None:
         self.pcms: Mapping[str, Pcm] = {name: Pcm(self, name) for name in names}
-        self._folder = PrivateDir(folder)
-        self._version = 0
+        self._file = -1
         self._before = {
             name: os.environ.get(name)
             for name in (*_REWRITTEN, "PULSE_LATENCY_MSEC", "JACK_NO_START_SERVER")
         }
         os.environ.pop("PULSE_LATENCY_MSEC", None)
         os.environ["JACK_NO_START_SERVER"] = "1"
-        # Later changes only exchange values, which is safe while a library's thread reads them.
-        # A new variable would reallocate the whole environment.
+        # Later changes only exchange values: a new variable would reallocate the environment while
+        # another thread may read it.
         for name in _REWRITTEN:
             os.environ[name] = self._before[name] or ""
         self._write()
 
     @contextmanager
     def opening(self, pcm: Pcm, tag: str, *, output: bool) -> Iterator[None]:
-        """Return a context in which opening `pcm` opens its target with our properties and tag.
-
-        output: whether it is opened for playback. One thread at a time may be in this context.
-        """
+        """Let `pcm` open its target inside this context; the stream gets our properties and tag."""
         self._write()
         theirs = self._before["PULSE_PROP"] or ""
-        # ALSA's plugin sets its own application name; only an override replaces it.
-        os.environ["PULSE_PROP"] = f"{theirs} {_properties(tag, output)}".strip()
+        ours = f"application.id={APPLICATION_ID} media.role={ROLE} {TAG}={tag}"
+        if output:  # PipeWire then ends an output whose sink vanishes, instead of moving it
+            ours += " node.dont-reconnect=true"  # a capture needs to be movable
+        os.environ["PULSE_PROP"] = f"{theirs} {ours}".strip()
+        # ALSA's plugin sets its own application name; only this override replaces it.
         os.environ["PULSE_PROP_OVERRIDE"] = f'application.name="{APPLICATION_NAME}"'
         try:
             yield
@@ -194,8 +78,8 @@ class PcmConfig:
             os.environ["PULSE_PROP_OVERRIDE"] = self._before["PULSE_PROP_OVERRIDE"] or ""
 
     def close(self) -> None:
-        """Remove the directory and restore the environment, after PortAudio has ended."""
-        self._folder.close()
+        """Remove the configuration and restore the environment. PortAudio must have ended."""
+        self._use(-1)
         for name, value in self._before.items():
             if value is None:
                 os.environ.pop(name, None)
@@ -203,44 +87,32 @@ class PcmConfig:
                 os.environ[name] = value
 
     def _write(self) -> None:
-        """Write the configuration to a new path, as ALSA may not notice a changed file."""
-        old = self._folder.path / f"{self._version}.conf"
-        self._version += 1
-        new = self._folder.path / f"{self._version}.conf"
+        """Write the configuration to a new file, because ALSA may not notice changes of a file."""
         text = [f"pcm.{pcm.name} {{ {pcm.target.definition} }}" for pcm in self.pcms.values()]
         try:
-            new.write_text("\n".join([*text, "pcm.default { type null }", ""]))
+            file = memory_file("alsa")
+            os.write(file, "\n".join([*text, "pcm.default { type null }", ""]).encode())
         except OSError as error:
-            raise UsageError(
-                f"{new} cannot be written ({error.strerror}); make room there, or set "
-                "XDG_RUNTIME_DIR or TMPDIR to another folder"
+            raise LostError(
+                f"no ALSA configuration can be made in memory ({error.strerror}); end some other "
+                "programs, and start again"
             ) from None
-        os.environ["ALSA_CONFIG_PATH"] = str(new)
-        old.unlink(missing_ok=True)
+        os.environ["ALSA_CONFIG_PATH"] = f"/proc/{os.getpid()}/fd/{file}"  # valid in children, too
+        self._use(file)
 
-
-def _properties(tag: str, output: bool) -> str:
-    """Return our stream's properties in the form of PULSE_PROP.
-
-    node.dont-reconnect is PipeWire's: without it, an output that loses its sink would move to the
-    default sink; with it, the output ends. A tap does without, as it could not be moved any more.
-    """
-    ending = " node.dont-reconnect=true" if output else ""
-    return f"application.id={APPLICATION_ID} media.role={ROLE} {TAG}={tag}{ending}"
+    def _use(self, file: int) -> None:
+        before, self._file = self._file, file
+        if before >= 0:
+            os.close(before)
 
 
 class Target:
-    """The device that a PCM opens, at first none; `str()` gives its name for messages."""
+    """The device that a PCM opens, `null` by default; `str()` gives its name for messages."""
 
-    trouble = "no device was set for this PCM"
-    """Why opening it may fail, and what to do."""
+    trouble = "no device was set for this PCM"  # possible cause and remedy if opening fails
 
     def __str__(self) -> str:
         return "nowhere"
-
-    def missing(self) -> str:
-        """Return what this machine lacks to open it, and how to get it; "" for nothing."""
-        return ""
 
     @property
     def definition(self) -> str:
@@ -250,36 +122,29 @@ class Target:
 
 @dataclass(frozen=True)
 class ServerDevice(Target):
-    """A sink or source, by the server's name for it. server: its address; None for the default."""
+    """A sink or source on a sound server. server: address of the server; None for the default."""
 
     device: str
     server: str | None = None
 
     trouble = (
         "the sound server does not answer or has no such device; "
-        "`cushion devices` lists what it has"
+        "`cushion devices` lists its devices"
     )
 
     def __str__(self) -> str:
         return self.device
 
-    def missing(self) -> str:
-        """Return that ALSA's plugin for sound servers is missing; "" if it is there."""
-        return missing_plugin()
-
     @property
     def definition(self) -> str:
-        """For ALSA's plugin for sound servers."""
+        """Definition for ALSA's plugin for sound servers."""
         server = f" server {_quoted(self.server)}" if self.server else ""
         return f"type pulse device {_quoted(self.device)}{server}"
 
 
 @dataclass(frozen=True)
 class CardDevice(Target):
-    """A sound card without a server, by the numbers of card and device.
-
-    Without a plugin in between, rate, format and channels must be the card's own.
-    """
+    """A card's device, used without a sound server; only the card's own rates and formats work."""
 
     card: int
     device: int = 0
@@ -294,12 +159,33 @@ class CardDevice(Target):
 
     @property
     def definition(self) -> str:
-        """For ALSA's direct access to the kernel."""
+        """Definition for ALSA's plugin for direct access to the card."""
         return f"type hw card {self.card} device {self.device}"
 
 
+def missing_plugin(library: str = "libasound.so.2") -> str:
+    """Return how to install ALSA's plugin for servers; "" if it is there or cannot be checked."""
+    try:
+        alsa = ctypes.CDLL(library)
+        load, unload = alsa.snd_dlopen, alsa.snd_dlclose
+    except (OSError, AttributeError):
+        return ""
+    load.argtypes = (ctypes.c_char_p, ctypes.c_int, ctypes.c_char_p, ctypes.c_size_t)
+    load.restype = ctypes.c_void_p
+    unload.argtypes = (ctypes.c_void_p,)
+    why = ctypes.create_string_buffer(256)
+    if loaded := load(PLUGIN.encode(), os.RTLD_LAZY, why, len(why)):
+        unload(loaded)
+        return ""
+    return (
+        f"ALSA's plugin for sound servers, {PLUGIN}, is missing; install the package "
+        "libasound2-plugins (Debian, Ubuntu), alsa-plugins-pulseaudio (Fedora) or "
+        "alsa-plugins (Arch), and start again"
+    )
+
+
 def _quoted(text: str) -> str:
-    """Quote any text for ALSA's configuration: PipeWire accepts any sink name."""
+    """Quote any text for ALSA's configuration, because PipeWire accepts any sink name."""
     octal = (f"\\{byte:03o}" for byte in text.encode("utf-8", "surrogateescape"))
     plain = text.isascii() and text.isprintable() and not set(text) & set('"\\')
     return f'"{text if plain else "".join(octal)}"'

@@ -1,10 +1,4 @@
-"""The process's one PyAudio instance: opens and closes streams within time limits.
-
-Each call that may wait for a sound server runs on a separate thread, so a server that hangs
-blocks that thread and not the caller.
-"""
-
-from __future__ import annotations
+"""The single PyAudio instance: streams open and close on new threads, with time limits."""
 
 import ctypes
 import itertools
@@ -18,13 +12,11 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, TypeVar
 
-from device.errors import InternalError, LostError, NotFoundError
-from device.extras import not_installed
-from device.stream.pcms import Pcm
+from device.errors import InternalError, LostError, NotFoundError, not_installed
+from device.stream.pcms import Pcm, ServerDevice, missing_plugin
 from device.stream.sample_format import SampleFormat
 
-BLOCK_FRAMES = 256
-"""Default frames per callback. Fewer are unstable with ALSA's pulse plugin; more add 30 ms."""
+BLOCK_FRAMES = 256  # frames per callback; ALSA's pulse plugin is unstable with fewer
 
 OPEN_LIMIT_S, CLOSE_LIMIT_S = 5.0, 2.0
 START_LIMIT_S = 1.5  # PortAudio itself gives up after 1 s
@@ -36,25 +28,22 @@ _FORMATS = {
     SampleFormat.S24_3: 0x04,
     SampleFormat.S16: 0x08,
 }
-"""PortAudio's numbers; these formats have the machine's byte order, which must be little endian."""
+"""PortAudio's format numbers, in the machine's byte order, which must be little endian."""
 
+# PyAudio's callback: (input, frames, times, flags) to (output, continue)
 Callback = Callable[[bytes | None, int, Any, int], tuple[bytes | None, int]]
-"""PyAudio's callback: (input, frames, times, flags) to (output, continue)."""
 
 Result = TypeVar("Result")
 
-_lock = threading.Lock()
-"""Held while PortAudio starts, ends or opens a stream: it does one of these at a time."""
-
+_lock = threading.Lock()  # held while PortAudio starts, ends or opens, or stderr is replaced
 _pyaudio: Any = None
-_open: set[str] = set()
-"""Tags of the streams that are open, being closed, or never started."""
+open_tags: set[str] = set()  # tags of streams that are open, closing or abandoned
 _numbers = itertools.count(1)
 
 
 @dataclass(frozen=True)
 class OpenStream:
-    """PyAudio's stream, and the tag that the server shows for it (`pcms.TAG`)."""
+    """An open stream. stream: PyAudio's object. tag: its property `pcms.TAG` on the server."""
 
     stream: Any
     tag: str
@@ -62,7 +51,7 @@ class OpenStream:
 
 @dataclass(frozen=True)
 class StreamSetup:
-    """What to open. sample_format: of the callback's bytes; PortAudio may convert them."""
+    """Parameters of a stream. sample_format: in the callback; the device's format may differ."""
 
     output: bool
     samplerate: int
@@ -72,11 +61,11 @@ class StreamSetup:
 
 
 def open_stream(pcm: Pcm, setup: StreamSetup, callback: Callback) -> OpenStream:
-    """Return a running stream of the PCM's target; a thread of PortAudio calls `callback`.
+    """Open and start a stream on the PCM's target; a thread of PortAudio calls `callback`.
 
-    Any thread but a callback's may call this; openings are serialised. LostError: no server
-    answers, the device is missing, ended or in use, or the time limit has passed. NotFoundError:
-    PyAudio, PortAudio or ALSA's plugin for sound servers is not installed.
+    Any thread except a callback's may call this function. LostError: the server or the device is
+    missing or in use, does not support `setup`, or does not answer in time. NotFoundError: PyAudio,
+    PortAudio or ALSA's plugin for sound servers is not installed.
     """
     what = f"{pcm.target} for {'playback' if setup.output else 'capture'}"
     side = "output" if setup.output else "input"
@@ -100,7 +89,7 @@ def open_stream(pcm: Pcm, setup: StreamSetup, callback: Callback) -> OpenStream:
                     start=False,
                     **{side: True, f"{side}_device_index": index},
                 )
-            _open.add(tag)
+            open_tags.add(tag)
             return OpenStream(stream, tag)
         finally:
             _lock.release()
@@ -109,30 +98,28 @@ def open_stream(pcm: Pcm, setup: StreamSetup, callback: Callback) -> OpenStream:
         opened.stream.start_stream()
         return opened
 
+    attempt = 0
     try:
-        attempt = 0
         while True:
             attempt += 1
             opened = _call_within(OPEN_LIMIT_S, f"open {what}", open_stopped, close_stream)
             try:
-                return _call_within(
-                    START_LIMIT_S, f"start {what}", partial(start, opened), close_stream
-                )
+                work = partial(start, opened)
+                return _call_within(START_LIMIT_S, f"start {what}", work, close_stream)
             except LostError:
                 # PortAudio 19.6 never returns if its thread fails to start, which happens
-                # occasionally on PipeWire. That stream cannot be closed: abandon it.
+                # occasionally on PipeWire. Such a stream cannot be closed: abandon it.
                 if attempt == ATTEMPTS:
                     raise
             except OSError:
                 close_stream(opened)
                 raise
     except (OSError, ValueError) as error:
-        if missing := pcm.target.missing():
+        if isinstance(pcm.target, ServerDevice) and (missing := missing_plugin()):
             raise NotFoundError(missing) from None
-        # PyAudio's text for an error, or its number
         reason = str(error.args[-1]) if error.args else type(error).__name__
-        name = setup.sample_format.value
-        in_format = "" if setup.sample_format is SampleFormat.FLOAT32 else f" in {name}"
+        format_ = setup.sample_format
+        in_format = "" if format_ is SampleFormat.FLOAT32 else f" in {format_.value}"
         raise LostError(
             f"cannot open {what} with {setup.channels} channels at {setup.samplerate} Hz"
             f"{in_format} ({reason}): {pcm.target.trouble}"
@@ -140,15 +127,12 @@ def open_stream(pcm: Pcm, setup: StreamSetup, callback: Callback) -> OpenStream:
 
 
 def close_stream(opened: OpenStream) -> bool:
-    """Close the stream; whether that was in time, else it continues in background.
-
-    Any thread but a callback's may call this, once. It raises nothing.
-    """
+    """Close the stream; return whether it closed in time. A callback must not call this."""
 
     def work() -> None:
-        with suppress(OSError, ValueError, SystemError):  # PortAudio has closed it already
+        with suppress(OSError, ValueError, SystemError):  # PortAudio has already closed the stream
             opened.stream.close()
-        _open.discard(opened.tag)
+        open_tags.discard(opened.tag)
 
     try:
         _call_within(CLOSE_LIMIT_S, "close a stream", work)
@@ -157,13 +141,8 @@ def close_stream(opened: OpenStream) -> bool:
     return True
 
 
-def count_open() -> int:
-    """Return how many streams are open, being closed, or never started."""
-    return len(_open)
-
-
 def _instance(pcm: Pcm) -> tuple[Any, int]:
-    """Return the one instance of PyAudio, and its index of this PCM."""
+    """Return the single instance of PyAudio, and its index of the device named like the PCM."""
     global _pyaudio
     try:
         import pyaudio
@@ -174,8 +153,8 @@ def _instance(pcm: Pcm) -> tuple[Any, int]:
             f"PyAudio cannot be loaded ({error}); install PortAudio (libportaudio2) and PyAudio"
         ) from None
     index = None if _pyaudio is None else _index(_pyaudio, pcm)
-    if index is None and not _open:
-        if _pyaudio is not None:  # its list is older than this PCM
+    if index is None and not open_tags:
+        if _pyaudio is not None:  # the instance is older than this PCM
             _pyaudio.terminate()
         _pyaudio = pyaudio.PyAudio()
         index = _index(_pyaudio, pcm)
@@ -185,10 +164,8 @@ def _instance(pcm: Pcm) -> tuple[Any, int]:
 
 
 def _index(instance: Any, pcm: Pcm) -> int | None:
-    for index in range(instance.get_device_count()):
-        if instance.get_device_info_by_index(index)["name"] == pcm.name:
-            return index
-    return None
+    devices = map(instance.get_device_info_by_index, range(instance.get_device_count()))
+    return next((index for index, known in enumerate(devices) if known["name"] == pcm.name), None)
 
 
 def _call_within(
@@ -197,16 +174,13 @@ def _call_within(
     work: Callable[[], Result],
     late: Callable[[Result], object] = lambda _: None,
 ) -> Result:
-    """Return or raise what `work` does on another thread; LostError if it takes longer.
-
-    late: called on that thread with a result that comes too late.
-    """
+    """Run `work` on a new thread. LostError: no result after limit_s; `late` gets a later one."""
     future: Future[Result] = Future()
 
     def run() -> None:
         try:
             result = work()
-        except BaseException as error:  # raised in the caller's thread
+        except BaseException as error:  # the caller's thread raises it
             if future.set_running_or_notify_cancel():
                 future.set_exception(error)
             return
@@ -219,7 +193,7 @@ def _call_within(
     try:
         return future.result(limit_s)
     except TimeoutError:
-        if not future.cancel():  # it has just come
+        if not future.cancel():  # the result has just arrived
             return future.result()
     raise LostError(
         f"cannot {what}: the sound server or the card has not answered for {limit_s:g} s; "
@@ -227,32 +201,23 @@ def _call_within(
     )
 
 
-_lock = threading.Lock()
 _filtered = False
 
 
 def filter_stderr() -> bool:
-    """Stop C libraries from printing; whether this works here (it takes the GNU C library).
+    """Discard what C libraries print to stderr; return False if this is impossible.
 
-    It lasts for the whole process; further calls change nothing. It also hides failed C assertions
-    and fatal errors of the interpreter, so do not call it while debugging. Any thread may call it.
+    The function needs the GNU C library. It also hides messages of failed C assertions and of fatal
+    errors of the interpreter, so avoid it for debugging. Any thread may call it, repeatedly.
     """
     global _filtered
     with _lock:
-        stream = None if _filtered else _stream()
-        if stream is not None:
-            libc = ctypes.CDLL(None)
-            libc.fopen.restype = ctypes.c_void_p
+        if _filtered or platform.libc_ver()[0] != "glibc":
+            return _filtered
+        libc = ctypes.CDLL(None)
+        libc.fopen.restype = ctypes.c_void_p
+        with suppress(OSError, ValueError):  # in another C library stderr may be a constant
+            stream = ctypes.c_void_p.in_dll(libc, "stderr")
             if replacement := libc.fopen(os.devnull.encode(), b"we"):
                 stream.value, _filtered = replacement, True
         return _filtered
-
-
-def _stream() -> ctypes.c_void_p | None:
-    """Return C's variable `stderr`; None if it is a constant, as outside the GNU C library."""
-    if platform.libc_ver()[0] != "glibc":
-        return None
-    try:
-        return ctypes.c_void_p.in_dll(ctypes.CDLL(None), "stderr")
-    except (OSError, ValueError):
-        return None

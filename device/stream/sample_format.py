@@ -1,7 +1,5 @@
 """Sample formats of devices (little endian), and the encoder from float frames to integers."""
 
-from __future__ import annotations
-
 from enum import Enum
 
 import numpy as np
@@ -11,34 +9,30 @@ from device.units import Float32Array
 
 
 class SampleFormat(Enum):
-    """A sample format; the value is ALSA's name for it."""
+    """A sample format; the value is its name in ALSA."""
 
     FLOAT32 = "FLOAT_LE"
     S16 = "S16_LE"
-    S24_3 = "S24_3LE"
-    """24 bits in three bytes."""
+    S24_3 = "S24_3LE"  # 24 bits in three bytes
     S32 = "S32_LE"
 
     @property
     def bytes_per_sample(self) -> int:
-        """Bytes of one sample: 4, 2, 3, 4."""
+        """Number of bytes per sample."""
         return {SampleFormat.S16: 2, SampleFormat.S24_3: 3}.get(self, 4)
 
     @property
     def bits(self) -> int:
-        """Bits of resolution: 16, 24, 32; a float has 25, which are 24 and a sign."""
+        """Bits of resolution: 16, 24 or 32; 25 for a float (24-bit significand and sign)."""
         return 25 if self is SampleFormat.FLOAT32 else 8 * self.bytes_per_sample
 
 
 class Encoder:
-    """Encodes float frames as integers for a device, block by block. Use from one thread at a time.
+    """Encodes blocks of float frames as integers. Only one thread at a time may use it.
 
-    Integers are round(clip(x 2^n, -2^n, 2^n - 1)) with n = 15, 23, 31, half away from zero, without
-    dither. NaN becomes 0.
-
-    sample_format: format of the bytes, not FLOAT32. channels: per frame. block_frames: usual length
-    of a block. A block of usual length allocates only its result; another length allocates the
-    scratch arrays again.
+    A sample x becomes round(clip(x 2^n, -2^n, 2^n - 1)) with n = 15, 23 or 31. Halves are rounded
+    away from zero. No dither is added. NaN becomes 0.
+    sample_format: not FLOAT32. block_frames: usual block length; another length allocates memory.
     """
 
     def __init__(self, sample_format: SampleFormat, channels: int, block_frames: int) -> None:
@@ -55,7 +49,7 @@ class Encoder:
         self._integers = np.zeros(shape, self._dtype)
 
     def encode(self, frames: Float32Array) -> bytes:
-        """Return the bytes of `frames`, (frames, channels) float32, full scale ±1."""
+        """Return `frames` as bytes; `frames` has shape (frames, channels) and full scale ±1."""
         if len(frames) != len(self._steps):
             self._allocate(len(frames))
         whole_steps(frames, self._full_scale, self._steps, self._rest, self._unknown)
@@ -65,12 +59,9 @@ class Encoder:
         return self._integers.tobytes()
 
     def decode_last(self) -> Float32Array:
-        """Return the last encoded block as float32 frames, read only; the caller may keep them.
-
-        These frames encode to the same bytes again. The highest step of 32 bits becomes 1.0.
-        """
+        """Return the last encoded block as read-only floats; the highest 32-bit value becomes 1."""
         frames = np.empty(self._steps.shape, np.float32)
-        # exact in float64, as the factor is a power of two; only the store can round
+        # exact in float64, as the factor is a power of two; only the conversion to float32 rounds
         np.multiply(self._steps, 1.0 / self._full_scale, out=frames, casting="unsafe")
         frames.setflags(write=False)
         return frames

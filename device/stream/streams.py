@@ -1,16 +1,15 @@
-"""Capture and playback streams on a server or a card, one block per callback of PortAudio.
+"""Capture and playback streams on a sound server or a card; each callback exchanges one block.
 
-Capture and playback are separate, as a duplex stream would poll. A callback never raises and
-always delivers its full length, since an exception or a short block would end the stream silently.
-The age of the last callback shows whether a stream still runs: a server that dies or suspends its
-device raises nothing. Check `is_lost`, close the stream and open another one.
+Capture and playback are separate streams, because PortAudio would poll a full-duplex stream. An
+exception or a short block in a callback would end its stream without notice. Therefore a callback
+raises no exception and always returns a full block. The loss of a server raises no exception: check
+`is_lost`, and open another stream.
 """
-
-from __future__ import annotations
 
 import math
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
@@ -30,93 +29,80 @@ from device.stream.portaudio import (
 from device.stream.sample_format import Encoder, SampleFormat
 from device.units import Float32Array
 
-LOST_AFTER_S = 0.5
-"""Callbacks are at most 20 ms apart on an idle machine, 25 ms if a thread holds the GIL."""
+LOST_AFTER_S = 0.5  # a stream without a callback for this long is lost
 
 BEGUN_AFTER_S, BEGINS_WITHIN_S = 0.05, 2.5
-"""An idle sink of PulseAudio without norewinds has rendered up to 2 s ahead. A new playback stream
-gets its first callbacks at once and the next after these 2 s; a capture stream waits for its
-first."""
+"""For new streams: on an idle sink without norewinds, PulseAudio renders up to 2 s ahead.
+A playback stream then gets its first callbacks at once, and the next up to 2 s later. A capture
+stream gets its first callback up to 2 s later."""
 
 _CONTINUE = 0
 _XRUNS = 0b1111  # PortAudio's flags for underflow and overflow of input and output
-_ERROR_NAMES = 16
 
-OnBlock = Callable[[Float32Array, float], None]
-"""Takes (frames, channels) float32 and the time of the callback, time.monotonic()."""
+OnBlock = Callable[[Float32Array, float], None]  # (frames, channels), and time.monotonic()
 
 
 class CallbackCounts:
-    """Counts of a stream's callbacks. Any thread may read them; see `CaptureStream`."""
+    """A stream's counts, which `CaptureStream` describes. Any thread may read them."""
 
     def __init__(self, audible: bool) -> None:
         self.audible = audible
-        self.silenced = 0
         self.opened_s = self.last_callback_s = time.monotonic()
-        self.callbacks = self.frames = self.xruns = 0
-        self.errors: dict[str, int] = {}
+        self.callbacks = self.frames = self.xruns = self.silenced = 0
+        self.errors = Counter[str]()
 
     def _count(self, error: BaseException) -> None:
-        name = type(error).__name__
-        if name not in self.errors and len(self.errors) >= _ERROR_NAMES:
-            name = "others"
-        self.errors[name] = self.errors.get(name, 0) + 1
+        self.errors[type(error).__name__] += 1
 
 
 class _Stream(CallbackCounts):
-    """The common part of both streams."""
-
-    _output: bool
-
     def __init__(
-        self,
-        pcm: Pcm,
-        samplerate: int,
-        channels: int,
-        block_frames: int,
-        priority: AudioPriority | None,
-        sample_format: SampleFormat,
-        *,
-        audible: bool,
+        self, pcm: Pcm, setup: StreamSetup, priority: AudioPriority | None, audible: bool
     ) -> None:
-        check_format(samplerate, channels)
+        samplerate, channels = setup.samplerate, setup.channels
+        if not 1_000 <= samplerate <= 768_000:
+            raise UsageError(
+                f"samplerate={samplerate} Hz is out of range; choose 1000 to 768000 Hz"
+            )
+        if not 1 <= channels <= 32:
+            raise UsageError(f"channels={channels} is out of range; choose 1 to 32")
         super().__init__(audible)
-        self._priority = priority
-        self._claimed = -1
-        self.samplerate = samplerate
-        self.channels = channels
+        self._priority, self._claimed = priority, -1
+        self.samplerate, self.channels = samplerate, channels
+        self._output = setup.output
         self._closing = False
         self._gil_state = GilState()
         self._close_lock = threading.Lock()
         self._on_server = isinstance(pcm.target, ServerDevice)
         self._open: OpenStream | None = None
-        setup = StreamSetup(self._output, samplerate, channels, block_frames, sample_format)
         self._open = open_stream(pcm, setup, self._callback)
         self.tag = self._open.tag
 
     def is_lost(self, now_s: float | None = None) -> bool:
         """Whether no callback came for LOST_AFTER_S, or the stream was closed or ended.
 
-        A new stream on a server has BEGINS_WITHIN_S. now_s: time.monotonic(). For any thread.
+        For a new stream on a server, the limit is BEGINS_WITHIN_S, except before the first callback
+        of playback. now_s: time.monotonic(). Any thread may call this.
         """
-        now = time.monotonic() if now_s is None else now_s
+        now_s = time.monotonic() if now_s is None else now_s
         young = self.last_callback_s - self.opened_s < BEGUN_AFTER_S
         begins = young and self._on_server and (self.callbacks > 0 or not self._output)
         limit_s = BEGINS_WITHIN_S if begins else LOST_AFTER_S
-        return now - self.last_callback_s > limit_s or not self.is_active()
+        return now_s - self.last_callback_s > limit_s or not self.is_active()
 
     def is_active(self) -> bool:
-        """Whether PortAudio reports the stream as running, even if suspended."""
+        """Whether PortAudio reports the stream as running; a suspended stream counts as running."""
         opened = self._open
         try:
             return opened is not None and bool(opened.stream.is_active())
-        except (OSError, ValueError, SystemError):  # closed by another thread
+        except (OSError, ValueError, SystemError):  # another thread has closed the stream
             return False
 
     def close(self) -> bool:
-        """End the stream; return True if it ended in time, else it ends in the background.
+        """Close the stream; return whether it closed in time. Else it closes in the background.
 
-        After True, no callback runs any more. Any thread but the callback's; may be repeated.
+        If the first call returns True, no callback runs after it. Further calls have no effect. The
+        callback must not call this.
         """
         self._closing = True
         with self._close_lock:
@@ -143,7 +129,7 @@ class _Stream(CallbackCounts):
                 self._gil_state.release()
             else:
                 self._exchange(data, frames, now_s)
-        except BaseException as error:  # PortAudio would end the stream
+        except BaseException as error:  # PortAudio would end the stream after an exception
             self._count(error)
         return self._result(frames), _CONTINUE
 
@@ -155,52 +141,21 @@ class _Stream(CallbackCounts):
 
 
 class CaptureStream(_Stream):
-    """Delivers the frames of a PCM's source; runs from the moment it is made.
+    """Captures the target of a PCM in blocks; runs from its construction on.
 
-    Parameters
-    ----------
-    pcm : Pcm
-        Its target is what the stream captures.
-    samplerate, channels : int
-        In Hz, and per frame.
-    on_frames : Callable
-        Gets every block, read only, which it may keep, and the time. PortAudio's thread calls it:
-        it must neither block nor close the stream.
-    audible : bool
-        Initial value of the attribute.
-    block_frames : int
-        Frames per callback.
-    priority : AudioPriority or None
-        Priority that the callback's thread requests; None for none.
-    order : tuple of int or None
-        The source's channels in the order in which they are delivered; None for their own.
-
-    Attributes
-    ----------
-    audible : bool
-        Any thread may set it. While it is False, the frames are 0 from the next block on.
-    silenced : int
-        Blocks that were silenced.
-    tag : str
-        Value of the property `pcms.TAG` by which the server shows this stream.
-    opened_s, last_callback_s : float
-        Time of opening and of the last callback; the same before the first callback.
-    callbacks, frames : int
-        Counts so far.
-    xruns : int
-        Overflows and underflows that PortAudio reported, which are few of them.
-    errors : dict[str, int]
-        Exceptions in callbacks, counted by name.
-
-    Raises
-    ------
-    LostError, NotFoundError
-        See `open_stream`. PipeWire may open a missing device and end the stream later.
-    UsageError
-        samplerate or channels is out of range.
+    pcm: its target is captured. samplerate: Hz. channels: number of captured channels.
+    block_frames: frames per callback. priority: gives the callback's thread its priority. order:
+    number of the captured channel for each delivered channel; None keeps all in their order.
+    on_frames: called by PortAudio's thread with every block, (frames, channels), read-only, and
+    time.monotonic(). on_frames may keep the block, and must neither wait nor close the stream.
+    audible: any thread may set it; while it is False, every sample is replaced by 0. silenced:
+    number of blocks replaced by zeros. tag: value of the property `pcms.TAG` of the stream on
+    the server. opened_s, last_callback_s: times by time.monotonic(), equal before any callback.
+    xruns: number of callbacks with overflow or underflow; PortAudio does not report most of them.
+    errors: number of exceptions in callbacks, by class name.
+    LostError, NotFoundError: see `open_stream`; PipeWire may open a missing device and end the
+    stream later. UsageError: samplerate or channels is out of range.
     """
-
-    _output = False
 
     def __init__(
         self,
@@ -214,12 +169,9 @@ class CaptureStream(_Stream):
         priority: AudioPriority | None = None,
         order: tuple[int, ...] | None = None,
     ) -> None:
-        self._on_frames = on_frames
-        self._order = order
-        sample_format = SampleFormat.FLOAT32
-        super().__init__(
-            pcm, samplerate, channels, block_frames, priority, sample_format, audible=audible
-        )
+        self._on_frames, self._order = on_frames, order
+        setup = StreamSetup(False, samplerate, channels, block_frames, SampleFormat.FLOAT32)
+        super().__init__(pcm, setup, priority, audible)
 
     def _exchange(self, data: bytes | None, frames: int, now_s: float) -> None:
         if not self.audible:
@@ -230,36 +182,15 @@ class CaptureStream(_Stream):
 
 
 class PlaybackStream(_Stream):
-    """Plays frames to a PCM's sink as it asks for them; silent until `audible` is set.
+    """Plays blocks to the target of a PCM from its construction on; silent until `audible` is set.
 
-    PortAudio's thread calls both functions: they must neither block nor close the stream. The other
-    attributes and the exceptions are those of `CaptureStream`.
-
-    Parameters
-    ----------
-    pcm : Pcm
-        Its target is where the stream plays.
-    samplerate, channels : int
-        In Hz, and per frame.
-    fill : Callable
-        Writes into every block, which is all 0, and must not keep it. If it raises, or leaves a
-        sample that is not finite, the block becomes silence and counts in `errors`.
-    on_sent : Callable or None
-        Gets every block that was sent, silence included, read only, which it may keep.
-    block_frames : int
-        Frames per callback.
-    priority : AudioPriority or None
-        Priority that the callback's thread requests; None for none.
-    sample_format : SampleFormat
-        Of the bytes for PortAudio; `Encoder` clamps and rounds to integers.
-
-    Attributes
-    ----------
-    audible : bool
-        Any thread may set it. While it is False, silence is played from the next block on.
+    fill: called by PortAudio's thread with a block of zeros to write into, and time.monotonic().
+    `fill` must not keep the block. If `fill` raises an exception or writes a sample that is not
+    finite, silence is sent and `errors` increases. on_sent: called by the same thread with every
+    sent block, even if silent, and time.monotonic(); it may read and keep the block. Neither
+    function may wait or close the stream. sample_format: of the samples for PortAudio.
+    pcm, samplerate, channels, block_frames, priority, attributes, errors: as in `CaptureStream`.
     """
-
-    _output = True
 
     def __init__(
         self,
@@ -273,17 +204,15 @@ class PlaybackStream(_Stream):
         priority: AudioPriority | None = None,
         sample_format: SampleFormat = SampleFormat.FLOAT32,
     ) -> None:
-        self._fill = fill
-        self._on_sent = on_sent
+        self._fill, self._on_sent = fill, on_sent
         self._out = np.zeros((block_frames, channels), np.float32)
-        self._used = False  # not all 0, because the last block failed
+        self._used = False  # whether the last block failed and may have left samples
         is_float = sample_format is SampleFormat.FLOAT32
         self._encoder = None if is_float else Encoder(sample_format, channels, block_frames)
         self._bytes_per_frame = channels * sample_format.bytes_per_sample
         self._sound: bytes | None = None
-        super().__init__(
-            pcm, samplerate, channels, block_frames, priority, sample_format, audible=False
-        )
+        setup = StreamSetup(True, samplerate, channels, block_frames, sample_format)
+        super().__init__(pcm, setup, priority, audible=False)
 
     def _exchange(self, data: bytes | None, frames: int, now_s: float) -> None:
         if self._used or len(self._out) != frames:
@@ -300,33 +229,20 @@ class PlaybackStream(_Stream):
         self._used = False
 
     def _result(self, frames: int) -> bytes | None:
-        sound, self._sound = self._sound, None
-        if not self.audible:
-            sound = None
+        sound, self._sound = self._sound if self.audible else None, None
         if sound is None:
             self.silenced += 1
         if self._on_sent is not None:
             try:
-                if sound is None:
-                    sent = _as_frames(bytes(4 * frames * self.channels), self.channels)
-                elif self._encoder is None:
-                    sent = _as_frames(sound, self.channels)
-                else:
+                if sound is not None and self._encoder is not None:
                     sent = self._encoder.decode_last()
+                else:
+                    sent = _as_frames(sound or bytes(4 * frames * self.channels), self.channels)
                 self._on_sent(sent, self.last_callback_s)
-            except BaseException as error:  # PortAudio would end the stream
+            except BaseException as error:  # PortAudio would end the stream after an exception
                 self._count(error)
         return bytes(frames * self._bytes_per_frame) if sound is None else sound
 
 
 def _as_frames(data: bytes, channels: int) -> Float32Array:
-    """Return the bytes as float32 (frames, channels), read only."""
     return np.frombuffer(data, np.float32).reshape(-1, channels)
-
-
-def check_format(samplerate: int, channels: int) -> None:
-    """Raise UsageError if no stream can have this format. Any thread may call it."""
-    if not 1_000 <= samplerate <= 768_000:
-        raise UsageError(f"samplerate={samplerate} Hz is out of range; choose 1000 to 768000 Hz")
-    if not 1 <= channels <= 32:
-        raise UsageError(f"channels={channels} is out of range; choose 1 to 32")

@@ -1,14 +1,13 @@
-"""USB audio devices: finding, naming and asking them.
+"""USB audio devices: functions that find, name, query and set them.
 
     sysfs.py                    devices, as the kernel lists them
-    identity.py, mapping.py     their names, sound cards and sinks
-    pyusb_access.py             descriptors and strings that only the device knows
-    control.py, requests.py     volume, mute and rate of a device without a driver
-    take_over.py, guardian.py   taking a device from its driver, and giving it back
-    descriptors/                raw descriptors, decoded
+    identity.py, mapping.py     their names, actuator channels, sound cards and sinks
+    control.py, requests.py     a device opened with PyUSB: volume, mute and samplerate
+    take_over.py, guardian.py   detaching a device's driver, and attaching it again
+    descriptors/                decoding of descriptors
 
-`find_devices` needs neither a permission nor a library. PyUSB is imported only for questions that
-the kernel cannot answer. Only take_over.py detaches a driver.
+`find_devices` needs neither a permission nor a library. PyUSB is imported only to send requests to
+a device. Only take_over.py detaches a kernel driver.
 """
 
 from device.errors import NoLibusbError, NoUsbBusError, NoUsbDeviceError, UsbAccessError

@@ -1,32 +1,120 @@
-"""A device's own volume, mute and samplerate, by requests to the device itself.
+"""A device opened with PyUSB: its descriptors, and its own volume, mute and samplerate.
 
-Only where no driver of the kernel holds it: usually one does, and then the mixer of ALSA or the
-sound server is the way. `take_over` takes a device from its driver for that; see there.
+Opening a device does not affect its driver or sound card. Volume, mute and samplerate are available
+only while no kernel driver is attached. Otherwise set the volume in ALSA's mixer or on the sound
+server, or detach the driver with `take_over`. A request without an answer fails after 0.5 s.
 """
-
-from __future__ import annotations
 
 import errno
 import math
-from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
-from device.errors import UsbAccessError
+from device.errors import NoLibusbError, NoUsbDeviceError, UsbAccessError, not_installed
 from device.usb import requests
 from device.usb.descriptors import PlaybackFormat, RateRange, parse_whole, playback_formats
-from device.usb.descriptors.entities import FeatureControl
-from device.usb.pyusb_access import TIMEOUT_MS, open_device, read_descriptors, refusal
+from device.usb.descriptors.audio_class import FeatureControl
 from device.usb.requests import Request, VolumeRange
 from device.usb.sysfs import UsbAudioDevice
 from device.volume_limit import MAX_VOLUME_DB
 
+_TIMEOUT_MS = 500  # of one request
+
+# types and lengths: USB 2.0, tables 9-5, 9-8 and 9-10
+_DEVICE, _DEVICE_BYTES = 1, 18
+_CONFIGURATION, _CONFIGURATION_BYTES = 2, 9
+
+
+@cache
+def libusb() -> Any:
+    """Return PyUSB's backend libusb. NoLibusbError: PyUSB or the library libusb is missing."""
+    try:
+        from usb.backend import libusb1
+    except ImportError:
+        raise NoLibusbError(not_installed("PyUSB", "live")) from None
+    backend = libusb1.get_backend()
+    if backend is None:
+        raise NoLibusbError(
+            "no libusb: PyUSB is here, but not the library libusb-1.0; install it: "
+            "sudo apt install libusb-1.0-0, or sudo dnf install libusb1"
+        )
+    return backend
+
+
+def open_device(device: UsbAudioDevice) -> Any:
+    """Return PyUSB's usb.core.Device for a device from `find_devices`.
+
+    The first request opens it; usb.util.dispose_resources closes it.
+    NoLibusbError: PyUSB or libusb is missing. NoUsbDeviceError: libusb does not see the device.
+    UsbAccessError: libusb fails.
+    """
+    backend = libusb()
+    import usb.core
+
+    try:
+        handle = usb.core.find(backend=backend, bus=device.bus, address=device.address)
+    except usb.core.USBError as error:
+        raise _refusal(device, error) from None
+    ids = (int(device.vendor_id, 16), int(device.product_id, 16))
+    if handle is None or (handle.idVendor, handle.idProduct) != ids:
+        raise NoUsbDeviceError(
+            f"libusb does not see {device.label!r} at {device.node}, which the kernel shows; plug "
+            "it in again; in a container, plug it in before the program starts, and pass on "
+            "/dev/bus/usb"
+        )
+    return handle
+
+
+def read_descriptors(device: UsbAudioDevice) -> bytes:
+    """Return the device descriptor and all configurations, from /sys or else from the device.
+
+    NoLibusbError, NoUsbDeviceError, UsbAccessError: both sources fail.
+    """
+    if device.descriptors:
+        return device.descriptors
+    handle = open_device(device)
+    import usb.core
+    import usb.util
+    from usb.control import get_descriptor
+
+    try:
+        blocks = [bytes(get_descriptor(handle, _DEVICE_BYTES, _DEVICE, 0))]
+        for index in range(handle.bNumConfigurations):
+            head = bytes(get_descriptor(handle, _CONFIGURATION_BYTES, _CONFIGURATION, index))
+            length = int.from_bytes(head[2:4], "little")  # wTotalLength
+            blocks.append(bytes(get_descriptor(handle, length, _CONFIGURATION, index)))
+    except usb.core.USBError as error:
+        raise _refusal(device, error) from None
+    finally:
+        usb.util.dispose_resources(handle)
+    return b"".join(blocks)
+
+
+def _refusal(device: UsbAudioDevice, error: Any) -> UsbAccessError | NoUsbDeviceError:
+    what = f"{device.label!r} at {device.node}"
+    if error.errno in (errno.ENODEV, errno.ENOENT):
+        return NoUsbDeviceError(f"{what} was pulled out; plug it in again")
+    if error.errno in (errno.EACCES, errno.EPERM):
+        return UsbAccessError(
+            f"no permission to open {what} (errno {error.errno}); `cushion install-service --udev` "
+            'prints a udev rule (TAG+="uaccess") that gives the permission to the person at the '
+            "machine; install it and plug the device in again"
+        )
+    if error.errno == errno.EBUSY:
+        return UsbAccessError(f"{what} is held by a driver or another program (errno EBUSY)")
+    if error.errno == errno.ETIMEDOUT:
+        return UsbAccessError(f"{what} does not answer within {_TIMEOUT_MS} ms; plug it in again")
+    return UsbAccessError(f"{what} does not answer correctly ({error}); plug it in again")
+
 
 @dataclass(frozen=True)
 class ControlState:
-    """What a device was set to, to set it so again. By channel, 0 is the master.
+    """Settings of a device, stored so that they can be restored.
 
-    volumes: in 1/256 dB; mutes; samplerate: Hz, None where it did not report it.
+    volumes, mutes: (channel, value) pairs; channel 0 is the master; volumes are in 1/256 dB.
+    samplerate: Hz, None if the device does not report it.
     """
 
     volumes: tuple[tuple[int, int], ...] = ()
@@ -35,9 +123,10 @@ class ControlState:
 
 
 def playback_of(device: UsbAudioDevice) -> PlaybackFormat:
-    """Return the first way to play on a device whose volume, or else mute, can be set; or any.
+    """Return a playback format, preferably with settable volume and mute, then volume, then mute.
 
-    UsbAccessError: nothing can be played on it, or its descriptors cannot be read.
+    UsbAccessError: the device has no playback format. Other errors: see `read_descriptors` and
+    `parse_whole`.
     """
     configuration = parse_whole(read_descriptors(device)).active(device.configuration)
     formats = playback_formats(configuration) if configuration else ()
@@ -47,53 +136,39 @@ def playback_of(device: UsbAudioDevice) -> PlaybackFormat:
 
 
 class UsbControl:
-    """The controls of one device that is opened. One thread uses it, none that plays sound.
+    """The controls of one open device. Only one thread may use them, but not an audio thread.
 
-    handle: PyUSB's device, that `close` lets go of. Volumes are in dB; channel 0 is the master.
-    Every question takes some ms, and half a second of a device that does not answer.
-
-    UsbAccessError: by everything below: the device refuses, does not answer, or has no such
-    control.
-    NoUsbDeviceError: it was pulled out.
+    handle: PyUSB's device, which `close` releases. volume_channels, mute_channels: channels with
+    settable volume or mute; channel 0 is the master. Volumes are in dB.
+    Methods raise UsbAccessError if the device refuses a request, does not answer or has no such
+    control. They raise NoUsbDeviceError if the device was unplugged.
     """
 
     def __init__(self, device: UsbAudioDevice, playback: PlaybackFormat, handle: Any) -> None:
-        self._device = device
-        self._playback = playback
-        self._handle = handle
-
-    @property
-    def volume_channels(self) -> tuple[int, ...]:
-        """Where a volume can be set."""
-        return self._playback.volume_channels
-
-    @property
-    def mute_channels(self) -> tuple[int, ...]:
-        """Where a mute can be set."""
-        return self._playback.mute_channels
+        self._device, self._playback, self._handle = device, playback, handle
+        self.volume_channels, self.mute_channels = playback.volume_channels, playback.mute_channels
 
     def volume_db(self, channel: int) -> float:
-        """Return a volume; -inf is silence."""
-        return requests.volume_db(self._ask_feature(FeatureControl.VOLUME, channel))
+        """Return a channel's volume; -inf is silence."""
+        return requests.from_volume_units(self._units(channel))
 
     def volume_range(self, channel: int) -> VolumeRange:
-        """Return the range of a volume."""
+        """Return the range of a channel's volume."""
         volume = FeatureControl.VOLUME
         if self._playback.uac > 1:
             answer = self._ask(requests.feature(self._playback, volume, channel, "range"))
             return requests.volume_ranges(answer)
         what: tuple[requests.What, ...] = ("lowest", "highest", "step")
-        lowest, highest, step = (
-            self._ask(requests.feature(self._playback, volume, channel, each)) for each in what
-        )
-        return requests.volume_range(lowest, highest, step)
+        asked = [requests.feature(self._playback, volume, channel, each) for each in what]
+        return requests.volume_range(*map(self._ask, asked))
 
     def set_volume_db(
         self, channel: int, wanted_db: float, limit_db: float = MAX_VOLUME_DB
     ) -> float:
-        """Set a volume, never above 0 dB nor limit_db; return what it is then, as it was read back.
+        """Set a channel to the lowest of wanted_db, limit_db and 0 dB; return the volume read back.
 
-        What is below the range becomes its lowest value. UsbAccessError, too: it is not taken.
+        If wanted_db is below the range, the lowest volume is set; -inf sets silence.
+        UsbAccessError: the device then reports a higher or a much lower volume.
         """
         wanted_units, step_db = requests.SILENCE_UNITS, 0.0
         if wanted_db != -math.inf:
@@ -102,20 +177,21 @@ class UsbControl:
             step_db = offered.step_db
         self._set_units(channel, wanted_units)
         found_db, set_db = self.volume_db(channel), requests.from_volume_units(wanted_units)
-        # Devices round to steps of their own, but none may end up louder.
+        # Devices may round to other steps than they report, but must not end up louder.
         if not set_db - max(step_db, 1.0) <= found_db <= set_db:
             raise UsbAccessError(
-                f"{self._device.label!r} takes {set_db:g} dB for channel {channel} and then says "
-                f"that it is {found_db:g} dB; set the level in the config, or at the amplifier"
+                f"{self._device.label!r} takes {set_db:g} dB for channel {channel} but then "
+                f"reports {found_db:g} dB; set the level in the config, or at the amplifier"
             )
         return found_db
 
     def muted(self, channel: int) -> bool:
-        """Return whether a channel is muted."""
-        return bool(requests.number(self._ask_feature(FeatureControl.MUTE, channel), 1))
+        """Whether a channel is muted."""
+        asked = requests.feature(self._playback, FeatureControl.MUTE, channel)
+        return bool(requests.number(self._ask(asked), asked.length))
 
     def set_muted(self, channel: int, muted: bool) -> None:
-        """Mute or unmute a channel. UsbAccessError, too: it is not taken."""
+        """Mute or unmute a channel. UsbAccessError: the channel's mute keeps its former state."""
         self._ask(requests.set_feature(self._playback, FeatureControl.MUTE, channel, int(muted)))
         if self.muted(channel) is not muted:
             raise UsbAccessError(f"{self._device.label!r} takes a mute and does not change it")
@@ -126,36 +202,32 @@ class UsbControl:
         return requests.number(self._ask(asked), asked.length)
 
     def samplerates(self) -> tuple[RateRange, ...]:
-        """Return the rates of its clock, Hz, for version 2.0, whose descriptors lack them."""
+        """Return the rates in Hz that the clock of a device of USB Audio 2.0 offers."""
         return requests.samplerate_ranges(self._ask(requests.samplerate(self._playback, "range")))
 
     def set_samplerate(self, hertz: int) -> None:
-        """Set the samplerate in Hz. UsbAccessError, too: it is not taken."""
+        """Set the samplerate in Hz. UsbAccessError: the device then reports another rate."""
         self._ask(requests.set_samplerate(self._playback, hertz))
         if (found := self.samplerate()) != hertz:
             raise UsbAccessError(
-                f"{self._device.label!r} takes {hertz} Hz and then says that it has {found} Hz"
+                f"{self._device.label!r} takes {hertz} Hz but then reports {found} Hz"
             )
 
     def state(self) -> ControlState:
         """Return all settings that the device reports."""
-        volumes, mutes = [], []
+        volumes, mutes, rate = [], [], None
         for channel in self.volume_channels:
-            answer = self._told(requests.feature(self._playback, FeatureControl.VOLUME, channel))
-            if len(answer) >= 2:
-                volumes.append((channel, int.from_bytes(answer[:2], "little", signed=True)))
+            with suppress(UsbAccessError):
+                volumes.append((channel, self._units(channel)))
         for channel in self.mute_channels:
-            answer = self._told(requests.feature(self._playback, FeatureControl.MUTE, channel))
-            if answer:
-                mutes.append((channel, bool(answer[0])))
-        try:
+            with suppress(UsbAccessError):
+                mutes.append((channel, self.muted(channel)))
+        with suppress(UsbAccessError):
             rate = self.samplerate()
-        except UsbAccessError:
-            rate = None
         return ControlState(tuple(volumes), tuple(mutes), rate)
 
     def restore(self, state: ControlState) -> None:
-        """Set all that differs from a state to it. What was too loud is not made so again."""
+        """Restore the settings that differ from a stored state, with volumes of at most 0 dB."""
         now = self.state()
         for channel, units in set(state.volumes) - set(now.volumes):
             loudest = requests.volume_units(MAX_VOLUME_DB)
@@ -166,54 +238,42 @@ class UsbControl:
             self.set_samplerate(state.samplerate)
 
     def close(self) -> None:
-        """Let go of the device."""
+        """Release the device."""
         import usb.util
 
         usb.util.dispose_resources(self._handle)
 
-    def _ask_feature(self, control: FeatureControl, channel: int) -> bytes:
-        return self._ask(requests.feature(self._playback, control, channel))
+    def _units(self, channel: int) -> int:
+        asked = requests.feature(self._playback, FeatureControl.VOLUME, channel)
+        return requests.volume(self._ask(asked))
 
     def _set_units(self, channel: int, units: int) -> None:
         self._ask(requests.set_feature(self._playback, FeatureControl.VOLUME, channel, units))
 
-    def _told(self, request: Request) -> bytes:
-        try:
-            return self._ask(request)
-        except UsbAccessError:
-            return b""
-
     def _ask(self, request: Request) -> bytes:
         import usb.core
 
+        setup = (request.request_type, request.request, request.value, request.index)
         data = request.length if request.data is None else request.data
         try:
-            answer = self._handle.ctrl_transfer(
-                request.request_type,
-                request.request,
-                request.value,
-                request.index,
-                data,
-                TIMEOUT_MS,
-            )
+            answer = self._handle.ctrl_transfer(*setup, data, _TIMEOUT_MS)
         except usb.core.USBError as error:
             if error.errno == errno.EPIPE:
                 raise UsbAccessError(
                     f"{self._device.label!r} at {self._device.node} refuses the request (it "
                     "stalls); it has no such control"
                 ) from None
-            raise refusal(self._device, error) from None
+            raise _refusal(self._device, error) from None
         return b"" if isinstance(answer, int) else bytes(answer)
 
 
 def open_control(device: UsbAudioDevice) -> UsbControl:
-    """Return the controls of a device that no driver holds.
+    """Return the controls of a device without an attached driver.
 
-    UsbAccessError: a driver holds it, it may not be opened, or nothing can be played on it.
-    NoLibusbError, NoUsbDeviceError: libusb is missing, or does not see it.
+    UsbAccessError: a driver is attached, the device cannot be used, or it cannot play sound.
+    NoLibusbError: PyUSB or libusb is missing. NoUsbDeviceError: libusb does not see the device.
     """
-    drivers = held_by(device)
-    if drivers:
+    if drivers := held_by(device):
         raise UsbAccessError(
             f"{device.label!r} belongs to the driver {', '.join(drivers)}; set its volume in the "
             "sound settings or with alsamixer, or use --take-over to detach the driver for a moment"
@@ -222,6 +282,6 @@ def open_control(device: UsbAudioDevice) -> UsbControl:
 
 
 def held_by(device: UsbAudioDevice) -> tuple[str, ...]:
-    """Return the drivers of the kernel that hold audio interfaces of a device."""
-    drivers: Iterable[str] = (interface.driver for interface in device.interfaces)
-    return tuple(dict.fromkeys(name for name in drivers if name not in ("", "usbfs")))
+    """Return the names of the kernel drivers attached to a device's audio interfaces."""
+    drivers = dict.fromkeys(interface.driver for interface in device.interfaces)
+    return tuple(name for name in drivers if name not in ("", "usbfs"))

@@ -1,11 +1,9 @@
-"""The process that gives a device back to its driver when its parent lets go, or was killed.
+"""A child process that attaches a device's driver again when its parent ends or closes a pipe.
 
-Reads lines of JSON from standard input, of which the last one counts, until it is closed. Then it
-restores the state and attaches the driver; what is wrong is one line on standard output. A device
-that was unplugged in the meantime needs nothing.
+The process reads lines of JSON from standard input until the end of the input. Then it restores the
+settings in the last complete line and attaches the driver. An error is printed as one line on
+standard output.
 """
-
-from __future__ import annotations
 
 import json
 import signal
@@ -15,41 +13,39 @@ from pathlib import Path
 from typing import Any
 
 from device.errors import CushionError, NoUsbDeviceError
-from device.usb.control import ControlState, UsbControl, playback_of
-from device.usb.pyusb_access import open_device
+from device.usb.control import ControlState, UsbControl, open_device, playback_of
 from device.usb.sysfs import find_devices
 
 
 def main() -> int:
-    """Wait, then give the device back; return exit code 1 if that failed."""
+    """Read the input and restore the device if it is present; return 1 after an error, else 0."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
-    told: dict[str, Any] | None = None
+    wanted: dict[str, Any] | None = None
     for line in sys.stdin:
-        with suppress(ValueError):  # the last line was cut when the parent died
-            told = json.loads(line)
-    if told is None:
+        with suppress(ValueError):  # the parent died while it wrote the last line
+            wanted = json.loads(line)
+    if wanted is None:
         return 0
     try:
-        _give_back(told)
+        _give_back(wanted)
     except NoUsbDeviceError:
-        return 0
+        pass
     except CushionError as error:
         print(error)
         return 1
     return 0
 
 
-def _give_back(told: dict[str, Any]) -> None:
-    devices = find_devices(Path(told["root"])).devices
-    place = (told["port"], told["address"])
+def _give_back(wanted: dict[str, Any]) -> None:
+    devices = find_devices(Path(wanted["root"])).devices
+    place = (wanted["port"], wanted["address"])
     device = next((one for one in devices if (one.port, one.address) == place), None)
-    if device is None:  # another plugging in is another device, with a driver of its own
+    if device is None:  # unplugged; the kernel attaches the driver at the next plug-in
         return
-    state = told["state"]
+    state = wanted["state"]
     handle = open_device(device)
     control = UsbControl(device, playback_of(device), handle)
-    trouble: CushionError | None = None
     try:
         control.restore(
             ControlState(
@@ -58,27 +54,21 @@ def _give_back(told: dict[str, Any]) -> None:
                 state["samplerate"],
             )
         )
-    except CushionError as error:
-        trouble = error
     finally:
         control.close()
-    _attach(handle, told["interfaces"])
-    if trouble is not None:
-        raise trouble
+        _attach(handle, wanted["interfaces"])
 
 
 def _attach(handle: Any, interfaces: list[int]) -> None:
     import usb.core
     import usb.util
 
-    try:
-        for number in interfaces:
-            # The driver of the first takes the others along, and they are then busy.
-            with suppress(usb.core.USBError, NotImplementedError):
-                if not handle.is_kernel_driver_active(number):
-                    handle.attach_kernel_driver(number)
-    finally:
-        usb.util.dispose_resources(handle)
+    for number in interfaces:
+        # Attaching the driver to the first interface also attaches it to the others.
+        with suppress(usb.core.USBError, NotImplementedError):
+            if not handle.is_kernel_driver_active(number):
+                handle.attach_kernel_driver(number)
+    usb.util.dispose_resources(handle)
 
 
 if __name__ == "__main__":

@@ -1,18 +1,17 @@
-"""Names of USB devices that survive unplugging, and the devices that a name means.
+"""Permanent names of USB devices, and the devices that they name. Pure functions.
 
-A name is vendor, product and serial. Where a maker gives every unit the same serial, or none, the
-port is added. The number of a sound card and the address on the bus are not part of the name,
-since both change at every plugging. Pure functions.
+A name consists of vendor id, product id and serial, and of the port if the serial is missing or
+not unique. A name has no card number or bus address, which may change at the next plug-in.
 
-A port is named as the kernel does: the number of the bus, then a port of each hub. It stays over a
-reboot as long as the machine keeps its USB controllers.
+A port is written as in the kernel: the number of the bus, then the port on each hub. A port keeps
+its name after a reboot as long as the machine keeps its USB controllers.
 """
-
-from __future__ import annotations
 
 import re
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from operator import attrgetter
 
 from device.errors import NotFoundError, NoUsbDeviceError, UsageError
 from device.usb.sysfs import Found, UsbAudioDevice
@@ -24,24 +23,16 @@ _NAME = re.compile(
     r"(?::(?P<serial>.+?))?(?:@(?P<port>\d+-\d+(?:\.\d+)*))?"
 )
 
+# DualSense and DualSense Edge: channels 0 and 1 are speaker and headphones
+_COILS = {("054c", "0ce6"): (2, 3), ("054c", "0df2"): (2, 3)}
+
 
 @dataclass(frozen=True)
 class UsbIdentity:
-    """A USB device by name.
+    """The name of a USB device.
 
-    Parameters
-    ----------
-    vendor_id, product_id : str
-        Four hexadecimal digits each, kept in lower case.
-    serial : str
-        Serial number, "" for any.
-    port : str
-        Port as the kernel names it, "" for any.
-
-    Raises
-    ------
-    UsageError
-        No device can have this name.
+    vendor_id, product_id: four hexadecimal digits each, converted to lower case. serial, port: ""
+    matches any. UsageError: the parts do not form a valid name.
     """
 
     vendor_id: str
@@ -62,71 +53,45 @@ class UsbIdentity:
         return f"usb:{self.vendor_id}:{self.product_id}{serial}{port}"
 
     @classmethod
-    def parse(cls, text: str) -> UsbIdentity:
-        """Return the identity in a text from `str` or from a user; "usb:" is optional.
-
-        Raises
-        ------
-        UsageError
-            It is not written as `GRAMMAR` says.
-        """
+    def parse(cls, text: str) -> "UsbIdentity":
+        """Return the identity in a text, with or without "usb:". UsageError: wrong form."""
         parts = _NAME.fullmatch(text.removeprefix("usb:"))
         if parts is None:
             raise UsageError(
-                f"{text!r} names no USB device: it is written {GRAMMAR}, with four hexadecimal "
-                "digits for VID and PID each and a port such as 1-2 or 1-2.3"
+                f"device {text!r} is not {GRAMMAR} with four hexadecimal digits each for VID and "
+                "PID, and a port such as 1-2 or 1-2.3"
             )
         return cls(parts["vendor"], parts["product"], parts["serial"] or "", parts["port"] or "")
 
     def is_device(self, device: UsbAudioDevice) -> bool:
-        """Whether it names this device, perhaps among others."""
+        """Whether the name matches this device; it may match other devices, too."""
         if (self.vendor_id, self.product_id) != (device.vendor_id, device.product_id):
             return False
         if self.port not in ("", device.port):
             return False
-        return not self.serial or (
-            device.serial != "" and self.serial in (device.serial, *_server_serials(device))
-        )
+        return self.serial == "" or self.serial in _serials(device)
 
 
 def identify(device: UsbAudioDevice, present: Iterable[UsbAudioDevice]) -> UsbIdentity:
-    """Return a name that means this device alone, also after it was plugged in again.
+    """Return a permanent name that no other present device has.
 
-    With a unique serial the name holds for every port, else it includes the port.
-
-    Parameters
-    ----------
-    device : UsbAudioDevice
-        The device.
-    present : iterable of UsbAudioDevice
-        All present devices, with or without this one.
+    device: if its serial is unique, its name is valid at every port, else only at the present port.
+    present: all present devices, with or without this device.
     """
     bare = UsbIdentity(device.vendor_id, device.product_id)
-    twins = any(other.port != device.port and _same_kind(other, device) for other in present)
-    if device.serial and not twins:
-        try:
+    kind = attrgetter("vendor_id", "product_id", "serial")
+    is_unique = all(other.port == device.port or kind(other) != kind(device) for other in present)
+    if device.serial and is_unique:
+        with suppress(UsageError):  # the end of the serial has the form of a port
             return replace(bare, serial=device.serial)
-        except UsageError:  # it ends as if a port followed
-            pass
     return replace(bare, serial=device.serial, port=device.port)
 
 
 def find_one(identity: UsbIdentity, found: Found) -> UsbAudioDevice:
-    """Return the device that a name means.
+    """Return the one present device that a name matches. identity: the name. found: all devices.
 
-    Parameters
-    ----------
-    identity : UsbIdentity
-        The name.
-    found : Found
-        The present devices.
-
-    Raises
-    ------
-    NoUsbBusError, NoUsbDeviceError
-        No device has the name; the message lists the present ones.
-    NotFoundError
-        Several devices have it; the message says how to name one.
+    NoUsbBusError, NoUsbDeviceError: the name matches no device; the message lists the present
+    devices. NotFoundError: the name matches several; the message gives a unique name for each.
     """
     matches = [device for device in found.devices if identity.is_device(device)]
     if len(matches) == 1:
@@ -134,21 +99,19 @@ def find_one(identity: UsbIdentity, found: Found) -> UsbAudioDevice:
     if matches:
         raise NotFoundError(
             f"{identity} is not one device but {len(matches)}: "
-            f"{describe(matches, found.devices)}; name one as written here"
+            f"{_described(matches, found.devices)}; name one as written here"
         )
     if not found.devices and found.reason is not None:
         raise type(found.reason)(f"{identity} is missing: {found.reason}")
     raise NoUsbDeviceError(
         f"{identity} is missing: plug it in, or name one of "
-        f"{describe(found.devices, found.devices)}"
+        f"{_described(found.devices, found.devices)}"
     )
 
 
-def describe(devices: Iterable[UsbAudioDevice], present: Iterable[UsbAudioDevice]) -> str:
-    """Return devices on one line, each with a name that identifies it."""
-    known = tuple(present)
+def _described(devices: Iterable[UsbAudioDevice], present: tuple[UsbAudioDevice, ...]) -> str:
     return ", ".join(
-        f"{identify(device, known)} ({device.label}, port {device.port}"
+        f"{identify(device, present)} ({device.label}, port {device.port}"
         + "".join(f", card {card.number}" for card in device.cards)
         + ")"
         for device in devices
@@ -156,43 +119,31 @@ def describe(devices: Iterable[UsbAudioDevice], present: Iterable[UsbAudioDevice
 
 
 def is_server_serial(known: str, serial: str) -> bool:
-    """Whether a sound server's serial is a device's serial, or was copied from it."""
-    return any(
-        known == form or known.endswith(f"_{form}") for form in (serial, udev_form(serial)) if form
-    )
+    """Whether a serial from a sound server equals or ends with a device's serial."""
+    forms = filter(None, (serial, _udev_form(serial)))
+    return any(known == form or known.endswith(f"_{form}") for form in forms)
 
 
-def udev_form(text: str) -> str:
-    """Return a string of a device as udev has it, and sound servers from there.
-
-    Blanks are joined into one "_"; so is whatever is none of its signs (systemd, udev_replace_chars
-    in udev-util.c, and usb_id).
-    """
-    joined = re.sub(r"\s+", "_", text.strip())
-    return re.sub(r"[^#+\-.:=@\w]", "_", joined)
+def _udev_form(text: str) -> str:
+    """Replace characters as udev does (systemd: udev_replace_chars in udev-util.c, and usb_id)."""
+    return re.sub(r"[^#+\-.:=@\w]", "_", re.sub(r"\s+", "_", text.strip()))
 
 
 def udev_serial(device: UsbAudioDevice) -> str:
-    """Return the serial of a device as udev has it; "" where it has none or udev drops it.
-
-    What sound servers call the serial is this one behind the names of maker and product.
-    """
+    """Return a device's serial in udev's form; "" if there is none or udev omits it."""
     if any(not " " <= sign <= "~" or sign == "," for sign in device.serial):
         return ""
-    return udev_form(device.serial)
+    return _udev_form(device.serial)
 
 
-def _server_serials(device: UsbAudioDevice) -> tuple[str, ...]:
-    """Return what else a serial may have been copied from: udev's own form, a sound server's."""
+def _serials(device: UsbAudioDevice) -> tuple[str, ...]:
+    """Return a device's serial as the device, udev and a sound server write it."""
     serial = udev_serial(device)
-    vendor = udev_form(device.manufacturer) or device.vendor_id
-    model = udev_form(device.product) or device.product_id
-    return (serial, f"{vendor}_{model}_{serial}") if serial else ()
+    vendor = _udev_form(device.manufacturer) or device.vendor_id
+    model = _udev_form(device.product) or device.product_id
+    return (device.serial, serial, f"{vendor}_{model}_{serial}") if serial else (device.serial,)
 
 
-def _same_kind(one: UsbAudioDevice, other: UsbAudioDevice) -> bool:
-    return (one.vendor_id, one.product_id, one.serial) == (
-        other.vendor_id,
-        other.product_id,
-        other.serial,
-    )
+def coil_channels(vendor_id: str, product_id: str) -> tuple[int, ...]:
+    """Return the numbers, from 0, of the channels that drive actuators; () if unknown."""
+    return _COILS.get((vendor_id, product_id), ())

@@ -1,11 +1,8 @@
-"""USB devices, their sound cards, ALSA's names of them and a sound server's sinks, both ways.
+"""Which ALSA names and sinks of a sound server belong to which USB device. Pure functions.
 
-Pure functions of `find_devices` and a snapshot of the server. A sink's properties are used in the
-order of their reliability: its path in /sys, then the number of its sound card if the ids agree,
-then ids and serial if they are unique. A sink whose device has gone never leads to another device.
+The first of these properties that a sink has determines its device: path in /sys, sound card, ids.
+No device matches if other properties contradict card or ids, or several devices have the ids.
 """
-
-from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
@@ -25,40 +22,38 @@ _PCM_NAME = re.compile(r"[a-z]\w*:(?:CARD=)?(?P<card>[^,:\s]+)(?:,.*)?")
 
 
 def hw_names(device: UsbAudioDevice) -> tuple[str, ...]:
-    """Return ALSA's names of all that plays on a device, such as "hw:1,0"."""
+    """Return the ALSA names of a device's playback devices, such as "hw:1,0"."""
     return tuple(f"hw:{card.number},{pcm}" for card in device.cards for pcm in card.playback)
 
 
 def card_of_name(name: str) -> str:
-    """Return the card, by number or id, of an ALSA or PortAudio name; "" if it names none.
+    """Return the number or id of the card in an ALSA or PortAudio name; "" if there is none.
 
-    Such as 1 of "hw:1,0", "DAC" of "plughw:CARD=DAC,DEV=0" and 1 of "DAC: USB Audio (hw:1,0)".
+    The result is "1" for "hw:1,0" and "DAC: USB Audio (hw:1,0)", and "DAC" for
+    "plughw:CARD=DAC,DEV=0".
     """
     match = _IN_BRACKETS.search(name) or _PCM_NAME.fullmatch(name)
     return match["card"] if match else ""
 
 
 def device_of_card(card: int | str, devices: Iterable[UsbAudioDevice]) -> UsbAudioDevice | None:
-    """Return the device of a sound card, by its number or id."""
-    wanted = str(card)
+    """Return the USB device that has a sound card, None if none has. card: its number or id."""
     for device in devices:
-        for known in device.cards:
-            # ALSA allows no id that is a number
-            if wanted in (str(known.number), known.id) and wanted:
-                return device
+        # an ALSA id is never a number; "" means an unknown id
+        if any(str(card) in (str(each.number), each.id or None) for each in device.cards):
+            return device
     return None
 
 
 def device_of_sink(sink: Sink, devices: Iterable[UsbAudioDevice]) -> UsbAudioDevice | None:
-    """Return the device that a sink plays on, or None if that is unknown."""
+    """Return the device on which a sink plays; None if the device is unknown or ambiguous."""
     known = tuple(devices)
     place = sink.properties.get("sysfs.path", "")
     if place:
         folder = f"{place.removeprefix('/sys')}/"
         above = [device for device in known if folder.startswith(f"{device.path}/")]
         return max(above, key=lambda device: len(device.path), default=None)
-    card = _card_of(sink.properties)
-    if card:
+    if card := _card_of(sink.properties):
         device = device_of_card(card, known)
         return device if device is not None and _agrees(sink, device) else None
     identity = identity_of(sink)
@@ -71,44 +66,37 @@ def device_of_sink(sink: Sink, devices: Iterable[UsbAudioDevice]) -> UsbAudioDev
 def sinks_of(
     device: UsbAudioDevice, sinks: Iterable[Sink], devices: Iterable[UsbAudioDevice]
 ) -> tuple[Sink, ...]:
-    """Return the sinks that play on a device. devices: all present devices, also this one."""
+    """Return the sinks that play on a device. devices: all present devices, including this one."""
     known = tuple(devices)
     return tuple(sink for sink in sinks if device_of_sink(sink, known) == device)
 
 
 def is_sink_of(identity: UsbIdentity, sink: Sink) -> bool:
-    """Whether a sink plays on a device of this name, judged by the sink's data alone.
-
-    A name with a port needs a sink that reports its port.
-    """
+    """Whether a sink plays on a device that `identity` names."""
     known = identity_of(sink)
     if not known.is_usb(identity.vendor_id, identity.product_id):
         return False
     if identity.serial and not is_server_serial(known.serial, identity.serial):
         return False
-    if not identity.port:
-        return True
-    port = port_of_sink(sink)
-    if port:
-        return port == identity.port
-    return _chain_of(sink) == identity.port.partition("-")[2]
+    if port := port_of_sink(sink):
+        return identity.port in ("", port)
+    return not identity.port or _chain_of(sink) == identity.port.partition("-")[2]
 
 
 def port_of_sink(sink: Sink) -> str:
-    """Return the port that a sink's device is plugged into, such as "1-2.3"; "" if unknown."""
+    """Return the USB port of a sink's device, such as "1-2.3"; "" if unknown."""
     ports = _PORT_FOLDER.findall(sink.properties.get("sysfs.path", ""))
     return str(ports[-1]) if ports else ""
 
 
 def _card_of(properties: Mapping[str, str]) -> str:
-    for key in _CARD_KEYS:
-        if properties.get(key):
-            return properties[key]
-    return next(filter(None, (card_of_name(properties.get(key, "")) for key in _PCM_KEYS)), "")
+    numbers = [properties.get(key, "") for key in _CARD_KEYS]
+    names = [card_of_name(properties.get(key, "")) for key in _PCM_KEYS]
+    return next(filter(None, numbers + names), "")
 
 
 def _agrees(sink: Sink, device: UsbAudioDevice) -> bool:
-    """Whether nothing that a sink says speaks against a device."""
+    """Whether all that is known of a sink's bus, ids, port and serial agrees with a device."""
     known = identity_of(sink)
     if known.bus not in ("", "usb"):
         return False
@@ -124,6 +112,6 @@ def _agrees(sink: Sink, device: UsbAudioDevice) -> bool:
 
 
 def _chain_of(sink: Sink) -> str:
-    """Return the ports of a bus path such as "pci-0000:00:14.0-usb-0:2.3:1.0": "2.3"."""
+    """Return the hub ports in a bus path: "2.3" in "pci-0000:00:14.0-usb-0:2.3:1.0"."""
     match = _BUS_PATH.search(sink.properties.get("device.bus_path", ""))
     return match["chain"] if match else ""

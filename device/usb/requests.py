@@ -1,42 +1,36 @@
-"""What is asked of an audio device's controls, as the bytes of control transfers, and the answers.
+"""USB control transfers for volume, mute and samplerate, and the decoding of their answers.
 
-Pure functions. Volumes are in dB here, and in 1/256 dB on the wire, signed 16 bit, where -32768 is
-silence. Sources: USB Audio 1.0, 5.2; 2.0, 5.2.
+Pure functions. In a transfer, a volume is a signed 16-bit number in units of 1/256 dB; -32768 is
+silence. Sources: section 5.2 of USB Audio 1.0 and of USB Audio 2.0.
 """
-
-from __future__ import annotations
 
 import math
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from device.errors import UsageError, UsbAccessError
 from device.usb.descriptors import PlaybackFormat, RateRange
-from device.usb.descriptors.entities import VOLUME_UNITS_PER_DB, FeatureControl
+from device.usb.descriptors.audio_class import VOLUME_UNITS_PER_DB, FeatureControl
 from device.volume_limit import MAX_VOLUME_DB, limit_volume_db
 
 What = Literal["now", "range", "lowest", "highest", "step"]
 
 SILENCE_UNITS = -32_768
 
-_OUT_OF_INTERFACE, _OUT_OF_ENDPOINT = 0xA1, 0xA2
-_INTO_INTERFACE, _INTO_ENDPOINT = 0x21, 0x22
+# bmRequestType of a query: to the host, of the class, for an interface or an endpoint
+_INTERFACE, _ENDPOINT = 0xA1, 0xA2
+_TO_HOST = 0x80
+_GET_1: dict[What, int] = {"now": 0x81, "lowest": 0x82, "highest": 0x83, "step": 0x84}
 _GET_2: dict[What, int] = {"now": 0x01, "range": 0x02}
-_GET: dict[int, dict[What, int]] = {
-    1: {"now": 0x81, "lowest": 0x82, "highest": 0x83, "step": 0x84},
-    2: _GET_2,
-    3: _GET_2,
-}
 _SET = 0x01
-_SAMPLERATE = 0x01
-_MOST_RANGES = 32
-"""More than the ranges of any device, so that a lying count asks for little."""
+_SAMPLERATE = 0x01 << 8
+_MOST_RANGES = 32  # most ranges that are read from an answer; limits its length
 
 
 @dataclass(frozen=True)
 class Request:
-    """One control transfer. length: of the answer; data: bytes to send, None for a query."""
+    """One control transfer. length: bytes sent or received. data: bytes sent; None for a query."""
 
     request_type: int
     request: int
@@ -45,21 +39,25 @@ class Request:
     length: int
     data: bytes | None = None
 
+    def setting(self, value: int, *, signed: bool = False) -> "Request":
+        """Return the request that sets what this request queries."""
+        data = value.to_bytes(self.length, "little", signed=signed)
+        return replace(self, request_type=self.request_type & ~_TO_HOST, request=_SET, data=data)
+
 
 @dataclass(frozen=True)
 class VolumeRange:
-    """What a volume can be, in dB; step_db: between two values that differ."""
+    """The range and the step of a volume control."""
 
     lowest_db: float
     highest_db: float
     step_db: float
 
     def allowed(self, wanted_db: float, limit_db: float = MAX_VOLUME_DB) -> float:
-        """Return the value to set, in dB: the next that is neither above `wanted_db` nor a limit.
+        """Return the highest settable volume that exceeds none of wanted_db, limit_db and 0 dB.
 
-        What is below the range becomes its lowest value.
-
-        UsageError: wanted_db is no number, or even the lowest value is above the limit.
+        If wanted_db is below the range, the result is lowest_db.
+        UsageError: wanted_db is NaN, or lowest_db is above limit_db or 0 dB.
         """
         most_db = limit_volume_db(wanted_db, self.lowest_db, "the device", limit_db)
         highest_db = min(most_db, self.highest_db)
@@ -70,88 +68,72 @@ class VolumeRange:
 def feature(
     playback: PlaybackFormat, control: FeatureControl, channel: int, what: What = "now"
 ) -> Request:
-    """Return how to ask for a control of the feature unit that a playback format goes through.
-
-    UsbAccessError: there is no such unit.
-    """
+    """Return the query of a channel's volume or mute. UsbAccessError: there is no feature unit."""
     length = 1 if control is FeatureControl.MUTE else 2
     if what == "range":
         length = 2 + 3 * length * _MOST_RANGES
     value = (control + 1) << 8 | channel
     index = _unit_index(playback, playback.feature_unit, "volume or mute")
-    return Request(_OUT_OF_INTERFACE, _GET[playback.uac][what], value, index, length)
+    get = _GET_1 if playback.uac == 1 else _GET_2
+    return Request(_INTERFACE, get[what], value, index, length)
 
 
 def set_feature(
     playback: PlaybackFormat, control: FeatureControl, channel: int, value: int
 ) -> Request:
-    """Return how to set it; value: in the units of the control."""
+    """Return the request that sets a volume in 1/256 dB, or a mute: 1 is muted, 0 is not."""
     asked = feature(playback, control, channel)
-    data = value.to_bytes(asked.length, "little", signed=control is not FeatureControl.MUTE)
-    return Request(_INTO_INTERFACE, _SET, asked.value, asked.index, len(data), data)
+    return asked.setting(value, signed=control is not FeatureControl.MUTE)
 
 
 def samplerate(playback: PlaybackFormat, what: What = "now") -> Request:
-    """Return how to ask for the samplerate: of the endpoint in 1.0, of its clock source in 2.0.
-
-    UsbAccessError: 2.0, and it is unknown which of several clocks it is, or there is none.
-    """
+    """Return the query of the samplerate or its range. UsbAccessError: no query is possible."""
     if playback.uac == 1 and what != "now":
         raise UsbAccessError("a device of USB Audio 1.0 lists its samplerates in its descriptors")
     if playback.uac == 1:
-        address = playback.endpoint_address
-        return Request(_OUT_OF_ENDPOINT, _GET[1][what], _SAMPLERATE << 8, address, 3)
+        return Request(_ENDPOINT, _GET_1[what], _SAMPLERATE, playback.endpoint_address, 3)
     if len(playback.clock_sources) > 1:
         raise UsbAccessError(
             f"the device can use any of the clocks {playback.clock_sources}; the clock in use is "
             "not known, so none is read"
         )
-    clock = playback.clock_sources[0] if playback.clock_sources else None
-    index = _unit_index(playback, clock, "a clock")
+    index = _unit_index(playback, next(iter(playback.clock_sources), None), "a clock")
     length = 4 if what == "now" else 2 + 12 * _MOST_RANGES
-    return Request(_OUT_OF_INTERFACE, _GET_2[what], _SAMPLERATE << 8, index, length)
+    return Request(_INTERFACE, _GET_2[what], _SAMPLERATE, index, length)
 
 
 def set_samplerate(playback: PlaybackFormat, hertz: int) -> Request:
-    """Return how to set the samplerate, Hz. UsageError: no device can have it."""
+    """Return the request that sets the samplerate in Hz. UsageError: the rate is out of range."""
     asked = samplerate(playback)
     if not 0 < hertz < 1 << 8 * min(3, asked.length):
         raise UsageError(f"samplerate {hertz} Hz is not possible; choose one that is offered")
-    into = _INTO_ENDPOINT if playback.uac == 1 else _INTO_INTERFACE
-    data = hertz.to_bytes(asked.length, "little")
-    return Request(into, _SET, asked.value, asked.index, len(data), data)
-
-
-def volume_db(answer: bytes) -> float:
-    """Return a volume in dB; -inf is silence. UsbAccessError: no volume."""
-    return from_volume_units(_units("volume", answer, "<h")[0])
+    return asked.setting(hertz)
 
 
 def from_volume_units(units: int) -> float:
-    """Return a volume in dB of 1/256 dB; -inf is silence."""
+    """Convert a volume from 1/256 dB to dB; -inf is silence."""
     return -math.inf if units == SILENCE_UNITS else units / VOLUME_UNITS_PER_DB
 
 
 def volume_units(decibels: float) -> int:
-    """Return a volume in 1/256 dB, rounded down; -inf is silence."""
+    """Convert a volume from dB to 1/256 dB, rounded down; -inf is silence."""
     if decibels == -math.inf:
         return SILENCE_UNITS
     return max(SILENCE_UNITS + 1, min(32_767, math.floor(decibels * VOLUME_UNITS_PER_DB + 1e-6)))
 
 
-def volume_range(lowest: bytes, highest: bytes, step: bytes) -> VolumeRange:
-    """Return the range of three answers of 1.0. UsbAccessError: it is none."""
-    triple = [_units("volume range", answer, "<h")[0] for answer in (lowest, highest, step)]
-    return _volume_range([(triple[0], triple[1], triple[2])])
+def volume_range(*answers: bytes) -> VolumeRange:
+    """Decode answers of USB Audio 1.0: lowest, highest, step. UsbAccessError: invalid answer."""
+    return _volume_range([tuple(volume(answer, "volume range") for answer in answers)])
 
 
 def volume_ranges(answer: bytes) -> VolumeRange:
-    """Return the range of one answer of 2.0, from its first to its last. UsbAccessError: none."""
+    """Decode an answer of USB Audio 2.0; unite its ranges. UsbAccessError: invalid answer."""
     return _volume_range(_ranges("volume range", answer, "<hhh"))
 
 
 def samplerate_ranges(answer: bytes) -> tuple[RateRange, ...]:
-    """Return the rates in Hz of a clock source of 2.0; a single rate is a range, too."""
+    """Decode a clock's samplerates (USB Audio 2.0), in Hz; a single rate is a range, too."""
     return tuple(
         RateRange(lowest, highest)
         for lowest, highest, _ in _ranges("samplerates", answer, "<III")
@@ -159,11 +141,19 @@ def samplerate_ranges(answer: bytes) -> tuple[RateRange, ...]:
     )
 
 
-def number(answer: bytes, length: int) -> int:
-    """Return a number without a sign. UsbAccessError: the answer is too short."""
+def volume(answer: bytes, name: str = "volume") -> int:
+    """Decode a volume in 1/256 dB. UsbAccessError: the answer is too short."""
+    return number(answer, 2, name, signed=True)
+
+
+def number(answer: bytes, length: int, name: str = "number", *, signed: bool = False) -> int:
+    """Decode an integer at the start of an answer. UsbAccessError: the answer is too short."""
     if len(answer) < length:
-        raise _short("number", answer, length)
-    return int.from_bytes(answer[:length], "little")
+        raise UsbAccessError(
+            f"the device answers {answer.hex(' ') or 'nothing'} where its {name} needs {length} "
+            "bytes"
+        )
+    return int.from_bytes(answer[:length], "little", signed=signed)
 
 
 def _volume_range(triples: list[tuple[int, ...]]) -> VolumeRange:
@@ -174,33 +164,19 @@ def _volume_range(triples: list[tuple[int, ...]]) -> VolumeRange:
             f"the device offers volumes from {lowest / VOLUME_UNITS_PER_DB:g} to "
             f"{highest / VOLUME_UNITS_PER_DB:g} dB, not a valid range; its volume is not changed"
         )
-    # Silence is no volume that steps can be counted from.
+    # -32768 is silence, not a volume in dB.
     lowest = max(lowest, SILENCE_UNITS + 1)
     step = max(1, *(step for _, _, step in triples))
-    units = VOLUME_UNITS_PER_DB
-    return VolumeRange(lowest / units, highest / units, step / units)
+    return VolumeRange(*(units / VOLUME_UNITS_PER_DB for units in (lowest, highest, step)))
 
 
 def _ranges(name: str, answer: bytes, layout: str) -> list[tuple[int, ...]]:
-    """Return the (lowest, highest, step) of a RANGE answer that are really there."""
-    (count,) = _units(name, answer, "<H")
+    """Return all complete triples (lowest, highest, step) in the answer to a RANGE request."""
     size = struct.calcsize(layout)
-    whole = min(count, (len(answer) - 2) // size)
+    whole = min(number(answer, 2, name), (len(answer) - 2) // size)
     if not whole:
         raise UsbAccessError(f"the device offers no {name}: {answer.hex(' ')}")
     return [struct.unpack_from(layout, answer, 2 + size * each) for each in range(whole)]
-
-
-def _units(name: str, answer: bytes, layout: str) -> tuple[int, ...]:
-    if len(answer) < struct.calcsize(layout):
-        raise _short(name, answer, struct.calcsize(layout))
-    return struct.unpack_from(layout, answer)
-
-
-def _short(name: str, answer: bytes, length: int) -> UsbAccessError:
-    return UsbAccessError(
-        f"the device answers {answer.hex(' ') or 'nothing'} where its {name} has {length} bytes"
-    )
 
 
 def _unit_index(playback: PlaybackFormat, unit: int | None, name: str) -> int:

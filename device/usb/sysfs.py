@@ -1,11 +1,8 @@
-"""USB audio devices as the kernel lists them, without permission, library or opening.
+"""USB audio devices as the kernel lists them; this needs no permission and opens no device.
 
-All of it is read from /sys and /proc, below a `root` that only tests change. A device that is
-pulled out while it is read is left out. Reading one takes about a millisecond, or longer while it
-is being plugged in, so audio threads do not call this.
+All information is from /sys and /proc; only tests pass another `root`. A device that is unplugged
+while it is read is left out. Audio threads must not call these functions: reading files may block.
 """
-
-from __future__ import annotations
 
 import os
 import re
@@ -19,15 +16,7 @@ from device.usb.descriptors import DescriptorError, parse_whole, playback_format
 
 ROOT = Path("/")
 
-AUDIO_CLASS = 0x01
-STREAMING = 0x02
-"""The subclass of interfaces that carry samples; 0x01 is control, 0x03 is MIDI."""
-
-_NO_BUS = (
-    "no USB bus is visible: there is neither a bus in /sys/bus/usb nor /dev/bus/usb; in a "
-    "container, pass both on (such as --device /dev/bus/usb), in a virtual machine add a USB "
-    "controller"
-)
+_AUDIO_CLASS, _STREAMING = 0x01, 0x02
 
 _PORT = re.compile(r"(\d+)-\d+(\.\d+)*")
 _INTERFACE = re.compile(r"(?P<port>\d+-[\d.]+):\d+\.\d+")
@@ -37,21 +26,17 @@ _PCM = re.compile(r"pcmC(?P<card>\d+)D(?P<device>\d+)p")
 
 @dataclass(frozen=True)
 class AudioInterface:
-    """One audio interface of a device. subclass: 1 control, 2 streaming, 3 MIDI.
-
-    protocol: 0x00 for version 1 of the audio class, 0x20 for 2, 0x30 for 3. driver: that holds it,
-    such as "snd-usb-audio", "" for none.
-    """
+    """One audio interface of a device."""
 
     number: int
-    subclass: int
-    protocol: int
-    driver: str
+    subclass: int  # 1 control, 2 streaming, 3 MIDI
+    protocol: int  # 0x00 for version 1 of the audio class, 0x20 for 2, 0x30 for 3
+    driver: str  # the attached driver, such as "snd-usb-audio", "" for none
 
 
 @dataclass(frozen=True)
 class AlsaCard:
-    """A sound card of ALSA. id: its short name, "" if unknown; playback: devices that play."""
+    """A sound card. id: ALSA's id, "" if unknown. playback: numbers of its playback devices."""
 
     number: int
     id: str
@@ -60,34 +45,16 @@ class AlsaCard:
 
 @dataclass(frozen=True)
 class UsbAudioDevice:
-    """One USB device with an audio interface, as it was at one moment.
+    """One USB device with an audio interface, as it was when it was read.
 
-    Attributes
-    ----------
-    port : str
-        Bus and chain of ports, such as "1-2.3".
-    path : str
-        Path below /sys, such as "/devices/pci0000:00/0000:00:14.0/usb1/1-2".
-    vendor_id, product_id : str
-        Four hexadecimal digits each.
-    manufacturer, product, serial : str
-        The device's strings, "" for none; unprintable characters are "�".
-    bus, address : int
-        Numbers on the bus; the address changes at every plugging.
-    speed : float
-        Mbit/s, 0 if unknown.
-    max_power_ma : int or None
-        mA, None if unknown.
-    configuration : int or None
-        Number of the active configuration, None if unknown or if none is.
-    descriptors : bytes
-        Device descriptor first, then the configurations; b"" if they are unreadable.
-    node : Path
-        The file through which it is opened.
-    interfaces : tuple of AudioInterface
-        Its audio interfaces.
-    cards : tuple of AlsaCard
-        Its sound cards.
+    port: bus number and port on each hub, such as "1-2.3". path: below /sys, such as
+    "/devices/pci0000:00/0000:00:14.0/usb1/1-2". vendor_id, product_id: four hexadecimal digits
+    each. manufacturer, product, serial: texts from the device, "" for none; "�" replaces
+    unprintable characters. bus, address: numbers that the kernel gave; plugging the device in again
+    changes the address. speed: Mbit/s, 0 if unknown. max_power_ma: None if unknown. configuration:
+    number of the active configuration, None if unknown or none. descriptors: bytes of the device
+    descriptor and the configurations; b"" if unreadable. node: path of the device file.
+    interfaces, cards: the device's audio interfaces and sound cards.
     """
 
     port: str
@@ -109,11 +76,7 @@ class UsbAudioDevice:
 
     @property
     def plays(self) -> bool:
-        """Whether the device can play sound, and is not only for MIDI or recording.
-
-        A card that plays says so, else the descriptors. Without either, an interface that streams
-        counts.
-        """
+        """Whether the device can play sound, according to its cards, descriptors or interfaces."""
         if any(card.playback for card in self.cards):
             return True
         try:
@@ -122,11 +85,11 @@ class UsbAudioDevice:
             configuration = None
         if configuration is not None:
             return bool(playback_formats(configuration))
-        return not self.cards and any(each.subclass == STREAMING for each in self.interfaces)
+        return not self.cards and any(each.subclass == _STREAMING for each in self.interfaces)
 
     @property
     def label(self) -> str:
-        """Maker and product, for people."""
+        """Manufacturer and product for display; vendor and product id if both are unknown."""
         return " ".join(filter(None, (self.manufacturer, self.product))) or (
             f"{self.vendor_id}:{self.product_id}"
         )
@@ -134,32 +97,22 @@ class UsbAudioDevice:
 
 @dataclass(frozen=True)
 class Found:
-    """The present USB audio devices.
-
-    Attributes
-    ----------
-    devices : tuple of UsbAudioDevice
-        Sorted by port.
-    reason : NotFoundError or None
-        Why none of them plays; None if one does.
-    """
+    """The present devices. devices: sorted by port. reason: why none can play, or None."""
 
     devices: tuple[UsbAudioDevice, ...]
     reason: NotFoundError | None = None
 
 
 def find_devices(root: Path = ROOT) -> Found:
-    """Return every USB device with an audio interface; unreadable ones are left out.
-
-    Parameters
-    ----------
-    root : Path
-        Folder above /sys and /proc; only tests change it.
-    """
+    """Return every readable USB device with an audio interface. root: folder with sys and proc."""
     bus = root / "sys/bus/usb/devices"
-    names = names_in(bus)
+    names = _names_in(bus)
     if not any(name.startswith("usb") for name in names) and not (root / "dev/bus/usb").is_dir():
-        return Found((), NoUsbBusError(_NO_BUS))
+        reason = NoUsbBusError(
+            "no USB bus is visible in /sys/bus/usb or /dev/bus/usb; pass both on to a container "
+            "(--device /dev/bus/usb), or add a USB controller to a virtual machine"
+        )
+        return Found((), reason)
     cards = _cards(root)
     interfaces = defaultdict(list)
     for name in names:
@@ -169,28 +122,25 @@ def find_devices(root: Path = ROOT) -> Found:
         _device(root, name, sorted(interfaces[name]), cards)
         for name in sorted(filter(_PORT.fullmatch, names), key=_in_order)
     )
-    devices = tuple(device for device in found if device is not None)
+    devices = tuple(filter(None, found))
     return Found(devices, _why_none_plays(devices))
 
 
-def names_in(folder: Path) -> frozenset[str]:
-    """Return the names in a folder; none if the folder is missing or unreadable."""
+def _names_in(folder: Path) -> frozenset[str]:
     try:
-        return frozenset(os.listdir(folder))  # noqa: PTH208 - half the time of Path.iterdir
+        return frozenset(os.listdir(folder))  # noqa: PTH208 - faster than Path.iterdir
     except OSError:
         return frozenset()
 
 
-def _why_none_plays(devices: Iterable[UsbAudioDevice]) -> NoUsbDeviceError | None:
-    others = []
-    for device in devices:
-        if device.plays:
-            return None
-        others.append(f"{device.label!r} in port {device.port}")
+def _why_none_plays(devices: tuple[UsbAudioDevice, ...]) -> NoUsbDeviceError | None:
+    if any(device.plays for device in devices):
+        return None
+    others = [f"{device.label!r} in port {device.port}" for device in devices]
     if others:
         return NoUsbDeviceError(
-            f"no USB device plays sound: {', '.join(others)} is there, but only for MIDI or "
-            "recording; plug in the DAC"
+            f"no USB device plays sound: {', '.join(others)} is only for MIDI or recording; plug "
+            "in the DAC"
         )
     return NoUsbDeviceError(
         "no USB audio device is plugged in; plug in the DAC, with its own power if it has any, and "
@@ -229,7 +179,7 @@ def _device(
             interfaces=audio,
             cards=tuple(cards.get(real, ())),
         )
-        # Another device may have taken the place meanwhile; what was missing may have gone.
+        # If another device has replaced this one meanwhile, the values may be of both devices.
         if (folder / "devnum").read_bytes() != before:
             return None
     except (OSError, ValueError):
@@ -238,23 +188,24 @@ def _device(
 
 
 def _interface(folder: Path) -> AudioInterface | None:
+    driver = folder / "driver"
     try:
-        if int((folder / "bInterfaceClass").read_bytes(), 16) != AUDIO_CLASS:
+        if int((folder / "bInterfaceClass").read_bytes(), 16) != _AUDIO_CLASS:
             return None
         return AudioInterface(
             number=int((folder / "bInterfaceNumber").read_bytes(), 16),
             subclass=int((folder / "bInterfaceSubClass").read_bytes(), 16),
             protocol=int((folder / "bInterfaceProtocol").read_bytes(), 16),
-            driver=_link(folder / "driver"),
+            driver=driver.readlink().name if driver.is_symlink() else "",
         )
     except (OSError, ValueError):
         return None
 
 
 def _cards(root: Path) -> dict[str, list[AlsaCard]]:
-    """Return ALSA's cards by the real path of the USB device that they are made of."""
+    """Return the sound cards of each USB device, keyed by the real path of the device."""
     sound = root / "sys/class/sound"
-    names = names_in(sound)
+    names = _names_in(sound)
     playback = defaultdict(list)
     for name in names:
         if match := _PCM.fullmatch(name):
@@ -262,18 +213,17 @@ def _cards(root: Path) -> dict[str, list[AlsaCard]]:
     cards = defaultdict(list)
     for number in sorted(int(match[1]) for name in names if (match := _CARD.fullmatch(name))):
         place = Path(os.path.realpath(sound / f"card{number}" / "device"))
-        # Usually an interface, one below its device, which may lie below several hubs.
+        # `place` is usually an interface, one level below its device, maybe behind several hubs.
         usb = next((at for at in (place, *place.parents) if _PORT.fullmatch(at.name)), None)
         if usb is None:
             continue
-        known_as = _text(root / f"proc/asound/card{number}/id")
-        known_as = known_as or _text(sound / f"card{number}" / "id")
-        cards[str(usb)].append(AlsaCard(number, known_as, tuple(sorted(playback[number]))))
+        name = _text(root / f"proc/asound/card{number}/id") or _text(sound / f"card{number}/id")
+        cards[str(usb)].append(AlsaCard(number, name, tuple(sorted(playback[number]))))
     return cards
 
 
 def _in_order(port: str) -> list[int]:
-    """Sort 1-10 behind 1-2."""
+    """Return a sort key for ports, by which 1-10 follows 1-2."""
     return [int(number) for number in re.split("[-.]", port)]
 
 
@@ -285,7 +235,7 @@ def _bytes(path: Path) -> bytes:
 
 
 def _text(path: Path) -> str:
-    """What a file says on one line: devices are free to send line breaks or half characters."""
+    """Return a file's text; line breaks and other unprintable characters are replaced."""
     text = _bytes(path).decode("utf-8", "replace").strip()
     return "".join(sign if sign.isprintable() else "\N{REPLACEMENT CHARACTER}" for sign in text)
 
@@ -293,10 +243,3 @@ def _text(path: Path) -> str:
 def _number(path: Path, pattern: str) -> str:
     match = re.match(pattern, _text(path))
     return match[0] if match else ""
-
-
-def _link(path: Path) -> str:
-    try:
-        return path.readlink().name
-    except OSError:
-        return ""

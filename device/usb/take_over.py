@@ -1,11 +1,9 @@
-"""Taking a device away from its driver for a moment, and giving it back whatever happens.
+"""Detaching a device's kernel driver for a short time, and attaching it again in every case.
 
-While the driver is gone so is the sound card, for everybody. A second process, the guardian, gives
-the device back: it waits until this process closes a pipe, or ends in any way, restores what was
-set, and attaches the driver again. Signals to this process's group do not reach it.
+Without the driver, no program can use the sound card. A second process, guardian.py, attaches the
+driver again when this process closes a pipe or ends. The second process has its own session.
+Therefore it does not receive signals to this process's group.
 """
-
-from __future__ import annotations
 
 import json
 import subprocess
@@ -18,35 +16,33 @@ from pathlib import Path
 from typing import Any
 
 from device.alsa import find_playback
-from device.alsa.use import find_owner
+from device.alsa.cards import find_owner
 from device.errors import NotFoundError, UsbAccessError
-from device.usb.control import ControlState, UsbControl, held_by, playback_of
-from device.usb.pyusb_access import open_device
+from device.usb.control import ControlState, UsbControl, held_by, open_device, playback_of
 from device.usb.sysfs import ROOT, UsbAudioDevice, find_devices
 
-RETURNS_S = 5.0
-"""Within this the card is back after it was given back; the kernel takes tenths of a second."""
+_RETURNS_S = 5.0  # longest wait for the card
 _POLL_S = 0.02
 
 
 @contextmanager
 def take_over(device: UsbAudioDevice, *, root: Path = ROOT) -> Iterator[UsbControl]:
-    """Hold a device's controls within this context; its driver has it before and afterwards.
+    """Provide a device's controls inside this context; at its end attach the driver again.
 
-    Without a driver it is just opened. What was set within is set back in the end. For the main
-    thread of a command: it takes some tenths of a second.
-
-    UsbAccessError: something plays on it, it may not be opened, or in the end its card did not
-    come back.
-    NoLibusbError, NoUsbDeviceError: libusb is missing, or does not see it.
+    A device without a driver is only opened. At the end the former settings are restored; a volume
+    above 0 dB becomes 0 dB. The context waits for the kernel: use it only in a command's main
+    thread. UsbAccessError: the device is in use or not accessible, or its card did not come back.
+    NoLibusbError: PyUSB or libusb is missing. NoUsbDeviceError: libusb does not see the device.
     """
     _refuse_busy(device, root)
     playback, handle = playback_of(device), open_device(device)
     control = UsbControl(device, playback, handle)
     numbers = [each.number for each in device.interfaces if each.driver in held_by(device)]
     guardian = _Guardian(device, root)
+    # This must precede the detachment, so that the driver is attached again in every case.
+    guardian.guard(ControlState(), numbers)
     try:
-        # Of all interfaces, as the question alone shows whether the device may be opened.
+        # Query all interfaces, even without a driver: this fails if the device may not be opened.
         for interface in device.interfaces:
             _detach(device, handle, interface.number)
         guardian.guard(control.state(), numbers)
@@ -61,10 +57,9 @@ def take_over(device: UsbAudioDevice, *, root: Path = ROOT) -> Iterator[UsbContr
 
 
 class _Guardian:
-    """The second process. `guard` tells it what to restore."""
+    """The second process, which restores the settings of the last call of `guard`."""
 
     def __init__(self, device: UsbAudioDevice, root: Path) -> None:
-        numbers = [each.number for each in device.interfaces if each.driver in held_by(device)]
         self._process = subprocess.Popen(
             [sys.executable, "-m", "device.usb.guardian"],
             stdin=subprocess.PIPE,
@@ -75,22 +70,20 @@ class _Guardian:
             cwd=Path(__file__).resolve().parents[2],
         )
         self._place = {"root": str(root), "port": device.port, "address": device.address}
-        # Sent before a driver is detached: from now on the process would attach it again.
-        self.guard(ControlState(), numbers)
 
     def guard(self, state: ControlState, interfaces: list[int]) -> None:
-        """Send the state and interfaces to restore, in place of those sent before."""
+        """Send the settings to restore, and the interfaces that get their driver back."""
         assert self._process.stdin is not None
         restored = {**self._place, "state": asdict(state), "interfaces": interfaces}
         self._process.stdin.write(json.dumps(restored) + "\n")
         self._process.stdin.flush()
 
     def give_back(self) -> str:
-        """Let the process give the device back; return the problem, "" if there is none."""
+        """Let the process restore settings and driver; return its error text, "" for success."""
         try:
-            output, _ = self._process.communicate(timeout=RETURNS_S + 5.0)
+            output, _ = self._process.communicate(timeout=_RETURNS_S + 5.0)
         except subprocess.TimeoutExpired:
-            return "the device does not let itself be given back; plug it in again"
+            return "the device could not be given back to its driver; plug it in again"
         return output.strip()
 
 
@@ -100,7 +93,7 @@ def _refuse_busy(device: UsbAudioDevice, root: Path) -> None:
             try:
                 user = find_owner(find_playback(f"{card.number},{number}", root / "proc/asound"))
             except NotFoundError:
-                continue  # it went meanwhile
+                continue  # the device was unplugged
             if user is not None:
                 raise UsbAccessError(
                     f"{device.label!r} is in use by {user}; end that program, then take it over"
@@ -121,11 +114,10 @@ def _detach(device: UsbAudioDevice, handle: Any, number: int) -> None:
 
 
 def _await_card(device: UsbAudioDevice, root: Path) -> None:
-    """Wait until the device's sound card is back, under any number."""
+    """Wait until the device has a sound card again; the card's number may differ."""
     nap = threading.Event()
-    for _ in range(round(RETURNS_S / _POLL_S)):
-        for other in find_devices(root).devices:
-            if other.port == device.port and other.cards:
-                return
+    for _ in range(round(_RETURNS_S / _POLL_S)):
+        if any(each.port == device.port and each.cards for each in find_devices(root).devices):
+            return
         nap.wait(_POLL_S)
     raise UsbAccessError(f"the sound card of {device.label!r} did not come back; plug it in again")

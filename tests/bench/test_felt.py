@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from tools.bench.measures.felt import felt_db, running_db, seat_weight, weighted
 from tools.bench.measures.impacts import attack, is_impact
-from tools.bench.measures.steadiness import rises_of_its_own, rises_s, warble
+from tools.bench.measures.steadiness import rises_of_its_own, rises_s, syllables_alike, warble
 from tools.bench.sounds.signals import SAMPLERATE, tone
 
 TIME_S = np.arange(2 * SAMPLERATE) / SAMPLERATE
@@ -21,20 +21,14 @@ def struck(at_s, decay_s=0.03, rise_s=0.002, frequency_hz=180.0):
     return 0.5 * rise * fall * np.sin(2.0 * np.pi * frequency_hz * since_s)
 
 
-def modulated(depth, rate_hz, frequency_hz=80.0):
-    return (
-        0.3
-        * (1.0 + depth * np.sin(2.0 * np.pi * rate_hz * TIME_S))
-        * np.sin(2.0 * np.pi * frequency_hz * TIME_S)
-    )
+def modulated(depth, rate_hz):
+    swing = 1.0 + depth * np.sin(2.0 * np.pi * rate_hz * TIME_S)
+    return swing * tone(80.0, 0.3, 2.0)
 
 
 def beats_a_second(rate_hz):
     """A tone that is off and on in turn."""
     return tone(200.0, 0.5, 2.0) * (TIME_S * rate_hz % 1.0 >= 0.5)
-
-
-# ------------------------------------------------------------------------------------- weighting
 
 
 def test_the_weight_is_that_of_the_standard_where_its_band_limit_does_nothing():
@@ -56,18 +50,12 @@ def test_a_steady_tone_is_felt_at_its_weighted_level(vibration_hz):
     assert felt == pytest.approx(20.0 * np.log10(0.5 * weight), abs=0.3)
 
 
-def test_a_tone_of_a_sixteenth_of_a_second_is_felt_less_than_a_long_one():
-    short = tone(100.0, 0.5, 1.0)
-    short[SAMPLERATE // 16 :] = 0.0
-    levels = [felt_db(running_db(each, SAMPLERATE)) for each in (short, tone(100.0, 0.5, 1.0))]
-    assert levels[1] - 6.0 < levels[0] < levels[1] - 2.0
-
-
-def test_silence_is_felt_as_the_least_level():
-    assert felt_db(running_db(np.zeros(SAMPLERATE), SAMPLERATE)) == -70.0
-
-
-# --------------------------------------------------------------------------------------- attacks
+def test_a_tone_of_a_sixteenth_of_a_second_is_felt_less_than_a_long_one_and_more_than_silence():
+    long = tone(100.0, 0.5, 1.0)
+    short = np.where(np.arange(SAMPLERATE) < SAMPLERATE // 16, long, 0.0)
+    felt = [felt_db(running_db(each, SAMPLERATE)) for each in (short, long, 0.0 * long)]
+    assert felt[1] - 6.0 < felt[0] < felt[1] - 2.0
+    assert felt[2] == -70.0
 
 
 @settings(deadline=None, max_examples=10)
@@ -80,8 +68,7 @@ def test_a_vibration_that_is_only_late_has_that_lag(delay_s):
 
 
 def test_a_second_stroke_of_twice_the_strength_counts_as_the_peak():
-    bumpy = 0.4 * struck(0.5) + struck(0.56)
-    found = attack(struck(0.5), bumpy, SAMPLERATE, 0.4)
+    found = attack(struck(0.5), 0.4 * struck(0.5) + struck(0.56), SAMPLERATE, 0.4)
     assert found is not None
     assert found.half_lag_s > 0.04
     assert found.peak_lag_s == pytest.approx(0.06, abs=5e-3)
@@ -96,14 +83,12 @@ def test_an_impact_under_a_steady_vibration_is_not_felt():
 def test_an_impact_begins_suddenly_and_a_brief_one_is_over_soon():
     slow, long = struck(0.1, decay_s=1.0, rise_s=0.3), struck(0.1, decay_s=1.0)
     again = struck(0.1) + 2.0 * struck(1.0)
-    for sound, sudden, brief in (
-        (struck(0.1), True, True), (long, True, False), (slow, False, False), (again, True, False)
-    ):  # fmt: skip
-        assert is_impact(sound, SAMPLERATE, brief=False) == sudden
-        assert is_impact(sound, SAMPLERATE, brief=True) == brief
-
-
-# ------------------------------------------------------------------------------------ steadiness
+    sounds = (struck(0.1), long, slow, again)
+    sudden, brief = (
+        [is_impact(sound, SAMPLERATE, brief=brief) for sound in sounds] for brief in (False, True)
+    )
+    assert sudden == [True, True, False, True]
+    assert brief == [True, False, False, False]
 
 
 @settings(deadline=None, max_examples=10)
@@ -123,10 +108,7 @@ def test_a_tone_that_comes_again_and_again_rises_each_time(rate_hz):
     rises = rises_s(beats_a_second(rate_hz), SAMPLERATE)
     assert abs(rises.size - 2.0 * rate_hz) <= 1
     assert np.diff(rises) == pytest.approx(1.0 / rate_hz, abs=0.02)
-
-
-def test_rises_of_less_than_6_db_do_not_count():
-    assert rises_s(modulated(0.3, 5.0), SAMPLERATE).size == 0
+    assert rises_s(modulated(0.3, rate_hz), SAMPLERATE).size == 0  # less than 6 dB do not count
 
 
 def test_only_rises_without_one_in_the_sound_are_a_vibrations_own():
@@ -135,3 +117,11 @@ def test_only_rises_without_one_in_the_sound_are_a_vibrations_own():
     assert rises_of_its_own(sound, late, SAMPLERATE) == 0.0
     assert rises_of_its_own(steady, sound, SAMPLERATE) == pytest.approx(4.0, abs=0.5)
     assert rises_of_its_own(sound, steady, SAMPLERATE) == 0.0
+
+
+@pytest.mark.parametrize("late_s", [0.0, 0.04])
+def test_syllables_are_alike_where_the_envelope_is_at_any_delay_up_to_80_ms(late_s):
+    words = sum(struck(at, decay_s=0.08, frequency_hz=900.0) for at in (0.2, 0.45, 0.9, 1.3))
+    felt = sum(struck(at + late_s, decay_s=0.08, frequency_hz=80.0) for at in (0.2, 0.45, 0.9, 1.3))
+    assert syllables_alike(words, felt, SAMPLERATE) > 0.97
+    assert syllables_alike(words, tone(80.0, 0.3, 2.0), SAMPLERATE) < 0.5

@@ -25,17 +25,11 @@ def pulse(duration_s):
     ("frequency_hz", "level_db", "sone"),
     [(1_000.0, 40.0, 1.0), (250.0, 80.0, 14.655), (1_000.0, 60.0, 4.019), (4_000.0, 40.0, 1.549)],
 )
-def test_steady_tones_have_the_loudness_of_the_standard_within_one_percent(
-    frequency_hz, level_db, sone
-):
+def test_steady_tones_have_the_standard_s_loudness_within_one_percent(frequency_hz, level_db, sone):
     settled = loudness_sone(at_spl(frequency_hz, level_db))[-200:]
     assert settled == pytest.approx(sone, rel=0.01)
-
-
-@pytest.mark.parametrize("level_db", [40.0, 60.0, 80.0])
-def test_a_tone_of_1_khz_has_its_level_in_phon(level_db):
-    settled = loudness_sone(at_spl(1_000.0, level_db))[-200:]
-    assert phon(settled) == pytest.approx(level_db, abs=0.5)
+    if frequency_hz == 1_000.0:
+        assert phon(settled) == pytest.approx(level_db, abs=0.5)
 
 
 @pytest.mark.parametrize("duration_s", [0.01, 0.05])
@@ -45,12 +39,6 @@ def test_the_coarser_decay_gives_pulses_the_loudness_of_the_whole_procedure(dura
     ours = loudness_sone(signal)
     for measure in (np.max, lambda sone: np.percentile(sone, 95.0)):
         assert measure(ours) == pytest.approx(measure(whole), rel=0.02)
-
-
-def test_a_short_pulse_is_less_loud_than_a_long_one():
-    peaks = [loudness_sone(pulse(duration_s)).max() for duration_s in (0.01, 0.05, 0.2)]
-    assert peaks == sorted(peaks)
-    assert peaks[0] < 0.8 * peaks[-1]
 
 
 def test_loudness_over_time_follows_the_level_of_pieces():

@@ -5,22 +5,20 @@ import sys
 
 import pytest
 
-from tests.support.bench_runs import bench_command
-from tools.bench import run as bench
+from tests.support.bench_runs import broken, run_benches
 from tools.bench.figures.pictures import PICTURES, shown_in
 from tools.bench.report import Row, Section
 
-SMALL_BYTES = 100_000
+SERIES = {"live": (6.0, 7.0, 8.0, 9.5), "reference": (20.0, 35.0, 50.0, 58.0)}
+"""What the picture of lags is drawn from: single lags in ms, for both forms."""
 
 
 def lags(_):
-    """Return what the picture of lags is drawn from: single lags in ms, for both forms."""
-    series = {"live": (6.0, 7.0, 8.0, 9.5), "reference": (20.0, 35.0, 50.0, 58.0)}
-    return Section("Onset lag", "How soon it is felt.", (Row("lag", 8.0, "ms"),), series=series)
+    return Section("Onset lag", "How soon it is felt.", (Row("lag", 8.0, "ms"),), series=SERIES)
 
 
-def broken(_):
-    raise ValueError("the ground is gone")
+def ran(monkeypatch, page, folder, measure=lags):
+    return run_benches(monkeypatch, "--out", page, "--plots", folder, lag=measure)
 
 
 @pytest.fixture
@@ -29,14 +27,7 @@ def drawing():
         pytest.importorskip("matplotlib")
 
 
-def ran(monkeypatch, page, folder, measure=lags):
-    monkeypatch.setattr(bench, "BENCHES", (("onset lag", measure, 1.0),))
-    return bench_command("--quick", "--out", page, "--plots", folder)
-
-
-def test_a_page_shows_the_pictures_under_its_folder_in_their_section(
-    drawing, monkeypatch, tmp_path
-):
+def test_a_page_shows_the_pictures_of_its_folder_in_their_section(drawing, monkeypatch, tmp_path):
     done = ran(monkeypatch, tmp_path / "page.md", tmp_path / "my images")
     assert done.code == 0
     page = (tmp_path / "page.md").read_text("utf-8")
@@ -44,7 +35,7 @@ def test_a_page_shows_the_pictures_under_its_folder_in_their_section(
     assert "](my%20images/lag.png)\n\n|" in page
     assert page in done.stdout
     assert [path.name for path in (tmp_path / "my images").iterdir()] == ["lag.png"]
-    assert (tmp_path / "my images" / "lag.png").stat().st_size < SMALL_BYTES
+    assert (tmp_path / "my images" / "lag.png").stat().st_size < 100_000
 
 
 def test_a_page_shows_no_picture_that_lies_elsewhere(drawing, monkeypatch, tmp_path):

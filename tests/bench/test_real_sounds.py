@@ -1,18 +1,23 @@
 """The section on real sounds: its list, its halves, its laws, and rows for every profile."""
 
+from collections import Counter
+from unittest.mock import Mock
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from audioflinger_hook.config.profiles import PROFILES, parameters_of
+from device.errors import UsageError
 from tests.support.bench_runs import a_bench
+from tools.bench import films
 from tools.bench.figures.pictures import PICTURES
 from tools.bench.machine import machine_facts
+from tools.bench.methods import Method, function_method, other_methods, profile_methods
 from tools.bench.report import BenchReport, Section
-from tools.bench.sections import felt_levels, felt_times
+from tools.bench.sections import felt_levels, felt_speech, felt_times
 from tools.bench.sections import real_sounds as section
-from tools.bench.sections.felt_levels import Felt
 from tools.bench.sounds.real_sounds import (
     KINDS,
     SOUNDS_COMMAND,
@@ -22,26 +27,13 @@ from tools.bench.sounds.real_sounds import (
 )
 from tools.bench.sounds.signals import SAMPLERATE, tone
 from tools.bench.sounds.unpack_sounds import Choice, choices, name_hash
-from tools.bench.workbench import Subject
 from tools.records import PROJECT_ROOT
 
 LIST = choices((PROJECT_ROOT / "tools/bench/sounds/real_sounds.txt").read_text("utf-8"))
 
 
-class Unchanged:
-    """A method whose vibration is its sound."""
-
-    def __init__(self, samplerate, channels):
-        pass
-
-    def process(self, frames):
-        return frames.mean(axis=1, keepdims=True)
-
-    def finish(self):
-        return np.zeros((0, 1))
-
-
-UNCHANGED = Felt(Subject("unchanged", Unchanged), 1.0, limited=True)
+UNCHANGED = Method("unchanged", lambda sound, _rate: sound, limited=True)
+"""A method whose vibration is its sound."""
 
 
 def sounds(*kinds):
@@ -51,14 +43,13 @@ def sounds(*kinds):
     return [RealSound(f"{kind}/made", kind, sound) for kind, sound in made.items()]
 
 
-# --------------------------------------------------------------------------------------- sounds
-
-
 def test_the_list_asks_for_enough_sounds_of_every_class():
-    assert {line.kind for line in LIST} == set(KINDS)
-    for kind in KINDS:
-        assert sum(line.most for line in LIST if line.kind == kind) >= 20
-    assert sum(line.most for line in LIST) >= 190
+    most = Counter[str]()
+    for line in LIST:
+        most[line.kind] += line.most
+    assert set(most) == set(KINDS)
+    assert min(most.values()) >= 20
+    assert most.total() >= 190
 
 
 def test_a_line_chooses_the_same_few_files_from_any_order():
@@ -76,22 +67,11 @@ def test_halves_share_nothing_leave_nothing_out_and_are_as_large(names):
     assert len(choose) - len(report) in (0, 1)
 
 
-def test_without_sounds_the_section_names_the_command_that_fetches_them(monkeypatch, tmp_path):
-    monkeypatch.setenv(SOUNDS_VARIABLE, str(tmp_path / "none"))
-    found = section.on_real_sounds(a_bench())
-    assert found.rows == ()
-    assert [gone.command for gone in found.missing] == [SOUNDS_COMMAND]
-
-
-# --------------------------------------------------------------------------------------- levels
-
-
-def test_the_law_is_the_profiles_own_slope_and_1_where_loudness_is_not_followed():
-    laws = {each.name: each.law for each in section.profiles_felt()}
-    assert laws["paper"] == 1.0
-    assert laws["cinema"] == pytest.approx(0.275)
-    assert laws["music"] == pytest.approx(0.5)
-    assert [each.limited for each in section.profiles_felt(["paper", "game"])] == [False, True]
+def test_the_law_is_the_profiles_own_slope_and_one_law_where_loudness_is_not_followed():
+    laws = {each.name: felt_levels.law_of(each) for each in profile_methods()}
+    assert laws["paper"] == felt_levels.LAW == felt_levels.law_of(UNCHANGED)
+    assert laws["music"] == parameters_of("music").dynamics
+    assert [each.limited for each in profile_methods(["paper", "game"])] == [False, True]
 
 
 @given(st.lists(st.floats(20.0, 100.0), min_size=2), st.floats(0.2, 1.0), st.floats(-40.0, 0.0))
@@ -100,13 +80,9 @@ def test_pairs_on_the_law_have_no_error_at_any_gain(heard, law, gain_db):
     errors = felt_levels.pair_errors_db(phons, law * phons + gain_db, law)
     assert errors.size == phons.size * (phons.size - 1) // 2
     assert errors == pytest.approx(0.0, abs=1e-9)
-
-
-def test_one_sound_of_three_that_is_6_db_too_strong_is_wrong_in_two_pairs_of_three():
-    rows = list(felt_levels.pair_rows("x", np.zeros(3), np.array([0.0, 6.0, 0.0]), UNCHANGED))
-    assert rows[0].value == pytest.approx(6.0 * np.sqrt(2.0 / 3.0))
-    assert rows[1].value == pytest.approx(100.0 / 3.0)
-    assert [row.met for row in rows] == [False, False]
+    # One sound of three that is 6 dB too strong is wrong in two pairs of three.
+    share = felt_levels.pairs_within(np.zeros(3), np.array([0.0, 6.0, 0.0]))
+    assert share == pytest.approx(100.0 / 3.0)
 
 
 def test_a_programme_holds_every_sound_where_it_says():
@@ -120,6 +96,7 @@ def test_a_method_that_changes_nothing_moves_as_the_swell_does(monkeypatch):
     monkeypatch.setattr(
         felt_levels, "slow_phon", lambda sound, every_s: felt_levels.pieces_db(sound, every_s)
     )
+    monkeypatch.setattr(felt_levels, "LAW", 1.0)
     series: felt_levels.Series = {}
     rows = {row.name: row for row in felt_levels.crescendo_rows([UNCHANGED], series)}
     up = rows["crescendo of 30 dB in 16 s, up"]
@@ -127,9 +104,6 @@ def test_a_method_that_changes_nothing_moves_as_the_swell_does(monkeypatch):
     assert up.value == pytest.approx(30.0 * 15.0 / 16.0, abs=1.5)
     assert all(row.met for name, row in rows.items() if "off the law" in name)
     assert {"swell, sound", "swell, unchanged"} == set(series)
-
-
-# ----------------------------------------------------------------------------------------- times
 
 
 def test_a_method_that_changes_nothing_is_never_late_and_never_warbles():
@@ -141,47 +115,94 @@ def test_a_method_that_changes_nothing_is_never_late_and_never_warbles():
     ]
     values = {row.name: row.value or 0.0 for row in rows}
     assert values["drums: half of the peak, 95th percentile"] == 0.0
+    assert values["drums and shots: peak after the sound's, median"] == 0.0
     assert values["shots: felt as impacts"] == 2.0
     assert values["steady A-major chord: modulation at 4 to 16 Hz"] < 6.0
     assert len(series["drum, sound"]) == 200
 
 
-def test_a_shot_is_put_over_music_after_four_seconds():
-    mixed = felt_times.over_music(np.ones(10), tone(100.0, 0.5, 1.0))
-    assert mixed.size == 5 * SAMPLERATE
-    assert np.abs(mixed).argmax() // 10 == 4 * SAMPLERATE // 10
-
-
-# --------------------------------------------------------------------------------------- formats
-
-
 def test_every_profile_has_every_row_and_only_paper_no_limit():
-    parts = ("sub-bass", "chirp", "rates", "channels", "ends")
-    made = sounds("explosions", "speech")
-    found = section.felt_on_real_sounds(section.profiles_felt(), [], made, [], parts)
-    names = {row.name for row in found.rows}
-    assert {(row.name, row.column) for row in found.rows} == {
-        (name, profile) for name in names for profile in PROFILES
+    made = sounds("speech")
+    found = section.parts(profile_methods(), section.Material(made, made, 1, tones=1), {})
+    names = ("tones", "beginnings", "sub-bass", "chirp", "rates", "channels", "ends")
+    rows = [row for name in names for row in found[name]()]
+    titles = {row.name for row in rows}
+    assert {(row.name, row.column) for row in rows} == {
+        (title, profile) for title in titles for profile in PROFILES
     }
-    limits = {column: sum(bool(row.must) for row in found.rows if row.column == column)
-              for column in PROFILES}  # fmt: skip
-    assert limits["paper"] == 0
-    assert limits["cinema"] == limits["game"] == limits["music"] >= 10
-    assert parameters_of("cinema") == section.profiles_felt(["cinema"])[0].parameters
+    asked: dict[str, set[str]] = {profile: set() for profile in PROFILES}
+    for row in rows:
+        if row.must:
+            asked[row.column].add(row.name)
+    assert not asked["paper"]
+    assert asked["cinema"] == asked["game"] == asked["music"]
+    assert len(asked["cinema"]) >= 10
+    # Deep tones and all tones are not speech.
+    unasked = asked["cinema"] - asked["speech"]
+    assert unasked == {title for title in titles if "tone, worst" in title or "off -18" in title}
 
 
-# ---------------------------------------------------------------------------------------- picture
+def test_only_the_profile_for_speech_is_asked_the_limits_of_speech():
+    made = sounds("speech", "music")
+    asked = Method("speech", UNCHANGED.render, limited=True)
+    for method, wanted in ((asked, True), (UNCHANGED, False)):
+        rows = list(felt_speech.speech_rows([method], made))
+        assert len(rows) == 3
+        assert all(bool(row.must) == wanted for row in rows)
+
+
+def test_soft_words_are_every_third_word_and_20_db_softer():
+    words = [np.ones(4_800) for _ in range(6)]
+    played, places = felt_speech.softened(words)
+    assert [(place.start, place.stop) for place in places] == [(200, 300), (500, 600)]
+    assert played[9_600:14_400] == pytest.approx(0.1)
+    assert played.sum() == pytest.approx(4.2 * 4_800)
+
+
+def test_a_function_is_measured_as_any_method_and_a_wrong_name_is_refused():
+    assert function_method("numpy:negative").vibration(np.ones(3)) == pytest.approx(-1.0)
+    with pytest.raises(UsageError, match="no MODULE:FUNCTION"):
+        function_method("numpy:no_such_function")
+
+
+def test_other_methods_have_no_latency_and_the_null_model_no_change():
+    onset = np.concatenate((np.zeros(SAMPLERATE), tone(150.0, 0.5, 1.0)))
+    for method in other_methods():
+        vibration = method.vibration(onset)
+        assert vibration.size == onset.size
+        assert not method.limited
+    constant = other_methods()[0].vibration(onset)
+    assert constant[:4_800] == pytest.approx(constant[48_000:52_800], abs=1e-9)
+
+
+def test_more_than_150_sounds_are_matched_only_where_no_value_is_chosen_on_them(monkeypatch):
+    sounds_of = Mock(side_effect=lambda half, _: (half,))
+    monkeypatch.setattr(section, "real_sounds", sounds_of)
+    assert [str(one) for one in section.material("choose", None, 1).all] == ["choose"]
+    assert [str(one) for one in section.material("report", None, 1).all] == ["all"]
+    assert [asked.args[0] for asked in sounds_of.mock_calls] == ["choose", "report", "all"]
+
+
+def test_without_sounds_command_and_section_name_what_fetches_them(monkeypatch, tmp_path, capsys):
+    monkeypatch.setenv(SOUNDS_VARIABLE, str(tmp_path / "none"))
+    assert films.main([]) == 2
+    assert SOUNDS_COMMAND in capsys.readouterr().err
+    found = section.on_real_sounds(a_bench())
+    assert found.rows == ()
+    assert [gone.command for gone in found.missing] == [SOUNDS_COMMAND]
 
 
 def test_the_picture_is_drawn_from_the_sections_series():
     pytest.importorskip("matplotlib")
     wave = tuple(np.linspace(0.1, 1.0, 40))
-    series = {"heard": wave, "class": (0.0, 5.0) * 20, "drum, sound": wave, "swell, sound": wave}
+    series = {"drum, sound": wave, "swell, sound": wave}
+    series |= {"film's parts": (1.0, 2.0, 3.0, 3.5), "film's strokes": (2.2, 2.9)}
+    shown_methods = ["sound", *PROFILES, "constant"]
+    series |= {f"film, {name}": wave for name in shown_methods}
     for name in PROFILES:
-        series |= {f"{each}, {name}": wave for each in ("felt", "drum", "swell", "chord")}
-        series[f"law, {name}"] = (0.3,)
+        series |= {f"{each}, {name}": wave for each in ("drum", "swell", "chord")}
     (picture,) = (each for each in PICTURES if each.section == section.TITLE)
     shown = Section(section.TITLE, "What it means.", (), series=series)
     report = BenchReport("", True, 0.0, machine_facts(), (shown,))
     assert picture.can_be_drawn(report)
-    assert len(picture.drawn(report).axes) == len(PROFILES) + 3
+    assert len(picture.drawn(report).axes) == len(shown_methods) + 3

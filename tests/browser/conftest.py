@@ -28,13 +28,6 @@ threshold_hz = 8.0
 """
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    here = Path(__file__).parent
-    for item in items:
-        if here in item.path.parents:
-            item.add_marker(pytest.mark.browser)
-
-
 @dataclass
 class Room:
     """All of it. errors: what the browser's console complained of."""
@@ -61,7 +54,6 @@ class Room:
 
 
 def state(page: Page, *words: str, limit_s: float = 30.0) -> str:
-    """Wait for the state in words; return it."""
     found: list[str] = []
 
     def holds() -> bool:
@@ -72,8 +64,11 @@ def state(page: Page, *words: str, limit_s: float = 30.0) -> str:
     return found[0]
 
 
+def says(page: Page, selector: str, text: str, limit_s: float = 10.0) -> None:
+    wait_for(lambda: text in page.inner_text(selector), text, limit_s)
+
+
 def shown(page: Page) -> list[dict[str, Any]]:
-    """The partials that the page draws."""
     partials: list[dict[str, Any]] = page.evaluate("window.cushion.partials")
     return partials
 

@@ -1,27 +1,22 @@
 """The live page in a real browser, on a real sound server."""
 
-from __future__ import annotations
-
 import re
 import resource
 import statistics
 import time
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
 from device.units import Float32Array
-from tests.browser.conftest import CONFIG, Room, shown, state
+from tests.browser.conftest import CONFIG, says, shown, state
 from tests.servers.daemons import felt_hz, running, tone
 from tests.servers.listening import RATE_HZ, arriving, playing, recording, wait_for
 from tools.live_page import Monitor
 
-if TYPE_CHECKING:
-    from playwright.sync_api import Page
+pytestmark = pytest.mark.browser
 
 TONE_HZ = 440.0
 SHOWN_S = 0.2
@@ -46,33 +41,32 @@ def settled_db(heard: Callable[[], Float32Array], wanted_db: float, within_db: f
     return abs(level_db(heard()) - wanted_db) < within_db
 
 
-def is_at(page: Page, hz: float, mapped_hz: float) -> bool:
-    partials = shown(page)
-    return (
-        len(partials) == 1
-        and abs(partials[0]["audio"] - hz) < 1.0
-        and abs(partials[0]["felt"] - mapped_hz) < 0.5
-    )
+def is_at(page, hz: float, mapped_hz: float) -> bool:
+    place = (pytest.approx(hz, abs=1.0), pytest.approx(mapped_hz, abs=0.5))
+    return [(one["audio"], one["felt"]) for one in shown(page)] == [place]
 
 
-def card(page: Page, key: str) -> str:
+def card(page, key: str) -> str:
     return f".control:has(#control-{key})"
 
 
-def is_unsaved(page: Page, key: str) -> bool:
+def is_unsaved(page, key: str):
     return page.locator(card(page, key)).get_attribute("data-unsaved") == "true"
 
 
-def set_number(page: Page, key: str, value: str) -> None:
+def set_number(page, key: str, value: str) -> None:
     field = page.locator(card(page, key)).locator("input[type=number]")
     field.fill(value)
     field.press("Enter")
 
 
-# ------------------------------------------------------------------------------------ what is shown
+def refusal(page, key: str):
+    """What is said beside a control, once something is."""
+    error = page.locator(f"#control-{key}-error")
+    return wait_for(lambda: error.inner_text(), "refusal")
 
 
-def test_a_played_tone_is_shown_at_its_mapped_place_in_time(room: Room, page: Page) -> None:
+def test_a_played_tone_is_shown_at_its_mapped_place_in_time(room, page):
     took_s = []
     for hz in TONES_HZ:
         mapped_hz = felt_hz(hz)
@@ -91,10 +85,10 @@ def test_a_played_tone_is_shown_at_its_mapped_place_in_time(room: Room, page: Pa
     assert statistics.median(took_s) < SHOWN_S
 
 
-def test_words_and_figures_tell_what_plays(room: Room, page: Page) -> None:
+def test_words_and_figures_tell_what_plays(room, page):
     with playing(room.server, "desktop", tone(TONE_HZ, 20.0), name="Film"):
         state(page, "Running")
-        wait_for(lambda: "440 Hz is felt as" in page.inner_text("#strongest"), "the strongest")
+        says(page, "#strongest", "440 Hz is felt as")
         meter = page.get_by_role("meter", name="Sound L")
         wait_for(lambda: "peak -10.5 dBFS" in str(meter.get_attribute("aria-valuetext")), "level")
         vibration = page.get_by_role("meter", name="Vibration all")
@@ -102,28 +96,19 @@ def test_words_and_figures_tell_what_plays(room: Room, page: Page) -> None:
         assert re.fullmatch(r"\d+\.\d ms", page.inner_text("#delay"))
         assert "The native engine plays" in page.inner_text("footer")
         assert "Dropouts" in page.inner_text("#health")
-        wait_for(lambda: "Film" in page.inner_text("#applications"), "the application")
+        says(page, "#applications", "Film")
 
 
-def test_the_page_says_why_the_python_engine_plays(room: Room, page: Page) -> None:
+def test_the_page_says_why_the_python_engine_plays(room, page):
     with playing(room.server, "desktop", tone(TONE_HZ, 40.0)):
         page.get_by_role("radio", name="python").check()
-        wait_for(
-            lambda: "The python engine plays: engine = 'python'" in page.inner_text("footer"),
-            "reason",
-            30.0,
-        )
-        wait_for(lambda: "Delay line" in page.inner_text("#parts"), "the delay line's part", 30.0)
+        says(page, "footer", "The python engine plays: engine = 'python'", 30.0)
+        says(page, "#parts", "Delay line", 30.0)
         page.click("#undo")
-        wait_for(lambda: "The native engine plays" in page.inner_text("footer"), "native", 30.0)
+        says(page, "footer", "The native engine plays", 30.0)
 
 
-# ------------------------------------------------------------------------------------------ control
-
-
-def test_a_control_moves_the_level_that_is_played_and_undo_returns_it(
-    room: Room, page: Page, tmp_path: Path
-) -> None:
+def test_a_control_moves_the_level_that_is_played_and_undo_returns_it(room, page, tmp_path):
     with (
         playing(room.server, "desktop", tone(TONE_HZ, 60.0)),
         recording(room.server, "haptic.monitor", tmp_path / "heard", stays=True) as heard,
@@ -145,23 +130,17 @@ def test_a_control_moves_the_level_that_is_played_and_undo_returns_it(
         wait_for(lambda: page.is_disabled("#save"), "nothing to save")
 
 
-def test_a_value_out_of_range_is_refused_beside_its_control(room: Room, page: Page) -> None:
+def test_a_value_out_of_range_is_refused_beside_its_control(room, page):
     set_number(page, "gain_db", "5")
-    error = page.locator("#control-gain_db-error")
-    wait_for(lambda: error.inner_text(), "refusal")
-    assert error.inner_text() == "5 is out of range; allowed: -60 to 0 dB"
+    assert refusal(page, "gain_db") == "5 is out of range; allowed: -60 to 0 dB"
     set_number(page, "offset_ms", "-5")
-    error = page.locator("#control-offset_ms-error")
-    wait_for(lambda: error.inner_text(), "refusal")
-    assert "is below 0 without drop_in" in error.inner_text()
+    assert "is below 0 without drop_in" in refusal(page, "offset_ms")
     assert room.config.read_text() == CONFIG
     set_number(page, "gain_db", "-3")
     wait_for(lambda: not page.inner_text("#control-gain_db-error"), "no refusal")
 
 
-def test_two_pages_show_each_others_changes_and_save_keeps_the_comments(
-    room: Room, page: Page
-) -> None:
+def test_two_pages_show_each_others_changes_and_save_keeps_the_comments(room, page):
     other = room.open(390)
     set_number(page, "gain_db", "-9")
     field = other.locator(card(other, "gain_db")).locator("input[type=number]")
@@ -181,23 +160,18 @@ def test_two_pages_show_each_others_changes_and_save_keeps_the_comments(
     other.context.close()
 
 
-def test_a_config_that_cannot_be_read_is_told(room: Room, page: Page) -> None:
-    text = room.config.read_text()
+def test_a_config_that_cannot_be_read_is_told(room, page):
     room.config.unlink()
     room.config.mkdir()
     try:
         set_number(page, "gain_db", "-6")
-        error = page.locator("#control-gain_db-error")
-        wait_for(lambda: error.inner_text(), "refusal")
-        assert "config.toml" in error.inner_text()
+        assert "config.toml" in refusal(page, "gain_db")
     finally:
         room.config.rmdir()
-        room.config.write_text(text)
+        room.config.write_text(CONFIG)
 
 
-def test_a_config_that_cannot_be_written_is_told_and_the_change_stays(
-    room: Room, page: Page
-) -> None:
+def test_a_config_that_cannot_be_written_is_told_and_the_change_stays(room, page):
     unlimited = (resource.RLIM_INFINITY, resource.RLIM_INFINITY)
     set_number(page, "gain_db", "-6")
     wait_for(lambda: not page.is_disabled("#save"), "a change to save")
@@ -217,7 +191,7 @@ def test_a_config_that_cannot_be_written_is_told_and_the_change_stays(
     wait_for(lambda: not is_unsaved(page, "gain_db"), "the value of before")
 
 
-def test_an_application_is_left_out_and_included_again(room: Room, page: Page) -> None:
+def test_an_application_is_left_out_and_included_again(room, page):
     with playing(room.server, "desktop", tone(TONE_HZ, 60.0), name="Film"):
         page.get_by_role("button", name="Leave out Film").click()
         page.get_by_role("button", name="Include Film").wait_for()
@@ -227,7 +201,7 @@ def test_an_application_is_left_out_and_included_again(room: Room, page: Page) -
         wait_for(lambda: shown(page), "vibration", 30.0)
 
 
-def test_a_test_tone_starts_and_stops(room: Room, page: Page, tmp_path: Path) -> None:
+def test_a_test_tone_starts_and_stops(room, page, tmp_path):
     with recording(room.server, "haptic.monitor", tmp_path / "heard", stays=True) as heard:
         page.locator("#tone-hz").fill("80")
         page.click("#tone")
@@ -238,26 +212,15 @@ def test_a_test_tone_starts_and_stops(room: Room, page: Page, tmp_path: Path) ->
         wait_for(lambda: page.inner_text("#tone") == "Start the tone", "the button's word")
 
 
-# ------------------------------------------------------------------------------------------- people
-
-
-def test_every_control_is_reached_and_used_by_the_keyboard(room: Room, page: Page) -> None:
+def test_every_control_is_reached_and_used_by_the_keyboard(room, page):
     reached = []
     for _ in range(60):
         page.keyboard.press("Tab")
         reached.append(page.evaluate("document.activeElement.id || document.activeElement.tagName"))
         if reached[-1] == "SUMMARY":
             break
-    expected = {
-        "mute",
-        "theme",
-        "tone-hz",
-        "tone",
-        "control-gain_db",
-        "control-offset_ms",
-        "SUMMARY",
-    }
-    assert expected <= set(reached)
+    controls = {"mute", "theme", "tone-hz", "tone", "control-gain_db", "control-offset_ms"}
+    assert controls | {"SUMMARY"} <= set(reached)
     page.focus("#mute")
     page.keyboard.press("Enter")
     wait_for(lambda: page.get_attribute("#mute", "aria-pressed") == "true", "mute")
@@ -265,7 +228,7 @@ def test_every_control_is_reached_and_used_by_the_keyboard(room: Room, page: Pag
     wait_for(lambda: page.get_attribute("#mute", "aria-pressed") == "false", "sound")
 
 
-def test_everything_has_a_name_and_its_role(room: Room, page: Page) -> None:
+def test_everything_has_a_name_and_its_role(room, page):
     nameless = page.evaluate(
         """() => [...document.querySelectorAll("button, input, select, [role=meter], canvas")]
           .filter((one) => !(one.labels?.length || one.ariaLabel || one.innerText?.trim()
@@ -276,7 +239,7 @@ def test_everything_has_a_name_and_its_role(room: Room, page: Page) -> None:
 
 
 @pytest.mark.parametrize("width", [390, 1280])
-def test_nothing_is_cut_off_at_any_width(room: Room, width: int) -> None:
+def test_nothing_is_cut_off_at_any_width(room, width):
     page = room.open(width)
     page.click("summary")
     wide = page.evaluate("document.documentElement.scrollWidth")
@@ -291,7 +254,7 @@ def luminance(colour: str) -> float:
 
 
 @pytest.mark.parametrize("theme", ["dark", "light"])
-def test_text_has_contrast_in_both_themes(room: Room, theme: str) -> None:
+def test_text_has_contrast_in_both_themes(room, theme):
     page = room.open(theme=theme)
     texts = ["text", "quiet", "sound", "vibration", "good", "wait", "bad"]
     grounds = ["panel", "raised", "ground"]
@@ -311,7 +274,7 @@ def test_text_has_contrast_in_both_themes(room: Room, theme: str) -> None:
             assert (high + 0.05) / (low + 0.05) >= (7.0 if text == "text" else 4.5), (text, ground)
 
 
-def test_reduced_motion_draws_a_few_times_a_second(room: Room) -> None:
+def test_reduced_motion_draws_a_few_times_a_second(room):
     page = room.open()
     page.emulate_media(reduced_motion="reduce")
     page.wait_for_timeout(500)
@@ -322,12 +285,7 @@ def test_reduced_motion_draws_a_few_times_a_second(room: Room) -> None:
     assert 3 <= drawn <= 13
 
 
-# ------------------------------------------------------------------------------------------- losses
-
-
-def test_a_reload_and_a_second_tab_need_no_token_and_keep_what_may_be_undone(
-    room: Room, page: Page
-) -> None:
+def test_a_reload_and_a_second_tab_need_no_token_and_keep_what_may_be_undone(room, page):
     assert "#" not in page.url
     set_number(page, "gain_db", "-7")
     wait_for(lambda: page.is_enabled("#undo"), "the change")
@@ -341,42 +299,36 @@ def test_a_reload_and_a_second_tab_need_no_token_and_keep_what_may_be_undone(
     state(second, "Running", "Idle")
     stranger = room.chromium.new_context().new_page()
     stranger.goto(room.monitor.base)
-    wait_for(lambda: "ends with a key" in stranger.inner_text("#state-text"), "what is missing")
+    says(stranger, "#state-text", "ends with a key")
     assert stranger.inner_text("#state-word") == "Not connected"
     stranger.context.close()
     room.errors.clear()  # the stranger's
 
 
-def test_a_browser_without_websockets_is_told(room: Room) -> None:
+def test_a_browser_without_websockets_is_told(room):
     context = room.chromium.new_context()
     context.add_init_script("delete window.WebSocket")
     page = context.new_page()
     page.goto(room.monitor.address)
-    wait_for(lambda: "no websockets" in page.inner_text("#state-text"), "the reason")
+    says(page, "#state-text", "no websockets")
     context.close()
 
 
-def test_the_sound_server_and_the_page_come_back(room: Room, page: Page) -> None:
+def test_the_sound_server_and_the_page_come_back(room, page):
     room.server.kill()
-    wait_for(lambda: "Waiting" in page.inner_text("#state-word"), "the loss", 30.0)
+    says(page, "#state-word", "Waiting", 30.0)
     room.server.start()
     state(page, "Running", "Idle")
     port = room.monitor.port
     room.monitor.close()
-    wait_for(lambda: "cushion monitor" in page.inner_text("#state-text"), "what to start", 30.0)
+    says(page, "#state-text", "cushion monitor", 30.0)
     room.monitor = Monitor(room.server.environment, "--listen", f"127.0.0.1:{port}")
     state(page, "Running", "Idle")
 
 
-def test_a_daemon_that_restarts_is_shown_again(room: Room, page: Page) -> None:
+def test_a_daemon_that_restarts_is_shown_again(room, page):
     room.daemon.end()
-    wait_for(
-        lambda: (
-            "no daemon is running; start one with `cushion run`" in page.inner_text("#state-text")
-        ),
-        "what to start",
-        30.0,
-    )
+    says(page, "#state-text", "no daemon is running; start one with `cushion run`", 30.0)
     assert page.is_disabled("#mute")
     with running(room.server, device=None, engine=None) as daemon:
         state(page, "Running", "Idle")

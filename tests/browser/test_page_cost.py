@@ -1,7 +1,5 @@
 """What the live page costs: pictures a second, processor time, memory, slow clients."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil
@@ -11,20 +9,21 @@ import subprocess
 import sys
 import time
 import urllib.request
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from device.units import Float32Array
-from tests.browser.conftest import Room, state
-from tests.servers.daemons import ROOT, tone
-from tests.servers.listening import RATE_HZ, need, playing, recording, wait_for
+from tests.browser.conftest import Room, says, state
+from tests.servers.daemons import ROOT, program, tone
+from tests.servers.listening import RATE_HZ, more, need, playing, recording, wait_for
 from tests.servers.witness import Verdict, silent_blocks, tears, witness_tone
+from tests.support.memory import resident_bytes
 from tools.live_page import Monitor
+
+pytestmark = pytest.mark.browser
 
 TONE_HZ = 440.0
 FRAMES_PER_S = 30.0
@@ -55,19 +54,12 @@ def used_s(pid: int) -> float:
 
 
 def cpu_percent(pid: int) -> float:
-    """What a process uses of one core."""
     began_s, before_s = time.monotonic(), used_s(pid)
     wait_for(lambda: time.monotonic() - began_s > ROUND_S, "time", 3.0 * ROUND_S)
     return 100.0 * (used_s(pid) - before_s) / (time.monotonic() - began_s)
 
 
-def resident_kb(pid: int) -> int:
-    lines = Path(f"/proc/{pid}/status").read_text().splitlines()
-    return next(int(line.split()[1]) for line in lines if line.startswith("VmRSS"))
-
-
 def metric(room: Room, name: str) -> float:
-    """One value of /metrics."""
     request = urllib.request.Request(
         f"{room.monitor.base}metrics", headers={"Authorization": f"Bearer {room.monitor.token}"}
     )
@@ -101,7 +93,7 @@ def engine(room: Room, request: pytest.FixtureRequest) -> Iterator[None]:
     with playing(room.server, "desktop", tone(TONE_HZ, 60.0)):
         page.get_by_role("radio", name=request.param).check()
         words = f"The {request.param} engine plays"
-        wait_for(lambda: words in page.inner_text("footer"), words, 30.0)
+        says(page, "footer", words, 30.0)
         wait_for(lambda: page.is_enabled("#undo"), "the choice")
     page.context.close()
     yield
@@ -161,23 +153,14 @@ def test_eight_clients_one_of_them_stopped_lose_no_buffer(room: Room, tmp_path: 
     ):
         clients = []
         for _ in range(8):
-            client = subprocess.Popen(
-                [sys.executable, "-c", CLIENT, room.monitor.host, room.monitor.cookie],
-                stdout=subprocess.PIPE,
-                stderr=subprocess.DEVNULL,
-                text=True,
-            )
-            assert client.stdout is not None
-            stack.callback(client.stdout.close)
-            stack.callback(client.wait)
-            stack.callback(client.kill)
-            clients.append(client)
+            command = (sys.executable, "-c", CLIENT, room.monitor.host, room.monitor.cookie)
+            client = program(os.environ, *command, stderr=subprocess.DEVNULL)
+            clients.append(stack.enter_context(client))
         for client in clients:
-            assert client.stdout is not None
             assert client.stdout.readline() == "watching\n"
         assert metric(room, "cushion_page_clients") == 8.0
         clients[0].send_signal(signal.SIGSTOP)
-        resident = resident_kb(room.monitor.process.pid)
+        resident = resident_bytes(room.monitor.process.pid)
         overwritten = metric(room, "cushion_page_overwritten_frames_total")
         wait_for(
             lambda: (
@@ -188,7 +171,7 @@ def test_eight_clients_one_of_them_stopped_lose_no_buffer(room: Room, tmp_path: 
         )
         while not is_shown:
             starts, before = (len(felt()), len(witness())), lost(room)
-            wait_for(partial(has_frames, felt, starts[0] + STOPPED_S * RATE_HZ), "time", 20.0)
+            more(felt, STOPPED_S)
             torn, gone = tears(felt()[starts[0] :]), lost(room) - before
             is_shown = verdict.add(
                 f"{torn} samples torn, {gone} buffers lost",
@@ -198,16 +181,12 @@ def test_eight_clients_one_of_them_stopped_lose_no_buffer(room: Room, tmp_path: 
         # Three attempts or more, and all frames but those that were under way.
         overwritten = metric(room, "cushion_page_overwritten_frames_total") - overwritten
         assert overwritten > 2 * STOPPED_S * FRAMES_PER_S
-        assert resident_kb(room.monitor.process.pid) < resident + 2_000
+        assert resident_bytes(room.monitor.process.pid) < resident + 2_000_000
 
 
 def is_overloaded() -> bool:
     """Whether others keep the processors busy: the witness has fewer programs that must keep up."""
     return os.getloadavg()[0] > 2.0 * (os.cpu_count() or 1)
-
-
-def has_frames(heard: Callable[[], Float32Array], count: int) -> bool:
-    return len(heard()) >= count
 
 
 def test_a_real_prometheus_scrapes_the_page_for_a_minute(room: Room, tmp_path: Path) -> None:
@@ -229,35 +208,32 @@ def test_a_real_prometheus_scrapes_the_page_for_a_minute(room: Room, tmp_path: P
     checked = subprocess.run(["promtool", "check", "config", str(path)], capture_output=True)
     assert checked.returncode == 0, checked
     port = room.monitor.port + 1 if room.monitor.port < 65_000 else room.monitor.port - 1
-    with ExitStack() as stack:
-        process = subprocess.Popen(
-            [
-                *("prometheus", f"--config.file={path}", f"--storage.tsdb.path={tmp_path}/data"),
-                f"--web.listen-address=127.0.0.1:{port}",
-            ],
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )
-        stack.callback(process.wait)
-        stack.callback(process.terminate)
+    command = (
+        *("prometheus", f"--config.file={path}", f"--storage.tsdb.path={tmp_path}/data"),
+        f"--web.listen-address=127.0.0.1:{port}",
+    )
+    silent = dict.fromkeys(("stdout", "stderr"), subprocess.DEVNULL)
 
-        def asked(query: str) -> list[Any]:
-            url = f"http://127.0.0.1:{port}/api/v1/query?query={query}"
-            try:
-                with urllib.request.urlopen(url, timeout=5.0) as answer:
-                    return list(json.load(answer)["data"]["result"])
-            except OSError:
-                return []
+    def asked(query: str) -> list[Any]:
+        url = f"http://127.0.0.1:{port}/api/v1/query?query={query}"
+        try:
+            with urllib.request.urlopen(url, timeout=5.0) as answer:
+                return list(json.load(answer)["data"]["result"])
+        except OSError:
+            return []
 
-        with playing(room.server, "desktop", tone(TONE_HZ, 90.0)):
-            wait_for(lambda: asked("cushion_up"), "a first scrape", 60.0)
-            time.sleep(60.0)
-            (scraped,) = asked("count_over_time(cushion_up[1m])")
-            assert float(scraped["value"][1]) >= 50.0
-            assert asked("min_over_time(up[1m])")[0]["value"][1] == "1"
-            assert asked('cushion_state{state="running"}')[0]["value"][1] == "1"
-            assert asked("cushion_delay_seconds")
-            assert not asked("ALERTS{alertstate='firing'}".replace("'", "%22"))
+    with (
+        program(os.environ, *command, **silent),
+        playing(room.server, "desktop", tone(TONE_HZ, 90.0)),
+    ):
+        wait_for(lambda: asked("cushion_up"), "a first scrape", 60.0)
+        time.sleep(60.0)
+        (scraped,) = asked("count_over_time(cushion_up[1m])")
+        assert float(scraped["value"][1]) >= 50.0
+        assert asked("min_over_time(up[1m])")[0]["value"][1] == "1"
+        assert asked('cushion_state{state="running"}')[0]["value"][1] == "1"
+        assert asked("cushion_delay_seconds")
+        assert not asked("ALERTS{alertstate='firing'}".replace("'", "%22"))
 
 
 @pytest.mark.soak
@@ -265,21 +241,19 @@ def test_the_pages_memory_stays_flat_for_ten_minutes(room: Room) -> None:
     page = room.open()
     session = page.context.new_cdp_session(page)
 
-    def heap_kb() -> float:
+    def heap_bytes() -> float:
         for _ in range(3):
             session.send("HeapProfiler.collectGarbage")
-        found: float = session.send("Runtime.getHeapUsage")["usedSize"] / 1024
+        found: float = session.send("Runtime.getHeapUsage")["usedSize"]
         return found
 
     with playing(room.server, "desktop", tone(TONE_HZ, SOAK_S + 90.0)):
         state(page, "Running")
         page.wait_for_timeout(30_000)
-        heap, resident = heap_kb(), resident_kb(room.monitor.process.pid)
+        heap, resident = heap_bytes(), resident_bytes(room.monitor.process.pid)
         page.wait_for_timeout(SOAK_S * 1e3)
-        grown_kb = heap_kb() - heap, resident_kb(room.monitor.process.pid) - resident
+        grown = heap_bytes() - heap, resident_bytes(room.monitor.process.pid) - resident
     page.context.close()
-    print(
-        f"in {SOAK_S:.0f} s the heap grew by {grown_kb[0]:.0f} kB, the server by {grown_kb[1]} kB"
-    )
-    assert grown_kb[0] < 300
-    assert grown_kb[1] < 1_000
+    print(f"in {SOAK_S:.0f} s heap and server grew by {grown} bytes")
+    assert grown[0] < 300_000
+    assert grown[1] < 1_000_000

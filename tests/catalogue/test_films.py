@@ -1,50 +1,48 @@
 """Sound tracks of films, made here with PyAV."""
 
+import sys
 from fractions import Fraction
 
 import av
 import numpy as np
 import pytest
-import soundfile
+from scipy.signal import correlate, correlation_lags
 
 from audioflinger_hook.sources.film import FilmTap
 from device.errors import UsageError
 from tests.support.catalogues import manifest, record
-from tests.support.commands import call
+from tests.support.commands import call, sound
+from tests.support.taps import frames_of
 
 RATE = 48_000
 PIECE = 1_024
 
 
-def film(
-    path, tracks=(("eng", 1.0, 300.0),), *, codec="flac", picture=True, start_s=0.0, hole=None
-):
+def film(path, tracks=(("eng", 1.0, 300.0),), *, codec="flac", start_s=0.0, hole=None):
     """Write a film; each track is (language, length in seconds, tone in Hz).
 
     start_s: how long after the picture the sound begins. hole: (from, to) in seconds without sound.
     """
     with av.open(str(path), "w") as container:
-        if picture:
-            video = container.add_stream("mpeg4", rate=25)
-            video.width, video.height, video.pix_fmt = 64, 64, "yuv420p"
+        video = container.add_stream("mpeg4", rate=25)
+        video.width, video.height, video.pix_fmt = 64, 64, "yuv420p"
         streams = []
         for language, _, _ in tracks:
             stream = container.add_stream(codec, rate=RATE, layout="stereo")
             stream.metadata["language"] = language
             streams.append(stream)
-        if picture:
-            for number in range(25):
-                frame = av.VideoFrame.from_ndarray(np.zeros((64, 64, 3), np.uint8), "rgb24")
-                frame.pts, frame.time_base = number, Fraction(1, 25)
-                container.mux(video.encode(frame))
-            container.mux(video.encode())
+        for number in range(25):
+            frame = av.VideoFrame.from_ndarray(np.zeros((64, 64, 3), np.uint8), "rgb24")
+            frame.pts, frame.time_base = number, Fraction(1, 25)
+            container.mux(video.encode(frame))
+        container.mux(video.encode())
         for stream, (_, length_s, tone_hz) in zip(streams, tracks, strict=True):
             frames = round(length_s * RATE)
-            sound = tone(frames, tone_hz)
+            wave = tone(frames, tone_hz)
             for first in range(0, frames, PIECE):
                 if hole and hole[0] * RATE <= first < hole[1] * RATE:
                     continue
-                piece = np.clip(sound[first : first + PIECE], -1.0, 1.0)
+                piece = np.clip(wave[first : first + PIECE], -1.0, 1.0)
                 packed = np.ascontiguousarray((piece * 32_767).astype(np.int16).reshape(1, -1))
                 heard = av.AudioFrame.from_ndarray(packed, format="s16", layout="stereo")
                 heard.sample_rate = RATE
@@ -62,15 +60,6 @@ def tone(frames, tone_hz):
     return np.column_stack([wave, 0.5 * wave])
 
 
-def read(tap):
-    """Return all frames of a tap."""
-    parts = []
-    while (part := tap.read()) is not None:
-        parts.append(part)
-    tap.close()
-    return np.concatenate(parts)
-
-
 def main_hz(frames):
     """Return the strongest frequency of the first channel."""
     spectrum = np.abs(np.fft.rfft(frames[:, 0] * np.hanning(len(frames))))
@@ -79,14 +68,14 @@ def main_hz(frames):
 
 @pytest.mark.parametrize("ending", ["mkv", "mp4"])
 def test_a_lossless_track_is_read_to_the_last_sample(tmp_path, ending):
-    path = film(tmp_path / f"a.{ending}")
+    got = frames_of(FilmTap(film(tmp_path / f"a.{ending}")))
     expected = (tone(RATE, 300.0) * 32_767).astype(np.int16) / 32_768
-    assert np.array_equal(read(FilmTap(path)), expected.astype(np.float32))
+    assert np.array_equal(got, expected.astype(np.float32))
 
 
 def test_a_film_gives_the_bytes_of_its_sound_as_a_file(tmp_path):
     film(tmp_path / "a.mkv")
-    soundfile.write(tmp_path / "a.wav", read(FilmTap(tmp_path / "a.mkv")), RATE, subtype="FLOAT")
+    sound(tmp_path / "a.wav", frames_of(FilmTap(tmp_path / "a.mkv")), RATE)
     assert call("render", tmp_path / "a.wav", tmp_path / "alone.wav").code == 0
     listed = manifest(tmp_path / "l.jsonl", {"audio": "a.mkv"})
     assert call("catalogue", listed, "--out", tmp_path / "out").code == 0
@@ -96,20 +85,20 @@ def test_a_film_gives_the_bytes_of_its_sound_as_a_file(tmp_path):
 def test_track_and_language_can_be_chosen(tmp_path):
     tracks = (("eng", 0.5, 200.0), ("fra", 0.5, 400.0), ("eng", 0.5, 800.0))
     path = film(tmp_path / "a.mkv", tracks)
-    for chosen, tone_hz in (
-        ({"track": 1}, 200.0),
-        ({"track": 3}, 800.0),
-        ({"language": "fra"}, 400.0),
-        ({"language": "eng"}, 200.0),
-        ({"track": 3, "language": "eng"}, 800.0),
+    for tone_hz, chosen in (
+        (200.0, {"track": 1}),
+        (800.0, {"track": 3}),
+        (400.0, {"language": "fra"}),
+        (200.0, {"language": "eng"}),
+        (800.0, {"track": 3, "language": "eng"}),
     ):
-        assert main_hz(read(FilmTap(path, **chosen))) == pytest.approx(tone_hz, abs=5.0), chosen
+        found_hz = main_hz(frames_of(FilmTap(path, **chosen)))
+        assert found_hz == pytest.approx(tone_hz, abs=5.0), chosen
     lines = [{"audio": "a.mkv", "id": "one"}, {"audio": "a.mkv", "id": "two", "track": 3}]
-    listed = manifest(tmp_path / "l.jsonl", *lines)
-    out = tmp_path / "out"
-    assert call("catalogue", listed, "--out", out, "--language", "fra").code == 2
-    assert record(out, "one.wav")["frames"] == RATE // 2
-    assert call("catalogue", listed, "--out", out, "--language", "eng").code == 0
+    run = ("catalogue", manifest(tmp_path / "l.jsonl", *lines), "--out", tmp_path / "out")
+    assert call(*run, "--language", "fra").code == 2
+    assert record(tmp_path / "out", "one.wav")["frames"] == RATE // 2
+    assert call(*run, "--language", "eng").code == 0
 
 
 @pytest.mark.parametrize(
@@ -128,23 +117,21 @@ def test_a_track_that_is_not_there_is_refused_with_those_that_are(tmp_path, chos
 
 
 def test_sound_that_begins_late_or_pauses_keeps_its_place(tmp_path):
-    late = read(FilmTap(film(tmp_path / "late.mkv", start_s=0.5)))
+    late = frames_of(FilmTap(film(tmp_path / "late.mkv", start_s=0.5)))
     first = int(np.flatnonzero(np.abs(late[:, 0]) > 1e-3)[0])
     assert first == pytest.approx(0.5 * RATE, abs=0.002 * RATE)  # Matroska counts milliseconds
-    paused = read(FilmTap(film(tmp_path / "hole.mkv", codec="pcm_s16le", hole=(0.3, 0.6))))
+    paused = frames_of(FilmTap(film(tmp_path / "hole.mkv", codec="pcm_s16le", hole=(0.3, 0.6))))
     assert len(paused) == pytest.approx(RATE, abs=0.002 * RATE)
     assert not paused[round(0.34 * RATE) : round(0.58 * RATE)].any()
     assert paused[round(0.7 * RATE) :].any()
 
 
 def test_aac_is_aligned_within_a_packet(tmp_path):
-    got = read(FilmTap(film(tmp_path / "a.mp4", codec="aac")))
+    got = frames_of(FilmTap(film(tmp_path / "a.mp4", codec="aac")))
     expected = tone(RATE, 300.0)
     # correlation tells the delay: the tone's swell makes it unique
-    size = 1 << 18
-    spectrum = np.fft.rfft(got[:, 0], size) * np.conj(np.fft.rfft(expected[:, 0], size))
-    lag = int(np.argmax(np.fft.irfft(spectrum)))
-    assert min(lag, size - lag) <= PIECE
+    lags = correlation_lags(len(got), len(expected))
+    assert abs(lags[correlate(got[:, 0], expected[:, 0]).argmax()]) <= PIECE
 
 
 def test_a_film_without_sound_and_a_broken_film_fail_alone(tmp_path):
@@ -157,9 +144,8 @@ def test_a_film_without_sound_and_a_broken_film_fail_alone(tmp_path):
     done = call("catalogue", tmp_path, "--out", tmp_path / "out", "--workers", 1)
     assert done.code == 2
     told = sorted(line for line in done.stderr.splitlines() if "error" in line)
-    assert [path.split(".")[0].rpartition("/")[2] for path in told] == [
-        "empty", "mute", "text", "torn",
-    ]  # fmt: skip
+    failed = [path.split(".")[0].rpartition("/")[2] for path in told]
+    assert failed == ["empty", "mute", "text", "torn"]
     assert "has no sound track" in told[1]
     assert "fault of cushion" not in done.stderr
     assert (tmp_path / "out/good.wav").exists()
@@ -179,7 +165,7 @@ def test_damaged_films_never_raise_anything_else(tmp_path, seed):
 
 def test_without_pyav_the_error_names_the_extra(tmp_path, monkeypatch):
     path = film(tmp_path / "a.mkv")
-    monkeypatch.setitem(__import__("sys").modules, "av", None)
+    monkeypatch.setitem(sys.modules, "av", None)
     done = call("catalogue", path, "--out", tmp_path / "out", "--workers", 1)
     assert done.code == 2
     assert "pip install 'haptic-cushion[films]'" in done.stderr

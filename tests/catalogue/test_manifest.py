@@ -1,16 +1,19 @@
-"""Manifests: what is understood, and every mistake at once."""
+"""Manifests: what is understood, every mistake at once, and a million lines in flat memory."""
 
 import contextlib
 import gzip
 import json
+import os
 import random
+import time
+from itertools import islice
 
 import pytest
 
 from audioflinger_hook.catalogue.manifest import Manifest
 from device.errors import UsageError
 from tests.support.catalogues import library, manifest
-from tests.support.commands import call
+from tests.support.commands import call, start
 
 OUT = "/nowhere/out"
 
@@ -38,8 +41,8 @@ def test_lines_csv_and_compressed_lines_give_the_same_items(tmp_path):
         {"audio": "s3://bucket/d.ogg", "channels": [0, 3], "language": "eng"},
     ]
     listed = manifest(tmp_path / "l.jsonl", *lines, "")
-    with gzip.open(tmp_path / "l.jsonl.gz", "wt") as file:
-        file.writelines(f"{json.dumps(line)}\n" for line in lines)
+    with gzip.open(tmp_path / "l.jsonl.gz", "wb") as file:
+        file.write(listed.read_bytes())
     table = tmp_path / "l.csv"
     table.write_text(
         "audio,id,start_s,duration_s,channels,profile,track,language,comment\n"
@@ -48,61 +51,35 @@ def test_lines_csv_and_compressed_lines_give_the_same_items(tmp_path):
         "s3://bucket/d.ogg,,,,0 3,,,eng,\n"
     )
     rows = [item.row() for item in items(listed)]
-    assert rows == [item.row() for item in items(tmp_path / "l.jsonl.gz")]
-    assert rows == [item.row() for item in items(table)]
+    # A row is a line that gives the same item.
+    again = manifest(tmp_path / "again.jsonl", *rows)
+    for other in (tmp_path / "l.jsonl.gz", table, again):
+        assert rows == [item.row() for item in items(other)]
     assert rows[0]["audio"] == str(tmp_path / "a b.wav")
     assert [row["id"] for row in rows] == ["one", "x/c", "d"]
     assert rows[2]["channels"] == (0, 3)
 
 
-def test_a_row_is_a_line_that_gives_the_same_item(tmp_path):
-    line = {"audio": "a.wav", "id": "b", "start_s": 1.0, "channels": [1], "track": 3}
-    (first,) = items(manifest(tmp_path / "1.jsonl", line))
-    (second,) = items(manifest(tmp_path / "2.jsonl", first.row()))
-    assert second == first
+SOURCES = '"sources": [{"type": "file", "channels": [0], "source": "a/b.wav"}]'
+FOREIGN = {
+    "NeMo": (
+        '{"audio_filepath": "a/b.wav", "offset": 2, "duration": 3.5, "text": "hi", "lang": "en"}',
+        {"id": "a/b-2s", "start_s": 2.0, "duration_s": 3.5},
+    ),
+    "a recording of lhotse": (
+        f'{{"id": "r1", {SOURCES}, "sampling_rate": 16000, "num_samples": 32000, "duration": 2.0,'
+        ' "channel_ids": [0]}',
+        {"id": "r1", "duration_s": 2.0},
+    ),
+    "a cut of lhotse": (
+        '{"id": "cut-1", "start": 0.5, "duration": 1.0, "channel": 0, "supervisions": [],'
+        f' "recording": {{"id": "r1", {SOURCES}}}, "type": "MonoCut"}}',
+        {"id": "cut-1", "start_s": 0.5, "duration_s": 1.0, "channels": (0,)},
+    ),
+}
 
 
-@pytest.mark.parametrize(
-    ("line", "expected"),
-    [
-        (  # NeMo
-            {
-                "audio_filepath": "a/b.wav",
-                "offset": 2,
-                "duration": 3.5,
-                "text": "hello",
-                "lang": "en",
-            },
-            {"id": "a/b-2s", "start_s": 2.0, "duration_s": 3.5},
-        ),
-        (  # a recording of lhotse
-            {
-                "id": "r1",
-                "sources": [{"type": "file", "channels": [0], "source": "a/b.wav"}],
-                "sampling_rate": 16_000,
-                "num_samples": 32_000,
-                "duration": 2.0,
-                "channel_ids": [0],
-            },
-            {"id": "r1", "duration_s": 2.0},
-        ),
-        (  # a cut of lhotse
-            {
-                "id": "cut-1",
-                "start": 0.5,
-                "duration": 1.0,
-                "channel": 0,
-                "supervisions": [],
-                "recording": {
-                    "id": "r1",
-                    "sources": [{"type": "file", "channels": [0], "source": "a/b.wav"}],
-                },
-                "type": "MonoCut",
-            },
-            {"id": "cut-1", "start_s": 0.5, "duration_s": 1.0, "channels": (0,)},
-        ),
-    ],
-)
+@pytest.mark.parametrize(("line", "expected"), FOREIGN.values(), ids=FOREIGN)
 def test_names_of_nemo_and_lhotse_are_understood(tmp_path, line, expected):
     (item,) = items(manifest(tmp_path / "l.jsonl", line))
     assert item.row() == {"audio": str(tmp_path / "a/b.wav")} | expected
@@ -110,19 +87,18 @@ def test_names_of_nemo_and_lhotse_are_understood(tmp_path, line, expected):
 
 def test_a_folder_or_a_glob_gives_sounds_in_order_without_the_results(tmp_path):
     folder = library(tmp_path / "in", 3)
-    (folder / "deep").mkdir()
-    (folder / "deep/film.MKV").touch()
-    (folder / "notes.txt").touch()
-    (folder / ".hidden.wav").touch()
     out = folder / "out"
-    out.mkdir()
-    (out / "s00.wav").touch()
-    names = ["deep/film", "s00", "s01", "s02"]
-    assert [item.id for item in items(folder, str(out))] == names
-    assert [item.id for item in items(folder / "**", str(out)) if "notes" not in item.id] == names
-    assert [item.id for item in items(folder / "s0[12].wav")] == ["s01", "s02"]
-    assert [item.id for item in items(folder / "*/*.MKV")] == ["deep/film"]
-    assert [item.id for item in items(folder / "s01.wav")] == ["s01"]
+    for name in ("deep/film.MKV", "notes.txt", ".hidden.wav", "out/s00.wav"):
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).touch()
+
+    def ids(pattern):
+        return [item.id for item in items(folder / pattern, str(out)) if "notes" not in item.id]
+
+    assert ids("") == ids("**") == ["deep/film", "s00", "s01", "s02"]
+    assert ids("s0[12].wav") == ["s01", "s02"]
+    assert ids("*/*.MKV") == ["deep/film"]
+    assert ids("s01.wav") == ["s01"]
 
 
 MISTAKES = {
@@ -154,22 +130,21 @@ MISTAKES = {
 
 
 def test_all_mistakes_are_told_at_once_with_their_lines_and_nothing_is_rendered(tmp_path):
-    random.seed(1)
-    listed, expected = [], []
     inside = json.dumps({"audio": str(tmp_path / "out/c.wav")})
-    for number, (line, told) in enumerate([*MISTAKES.items(), (inside, "is in the output folder")]):
-        listed += ["", json.dumps({"audio": f"good{number}.wav"}), line]
-        expected.append((len(listed), told))
+    wrong = {**MISTAKES, inside: "is in the output folder"}
+    listed = [
+        text
+        for number, line in enumerate(wrong)
+        for text in ("", json.dumps({"audio": f"good{number}.wav"}), line)
+    ]
     path = manifest(tmp_path / "l.jsonl", *listed)
-    path.write_bytes(path.read_bytes() + b'{"audio": "\xff.wav"}\n')
-    expected.append((len(listed) + 1, "is not UTF-8"))
+    path.write_bytes(path.read_bytes() + b'\n\n{"audio": "\xff.wav"}\n')
     done = call("catalogue", path, "--out", tmp_path / "out")
-    assert done.code == 2
-    assert done.stdout == ""
+    assert (done.code, done.stdout) == (2, "")
     said = done.stderr.splitlines()
-    assert len(said) == len(expected)
-    for text, (number, words) in zip(said, expected, strict=True):
-        assert text.startswith(f"cushion: error: {path}:{number}: ")
+    both = zip(said, (*wrong.values(), "is not UTF-8"), strict=True)
+    for number, (text, words) in enumerate(both, 1):
+        assert text.startswith(f"cushion: error: {path}:{3 * number}: ")
         assert words in text
     assert "hidden" not in done.stderr
     assert not (tmp_path / "out").exists()
@@ -185,18 +160,13 @@ def test_mistakes_of_csv_are_told_with_their_lines(tmp_path):
         "l.csv:7: has 3 columns; the header has 2 columns",
     ]
     path.write_text("file,start_s\na.wav,1\n")
-    assert mistakes(path) == [
-        "l.csv:1: the header has no column audio; it is \"['file', 'start_s']\""
-    ]
+    assert mistakes(path) == ["l.csv:1: the header has no column audio: \"['file', 'start_s']\""]
 
 
-def test_two_items_with_one_name_are_a_mistake(tmp_path):
-    lines = [
-        {"audio": "a.wav"},
-        {"audio": "b.wav", "id": "a"},
-        {"audio": "c.wav"},
-        {"audio": "a.flac"},
-    ]
+@pytest.mark.parametrize("in_memory_bytes", [1 << 16, 16])
+def test_two_items_of_one_name_are_a_mistake_even_on_disk(tmp_path, monkeypatch, in_memory_bytes):
+    monkeypatch.setattr("audioflinger_hook.catalogue.manifest.SPOOLED_BYTES", in_memory_bytes)
+    lines = ({"audio": "a.wav"}, {"audio": "b.wav", "id": "a"}, {"audio": "c"}, {"audio": "a.flac"})
     assert mistakes(manifest(tmp_path / "l.jsonl", *lines)) == [
         "l.jsonl:2: has the same id as line 1; give ids",
         "l.jsonl:4: has the same id as line 2; give ids",
@@ -225,18 +195,14 @@ def test_an_output_folder_that_a_link_names_is_known(tmp_path):
         assert all("is in the output folder" in text for text in wrong.shown)
 
 
-@pytest.mark.parametrize("content", ["", "\n\n", "audio,id\n"])
-def test_a_manifest_without_items_is_refused(tmp_path, content):
-    path = tmp_path / ("l.csv" if "audio" in content else "l.jsonl")
-    path.write_text(content)
-    with pytest.raises(UsageError, match="has no items"):
-        Manifest(str(path), OUT).check()
-
-
-@pytest.mark.parametrize("name", ["gone.jsonl", "gone/*.wav", "gone/"])
-def test_a_manifest_that_is_not_there_is_refused(tmp_path, name):
-    with pytest.raises(UsageError, match=r"does not exist|cannot be listed"):
-        Manifest(f"{tmp_path}/{name}", OUT).check()
+def test_a_manifest_that_is_not_there_or_has_no_items_is_refused(tmp_path):
+    for name, content in (("a.jsonl", ""), ("b.jsonl", "\n\n"), ("c.csv", "audio,id\n")):
+        (tmp_path / name).write_text(content)
+        with pytest.raises(UsageError, match="has no items"):
+            Manifest(str(tmp_path / name), OUT).check()
+    for name in ("gone.jsonl", "gone/*.wav", "gone/"):
+        with pytest.raises(UsageError, match=r"does not exist|cannot be listed"):
+            Manifest(f"{tmp_path}/{name}", OUT).check()
 
 
 def test_broken_manifests_never_raise_anything_else(tmp_path):
@@ -251,3 +217,68 @@ def test_broken_manifests_never_raise_anything_else(tmp_path):
             path.write_bytes(content)
             with contextlib.suppress(UsageError):
                 Manifest(str(path), OUT).check()
+
+
+PEAK_KB = """
+import atexit, contextlib, io, resource, sys
+from pathlib import Path
+from audioflinger_hook.cli import main
+def peak_kb():
+    own = Path("/proc/self/status").read_text().partition("VmHWM:")[2].split()[0]
+    return max(int(own), resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
+atexit.register(lambda: print(peak_kb(), file=sys.stderr))
+with contextlib.redirect_stdout(io.StringIO()):
+    assert main([*sys.argv[1:-1], FIRST]) == 0
+print(peak_kb(), file=sys.stderr)
+"""
+
+LEAF = 1_000
+"""Results in a folder. All folders of results are links to one, so that a million take no space."""
+
+
+def watched(*arguments, first):
+    """Run `cushion catalogue` on another manifest and then, in the same process, on the last one.
+
+    Return the summary of the latter, the wall time in s and the peak memory in MB after each.
+    """
+    begin_s, prelude = time.perf_counter(), f"FIRST = {str(first)!r}{PEAK_KB}"
+    with start("catalogue", "--json", *arguments, prelude=prelude) as process:
+        stdout, stderr = process.communicate()
+    assert process.returncode == 0, stderr
+    peaks = [int(line) / 1024.0 for line in stderr.splitlines()]
+    return json.loads(stdout), time.perf_counter() - begin_s, peaks
+
+
+def done_catalogue(folder, lines):
+    """Write a manifest of many items that are done: each is one sound under another name."""
+    out, leaf = folder / "out", folder / "out/leaf"
+    sound = library(folder / "in", 1) / "s00.wav"
+    first = manifest(folder / "first.jsonl", {"audio": str(sound), "id": "leaf/0"})
+    assert call("catalogue", first, "--out", out, "--workers", 1).code == 0
+    for index in range(1, LEAF):
+        for ending in (".wav", ".wav.json"):
+            os.link(leaf / f"0{ending}", leaf / f"{index}{ending}")
+    for index in range(-(-lines // LEAF)):
+        (out / str(index)).symlink_to(leaf)
+    with (folder / "all.jsonl").open("w") as file:
+        for index in range(lines):
+            name = f"{index // LEAF}/{index % LEAF}"
+            file.write(json.dumps({"audio": str(sound), "id": name}) + "\n")
+    return folder / "all.jsonl", out
+
+
+@pytest.mark.parametrize(
+    ("few", "many"), [(500, 5_000), pytest.param(100_000, 1_000_000, marks=pytest.mark.soak)]
+)
+def test_memory_does_not_grow_with_a_manifest_and_a_done_item_takes_under_2_ms(tmp_path, few, many):
+    listed, out = done_catalogue(tmp_path, many)
+    part = tmp_path / "few.jsonl"
+    with listed.open() as file:
+        part.write_text("".join(islice(file, few)))
+    found, wall_s, peaks = watched("--out", out, "--workers", 2, listed, first=part)
+    assert (found["items"], found["skipped"]) == (many, many)
+    print(f"{1e3 * wall_s / (few + many):.3f} ms an item, {peaks} MB")
+    if many == 1_000_000:  # of fewer items, the start of the processes is most of it
+        assert wall_s / (few + many) <= 2e-3
+    # 16 bytes a line for the search of duplicates may stay in memory up to 4 MB in all.
+    assert peaks[1] - peaks[0] <= 8.0

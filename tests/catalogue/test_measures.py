@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from audioflinger_hook.catalogue.measures import POINTS, VibrationMeter
-from audioflinger_hook.drive.rig_driver import RigDriver
 from device.rig import rig_by_name
+from tests.support.signals import times, tone
+from tools.rig_driver import RigDriver
 
 RATE = 48_000
 
@@ -20,8 +21,8 @@ def measured(vibration, samplerate=RATE, blocksize=10_000, rig="paper"):
 @pytest.mark.parametrize("rig", ["paper", "consumer"])
 @pytest.mark.parametrize("tone_hz", [25.0, 60.0, 200.0])
 def test_exposure_is_that_of_the_exposure_meter(rig, tone_hz):
-    time_s = np.arange(10 * RATE) / RATE
-    vibration = 0.3 * np.sin(2 * np.pi * tone_hz * time_s) * (1 + np.sin(2.0 * time_s)) / 2
+    swell = 1 + np.sin(2.0 * times(10.0, RATE))
+    vibration = tone(tone_hz, 10.0, RATE, 0.15) * swell
     vibration = np.column_stack([0.2 * vibration, vibration]).astype(np.float32)
     meter = RigDriver(rig_by_name(rig), RATE, 2)
     meter.process(vibration)
@@ -33,9 +34,8 @@ def test_exposure_is_that_of_the_exposure_meter(rig, tone_hz):
 @pytest.mark.parametrize("samplerate", [1_000, 44_100, 192_000])
 def test_exposure_does_not_depend_on_the_rate(samplerate):
     def exposure(rate):
-        time_s = np.arange(8 * rate) / rate
-        tone = 0.3 * np.sin(2 * np.pi * 70.0 * time_s)[:, None]
-        return measured(tone.astype(np.float32), rate)["exposure_a8_m_s2"]
+        vibration = tone(70.0, 8.0, rate, 0.3)[:, None].astype(np.float32)
+        return measured(vibration, rate)["exposure_a8_m_s2"]
 
     assert exposure(samplerate) == pytest.approx(exposure(RATE), rel=0.01)
 
@@ -59,7 +59,4 @@ def test_measures_do_not_depend_on_the_blocks():
     expected = measured(vibration, 1_000, 30_001)
     for blocksize in (1, 997, 2_400, 2_401):
         assert measured(vibration, 1_000, blocksize) == expected
-
-
-def test_nothing_gives_no_exposure():
     assert VibrationMeter("paper").measures()["exposure_a8_m_s2"] == 0.0

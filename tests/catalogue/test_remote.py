@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import sys
 
 import pytest
 
@@ -55,18 +56,20 @@ def test_what_storages_say_of_credentials_is_left_out(text, monkeypatch):
     assert found.startswith("/etc/hosts: ")
 
 
-def test_without_fsspec_local_paths_work_and_urls_name_the_extra(tmp_path):
+def test_without_fsspec_local_paths_work_and_urls_name_the_extra(tmp_path, monkeypatch):
     folder = library(tmp_path / "in", 2)
-    without = "import sys\nfor name in ('fsspec', 's3fs', 'dask', 'distributed', 'av'):\n"
-    without += "    sys.modules[name] = None\n"
+    lacking = dict.fromkeys(("fsspec", "s3fs", "dask", "distributed", "av"))
+    without = f"import sys\nsys.modules |= {lacking}\n"
     done = cushion("catalogue", folder, "--out", tmp_path / "o", "--workers", 1, prelude=without)
     assert (done.code, done.stderr) == (0, "")
+    for name in lacking:
+        monkeypatch.setitem(sys.modules, name, None)
     for arguments, extra in (
         ((folder, "--out", "s3://bucket/x"), "remote"),
         (("s3://bucket/x", "--out", tmp_path / "o"), "remote"),
         ((folder, "--out", tmp_path / "o", "--dask", "local"), "cluster"),
     ):
-        done = cushion("catalogue", *arguments, prelude=without)
+        done = call("catalogue", *arguments)
         assert done.code == 2
         assert done.stderr.count("\n") == 1
         assert f"haptic-cushion[{extra}]" in done.stderr

@@ -4,7 +4,8 @@ import errno
 import json
 import os
 import shutil
-from pathlib import Path
+from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -12,10 +13,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from audioflinger_hook.catalogue import recipe as recipes
-from audioflinger_hook.catalogue import stamps, work
+from audioflinger_hook.catalogue import storage, work
 from audioflinger_hook.exports.options import FORMATS
 from tests.support.catalogues import LOW_RATE, library, manifest, record, results, rows
-from tests.support.commands import call, cushion, noise, refused, sound, vibration
+from tests.support.commands import call, noise, refused, sound, start, vibration
 
 
 @pytest.fixture(scope="module")
@@ -28,22 +29,29 @@ def sounds(tmp_path_factory):
 def expected(sounds, tmp_path_factory):
     """The bytes that `render` writes for each of them."""
     folder = tmp_path_factory.mktemp("alone")
-    found = {}
-    for source in sorted(sounds.iterdir()):
-        assert call("render", source, folder / "one.wav").code == 0
-        found[source.name] = (folder / "one.wav").read_bytes()
-    return found
+    return {source.name: rendered_alone(folder, source) for source in sorted(sounds.iterdir())}
 
 
-def summary(*arguments):
+def rendered_alone(folder, source, *options):
+    """Return the bytes that `render` writes for a sound."""
+    assert call("render", source, folder / "alone.wav", *options).code == 0
+    return (folder / "alone.wav").read_bytes()
+
+
+def told(sounds, out, *options):
+    """Run `cushion catalogue` in this process."""
+    return call("catalogue", sounds, "--out", out, "--workers", 1, *options)
+
+
+def run(sounds, out, *options):
     """Run `cushion catalogue` in this process and return its summary and exit code."""
-    done = call("catalogue", *arguments, "--json")
+    done = told(sounds, out, "--json", *options)
     return json.loads(done.stdout), done.code
 
 
 def test_every_sound_of_a_folder_becomes_what_render_makes_of_it(sounds, expected, tmp_path):
     out = tmp_path / "out"
-    done = call("catalogue", sounds, "--out", out, "--workers", 1)
+    done = told(sounds, out)
     assert (done.code, done.stderr) == (0, "")
     assert results(out) == expected
     found = record(out, "s00.wav")
@@ -71,24 +79,13 @@ def test_bytes_do_not_depend_on_order_shards_workers_or_interruptions(
     for stop in stops:  # a run that ends at a missing file, as an interruption would end it
         broken = [*lines[:stop], {"audio": "gone.wav"}, *lines[stop:]]
         part = manifest(folder / "part.jsonl", *broken)
-        _, code = summary(part, "--out", out, "--workers", 1, "--max-failures", 0)
+        _, code = run(part, out, "--max-failures", 0)
         assert code == 2
     for shard in range(shards, 0, -1):
         share = f"{shard}/{shards}"
-        _, code = summary(listed, "--out", out, "--shard", share, "--workers", workers)
+        _, code = run(listed, out, "--shard", share, "--workers", workers)
         assert code == 0
     assert results(out) == expected
-
-
-def test_a_second_run_renders_nothing_and_changes_nothing(sounds, tmp_path):
-    out = tmp_path / "out"
-    summary(sounds, "--out", out, "--workers", 1)
-    before = {
-        path: path.stat().st_mtime_ns for path in out.iterdir() if "catalogue" not in path.name
-    }
-    found, code = summary(sounds, "--out", out, "--workers", 1)
-    assert (found["rendered"], found["skipped"], code) == (0, 6, 0)
-    assert {path: path.stat().st_mtime_ns for path in before} == before
 
 
 def test_only_what_has_changed_is_rendered_again(sounds, tmp_path):
@@ -96,77 +93,71 @@ def test_only_what_has_changed_is_rendered_again(sounds, tmp_path):
     shutil.copytree(sounds, folder)
 
     def rendered(*options):
-        return summary(folder, "--out", out, "--workers", 1, *options)[0]["rendered"]
+        return run(folder, out, *options)[0]["rendered"]
 
     assert rendered() == 6
     sound(folder / "s00.wav", noise(2_000), LOW_RATE)
     assert rendered() == 1
-    assert rendered("--profile", "cinema") == 6
-    assert rendered() == 6
-    assert rendered("--transform", "reference") == 6
-    assert rendered("--output-rate", 1_000) == 6
+    before = {path: path.stat().st_mtime_ns for path in out.glob("s*")}
+    assert rendered() == 0
+    assert {path: path.stat().st_mtime_ns for path in before} == before
+    for options in ("--profile cinema", "", "--transform reference", "--output-rate 1000"):
+        assert rendered(*options.split()) == 6
     assert rendered("--output-rate", 1_000) == 0
 
 
-@pytest.mark.parametrize("damage", ["shorter", "longer", "other bytes", "gone", "torn record"])
-def test_a_result_that_is_not_whole_is_rendered_again(sounds, expected, tmp_path, damage):
+DAMAGES = {
+    "shorter": lambda result, note: result.write_bytes(result.read_bytes()[:-4]),
+    "longer": lambda result, note: result.write_bytes(result.read_bytes() + b"...."),
+    "other bytes": lambda result, note: result.write_bytes(result.read_bytes()[::-1]),
+    "gone": lambda result, note: result.unlink(),
+    "torn record": lambda result, note: note.write_text(note.read_text()[:60]),
+    "no record": lambda result, note: note.unlink(),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_a_result_not_whole_or_without_record_is_rendered_again(sounds, expected, tmp_path, damage):
     out = tmp_path / "out"
-    summary(sounds, "--out", out, "--workers", 1)
-    result, note = out / "s01.wav", out / "s01.wav.json"
-    whole = result.read_bytes()
-    if damage == "gone":
-        result.unlink()
-    elif damage == "torn record":
-        note.write_text(note.read_text()[:60])
-    else:
-        changed = {"shorter": whole[:-4], "longer": whole + b"....", "other bytes": whole[::-1]}
-        result.write_bytes(changed[damage])
-    assert summary(sounds, "--out", out, "--workers", 1)[0]["rendered"] == 1
+    run(sounds, out)
+    DAMAGES[damage](out / "s01.wav", out / "s01.wav.json")
+    assert run(sounds, out)[0]["rendered"] == 1
     assert results(out) == expected
 
 
-def test_a_file_with_the_right_name_and_no_record_proves_nothing(sounds, expected, tmp_path):
-    out = tmp_path / "out"
-    out.mkdir()
-    (out / "s00.wav").write_bytes(b"something else")
-    assert summary(sounds, "--out", out, "--workers", 1)[0]["rendered"] == 6
-    assert results(out) == expected
-
-
-def test_a_copied_folder_of_results_is_known_by_its_bytes(sounds, tmp_path):
+def test_copies_are_known_by_their_bytes(sounds, tmp_path):
+    folder, moved = tmp_path / "in", tmp_path / "moved"
     out, copied = tmp_path / "out", tmp_path / "copied"
-    summary(sounds, "--out", out, "--workers", 1)
-    for path in out.iterdir():
-        copied.mkdir(exist_ok=True)
-        (copied / path.name).write_bytes(path.read_bytes())
+    shutil.copytree(sounds, folder)
+    run(folder, out)
+    shutil.copytree(out, copied, copy_function=shutil.copyfile)
     for _ in range(2):
-        assert summary(sounds, "--out", copied, "--workers", 1)[0]["skipped"] == 6
+        assert run(folder, copied)[0]["skipped"] == 6
+    # The sounds themselves are on request.
+    assert run(folder, out, "--verify")[0]["rendered"] == 6
+    for path in folder.iterdir():
+        os.utime(path, ns=(1, 1))
+    folder.rename(moved)
+    assert run(moved, out, "--verify")[0]["skipped"] == 6
 
 
-def test_a_result_without_the_record_of_its_own_run_is_not_taken_for_another(
-    sounds, expected, tmp_path, monkeypatch
-):
+def test_a_result_without_its_own_record_is_not_taken(sounds, expected, tmp_path, monkeypatch):
     out = tmp_path / "out"
-    summary(sounds, "--out", out, "--workers", 1)
-
-    def ended(*_arguments):
-        raise KeyboardInterrupt
-
+    run(sounds, out)
     # Another profile's result has the same size. Its run ends before it writes the record.
     with monkeypatch.context() as patch:
-        patch.setattr(work, "_write_record", ended)
-        options = ("--out", out, "--workers", 1, "--profile", "cinema")
-        assert call("catalogue", sounds, *options).code == 130
+        patch.setattr(work, "_write_record", Mock(side_effect=KeyboardInterrupt))
+        assert told(sounds, out, "--profile", "cinema").code == 130
     assert results(out) != expected
-    assert summary(sounds, "--out", out, "--workers", 1)[0]["rendered"] == 1
+    assert run(sounds, out)[0]["rendered"] == 1
     assert results(out) == expected
 
 
 @pytest.mark.parametrize("name", FORMATS)
 def test_every_format_has_the_bytes_of_an_export(tmp_path, name):
-    folder, out = library(tmp_path / "in", 2, 12_000), tmp_path / "out"
+    folder, out = library(tmp_path / "in", 2, 4_000), tmp_path / "out"
     for state in ("rendered", "skipped"):
-        found, code = summary(folder, "--out", out, "--workers", 1, "--format", name)
+        found, code = run(folder, out, "--format", name)
         assert (found[state], code) == (2, 0)
     suffix = FORMATS[name].suffixes[0]
     alone = tmp_path / f"alone{suffix}"
@@ -183,47 +174,43 @@ def test_results_of_another_version_are_made_anew(sounds, expected, tmp_path, mo
     monkeypatch.setattr(recipes.Recipe, "version", "0.0", raising=False)
     monkeypatch.setattr(recipes.Recipe.__init__, "__defaults__", (None, None, False, "0.0"))
     monkeypatch.setattr(work, "VERSION", "0.0")
-    assert summary(sounds, "--out", out, "--workers", 1)[0]["rendered"] == 6
+    assert run(sounds, out)[0]["rendered"] == 6
     monkeypatch.undo()
-    assert summary(sounds, "--out", out, "--workers", 1)[0]["rendered"] == 6
+    assert run(sounds, out)[0]["rendered"] == 6
     assert results(out) == expected
 
 
 def test_a_worker_of_another_version_stops_the_run(sounds, tmp_path, monkeypatch):
     monkeypatch.setattr(work, "VERSION", "another")
-    done = call("catalogue", sounds, "--out", tmp_path / "out", "--workers", 1)
+    done = told(sounds, tmp_path / "out")
     assert done.code == 2
     assert "install the same version" in done.stderr
     assert done.stderr.count("\n") == 2
 
 
-def test_sounds_are_known_by_content_on_request(sounds, tmp_path):
-    folder, moved, out = tmp_path / "in", tmp_path / "moved", tmp_path / "out"
-    shutil.copytree(sounds, folder)
-    assert summary(folder, "--out", out, "--verify", "--workers", 1)[0]["rendered"] == 6
-    for path in folder.iterdir():
-        os.utime(path, ns=(1, 1))
-    folder.rename(moved)
-    assert summary(moved, "--out", out, "--verify", "--workers", 1)[0]["skipped"] == 6
-
-
-def test_one_bad_file_ends_nothing_and_the_list_of_failures_is_a_manifest(tmp_path):
+def test_bad_files_end_nothing_and_the_list_of_failures_is_a_manifest(tmp_path):
     folder, out = library(tmp_path / "in"), tmp_path / "out"
-    good = (folder / "s01.wav").read_bytes()
-    (folder / "s01.wav").write_text("no sound")
-    (folder / "s02.wav").write_bytes(b"")
-    found, code = summary(folder, "--out", out, "--workers", 1)
-    assert (found["rendered"], found["failed"], code) == (2, 2, 2)
-    failed = rows(out / "failed.jsonl")
-    assert [row["id"] for row in failed] == ["s01", "s02"]
-    assert "not a sound file" in failed[0]["error"]
+    good = (folder / "s03.wav").read_bytes()
+    for name, content in (("s00", b"no sound"), ("s01", b""), ("s02", b"no sound")):
+        (folder / f"{name}.wav").write_bytes(content)
+
+    def failed(*arguments):
+        found, code = run(*arguments)
+        assert code == 2
+        return found["failed"], [row["id"] for row in rows(out / "failed.jsonl")]
+
+    everything = ["s00", "s01", "s02"]
+    assert failed(folder, out) == (3, everything)
+    assert "not a sound file" in rows(out / "failed.jsonl")[0]["error"]
+    # A run on the list that ends early keeps the list.
+    assert failed(out / "failed.jsonl", out, "--max-failures", 0) == (1, everything)
     (folder / "s01.wav").write_bytes(good)
-    found, code = summary(out / "failed.jsonl", "--out", out, "--workers", 1)
-    assert (found["rendered"], found["failed"], code) == (1, 1, 2)
-    (folder / "s02.wav").write_bytes(good)
-    assert summary(out / "failed.jsonl", "--out", out, "--workers", 1)[1] == 0
+    assert failed(out / "failed.jsonl", out) == (2, ["s00", "s02"])
+    for name in ("s00", "s02"):
+        (folder / f"{name}.wav").write_bytes(good)
+    assert run(out / "failed.jsonl", out)[1] == 0
     assert not (out / "failed.jsonl").exists()
-    assert summary(folder, "--out", out, "--workers", 1)[0]["skipped"] == 4
+    assert run(folder, out)[0]["skipped"] == 4
 
 
 def test_a_result_never_replaces_the_sound_that_it_is_made_of(tmp_path):
@@ -231,116 +218,70 @@ def test_a_result_never_replaces_the_sound_that_it_is_made_of(tmp_path):
     before = (out / "s00.wav").read_bytes()
     (tmp_path / "links").mkdir()
     (tmp_path / "links/s00.wav").symlink_to(out / "s00.wav")
-    assert summary(tmp_path / "links", "--out", out, "--workers", 1)[0]["failed"] == 1
+    assert run(tmp_path / "links", out)[0]["failed"] == 1
     assert (out / "s00.wav").read_bytes() == before
     assert "is the file that its result would replace" in rows(out / "failed.jsonl")[0]["error"]
 
 
-def test_a_run_on_the_list_of_failures_that_ends_early_keeps_the_list(tmp_path):
-    folder, out = library(tmp_path / "in"), tmp_path / "out"
-    for index in range(3):
-        (folder / f"s0{index}.wav").write_text("no sound")
-    assert summary(folder, "--out", out, "--workers", 1)[0]["failed"] == 3
-    again = (out / "failed.jsonl", "--out", out, "--workers", 1)
-    assert summary(*again, "--max-failures", 0)[0]["failed"] == 1
-    assert [row["id"] for row in rows(out / "failed.jsonl")] == ["s00", "s01", "s02"]
-    shutil.copy(folder / "s03.wav", folder / "s01.wav")
-    assert summary(*again)[0]["failed"] == 2
-    assert [row["id"] for row in rows(out / "failed.jsonl")] == ["s00", "s02"]
-
-
 def test_a_failed_item_keeps_everything_that_its_line_said(tmp_path):
-    line = {
-        "audio": "gone.mkv", "id": "x/y", "start_s": 1.5, "duration_s": 2.0, "channels": [0, 1],
-        "profile": "cinema", "track": 2, "language": "fra",
-    }  # fmt: skip
+    line = {"audio": "gone.mkv", "id": "x/y", "start_s": 1.5, "duration_s": 2.0}
+    line |= {"channels": [0, 1], "profile": "cinema", "track": 2, "language": "fra"}
     listed = manifest(tmp_path / "list.jsonl", line)
-    assert summary(listed, "--out", tmp_path / "out", "--workers", 1)[1] == 2
+    assert run(listed, tmp_path / "out")[1] == 2
     (row,) = rows(tmp_path / "out/failed.jsonl")
     assert {name: row[name] for name in line} == line | {"audio": str(tmp_path / "gone.mkv")}
 
 
-def test_a_run_stops_after_too_many_failures(tmp_path):
-    lines = [{"audio": f"gone{n}.wav"} for n in range(20)]
-    listed = manifest(tmp_path / "list.jsonl", *lines)
-    found, code = summary(listed, "--out", tmp_path / "out", "--workers", 1, "--max-failures", 0)
-    assert code == 2
-    assert found["failed"] < 20
-
-
-@pytest.mark.parametrize(
-    ("line", "frames"),
-    [
-        ({"start_s": 0.1}, 1_200),
-        ({"duration_s": 0.1}, 800),
-        ({"start_s": 0.05, "duration_s": 0.1}, 800),
-        ({"start_s": 0.2, "duration_s": 9.0}, 400),
-        ({"offset": 0.05, "duration": 0.1}, 800),
-    ],
-)
-def test_a_part_of_a_sound_becomes_what_render_makes_of_that_part(tmp_path, line, frames):
-    samples = noise(2_000, 2).astype(np.float32)
-    sound(tmp_path / "whole.wav", samples, LOW_RATE)
-    first = round((line.get("start_s") or line.get("offset") or 0.0) * LOW_RATE)
-    sound(tmp_path / "part.wav", samples[first : first + frames], LOW_RATE)
-    assert call("render", tmp_path / "part.wav", tmp_path / "alone.wav").code == 0
-    listed = manifest(tmp_path / "list.jsonl", {"audio": "whole.wav", "id": "part", **line})
-    assert summary(listed, "--out", tmp_path / "out", "--workers", 1)[1] == 0
-    assert (tmp_path / "out/part.wav").read_bytes() == (tmp_path / "alone.wav").read_bytes()
-
-
-@pytest.mark.parametrize("kind", ["FLAC", "OGG"])
-def test_a_part_of_a_compressed_sound_begins_at_its_frame(tmp_path, kind):
-    samples = noise(20_000).astype(np.float32) * 0.3
-    source = sound(
-        tmp_path / "whole",
-        samples,
-        LOW_RATE,
-        format=kind,
-        subtype="PCM_16" if kind == "FLAC" else "VORBIS",
+@pytest.mark.parametrize("kind", ["WAV/FLOAT", "FLAC/PCM_16", "OGG/VORBIS"])
+def test_a_part_of_a_sound_becomes_what_render_makes_of_that_part(tmp_path, kind):
+    container, subtype = kind.split("/")
+    options = {"format": container, "subtype": subtype}
+    samples = vibration(sound(tmp_path / "whole", 0.3 * noise(20_000, 2), LOW_RATE, **options))
+    parts = (
+        ({"start_s": 2.4}, slice(19_200, None)),
+        ({"duration_s": 0.1}, slice(800)),
+        ({"start_s": 1.0, "duration_s": 0.5}, slice(8_000, 12_000)),
+        ({"start_s": 2.4, "duration_s": 9.0}, slice(19_200, None)),
+        ({"offset": 0.05, "duration": 0.1}, slice(400, 1_200)),
     )
-    sound(tmp_path / "part.wav", vibration(source)[8_000:12_000], LOW_RATE)
-    assert call("render", tmp_path / "part.wav", tmp_path / "alone.wav").code == 0
-    line = {"audio": "whole", "id": "part", "start_s": 1.0, "duration_s": 0.5}
-    listed = manifest(tmp_path / "list.jsonl", line)
-    assert summary(listed, "--out", tmp_path / "out", "--workers", 1)[1] == 0
-    assert (tmp_path / "out/part.wav").read_bytes() == (tmp_path / "alone.wav").read_bytes()
+    lines = [{"audio": "whole", "id": f"{n}", **line} for n, (line, _) in enumerate(parts)]
+    assert run(manifest(tmp_path / "list.jsonl", *lines), tmp_path / "out")[1] == 0
+    for number, (_, frames) in enumerate(parts):
+        part = sound(tmp_path / "part.wav", samples[frames], LOW_RATE)
+        made = (tmp_path / f"out/{number}.wav").read_bytes()
+        assert made == rendered_alone(tmp_path, part)
 
 
 def test_channels_and_profile_are_chosen_for_each_item(tmp_path):
     samples = noise(2_000, 3).astype(np.float32)
     sound(tmp_path / "three.wav", samples, LOW_RATE)
     sound(tmp_path / "last.wav", samples[:, 2], LOW_RATE)
-    lines = [
-        {"audio": "three.wav", "id": "each", "channels": "each"},
-        {"audio": "three.wav", "id": "last", "channels": 2},
-        {"audio": "three.wav", "id": "game", "profile": "game"},
-    ]
     out = tmp_path / "out"
-    assert summary(manifest(tmp_path / "l.jsonl", *lines), "--out", out, "--workers", 1)[1] == 0
-    for source, name, *options in (
-        ("three.wav", "each", "--channels", "each"),
-        ("last.wav", "last"),
-        ("three.wav", "game", "--profile", "game"),
-    ):
-        assert call("render", tmp_path / source, tmp_path / "alone.wav", *options).code == 0
-        assert (out / f"{name}.wav").read_bytes() == (tmp_path / "alone.wav").read_bytes()
+    chosen: dict[str, Any] = {
+        "each": ({"channels": "each"}, ("three.wav", "--channels", "each")),
+        "last": ({"channels": 2}, ("last.wav",)),
+        "game": ({"profile": "game"}, ("three.wav", "--profile", "game")),
+    }
+    lines = [{"audio": "three.wav", "id": name} | line for name, (line, _) in chosen.items()]
+    assert run(manifest(tmp_path / "l.jsonl", *lines), out)[1] == 0
+    for name, (_, (source, *options)) in chosen.items():
+        alone = rendered_alone(tmp_path, tmp_path / source, *options)
+        assert (out / f"{name}.wav").read_bytes() == alone
     assert record(out, "game.wav")["profile"] == "game"
 
 
-@pytest.mark.parametrize("line", [{"start_s": 60.0}, {"channels": 7}])
-def test_a_part_that_is_not_there_fails(tmp_path, line):
+def test_a_part_that_is_not_there_fails(tmp_path):
     sound(tmp_path / "a.wav", noise(2_000), LOW_RATE)
-    listed = manifest(tmp_path / "list.jsonl", {"audio": "a.wav", **line})
-    done = call("catalogue", listed, "--out", tmp_path / "out", "--workers", 1)
+    lines = ({"audio": "a.wav", "id": "late", "start_s": 60.0}, {"audio": "a.wav", "channels": 7})
+    done = told(manifest(tmp_path / "list.jsonl", *lines), tmp_path / "out")
     assert done.code == 2
-    assert "is not in the sound" in done.stderr
+    assert done.stderr.count("is not in the sound") == 2
     assert results(tmp_path / "out") == {}
 
 
 def test_the_end_of_a_sound_of_thirty_hours_is_reached_at_once(tmp_path):
-    path, frames = tmp_path / "long.wav", 30 * 3600 * 1_000
-    sound(path, np.zeros(2_000, np.float32), 1_000, subtype="PCM_U8")
+    frames = 30 * 3600 * 1_000
+    path = sound(tmp_path / "long.wav", np.zeros(2_000, np.float32), 1_000, subtype="PCM_U8")
     content = bytearray(path.read_bytes())
     at = content.index(b"data") + 4
     content[at : at + 4] = frames.to_bytes(4, "little")
@@ -348,46 +289,25 @@ def test_the_end_of_a_sound_of_thirty_hours_is_reached_at_once(tmp_path):
     path.write_bytes(content)
     os.truncate(path, at + 4 + frames)  # a hole that takes no space
     line = {"audio": str(path), "id": "end", "start_s": 30 * 3600.0 - 2.0}
-    listed = manifest(tmp_path / "list.jsonl", line)
-    assert summary(listed, "--out", tmp_path / "out", "--workers", 1)[1] == 0
+    assert run(manifest(tmp_path / "list.jsonl", line), tmp_path / "out")[1] == 0
     assert record(tmp_path / "out", "end.wav")["frames"] == 2_000
 
 
-def test_a_format_that_cannot_hold_the_channels_fails_item_by_item(tmp_path):
-    sound(tmp_path / "nine.wav", noise(2_000, 9), LOW_RATE)
-    sound(tmp_path / "one.wav", noise(2_000, 1), LOW_RATE)
-    lines = [{"audio": "nine.wav"}, {"audio": "one.wav"}]
-    done = call(
-        "catalogue", manifest(tmp_path / "l.jsonl", *lines), "--out", tmp_path / "out",
-        "--format", "flac", "--channels", "each", "--workers", 1,
-    )  # fmt: skip
-    assert done.code == 2
-    assert "flac cannot hold 9 channels" in done.stderr
-    assert list(results(tmp_path / "out")) == ["one.flac"]
+def test_a_full_disk_ends_the_run_and_the_next_one_goes_on(sounds, expected, tmp_path, monkeypatch):
+    out, put = tmp_path / "out", storage.LocalStorage.put
+    full = Mock(side_effect=OSError(errno.ENOSPC, "No space left on device"))
 
+    def limited(self, name, make):
+        return put(self, name, full if name.endswith(".wav") and len(results(out)) == 2 else make)
 
-def test_a_full_disk_ends_the_run_and_the_next_one_goes_on(sounds, expected, tmp_path):
-    out = tmp_path / "out"
-    full = f"""
-import errno, os
-from audioflinger_hook.catalogue import storage
-put, count = storage.LocalStorage.put, 0
-def limited(self, name, make):
-    global count
-    count += name.endswith(".wav")
-    def made(path):
-        if count > 2 and name.endswith(".wav"):
-            raise OSError({errno.ENOSPC}, os.strerror({errno.ENOSPC}))
-        return make(path)
-    return put(self, name, made)
-storage.LocalStorage.put = limited
-"""
-    done = cushion("catalogue", sounds, "--out", out, "--workers", 1, prelude=full)
+    with monkeypatch.context() as patch:
+        patch.setattr(storage.LocalStorage, "put", limited)
+        done = told(sounds, out)
     assert done.code == 5
     assert "No space left" in done.stderr
     assert "run the same command again" in done.stderr
     assert len(results(out)) == 2
-    assert call("catalogue", sounds, "--out", out, "--workers", 1).code == 0
+    assert run(sounds, out)[1] == 0
     assert results(out) == expected
 
 
@@ -395,7 +315,7 @@ def test_i_o_is_repeated_and_nothing_else(sounds, tmp_path, monkeypatch):
     waits: list[float] = []
     fails = [errno.EIO, errno.EIO]
     monkeypatch.setattr("time.sleep", waits.append)
-    identity = stamps.identity_of
+    identity = storage.identity_of
 
     def failing(audio):
         if audio.endswith("s00.wav") and fails:
@@ -403,36 +323,30 @@ def test_i_o_is_repeated_and_nothing_else(sounds, tmp_path, monkeypatch):
         return identity(audio)
 
     monkeypatch.setattr(work, "identity_of", failing)
-    (sounds / "x.flac").write_text("no sound")
-    try:
-        found, code = summary(sounds, "--out", tmp_path / "out", "--workers", 1)
-    finally:
-        (sounds / "x.flac").unlink()
+    folder = shutil.copytree(sounds, tmp_path / "in")
+    (folder / "x.flac").write_text("no sound")
+    found, code = run(folder, tmp_path / "out")
     assert (found["rendered"], found["failed"], code) == (6, 1, 2)
     assert waits == [0.5, 1.5]
 
 
 def test_two_runs_into_one_folder_work_together(sounds, expected, tmp_path):
     out = tmp_path / "out"
-    from tests.support.commands import start
-
     runs = [start("catalogue", sounds, "--out", out, "--workers", 1) for _ in range(2)]
     for process in runs:
         with process:
             assert process.communicate(timeout=60)[1] == ""
             assert process.returncode == 0
     assert results(out) == expected
-    assert summary(sounds, "--out", out, "--workers", 1)[0]["skipped"] == 6
+    assert run(sounds, out)[0]["skipped"] == 6
 
 
 def test_status_counts_what_is_done_outdated_missing_and_unreadable(sounds, tmp_path):
-    folder, out = tmp_path / "in", tmp_path / "out"
-    shutil.copytree(sounds, folder)
-    summary(folder, "--out", out, "--workers", 1)
-    sound(folder / "s00.wav", noise(500), LOW_RATE)
-    sound(folder / "t.wav", noise(500), LOW_RATE)
-    lines = [{"audio": str(path)} for path in sorted(folder.iterdir())]
-    lines = [{**line, "id": Path(line["audio"]).stem} for line in lines]
+    folder, out = shutil.copytree(sounds, tmp_path / "in"), tmp_path / "out"
+    run(folder, out)
+    for name in ("s00.wav", "t.wav"):
+        sound(folder / name, noise(500), LOW_RATE)
+    lines = [{"audio": str(path), "id": path.stem} for path in folder.iterdir()]
     listed = manifest(tmp_path / "list.jsonl", *lines, {"audio": "gone.wav"})
     before = results(out)
     done = call("catalogue", "status", listed, "--out", out, "--json")
@@ -447,7 +361,7 @@ def test_the_report_is_one_page_with_a_picture_of_each_item(tmp_path):
     sound(folder / "quiet.wav", np.zeros((2_000, 1)), LOW_RATE)
     (folder / "<bad>.wav").write_text("no sound")
     for _ in range(2):  # skipped items have their pictures, too
-        done = call("catalogue", folder, "--out", tmp_path / "out", "--report", page)
+        done = told(folder, tmp_path / "out", "--report", page)
         assert done.code == 2
         text = (page / "index.html").read_text()
         assert text.count("<figure") == 6
@@ -459,26 +373,26 @@ def test_the_report_is_one_page_with_a_picture_of_each_item(tmp_path):
     assert "silence" in done.stdout
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        ((), "--out"),
-        (("--out", "o", "--shard", "0/3"), "I from 1 to N"),
-        (("--out", "o", "--shard", "4/3"), "I from 1 to N"),
-        (("--out", "o", "--shard", "1/2", "--dask", "local"), "cannot be used together"),
-        (("--out", "o", "--workers", "0"), "--workers=0"),
-        (("--out", "o", "--format", "mp3"), "format 'mp3' is not known"),
-        (("--out", "o", "--output-rate", "10"), "output_rate_hz=10"),
-        (("--out", "o", "--retries", "-1"), "--retries=-1"),
-        (("--out", "o", "--max-failures", "-1"), "--max-failures=-1"),
-        (("--out", "missing/o"), "is missing"),
-        (("--out", "IN"), "name another"),
-        (("--out", "s3://key:password@bucket/o"), "holds credentials"),
-    ],
-)
+WRONG_USAGE = {
+    "": "--out",
+    "--out o --shard 0/3": "I from 1 to N",
+    "--out o --shard 4/3": "I from 1 to N",
+    "--out o --shard 1/2 --dask local": "cannot be used together",
+    "--out o --workers 0": "--workers=0",
+    "--out o --format mp3": "format 'mp3' is not known",
+    "--out o --output-rate 10": "output_rate_hz=10",
+    "--out o --retries -1": "--retries=-1",
+    "--out o --max-failures -1": "--max-failures=-1",
+    "--out missing/o": "is missing",
+    "--out IN": "name another",
+    "--out s3://key:password@bucket/o": "holds credentials",
+}
+
+
+@pytest.mark.parametrize(("options", "words"), WRONG_USAGE.items())
 def test_wrong_usage_is_one_line(sounds, tmp_path, monkeypatch, options, words):
     monkeypatch.chdir(tmp_path)
-    given = [sounds if option == "IN" else option for option in options]
+    given = [sounds if option == "IN" else option for option in options.split()]
     line = refused(call("catalogue", sounds, *given))
     assert words in line
     assert "password" not in line.replace("without password", "")

@@ -73,14 +73,9 @@ def test_worker_processes_reach_the_storage_by_themselves(store, tmp_path):
     assert found == expected(local, tmp_path)
 
 
-@pytest.mark.parametrize(
-    "failures",
-    [[403], [500, 403, 503, 500]],
-)
+@pytest.mark.parametrize("failures", [[403], [500, 403, 503, 500]])
 @pytest.mark.parametrize("method", ["PUT", "GET", "HEAD"])
-def test_a_storage_that_fails_and_then_works_loses_nothing(
-    store, tmp_path, monkeypatch, failures, method
-):
+def test_a_storage_that_fails_a_while_loses_nothing(store, tmp_path, monkeypatch, failures, method):
     application, _, files, folder, local = store
     waits: list[float] = []
     monkeypatch.setattr("time.sleep", waits.append)

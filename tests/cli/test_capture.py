@@ -1,23 +1,20 @@
 """`cushion capture` and `cushion replay`: what was heard once is felt again, byte for byte."""
 
-from __future__ import annotations
-
-import contextlib
-import json
+import functools
 import signal
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
 import soundfile
 
 from audioflinger_hook.capture import Capture, CaptureWriter
-from audioflinger_hook.config.profiles import LIVE_DEFAULT
 from tests.support.commands import (
     RATE,
     call,
     cushion,
+    document,
+    held_back,
     listing,
     noise,
     sound,
@@ -26,8 +23,6 @@ from tests.support.commands import (
     vibration,
 )
 from tests.support.signals import FORMS
-
-PLAIN = {"buffers", "format_changes", "discontinuities"}
 
 
 def captured(folder, tap, *options):
@@ -38,11 +33,7 @@ def captured(folder, tap, *options):
     return done.stdout
 
 
-def replayed(folder, out, *options):
-    """The report of a replay that works and has nothing to warn of."""
-    done = call("replay", folder, out, "--json", *options)
-    assert (done.code, done.stderr) == (0, "")
-    return json.loads(done.stdout)
+replayed = functools.partial(document, "replay")
 
 
 def written(folder, *buffers):
@@ -61,15 +52,10 @@ def uneven(frames, seed=0):
     return [frames[a:b] for a, b in zip(ends, [*ends[1:], len(frames)], strict=True)]
 
 
-# --- the same again
-
-
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("mode", ["mono", "each"])
 @pytest.mark.parametrize(("samplerate", "channels"), [(44_100, 1), (48_000, 6), (44_100, 6)])
-def test_a_replayed_capture_of_a_file_is_the_rendering_of_that_file(
-    tmp_path, form, mode, samplerate, channels
-):
+def test_a_replayed_capture_of_a_file_is_its_rendering(tmp_path, form, mode, samplerate, channels):
     source = sound(tmp_path / "in.wav", noise(20_000, channels), samplerate)
     options = ["--transform", form, "--channels", mode]
     captured(tmp_path / "cap", f"file:{source}")
@@ -97,37 +83,19 @@ def test_processes_of_their_own_do_the_same_and_the_acceleration_too(tmp_path):
     assert (tmp_path / "felt_again.wav").read_bytes() == felt.read_bytes()
 
 
-@pytest.mark.exhaustive
-def test_a_capture_of_the_demo_replays_to_what_the_demo_writes(tmp_path):
-    prelude = 'import sys\nsys.modules["matplotlib"] = None\n'
-    done = cushion("demo", "--fast", "--out", tmp_path / "out", prelude=prelude)
-    assert done.code == 0
-    captured(tmp_path / "cap", "scene:demo")
-    config = tmp_path / "config.toml"
-    config.write_text(f'profile = "{LIVE_DEFAULT}"\n[transform]\nstrength = "rig"\n')
-    report = replayed(tmp_path / "cap", tmp_path / "again.wav", "--config", config)
-    assert report["buffers"] == -(-15 * RATE // 256)
-    assert (tmp_path / "again.wav").read_bytes() == (tmp_path / "out/vibration.wav").read_bytes()
-
-
-def test_a_capture_of_a_capture_is_the_same_capture(tmp_path):
-    frames = noise(9_000, 2).astype(np.float32)
+@pytest.mark.parametrize("form", FORMS)
+def test_buffers_of_any_length_are_captured_again_and_replayed_as_they_are(tmp_path, form):
+    frames = noise(15_000, 2).astype(np.float32)
     buffers = [(part, RATE, number == 3) for number, part in enumerate(uneven(frames))]
     written(tmp_path / "one", *buffers)
     captured(tmp_path / "two", f"capture:{tmp_path / 'one'}")
-    one, two = (list(Capture(tmp_path / name).buffers("tap")) for name in ("one", "two"))
-    assert [(b.frames.tobytes(), b.format, b.discontinuity) for b in one] == [
-        (b.frames.tobytes(), b.format, b.discontinuity) for b in two
-    ]
-
-
-@pytest.mark.parametrize("form", FORMS)
-def test_buffers_of_any_length_replay_to_the_rendering_of_their_sound(tmp_path, form):
-    frames = noise(15_000, 2).astype(np.float32)
-    parts = uneven(frames)
-    written(tmp_path / "cap", *[(part, RATE, False) for part in parts])
-    report = replayed(tmp_path / "cap", tmp_path / "again.wav", "--transform", form)
-    assert report["buffers"] == len(parts)
+    one, two = (
+        [(b.frames.tobytes(), b.format, b.discontinuity) for b in Capture(folder).buffers("tap")]
+        for folder in (tmp_path / "one", tmp_path / "two")
+    )
+    assert one == two
+    report = replayed(tmp_path / "two", tmp_path / "again.wav", "--transform", form)
+    assert report["buffers"] == len(buffers)
     source = sound(tmp_path / "in.wav", frames)
     assert call("render", source, tmp_path / "out.wav", "--transform", form).code == 0
     assert (tmp_path / "again.wav").read_bytes() == (tmp_path / "out.wav").read_bytes()
@@ -153,9 +121,6 @@ def test_what_is_wrong_with_the_source_is_warned_of_and_the_rest_captured(tmp_pa
     assert replayed(tmp_path / "cap", tmp_path / "out.wav")["frames"] == 4_500
 
 
-# --- changes on the way
-
-
 def test_changes_of_format_and_discontinuities_are_replayed_and_counted(tmp_path):
     stereo, mono = noise(4_800, 2), noise(4_410)
     written(
@@ -167,11 +132,8 @@ def test_changes_of_format_and_discontinuities_are_replayed_and_counted(tmp_path
         (stereo[:960], RATE, True),
     )
     report = replayed(tmp_path / "cap", tmp_path / "out.wav")
-    assert {name: report[name] for name in PLAIN} == {
-        "buffers": 14,
-        "format_changes": 2,
-        "discontinuities": 2,
-    }
+    found = [report[name] for name in ("buffers", "format_changes", "discontinuities")]
+    assert found == [14, 2, 2]
     assert (report["samplerate"], report["channels"]) == (RATE, 1)
     info = soundfile.info(tmp_path / "out.wav")
     assert info.frames == report["frames"] == 2 * 4_800 + 960
@@ -186,22 +148,16 @@ def test_changes_of_format_and_discontinuities_are_replayed_and_counted(tmp_path
     assert said.endswith("14 buffers, 2 format changes, 2 discontinuities\n")
 
 
-# --- in real time
-
-
 def test_at_speed_1_a_replay_takes_as_long_as_its_sound_and_gives_the_same_bytes(tmp_path):
     frames = noise(round(0.3 * RATE), 2)
     written(tmp_path / "cap", *[(part, RATE, False) for part in np.split(frames, 30)])
-    replayed(tmp_path / "cap", tmp_path / "max.wav", "--speed", "max")
-    began_s = time.monotonic()
-    replayed(tmp_path / "cap", tmp_path / "one.wav", "--speed", "1")
+    contents = set()
+    for options in ((), ("--speed", "max"), ("--speed", "1")):
+        began_s = time.monotonic()
+        replayed(tmp_path / "cap", tmp_path / "out.wav", *options)
+        contents.add((tmp_path / "out.wav").read_bytes())
     assert time.monotonic() - began_s >= 0.3
-    assert (tmp_path / "one.wav").read_bytes() == (tmp_path / "max.wav").read_bytes()
-    replayed(tmp_path / "cap", tmp_path / "none.wav")
-    assert (tmp_path / "none.wav").read_bytes() == (tmp_path / "max.wav").read_bytes()
-
-
-# --- cut off
+    assert len(contents) == 1
 
 
 @pytest.fixture(scope="module")
@@ -220,34 +176,11 @@ def buffers_there(folder):
 
 
 @pytest.mark.exhaustive
-def test_a_killed_capture_replays_to_its_last_whole_buffer_with_a_warning(tmp_path, endless):
-    folder = tmp_path / "cap"
-    with start("capture", folder, "--tap", f"file:{endless}") as process:
-        until(lambda: buffers_there(folder) > 3, process)
-        process.send_signal(signal.SIGKILL)
-        assert process.wait(10) == -signal.SIGKILL
-    there = buffers_there(folder)
-    out = tmp_path / "out.wav"
-    done = call("replay", folder, out, "--json")
-    assert done.code == 0
-    assert done.stderr.startswith(f"cushion: warning: {folder}: it was cut off (killed,")
-    assert done.stderr.count("\n") == 1
-    report = json.loads(done.stdout)
-    assert there - 1 <= report["buffers"] <= there
-    assert report["warnings"] == [done.stderr.removeprefix("cushion: warning: ").rstrip("\n")]
-    whole = list(Capture(folder).buffers("tap"))
-    assert report["frames"] == sum(len(buffer.frames) for buffer in whole)
-    assert soundfile.info(out).frames == report["frames"]
-
-
-@pytest.mark.exhaustive
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupted_capture_is_finished_and_replays_without_a_warning(
-    tmp_path, endless, number
-):
+def test_an_interrupted_capture_is_finished_and_replays_without_warning(tmp_path, endless, number):
     folder = tmp_path / "cap"
     with start("capture", folder, "--tap", f"file:{endless}") as process:
-        until(lambda: buffers_there(folder) > 0, process)
+        until(lambda: buffers_there(folder) > 1, process)  # the one in writing may be undone
         process.send_signal(number)
         stdout, stderr = process.communicate(timeout=10)
     assert (process.returncode, stdout, stderr) == (130, "", "cushion: interrupted\n")
@@ -261,16 +194,8 @@ def test_an_interrupted_replay_leaves_nothing(tmp_path):
     written(tmp_path / "cap", *[(part, RATE, False) for part in np.split(frames, 100)])
     before = listing(tmp_path)
     with start("replay", tmp_path / "cap", tmp_path / "out.wav", "--speed", "1") as process:
-        own = f"/proc/{process.pid}/fd"
-        until(lambda: holds_open(own, tmp_path / "cap" / "tap-0001.wav"), process)
+        until(lambda: bool(held_back(process, tmp_path / "cap")), process)  # it reads a segment
         process.send_signal(signal.SIGINT)
         stdout, stderr = process.communicate(timeout=10)
     assert (process.returncode, stdout, stderr) == (130, "", "cushion: interrupted\n")
     assert listing(tmp_path) == before
-
-
-def holds_open(folder, path):
-    """Whether a process, by its folder of open files, reads a file."""
-    with contextlib.suppress(OSError):
-        return any(str(entry.readlink()) == str(path) for entry in Path(folder).iterdir())
-    return False

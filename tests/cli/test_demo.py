@@ -1,8 +1,8 @@
 """`cushion demo`: what it writes, draws and says, without waiting for the scene to be played."""
 
 import io
-import os
 import re
+import signal
 import sys
 from pathlib import Path
 
@@ -20,14 +20,17 @@ from tests.support.commands import (
     RATE,
     call,
     cushion,
+    held_back,
     listing,
     on_a_terminal,
     refused,
+    start,
+    until,
     vibration,
+    without_a_reader,
 )
 
 SOUNDS = {"scene.wav", "vibration.wav", "acceleration.wav"}
-FRAMES = 15 * RATE
 
 IMAGES = Path(__file__).parents[2] / "docs" / "images"
 REMAKE = "make docs/images/report.png again: it is out/report.png of `cushion demo --fast`"
@@ -40,12 +43,12 @@ sys.modules["matplotlib"] = None  # importing it fails, as where it is not insta
 """
 
 ONE_SECOND = """
+import numpy as np
 from audioflinger_hook.cli import demo
-from audioflinger_hook.sources import mixdown
-from audioflinger_hook.scenes import Scene, demo_scene
-engine = demo_scene().tracks[0]
-engine = type(engine)("engine", 48_000, engine.frames[:43_200], 0.1)
-demo.demo_scene = lambda: Scene("one second", 48_000, (engine,), 1.0)
+from audioflinger_hook.scenes import Scene, SceneTrack, engine
+frames = engine.engine(48_000, np.random.default_rng(1), 0.6)[:43_200]
+track = SceneTrack("engine", 48_000, frames, 0.1)
+demo.demo_scene = lambda: Scene("one second", 48_000, (track,), 1.0)
 """
 """A prelude: what does not depend on the scene need not wait for all of it."""
 
@@ -60,24 +63,18 @@ def demo(tmp_path_factory):
 
 
 @pytest.mark.exhaustive
-def test_the_demo_writes_the_sound_the_vibration_and_the_acceleration(demo):
-    _, out = demo
-    assert listing(out).keys() >= SOUNDS
+def test_the_demo_writes_the_sound_the_vibration_the_acceleration_and_a_report(demo):
+    pytest.importorskip("matplotlib", reason="pip install matplotlib")
+    done, out = demo
+    assert done.stderr == ""
+    assert listing(out).keys() == SOUNDS | {"report.png"}
     for name, channels in [("scene", 2), ("vibration", 1), ("acceleration", 1)]:
         info = soundfile.info(out / f"{name}.wav")
         assert (info.format, info.subtype, info.samplerate) == ("WAV", "FLOAT", RATE)
-        assert (info.channels, info.frames) == (channels, FRAMES)
+        assert (info.channels, info.frames) == (channels, 15 * RATE)
     with soundfile.SoundFile(out / "acceleration.wav") as file:
         assert "full scale = 100 m/s^2" in file.comment
-
-
-@pytest.mark.exhaustive
-def test_the_demo_draws_a_report(demo):
-    pytest.importorskip("matplotlib", reason="pip install matplotlib")
-    done, out = demo
-    assert listing(out).keys() == SOUNDS | {"report.png"}
     assert (out / "report.png").read_bytes().startswith(b"\x89PNG\r\n\x1a\n")
-    assert done.stderr == ""
 
 
 def described(picture):
@@ -88,6 +85,7 @@ def described(picture):
         return image.info["Description"]
 
 
+@pytest.mark.exhaustive
 def test_the_picture_in_the_readme_is_of_the_demo_as_it_is_now(demo):
     pytest.importorskip("matplotlib", reason="pip install matplotlib")
     _, out = demo
@@ -124,8 +122,8 @@ def test_every_sound_of_the_scene_is_felt_and_its_silence_is_not(demo):
     assert np.abs(felt[round(9.4 * RATE) : round(9.7 * RATE)]).max() < 1e-3
 
 
-def test_the_closing_table_says_what_is_in_the_files(demo):
-    done, out = demo
+def test_the_closing_table_says_what_is_in_the_files(tmp_path):
+    done, out = cushion("demo", "--fast", cwd=tmp_path, prelude=ONE_SECOND), tmp_path / "out"
     peak_db = 20 * np.log10(np.abs(vibration(out / "vibration.wav")).max())
     assert f"{peak_db:.1f} dBFS" in done.stdout
     peak_m_s2 = 100 * np.abs(vibration(out / "acceleration.wav")).max()
@@ -142,29 +140,16 @@ def test_the_closing_table_says_what_is_in_the_files(demo):
     assert "\x1b" not in done.stdout
 
 
-@pytest.fixture(scope="module")
-def plain(tmp_path_factory):
-    """A demo of one second without matplotlib: (what came of it, the folder)."""
-    out = tmp_path_factory.mktemp("plain") / "out"
-    return cushion("demo", "--fast", "--out", out, prelude=WITHOUT_MATPLOTLIB + ONE_SECOND), out
-
-
 @pytest.mark.exhaustive
-def test_without_matplotlib_the_demo_says_so_and_writes_the_rest(plain):
-    done, out = plain
-    assert done.code == 0
-    assert done.stderr.startswith("cushion: warning: ")
-    assert done.stderr.count("\n") == 1
-    assert "pip install matplotlib" in done.stderr
-    assert listing(out).keys() == SOUNDS
-
-
-@pytest.mark.exhaustive
-def test_the_meter_is_drawn_on_a_terminal_and_leaves_stdout_to_the_table(plain, tmp_path):
+def test_the_meter_is_drawn_on_a_terminal_and_leaves_stdout_to_the_table(tmp_path):
     options = ["demo", "--fast", "--out", tmp_path]
     prelude = WITHOUT_MATPLOTLIB + ONE_SECOND
+    unwatched = cushion(*options, prelude=prelude)
+    assert "220 Hz" not in unwatched.stderr
+    files = listing(tmp_path)
     done, drawn = on_a_terminal(*options, prelude=prelude, streams=("stderr",))
     assert done.code == 0
+    assert listing(tmp_path) == files
     assert 10 <= drawn.count("220 Hz") <= 20  # 15 redraws a second of scene
     for label in ("sound", "vibration", "cushion", "engine", "0.9 of 1 s"):
         assert label in drawn
@@ -173,9 +158,6 @@ def test_the_meter_is_drawn_on_a_terminal_and_leaves_stdout_to_the_table(plain, 
     assert warning.startswith("cushion: warning: no report.png")
     assert "Sound and vibration" in done.stdout
     assert "\x1b" not in done.stdout
-    unwatched, out = plain
-    assert "220 Hz" not in unwatched.stderr
-    assert (tmp_path / "vibration.wav").read_bytes() == (out / "vibration.wav").read_bytes()
 
 
 @pytest.mark.parametrize(
@@ -186,15 +168,9 @@ def test_a_level_has_no_minus_before_zero_and_silence_is_a_word(peak, text):
     assert level_text(peak) == text
 
 
-class Terminal(io.StringIO):
-    """A text stream that says it is a terminal."""
-
-    def isatty(self) -> bool:
-        return True
-
-
-def test_the_meter_says_silence_and_names_every_row():
-    terminal = Terminal()
+def test_the_meter_says_silence_and_names_every_row(monkeypatch):
+    terminal = io.StringIO()
+    monkeypatch.setattr(terminal, "isatty", lambda: True)
     screen = Console(file=terminal, force_terminal=True, width=100, color_system=None)
     block = np.full((RATE // 5, 1), 1e-4)
     with Meter(Scene("short", RATE, (), 1.0), screen) as meter:
@@ -208,11 +184,10 @@ def test_the_meter_says_silence_and_names_every_row():
     assert "m/s²" in drawn
 
 
-def fast_demo(folder, *, monkeypatch, seconds=0.5):
+def fast_demo(folder, *, monkeypatch):
     """What a demo of a scene of silence says, inside this process and without its picture."""
-    monkeypatch.setattr(
-        "audioflinger_hook.cli.demo.demo_scene", lambda: Scene("short", RATE, (), seconds)
-    )
+    scene = Scene("short", RATE, (), 0.5)
+    monkeypatch.setattr("audioflinger_hook.cli.demo.demo_scene", lambda: scene)
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     for module in [name for name in sys.modules if name.startswith("audioflinger_hook.figures")]:
         monkeypatch.delitem(sys.modules, module)
@@ -224,16 +199,13 @@ def test_a_folders_name_is_shown_as_it_is(tmp_path, monkeypatch, name):
     folder = tmp_path / name
     folder.parent.mkdir(exist_ok=True)
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("FORCE_COLOR", "1")  # on a pipe nothing is drawn even so
     done = fast_demo(name, monkeypatch=monkeypatch)
     assert done.code == 0, done
     assert listing(folder).keys() == SOUNDS
-    assert f"{name}/vibration.wav" in done.stdout
-
-
-def test_progress_stays_away_from_a_pipe_even_where_colours_are_forced(tmp_path, monkeypatch):
-    monkeypatch.setenv("FORCE_COLOR", "1")
-    done = fast_demo(tmp_path / "out", monkeypatch=monkeypatch)
+    assert f"{name}/vibration.wav" in re.sub(r"\x1b\[[\d;]*m", "", done.stdout)
     assert done.stderr.startswith("cushion: warning: no report.png")
+    assert "pip install matplotlib" in done.stderr
     assert done.stderr.count("\n") == 1
 
 
@@ -247,42 +219,39 @@ def test_the_demo_writes_over_what_an_earlier_one_left_and_nothing_else(tmp_path
     assert all(files[name].startswith(b"RIFF") for name in SOUNDS)
 
 
-# --- folders that will not do
-
-
-def test_a_missing_parent_folder_is_refused_and_not_made(tmp_path):
-    error = refused(call("demo", "--fast", "--out", tmp_path / "none" / "out"))
-    assert f"{tmp_path}/none/out" in error
-    assert "--out" in error
-    assert listing(tmp_path) == {}
+def test_a_place_where_the_files_cannot_be_is_refused_and_nothing_written(tmp_path, monkeypatch):
+    (tmp_path / "file").write_bytes(b"mine")
+    for place, words in (("none/out", "--out"), ("file", "is not a folder")):
+        error = refused(fast_demo(tmp_path / place, monkeypatch=monkeypatch))
+        assert f"{tmp_path}/{place}" in error
+        assert words in error
+    assert listing(tmp_path) == {"file": b"mine"}
     assert not (tmp_path / "none").exists()
-
-
-def test_a_file_in_the_place_of_the_folder_is_refused_and_unharmed(tmp_path):
-    (tmp_path / "out").write_bytes(b"mine")
-    error = refused(call("demo", "--fast", "--out", tmp_path / "out"))
-    assert "is not a folder" in error
-    assert listing(tmp_path) == {"out": b"mine"}
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("name", ["scene.wav", "vibration.wav", "acceleration.wav", "report.png"])
-def test_a_folder_in_the_place_of_a_file_is_refused_before_anything_is_written(tmp_path, name):
-    (tmp_path / name).mkdir()
-    error = refused(call("demo", "--fast", "--out", tmp_path))
-    assert f"{name}" in error
-    assert "is a folder" in error
-    assert listing(tmp_path) == {}
+    for name in (*SOUNDS, "report.png"):
+        folder = tmp_path / f"with {name}"
+        (folder / name).mkdir(parents=True)
+        error = refused(fast_demo(folder, monkeypatch=monkeypatch))
+        assert f"{name}" in error
+        assert "is a folder" in error
+        assert listing(folder) == {}
 
 
 @pytest.mark.exhaustive
 def test_a_reader_of_the_table_that_has_gone_is_no_error(tmp_path):
-    ours, theirs = os.pipe()
-    os.close(ours)
-    options = ["demo", "--fast", "--out", tmp_path]
-    try:
-        done = cushion(*options, prelude=WITHOUT_MATPLOTLIB + ONE_SECOND, stdout=theirs)
-    finally:
-        os.close(theirs)
+    prelude = WITHOUT_MATPLOTLIB + ONE_SECOND
+    done = without_a_reader("demo", "--fast", "--out", tmp_path, prelude=prelude)
     assert done.code == 0, done
     assert listing(tmp_path).keys() == SOUNDS
+
+
+@pytest.mark.exhaustive
+def test_an_interrupted_demo_leaves_nothing(tmp_path):
+    out = tmp_path / "out"
+    with start("demo", "--out", out) as process:
+        # The whole sound and half a second of vibration: in the middle of what lasts 15 s.
+        half_a_second = 4 * RATE // 2
+        until(lambda: sum(n > half_a_second for n in held_back(process, out)) > 1, process)
+        process.send_signal(signal.SIGINT)
+        stdout, stderr = process.communicate(timeout=10)
+    assert (process.returncode, stdout, stderr) == (130, "", "cushion: interrupted\n")
+    assert not listing(out)

@@ -1,7 +1,5 @@
 """What `cushion devices` takes from the driver where descriptors do not tell."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 
@@ -47,23 +45,18 @@ def test_what_plays_is_applications_alone() -> None:
     assert [application["name"] for application in found["applications"]] == ["mpv"]
 
 
-def test_rates_of_each_setting_are_those_that_the_driver_offers(
-    device: UsbAudioDevice, tmp_path: Path
-) -> None:
-    Cards(tmp_path / "asound").plug(1, "DAC", stream=ASYNC)
-    offered = by_setting(device, tmp_path / "asound")
-    assert sorted(offered) == [(1, 1), (1, 2), (1, 3)]
-    assert 192_000 in offered[1, 2].rates
-    assert 192_000 not in offered[1, 3].rates
-
-
-def test_a_card_that_went_meanwhile_or_of_another_device_offers_nothing(
+def test_rates_of_each_setting_are_those_that_the_driver_offers_of_this_device(
     device: UsbAudioDevice, tmp_path: Path
 ) -> None:
     cards = Cards(tmp_path / "asound")
     assert by_setting(device, tmp_path / "asound") == {}
     cards.plug(2, "Other", stream=ADAPTIVE)
     assert by_setting(device, tmp_path / "asound") == {}
+    cards.plug(1, "DAC", stream=ASYNC)
+    offered = by_setting(device, tmp_path / "asound")
+    assert sorted(offered) == [(1, 1), (1, 2), (1, 3)]
+    assert 192_000 in offered[1, 2].rates
+    assert 192_000 not in offered[1, 3].rates
     shutil.rmtree(tmp_path / "asound")
     assert by_setting(device, tmp_path / "asound") == {}
 
@@ -78,9 +71,7 @@ def cards(tmp_path: Path) -> Path:
     return tmp_path / "asound"
 
 
-def test_what_descriptors_of_class_3_leave_open_is_the_driver_s(
-    device: UsbAudioDevice, cards: Path
-) -> None:
+def test_the_driver_tells_what_class_3_leaves_open(device: UsbAudioDevice, cards: Path) -> None:
     play = class_specific(1, bytes([5, *bytes(4), 2, 0, 1, *bytes(7), 4, 24, 0, 0, 4]))
     data = endpoint(1, ISOCHRONOUS | ASYNCHRONOUS, 192)
     configuration = parse_configuration(
@@ -103,16 +94,14 @@ def test_what_descriptors_of_class_3_leave_open_is_the_driver_s(
 
 
 def test_native_dsd_is_not_called_samples_of_32_bits(device: UsbAudioDevice, cards: Path) -> None:
-    configuration = parse_configuration(SHAPES["async_dac"])
-    of_descriptors = [format_text(each) for each in formats_of(configuration)]
-    assert (
-        of_descriptors[2] == "native DSD, 2 channels, unknown samplerates, asynchronous, feedback"
-    )
-    assert of_descriptors[0].startswith("PCM of 24 bits in 4 bytes, 2 channels")
+    pcm, _, dsd = map(format_text, formats_of(parse_configuration(SHAPES["async_dac"])))
+    assert dsd == "native DSD, 2 channels, unknown samplerates, asynchronous, feedback"
+    assert pcm.startswith("PCM of 24 bits in 4 bytes, 2 channels")
     # A device that calls it PCM is known to the driver.
-    plain = SHAPES["async_dac"].replace(bytes([1, 0, 0, 0, 0x80, 2]), bytes([1, 1, 0, 0, 0, 2]))
-    assert format_text(formats_of(parse_configuration(plain))[2]).startswith("PCM of 32 bits")
-    of_driver = formats_of(parse_configuration(plain), device, root=cards)[2]
+    shape = SHAPES["async_dac"].replace(bytes([1, 0, 0, 0, 0x80, 2]), bytes([1, 1, 0, 0, 0, 2]))
+    plain = parse_configuration(shape)
+    assert format_text(formats_of(plain)[2]).startswith("PCM of 32 bits")
+    of_driver = formats_of(plain, device, root=cards)[2]
     assert format_text(of_driver).startswith("native DSD, 2 channels, 44100, 48000 Hz")
 
 

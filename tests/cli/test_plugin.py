@@ -1,16 +1,16 @@
 """`cushion plugin`: what it writes, what it never touches, and what it removes."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
 
-from audioflinger_hook.config.profiles import LIVE_DEFAULT
+from audioflinger_hook.config.profiles import LIVE_DEFAULT, PROFILES
 from audioflinger_hook.core.compiled_core import Core
 from audioflinger_hook.plugin import install as installing
 from audioflinger_hook.plugin.install import RATES_HZ
-from tests.support.commands import call
+from tests.support.commands import call, refused
+
+CHAIN = ".config/pipewire/filter-chain.conf.d/haptic-cushion.conf"
 
 
 @pytest.fixture(autouse=True)
@@ -29,61 +29,50 @@ def test_install_writes_everything_twice_the_same_and_remove_takes_it_back(home:
     own = home / ".config/pipewire/filter-chain.conf.d/own.conf"
     own.parent.mkdir(parents=True)
     own.write_text("# mine\n")
-    done = call("plugin", "install", "--device", "dac", "--profile", "game", "--rate", "22050")
-    assert done.code == 0, done.stderr
-    first = {path: (home / path).read_bytes() for path in files(home)}
-    assert (
-        call("plugin", "install", "--device", "dac", "--profile", "game", "--rate", "22050").code
-        == 0
-    )
-    assert {path: (home / path).read_bytes() for path in files(home)} == first
+    written = []
+    for _ in range(2):
+        options = ("--device", "dac", "--profile", "game", "--rate", "22050")
+        done = call("plugin", "install", *options)
+        assert done.code == 0, done.stderr
+        written.append({path: (home / path).read_bytes() for path in files(home)})
+    first, second = written
+    assert first == second
     designs = [path for path in first if path.suffix == ".design"]
-    assert len(designs) == 4 * (len(RATES_HZ) + 1)
+    assert len(designs) == len(PROFILES) * (len(RATES_HZ) + 1)
     for path in designs:
         rate_hz = int(path.stem.rpartition("-")[2])
         assert Core(first[path]).info.samplerate == rate_hz
-    chain = (own.parent / "haptic-cushion.conf").read_text()
+    chain = (home / CHAIN).read_text()
     assert "haptic_cushion_game" in chain
     assert 'target.object = "dac"' in chain
-    assert call("plugin", "path").stdout.strip() == str(
-        home / ".local/share/haptic-cushion/haptic_cushion.so"
-    )
-    done = call("plugin", "remove")
-    assert done.code == 0
+    library = home / ".local/share/haptic-cushion/haptic_cushion.so"
+    assert call("plugin", "path").stdout.strip() == str(library)
+    assert call("plugin", "remove").code == 0
     assert files(home) == [own.relative_to(home)]
     assert call("plugin", "remove").stdout == ""
 
 
-@pytest.mark.parametrize(
-    "path",
-    [
-        ".config/pipewire/filter-chain.conf.d/haptic-cushion.conf",
-        ".lv2/haptic-cushion.lv2/manifest.ttl",
-    ],
-)
+@pytest.mark.parametrize("path", [CHAIN, ".lv2/haptic-cushion.lv2/manifest.ttl"])
 def test_a_foreign_file_is_neither_overwritten_nor_removed(home: Path, path: str) -> None:
     foreign = home / path
     foreign.parent.mkdir(parents=True)
     foreign.write_text("somebody's own\n")
     for command in (("install", "--device", "dac"), ("remove",)):
-        done = call("plugin", *command)
-        assert done.code == 2
-        assert f"{foreign} is not of `cushion plugin install`" in done.stderr
+        error = refused(call("plugin", *command))
+        assert f"{foreign} is not of `cushion plugin install`" in error
     assert files(home) == [Path(path)]
     assert foreign.read_text() == "somebody's own\n"
 
 
 def test_the_chain_has_the_default_of_what_is_played_unless_a_profile_is_named(home: Path) -> None:
-    chain = home / ".config/pipewire/filter-chain.conf.d/haptic-cushion.conf"
     for named, profile in ((), LIVE_DEFAULT), (("--profile", "paper"), "paper"):
         assert call("plugin", "install", "--device", "dac", *named).code == 0
-        assert f"label = haptic_cushion_{profile} " in chain.read_text()
+        assert f"label = haptic_cushion_{profile} " in (home / CHAIN).read_text()
 
 
 def test_names_of_devices_cannot_break_the_chain(home: Path) -> None:
     assert call("plugin", "install", "--device", 'a"b\\ } {').code == 0
-    chain = (home / ".config/pipewire/filter-chain.conf.d/haptic-cushion.conf").read_text()
-    assert 'target.object = "a\\"b\\\\ } {"' in chain
+    assert 'target.object = "a\\"b\\\\ } {"' in (home / CHAIN).read_text()
 
 
 def test_an_impossible_rate_or_profile_is_refused_before_anything_is_written(home: Path) -> None:
@@ -92,12 +81,8 @@ def test_an_impossible_rate_or_profile_is_refused_before_anything_is_written(hom
     assert files(home) == []
 
 
-def test_without_a_compiled_plugin_it_says_what_to_install(
-    home: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_a_plugin_it_says_what_to_do(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(installing, "plugin_path", lambda: None)
     for what in ("install", "path"):
-        done = call("plugin", what)
-        assert done.code == 3
-        assert "install a C compiler" in done.stderr
+        assert "install a C compiler" in refused(call("plugin", what), 3)
     assert files(home) == []

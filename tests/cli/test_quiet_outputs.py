@@ -1,7 +1,5 @@
 """Words for an output that is muted or turned down: who cannot hear it has nothing else."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,21 +1,19 @@
 """`cushion render IN... --out-dir DIR`: several files at once, each as if alone."""
 
-import contextlib
 import json
 import os
 import signal
-import sys
-from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
+import psutil
 import pytest
 
 from tests.support.commands import (
     RATE,
     call,
     cushion,
+    document,
+    ended_by,
     held_back,
     listing,
     noise,
@@ -23,9 +21,8 @@ from tests.support.commands import (
     sound,
     start,
     until,
+    workers_of,
 )
-
-WORKERS = [pytest.param(1, marks=pytest.mark.exhaustive), 2]
 
 
 @pytest.fixture
@@ -41,58 +38,28 @@ def sources(tmp_path):
     ]
 
 
-@pytest.fixture
-def folder(tmp_path):
-    out = tmp_path / "out"
-    out.mkdir()
-    return out
-
-
-def children(pid):
-    """The processes that a process has started and that have not been waited for."""
-    found: list[int] = []
-    for task in Path(f"/proc/{pid}/task").iterdir():
-        # A thread may end between being listed and being asked.
-        with contextlib.suppress(FileNotFoundError, ProcessLookupError):
-            found += map(int, (task / "children").read_text().split())
-    return found
-
-
-@pytest.mark.parametrize(
-    ("form", "workers"),
-    [
-        pytest.param("live", 1, marks=pytest.mark.exhaustive),
-        ("live", 2),
-        pytest.param("reference", 5, marks=pytest.mark.exhaustive),
-    ],
-)
-def test_each_file_has_the_bytes_that_it_has_alone(sources, folder, tmp_path, workers, form):
+@pytest.mark.sweep
+@pytest.mark.parametrize(("form", "workers"), [("live", 2), ("live", 1), ("reference", 5)])
+def test_each_file_is_as_if_alone_and_told_of_in_its_turn(sources, folder, tmp_path, workers, form):
     alone = tmp_path / "alone.wav"
-    done = cushion(
-        "render", *sources, "--out-dir", folder, "--workers", workers, "--transform", form
-    )
+    options = ["--out-dir", folder, "--workers", workers, "--transform", form]
+    done = cushion("render", *reversed(sources), *options)
     assert (done.code, done.stderr) == (0, "")
-    assert sorted(listing(folder)) == ["a.wav", "b.wav", "c.wav", "d.e.wav"]
-    for source in sources:
+    outputs = [folder / f"{source.stem}.wav" for source in sources]
+    assert sorted(listing(folder)) == [path.name for path in outputs]
+    told = [line.split(":")[0] for line in done.stdout.splitlines()]
+    assert told == [str(path) for path in reversed(outputs)]
+    for source, path in zip(sources, outputs, strict=True):
         assert call("render", source, alone, "--transform", form).code == 0
-        assert (folder / f"{source.stem}.wav").read_bytes() == alone.read_bytes()
-
-
-@pytest.mark.exhaustive
-def test_what_is_said_comes_in_the_order_of_the_files(sources, folder):
-    asked = ["render", *reversed(sources), "--out-dir", folder, "--workers", 2]
-    lines = cushion(*asked).stdout.splitlines()
-    assert [line.split(":")[0] for line in lines] == [
-        str(folder / f"{source.stem}.wav") for source in reversed(sources)
-    ]
-    document = json.loads(cushion(*asked, "--json").stdout)
-    assert [entry["input"] for entry in document["files"]] == [str(s) for s in reversed(sources)]
-    assert document["files"][-1]["frames"] == 40_000
-    assert all({"peak", "latency_s", "samplerate"} <= entry.keys() for entry in document["files"])
+        assert path.read_bytes() == alone.read_bytes()
+    found = json.loads(cushion("render", *reversed(sources), *options, "--json").stdout)["files"]
+    assert [entry["input"] for entry in found] == [str(source) for source in reversed(sources)]
+    assert found[-1]["frames"] == 40_000
+    assert all({"peak", "latency_s", "samplerate"} <= entry.keys() for entry in found)
 
 
 @pytest.mark.sweep
-@pytest.mark.parametrize("workers", WORKERS)
+@pytest.mark.parametrize("workers", [2, 1])
 def test_one_bad_file_is_named_and_the_others_are_rendered(sources, folder, tmp_path, workers):
     bad = tmp_path / "bad.wav"
     bad.write_text("no sound")
@@ -113,38 +80,26 @@ def test_one_bad_file_is_named_and_the_others_are_rendered(sources, folder, tmp_
 
 
 @pytest.mark.exhaustive
-def test_a_file_that_cannot_be_written_is_named_with_its_source(sources, folder):
+def test_what_is_wrong_with_a_file_is_told_with_its_name(sources, folder):
     (folder / "a.wav").mkdir()
+    cut = sources[2]
+    os.truncate(cut, cut.stat().st_size // 2)
     done = cushion("render", *sources, "--out-dir", folder)
     assert done.code == 2
-    (error,) = done.stderr.splitlines()
+    warning, error = sorted(done.stderr.splitlines(), key=lambda line: "error" in line)
+    assert warning.startswith(f"cushion: warning: {cut}")
+    assert "shorter than its header says" in warning
     assert str(sources[0]) in error
     assert "it is a folder" in error
     assert len(done.stdout.splitlines()) == 3
 
 
-@pytest.mark.exhaustive
-def test_a_warning_names_its_file(sources, folder):
-    cut = sources[0]
-    os.truncate(cut, cut.stat().st_size // 2)
-    done = cushion("render", *sources, "--out-dir", folder)
-    assert done.code == 0
-    (warning,) = done.stderr.splitlines()
-    assert warning.startswith(f"cushion: warning: {cut}")
-    assert "shorter than its header says" in warning
-
-
-def test_one_file_alone_may_have_a_folder_too(sources, folder):
-    assert call("render", sources[0], "--out-dir", folder).code == 0
-    assert list(listing(folder)) == ["a.wav"]
-
-
 def test_options_may_stand_between_the_files(sources, folder):
     one, two = sources[:2]
-    done = call("render", one, "--json", "--out-dir", folder, two, "--channels", "each")
-    assert done.code == 0
-    assert [entry["channels"] for entry in json.loads(done.stdout)["files"]] == [2, 1]
-    assert call("render", one, "--json", folder / "only.wav").code == 0
+    files = document("render", one, "--out-dir", folder, two, "--channels", "each")["files"]
+    assert [entry["channels"] for entry in files] == [2, 1]
+    assert document("render", one, folder / "only.wav")["channels"] == 1
+    assert len(document("render", one, "--out-dir", folder)["files"]) == 1
 
 
 def test_what_cannot_be_meant_is_refused_before_anything_is_done(sources, folder, tmp_path):
@@ -168,9 +123,6 @@ def test_what_cannot_be_meant_is_refused_before_anything_is_done(sources, folder
     assert not listing(folder)
 
 
-# --- the end in the middle
-
-
 @pytest.fixture(scope="module")
 def long_sources(tmp_path_factory):
     """Three minutes of noise in several files, so that two are always under way."""
@@ -179,76 +131,74 @@ def long_sources(tmp_path_factory):
     return [sound(folder / f"{n}.wav", minute, subtype="PCM_16") for n in range(3)]
 
 
-needs_proc = pytest.mark.skipif(sys.platform != "linux", reason="asks /proc for the processes")
-
-
-def written(pid: int, folder: Path) -> int:
-    """Bytes that a process has written in a folder so far."""
-    process: Any = SimpleNamespace(pid=pid)
-    return sum(held_back(process, folder))
-
-
 def two_under_way(process, folder):
-    """Wait until two workers have each written half a megabyte; return their process ids."""
-
-    found: list[int] = []
+    """Wait until two workers have each written half a megabyte; return them."""
+    found: list[psutil.Process] = []
 
     def both_write():
-        found[:] = children(process.pid)
-        return len(found) == 2 and all(written(pid, folder) > 500_000 for pid in found)
+        found[:] = workers_of(process)
+        return len(found) == 2 and all(sum(held_back(one, folder)) > 500_000 for one in found)
 
     until(both_write, process)
     return found
 
 
 @pytest.mark.exhaustive
-@needs_proc
-@pytest.mark.parametrize(
-    ("name", "whom"),
-    [
-        ("SIGINT", "its whole group, as a terminal does"),
-        pytest.param("SIGINT", "the command", marks=pytest.mark.exhaustive),
-        pytest.param("SIGTERM", "the command", marks=pytest.mark.exhaustive),
-        pytest.param(
-            "SIGTERM", "its whole group, as a terminal does", marks=pytest.mark.exhaustive
-        ),
-        pytest.param("SIGHUP", "its whole group, as a terminal does", marks=pytest.mark.exhaustive),
-    ],
-)
-def test_an_interruption_ends_every_worker_and_leaves_nothing_half_written(
-    long_sources, folder, name, whom
-):
+@pytest.mark.parametrize("send", [os.kill, os.killpg])  # a terminal signals the whole group
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+def test_an_interruption_ends_all_workers_and_leaves_no_half_file(long_sources, folder, name, send):
     (folder / "0.wav").write_bytes(b"old")
     options = ["--out-dir", folder, "--workers", 2, "--channels", "each"]
     with start("render", *long_sources, *options, start_new_session=True) as process:
         workers = two_under_way(process, folder)
-        send = os.kill if whom == "the command" else os.killpg
         send(process.pid, signal.Signals[name])
         stdout, stderr = process.communicate(timeout=20)
     assert (process.returncode, stdout) == (130, "")
     assert stderr == "cushion: interrupted\n"
     assert listing(folder) == {"0.wav": b"old"}
-    assert not any(Path(f"/proc/{pid}").exists() for pid in workers)
+    _, alive = psutil.wait_procs(workers, timeout=20)
+    assert not alive
 
 
 @pytest.mark.exhaustive
-@needs_proc
-def test_a_worker_that_is_killed_costs_its_own_file_only(long_sources, folder):
+@pytest.mark.parametrize("name", ["SIGKILL", "SIGTERM", "SIGINT"])
+def test_a_signal_in_the_middle_of_one_file_leaves_the_folder_as_it_was(long_sources, folder, name):
+    if name == "SIGKILL" and not hasattr(os, "O_TMPFILE"):
+        pytest.skip("where files cannot be nameless, kill -9 leaves a hidden .part file")
+    out = folder / "vibration.wav"
+    out.write_bytes(b"old")
+    options = ["--channels", "each", "--acceleration", folder / "felt.wav"]
+    with start("render", long_sources[0], out, *options) as process:
+        until(lambda: sum(held_back(process, folder)) > 400_000, process)
+        process.send_signal(signal.Signals[name])
+        stdout, stderr = process.communicate(timeout=10)
+    assert listing(folder) == {out.name: b"old"}
+    killed = name == "SIGKILL"
+    assert process.returncode == (-signal.SIGKILL if killed else 130)
+    assert (stdout, stderr) == ("", "" if killed else "cushion: interrupted\n")
+
+
+@pytest.mark.exhaustive
+def test_a_worker_that_is_killed_costs_no_file(long_sources, folder):
     options = ["--out-dir", folder, "--workers", 2, "--channels", "each"]
     with start("render", *long_sources, *options) as process:
-        os.kill(two_under_way(process, folder)[0], signal.SIGKILL)
+        two_under_way(process, folder)[0].kill()
         stdout, stderr = process.communicate(timeout=60)
-    assert process.returncode == 5
-    (error,) = stderr.splitlines()
-    assert "SIGKILL" in error
-    lost = [source for source in long_sources if f"{source}:" in error]
-    assert len(lost) == 1
-    assert len(stdout.splitlines()) == 2
-    assert sorted(listing(folder)) == sorted(s.name for s in long_sources if s not in lost)
+    assert (process.returncode, stderr) == (0, "")
+    assert len(stdout.splitlines()) == len(long_sources)
+    assert sorted(listing(folder)) == sorted(source.name for source in long_sources)
+
+
+def test_a_file_that_ends_all_its_workers_is_named_and_costs_no_other(sources, folder, tmp_path):
+    env = ended_by("c.wav", tmp_path)
+    done = cushion("render", *sources, "--out-dir", folder, "--workers", 2, env=env)
+    assert done.code == 5
+    (error,) = done.stderr.splitlines()
+    assert f"{sources[2]}: its process died twice" in error
+    assert sorted(listing(folder)) == ["a.wav", "b.wav", "d.e.wav"]
 
 
 @pytest.mark.exhaustive
-@needs_proc
 def test_workers_end_by_themselves_where_the_command_was_killed(long_sources, folder):
     options = ["--out-dir", folder, "--workers", 2, "--channels", "each"]
     with start("render", *long_sources, *options) as process:

@@ -1,7 +1,5 @@
 """What a running daemon says, and how often: everything once, nothing without an end."""
 
-from __future__ import annotations
-
 import pytest
 
 from audioflinger_hook.cli.run_reporter import AT_ONCE, EVERY_S, KINDS_MAX, RateLimit, RunReporter
@@ -30,7 +28,11 @@ class Told:
 
 @pytest.fixture
 def told(capsys: pytest.CaptureFixture[str]) -> Told:
-    return Told(capsys)
+    """A reporter of a daemon that runs, which it has told."""
+    told = Told(capsys)
+    told.keeper.enter(DaemonState.RUNNING, 0.0)
+    told.lines()
+    return told
 
 
 def test_the_first_line_says_what_is_felt_and_where(
@@ -50,8 +52,6 @@ def test_a_state_is_told_once_and_again_with_another_reason(told: Told) -> None:
 
 
 def test_what_was_over_within_one_look_is_told_all_the_same(told: Told) -> None:
-    told.keeper.enter(DaemonState.RUNNING, 0.0)
-    told.lines()
     told.keeper.recover(Cause.TAP_LOST, 1.0, "the tap stopped")
     told.keeper.count(Cause.DEFAULT_CHANGED, "the tap moves to b")
     told.keeper.enter(DaemonState.RUNNING, 1.0)
@@ -63,8 +63,6 @@ def test_what_was_over_within_one_look_is_told_all_the_same(told: Told) -> None:
 
 
 def test_what_the_state_says_is_not_said_twice(told: Told) -> None:
-    told.keeper.enter(DaemonState.RUNNING, 0.0)
-    told.lines()
     told.keeper.recover(Cause.DEVICE_LOST, 1.0, "it stopped")
     assert told.lines(1.0) == ["cushion: recovering: it stopped"]
     told.keeper.recover(Cause.DEVICE_LOST, 2.0, "it stopped")
@@ -72,8 +70,6 @@ def test_what_the_state_says_is_not_said_twice(told: Told) -> None:
 
 
 def test_a_flood_becomes_a_few_lines_and_a_count(told: Told) -> None:
-    told.keeper.enter(DaemonState.RUNNING, 0.0)
-    told.lines()
     said = []
     for tick in range(1_000):
         told.keeper.count(Cause.RESYNC, "processing fell behind; delay reset")
@@ -98,7 +94,6 @@ def test_the_notes_are_few_and_each_is_handed_out_once() -> None:
 
 
 def test_a_warning_is_told_when_it_comes_and_not_again_while_it_lasts(told: Told) -> None:
-    told.keeper.enter(DaemonState.RUNNING, 0.0)
     assert told.lines(0.0, "a")[-1] == "cushion: warning: a"
     assert told.lines(0.0, "a", "b") == ["cushion: warning: b"]
     assert told.lines(0.0, "b") == []
@@ -108,8 +103,6 @@ def test_a_warning_is_told_when_it_comes_and_not_again_while_it_lasts(told: Told
 def test_a_warning_that_counts_is_told_when_it_begins_and_with_its_sum_at_the_end(
     told: Told, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    told.keeper.enter(DaemonState.RUNNING, 0.0)
-    told.lines()
     said = [line for count in range(1, 100) for line in told.lines(0.0, f"{count} lost", "a")]
     assert said == ["cushion: warning: 1 lost", "cushion: warning: a"]
     told.reporter.end(["99 lost", "a", "b"])
@@ -118,22 +111,19 @@ def test_a_warning_that_counts_is_told_when_it_begins_and_with_its_sum_at_the_en
 
 
 def test_a_config_that_is_not_taken_is_told_at_every_attempt(told: Told) -> None:
-    told.keeper.enter(DaemonState.RUNNING, 0.0)
-    told.lines()
-
-    def fail(_: float) -> str:
+    def fail() -> str:
         raise UsageError("line 1: it is wrong")
 
     for _ in range(2):
         trouble = told.reporter.reload(fail, 0.0)
         assert trouble == "the config was not applied: line 1: it is wrong"
         assert told.lines(0.0, trouble) == [f"cushion: warning: {trouble}"]
-    assert told.reporter.reload(lambda _: "the level", 0.0) == ""
+    assert told.reporter.reload(lambda: "the level", 0.0) == ""
     assert told.lines() == ["cushion: config reloaded; changed: the level"]
 
 
 def test_of_each_kind_some_are_allowed_at_once_and_then_one_now_and_then() -> None:
-    ration = RateLimit(2, 10.0)
+    ration = RateLimit(2)
     assert [ration.left_out("a", now_s) for now_s in (0.0, 0.0, 1.0, 2.0)] == [0, 0, None, None]
     assert ration.left_out("b", 2.0) == 0
     assert ration.left_out("a", 11.0) == 2

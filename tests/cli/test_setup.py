@@ -1,25 +1,15 @@
 """`cushion setup` without a sound server: what it refuses, how it ranks, writes and undoes."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from audioflinger_hook.cli import setup_files
-from audioflinger_hook.cli.outputs import (
-    CARD,
-    COILS,
-    SOUND,
-    USB,
-    Output,
-    advice_for,
-    list_outputs,
-)
+from audioflinger_hook.cli.outputs import CARD, COILS, SOUND, USB, Output, advice_for, list_outputs
 from audioflinger_hook.cli.setup import PLAYED, SPEECH_FREE, _named, _new_text, _profile_values
-from audioflinger_hook.cli.tone import Tone
-from audioflinger_hook.config.commented import commented_text
+from audioflinger_hook.cli.test_tone import Tone
+from audioflinger_hook.config.edits import commented_text
 from audioflinger_hook.config.file import check_text
 from audioflinger_hook.config.profiles import LIVE_DEFAULT, PROFILES
 from audioflinger_hook.config.schema import keys_of
@@ -32,36 +22,32 @@ from tests.support.commands import call, refused
 
 QUAD = "front-left,front-right,rear-left,rear-right"
 SURROUND = f"{QUAD},front-center,lfe,side-left,side-right"
-DUALSENSE = {
-    "device.bus": "usb",
-    "device.vendor.id": "054c",
-    "device.product.id": "0ce6",
-}
+DUALSENSE = {"device_bus": "usb", "device_vendor_id": "054c", "device_product_id": "0ce6"}
 
 
 @pytest.fixture(autouse=True)
 def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    for name in ("CONFIG", "STATE", "RUNTIME"):
-        folder = "RUNTIME_DIR" if name == "RUNTIME" else f"{name}_HOME"
-        monkeypatch.setenv(f"XDG_{folder}", str(tmp_path / name.lower()))
+    for name in ("CONFIG_HOME", "STATE_HOME", "RUNTIME_DIR"):
+        monkeypatch.setenv(f"XDG_{name}", str(tmp_path / name.partition("_")[0].lower()))
     monkeypatch.setenv("PULSE_SERVER", f"unix:{tmp_path}/none")
     return tmp_path
 
 
+@pytest.fixture
+def path(home: Path) -> Path:
+    """Where the user's config is, once it is written."""
+    (home / "config/cushion").mkdir(parents=True)
+    return home / "config/cushion/config.toml"
+
+
 def sink(name: str, positions: str = "front-left,front-right", **properties: str) -> Sink:
-    known = {key.replace("_", "."): value for key, value in properties.items()}
     channels = positions.count(",") + 1
+    known = {key.replace("_", "."): value for key, value in properties.items()}
     return Sink(1, name, name, "", 48_000, channels, None, known, channel_map=positions)
 
 
 def snapshot(*sinks: Sink, default: str = "speakers") -> ServerSnapshot:
     return ServerSnapshot("PulseAudio", "16.1", default, "", sinks, (), (), (), 0)
-
-
-def test_without_a_terminal_it_says_what_to_give_instead() -> None:
-    error = refused(call("setup"))
-    assert "not a terminal" in error
-    assert "--yes --device DEVICE" in error
 
 
 def test_without_a_server_it_ends_as_every_command_does(home: Path) -> None:
@@ -73,19 +59,17 @@ def test_without_a_server_it_ends_as_every_command_does(home: Path) -> None:
     assert not list(home.rglob("config.toml"))
 
 
-def test_an_unknown_profile_is_refused_with_the_nearest() -> None:
-    assert "did you mean cinema?" in refused(call("setup", "--yes", "--profile", "cinena"))
-
-
-def test_a_config_with_mistakes_is_left_to_its_owner(home: Path) -> None:
-    path = home / "config/cushion/config.toml"
-    path.parent.mkdir(parents=True)
+def test_a_config_with_mistakes_is_left_to_its_owner(path: Path) -> None:
     path.write_text("profile = 7\n")
     assert "line 1: profile" in refused(call("setup", "--yes", "--device", "haptic"))
     assert path.read_text() == "profile = 7\n"
 
 
-def test_nothing_is_undone_that_was_not_done() -> None:
+def test_what_cannot_be_done_is_refused_with_what_can() -> None:
+    error = refused(call("setup"))
+    assert "not a terminal" in error
+    assert "--yes --device DEVICE" in error
+    assert "did you mean cinema?" in refused(call("setup", "--yes", "--profile", "cinena"))
     assert "nothing to undo" in refused(call("setup", "--undo"))
 
 
@@ -94,31 +78,21 @@ def test_every_profile_that_is_asked_for_exists() -> None:
 
 
 def test_voice_coils_come_first_and_what_plays_the_sound_last() -> None:
-    pad = sink("pad", QUAD)
-    pad = Sink(**{**vars(pad), "properties": DUALSENSE})
-    dac = sink("dac", device_bus="usb", device_vendor_id="1234", device_product_id="5678")
-    dac = Sink(**{**vars(dac), "properties": {**DUALSENSE, "device.product.id": "ffff"}})
-    found = list_outputs(snapshot(sink("speakers"), sink("other"), dac, pad), (), ())
-    assert [output.address for output in found] == [
-        "sink:pad",
-        "sink:dac",
-        "sink:other",
-        "sink:speakers",
-    ]
+    pad = sink("pad", QUAD, **DUALSENSE)
+    dac = sink("dac", **DUALSENSE | {"device_product_id": "ffff"})
+    own = (sink("cushion"), sink(FALLBACK_SINK))  # are no outputs
+    found = list_outputs(snapshot(sink("speakers"), sink("other"), dac, pad, *own), (), ())
+    names = [output.address.removeprefix("sink:") for output in found]
+    assert names == ["pad", "dac", "other", "speakers"]
     assert [found[0].rank, found[1].rank, found[3].rank] == [COILS, USB, SOUND]
     assert "channels 3 and 4" in found[0].note
 
 
 def test_a_named_output_is_found_behind_a_card_that_no_server_uses() -> None:
-    seen = snapshot(sink("speakers"))
     card = Output("hw:Card,0", "a card", CARD, "")
     speakers = Output("sink:speakers", "", SOUND, "plays the sound")
-    found = _named(parse_device("speakers"), [card, speakers], seen)
-    assert found.plays_the_sound
-
-
-def test_our_own_sinks_are_no_outputs() -> None:
-    assert list_outputs(snapshot(sink("cushion"), sink(FALLBACK_SINK)), (), ()) == []
+    seen = snapshot(sink("speakers"))
+    assert _named(parse_device("speakers"), [card, speakers], seen).rank == SOUND
 
 
 @pytest.mark.parametrize(
@@ -130,11 +104,8 @@ def test_our_own_sinks_are_no_outputs() -> None:
     ],
 )
 def test_the_advice_for_many_channels_is_valid_in_a_config(positions: str, wanted: str) -> None:
-    advice = advice_for(sink("card", positions))
-    assert advice.endswith(wanted)
-    if wanted:
-        text = wanted.replace("]] ", "]]\n")
-        assert check_text(text, Path(), LIVE_DEFAULT)[1] == []
+    assert advice_for(sink("card", positions)).endswith(wanted)
+    assert check_text(wanted.replace("]] ", "]]\n"), Path(), LIVE_DEFAULT)[1] == []
 
 
 @pytest.mark.parametrize("device", ['sink:a "b" \\ c', "usb:152a:8750"])
@@ -169,53 +140,39 @@ def test_another_choice_ends_what_was_written_to_leave_out_speech(home: Path, pr
     assert _new_text(path, own, _profile_values(profile, own), ()) == own
 
 
-def test_undoing_gives_back_each_earlier_state_and_keeps_later_edits(home: Path) -> None:
-    path = home / "config/cushion/config.toml"
-    path.parent.mkdir(parents=True)
-    path.write_bytes(b"\xef\xbb\xbf# mine\r\n")
-    mine = path.read_bytes()
+def test_undo_gives_back_each_earlier_state_and_keeps_later_edits(home: Path, path: Path) -> None:
+    unit = home / "config/systemd/user/cushion.service"
+    mine = b"\xef\xbb\xbf# mine\r\n"
+    path.write_bytes(mine)
     before = setup_files.text_of(path)
     setup_files.write(path, before, "gain_db = -1.0\n", with_service=True)
-    unit = home / "config/systemd/user/cushion.service"
     assert unit.exists()
     setup_files.write(path, "gain_db = -1.0\n", "gain_db = -2.0\n", with_service=False)
     path.write_text("gain_db = -3.0\n")
     done, commands = setup_files.undo()
-    assert path.read_text() == "gain_db = -1.0\n"
-    assert path.with_name("config.toml.undone").read_text() == "gain_db = -3.0\n"
+    undone = path.with_name("config.toml.undone")
+    assert (path.read_text(), undone.read_text()) == ("gain_db = -1.0\n", "gain_db = -3.0\n")
     assert len(done) == 2
     assert unit.exists()
     assert not commands
     setup_files.undo()
     assert path.read_bytes() == mine
     assert not unit.exists()
-    assert sorted(found.name for found in path.parent.iterdir()) == [
-        "config.toml",
-        "config.toml.undone",
-    ]
+    assert sorted(path.parent.iterdir()) == [path, undone]
 
 
-def test_a_first_setup_is_undone_by_removing_what_it_made(home: Path) -> None:
-    path = home / "config/cushion/config.toml"
-    setup_files.write(path, None, "gain_db = -1.0\n", with_service=False)
-    setup_files.undo()
-    assert not path.exists()
-
-
-def test_a_config_that_changed_during_the_questions_is_left_alone(home: Path) -> None:
-    path = home / "config.toml"
+def test_a_config_that_changed_during_the_questions_is_left_alone(path: Path) -> None:
     path.write_text("gain_db = -1.0\n")
-    with pytest.raises(UsageError, match="changed during the set-up"):
+    with pytest.raises(UsageError, match="changed during the setup"):
         setup_files.write(path, None, "gain_db = -2.0\n", with_service=False)
     assert path.read_text() == "gain_db = -1.0\n"
 
 
-def test_a_backup_that_is_gone_leaves_the_config_alone(home: Path) -> None:
-    path = home / "config.toml"
+def test_a_backup_that_is_gone_leaves_the_config_alone(path: Path) -> None:
     path.write_text("gain_db = -1.0\n")
     backup = setup_files.write(path, "gain_db = -1.0\n", "gain_db = -2.0\n", with_service=False)
     Path(backup).unlink()
-    with pytest.raises(UsageError, match="left alone"):
+    with pytest.raises(UsageError, match="is not changed"):
         setup_files.undo()
     assert path.read_text() == "gain_db = -2.0\n"
 
@@ -223,18 +180,16 @@ def test_a_backup_that_is_gone_leaves_the_config_alone(home: Path) -> None:
 @pytest.mark.parametrize("obstacle", ["config/systemd", "state/cushion"])
 @pytest.mark.parametrize("mine", [None, "gain_db = -1.0  # mine\n"])
 def test_a_setup_that_fails_half_way_leaves_everything_as_it_was(
-    home: Path, obstacle: str, mine: str | None
+    home: Path, path: Path, obstacle: str, mine: str | None
 ) -> None:
-    path = home / "config/cushion/config.toml"
-    path.parent.mkdir(parents=True)
     if mine is not None:
         path.write_text(mine)
     (home / obstacle).parent.mkdir(exist_ok=True)
     (home / obstacle).write_text("in the way of a folder")
     with pytest.raises(UsageError, match="cannot"):
         setup_files.write(path, mine, "gain_db = -2.0\n", with_service=True)
-    found = {str(each.relative_to(home)) for each in home.rglob("*") if each.is_file()}
-    assert found == {obstacle} | ({"config/cushion/config.toml"} if mine else set())
+    found = {each for each in home.rglob("*") if each.is_file()}
+    assert found == {home / obstacle} | ({path} if mine else set())
     assert setup_files.text_of(path) == mine
     (home / obstacle).unlink()
     with pytest.raises(UsageError, match="nothing to undo"):
@@ -242,8 +197,7 @@ def test_a_setup_that_fails_half_way_leaves_everything_as_it_was(
 
 
 @pytest.mark.parametrize("mine", [None, "gain_db = -1.0\n"])
-def test_later_changes_that_are_no_text_are_kept_too(home: Path, mine: str | None) -> None:
-    path = home / "config.toml"
+def test_undoing_keeps_later_changes_that_are_no_text(path: Path, mine: str | None) -> None:
     if mine is not None:
         path.write_text(mine)
     setup_files.write(path, mine, "gain_db = -2.0\n", with_service=False)
@@ -253,13 +207,10 @@ def test_later_changes_that_are_no_text_are_kept_too(home: Path, mine: str | Non
     assert setup_files.text_of(path) == mine
 
 
-def test_damaged_records_are_reported_before_anything_is_written(home: Path) -> None:
-    path = home / "config/cushion/config.toml"
-    path.parent.mkdir(parents=True)
+def test_damaged_records_are_reported_before_anything_is_written(home: Path, path: Path) -> None:
     path.write_text("gain_db = -1.0\n")
-    records = home / "state/cushion/setup-undo.json"
-    records.parent.mkdir(parents=True)
-    records.write_text("[[")
+    (home / "state/cushion").mkdir(parents=True)
+    (home / "state/cushion/setup-undo.json").write_text("[[")
     with pytest.raises(UsageError, match="move it away"):
         setup_files.write(path, "gain_db = -1.0\n", "gain_db = -2.0\n", with_service=True)
     assert list(path.parent.iterdir()) == [path]
@@ -271,13 +222,12 @@ def test_a_tone_fades_in_without_a_step_and_ends_by_itself() -> None:
     tone.play(0.5, 1.0, 0.5)
     blocks = []
     while not tone.ended.is_set():
-        block = np.zeros((500, 2), np.float32)
-        tone.fill(block, 0.0)
-        blocks.append(block)
-    wave = np.concatenate(blocks)
-    assert not np.any(wave[:, 0])
+        blocks.append(np.zeros((500, 2), np.float32))
+        tone.fill(blocks[-1], 0.0)
+    silent, wave = np.concatenate(blocks).T
+    assert not np.any(silent)
     # A sine of 0.5 at 50 Hz changes by 0.0033 a frame at most.
-    assert np.abs(np.diff(wave[:, 1])).max() < 0.0034
-    assert np.abs(wave[:4_800, 1]).max() < 0.11  # a fifth of the fade
-    assert np.abs(wave[24_000:40_000, 1]).max() == pytest.approx(0.5, rel=1e-3)
+    assert np.abs(np.diff(wave)).max() < 0.0034
+    assert np.abs(wave[:4_800]).max() < 0.11  # a fifth of the fade
+    assert np.abs(wave[24_000:40_000]).max() == pytest.approx(0.5, rel=1e-3)
     assert len(wave) == pytest.approx(48_000, abs=1_500)

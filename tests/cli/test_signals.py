@@ -1,28 +1,27 @@
-"""Signals of a running daemon: a hang-up reads the config again, unless the terminal is gone."""
-
-from __future__ import annotations
+"""Signals of a running daemon, and how many files it may have open."""
 
 import os
 import pty
+import resource
 import signal
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import soundfile
 
-from audioflinger_hook.cli.signals import Signals
-from audioflinger_hook.daemon.wake import Wake
-from tests.support.commands import DEADLINE_S
-from tests.support.recordings import ROOT
+from audioflinger_hook.cli.process import NEEDED, Signals
+from audioflinger_hook.daemon.timing import Wake
+from tests.support.commands import DEADLINE_S, RATE, Done, cushion, environment, refused, sound
 from tests.support.terminal import Terminal
 
 WAITER = """
 import sys
-from audioflinger_hook.cli.signals import Signals
-from audioflinger_hook.daemon.wake import Wake
+from audioflinger_hook.cli.process import Signals
+from audioflinger_hook.daemon.timing import Wake
 
 with Wake() as wake, Signals(wake) as signals:
     print("ready", file=sys.stderr, flush=True)
@@ -56,44 +55,50 @@ def test_signals_are_noted_and_wake_who_waits() -> None:
 @pytest.mark.parametrize("ignored", [False, True])
 def test_a_terminal_that_is_closed_ends_it_unless_it_was_started_to_go_on(ignored: bool) -> None:
     master, slave = pty.openpty()
-    process = subprocess.Popen(
-        [*(("nohup",) if ignored else ()), sys.executable, "-c", WAITER],
-        stdin=slave,
-        stdout=slave,
-        stderr=subprocess.PIPE,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-        text=True,
-        start_new_session=True,
-        cwd="/tmp",
-    )
-    os.close(slave)
-    try:
-        assert process.stderr is not None
-        lines = iter(process.stderr.readline, "")
-        assert "ready\n" in lines
-        process.send_signal(signal.SIGHUP)
-        assert next(lines) == "reload\n"
-        os.close(master)
-        process.send_signal(signal.SIGHUP)  # as the terminal does to those that it controls
-        if ignored:
+    command = [*(("nohup",) if ignored else ()), sys.executable, "-c", WAITER]
+    streams: dict[str, Any] = {"stdin": slave, "stdout": slave, "stderr": subprocess.PIPE}
+    with subprocess.Popen(
+        command, env=environment(), text=True, start_new_session=True, cwd="/tmp", **streams
+    ) as process:
+        os.close(slave)
+        try:
+            lines = iter(process.stderr.readline, "")  # type: ignore[union-attr]
+            assert "ready\n" in lines
+            process.send_signal(signal.SIGHUP)
             assert next(lines) == "reload\n"
-        else:
-            assert process.wait(10.0) == 3
-    finally:
-        process.kill()
-        process.wait()
-        assert process.stderr is not None
-        process.stderr.close()
+            os.close(master)
+            process.send_signal(signal.SIGHUP)  # as the terminal does to those that it controls
+            if ignored:
+                assert next(lines) == "reload\n"
+            else:
+                assert process.wait(10.0) == 3
+        finally:
+            process.kill()
 
 
-def test_a_terminal_that_is_closed_ends_a_run_whose_meter_it_shows_like_ctrl_c(
-    tmp_path: Path,
-) -> None:
-    sound, felt = tmp_path / "sound.wav", tmp_path / "felt.wav"
-    soundfile.write(sound, np.full(48_000 * 60, 0.1), 48_000)
-    run = ("run", "--tap", f"file:{sound}", "--device", f"wav:{felt}")
+def test_a_closed_terminal_ends_a_run_whose_meter_it_shows_like_ctrl_c(tmp_path: Path) -> None:
+    source = sound(tmp_path / "in.wav", np.full(RATE * 60, 0.1))
+    felt = tmp_path / "felt.wav"
+    run = ("run", "--tap", f"file:{source}", "--device", f"wav:{felt}")
     with Terminal(*run, env={"TERM": "xterm", "XDG_RUNTIME_DIR": str(tmp_path)}) as terminal:
         terminal.expect("█")
         terminal.close()
         assert terminal.process.wait(DEADLINE_S) == 130
     assert soundfile.info(felt).frames > 0
+
+
+def limited_to(soft: int, hard: int) -> Done:
+    options = ("--tap", "scene:demo", "--device", "twin", "--seconds", "1")
+    limits = (resource.RLIMIT_NOFILE, (soft, hard))
+    return cushion("run", *options, preexec_fn=lambda: resource.setrlimit(*limits))
+
+
+def test_a_low_limit_that_may_be_raised_is_raised() -> None:
+    assert limited_to(12, 4_096).code == 0
+
+
+@pytest.mark.parametrize("hard", [20, NEEDED - 1])
+def test_too_few_files_are_refused_with_the_limit_and_what_is_needed(hard: int) -> None:
+    line = refused(limited_to(12, hard))
+    assert line.startswith(f"cushion: error: only {hard} files may be open at once (ulimit -n)")
+    assert str(NEEDED) in line

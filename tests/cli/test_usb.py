@@ -1,114 +1,155 @@
-"""`cushion usb describe` of dumps: what it says, what it keeps, what it refuses."""
-
-from __future__ import annotations
+"""`cushion usb describe` of dumps, and the words for a card's volume and mute."""
 
 import json
 import subprocess
-import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from audioflinger_hook.cli.usb import mixer_lines, volume_now
 from tests.support import usb_builder
-from tests.support.commands import call
-from tests.support.recordings import ROOT
+from tests.support.commands import DEADLINE_S, Done, call, refused, start
 from tests.support.usb_shapes import headset_adapter
 
 DEVICE = usb_builder.device(product=0xDAC1)
 
 
-def dump(path: Path, raw: bytes) -> Path:
-    """As xxd shows it."""
-    lines = [
-        f"{at:08x}: {raw[at : at + 16].hex(' ', 2)}  ................"
-        for at in range(0, len(raw), 16)
-    ]
-    path.write_text("\n".join(lines) + "\n")
-    return path
+@pytest.fixture
+def describe(tmp_path: Path) -> Callable[..., Done]:
+    """Runs `cushion usb describe` on bytes, as xxd shows them, or on a text."""
+
+    def run(shown: bytes | str, *options: str) -> Done:
+        path = tmp_path / "dac.hex"
+        path.write_text(shown if isinstance(shown, str) else xxd(shown))
+        return call("usb", "describe", *options, "--hex", path)
+
+    return run
 
 
-def test_a_dump_is_told_in_words(tmp_path: Path) -> None:
-    done = call("usb", "describe", "--hex", dump(tmp_path / "dac.hex", DEVICE + headset_adapter()))
+def xxd(raw: bytes) -> str:
+    rows = ((at, raw[at : at + 16].hex(" ", 2)) for at in range(0, len(raw), 16))
+    return "".join(f"{at:08x}: {row}  ................\n" for at, row in rows)
+
+
+def test_a_dump_is_told_in_words(describe: Callable[..., Done]) -> None:
+    done = describe(DEVICE + headset_adapter())
     assert (done.code, done.stderr) == (0, "")
     assert "1209:dac1" in done.stdout
     assert "plays: interface 1.1, PCM of 16 bits in 2 bytes, 2 channels, 44100, 48000 Hz" in (
         done.stdout.replace("48000, 44100", "44100, 48000")
     )
+    assert "plays: nothing" not in done.stdout
 
 
-def test_a_dump_of_the_configuration_alone_is_enough(tmp_path: Path) -> None:
-    done = call("usb", "describe", "--json", "--hex", dump(tmp_path / "dac", headset_adapter()))
+def test_a_dump_of_the_configuration_alone_is_enough(describe: Callable[..., Done]) -> None:
+    done = describe(headset_adapter(), "--json")
     document = json.loads(done.stdout)
     assert done.code == 0
-    assert document["device"] is None
+    assert document["device"] is document["settings"] is None
     assert document["configurations"][0]["bytes"] == headset_adapter().hex()
-    assert document["settings"] is None
 
 
-def test_unknown_bytes_are_kept(tmp_path: Path) -> None:
+def test_unknown_bytes_are_kept(describe: Callable[..., Done]) -> None:
     odd = bytes([5, 0xF7, 1, 2, 3])
-    configuration = usb_builder.configuration(headset_adapter()[9:] + odd)
-    raw = DEVICE + configuration + b"\x09\xab"
-    done = call("usb", "describe", "--json", "--hex", dump(tmp_path / "dac.hex", raw))
+    configuration = usb_builder.configuration(headset_adapter()[9:] + odd) + b"\x09\xab"
+    done = describe(DEVICE + configuration, "--json")
     document = json.loads(done.stdout)
     assert done.code == 0
     kept = "".join(each["bytes"] for each in document["configurations"]) + document["rest"]
-    assert kept == (configuration + b"\x09\xab").hex()
-    assert odd.hex() in done.stdout
+    assert kept == configuration.hex()
+    assert document["bytes"] == (DEVICE + configuration).hex()
 
 
-def test_a_dump_comes_from_standard_input_too(tmp_path: Path) -> None:
-    path = dump(tmp_path / "dac.hex", DEVICE + headset_adapter())
-    done = subprocess.run(
-        [sys.executable, "-m", "audioflinger_hook", "usb", "describe", "--json", "--hex", "-"],
-        input=path.read_bytes(),
-        capture_output=True,
-        cwd=ROOT,
-    )
-    assert done.returncode == 0
-    assert json.loads(done.stdout)["configurations"]
+def test_a_damaged_dump_says_what_is_lost_and_shows_the_rest(describe: Callable[..., Done]) -> None:
+    done = describe((DEVICE + headset_adapter())[:-40])
+    assert (done.code, done.stderr) == (0, "")
+    lines = done.stdout.splitlines()
+    size = len(headset_adapter())
+    lost = f"it has {size - 40} bytes, but wTotalLength is {size}: 40 missing"
+    assert f"problem: at 0x0012, configuration: {lost}" in lines
+    assert any(line.startswith("plays: interface 1.1, PCM of 16 bits") for line in lines)
+    assert "volume can be set on channels 1, 2" in lines
+    assert describe(done.stdout).stdout == done.stdout  # what is printed can be read again
+
+
+def test_a_dump_that_plays_nothing_says_so(describe: Callable[..., Done]) -> None:
+    silent = usb_builder.configuration(usb_builder.control(0, 0, usb_builder.header_1([])))
+    assert "plays: nothing" in describe(DEVICE + silent).stdout
+    lost = "0 of 1 configuration can be read; from 0x0012 on, 2 bytes cannot be read"
+    assert f"problem: {lost}" in describe(DEVICE + b"\x09\x04").stdout
+
+
+def test_a_dump_comes_from_standard_input_too() -> None:
+    options = ("usb", "describe", "--json", "--hex", "-")
+    with start(*options, stdin=subprocess.PIPE) as process:
+        stdout, _ = process.communicate(xxd(DEVICE + headset_adapter()), DEADLINE_S)
+    assert process.returncode == 0
+    assert json.loads(stdout)["configurations"]
 
 
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("", "it has no bytes"),
+        ("", "hex dump: it has no bytes"),
         ("what is this\n", "line 1"),
-        ("00000000: 1201 0002\n00000020: 0000 0040\n", "address 0x20 instead of 0x4"),
+        ("00000000: 1201 0002\n00000020: 0000 0040\n", "address is 0x20 instead of 0x4"),
+        ("00 " * (2 << 20), "too long for descriptors"),
     ],
 )
-def test_what_is_no_dump_is_refused_in_one_line(tmp_path: Path, text: str, words: str) -> None:
-    path = tmp_path / "dac.hex"
-    path.write_text(text)
-    done = call("usb", "describe", "--hex", path)
-    assert (done.code, done.stdout) == (2, "")
-    assert done.stderr.startswith("cushion: error: hex dump")
-    assert words in done.stderr
-    assert done.stderr.count("\n") == 1
+def test_what_is_no_dump_is_refused(describe: Callable[..., Done], text: str, words: str) -> None:
+    assert words in refused(describe(text))
 
 
-def test_a_file_that_is_not_there_or_too_long_is_refused(tmp_path: Path) -> None:
-    done = call("usb", "describe", "--hex", tmp_path / "none")
-    assert done.code == 2
-    assert f"cannot read {tmp_path / 'none'}" in done.stderr
-    large = tmp_path / "large"
-    large.write_bytes(b"00 " * (2 << 20))
-    done = call("usb", "describe", "--hex", large)
-    assert done.code == 2
-    assert "no dump of descriptors" in done.stderr
+def test_a_file_that_is_not_there_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "none"
+    assert f"cannot read {path}" in refused(call("usb", "describe", "--hex", path))
 
 
-def test_a_dump_goes_with_no_device(tmp_path: Path) -> None:
-    path = dump(tmp_path / "dac.hex", DEVICE)
-    for more in (["usb:1209:dac1"], ["--take-over"]):
-        done = call("usb", "describe", *more, "--hex", path)
-        assert done.code == 2
-        assert "goes with neither" in done.stderr
+@pytest.mark.parametrize("more", ["usb:1209:dac1", "--take-over"])
+def test_a_dump_goes_with_no_device(describe: Callable[..., Done], more: str) -> None:
+    assert "leave out DEVICE and --take-over" in refused(describe(DEVICE, more))
 
 
 @pytest.mark.parametrize("name", ["usb:", "usb:12", "usb:zzzz:0001", "sink:haptic"])
 def test_a_name_that_is_none_is_refused(name: str) -> None:
     done = call("usb", "describe", name)
     assert done.code in (2, 3)
-    assert done.stderr.startswith("cushion: error: ")
-    assert done.stderr.count("\n") == 1
+    refused(done, done.code)
+
+
+SILENT = {"name": "PCM Playback Volume", "db": [None, None], "lowest_db": None, "highest_db": 0.0}
+SOFT = {**SILENT, "db": [-30.0, -12.5]}
+NO_TABLE = {"name": "PCM Playback Volume"}
+MUTED = {"name": "PCM Playback Switch", "muted": [True, True]}
+HALF = {"name": "PCM Playback Switch", "muted": [True, False]}
+
+
+@pytest.mark.parametrize(
+    ("volumes", "mutes", "word"),
+    [
+        ([SOFT], [], "-12.5 dB"),
+        ([SOFT], [HALF], "-12.5 dB"),
+        ([SOFT], [MUTED], "muted"),
+        ([SILENT], [], "silence"),
+        ([NO_TABLE], [HALF], ""),
+        ([], [], ""),
+    ],
+)
+def test_the_loudest_channel_counts_and_a_mute_of_all_before_it(
+    volumes: list[dict[str, Any]], mutes: list[dict[str, Any]], word: str
+) -> None:
+    assert volume_now({"volumes": volumes, "mutes": mutes, "problem": None}) == word
+
+
+def test_every_control_has_a_line_of_its_own_and_one_says_why_none_could_be_read() -> None:
+    mixer = {"volumes": [SOFT, NO_TABLE], "mutes": [MUTED, HALF], "problem": None}
+    assert mixer_lines(mixer) == [
+        "PCM Playback Volume of the sound card: -30.00 dB, -12.50 dB, silence to +0.00 dB",
+        "PCM Playback Volume of the sound card: in steps of unknown size",
+        "PCM Playback Switch of the sound card: muted",
+        "PCM Playback Switch of the sound card: partly muted",
+    ]
+    mixer = {"volumes": [], "mutes": [], "problem": "this user may not open it"}
+    assert mixer_lines(mixer) == ["volume of the sound card unknown: this user may not open it"]

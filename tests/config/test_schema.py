@@ -1,6 +1,4 @@
-"""The one schema: mistakes of every kind at once, old names, JSON Schema, help, live changes."""
-
-from __future__ import annotations
+"""The one schema: mistakes of every kind at once, JSON Schema, help, live changes."""
 
 import json
 import re
@@ -14,7 +12,7 @@ import pytest
 
 from audioflinger_hook.config import file as config
 from audioflinger_hook.config.profiles import LIVE_DEFAULT, OFFLINE_DEFAULT
-from audioflinger_hook.config.schema import CHANGES, KEYS, RENAMED, json_schema, keys_of
+from audioflinger_hook.config.schema import CHANGES, KEYS, REPLACED, json_schema, keys_of
 from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.daemon.recording import settings_from
 from audioflinger_hook.daemon.run_config import ConfigDiff, RunConfig
@@ -25,7 +23,7 @@ from device.address import parse_device
 from device.drive import ActuatorSettings
 from device.errors import UsageError
 from device.values import Choice, Number, Switch
-from tests.support.commands import call, listing, noise, sound
+from tests.support.commands import call, refused
 
 ROOT = Path(__file__).resolve().parents[2]
 CONFIG_PAGE = ROOT / "docs/config.md"
@@ -42,16 +40,18 @@ gain_db = "loud"
 rig = 3
 tap = []
 block_frames = 300
+window_s = 0.05
+zzz = 1
 [aplications]
 include = ["a"]
 [transform]
 window_s = 9
 threshold = 0.3
+profile = "game"
 partials_max = 2.5
 band_low_hz = 400
 band_high_hz = 500
-follower_db = 70
-loudness_gate_db = 5
+loudness_db = 70
 follower_gate_db = 5
 [[actuator]]
 channels = [0, 0]
@@ -68,82 +68,42 @@ EXPECTED = [
     (4, "rig", "3", "is not a name", "paper, consumer, or a file, NAME.toml", ""),
     (5, "tap", "[]", "is an empty list", "default, sink:NAME", ""),
     (6, "block_frames", "300", "is not known", "128, 256, 512, 1024 frames", ""),
-    (7, "aplications", "", "is an unknown section", "profile, damping, ", "[applications]"),
-    (10, "transform.window_s", "9", "is out of range", "0.01 to 0.2 s", ""),
-    (11, "transform.threshold", "0.3", "is an unknown key", "transform, ", "threshold_hz"),
-    (12, "transform.partials_max", "2.5", "is not a whole number", "1 to 64", ""),
-    (14, "transform.band_high_hz", "500", "is under twice band_low_hz=400", "at least 800 Hz", ""),
-    (15, "transform.follower_db", "70", "is out of range", "0 to 60 dB", ""),
-    (
-        17,
-        "transform.follower_gate_db",
-        "5",
-        "is the old name of transform.loudness_gate_db, which is given, too",
-        "loudness_gate_db alone",
-        "",
-    ),
-    (19, "actuator[1].channels", "[0, 0]", "names a channel twice", "each channel once", ""),
-    (20, "actuator[1].delay_ms", "true", "is not a number", "0 to 500 ms", ""),
-    (21, 'polarity == "normal"', "", "is not TOML", "key = value", ""),
-    (22, "actuator[2].channels", "", "is missing", "a list of channels", ""),
-    (23, "actuator[2].sorce", '"left"', "is an unknown key", "channels, source", "source"),
+    (7, "window_s", "0.05", "is an unknown key", "profile, ", "window_s in [transform]"),
+    (8, "zzz", "1", "is an unknown key", "profile, ", ""),
+    (9, "aplications", "", "is an unknown section", "profile, damping, ", "[applications]"),
+    (12, "transform.window_s", "9", "is out of range", "0.01 to 0.2 s", ""),
+    (13, "transform.threshold", "0.3", "is an unknown key", "transform, ", "threshold_hz"),
+    (14, "transform.profile", '"game"', "is an unknown key", "", "profile at the top level"),
+    (15, "transform.partials_max", "2.5", "is not a whole number", "1 to 64", ""),
+    (17, "transform.band_high_hz", "500", "is under twice band_low_hz=400", "at least 800 Hz", ""),
+    (18, "transform.loudness_db", "70", "is out of range", "0 to 60 dB", ""),
+    (19, "transform.follower_gate_db", "5", "is no longer a key", "loudness_gate_db", ""),
+    (21, "actuator[1].channels", "[0, 0]", "names a channel twice", "each channel once", ""),
+    (22, "actuator[1].delay_ms", "true", "is not a number", "0 to 500 ms", ""),
+    (23, 'polarity == "normal"', "", "is not TOML", "key = value", ""),
+    (24, "actuator[2].channels", "", "is missing", "a list of channels", ""),
+    (25, "actuator[2].sorce", '"left"', "is an unknown key", "channels, source", "source"),
 ]
-
-OLD_NAMES = """\
-profile = "game"
-[transform]
-form = "live"
-follower_db = 20
-follower_slope_db = 6.5
-"""
-
-
-def written(folder: Path, text: str) -> Path:
-    path = folder / "config.toml"
-    path.write_text(text)
-    return path
-
-
-# --- mistakes
 
 
 def test_mistakes_of_every_kind_are_named_at_once(tmp_path: Path) -> None:
-    path = written(tmp_path, MISTAKES)
+    path = tmp_path / "config.toml"
+    path.write_text(MISTAKES)
     found, mistakes = config.check(path)
-    assert found is None
-    assert len(mistakes) == len(EXPECTED)
-    for mistake, (line, key, value, problem, allowed, nearest) in zip(
-        mistakes, EXPECTED, strict=True
-    ):
+    done = call("check", "--config", path)
+    lines = done.stderr.splitlines()
+    assert (found, done.code) == (None, 2)
+    assert len(mistakes) == len(lines) == len(EXPECTED)
+    for mistake, message, expected in zip(mistakes, lines, EXPECTED, strict=True):
+        line, key, value, problem, allowed, nearest = expected
         assert (mistake.line, mistake.key, mistake.value) == (line, key, value)
         assert mistake.problem.startswith(problem)
         assert mistake.allowed.startswith(allowed)
         assert mistake.nearest == nearest
-    done = call("check", "--config", path)
-    assert done.code == 2
-    lines = done.stderr.splitlines()
-    assert len(lines) == len(EXPECTED)
-    for message, expected in zip(lines, EXPECTED, strict=True):
-        line, key, value, problem, allowed, nearest = expected
         assert message.startswith(f"cushion: error: {path}: line {line}: {key}")
         for part in (value, problem, f"; allowed: {allowed}"):
             assert part in message
         assert message.endswith(f"; did you mean {nearest}?") == bool(nearest)
-
-
-@pytest.mark.parametrize(
-    ("text", "nearest"),
-    [
-        ("window_s = 0.05\n", "window_s in [transform]"),
-        ('[transform]\nprofile = "game"\n', "profile at the top level"),
-        ("zzz = 1\n", ""),
-    ],
-)
-def test_an_unknown_key_names_the_section_that_knows_it(
-    tmp_path: Path, text: str, nearest: str
-) -> None:
-    _, (mistake,) = config.check(written(tmp_path, text))
-    assert mistake.nearest == nearest
 
 
 @pytest.mark.parametrize(
@@ -164,83 +124,32 @@ def test_a_constructor_names_every_refused_value(kind: type[Any], wrong: dict[st
 
 
 def test_settings_name_the_mistakes_of_several_actuators_together() -> None:
+    actuators = (ActuatorSettings((0,), rig="none"), ActuatorSettings((0,)))
     with pytest.raises(UsageError) as error:
-        Settings(
-            gain_db=1.0,
-            channels="each",
-            actuators=(ActuatorSettings((0,), rig="none"), ActuatorSettings((0,))),
-        )
-    for part in (
-        "gain_db=1 ",
-        "channels='each'",
-        "actuator[1].rig = 'none' is",
-        "actuator[2] wants",
-    ):
+        Settings(gain_db=1.0, channels="each", actuators=actuators)
+    for part in ("gain_db=1 ", "channels='each'", "actuator[1].rig = 'none' is", "[2] wants"):
         assert part in str(error.value)
 
 
-# --- old names
+def test_a_key_that_was_replaced_is_refused_with_the_one_that_replaces_it(tmp_path: Path) -> None:
+    for section, replaced in REPLACED.items():
+        for old, new in replaced.items():
+            path = tmp_path / "config.toml"
+            path.write_text(f"[{section}]\n{old} = 20\n")
+            said = refused(call("check", "--config", path))
+            assert f"line 2: {section}.{old} = 20" in said
+            assert f"is no longer a key; allowed: {new}" in said
 
 
-def test_a_mistake_keeps_its_line_beside_the_old_name_of_its_key(tmp_path: Path) -> None:
-    text = "[transform]\nloudness_db = 99\nfollower_db = 5\n"
-    _, mistakes = config.check(written(tmp_path, text))
-    assert [(mistake.line, mistake.key) for mistake in mistakes] == [
-        (2, "transform.loudness_db"),
-        (3, "transform.follower_db"),
-    ]
+def test_a_capture_with_a_parameter_that_was_replaced_says_what_to_do() -> None:
+    facts: dict[str, str | int | float | bool] = {"form": "live", "follower_db": 12.0}
+    with pytest.raises(UsageError, match=r"follower_db is now loudness_db.*give others with"):
+        settings_from(facts)
 
 
-def test_old_names_work_with_one_warning_that_names_both(tmp_path: Path) -> None:
-    path = written(tmp_path, OLD_NAMES)
-    expected = (
-        "line 3: transform.form is now transform.transform, "
-        "line 4: transform.follower_db is now transform.loudness_db, "
-        "line 5: transform.follower_slope_db is now transform.dynamics; "
-        "the next release knows the new names only"
-    )
-    found = config.load(path)
-    new = OLD_NAMES.replace("follower_slope_db = 6.5", "dynamics = 0.325")
-    new = new.replace("follower", "loudness").replace("form =", "transform =")
-    assert found.warning == expected
-    assert replace(found, warning="") == config.load(written(tmp_path, new))
-    assert found.settings.parameters.loudness_db == 20.0
-    assert found.settings.said == ("loudness_db", "dynamics")
-
-    path.write_text(OLD_NAMES)
-    checked = call("check", "--config", path)
-    warned = f"cushion: warning: {path}: {expected}\n"
-    assert (checked.code, checked.stdout, checked.stderr) == (0, f"{path}: no mistakes\n", warned)
-    source = sound(tmp_path / "in.wav", noise(3_000))
-    for _ in range(2):
-        done = call("render", source, tmp_path / "out.wav", "--config", path, "--json")
-        assert (done.code, json.loads(done.stdout)["profile"]) == (0, "game")
-        assert done.stderr in (warned, "")
-    assert "out.wav" in listing(tmp_path)
-
-
-def test_a_capture_with_old_names_is_still_read() -> None:
-    facts: dict[str, str | int | float | bool] = {
-        "form": "live",
-        "profile": "music",
-        "follower_db": 12.0,
-        "follower_gate_db": 7.0,
-        "said": "follower_db,partials_max",
-        "partials_max": 3,
-    }
-    settings = settings_from(facts)
-    assert settings is not None
-    assert settings.parameters.loudness_db == 12.0
-    assert settings.parameters.loudness_gate_db == 7.0
-    assert settings.said == ("loudness_db", "partials_max")
-
-
-# --- JSON Schema
-
-
-def accepts(document: object) -> bool:
+def accepts(document: object, schema: dict[str, Any] | None = None) -> bool:
     try:
-        fastjsonschema.validate(json_schema(), document)
+        fastjsonschema.validate(schema or json_schema(), document)
     except fastjsonschema.JsonSchemaValueException:
         return False
     return True
@@ -254,80 +163,33 @@ def test_check_prints_the_schema_and_needs_no_config(tmp_path: Path) -> None:
     assert printed["$schema"] == "https://json-schema.org/draft/2020-12/schema"
 
 
-def test_the_schema_uses_words_of_json_schema_with_values_of_their_types() -> None:
-    types: dict[str, type | tuple[type, ...]] = {
-        "$schema": str,
-        "title": str,
-        "type": str,
-        "description": str,
-        "deprecated": bool,
-        "default": object,
-        "properties": dict,
-        "additionalProperties": bool,
-        "required": list,
-        "items": dict,
-        "minItems": int,
-        "uniqueItems": bool,
-        "anyOf": list,
-        "enum": list,
-        "minimum": (int, float),
-        "maximum": (int, float),
-        "minLength": int,
-        "pattern": str,
-    }
-
-    def look(schema: dict[str, Any]) -> None:
-        for word, value in schema.items():
-            assert isinstance(value, types[word]), word
-        assert schema.get("type", "object") in (
-            *("object", "array", "string"),
-            *("number", "integer", "boolean"),
-        )
-        for inner in [*schema.get("properties", {}).values(), *schema.get("anyOf", [])]:
-            look(inner)
-        if "items" in schema:
-            look(schema["items"])
-
-    look(json_schema())
-
-
 def test_the_schema_accepts_the_examples_of_the_pages_and_every_default() -> None:
     examples = [tomllib.loads(text) for text in EXAMPLES]
     configs = [example for example in examples if "project" not in example]
     assert len(configs) == 6
-    assert all(map(accepts, configs))
     # All keys of the example, those in comments included.
-    example = EXAMPLES[0]
-    document = tomllib.loads(re.sub(r"^# (\w+ = )", r"\1", example, flags=re.MULTILINE))
-    assert accepts(document)
-    assert accepts({})
+    document = tomllib.loads(re.sub(r"^# (\w+ = )", r"\1", EXAMPLES[0], flags=re.MULTILINE))
+    assert document.keys() >= keys_of("").keys()
+    assert all(map(accepts, (*configs, document, {})))
     for key in KEYS:
-        if key.section == "":
-            assert key.name in document
         default = key.json_schema().get("default")
-        if default is not None:
-            fastjsonschema.validate(key.json_schema(), default)
+        assert default is None or accepts(default, key.json_schema())
 
 
-@pytest.mark.parametrize(("_line", "key", "_value", "_problem", "_allowed", "_nearest"), EXPECTED)
-def test_the_schema_refuses_what_the_check_refuses_of_single_keys(
-    _line: int, key: str, _value: str, _problem: str, _allowed: str, _nearest: str
-) -> None:
-    text = MISTAKES.replace('polarity == "normal"\n', "")
-    document = tomllib.loads(text)
-    section, _, name = key.rpartition(".")
-    table = re.sub(r"\[\d+\]", "", section)
-    index = int(section[-2]) - 1 if "[" in section else None
-    holder = document if not table else document[table] if index is None else document[table][index]
-    if name not in holder and name != "channels":
-        return  # the line that is no TOML
-    if name in ("band_high_hz", "follower_gate_db"):
-        return  # contradictions are for the check alone
-    one = {name: holder[name]} if name in holder else {}
-    if index is not None and name != "channels":
-        one |= {"channels": [0]}
-    inner: Any = one if index is None else [one]
-    assert not accepts({table: inner} if table else one)
+def test_the_schema_refuses_what_the_check_refuses_of_single_keys() -> None:
+    document = tomllib.loads(MISTAKES.replace('polarity == "normal"\n', ""))
+    tables = {"": document, "transform": document["transform"]}
+    tables |= {f"actuator[{n}]": one for n, one in enumerate(document["actuator"], 1)}
+    for _, key, _, problem, _, _ in EXPECTED:
+        section, _, name = key.rpartition(".")
+        if problem == "is not TOML" or name == "band_high_hz":
+            continue  # contradictions are for the check alone
+        one = {name: tables[section][name]} if name in tables[section] else {}
+        if section.startswith("actuator"):
+            one = {"actuator": [one if name == "channels" else one | {"channels": [0]}]}
+        elif section:
+            one = {section: one}
+        assert not accepts(one), key
 
 
 @pytest.mark.parametrize("key", KEYS, ids=lambda key: f"{key.section}.{key.name}")
@@ -339,18 +201,11 @@ def test_check_and_schema_agree_on_the_edges_of_every_key(key: Any) -> None:
     if isinstance(described, Choice):
         values += [*described.words]
     for value in values:
-        in_schema = True
-        try:
-            fastjsonschema.validate(key.json_schema(), value)
-        except fastjsonschema.JsonSchemaValueException:
-            in_schema = False
+        in_schema = accepts(value, key.json_schema())
         refused = described.refuse(value) is not None
         # The schema knows no files and no grammar of addresses; else they are the same.
         if isinstance(described, (Number, Choice)) or not in_schema:
             assert in_schema != refused, value
-
-
-# --- the rest that comes from the schema
 
 
 def test_every_setting_is_a_key_and_every_key_is_a_setting() -> None:
@@ -362,8 +217,8 @@ def test_every_setting_is_a_key_and_every_key_is_a_setting() -> None:
         assert key.change in CHANGES
         assert key.description.meaning
         assert key.name == key.flag.removeprefix("--").replace("-", "_") or not key.flag
-    for section, renamed in RENAMED.items():
-        assert set(renamed.values()) <= keys_of(section).keys()
+    for section, renamed in REPLACED.items():
+        assert {new.partition(",")[0] for new in renamed.values()} <= keys_of(section).keys()
         assert not renamed.keys() & keys_of(section).keys()
 
 
@@ -397,20 +252,29 @@ KINDS = {
 def another(key: Any) -> Any:
     """Return a value that is accepted and is not the default."""
     described = key.description
+    if isinstance(described, Switch):
+        return not key.default
     if isinstance(described, Number):
         return described.high if key.default != described.high else described.low
     if isinstance(described, Choice):
         return described.words[-1] if key.default != described.words[-1] else described.words[0]
-    if isinstance(described, Switch):
-        return not key.default
-    by_name: dict[str, object] = {
-        "rig": "consumer",
-        "tap": ("sink:a",),
-        "device": "sink:b",
-        "channels": (9,),
-    }
-    by_name |= {"effects_file": Path("x.xml"), "include": ("a",), "exclude": ("a",)}
-    return by_name[key.field]
+    by_name = {"rig": "consumer", "tap": ("sink:a",), "device": "sink:b", "channels": (9,)}
+    return (by_name | {"effects_file": Path("x.xml")}).get(key.field, ("a",))
+
+
+@pytest.mark.parametrize("key", KEYS, ids=lambda key: f"{key.section}.{key.name}")
+def test_a_key_of_a_file_becomes_the_setting_of_its_field(key: Any, tmp_path: Path) -> None:
+    value, path = another(key), tmp_path / "config.toml"
+    if isinstance(value, Path):
+        value = tmp_path / value
+        value.touch()
+    head = {"": "", "actuator": "[[actuator]]\n"}.get(key.section, f"[{key.section}]\n")
+    needed = "channels = [0]\n" if key.section == "actuator" and key.name != "channels" else ""
+    path.write_text(f"{head}{needed}{key.name} = {json.dumps(value, default=str)}\n")
+    found = config.load(path)
+    holders = (found.settings, found.live, found.settings.parameters, *found.settings.actuators)
+    (holder,) = (one for one in holders if isinstance(one, key.owner))
+    assert getattr(holder, key.field) == value
 
 
 @pytest.mark.parametrize("key", KEYS, ids=lambda key: f"{key.section}.{key.name}")
@@ -438,9 +302,7 @@ def test_a_running_daemon_does_what_the_schema_says_of_a_change(key: Any) -> Non
 
 
 @pytest.mark.parametrize("command", ["run", "render", "replay", "demo"])
-def test_help_says_of_every_key_what_it_means_and_its_default_in_this_command(
-    command: str,
-) -> None:
+def test_help_says_of_every_key_what_it_means_and_its_default_in_this_command(command: str) -> None:
     text = " ".join(call(command, "--help").stdout.split())
     default = LIVE_DEFAULT if command in ("run", "demo") else OFFLINE_DEFAULT
     shown = [key for key in KEYS if key.flag and re.search(rf"{key.flag}\b(?!-)", text)]

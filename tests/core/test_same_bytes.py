@@ -1,9 +1,7 @@
 """The core gives the same bytes from every compiler, on every processor, and without Python."""
 
-from __future__ import annotations
-
 import subprocess
-from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -15,14 +13,14 @@ from audioflinger_hook.core.design import core_design
 from audioflinger_hook.scenes import demo_scene
 from audioflinger_hook.sources import mixdown
 from audioflinger_hook.transform.design import LiveDesign
-from device.drive.design import DriveDesign, damping_for
-from device.rig import CONSUMER, PAPER
+from tests.plugin.hosting import driven_design, several_drives
 from tests.support.native_builds import CORE, CORE_SOURCES, EACH_BUILD, built
 
 HOST = Path(__file__).resolve().parents[1] / "support/core_host.c"
 RATE = 48_000
 
 
+@cache
 def sounds() -> np.ndarray:
     """Return two channels of the demo, noise, silence, a sweep and unusable samples."""
     rng = np.random.default_rng(4)
@@ -57,17 +55,7 @@ def test_every_compiler_gives_the_same_vibration(build: str, tmp_path: Path) -> 
 @pytest.mark.parametrize("build", EACH_BUILD)
 def test_every_compiler_drives_actuators_alike(build: str, tmp_path: Path) -> None:
     host = built(build, HOST, CORE_SOURCES, [CORE])
-    strong = replace(PAPER, amplifier=replace(PAPER.amplifier, gain=400.0))
-    source = CONSUMER.amplifier.source_impedance_ohm
-    drives = [
-        DriveDesign(CONSUMER, RATE, damping_for(CONSUMER.actuator, source), "action"),
-        DriveDesign(strong, RATE),
-        None,
-    ]
-    transform = LiveDesign.of(parameters_of("cinema"), RATE).records()
-    design = core_design(
-        RATE, 2, transform=transform, each=True, drives=drives, delay_frames_max=RATE
-    )
+    design = driven_design(RATE, 2, (), several_drives(RATE), each=True)
     core = Core(design)
     for number, controls in enumerate(core.controls.actuators[:3]):
         controls.gain, controls.source = (1.0, -0.5)[number % 2], number % 2

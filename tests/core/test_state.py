@@ -1,35 +1,34 @@
-"""A core's state goes on in another core of the same design, at every frame."""
+"""A core's state goes on in another core of the same design; what does not fit is refused."""
 
-from __future__ import annotations
-
-from dataclasses import replace
+import subprocess
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from audioflinger_hook.config.profiles import parameters_of
+from audioflinger_hook.core import compiled_core
 from audioflinger_hook.core.compiled_core import Core
 from audioflinger_hook.core.design import core_design
 from audioflinger_hook.transform.design import LiveDesign
-from device.drive.design import DriveDesign, damping_for
+from device.drive.design import DriveDesign
 from device.errors import InternalError
-from device.rig import CONSUMER, PAPER
+from tests.plugin.hosting import STRONG, several_drives
+from tests.support.memory import resident_bytes
 
 RATE = 8_000
-DAMPING = damping_for(CONSUMER.actuator, CONSUMER.amplifier.source_impedance_ohm)
-STRONG = replace(PAPER, amplifier=replace(PAPER.amplifier, gain=400.0))
+TRANSFORM = LiveDesign.of(parameters_of("cinema"), RATE).records()
+DRIVES = several_drives(RATE)
 SOUND = np.random.default_rng(3).uniform(-1.0, 1.0, (2_500, 2)).astype(np.float32)
 
 
-def made(**changes: object) -> Core:
-    """A transform for each channel, a damped and capped rig, a protected one, and none."""
-    parts = {
-        "transform": LiveDesign.of(parameters_of("cinema"), RATE).records(),
-        "each": True,
-        "drives": [DriveDesign(CONSUMER, RATE, DAMPING, "action"), DriveDesign(STRONG, RATE), None],
-        "delay_frames_max": RATE,
-    }
-    core = Core(core_design(RATE, 2, **(parts | changes)))  # type: ignore[arg-type]
+def made(**changes: Any) -> Core:
+    """A core with a transform for each channel and several drives."""
+    parts: dict[str, Any] = {"transform": TRANSFORM, "drives": DRIVES, "delay_frames_max": RATE}
+    core = Core(core_design(RATE, 2, each=True, **(parts | changes)))
     for number, controls in enumerate(core.controls.actuators[:3]):
         controls.gain, controls.source = (1.0, -0.5)[number % 2], number % 2
         controls.delay_frames = 100.0 * number
@@ -59,32 +58,50 @@ def test_it_brings_counts_temperatures_and_dose_along() -> None:
         assert bytes(one) == bytes(two)
 
 
-@pytest.mark.parametrize("place", [-1, -1_000, -20_000])
-def test_one_changed_bit_of_a_drive_is_refused_and_the_core_is_at_rest(place: int) -> None:
+def damaged_states() -> dict[str, bytes]:
+    state = made().state
+    bits = {f"bit {place}": bytearray(state) for place in (-1, -1_000, -20_000)}
+    for name, changed in bits.items():
+        changed[int(name.removeprefix("bit "))] ^= 1
+    numbers = {str(number): np.full(len(state) // 8, number) for number in (1.0, np.nan)}
+    return {
+        **{name: bytes(changed) for name, changed in bits.items()},
+        **{name: whole.tobytes() for name, whole in numbers.items()},
+        "empty": b"",
+        "short": state[:-8],
+        "cut": state[:-1],
+        "long": state + b"0",
+        "ones": b"\xff" * len(state),
+    }
+
+
+@pytest.mark.parametrize("state", damaged_states().values(), ids=damaged_states())
+def test_a_damaged_state_is_refused_and_the_core_is_at_rest(state: bytes) -> None:
+    core = made()
+    core.process(SOUND)
+    with pytest.raises(InternalError, match="no core with this design"):
+        core.state = state
+    assert not core.process(np.zeros((1_000, 2), np.float32)).any()
+    assert np.isfinite(core.process(SOUND)).all()
+
+
+@given(place=st.floats(0.0, 1.0, exclude_max=True), flips=st.integers(1, 255))
+@settings(max_examples=100)
+def test_a_state_with_another_byte_is_refused(place: float, flips: int) -> None:
     core = made()
     core.process(SOUND)
     state = bytearray(core.state)
-    state[place] ^= 1
+    state[int(place * len(state))] ^= flips
     with pytest.raises(InternalError, match="no core with this design"):
         core.state = bytes(state)
-    assert not core.process(np.zeros((1_000, 2), np.float32)).any()
 
 
 def test_the_state_of_another_design_of_the_same_size_is_refused() -> None:
-    uncapped = [DriveDesign(CONSUMER, RATE, DAMPING), DriveDesign(STRONG, RATE), None]
-    other = made(drives=uncapped)
+    other = made(drives=[DRIVES[0], DriveDesign(STRONG, RATE, exposure_cap="action"), None])
     core = made()
     assert len(other.state) == len(core.state)
     with pytest.raises(InternalError, match="no core with this design"):
         core.state = other.state
-
-
-def test_a_state_of_another_length_is_refused_and_the_core_is_at_rest() -> None:
-    core = made()
-    core.process(SOUND)
-    with pytest.raises(InternalError, match="no core with this design"):
-        core.state = core.state[:-8]
-    assert not core.process(np.zeros((1_000, 2), np.float32)).any()
 
 
 def test_a_transform_alone_goes_on_with_its_gain() -> None:
@@ -96,3 +113,48 @@ def test_a_transform_alone_goes_on_with_its_gain() -> None:
     cores[0].controls.sound_gain = 1.0
     first, other = (core.process(SOUND).tobytes() for core in cores)
     assert first == other
+
+
+def test_a_host_sees_no_function_of_the_library_but_its_interface() -> None:
+    # A hidden function whose name a host has, too, must not be taken from the host.
+    library = Path(compiled_core.__file__).parent / "haptic_cushion.so"
+    listed = subprocess.run(
+        ["nm", "-D", "--defined-only", library], capture_output=True, text=True, check=True
+    )
+    names = {line.split()[-1] for line in listed.stdout.splitlines()}
+    others = {name for name in names if not name.startswith("core_")}
+    assert others == {"ladspa_descriptor", "lv2_descriptor"}
+
+
+@pytest.mark.parametrize(
+    "frames",
+    [
+        np.zeros((5, 1)),
+        np.zeros(5),
+        np.zeros((1, 5, 2)),
+        np.zeros((5, 2), np.int32),
+        np.zeros((5, 2), ">f4"),
+        np.frombuffer(bytes(81), np.float64, 10, 1).reshape(5, 2),
+    ],
+    ids=["channels", "one dimension", "three", "integers", "byte order", "unaligned"],
+)
+def test_a_block_that_does_not_fit_is_refused(frames: np.ndarray) -> None:
+    core = made()
+    before = core.state
+    for process in (core.vibrate, core.process):
+        with pytest.raises(InternalError, match="a block has"):
+            process(frames)
+    assert core.state == before
+    assert core.vibrate(np.zeros((0, 2))).shape == (0, 2)
+
+
+def test_a_core_that_is_let_go_of_gives_its_memory_back() -> None:
+    def cores(count: int) -> int:
+        for _ in range(count):
+            made().process(SOUND[:100])
+            with pytest.raises(InternalError, match="fft_length"):
+                made(transform={**TRANSFORM, "fft_length": 7 * 2**10})
+        return resident_bytes()
+
+    before = cores(50)
+    assert cores(200) - before < 2**20

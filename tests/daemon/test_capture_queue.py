@@ -1,7 +1,6 @@
 """Mixing when the output needs it gives what mixing at once gives, at the same moments."""
 
-from __future__ import annotations
-
+import math
 import sys
 import threading
 
@@ -10,7 +9,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from audioflinger_hook.daemon.capture_queue import UNASKED_S, CaptureQueue, Feed
+from audioflinger_hook.daemon.capture_queue import (
+    UNASKED_S,
+    CaptureQueue,
+    Feed,
+    SoundGain,
+    undone_db,
+)
 from audioflinger_hook.daemon.engine import Clocks, Engine
 from device.clock import DelayState
 from device.units import Float32Array
@@ -71,14 +76,16 @@ def lateness(blocks: int, jitter_s: float) -> Float32Array:
     return np.minimum(late, 0.02).astype(np.float32)
 
 
+def live_after(seconds: float, feed: Feed | None = None, jitter_s: float = 0.0) -> Live:
+    sound, live = music(seconds), Live(feed or CaptureQueue())
+    live.run(sound, lateness(len(sound) // BLOCK, jitter_s))
+    return live
+
+
 @pytest.mark.sweep
 @pytest.mark.parametrize("jitter_s", [0.0, 0.001, 0.003])
-def test_what_is_felt_is_the_same_and_comes_at_the_same_time(jitter_s: float) -> None:
-    sound = music(6.0)
-    late_s = lateness(len(sound) // BLOCK, jitter_s)
-    at_once, when_needed = Live(Feed()), Live(CaptureQueue())
-    for live in (at_once, when_needed):
-        live.run(sound, late_s)
+def test_what_is_felt_is_the_same_and_comes_at_the_same_time(jitter_s):
+    at_once, when_needed = (live_after(6.0, feed, jitter_s) for feed in (Feed(), CaptureQueue()))
     felt, expected = np.concatenate(when_needed.felt), np.concatenate(at_once.felt)
     assert felt.tobytes() == expected[: len(felt)].tobytes()
     assert len(expected) - len(felt) < 0.05 * RATE_HZ  # what the output did not need yet
@@ -92,18 +99,7 @@ def test_what_is_felt_is_the_same_and_comes_at_the_same_time(jitter_s: float) ->
     assert np.abs(heard - wanted)[2 * RATE_HZ :].max() < 0.1 * loudest
 
 
-def test_an_output_that_has_enough_lets_blocks_become_one_cycle() -> None:
-    sound = music(4.0)
-    live = Live(CaptureQueue())
-    live.run(sound, lateness(len(sound) // BLOCK, 0.0))
-    assert live.engine.delay_line.status.state is DelayState.LOCKED
-    lengths = [len(part) for part in live.mixed[-40:]]
-    assert np.mean(lengths) >= 2 * BLOCK
-    assert max(lengths) <= live.engine.frames_max
-    assert live.engine.delay_line.status.underflows == 0
-
-
-def test_what_the_delay_line_has_is_read_at_once_and_that_is_not_taken_for_haste() -> None:
+def test_what_the_delay_line_has_is_read_at_once_and_that_is_not_taken_for_haste():
     sound = music(6.0)
     live = Live(CaptureQueue())
     reads: list[tuple[int, int]] = []
@@ -115,19 +111,21 @@ def test_what_the_delay_line_has_is_read_at_once_and_that_is_not_taken_for_haste
 
     live.engine.delay_line.read = counted  # type: ignore[method-assign]
     live.run(sound, lateness(len(sound) // BLOCK, 0.0))
+    lengths = [len(part) for part in live.mixed[-40:]]
+    assert np.mean(lengths) >= 2 * BLOCK  # blocks become one cycle
+    assert max(lengths) <= live.engine.frames_max
+    status = live.engine.delay_line.status
+    assert (status.state, status.underflows) == (DelayState.LOCKED, 0)
     assert len(live.played) >= 2 * len(reads[-200:])
     assert np.mean([frames for frames, _ in reads[-200:]]) >= 2 * BLOCK
     assert all(frames - ahead == BLOCK for frames, ahead in reads)
-    at_once = Live(Feed())
-    at_once.run(sound, lateness(len(sound) // BLOCK, 0.0))
+    at_once = live_after(6.0, Feed())
     targets_s = [one.engine.delay_line.status.target_s for one in (live, at_once)]
     assert targets_s[0] == pytest.approx(targets_s[1], abs=0.0002)
 
 
-def test_what_was_read_ahead_of_a_gap_is_not_played_after_it() -> None:
-    live = Live(CaptureQueue())
-    sound = music(3.0)
-    live.run(sound, lateness(len(sound) // BLOCK, 0.0))
+def test_what_was_read_ahead_of_a_gap_is_not_played_after_it():
+    live = live_after(3.0)
     while not len(live.engine.read_ahead):
         live.fill(live.engine.filled_s + BLOCK_S)
     stale = live.engine.read_ahead[:BLOCK, 0].copy()
@@ -138,10 +136,8 @@ def test_what_was_read_ahead_of_a_gap_is_not_played_after_it() -> None:
 
 @given(st.lists(st.integers(1, 1_500), min_size=20, max_size=60))
 @settings(max_examples=10, deadline=None)
-def test_requests_of_any_sizes_get_every_frame_once_and_in_order(sizes: list[int]) -> None:
-    live = Live(CaptureQueue())
-    sound = music(3.0)
-    live.run(sound, lateness(len(sound) // BLOCK, 0.0))
+def test_requests_of_any_sizes_get_every_frame_once_and_in_order(sizes):
+    live = live_after(3.0)
     taken: list[Float32Array] = []
     read = live.engine.delay_line.read
 
@@ -161,7 +157,7 @@ def test_requests_of_any_sizes_get_every_frame_once_and_in_order(sizes: list[int
     assert out.tobytes() == np.concatenate([held, *taken])[: len(out)].tobytes()
 
 
-def test_long_delays_do_not_let_sound_wait_for_more_than_a_cycle() -> None:
+def test_long_delays_do_not_let_sound_wait_for_more_than_a_cycle():
     sound = music(4.0)
     live = Live(CaptureQueue())
     live.engine.delay_line.offset_s = 0.5
@@ -170,7 +166,7 @@ def test_long_delays_do_not_let_sound_wait_for_more_than_a_cycle() -> None:
     assert delivered - live.engine.frames <= live.engine.frames_max + BLOCK
 
 
-def test_without_an_output_sound_is_mixed_as_it_comes() -> None:
+def test_without_an_output_sound_is_mixed_as_it_comes():
     live = Live(CaptureQueue())
     live.fill(0.0)
     sound = music(1.0)
@@ -180,28 +176,21 @@ def test_without_an_output_sound_is_mixed_as_it_comes() -> None:
             assert live.engine.frames == (block + 1) * BLOCK
 
 
-def test_a_reopened_stream_of_another_format_is_not_mixed_with_what_waited() -> None:
-    feed = CaptureQueue()
-    live = Live(feed)
+def test_a_stream_that_moves_or_is_reopened_mixes_first_what_came_before():
+    live = Live(CaptureQueue())
     live.fill(0.0)
-    feed.push(np.full((BLOCK, 2), 0.5, np.float32), 0.001)
-    assert feed.opened(44_100, 1)
-    feed.push(np.full((441, 1), 0.25, np.float32), 0.1)
-    assert live.engine.frames == pytest.approx(480, abs=48)
-    assert np.concatenate(live.mixed).max() <= 0.3
-
-
-def test_a_stream_that_moves_mixes_first_what_came_before() -> None:
-    feed = CaptureQueue()
-    live = Live(feed)
-    live.fill(0.0)
-    feed.push(music(1.0)[:BLOCK], 0.001)
+    live.feed.push(np.full((BLOCK, 2), 0.5, np.float32), 0.001)
     assert live.engine.frames == 0
-    feed.moved()
+    live.feed.moved()
     assert live.engine.frames == BLOCK
+    live.feed.push(np.full((BLOCK, 2), 0.5, np.float32), 0.002)
+    assert live.feed.opened(44_100, 1)
+    live.feed.push(np.full((441, 1), 0.25, np.float32), 0.1)
+    assert live.engine.frames - BLOCK == pytest.approx(480, abs=48)
+    assert np.concatenate(live.mixed[1:]).max() <= 0.3
 
 
-def test_two_threads_lose_nothing_and_keep_the_order() -> None:
+def test_two_threads_lose_nothing_and_keep_the_order():
     interval_s = sys.getswitchinterval()
     sys.setswitchinterval(1e-5)
     try:
@@ -230,7 +219,7 @@ def test_two_threads_lose_nothing_and_keep_the_order() -> None:
     assert np.array_equal(firsts, np.arange(blocks, dtype=np.float32) / np.float32(blocks))
 
 
-def test_a_jump_takes_back_what_would_have_been_read_ahead() -> None:
+def test_a_jump_takes_back_what_would_have_been_read_ahead():
     """The output loses 40 ms: what is read then, late, ends sooner than what was there before."""
     live = Live(CaptureQueue())
     sound = music(8.0)
@@ -242,3 +231,33 @@ def test_a_jump_takes_back_what_would_have_been_read_ahead() -> None:
     status = live.engine.delay_line.status
     assert (status.resyncs, status.underflows) == (1, 0)
     assert status.delay_s == pytest.approx(status.target_s, abs=0.001)
+
+
+def test_a_volume_is_undone_over_one_buffer_and_exactly_from_then_on():
+    gain, frames = SoundGain(), np.full((100, 2), 0.1, np.float32)
+    assert gain.apply(frames) is frames
+    gain.wanted = 10.0
+    assert len(gain.apply(np.zeros((0, 2), np.float32))) == 0  # the change is yet to come
+    changing, after = gain.apply(frames), gain.apply(frames)
+    steps = np.diff(changing[:, 0])
+    assert np.all(steps > 0.0)
+    assert np.ptp(steps) < 1e-6
+    assert changing[0, 0] == pytest.approx(0.109)
+    assert changing[-1, 0] == pytest.approx(1.0, rel=1e-6)
+    assert after == pytest.approx(1.0, rel=1e-6)
+
+
+def test_no_sample_goes_over_full_scale_where_a_volume_rose_before_its_factor_fell():
+    gain = SoundGain()
+    gain.wanted = 1000.0
+    assert gain.apply(np.full((4, 1), 0.5, np.float32)).max() == 1.0
+    assert gain.apply(np.full((4, 1), -0.5, np.float32)).min() == -1.0
+    gain.wanted = 1.0
+    gain.apply(np.ones((4, 1), np.float32))
+    assert gain.apply(np.full((4, 1), 1.5, np.float32)).max() == 1.5
+
+
+@pytest.mark.parametrize(("server", "limit_db"), [("PulseAudio", 40.0), ("PipeWire", 80.0)])
+@pytest.mark.parametrize("volume_db", [-math.inf, -200.0, -80.0, -60.0, -20.0, 11.0])
+def test_a_volume_is_undone_as_far_as_the_servers_samples_bear(volume_db, server, limit_db):
+    assert undone_db(volume_db, server) == max(volume_db, -limit_db)

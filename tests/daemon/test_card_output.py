@@ -1,30 +1,36 @@
-"""The daemon's way to a card: found, opened as it allows, given up and opened again.
+"""The daemon's way to a card, alone and in `cushion run`: found, opened, given up, opened again.
 
 The cards are files: of /proc/asound, and of what ALSA would have handed to the card.
 """
 
-from __future__ import annotations
-
 import os
 import time
-from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from audioflinger_hook.config.settings import LiveSettings, Settings
+from audioflinger_hook.daemon import endpoints
+from audioflinger_hook.daemon.engine import Clocks
+from audioflinger_hook.daemon.outputs.base import Fill
 from audioflinger_hook.daemon.outputs.card import CardOutput
 from audioflinger_hook.daemon.run_config import RunConfig
-from audioflinger_hook.mixer.pcm import PcmFormat, encode
+from audioflinger_hook.daemon.supervisor import Supervisor
+from audioflinger_hook.daemon.timing import Wake
+from audioflinger_hook.mixer.pcm import PcmFormat, decode, encode
 from audioflinger_hook.service.state import Cause, DaemonState, StateKeeper
 from audioflinger_hook.sources import TapAddress
-from device.address import DeviceAddress
+from device.address import DeviceAddress, parse_device
 from device.drive import ActuatorSettings
 from device.errors import LostError, NotFoundError, UsageError
+from device.stream import portaudio
 from device.stream.pcms import CardDevice, PcmConfig, Target
 from device.units import Float32Array
 from tests.support.alsa_files import BLOCK_S, ToFile, portaudio_with, until
+from tests.support.commands import call, noise, refused, sound
 from tests.support.sound_cards import ADAPTIVE, ASYNC, HW_PARAMS, Cards
 
 RATE = 48_000
@@ -32,7 +38,7 @@ TONE = (0.1 * np.sin(np.arange(256) * 0.1)).astype(np.float32)
 
 
 @pytest.fixture(scope="module")
-def pcms() -> Iterator[PcmConfig]:
+def pcms():
     with portaudio_with("cushion_output") as config:
         yield config
 
@@ -67,27 +73,39 @@ class Rig:
         self.blocks += 1
 
     def tick(self, later_s: float = 0.0) -> None:
-        """What the supervisor does."""
         now_s = time.monotonic() + later_s
         self.output.locate(None)
         self.output.maintain(None, self.fill, now_s)
         if self.output.name:
             self.states.enter(DaemonState.RUNNING, now_s)
 
+    def start(self, channels: int = 1, *, stream: str = ASYNC, usb_id: str = "") -> None:
+        self.cards.plug(30, "DAC", stream=stream, usb_id=usb_id)
+        self.output.set_format(RATE, channels)
+        self.tick()
+        self.play()
+
+    def got(self, blocks: dict[int, Float32Array], channels: int, form: PcmFormat) -> bool:
+        """Whether the card got a block with these channels, and silence on the others."""
+        block = np.zeros((256, channels), np.float32)
+        for channel, samples in blocks.items():
+            block[:, channel] = samples
+        self.output.close()
+        return encode(block, form) in self.path(30).read_bytes()
+
     def play(self) -> None:
-        """Some blocks more."""
         before = self.blocks
         until(lambda: self.blocks > before + 8)
 
 
 @pytest.fixture
-def rig(tmp_path: Path, pcms: PcmConfig) -> Iterator[Rig]:
+def rig(tmp_path, pcms):
     rig = Rig(tmp_path, pcms)
     yield rig
     rig.output.end(keep=True)
 
 
-def test_a_card_gets_the_vibration_in_its_own_format(rig: Rig) -> None:
+def test_a_card_gets_the_vibration_in_its_own_format(rig):
     rig.cards.plug(30, "DAC", stream=ASYNC)
     place = rig.output.locate(None)
     assert (place.name, place.samplerate, place.channels) == ("hw:DAC,0", 0, 0)
@@ -106,42 +124,24 @@ def test_a_card_gets_the_vibration_in_its_own_format(rig: Rig) -> None:
     assert block * 3 in rig.path(30).read_bytes()
 
 
-def test_actuators_reach_the_channels_that_they_are_wired_to(
-    tmp_path: Path, pcms: PcmConfig
-) -> None:
-    rig = Rig(tmp_path, pcms, "30,0", actuators=[ActuatorSettings((5,)), ActuatorSettings((0, 1))])
-    rig.cards.plug(30, "DAC", stream=ADAPTIVE)
-    rig.output.set_format(RATE, 2)
-    rig.tick()
-    rig.play()
-    rig.output.close()
-    block = np.zeros((256, 8), np.float32)
-    block[:, 5], block[:, 0], block[:, 1] = TONE, TONE / 2, TONE / 2
-    assert encode(block, PcmFormat.I24) in rig.path(30).read_bytes()
-
-
 PAD = ADAPTIVE.replace("Channels: 8", "Channels: 4")
 
 
-def test_a_pad_whose_coils_are_known_vibrates_on_their_channels_alone(rig: Rig) -> None:
-    rig.cards.plug(30, "DAC", stream=PAD, usb_id="054c:0ce6")
-    rig.output.set_format(RATE, 1)
-    rig.tick()
-    rig.play()
-    rig.output.close()
-    block = np.zeros((256, 4), np.float32)
-    block[:, 2] = block[:, 3] = TONE
-    assert encode(block, PcmFormat.I24) in rig.path(30).read_bytes()
+def test_a_pad_whose_coils_are_known_vibrates_on_their_channels_alone(rig):
+    rig.start(stream=PAD, usb_id="054c:0ce6")
+    assert rig.got({2: TONE, 3: TONE}, 4, PcmFormat.I24)
 
 
-def test_a_pad_without_the_channels_of_its_coils_is_not_played_to(rig: Rig) -> None:
-    rig.cards.plug(30, "DAC", stream=ASYNC, usb_id="054c:0ce6")
-    rig.output.set_format(RATE, 1)
-    with pytest.raises(NotFoundError, match="cannot be opened with 4 to 32 channels"):
+@pytest.mark.parametrize(("usb_id", "channels", "least"), [("054c:0ce6", 1, 4), ("", 3, 3)])
+def test_a_card_without_the_channels_that_are_needed_is_not_played_to(rig, usb_id, channels, least):
+    rig.cards.plug(30, "DAC", stream=ASYNC, usb_id=usb_id)
+    rig.output.set_format(RATE, channels)
+    message = f"hw:DAC,0: the card cannot be opened with {least} to 32 channels"
+    with pytest.raises(NotFoundError, match=message):
         rig.output.locate(None)
 
 
-def test_a_card_whose_volume_cannot_be_set_is_not_played_to(rig: Rig) -> None:
+def test_a_card_whose_volume_cannot_be_set_is_not_played_to(rig):
     rig.cards.plug(30, "DAC", stream=ASYNC)
     rig.output.set_format(RATE, 1)
     rig.output.volume.wanted_db = -30.0  # there is no control file of such a card
@@ -160,9 +160,7 @@ def test_a_card_whose_volume_cannot_be_set_is_not_played_to(rig: Rig) -> None:
     assert not rig.output.is_open
 
 
-def test_a_card_with_too_few_channels_for_the_actuators_is_none(
-    tmp_path: Path, pcms: PcmConfig
-) -> None:
+def test_a_card_with_too_few_channels_for_the_actuators_is_none(tmp_path, pcms):
     rig = Rig(tmp_path, pcms, "30,0", actuators=[ActuatorSettings((0,)), ActuatorSettings((2,))])
     rig.cards.plug(30, "DAC", stream=ASYNC)
     for known in (False, True):  # the mix
@@ -177,39 +175,29 @@ def test_a_card_with_too_few_channels_for_the_actuators_is_none(
         rig.output.check_actuators(wrong)
 
 
-def test_other_channels_are_gone_over_to_while_the_stream_stays_open(
-    tmp_path: Path, pcms: PcmConfig
-) -> None:
-    rig = Rig(tmp_path, pcms, "30,0", actuators=[ActuatorSettings((5,)), ActuatorSettings((0,))])
-    rig.cards.plug(30, "DAC", stream=ADAPTIVE)
-    rig.output.set_format(RATE, 2)
-    rig.tick()
-    rig.play()
+def test_actuators_reach_their_channels_and_go_over_to_others_in_an_open_stream(tmp_path, pcms):
+    rig = Rig(tmp_path, pcms, "30,0", actuators=[ActuatorSettings((5,)), ActuatorSettings((0, 1))])
+    rig.start(2, stream=ADAPTIVE)
     rig.output.set_actuators([ActuatorSettings((1,)), ActuatorSettings((7, 2))])
     assert rig.output.is_open
     rig.play()
-    rig.output.close()
-    block = np.zeros((256, 8), np.float32)
-    block[:, 1], block[:, 2], block[:, 7] = TONE, TONE / 2, TONE / 2
-    assert encode(block, PcmFormat.I24) in rig.path(30).read_bytes()
+    half = TONE / 2
+    assert rig.got({5: TONE, 0: half, 1: half}, 8, PcmFormat.I24)
+    assert rig.got({1: TONE, 7: half, 2: half}, 8, PcmFormat.I24)
 
 
-def test_without_the_card_there_is_nothing_and_no_other_card_is_taken(rig: Rig) -> None:
-    rig.cards.plug(30, "DAC_1", stream=ASYNC)
+@pytest.mark.parametrize("missed", [True, False])
+def test_a_card_that_is_plugged_in_again_plays_again_whatever_its_number_and_no_other(rig, missed):
+    rig.cards.plug(29, "DAC_1", stream=ASYNC)
     with pytest.raises(NotFoundError, match="no sound card 'DAC'; did you mean 'DAC_1'"):
         rig.output.locate(None)
-
-
-def test_a_card_that_is_plugged_in_again_plays_again_whatever_its_number(rig: Rig) -> None:
-    rig.cards.plug(30, "DAC", stream=ASYNC)
-    rig.output.set_format(RATE, 2)
-    rig.tick()
-    rig.play()
+    rig.start(2)
     rig.cards.unplug(30)
-    with pytest.raises(NotFoundError):
-        rig.output.locate(None)
-    assert rig.output.is_open  # the supervisor says what was lost, and closes
-    rig.output.close()
+    if missed:
+        with pytest.raises(NotFoundError):
+            rig.output.locate(None)
+        assert rig.output.is_open  # the supervisor says what was lost, and closes
+        rig.output.close()
     rig.cards.plug(31, "DAC", stream=ASYNC)
     rig.tick()
     rig.play()
@@ -217,23 +205,8 @@ def test_a_card_that_is_plugged_in_again_plays_again_whatever_its_number(rig: Ri
     assert any(rig.path(31).read_bytes())
 
 
-def test_a_card_that_has_another_number_at_once_is_opened_anew(rig: Rig) -> None:
-    rig.cards.plug(30, "DAC", stream=ASYNC)
-    rig.output.set_format(RATE, 2)
-    rig.tick()
-    rig.play()
-    rig.cards.unplug(30)
-    rig.cards.plug(31, "DAC", stream=ASYNC)
-    rig.tick()
-    rig.play()
-    assert rig.path(31).exists()
-
-
-def test_a_card_whose_callbacks_stop_is_lost_and_opened_again(rig: Rig) -> None:
-    rig.cards.plug(30, "DAC", stream=ASYNC)
-    rig.output.set_format(RATE, 2)
-    rig.tick()
-    rig.play()
+def test_a_card_whose_callbacks_stop_is_lost_and_opened_again(rig):
+    rig.start(2)
     rig.tick(later_s=1.0)
     report = rig.states.report(time.monotonic())
     assert report.recoveries[Cause.DEVICE_LOST] == 1
@@ -241,7 +214,7 @@ def test_a_card_whose_callbacks_stop_is_lost_and_opened_again(rig: Rig) -> None:
     rig.play()
 
 
-def test_a_card_that_another_program_plays_on_is_waited_for(rig: Rig) -> None:
+def test_a_card_that_another_program_plays_on_is_waited_for(rig):
     rig.cards.plug(30, "DAC", stream=ASYNC)
     rig.cards.use(30, os.getpid())
     with pytest.raises(NotFoundError, match=rf"hw:DAC,0 is in use by .* \(process {os.getpid()}\)"):
@@ -254,7 +227,7 @@ def test_a_card_that_another_program_plays_on_is_waited_for(rig: Rig) -> None:
     assert rig.output.name
 
 
-def test_a_card_that_plays_another_format_than_asked_for_is_opened_in_that_one(rig: Rig) -> None:
+def test_a_card_that_plays_another_format_than_asked_for_is_opened_in_that_one(rig):
     folder = rig.cards.plug(30, "PCH")
     other_card = DeviceAddress("hw", "PCH")
     config = RunConfig(TapAddress("default"), other_card, Settings(), LiveSettings())
@@ -265,8 +238,7 @@ def test_a_card_that_plays_another_format_than_asked_for_is_opened_in_that_one(r
         rig.tick()
     assert rig.states.state is DaemonState.WAITING_FOR_DEVICE
     rig.tick()
-    assert rig.output.name == "hw:PCH,0"
-    assert rig.output.delay_s(None) == pytest.approx(0.016)
+    assert (rig.output.name, rig.output.delay_s(None)) == ("hw:PCH,0", pytest.approx(0.016))
     rig.play()
     rig.output.close()
     assert rig.output.delay_s(None) == 0.0
@@ -274,9 +246,7 @@ def test_a_card_that_plays_another_format_than_asked_for_is_opened_in_that_one(r
     assert block in rig.path(30).read_bytes()
 
 
-def test_a_card_that_cannot_be_opened_is_awaited_with_a_reason_and_ever_less_often(
-    tmp_path: Path, pcms: PcmConfig
-) -> None:
+def test_a_card_that_cannot_be_opened_is_awaited_with_a_reason_and_ever_less_often(tmp_path, pcms):
     rig = Rig(tmp_path, pcms, target=CardDevice)
     rig.cards.plug(30, "DAC", stream=ASYNC)
     rig.output.set_format(RATE, 2)
@@ -291,8 +261,140 @@ def test_a_card_that_cannot_be_opened_is_awaited_with_a_reason_and_ever_less_oft
     assert rig.output.name is None
 
 
-def test_a_card_that_offers_nothing_that_suits_says_what_it_offers(rig: Rig) -> None:
-    rig.cards.plug(30, "DAC", stream=ASYNC)
-    rig.output.set_format(RATE, 3)
-    with pytest.raises(NotFoundError, match="hw:DAC,0: the card cannot be opened with 3 to 32"):
-        rig.output.locate(None)
+FILE_RATE = 44_100
+ONLY_96K = ASYNC.replace("44100, 48000, 88200, 96000, 176400, 192000", "96000")
+
+
+class Paced:
+    """A block when a card of that rate, Hz, would ask for it: ALSA's file takes it at once."""
+
+    def __init__(self, fill: Fill, samplerate: int) -> None:
+        self._fill = fill
+        self._samplerate = samplerate
+        self._due_s = 0.0
+
+    def fill(self, out: Float32Array, now_s: float) -> None:
+        self._due_s = (self._due_s or now_s) + len(out) / self._samplerate
+        time.sleep(max(0.001, self._due_s - time.monotonic()))
+        self._fill(out, time.monotonic())
+
+
+class DaemonRig:
+    """A daemon that plays a file to a card; each card's bytes go to a file of its number."""
+
+    def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        pytest.importorskip("pyaudio")
+        self.folder = folder
+        self.cards = cards = Cards(folder / "asound")
+
+        class FileCard(CardOutput):
+            def __init__(self, *arguments: Any, **options: Any) -> None:
+                options |= {"root": cards.root, "target": self.file}
+                super().__init__(*arguments, **options)
+
+            def file(self, card: int, device: int) -> ToFile:
+                return ToFile(folder / f"{card}.raw")
+
+            def maintain(self, connection: Any, fill: Fill, now_s: float) -> None:
+                assert self._found
+                paced = Paced(fill, self._found.samplerate or FILE_RATE)
+                super().maintain(connection, paced.fill, now_s)
+
+        monkeypatch.setattr(endpoints, "CardOutput", FileCard)
+        source = sound(folder / "in.wav", noise(20 * FILE_RATE, 2), FILE_RATE)
+        # without real-time priority: a file that takes all at once must not keep others waiting
+        live = LiveSettings(realtime=False)
+        self.order = RunConfig(
+            TapAddress("file", str(source)), DeviceAddress("hw", "DAC"), Settings(), live
+        )
+        self.wake = Wake()
+        clocks = Clocks(time.monotonic, time.thread_time)
+        self.supervisor = Supervisor(self.order, clocks, self.wake)
+
+    def until(self, state: DaemonState, limit_s: float = 10.0) -> str:
+        """Tick until it is in that state; return the reason."""
+        end_s = time.monotonic() + limit_s
+        while True:
+            self.run(0.02)
+            report = self.supervisor.states.report(time.monotonic())
+            if report.state is state:
+                return report.reason
+            assert time.monotonic() < end_s, report
+
+    def run(self, seconds: float) -> None:
+        end_s = time.monotonic() + seconds
+        while time.monotonic() < end_s:
+            self.supervisor.tick(time.monotonic())
+            time.sleep(0.02)
+
+    def heard(self, card: int) -> Float32Array:
+        return decode((self.folder / f"{card}.raw").read_bytes(), PcmFormat.I32, 2)
+
+    def close(self) -> None:
+        self.supervisor.close(time.monotonic())
+        self.wake.__exit__(None, None, None)
+        assert len(portaudio.open_tags) == 0
+
+
+@pytest.fixture
+def live(tmp_path, monkeypatch):
+    live = DaemonRig(tmp_path, monkeypatch)
+    yield live
+    live.close()
+
+
+def test_a_daemon_that_cannot_open_a_stream_says_why(live, monkeypatch):
+    def hangs(*_: object) -> None:
+        raise LostError("the server hangs")
+
+    monkeypatch.setattr(live.supervisor.output, "maintain", hangs)
+    live.cards.plug(30, "DAC", stream=ONLY_96K)
+    live.run(0.2)
+    report = live.supervisor.states.report(time.monotonic())
+    assert (report.state, report.reason) == (DaemonState.STARTING, "the server hangs")
+
+
+@pytest.mark.exhaustive
+def test_a_card_is_awaited_played_to_pulled_out_and_played_to_again(live):
+    with pytest.raises(NotFoundError, match="no sound card 'DAC'"):
+        live.supervisor.look()
+    assert "connect one" in live.until(DaemonState.WAITING_FOR_DEVICE)
+    live.cards.plug(30, "DAC", stream=ONLY_96K)
+    live.until(DaemonState.RUNNING)
+    live.run(1.5)
+    engine = live.supervisor.engines.python
+    assert (engine.samplerate, engine.delay_line.samplerate_out) == (FILE_RATE, 96_000)
+    assert live.supervisor.endpoints[1] == ("hw:DAC", "hw:DAC,0")
+    live.cards.unplug(30)
+    assert "no sound card" in live.until(DaemonState.WAITING_FOR_DEVICE)
+    report = live.supervisor.states.report(time.monotonic())
+    assert report.recoveries[Cause.DEVICE_LOST] == 1
+    live.cards.plug(31, "DAC", stream=ASYNC)
+    live.until(DaemonState.RUNNING)
+    live.run(1.0)
+    assert engine.delay_line.samplerate_out == FILE_RATE
+    for card in (30, 31):
+        vibration = live.heard(card)
+        assert np.abs(vibration).max() > 0.005
+        np.testing.assert_array_equal(vibration[:, 0], vibration[:, 1])
+
+
+def test_another_card_is_gone_over_to_while_it_runs_and_a_sink_is_not(live):
+    live.cards.plug(30, "DAC", stream=ASYNC)
+    live.cards.plug(31, "Other", stream=ASYNC)
+    live.until(DaemonState.RUNNING)
+    other = replace(live.order, device=DeviceAddress("hw", "Other"))
+    live.supervisor.follow(other, time.monotonic())
+    live.run(0.5)
+    assert live.supervisor.endpoints[1] == ("hw:Other", "hw:Other,0")
+    assert (live.folder / "31.raw").stat().st_size
+    for device in (DeviceAddress("sink", "a"), DeviceAddress("twin")):
+        with pytest.raises(UsageError, match=f"'hw:Other' cannot become '{device}'"):
+            live.supervisor.follow(replace(other, device=device), time.monotonic())
+    assert live.supervisor.endpoints[1] == ("hw:Other", "hw:Other,0")
+
+
+@pytest.mark.parametrize("text", ["hw:0", "hw:DAC,1", "hw:CARD=DAC,DEV=0"])
+def test_cards_are_written_as_alsa_writes_them(text):
+    assert str(parse_device(text)) == text
+    assert "is not hw:CARD or hw:CARD,DEVICE" in refused(call("run", "--device", "hw:a,b"))

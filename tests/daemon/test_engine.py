@@ -1,32 +1,30 @@
-"""What the audio thread of the daemon runs: a busy machine takes nothing away for good."""
-
-from __future__ import annotations
+"""What the audio thread of the daemon runs, when it rests, and what it writes for a live page."""
 
 import itertools
+import threading
+from typing import Any
 
 import numpy as np
 import pytest
 
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.daemon.engine import Clocks, Engine
-from audioflinger_hook.service.meters import FLOOR_DBFS
+from audioflinger_hook.daemon.live_memory import WRITES_LEFT, live_memory
+from audioflinger_hook.daemon.timing import AWAKE_S, QUIET_S, SILENT_S, IdlePolicy, Wake
+from audioflinger_hook.service.meters import FLOOR_DBFS, BufferedLevelMeter
 from audioflinger_hook.sources import PushTap, TapClient
 from device.drive import ActuatorSettings
 from device.units import Float32Array
 from tests.support.commands import noise
 
 RATE_HZ = 48_000
-SLOW_S = 0.05
-"""Ten times a buffer, from one look at a clock to the next."""
+STILL = Clocks(lambda: 0.0, lambda: 0.0)
+SLOW_S = 0.05  # ten times a buffer, from one look at a clock to the next
 
 
 @pytest.mark.parametrize(
     ("now_step_s", "used_step_s", "bypass_late", "bypassed"),
-    [
-        (SLOW_S, 0.0, True, False),
-        (SLOW_S, SLOW_S, True, True),
-        (SLOW_S, SLOW_S, False, False),
-    ],
+    [(SLOW_S, 0.0, True, False), (SLOW_S, SLOW_S, True, True), (SLOW_S, SLOW_S, False, False)],
 )
 def test_an_effect_is_passed_by_for_the_time_it_uses_not_for_that_of_others(
     now_step_s, used_step_s, bypass_late, bypassed
@@ -41,10 +39,10 @@ def test_an_effect_is_passed_by_for_the_time_it_uses_not_for_that_of_others(
     assert bool(engine.framework.bypassed()) is bypassed
 
 
-def test_a_buffer_too_short_for_a_frame_of_the_mix_waits_for_the_next() -> None:
+def test_a_buffer_too_short_for_a_frame_of_the_mix_waits_for_the_next():
     tap = PushTap(RATE_HZ, 1)
     client = TapClient(tap)
-    engine = Engine(client, RATE_HZ, clocks=Clocks(lambda: 0.0, lambda: 0.0))
+    engine = Engine(client, RATE_HZ, clocks=STILL)
     tap.change(8 * RATE_HZ, 1)
     for _ in range(80):
         tap.push(np.zeros((1, 1), np.float32))
@@ -56,11 +54,9 @@ def test_a_buffer_too_short_for_a_frame_of_the_mix_waits_for_the_next() -> None:
     assert not engine.advance(0.0)
 
 
-def heard(settings: Settings | None, seconds: float = 0.4) -> tuple[Engine, Float32Array]:
-    """An engine that heard noise, and what went into its delay line."""
-    tap = PushTap(RATE_HZ, 2)
-    engine = Engine(TapClient(tap), RATE_HZ, settings, clocks=Clocks(lambda: 0.0, lambda: 0.0))
-    written = []
+def kept(engine: Engine) -> list[Float32Array]:
+    """A list that gets whatever goes into the engine's delay line."""
+    written: list[Float32Array] = []
     into_line = engine.delay_line.write
 
     def write(vibration, now_s, earlier=()):
@@ -68,6 +64,14 @@ def heard(settings: Settings | None, seconds: float = 0.4) -> tuple[Engine, Floa
         into_line(vibration, now_s, earlier)
 
     engine.delay_line.write = write  # type: ignore[method-assign]
+    return written
+
+
+def heard(settings: Settings | None, seconds: float = 0.4) -> tuple[Engine, Float32Array]:
+    """An engine that heard noise, and what went into its delay line."""
+    tap = PushTap(RATE_HZ, 2)
+    engine = Engine(TapClient(tap), RATE_HZ, settings, clocks=STILL)
+    written = kept(engine)
     for number in range(round(seconds * RATE_HZ / 256)):
         tap.push(0.3 * noise(256, 2, number).astype(np.float32))
         assert engine.advance(number * 256 / RATE_HZ)
@@ -76,7 +80,7 @@ def heard(settings: Settings | None, seconds: float = 0.4) -> tuple[Engine, Floa
     return engine, np.concatenate(written)
 
 
-def test_protection_passes_on_the_same_vibration_whole_as_much_later_as_it_says() -> None:
+def test_protection_passes_the_same_vibration_on_later_and_damping_another_one():
     plain, usual = heard(None)
     assert plain.drive.processors == (None,)
     engine, protected = heard(Settings(protection="on"))
@@ -85,29 +89,18 @@ def test_protection_passes_on_the_same_vibration_whole_as_much_later_as_it_says(
     assert usual.any()
     assert np.array_equal(protected[late:], usual)
     assert not protected[:late].any()
-    processor = engine.drive.processors[0]
-    assert processor is not None
+    processor: Any = engine.drive.processors[0]
     assert processor.protection().limited_blocks == 0
-
-
-def test_damping_changes_what_goes_out_and_not_what_recordings_and_levels_are_told() -> None:
-    plain, usual = heard(None)
     engine, damped = heard(Settings(damping="auto"))
     assert not np.array_equal(damped[192:], usual)
     assert np.isfinite(damped).all()
-    assert engine.vibration.loudest == plain.vibration.loudest
+    assert engine.vibration.loudest == plain.vibration.loudest  # what levels are told
 
 
-def test_what_protection_holds_when_it_goes_to_rest_does_not_come_with_the_next_sound() -> None:
+def test_what_protection_holds_when_it_goes_to_rest_does_not_come_with_the_next_sound():
     tap = PushTap(RATE_HZ, 1)
-    engine = Engine(
-        TapClient(tap),
-        RATE_HZ,
-        Settings(protection="on"),
-        clocks=Clocks(lambda: 0.0, lambda: 0.0),
-    )
-    processor = engine.drive.processors[0]
-    assert processor is not None
+    engine = Engine(TapClient(tap), RATE_HZ, Settings(protection="on"), clocks=STILL)
+    processor: Any = engine.drive.processors[0]
     engine.drive.process(np.full((256, 1), 0.5, np.float32))
     blocks = processor.protection().blocks
     engine.rest()
@@ -119,20 +112,23 @@ LEFT = ActuatorSettings((0,), "left")
 RIGHT = ActuatorSettings((1,), "right", polarity="inverted", delay_ms=10.0)
 
 
-def test_actuators_get_their_sources_and_what_is_recorded_is_the_vibration_before_them() -> None:
+def test_actuators_get_their_sources_and_what_is_recorded_is_the_vibration_before_them():
     _, each = heard(Settings(channels="each"))
     engine, driven = heard(Settings(actuators=(RIGHT, LEFT)))
-    assert engine.drive.processors == (None, None)
-    assert engine.drive.outputs == 2
+    assert (engine.drive.processors, engine.drive.outputs) == ((None, None), 2)
     assert engine.framework.haptic_channels == 2
     assert np.array_equal(driven[: len(each), 1], each[:, 0])
     late = engine.drive.delays_frames[0]
     assert late == 480
     assert np.array_equal(driven[late:, 0], -each[:, 1])
     assert not driven[:late, 0].any()
+    out = np.zeros((256, 2), np.float32)
+    engine.fill(out, 0.0)
+    assert np.isfinite(out).all()
+    assert engine.read_ahead.shape[1] == 2
 
 
-def test_one_with_protection_keeps_all_of_them_together() -> None:
+def test_one_with_protection_keeps_all_of_them_together():
     _, plain = heard(Settings(actuators=(LEFT, RIGHT)))
     protected = ActuatorSettings((0,), "left", protection="on")
     engine, driven = heard(Settings(actuators=(protected, RIGHT)))
@@ -141,19 +137,11 @@ def test_one_with_protection_keeps_all_of_them_together() -> None:
     assert np.array_equal(driven[late:], plain)
 
 
-def test_actuators_follow_another_order_and_each_one_s_level_is_told() -> None:
+def test_actuators_follow_another_order_and_each_one_s_level_is_told():
     tap = PushTap(RATE_HZ, 2)
     settings = Settings(actuators=(LEFT, RIGHT))
-    clocks = Clocks(lambda: 0.0, lambda: 0.0)
-    engine = Engine(TapClient(tap), RATE_HZ, settings, clocks=clocks)
-    sent: list[Float32Array] = []
-    into_line = engine.delay_line.write
-
-    def write(vibration, now_s, earlier=()):
-        sent.append(vibration.copy())
-        into_line(vibration, now_s, earlier)
-
-    engine.delay_line.write = write  # type: ignore[method-assign]
+    engine = Engine(TapClient(tap), RATE_HZ, settings, clocks=STILL)
+    sent = kept(engine)
     wave = 0.3 * np.sin(2.0 * np.pi * 110.0 * np.arange(RATE_HZ) / RATE_HZ).astype(np.float32)
     for start in range(0, RATE_HZ // 256 * 256, 256):
         if start == 94 * 256:
@@ -172,9 +160,159 @@ def test_actuators_follow_another_order_and_each_one_s_level_is_told() -> None:
     assert not engine.drive.process(np.zeros((2_000, 2), np.float32)).any()
 
 
-def test_a_device_is_filled_with_a_column_for_each_actuator() -> None:
-    engine, _ = heard(Settings(actuators=(LEFT, RIGHT, ActuatorSettings((2,), "mix"))))
-    out = np.zeros((256, 3), np.float32)
-    engine.fill(out, 0.0)
-    assert np.isfinite(out).all()
-    assert engine.read_ahead.shape[1] == 3
+NOBODY: frozenset[int] = frozenset()
+
+
+def rests_after(rest: IdlePolicy, began_s: float, players: frozenset[int], sound_s: float) -> float:
+    """The time from `began_s` at which it rests, asked ten times a second."""
+    for tick in range(1_000):
+        now_s = began_s + 0.1 * tick
+        if rest.update(now_s, players, sound_s, heard=False):
+            return now_s
+    raise AssertionError("it never rests")
+
+
+def test_it_rests_soon_if_nothing_plays_later_if_something_silent_does_and_not_in_sound():
+    assert rests_after(IdlePolicy(0.0), 100.0, NOBODY, 100.0) - 100.0 < QUIET_S + 0.2
+    assert rests_after(IdlePolicy(0.0), 0.0, NOBODY, -100.0) > AWAKE_S  # it has just begun
+    rest = IdlePolicy(0.0)
+    rest.update(99.0, frozenset({1}), 99.0, heard=False)
+    assert SILENT_S < rests_after(rest, 100.0, frozenset({1}), 100.0) - 100.0 < SILENT_S + 0.2
+    rest = IdlePolicy(0.0)
+    assert not any(rest.update(now_s, NOBODY, now_s - 1.0, heard=False) for now_s in range(100))
+
+
+def test_a_stream_that_comes_wakes_it_and_so_does_sound_but_not_a_stream_that_goes():
+    rest = IdlePolicy(0.0)
+    rests_after(rest, 10.0, frozenset({1, 2}), 10.0)
+    assert rest.update(50.0, frozenset({2}), 10.0, heard=False)
+    assert rest.update(51.0, frozenset({2}), 10.0, heard=False)
+    assert not rest.update(52.0, frozenset({2}), 10.0, heard=True)
+    rests_after(rest, 53.0, frozenset({2}), 10.0)
+    assert not rest.update(80.0, frozenset({2, 3}), 10.0, heard=False)
+    assert not rest.update(80.0 + AWAKE_S - 0.1, frozenset({2, 3}), 10.0, heard=False)
+
+
+def engine() -> tuple[PushTap, Engine]:
+    tap = PushTap(RATE_HZ, 2)
+    return tap, Engine(TapClient(tap), RATE_HZ, clocks=Clocks(lambda: 0.0, lambda: 0.0))
+
+
+def play(tap: PushTap, engine: Engine, level: float, seconds: float, from_s: float) -> float:
+    blocks = int(seconds * RATE_HZ / 256)
+    for block in range(blocks):
+        at = (block * 256 + np.arange(256)) / RATE_HZ
+        wave = (level * np.sin(2.0 * np.pi * 110.0 * at)).astype(np.float32)
+        tap.push(np.column_stack([wave, wave]))
+        engine.advance(from_s + block * 256 / RATE_HZ)
+    return from_s + blocks * 256 / RATE_HZ
+
+
+def test_the_engine_tells_when_it_last_heard_sound_and_when_the_vibration_has_faded():
+    tap, live = engine()
+    ended_s = play(tap, live, 0.3, 1.0, 0.0)
+    assert abs(live.last_sound_s - ended_s) < 0.1
+    assert not live.faded
+    play(tap, live, 0.0, 2.0, ended_s)
+    assert abs(live.last_sound_s - ended_s) < 0.1
+    assert live.faded
+
+
+def test_gathered_levels_are_those_of_the_frames():
+    gathered = BufferedLevelMeter(RATE_HZ)
+    rng = np.random.default_rng(0)
+    for count in [*rng.integers(1, 600, 2_000), 5_000]:
+        gathered.add(np.full((count, 1), 0.5, np.float32))
+    level = gathered.meter.level()
+    assert abs(level.peak_dbfs + 6.02) < 0.01
+    assert abs(level.rms_dbfs + 6.02) < 0.01
+    assert gathered.loudest == 0.5
+
+
+def test_a_change_of_the_taps_format_goes_on_in_the_same_mix():
+    tap, live = engine()
+    play(tap, live, 0.3, 0.5, 0.0)
+    assert tap.change(44_100, 1)
+    mono = (0.3 * np.sin(2.0 * np.pi * 110.0 * np.arange(22_050) / 44_100)).astype(np.float32)
+    for first in range(0, 22_050 - 256, 256):
+        tap.push(mono[first : first + 256, np.newaxis])
+        live.advance(1.0)
+    assert live.samplerate == RATE_HZ
+    assert live.vibration.loudest > 0.05
+
+
+def test_a_ring_ends_the_present_rest_or_the_next_one():
+    with Wake() as wake:
+        assert not wake.wait(0.0)
+        wake.ring()
+        wake.ring()
+        assert wake.wait(10.0)
+        assert not wake.wait(0.0)
+        threading.Thread(target=wake.ring).start()
+        assert wake.wait(10.0)
+    wake.ring()
+
+
+LONG = 1024  # longer than the time between two writes
+
+
+def engine_with(folder, channels=2, actuators=2):
+    settings = Settings(actuators=tuple(ActuatorSettings((number,)) for number in range(actuators)))
+    engine = Engine(TapClient(PushTap(RATE_HZ, channels)), RATE_HZ, settings, clocks=STILL)
+    engine.live = live_memory(folder, RATE_HZ, channels, len(engine.driven_meters))
+    return engine
+
+
+def watched(engine: Engine, blocks: int) -> None:
+    tap = engine._client._tap  # type: ignore[attr-defined]
+    for _ in range(blocks):
+        number = engine.buffers
+        seconds = (number * LONG + np.arange(LONG)) / RATE_HZ
+        tone = 0.3 * np.sin(2.0 * np.pi * 440.0 * seconds)
+        tap.push(np.outer(tone, 1.0 / (1.0 + np.arange(engine.channels))).astype(np.float32))
+        assert engine.advance(number * LONG / RATE_HZ)
+
+
+@pytest.mark.parametrize("actuators", [0, 2])
+def test_a_watched_page_reads_what_the_engine_measured(tmp_path, actuators):
+    engine = engine_with(tmp_path, actuators=actuators)
+    engine.live.watch()
+    watched(engine, 48)
+    (channels, driven, partials), numbers = engine.live.page.reader.shown()
+    sound = engine.sound.meter.channel_readings()
+    vibration = [meter.reading() for meter in engine.driven_meters]
+    principal = engine.framework.principal
+    assert (channels, driven, partials) == (2, max(1, actuators), len(principal))
+    assert partials > 0
+    expected = [value for group in (*sound, *vibration, *principal) for value in group]
+    assert numbers == pytest.approx(expected)
+    assert engine.live.page.frames == engine.frames
+
+
+def test_nothing_is_written_while_nobody_watches(tmp_path):
+    engine = engine_with(tmp_path)
+    watched(engine, 8)
+    assert engine.live.page.frames == 0
+    engine.live.watch()
+    watched(engine, 4 * WRITES_LEFT)
+    written = engine.live.page.frames
+    assert 0 < written < engine.frames
+    watched(engine, 8)
+    assert engine.live.page.frames == written
+
+
+def test_each_engine_has_a_file_of_its_own_and_old_ones_are_removed(tmp_path):
+    (tmp_path / "python-99.page").touch()
+    first, second = engine_with(tmp_path), engine_with(tmp_path)
+    assert first.live.page.path != second.live.page.path
+    assert list(tmp_path.iterdir()) == [second.live.page.path]
+    first.live.close()
+    second.live.close()
+    second.live.close()
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_the_file_cannot_hold_is_left_to_the_socket(tmp_path):
+    assert engine_with(tmp_path, channels=9).live is None
+    assert engine_with(None).live is None
+    assert engine_with(tmp_path / "none").live is None

@@ -1,8 +1,8 @@
 """A native engine that fails, hangs or does not start gives way to another one or to Python's."""
 
-from __future__ import annotations
-
+import math
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -10,16 +10,18 @@ from typing import Any, cast
 import pytest
 
 from audioflinger_hook.config.settings import LiveSettings, Settings
-from audioflinger_hook.daemon.engine_switch import FAILURES_MAX, START_S, EngineSwitch
+from audioflinger_hook.daemon import engines as engines_module
+from audioflinger_hook.daemon.engine import Clocks
+from audioflinger_hook.daemon.engines import Engines
 from audioflinger_hook.daemon.native import chains as chains_module
-from audioflinger_hook.daemon.native.chains import STUCK_S, Chains
-from audioflinger_hook.daemon.native.designs import DriveDesigns
+from audioflinger_hook.daemon.native.chains import RESTART_S, STUCK_S, Chains, RunningChain
 from audioflinger_hook.daemon.native.engine import NativeEngine
-from audioflinger_hook.daemon.native.plan import ChainPlan
-from audioflinger_hook.daemon.native.running import RunningChain
+from audioflinger_hook.daemon.native.plan import ChainPlan, DriveDesigns
+from audioflinger_hook.daemon.native.run import FAILURES_MAX, START_S, NativeRun
 from audioflinger_hook.daemon.native.taps import Tap
 from audioflinger_hook.daemon.outputs.base import DeviceVolume
-from audioflinger_hook.daemon.run_config import RunConfig
+from audioflinger_hook.daemon.run_config import ConfigDiff, RunConfig
+from audioflinger_hook.daemon.safety_keeper import SafetyKeeper
 from audioflinger_hook.service.state import StateKeeper
 from audioflinger_hook.sources import parse_tap
 from device.address import parse_device
@@ -36,9 +38,6 @@ CONFIG = RunConfig(
 PLAN = ChainPlan.of(Settings(), Tap("desk", ("FL", "FR"), "desk"), 48_000)
 
 
-# ---------------------------------------------------------------------------- the engine as a whole
-
-
 class Engine:
     """Stands in for the native engine, which needs a server; only its answers count here."""
 
@@ -47,7 +46,7 @@ class Engine:
         self.monitor_reason = ""
         self.waits_for = ""
         self.is_fed = True
-        self.is_lost = self.is_designing = False
+        self.watch, self.designs = SimpleNamespace(lost=False), SimpleNamespace(is_busy=False)
 
     def use_monitor(self, reason: str) -> None:
         self.monitor_reason = reason
@@ -65,41 +64,73 @@ class Engine:
     def close(self) -> None: ...
 
 
-def switched(
-    engine: Engine, folder: Path, times_s: list[float]
-) -> Iterator[tuple[EngineSwitch, bool]]:
-    """The switch after each of the times, and whether the native engine is still to compute."""
-    switch = EngineSwitch(CONFIG, folder, StateKeeper(0.0), lambda: None, lambda *_: None)
-    switch._refused["config"] = ""  # as on a machine that has all programs
+def kept(engine: Engine, folder: Path, times_s: list[float]) -> Iterator[NativeRun]:
+    run = NativeRun(CONFIG, folder, StateKeeper(0.0), lambda: None, lambda *_: None)
     server = cast(PulseConnection, SimpleNamespace(set_sink_volume_db=lambda *_: None))
-    snapshot: Any = SimpleNamespace(kind="PipeWire", version="1.4.2")
     for now_s in times_s:
-        switch.native = switch.native or cast(NativeEngine, engine)
-        switch.maintain(SOURCE, SINK, frozenset(), server, DeviceVolume(None), now_s)
-        yield switch, switch.takes_native(SOURCE, snapshot)
+        run.engine = run.engine or cast(NativeEngine, engine)
+        run.maintain(SOURCE, SINK, frozenset(), server, DeviceVolume(None), (1.0, 1.0), now_s)
+        yield run
 
 
-def test_after_some_failures_python_computes_and_the_reason_is_said(tmp_path: Path) -> None:
+def test_after_some_failures_python_computes_and_the_reason_is_said(tmp_path):
     engine = Engine(LostError("it crashed"))
     times_s = [0.1 * count for count in range(FAILURES_MAX)]
-    found = list(switched(engine, tmp_path, times_s))
-    assert [native for _, native in found] == [True] * (FAILURES_MAX - 1) + [False]
-    assert found[-1][0].reason == "the native engine failed: it crashed"
+    problems = [run.problem for run in kept(engine, tmp_path, times_s)]
+    expected = "the native engine failed: it crashed"
+    assert problems == [""] * (FAILURES_MAX - 1) + [expected]
     assert engine.monitor_reason == "the native engine failed: it crashed"
 
 
-def test_a_start_that_takes_too_long_leads_to_the_monitor_then_to_python(tmp_path: Path) -> None:
+def test_a_start_that_takes_too_long_leads_to_the_monitor_then_to_python(tmp_path):
     engine = Engine(None)
     times_s = [0.0, START_S - 0.1, START_S + 0.1, 2.0 * START_S, 2.0 * START_S + 0.3]
     ways, reason = [], ""
-    for switch, native in switched(engine, tmp_path, times_s):
-        ways.append((native, bool(engine.monitor_reason)))
-        reason = switch.reason
+    for run in kept(engine, tmp_path, times_s):
+        ways.append((not run.problem, bool(engine.monitor_reason)))
+        reason = run.problem
     assert ways == [(True, False), (True, False), (True, True), (True, True), (False, True)]
     assert "did not start within 5 s" in reason
 
 
-# ------------------------------------------------------------------------------------- its chains
+def test_a_chain_that_failed_once_begins_anew_with_the_streams(tmp_path):
+    engine = Engine(None)
+    for run in kept(engine, tmp_path, [0.0, 0.9 * START_S, START_S + 0.1, START_S + 0.2]):
+        engine.error = LostError("it did not appear") if run._began_s == 0.0 else None
+    assert not engine.monitor_reason
+
+
+def test_the_engine_is_chosen_when_a_server_or_a_config_begins_only(tmp_path, monkeypatch):
+    endpoints: Any = SimpleNamespace(needs_server=True)
+    clocks, states = Clocks(float, float), StateKeeper(0.0)
+    engines = Engines(CONFIG, clocks, endpoints, states, tmp_path, lambda: None, SafetyKeeper())
+    monkeypatch.setattr(engines_module, "why_python", lambda *_: "")
+    first, second = (cast(PulseConnection, SimpleNamespace(latest=None, name=n)) for n in "ab")
+
+    def chosen(connection: PulseConnection) -> str:
+        engines._choose(connection, SOURCE)
+        return engines.reason
+
+    def follow(config: RunConfig) -> None:
+        engines.follow(config, ConfigDiff.between(CONFIG, config))
+
+    assert chosen(first) == ""
+    engines.reason = "the native engine failed"
+    follow(CONFIG)
+    follow(replace(CONFIG, muted=True, settings=Settings(gain_db=-6.0)))
+    assert chosen(first) == "the native engine failed"
+    assert chosen(second) == ""
+    engines.reason = "the native engine failed"
+    follow(replace(CONFIG, settings=Settings(damping="auto")))
+    assert chosen(second) == ""
+    engines._choose(second, replace(SOURCE, channels=10))
+    assert engines.reason == "the tap has 10 channels, more than 8"
+    assert chosen(second) == ""
+
+
+@pytest.fixture
+def chains(tmp_path):
+    return Chains(CONFIG, tmp_path, lambda *_: None, DriveDesigns())
 
 
 def chain(**changes: Any) -> RunningChain:
@@ -116,8 +147,7 @@ def chain(**changes: Any) -> RunningChain:
     return RunningChain(cast(Any, one), 0.0, linked_s=0.0)
 
 
-def test_a_chain_that_was_stopped_is_ended_and_lost(tmp_path: Path) -> None:
-    chains = Chains(CONFIG, tmp_path, lambda *_: None, DriveDesigns())
+def test_a_chain_that_was_stopped_is_ended_and_lost(chains):
     chains.current = stopped = chain(is_stopped=True)
     with pytest.raises(LostError, match="was stopped"):
         chains.check(Graph(), 1.0, is_fed=True)
@@ -125,12 +155,31 @@ def test_a_chain_that_was_stopped_is_ended_and_lost(tmp_path: Path) -> None:
     assert cast(Any, stopped.chain).closed
 
 
+def waiting() -> RunningChain:
+    """A chain that began at 0 s, and that PipeWire leaves waiting."""
+    one = chain(is_in=lambda _: False)
+    one.linked_s = math.inf
+    return one
+
+
+def test_a_process_that_pipewire_leaves_waiting_is_ended_once_without_a_word(chains):
+    chains.following = first = waiting()
+    chains.check(Graph(), 0.9 * RESTART_S, is_fed=False)
+    assert chains.following is first
+    chains.check(Graph(), 1.1 * RESTART_S, is_fed=False)
+    assert chains.following is None
+    assert cast(Any, first.chain).closed
+    chains.following = second = waiting()
+    chains.check(Graph(), 2.0 * RESTART_S, is_fed=False)
+    assert chains.following is second
+    with pytest.raises(LostError, match="did not appear in PipeWire's graph"):
+        chains.check(Graph(), 1.1 * chains_module.START_S, is_fed=False)
+    assert chains.following is None
+
+
 @pytest.mark.parametrize("is_fed", [True, False])
-def test_a_chain_that_processes_nothing_is_replaced_if_something_plays(
-    is_fed: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_chain_that_processes_nothing_is_replaced_if_something_plays(chains, is_fed, monkeypatch):
     begun: list[ChainPlan] = []
-    chains = Chains(CONFIG, tmp_path, lambda *_: None, DriveDesigns())
     monkeypatch.setattr(chains, "_begin", lambda plan, now_s: begun.append(plan))
     chains.current = chain()
     for now_s in (0.0, 0.9 * STUCK_S, 1.1 * STUCK_S, 2.2 * STUCK_S):
@@ -142,24 +191,18 @@ def test_a_chain_that_processes_nothing_is_replaced_if_something_plays(
 
 
 @pytest.mark.parametrize("place", ["following", "current"])
-def test_a_chain_that_never_processed_anything_is_lost_with_its_last_words(
-    tmp_path: Path, place: str
-) -> None:
-    chains = Chains(CONFIG, tmp_path, lambda *_: None, DriveDesigns())
+def test_a_chain_that_never_processed_anything_is_lost_with_its_last_words(chains, place):
     setattr(chains, place, one := chain())
     one.chain.page.frames = 0  # type: ignore[misc]
     chains.check(Graph(), 0.0, is_fed=True)
-    with pytest.raises(
-        LostError, match="processes nothing although sound plays: the design is cut"
-    ):
-        chains.check(Graph(), 1.1 * chains_module.STUCK_S, is_fed=True)
+    with pytest.raises(LostError, match="nothing although sound plays: the design is cut"):
+        chains.check(Graph(), 1.1 * STUCK_S, is_fed=True)
     assert getattr(chains, place) is None
 
 
-def test_a_chain_that_begins_late_and_does_not_complain_is_not_lost(tmp_path: Path) -> None:
-    chains = Chains(CONFIG, tmp_path, lambda *_: None, DriveDesigns())
+def test_a_chain_that_begins_late_and_does_not_complain_is_not_lost(chains):
     chains.current = slow = chain()
     slow.chain.page.frames, slow.chain.complaint = 0, ""  # type: ignore[misc]
-    for now_s in (0.0, 1.1 * chains_module.STUCK_S):
+    for now_s in (0.0, 1.1 * STUCK_S):
         chains.check(Graph(), now_s, is_fed=True)
     assert chains.current is slow

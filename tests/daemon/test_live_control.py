@@ -1,14 +1,10 @@
 """What pages ask of a daemon that runs: checked as its config, applied, undone, saved."""
 
-from __future__ import annotations
-
-import json
 import signal
-import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -21,12 +17,10 @@ from audioflinger_hook.daemon import live_control
 from audioflinger_hook.daemon.live_control import LiveControl
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.daemon.supervisor import Supervisor
-from audioflinger_hook.service.status_server import NAME
 from audioflinger_hook.sources import TapAddress
 from device.address import DeviceAddress
-from tests.servers.listening import wait_for
-from tests.support.commands import environment
-from tests.support.recordings import ROOT
+from tests.service.test_watch import Client
+from tests.support.commands import start, until
 
 CONFIG = """# mine
 gain_db = -3.0 # soft
@@ -39,45 +33,25 @@ class Daemon:
     def __init__(self, folder: Path) -> None:
         self.config = folder / "config.toml"
         self.config.write_text(CONFIG)
-        self._socket = folder / "cushion" / NAME
-        self.process = subprocess.Popen(
-            [
-                *(sys.executable, "-m", "audioflinger_hook", "run", "--tap", "scene:demo"),
-                *("--device", "twin", "--config", str(self.config), "--offset-ms", "20"),
-            ],
-            env=environment(XDG_RUNTIME_DIR=str(folder), PYTHONPATH=str(ROOT)),
-            stdin=subprocess.DEVNULL,
-            stderr=subprocess.PIPE,
-        )
-        try:
-            wait_for(self._answers, "settings", 60.0)
-        except BaseException:
-            self.process.kill()
-            self.process.communicate()
-            raise
+        self._folder = folder / "cushion"
+        options = ("--tap", "scene:demo", "--device", "twin", "--config", self.config)
+        env = {"XDG_RUNTIME_DIR": str(folder)}
+        self.process = start("run", *options, "--offset-ms", 20, env=env)
+        until(self._answers, self.process)
 
     def _answers(self) -> bool:
         # The socket's file exists a moment before the daemon listens on it.
-        try:
+        with suppress(FileNotFoundError, ConnectionRefusedError):
             return bool(self.settings()["keys"])
-        except (FileNotFoundError, ConnectionRefusedError):
-            return False
-
-    def _lines(self, request: dict[str, Any]) -> Iterator[Any]:
-        with socket.socket(socket.AF_UNIX) as client:
-            client.settimeout(20.0)
-            client.connect(str(self._socket))
-            client.sendall(json.dumps({"protocol": 1, **request}).encode() + b"\n")
-            with client.makefile("rb") as lines:
-                for line in lines:
-                    yield json.loads(line)
+        return False
 
     def ask(self, **request: Any) -> Any:
-        return next(self._lines({"ask": "control", **request}))
+        with Client(self._folder, ask="control", **request) as client:
+            return client.next()
 
     def watch(self, kind: str) -> Any:
-        lines = self._lines({"ask": "watch"})
-        return next(line[kind] for line in lines if kind in line)
+        with Client(self._folder, ask="watch") as client:
+            return client.next_with(kind)
 
     def settings(self) -> Any:
         return self.watch("settings")
@@ -87,19 +61,17 @@ class Daemon:
 
 
 @pytest.fixture(scope="module")
-def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
+def daemon(tmp_path_factory):
     daemon = Daemon(tmp_path_factory.mktemp("run"))
     yield daemon
     assert daemon.process.poll() is None
     daemon.process.terminate()
-    assert daemon.process.wait(20.0) == 130
-    assert daemon.process.stderr is not None
-    said = daemon.process.stderr.read()
-    daemon.process.stderr.close()
-    assert b"Traceback" not in said
+    _, said = daemon.process.communicate(timeout=20.0)
+    assert daemon.process.returncode == 130
+    assert "Traceback" not in said
 
 
-def test_settings_come_with_the_schema_and_without_files_and_devices(daemon: Daemon) -> None:
+def test_settings_come_with_the_schema_and_without_files_and_devices(daemon):
     keys = {one["key"]: one for one in daemon.settings()["keys"]}
     gain = keys["gain_db"]
     assert gain["schema"] == {"type": "number", "minimum": -60.0, "maximum": 0.0}
@@ -108,7 +80,7 @@ def test_settings_come_with_the_schema_and_without_files_and_devices(daemon: Dae
     assert not {"rig", "device", "tap", "effects_file"} & keys.keys()
 
 
-def test_a_change_applies_at_once_and_the_file_changes_only_by_save(daemon: Daemon) -> None:
+def test_a_change_applies_at_once_and_the_file_changes_only_by_save(daemon):
     assert daemon.ask(set={"gain_db": -9}) == {"done": True}
     assert daemon.value("gain_db") == -9
     assert daemon.config.read_text() == CONFIG
@@ -119,10 +91,7 @@ def test_a_change_applies_at_once_and_the_file_changes_only_by_save(daemon: Daem
     assert daemon.value("gain_db") == -3.0
     assert daemon.ask(save=True) == {"done": True}
     assert daemon.config.read_text() == CONFIG
-
-
-def test_a_page_wins_over_an_option_until_it_is_undone(daemon: Daemon) -> None:
-    assert daemon.value("offset_ms") == 20
+    assert daemon.value("offset_ms") == 20  # of an option, which a page wins over
     assert daemon.ask(set={"offset_ms": 5}) == {"done": True}
     assert daemon.value("offset_ms") == 5
     daemon.ask(undo=True)
@@ -146,9 +115,7 @@ def test_a_page_wins_over_an_option_until_it_is_undone(daemon: Daemon) -> None:
         ({"gain_db": [[]] * 50}, "is not a number"),
     ],
 )
-def test_what_the_config_refuses_is_refused_in_its_words(
-    daemon: Daemon, changes: Any, words: str
-) -> None:
+def test_what_the_config_refuses_is_refused_in_its_words(daemon, changes, words):
     before = daemon.settings()
     assert words in daemon.ask(set=changes)["error"]
     assert daemon.settings() == before
@@ -168,13 +135,13 @@ def test_what_the_config_refuses_is_refused_in_its_words(
         {"tone": {"hz": 60}},  # the simulated cushion plays none
     ],
 )
-def test_a_request_that_is_none_changes_nothing(daemon: Daemon, request_: dict[str, Any]) -> None:
+def test_a_request_that_is_none_changes_nothing(daemon, request_):
     before = daemon.settings()
     assert daemon.ask(**request_)["error"]
     assert daemon.settings() == before
 
 
-def test_mute_silences_and_is_not_saved(daemon: Daemon) -> None:
+def test_mute_silences_and_is_not_saved(daemon):
     assert daemon.ask(mute=True) == {"done": True}
     assert daemon.watch("status")["muted"]
     assert daemon.watch("frame")["level"] == 0.0
@@ -184,7 +151,7 @@ def test_mute_silences_and_is_not_saved(daemon: Daemon) -> None:
     assert not daemon.watch("status")["muted"]
 
 
-def test_mute_works_while_the_file_has_mistakes_and_changes_nothing_else(daemon: Daemon) -> None:
+def test_mute_works_while_the_file_has_mistakes_and_changes_nothing_else(daemon):
     text, before = daemon.config.read_text(), daemon.value("gain_db")
     try:
         daemon.config.write_text(f"{text}profile = 7\n")
@@ -199,11 +166,10 @@ def test_mute_works_while_the_file_has_mistakes_and_changes_nothing_else(daemon:
 
 
 @pytest.fixture
-def control(tmp_path: Path) -> Iterator[LiveControl]:
+def control(tmp_path):
     """What controls a daemon on a sink; nothing carries out its requests but `work`."""
-    config = RunConfig(
-        TapAddress("default"), DeviceAddress("sink", "a"), Settings(), LiveSettings()
-    )
+    device = DeviceAddress("sink", "a")
+    config = RunConfig(TapAddress("default"), device, Settings(), LiveSettings())
     supervisor = cast(Supervisor, SimpleNamespace(endpoints=(("default", "b"), ("sink:a", "a"))))
     edits = LiveEdits(tmp_path / "config.toml")
     made = LiveControl(supervisor, edits, lambda *_: config, lambda: None, config)
@@ -220,27 +186,17 @@ def play(control: LiveControl, program: str) -> subprocess.Popen[bytes]:
     return control._tone
 
 
-def test_a_tone_that_is_refused_leaves_the_one_that_plays(control: LiveControl) -> None:
+@pytest.mark.parametrize(("asked", "ends"), [({"tone": {"hz": 5}}, False), ({"mute": True}, True)])
+def test_mute_ends_the_test_tone_as_well_and_a_tone_that_is_refused_does_not(control, asked, ends):
     tone = play(control, "import time; print('on', flush=True); time.sleep(60)")
-    refused = threading.Thread(target=control.control, args=({"tone": {"hz": 5}},))
-    refused.start()
-    while refused.is_alive():
+    asking = threading.Thread(target=control.control, args=(asked,))
+    asking.start()
+    while asking.is_alive():
         control.work()
-    assert tone.poll() is None
+    assert (tone.poll() is not None) == ends
 
 
-def test_mute_ends_the_test_tone_as_well(control: LiveControl) -> None:
-    tone = play(control, "import time; print('on', flush=True); time.sleep(60)")
-    muting = threading.Thread(target=control.control, args=({"mute": True},))
-    muting.start()
-    while muting.is_alive():
-        control.work()
-    assert tone.poll() is not None
-
-
-def test_a_tone_that_does_not_end_is_killed(
-    control: LiveControl, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_tone_that_does_not_end_is_killed(control, monkeypatch):
     monkeypatch.setattr(live_control, "TONE_END_S", 0.1)
     ignore = "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); "
     tone = play(control, f"{ignore}print('on', flush=True); time.sleep(10)")
@@ -248,7 +204,7 @@ def test_a_tone_that_does_not_end_is_killed(
     assert tone.returncode == -signal.SIGKILL
 
 
-def test_a_file_that_cannot_be_written_is_told_and_nothing_is_lost(daemon: Daemon) -> None:
+def test_a_file_that_cannot_be_written_is_told_and_nothing_is_lost(daemon):
     daemon.ask(set={"gain_db": -12})
     text = daemon.config.read_text()
     kept = daemon.config.rename(daemon.config.with_name("kept.toml"))

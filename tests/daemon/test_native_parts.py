@@ -1,14 +1,14 @@
-"""Parts of the native engine that need no server: plans, ports, the shared page, the handover."""
-
-from __future__ import annotations
+"""Parts of the native engine that need no server: plans, designs, ports, the shared page."""
 
 import ctypes
 import shutil
 import subprocess
+import time
 from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -17,31 +17,35 @@ from hypothesis import strategies as st
 
 from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.core.structures import PARTIALS
-from audioflinger_hook.daemon import engine_switch
-from audioflinger_hook.daemon.engine_switch import EngineSwitch
+from audioflinger_hook.daemon.engine import FADE_S, SoftFade
 from audioflinger_hook.daemon.native import abilities
 from audioflinger_hook.daemon.native import layout as layout_module
+from audioflinger_hook.daemon.native import plan as module
 from audioflinger_hook.daemon.native.abilities import (
+    check_engine,
     missing_parts,
-    why_not_config,
     why_not_server,
     why_not_tap,
+    why_python,
 )
+from audioflinger_hook.daemon.native.chains import Chains
 from audioflinger_hook.daemon.native.page import Page
-from audioflinger_hook.daemon.native.plan import ChainPlan, device_map
-from audioflinger_hook.daemon.native.ports import in_mixing_order, port_names
-from audioflinger_hook.daemon.native.taps import tap_of
+from audioflinger_hook.daemon.native.plan import LONGEST_WAIT_S, ChainPlan, DriveDesigns
+from audioflinger_hook.daemon.native.run import NativeRun
+from audioflinger_hook.daemon.native.taps import Tap, in_mixing_order, port_names, tap_of
 from audioflinger_hook.daemon.outputs.base import DeviceVolume
 from audioflinger_hook.daemon.run_config import RunConfig
-from audioflinger_hook.daemon.soft_fade import FADE_S, SoftFade
-from audioflinger_hook.mixer.layouts import layout
 from audioflinger_hook.service.state import StateKeeper
 from audioflinger_hook.sources import parse_tap
 from device.address import parse_device
 from device.drive import ActuatorSettings
-from device.errors import NotFoundError, UsageError
+from device.drive.channel_positions import actuators_of_channels
+from device.drive.design import DriveDesign, DrivePlan
+from device.errors import LostError, NotFoundError, UsageError
+from device.layouts import layout
 from device.server import PulseConnection
 from device.server.snapshot import ServerSnapshot, Sink, Source
+from tests.support.programs import printed
 
 STEREO = "front-left,front-right"
 SURROUND = "front-left,front-right,front-center,lfe,rear-left,rear-right"
@@ -57,29 +61,27 @@ def monitor(channel_map: str = STEREO) -> Source:
     return Source(2, "desk.monitor", "Desk", "desk", 48_000, count, {}, channel_map)
 
 
-def config(settings: Settings | None = None, **live: Any) -> RunConfig:
-    chosen = LiveSettings(device="sink:dac", **live)
-    tap, device = parse_tap(chosen.tap[0]), parse_device(str(chosen.device))
-    return RunConfig(tap, device, settings or Settings(), chosen)
+def config(settings: Settings | None = None, device: str = "sink:dac", **live: Any) -> RunConfig:
+    chosen = LiveSettings(device=device, **live)
+    tap, target = parse_tap(chosen.tap[0]), parse_device(device)
+    return RunConfig(tap, target, settings or Settings(), chosen)
 
 
-# ------------------------------------------------------------------------------------- abilities
+TWO = (ActuatorSettings((0,), protection="on"), ActuatorSettings((1,), "left"))
+NO_SERVER = "there is no sound server"
 
 
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [
-        ({}, ""),
-        ({"protection": "on", "exposure_cap": "action", "damping": "auto"}, ""),
+        ({}, NO_SERVER),
+        ({"protection": "on", "exposure_cap": "action", "damping": "auto"}, NO_SERVER),
+        ({"actuators": TWO}, NO_SERVER),
         ({"form": "reference"}, "transform = 'reference'"),
-        ({"actuators": (ActuatorSettings((0,), protection="on"),)}, ""),
-        ({"actuators": (ActuatorSettings((0,)), ActuatorSettings((1,), "left"))}, ""),
     ],
 )
-def test_the_first_thing_that_the_native_engine_cannot_do_is_named(
-    changes: dict[str, Any], reason: str
-) -> None:
-    assert why_not_config(config(Settings(**changes))) == reason
+def test_the_first_thing_that_the_native_engine_cannot_do_is_named(changes, reason):
+    assert why_python(config(Settings(**changes)), None) == reason
 
 
 @pytest.mark.parametrize(
@@ -92,13 +94,12 @@ def test_the_first_thing_that_the_native_engine_cannot_do_is_named(
         ("PulseAudio", "16.1", "the sound server is PulseAudio"),
     ],
 )
-def test_an_old_or_another_server_is_named(kind: str, version: str, reason: str) -> None:
+def test_an_old_or_another_server_is_named_and_a_tap_of_over_eight_channels(kind, version, reason):
     assert why_not_server(ServerSnapshot(kind, version, "", "", (), (), (), (), 0)) == reason
+    assert (why_not_tap(8), why_not_tap(9)) == ("", "the tap has 9 channels, more than 8")
 
 
-def test_missing_parts_are_named_with_what_to_install(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_missing_parts_are_named_with_what_to_install(monkeypatch, tmp_path):
     plugin, folder = tmp_path / "plugin.so", tmp_path / "modules"
     monkeypatch.setattr(abilities, "plugin_path", lambda: plugin)
     monkeypatch.setattr(shutil, "which", lambda program: program)
@@ -113,16 +114,8 @@ def test_missing_parts_are_named_with_what_to_install(
     assert "the plugin is not built; run `make run`" in missing_parts()
 
 
-def test_a_tap_may_have_eight_channels() -> None:
-    assert why_not_tap(8) == ""
-    assert why_not_tap(9) == "the tap has 9 channels, more than 8"
-
-
-# ------------------------------------------------------------------------------------------ plans
-
-
 @given(st.integers(1, 8))
-def test_ports_come_in_the_order_in_which_the_mixer_counts_channels(channels: int) -> None:
+def test_ports_come_in_the_order_in_which_the_mixer_counts_channels(channels):
     names = tuple({"BL": "RL", "BR": "RR", "BC": "RC"}.get(name, name) for name in layout(channels))
     assert in_mixing_order(tuple(reversed(names))) == names
     unknown = tuple(f"AUX{n}" for n in range(channels))
@@ -132,43 +125,33 @@ def test_ports_come_in_the_order_in_which_the_mixer_counts_channels(channels: in
     assert port_names("", channels) == unknown
 
 
-def test_a_plan_routes_each_actuator_to_its_source() -> None:
-    settings = Settings(
-        actuators=(
-            ActuatorSettings((0,), "right"),
-            ActuatorSettings((1,), "left"),
-            ActuatorSettings((2,), "right"),
-        )
-    )
+def test_a_plan_routes_each_actuator_to_its_source_and_without_them_every_channel_plays():
+    sides = ("right", "left", "right")
+    actuators = tuple(ActuatorSettings((n,), side) for n, side in enumerate(sides))
+    settings = Settings(actuators=actuators)
     plan = ChainPlan.of(settings, tap_of(monitor(SURROUND), None), 48_000)
-    assert plan.sources == ("left", "right")
-    assert plan.actuators == (1, 0, 1)
+    assert (plan.sources, plan.actuators) == (("left", "right"), (1, 0, 1))
     weights = plan.weights
     assert weights is not None
     assert weights.shape == (6, 2, 2)
     assert np.allclose(weights.sum(axis=0), 1.0)
-    assert device_map(settings, plan, sink(SURROUND)).sources[:3] == (0, 1, 2)
+    played = actuators_of_channels(sink(SURROUND), settings.actuators, plan.outputs)
+    assert played.sources[:3] == (0, 1, 2)
     with pytest.raises(UsageError, match="no such channel"):
-        device_map(settings, plan, sink())
-
-
-def test_without_actuators_every_channel_of_the_device_plays() -> None:
+        actuators_of_channels(sink(), settings.actuators, plan.outputs)
     plan = ChainPlan.of(Settings(), tap_of(monitor(), None), 48_000)
     assert (plan.outputs, plan.actuators, plan.weights) == (1, (0,), None)
-    assert device_map(Settings(), plan, sink(SURROUND)).sources == (0,) * 6
+    assert actuators_of_channels(sink(SURROUND), (), plan.outputs).sources == (0,) * 6
     each = ChainPlan.of(Settings(channels="each"), tap_of(monitor(), None), 48_000)
     assert (each.outputs, each.actuators) == (2, (0, 1))
 
 
-# ------------------------------------------------------------------------------------ shared page
-
-
-def test_the_page_has_the_layout_that_the_plugin_reads(tmp_path: Path) -> None:
+def test_the_page_has_the_layout_that_the_plugin_reads(tmp_path):
     layout_class: Any = layout_module.Layout
     fields = [name for name, _ in layout_class._fields_]
     lines = [f'printf("%zu\\n", offsetof(Page, {name}));' for name in fields]
     program = tmp_path / "layout.c"
-    header = Path(layout_module.__file__).parents[2] / "plugin/native/page.h"
+    header = Path(layout_module.__file__).parents[2] / "plugin/native/parts.h"
     program.write_text(
         f'#include <stddef.h>\n#include <stdio.h>\n#include "{header}"\n'
         f'int main(void) {{ printf("%zu\\n", sizeof(Page)); {" ".join(lines)} return 0; }}\n'
@@ -179,7 +162,7 @@ def test_the_page_has_the_layout_that_the_plugin_reads(tmp_path: Path) -> None:
     assert list(map(int, found.stdout.split())) == [ctypes.sizeof(layout_class), *offsets]
 
 
-def test_a_page_is_private_and_its_file_goes_with_it(tmp_path: Path) -> None:
+def test_a_page_is_private_and_its_file_goes_with_it(tmp_path):
     path = tmp_path / "page"
     page = Page(path, 2, 1, [0])
     assert path.stat().st_mode & 0o777 == 0o600
@@ -187,13 +170,13 @@ def test_a_page_is_private_and_its_file_goes_with_it(tmp_path: Path) -> None:
         Page(path, 2, 1, [0])
     page.set_actuator(0, -0.5, 9.0)
     page.set_audible(True)
-    assert page.readings().frames == 0
+    assert page.frames == 0
     page.close()
     page.close()
     assert not path.exists()
 
 
-def test_partials_that_are_being_written_are_not_read(tmp_path: Path) -> None:
+def test_levels_are_read_and_partials_unless_they_are_being_written(tmp_path):
     page = Page(tmp_path / "page", 2, 1, [0])
     told = page._page.readings
     assert page.principal() == []
@@ -202,15 +185,11 @@ def test_partials_that_are_being_written_are_not_read(tmp_path: Path) -> None:
     assert page.principal() == [(440.0, 100.0, 0.25)]
     assert page.reader.shown() == ((2, 1, 1), (*(0.0,) * 6, 440.0, 100.0, 0.25))
     told.sequence = 3  # odd: the plugin is writing
-    assert page.principal() == []
-    assert page.reader.shown() == ((2, 1, 0), (0.0,) * 6)
+    assert (page.principal(), page.reader.shown()) == ([], ((2, 1, 0), (0.0,) * 6))
     told.sequence, told.partials_count = 4, 1 << 40  # of a plugin gone wrong
     assert len(page.principal()) == PARTIALS
     page.close()
-
-
-def test_levels_are_read_for_each_channel_and_actuator(tmp_path: Path) -> None:
-    page = Page(tmp_path / "page", 2, 1, [0, 0])
+    page = Page(tmp_path / "page", 2, 1, [0, 0])  # levels of each channel and actuator
     readings = page._page.readings
     readings.sound[1].peak, readings.sound[1].mean_square = 0.5, 0.125
     level = readings.actuators[1].level
@@ -220,11 +199,8 @@ def test_levels_are_read_for_each_channel_and_actuator(tmp_path: Path) -> None:
     page.close()
 
 
-# ------------------------------------------------------------------------------------------- fades
-
-
 @pytest.mark.parametrize("frames", [1, 64, 512, 8_191])
-def test_a_fade_has_no_step_however_long_the_blocks_are(frames: int) -> None:
+def test_a_fade_has_no_step_however_long_the_blocks_are(frames):
     fade, tone = SoftFade(48_000), np.ones((24_000, 2), np.float32)
     for audible in (False, True):
         fade.audible = audible
@@ -239,20 +215,27 @@ def test_a_fade_has_no_step_however_long_the_blocks_are(frames: int) -> None:
     assert (block == np.float32(0.3)).all()
 
 
-def test_the_volume_is_set_again_on_another_server_that_gives_the_same_index(
-    tmp_path: Path,
-) -> None:
-    config = RunConfig(
-        parse_tap("default"), parse_device("sink:dac"), Settings(), LiveSettings(device="dac")
-    )
-    switch = EngineSwitch(config, tmp_path, StateKeeper(0.0), lambda: None, lambda *_: None)
+def test_a_fade_from_silence_waits_for_the_first_vibration():
+    fade = SoftFade(48_000)
+    fade.position = 0.0
+    block = np.zeros((4_000, 1), np.float32)
+    fade.apply(block)
+    block[3_000:] = 0.5
+    fade.apply(block)
+    assert 0.0 < block[3_000] < 0.001
+    assert np.abs(np.diff(block[:, 0])).max() < 0.76 / (FADE_S * 48_000)
+    assert 0.1 < fade.position < 1.0
+
+
+def test_the_volume_is_set_again_on_another_server_that_gives_the_same_index(tmp_path):
+    native = NativeRun(config(), tmp_path, StateKeeper(0.0), lambda: None, lambda *_: None)
     volume, levels_db = DeviceVolume(-6.0), list[tuple[str, float]]()
     for name in "ab":
         server = SimpleNamespace(
             set_sink_volume_db=lambda _sink, level_db, name=name: levels_db.append((name, level_db))
         )
         for _ in range(2):
-            switch._set_volume(sink(), cast(PulseConnection, server), volume)
+            native._set_volume(sink(), cast(PulseConnection, server), volume)
     assert levels_db == [("a", -6.0), ("b", -6.0)]
 
 
@@ -265,13 +248,131 @@ def test_the_volume_is_set_again_on_another_server_that_gives_the_same_index(
         ("app:mpv", "hw:DAC", False),
     ],
 )
-def test_a_python_engine_that_lacks_alsas_plugin_is_refused_at_the_start(
-    tap: str, device: str, is_refused: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(engine_switch, "missing_plugin", lambda: "the plugin is missing")
-    live = LiveSettings(tap=(tap,), engine="python")
-    config = RunConfig(parse_tap(tap), parse_device(device), Settings(), live)
-    switch = EngineSwitch(config, tmp_path, StateKeeper(0.0), lambda: None, lambda *_: None)
+def test_a_python_engine_without_alsas_plugin_is_refused(tap, device, is_refused, monkeypatch):
+    monkeypatch.setattr(abilities, "missing_plugin", lambda: "the plugin is missing")
     refused = pytest.raises(NotFoundError, match=r"engine = 'python'.*the plugin is missing")
     with refused if is_refused else nullcontext():
-        switch.check(None)
+        check_engine(config(device=device, tap=(tap,), engine="python"), None)
+
+
+CARE = {"protection": "on", "damping": "auto", "exposure_cap": "action"}
+PAPER = DrivePlan.of("paper", 48_000, "auto", "on", "action")
+CONSUMER = DrivePlan.of("consumer", 48_000, "off", "on", "off")
+
+
+def made(designs: DriveDesigns, *plans: DrivePlan | None) -> list[DriveDesign | None]:
+    deadline_s = time.monotonic() + 30.0
+    while (found := designs.of(plans, time.monotonic())) is None:
+        assert time.monotonic() < deadline_s
+        assert designs.is_busy
+        time.sleep(0.01)
+    assert not designs.is_busy
+    return found
+
+
+def test_designs_of_a_process_are_those_that_would_be_made_here():
+    designs = DriveDesigns()
+    assert designs.of([None], 0.0) == [None]
+    found = made(designs, PAPER, None, CONSUMER, PAPER)
+    assert found[1] is None
+    assert found[0] is found[3]
+    for plan, design in ((PAPER, found[0]), (CONSUMER, found[2])):
+        assert plan
+        assert design
+        here = plan.design()
+        assert design == here
+        assert design.worst_second == here.worst_second
+        assert design.bounds().warmest == here.bounds().warmest
+        for name, value in here.records.items():
+            np.testing.assert_array_equal(design.records[name], value)
+    # nothing more is made, whatever is asked for again
+    assert designs.of([CONSUMER], 0.0) == [found[2]]
+    with pytest.raises(UsageError, match="samplerate=4000 Hz is too low"):
+        made(designs, DrivePlan.of("paper", 4_000, "off", "on", "off"))
+
+
+def test_another_wish_takes_the_place_of_one_under_way():
+    designs, now_s = DriveDesigns(), time.monotonic()
+    assert designs.of([PAPER], now_s) is None
+    first = designs._call
+    assert designs.of([CONSUMER], now_s) is None
+    assert first
+    assert first._process.returncode is not None
+    assert made(designs, CONSUMER)[0]
+
+
+def failing(*_: object) -> list[DriveDesign]:
+    raise ZeroDivisionError("no design")
+
+
+def test_a_process_that_fails_is_tried_again_later_and_later(monkeypatch):
+    started = []
+    ended = SimpleNamespace(is_over=lambda _now_s: True, result=Mock(side_effect=LostError("it")))
+
+    def begun(*_: object) -> SimpleNamespace:
+        started.append(now_s)
+        return ended
+
+    monkeypatch.setattr(module, "Call", begun)
+    designs, now_s, failed = DriveDesigns(), 0.0, []
+    while now_s < 200.0:
+        try:
+            assert designs.of([PAPER], now_s) is None
+        except LostError:
+            failed.append(now_s)
+        assert designs.failure == "it"
+        now_s += 0.5
+    assert failed == started
+    assert 8 < len(started) < 16
+    assert np.diff(started)[-1] == LONGEST_WAIT_S
+    with pytest.raises(LostError):
+        designs.of([CONSUMER], now_s)
+    assert started[-1] == now_s  # another wish is tried at once
+
+
+def test_a_chain_plays_on_where_the_next_ones_design_fails(tmp_path, monkeypatch):
+    tap = Tap("desk", ("FL", "FR"), "desk")
+    before = ChainPlan.of(Settings(), tap, 48_000)
+    wanted = ChainPlan.of(Settings(**cast(Any, CARE)), tap, 48_000)
+    chains = Chains(config(), tmp_path, lambda *_: None, DriveDesigns())
+    monkeypatch.setattr(module, "designs_of", failing)
+    current: Any = SimpleNamespace(chain=SimpleNamespace(plan=before), stands_s=lambda _: 0.0)
+    chains.current = current
+    deadline_s = time.monotonic() + 20.0
+    while not chains.problem:
+        chains.make(wanted, time.monotonic())
+        assert time.monotonic() < deadline_s
+        time.sleep(0.01)
+    assert chains.problem == (
+        "the former settings play on: damping and protection cannot be computed: "
+        "ZeroDivisionError: no design"
+    )
+    assert chains.current is current
+    assert chains.following is None
+    chains.make(before, time.monotonic())
+    assert not chains.problem
+    chains.current = None  # nothing plays: the engine fails
+    with pytest.raises(LostError, match="cannot be computed"):  # noqa: PT012
+        while True:
+            chains.make(wanted, time.monotonic())
+            assert time.monotonic() < deadline_s
+            time.sleep(0.01)
+
+
+def test_the_daemon_does_not_import_what_takes_most_memory():
+    code = (
+        "import sys, audioflinger_hook.cli.run, audioflinger_hook.daemon.native.engine\n"
+        "from audioflinger_hook.config.profiles import PROFILES, parameters_of\n"
+        "from audioflinger_hook.transform.design import LiveDesign\n"
+        "from device.rig import PAPER\n"
+        "from device.rig.thermal import Temperatures\n"
+        "for name in PROFILES: LiveDesign.of(parameters_of(name), 48_000).to_bytes()\n"
+        "Temperatures(PAPER.thermal).step(0.3)\n"
+        "print(*sys.modules)"
+    )
+    loaded = set(printed(code)[0].split())
+    assert "audioflinger_hook.daemon.native.engine" in loaded
+    parts = ("signal", "optimize", "stats", "linalg", "fft", "special", "interpolate")
+    heavy = {f"scipy.{part}" for part in parts}
+    heavy |= {"numpy.random", "numpy.testing", "asyncio", "ssl", "hashlib", "rich.progress"}
+    assert sorted(loaded & heavy) == []

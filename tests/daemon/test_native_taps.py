@@ -1,12 +1,16 @@
 """What the native engine taps, and how its chains are linked; on graphs that need no server."""
 
-from __future__ import annotations
-
 import pytest
 
 from audioflinger_hook.daemon.inputs.applications import Applications
-from audioflinger_hook.daemon.native.taps import Tap, channels_of, tap_of
-from audioflinger_hook.daemon.native.wiring import ChainEnds, ChainWiring, why_unlinkable
+from audioflinger_hook.daemon.native.taps import (
+    ChainEnds,
+    ChainWiring,
+    Tap,
+    channels_of,
+    tap_of,
+    why_unlinkable,
+)
 from device.server import AppRules
 from device.server.snapshot import Source
 from tests.support.graphs import desktop, gone, link, node, play, port
@@ -15,7 +19,7 @@ INPUTS = (41, 42)
 DESK = Tap("desk.monitor", ("FL", "FR"), "desk")
 
 
-def test_each_link_to_the_sink_has_its_mirror_whoever_made_it() -> None:
+def test_each_link_to_the_sink_has_its_mirror_whoever_made_it():
     graph = desktop()
     play(graph, 60, "player", 10)
     play(graph, 70, "player", 10)  # of the same name
@@ -23,13 +27,13 @@ def test_each_link_to_the_sink_has_its_mirror_whoever_made_it() -> None:
     assert set(DESK.mirrored(graph, "dac", INPUTS)) == {(61, 41), (62, 42), (71, 41), (72, 42)}
 
 
-def test_the_vibration_never_comes_back_by_the_devices_monitor() -> None:
+def test_the_vibration_never_comes_back_by_the_devices_monitor():
     graph = desktop()
     graph.apply([link(90, 23, 11, graph), link(91, 33, 11, graph)])  # monitors of dac and tv
     assert set(DESK.mirrored(graph, "dac", INPUTS)) == {(33, 41)}
 
 
-def test_what_plays_to_the_device_is_not_tapped_be_it_the_vibration_itself() -> None:
+def test_what_plays_to_the_device_is_not_tapped_be_it_the_vibration_itself():
     graph = desktop()
     play(graph, 60, "player", 20)
     graph.apply([link(90, 51, 21, graph)])  # the chain's own vibration
@@ -38,7 +42,7 @@ def test_what_plays_to_the_device_is_not_tapped_be_it_the_vibration_itself() -> 
         assert not set(tap.mirrored(graph, "dac", INPUTS))
 
 
-def test_rules_choose_among_the_streams_of_the_sink_by_program_and_client() -> None:
+def test_rules_choose_among_the_streams_of_the_sink_by_program_and_client():
     graph = desktop()
     play(graph, 60, "a", 10, **{"application.name": "Game"})
     play(graph, 70, "b", 10, **{"application.process.binary": "mpv"})
@@ -60,13 +64,11 @@ def test_rules_choose_among_the_streams_of_the_sink_by_program_and_client() -> N
     ("position", "channels"),
     [("FR", (1,)), ("RL", (0,)), ("SR", (1,)), ("FC", (0, 1)), ("MONO", (0, 1)), ("", (0, 1))],
 )
-def test_a_position_that_the_tap_lacks_goes_to_its_side_or_everywhere(
-    position: str, channels: tuple[int, ...]
-) -> None:
+def test_a_position_that_the_tap_lacks_goes_to_its_side_or_everywhere(position, channels):
     assert channels_of(position, ("FL", "FR")) == channels
 
 
-def test_the_monitor_is_tapped_channel_by_channel_in_the_mixers_order() -> None:
+def test_the_monitor_is_tapped_channel_by_channel_in_the_mixers_order():
     graph = desktop()
     source = Source(2, "desk.monitor", "", "desk", 48_000, 2, {}, "front-right,front-left")
     tap = tap_of(source, None)
@@ -78,18 +80,23 @@ def chain(*, linked: bool = True) -> ChainEnds:
     return ChainEnds("chain.tap", "chain.vibration", 2, (0, None), linked)
 
 
-def test_a_chain_is_linked_from_the_streams_to_the_devices_channels() -> None:
+def test_a_chain_is_linked_from_the_streams_to_the_devices_channels_unless_it_leaves():
     graph = desktop()
     play(graph, 60, "player", 10)
     wiring = ChainWiring((chain(),), DESK, "dac", ("FL", "FR"))
-    assert wiring.links(graph) == {(61, 41), (62, 42), (51, 21)}
-    assert wiring.nodes(graph) == {40, 50}
+    assert (wiring.links(graph), wiring.nodes(graph)) == ({(61, 41), (62, 42), (51, 21)}, {40, 50})
     assert wiring.is_fed(graph)
     by_monitor = ChainWiring((chain(),), DESK, "dac", ("FL", "FR"), by_monitor=True)
     assert by_monitor.links(graph) == {(13, 41), (14, 42), (51, 21)}
+    leaving = ChainWiring((chain(linked=False),), DESK, "dac", ("FL", "FR"))
+    assert (leaving.links(graph), leaving.nodes(graph)) == (set(), {40, 50})  # it is ours
+    assert not leaving.is_fed(desktop())
+    graph.apply([port(43, 40, "input_AUX2")])
+    surround = ChainEnds("chain.tap", "chain.vibration", 3, (0, None), linked=True)
+    assert ChainWiring((surround,), DESK, "dac", ("FL", "FR")).links(graph) == {(51, 21)}
 
 
-def test_silence_keeps_the_formats_of_what_taps_streams() -> None:
+def test_silence_keeps_the_formats_of_what_taps_streams():
     graph = desktop()
     graph.apply([node(90, "silence"), port(91, 90, "playback_MONO"), port(92, 90, "monitor_MONO")])
     wiring = ChainWiring((chain(),), DESK, "dac", ("FL", "FR"), silence="silence")
@@ -100,29 +107,14 @@ def test_silence_keeps_the_formats_of_what_taps_streams() -> None:
     assert (92, 41) not in by_monitor.links(graph)
 
 
-def test_silence_is_there_before_the_first_link_and_after_the_last() -> None:
+def test_silence_is_there_before_the_first_link_and_after_the_last():
     waiting = ChainWiring((chain(linked=False),), silence="silence")
     assert list(waiting.made_nodes()) == ["silence"]
     assert "node.name=silence " in waiting.made_nodes()["silence"]
     assert not ChainWiring(silence="silence").made_nodes()
 
 
-def test_a_chain_that_is_leaving_has_no_links_but_is_ours() -> None:
-    graph = desktop()
-    wiring = ChainWiring((chain(linked=False),), DESK, "dac", ("FL", "FR"))
-    assert wiring.links(graph) == set()
-    assert wiring.nodes(graph) == {40, 50}
-    assert not wiring.is_fed(graph)
-
-
-def test_a_chain_of_another_number_of_channels_is_not_linked_to_the_tap() -> None:
-    graph = desktop()
-    graph.apply([port(43, 40, "input_AUX2")])
-    surround = ChainEnds("chain.tap", "chain.vibration", 3, (0, None), linked=True)
-    assert ChainWiring((surround,), DESK, "dac", ("FL", "FR")).links(graph) == {(51, 21)}
-
-
-def test_a_sink_that_is_not_in_the_graph_or_has_no_ports_is_named() -> None:
+def test_a_sink_that_is_not_in_the_graph_or_has_no_ports_is_named():
     graph = desktop()
     assert why_unlinkable(graph, DESK, "dac") == ""
     assert "no node 'amp': it is of another server" in why_unlinkable(graph, DESK, "amp")

@@ -1,7 +1,5 @@
 """Paced jobs keep the time that their own counts say, whatever the machine does."""
 
-from __future__ import annotations
-
 import threading
 import time
 
@@ -50,7 +48,7 @@ def played(made: Pacer, until_s: float, late_s: float = 0.0) -> None:
 
 
 @pytest.mark.exhaustive
-def test_a_day_of_blocks_ends_on_the_sample() -> None:
+def test_a_day_of_blocks_ends_on_the_sample():
     clock = FrameTime(44_100)
     blocks = 24 * 3_600 * 44_100 // BLOCK
     for _ in range(blocks):
@@ -61,7 +59,7 @@ def test_a_day_of_blocks_ends_on_the_sample() -> None:
 
 
 @pytest.mark.parametrize("late_s", [0.0, 0.003, 0.02])
-def test_late_wakings_do_not_add_up(late_s: float) -> None:
+def test_late_wakings_do_not_add_up(late_s):
     job = Blocks()
     played(pacer(job, exact=False), 60.0, late_s)
     lateness = [now_s - n * BLOCK / RATE_HZ for n, now_s in enumerate(job.done_s)]
@@ -70,7 +68,7 @@ def test_late_wakings_do_not_add_up(late_s: float) -> None:
     assert abs(len(job.done_s) - 60.0 * RATE_HZ / BLOCK) < 6
 
 
-def test_jobs_are_done_in_the_order_of_their_due_times_even_after_a_stall() -> None:
+def test_jobs_are_done_in_the_order_of_their_due_times_even_after_a_stall():
     order: list[tuple[float, int]] = []
 
     class Noted(Blocks):
@@ -86,7 +84,7 @@ def test_jobs_are_done_in_the_order_of_their_due_times_even_after_a_stall() -> N
     assert len(order) > 200
 
 
-def test_after_a_stall_all_is_made_up_for_in_bursts_and_nothing_is_left_out() -> None:
+def test_after_a_stall_all_is_made_up_for_in_bursts_and_nothing_is_left_out():
     job = Blocks()
     made = pacer(job)
     stall_s = 0.9 * LATE_MAX_S
@@ -99,7 +97,7 @@ def test_after_a_stall_all_is_made_up_for_in_bursts_and_nothing_is_left_out() ->
     assert due[-1] <= stall_s < due[-1] + BLOCK / RATE_HZ
 
 
-def test_a_long_stall_is_a_pause_for_all_jobs_alike() -> None:
+def test_a_long_stall_is_a_pause_for_all_jobs_alike():
     one, other = Blocks(256), Blocks(960)
     made = pacer(one, other)
     played(made, 1.0)
@@ -113,7 +111,7 @@ def test_a_long_stall_is_a_pause_for_all_jobs_alike() -> None:
     assert max(steps) <= 256 / RATE_HZ + 1e-9
 
 
-def test_what_a_job_raises_ends_it_and_no_other() -> None:
+def test_what_a_job_raises_ends_it_and_no_other():
     class Broken(Blocks):
         def run(self, now_s: float) -> bool:
             raise OSError("no more")
@@ -128,7 +126,7 @@ def test_what_a_job_raises_ends_it_and_no_other() -> None:
     assert played_to == float("inf")
 
 
-def test_its_thread_keeps_real_time_and_an_ended_job_rests_until_it_is_begun_again() -> None:
+def test_its_thread_keeps_real_time_and_an_ended_job_rests_until_it_is_begun_again():
     job = Blocks()
     made = Pacer(time.monotonic)
     began_s = time.monotonic()

@@ -1,9 +1,8 @@
 """What another order changes, and what the running effect makes of another config."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,93 +22,66 @@ BLOCK = 256
 ORDER = RunConfig(TapAddress("default"), DeviceAddress("sink", "a"), Settings(), LiveSettings())
 
 
+def wishing(**settings: Any) -> RunConfig:
+    return replace(ORDER, settings=Settings(**settings))
+
+
+def living(**live: Any) -> RunConfig:
+    return replace(ORDER, live=LiveSettings(**live))
+
+
+LEFT, RIGHT = ActuatorSettings((0,), "left"), ActuatorSettings((1,), "right")
+SOFTER = replace(LEFT, gain_db=-3.0, polarity="inverted", delay_ms=4.0, channels=(3,))
+BOTH = (LEFT, RIGHT)
+SWAPPED = (replace(LEFT, source="right"), replace(RIGHT, source="left"))
+EVERYTHING = "the effects, which restart everything"
+TRANSFORM = "the transform, which restarts"
+
+
 @pytest.mark.parametrize(
     ("order", "changed", "words"),
     [
-        (ORDER, ConfigDiff(), "nothing"),
-        (replace(ORDER, settings=Settings(gain_db=-3.0)), ConfigDiff(level=True), "the level"),
-        (
-            replace(ORDER, settings=Settings(parameters=TransformParameters(partials_max=3))),
-            ConfigDiff(transform=True),
-            "the transform, which restarts",
-        ),
-        (
-            replace(ORDER, settings=Settings(profile="game")),
-            ConfigDiff(transform=True),
-            "the transform, which restarts",
-        ),
-        (
-            replace(ORDER, settings=Settings(form="reference", gain_db=-1.0)),
-            ConfigDiff(level=True, engine=True),
-            "the level, the effects, which restart everything",
-        ),
-        (replace(ORDER, settings=Settings(channels="each")), ConfigDiff(engine=True), None),
-        (replace(ORDER, settings=Settings(effects_file=Path("x"))), ConfigDiff(engine=True), None),
-        (replace(ORDER, tap=TapAddress("sink", "b")), ConfigDiff(tap=True), "the tap"),
-        (replace(ORDER, device=DeviceAddress("sink", "b")), ConfigDiff(device=True), "the device"),
-        (replace(ORDER, live=LiveSettings(offset_ms=5.0)), ConfigDiff(offset=True), "the offset"),
-        (
-            replace(ORDER, live=LiveSettings(device_volume_db=-6.0)),
-            ConfigDiff(volume=True),
-            "the device's volume",
-        ),
-        (replace(ORDER, live=LiveSettings(block_frames=256)), ConfigDiff(blocks=True), None),
-        (replace(ORDER, live=LiveSettings(realtime=False)), ConfigDiff(priority=True), None),
+        (ORDER, "", "nothing"),
+        (wishing(gain_db=-3.0), "level", "the level"),
+        (wishing(parameters=TransformParameters(partials_max=3)), "transform", TRANSFORM),
+        (wishing(profile="game"), "transform", TRANSFORM),
+        (wishing(form="reference", gain_db=-1.0), "level engine", f"the level, {EVERYTHING}"),
+        (wishing(channels="each"), "engine", EVERYTHING),
+        (wishing(effects_file=Path("x")), "engine", EVERYTHING),
+        (replace(ORDER, tap=TapAddress("sink", "b")), "tap", "the tap"),
+        (replace(ORDER, device=DeviceAddress("sink", "b")), "device", "the device"),
+        (living(offset_ms=5.0), "offset", "the offset"),
+        (living(device_volume_db=-6.0), "volume", "the device's volume"),
+        (living(block_frames=256), "blocks", None),
+        (living(realtime=False), "priority", None),
     ],
 )
-def test_an_order_changes_what_is_another_in_it(
-    order: RunConfig, changed: ConfigDiff, words: str | None
-) -> None:
+def test_an_order_changes_what_is_another_in_it(order, changed, words):
     found = ConfigDiff.between(ORDER, order)
-    assert found == changed
-    assert found.any == (changed != ConfigDiff())
-    if words is not None:
-        assert str(found) == words
-
-
-LEFT = ActuatorSettings((0,), "left")
-RIGHT = ActuatorSettings((1,), "right")
-
-
-def with_actuators(*actuators: ActuatorSettings) -> RunConfig:
-    return replace(ORDER, settings=Settings(actuators=actuators))
+    assert found == ConfigDiff(**dict.fromkeys(changed.split(), True))
+    assert found.any == bool(changed)
+    assert words in (None, str(found))
 
 
 @pytest.mark.parametrize(
-    ("before", "after", "changed", "words"),
+    ("before", "after", "changed"),
     [
-        ((LEFT,), (LEFT,), ConfigDiff(), "nothing"),
-        (
-            (LEFT, RIGHT),
-            (replace(LEFT, gain_db=-3.0, polarity="inverted", delay_ms=4.0, channels=(3,)), RIGHT),
-            ConfigDiff(actuators=True),
-            "the actuators",
-        ),
-        (
-            (LEFT, RIGHT),
-            (replace(LEFT, source="right"), replace(RIGHT, source="left")),
-            ConfigDiff(actuators=True),
-            None,
-        ),
-        ((LEFT, RIGHT), (LEFT, replace(RIGHT, source="left")), ConfigDiff(engine=True), None),
-        ((LEFT,), (LEFT, RIGHT), ConfigDiff(engine=True), None),
-        ((), (LEFT,), ConfigDiff(engine=True), None),
-        ((LEFT,), (), ConfigDiff(engine=True), None),
-        ((LEFT,), (replace(LEFT, rig="consumer"),), ConfigDiff(engine=True), None),
-        ((LEFT,), (replace(LEFT, damping="auto", gain_db=-1.0),), ConfigDiff(engine=True), None),
-        ((LEFT,), (replace(LEFT, protection="on"),), ConfigDiff(engine=True), None),
+        ((LEFT,), (LEFT,), ConfigDiff()),
+        (BOTH, (SOFTER, RIGHT), ConfigDiff(actuators=True)),
+        (BOTH, SWAPPED, ConfigDiff(actuators=True)),
+        (BOTH, (LEFT, replace(RIGHT, source="left")), ConfigDiff(engine=True)),
+        ((LEFT,), BOTH, ConfigDiff(engine=True)),
+        ((), (LEFT,), ConfigDiff(engine=True)),
+        ((LEFT,), (), ConfigDiff(engine=True)),
+        ((LEFT,), (replace(LEFT, rig="consumer"),), ConfigDiff(engine=True)),
+        ((LEFT,), (replace(LEFT, damping="auto", gain_db=-1.0),), ConfigDiff(engine=True)),
+        ((LEFT,), (replace(LEFT, protection="on"),), ConfigDiff(engine=True)),
     ],
 )
-def test_actuators_follow_while_they_play_unless_others_are_to_be_there(
-    before: tuple[ActuatorSettings, ...],
-    after: tuple[ActuatorSettings, ...],
-    changed: ConfigDiff,
-    words: str | None,
-) -> None:
-    found = ConfigDiff.between(with_actuators(*before), with_actuators(*after))
+def test_actuators_follow_while_they_play_unless_others_are_to_be_there(before, after, changed):
+    found = ConfigDiff.between(wishing(actuators=before), wishing(actuators=after))
     assert found == changed
-    if words is not None:
-        assert str(found) == words
+    assert (str(found) == "the actuators") == changed.actuators
 
 
 class Live:
@@ -143,7 +115,7 @@ def rms(frames: Float32Array) -> float:
     return float(np.sqrt(np.mean(np.square(frames, dtype=np.float64))))
 
 
-def test_another_level_is_reached_over_one_block_and_nothing_else_changes() -> None:
+def test_another_level_is_reached_over_one_block_and_nothing_else_changes():
     live, unchanged = Live(), Live()
     live.hear(0.5)
     unchanged.hear(0.5)
@@ -152,14 +124,12 @@ def test_another_level_is_reached_over_one_block_and_nothing_else_changes() -> N
     ramp = 1.0 + (0.1 - 1.0) * np.arange(1, BLOCK + 1) / BLOCK
     assert np.allclose(vibration[:BLOCK], whole[:BLOCK] * ramp, atol=1e-7)
     assert np.allclose(vibration[BLOCK:], whole[BLOCK:] * 0.1, atol=1e-7)
+    # chosen from the start, it holds from the first frame on
+    soft = Live(Settings(gain_db=-20.0)).hear(0.5)
+    assert np.allclose(0.1 * Live().hear(0.5), soft, atol=1e-7)
 
 
-def test_a_level_that_was_chosen_from_the_start_holds_from_the_first_frame_on() -> None:
-    loud, soft = Live(), Live(Settings(gain_db=-20.0))
-    assert np.allclose(0.1 * loud.hear(0.5), soft.hear(0.5), atol=1e-7)
-
-
-def test_other_parameters_fade_the_vibration_out_and_begin_anew() -> None:
+def test_other_parameters_fade_the_vibration_out_and_begin_anew():
     live = Live()
     live.hear(0.5)
     top = TransformParameters(vibration_top_hz=120.0)
@@ -176,7 +146,7 @@ def test_other_parameters_fade_the_vibration_out_and_begin_anew() -> None:
     assert rms(vibration[-RATE_HZ // 10 :]) > 1e-2
 
 
-def test_of_many_changes_between_two_blocks_the_last_one_counts() -> None:
+def test_of_many_changes_between_two_blocks_the_last_one_counts():
     live = Live()
     loud = rms(live.hear(0.5))
     for gain_db in range(-60, 0):
@@ -187,7 +157,7 @@ def test_of_many_changes_between_two_blocks_the_last_one_counts() -> None:
     assert live.engine.framework.mixer.failed_events == 0
 
 
-def test_parameters_that_the_mix_cannot_have_are_refused_and_nothing_changes() -> None:
+def test_parameters_that_the_mix_cannot_have_are_refused_and_nothing_changes():
     tap = PushTap(8_000, 1)
     clocks = Clocks(lambda: 0.0, lambda: 0.0)
     narrow = Settings(parameters=TransformParameters(band_high_hz=3_000.0))
@@ -203,7 +173,7 @@ def test_parameters_that_the_mix_cannot_have_are_refused_and_nothing_changes() -
     assert low.mixer.cycle(0.0).frames_written
 
 
-def test_what_an_engine_cannot_have_changes_neither_level_nor_offset() -> None:
+def test_what_an_engine_cannot_have_changes_neither_level_nor_offset():
     live = Live()
     with pytest.raises(UsageError, match="offset_s"):
         live.engine.follow(Settings(gain_db=-20.0), 5.0)
@@ -213,15 +183,17 @@ def test_what_an_engine_cannot_have_changes_neither_level_nor_offset() -> None:
     assert live.engine.framework.settings.gain_db == -20.0
 
 
-def test_other_blocks_take_another_delay_line_with_the_same_offset() -> None:
+@pytest.mark.parametrize(("samplerate", "block"), [(RATE_HZ, 1_024), (44_100, BLOCK)])
+def test_other_blocks_or_rates_take_another_delay_line_with_the_same_offset(samplerate, block):
     live = Live()
     live.hear(0.2)
     live.engine.delay_line.offset_s = 0.1
     before = live.engine.delay_line
     live.engine.retarget(RATE_HZ, BLOCK)
     assert live.engine.delay_line is before
-    live.engine.retarget(RATE_HZ, 1_024)
-    assert live.engine.delay_line is not before
-    assert live.engine.delay_line.offset_s == 0.1
-    assert live.engine.delay_line.status.target_s > 0.1 + 2.5 * 1_024 / RATE_HZ
+    live.engine.retarget(samplerate, block)
+    after = live.engine.delay_line
+    assert after is not before
+    assert (after.samplerate_out, after.offset_s) == (samplerate, 0.1)
+    assert after.status.target_s > 0.1 + 2.5 * block / RATE_HZ
     assert rms(live.hear(0.2)) > 1e-3

@@ -1,7 +1,5 @@
 """A coil is never taken for colder than it is, nor a dose for smaller, whatever ends a process."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from datetime import datetime, timedelta, timezone
@@ -14,13 +12,13 @@ from hypothesis import strategies as st
 
 from audioflinger_hook.daemon.safety_keeper import FILE, MARK, SAVE_S, Moment, SafetyKeeper
 from audioflinger_hook.drive.drive import Drive
-from audioflinger_hook.drive.rig_driver import RigDriver
-from device.drive.exposure.design import worst_second
+from device.drive.exposure import worst_second
 from device.drive.protection.limits import limits_of
-from device.drive.protection.thermal import CoilTemperature
-from device.drive.safety import SafetyBounds, SafetyState
-from device.rig import CONSUMER, PAPER, Rig
+from device.drive.safety import SafetyBounds, SafetyState, power_to_limit_w
+from device.rig import CONSUMER, PAPER
 from device.rig.parameters import ThermalParameters
+from device.rig.thermal import Temperatures
+from tools.rig_driver import RigDriver
 
 RATE = 8_000
 NOON = datetime(2026, 5, 1, 12, tzinfo=timezone(timedelta(hours=2)))
@@ -69,10 +67,17 @@ def played(drive: Drive, seconds: float) -> None:
     drive.process(0.5 * np.sin(2.0 * np.pi * 40.0 * times_s)[:, None])
 
 
+def begun(folder: Path, time: Time, device: str = "dac") -> tuple[SafetyKeeper, Drive]:
+    """A keeper, and a drive that goes on from what it knows of the device."""
+    keeper, drive = SafetyKeeper(folder, time), driven()
+    keeper.note_device(device)
+    keeper.restore(drive.processors)
+    return keeper, drive
+
+
 def killed(folder: Path, time: Time, coil_c: float = 119.0, magnet_c: float = 60.0) -> Drive:
     """A drive whose process was killed just before its next write."""
-    keeper, drive = SafetyKeeper(folder, time), driven()
-    keeper.restore(drive.processors, "dac")
+    keeper, drive = begun(folder, time)
     played(drive, 1.0)
     set_state(drive, coil_c, magnet_c)
     keeper.update(drive.processors, 0.0)
@@ -80,36 +85,27 @@ def killed(folder: Path, time: Time, coil_c: float = 119.0, magnet_c: float = 60
     return drive
 
 
-def restored(folder: Path, time: Time, device: str = "dac") -> tuple[SafetyState, SafetyKeeper]:
-    keeper, drive = SafetyKeeper(folder, time), driven()
-    keeper.restore(drive.processors, device)
+def restored(folder, time, device="dac"):
+    """The state that the next process begins with, and its keeper."""
+    keeper, drive = begun(folder, time, device)
     return state_of(drive), keeper
-
-
-def test_a_first_run_starts_cold_and_says_nothing(tmp_path: Path) -> None:
-    state, keeper = restored(tmp_path / "new", Time())
-    assert (state.coil_c, state.dose.squares, keeper.warning) == (20.0, 0.0, "")
 
 
 @pytest.mark.parametrize("passed_s", [0.0, 0.3, 5.0, 40.0, 600.0])
 @pytest.mark.parametrize("boot", ["a boot", "another boot"])
-def test_after_a_kill_it_is_at_least_as_warm_as_it_is_and_at_most_ten_kelvin_more(
-    tmp_path: Path, passed_s: float, boot: str
-) -> None:
+def test_after_a_kill_it_is_as_warm_as_it_is_or_at_most_ten_kelvin_more(tmp_path, passed_s, boot):
     time = Time()
     drive = killed(tmp_path, time)
     before = state_of(drive)
     time.go(passed_s, boot)
     state, keeper = restored(tmp_path, time)
     assert PAPER.thermal
-    true = CoilTemperature(PAPER.thermal, PAPER.actuator.resistance_ohm, SAVE_S + passed_s)
-    true.set_temperatures(119.0, 60.0)
-    true.step(0.0)
-    assert state.coil_c is not None
-    assert state.magnet_c is not None
-    assert true.coil_c <= state.coil_c + 1e-9
-    assert state.coil_c <= true.coil_c + 10.0
-    assert true.magnet_c <= state.magnet_c + 1e-9
+    ambient_c, true = PAPER.thermal.ambient_c, Temperatures(PAPER.thermal)
+    true.coil_k, true.magnet_k = 119.0 - ambient_c, 60.0 - ambient_c
+    true.heat(0.0, SAVE_S + passed_s)
+    assert ambient_c + true.coil_k <= state.coil_c + 1e-9
+    assert state.coil_c <= ambient_c + true.coil_k + 10.0
+    assert ambient_c + true.magnet_k <= state.magnet_c + 1e-9
     assert state.dose.squares >= before.dose.squares
     assert state.dose.fourths >= before.dose.fourths
     assert keeper.warning == ""
@@ -122,24 +118,23 @@ def test_after_a_kill_it_is_at_least_as_warm_as_it_is_and_at_most_ten_kelvin_mor
     st.floats(0.0, 1.5),
     st.sampled_from([PAPER, replace(PAPER, thermal=ThermalParameters(4.0, 0.5, 3.0, 400.0))]),
 )
-def test_nothing_that_protection_allows_is_warmer_than_the_bound(
-    coil_c: float, seconds: float, rig: Rig
-) -> None:
+def test_nothing_that_protection_allows_is_warmer_than_the_bound(coil_c, seconds, rig):
     strong = replace(PAPER, amplifier=replace(PAPER.amplifier, gain=20.0), thermal=rig.thermal)
     assert strong.thermal
     bounds = SafetyBounds(strong, worst_second(strong, RATE))
     state = bounds.after_unrecorded(SafetyState(coil_c, 20.0), seconds)
-    coil = CoilTemperature(strong.thermal, strong.actuator.resistance_ohm, 0.002)
-    coil.set_temperatures(coil_c, 20.0)
+    ambient_c, warm = strong.thermal.ambient_c, Temperatures(strong.thermal)
+    warm.coil_k, warm.magnet_k = coil_c - ambient_c, 20.0 - ambient_c
     for _ in range(int(seconds / 0.002)):
-        coil.step(0.999 * min(coil.power_allowed(LIMIT_C), 20.0**2 / 3.3))  # 20 V, 3.3 ohm
+        allowed_w = power_to_limit_w(warm, LIMIT_C - ambient_c)
+        warm.heat(0.999 * min(allowed_w, 20.0**2 / 3.3), 0.002)  # 20 V, 3.3 ohm
     assert state.coil_c is not None
-    assert coil.coil_c <= state.coil_c + 0.02
+    assert ambient_c + warm.coil_k <= state.coil_c + 0.02
     assert state.coil_c <= LIMIT_C
 
 
 @pytest.mark.parametrize("rig", [PAPER, CONSUMER], ids=["paper", "consumer"])
-def test_no_drive_adds_more_to_the_dose_than_the_bound(rig: Rig) -> None:
+def test_no_drive_adds_more_to_the_dose_than_the_bound(rig):
     rng = np.random.default_rng(1)
     times_s = np.arange(4 * RATE) / RATE
     worst = worst_second(rig, RATE)
@@ -153,16 +148,16 @@ def test_no_drive_adds_more_to_the_dose_than_the_bound(rig: Rig) -> None:
         assert dose.fourths <= worst.fourths * dose.time_s
 
 
-def test_a_clean_end_is_continued_exactly(tmp_path: Path) -> None:
+def test_a_clean_end_is_continued_exactly(tmp_path):
     time = Time()
-    keeper, drive = SafetyKeeper(tmp_path, time), driven()
-    keeper.restore(drive.processors, "dac")
+    keeper, drive = begun(tmp_path, time)
+    state = state_of(drive)  # a first run starts cold
+    assert (state.coil_c, state.dose.squares, keeper.warning) == (20.0, 0.0, "")
     played(drive, 2.0)
     set_state(drive, 80.0, 40.0)
     keeper.close(drive.processors)
     state, keeper = restored(tmp_path, time)
-    assert state.coil_c == pytest.approx(80.0)
-    assert state.magnet_c == pytest.approx(40.0)
+    assert (state.coil_c, state.magnet_c) == (pytest.approx(80.0), pytest.approx(40.0))
     assert state.dose.squares == pytest.approx(state_of(drive).dose.squares)
     assert keeper.since == "2026-05-01T12:00+02:00"
 
@@ -179,22 +174,25 @@ def test_a_clean_end_is_continued_exactly(tmp_path: Path) -> None:
     ],
     ids=["cut", "zeros", "other", "future", "nan", "missing"],
 )
-def test_a_record_that_is_damaged_or_missing_gives_the_warmest_state_and_one_warning(
-    tmp_path: Path, harm: object
-) -> None:
+def test_a_damaged_or_missing_record_gives_the_warmest_state_and_one_warning(tmp_path, harm):
     time = Time()
     killed(tmp_path, time)
-    harm(tmp_path / FILE)  # type: ignore[operator]
+    harm(tmp_path / FILE)
     state, keeper = restored(tmp_path, time)
     assert state.coil_c == LIMIT_C
-    assert state.magnet_c is not None
     assert state.magnet_c > 60.0
     assert str(tmp_path / FILE) in keeper.warning
     assert "\n" not in keeper.warning
 
 
-def test_a_clock_that_was_set_back_gives_the_warmest_state(tmp_path: Path) -> None:
+def test_a_clock_that_was_set_back_gives_the_warmest_state_unless_within_a_boot(tmp_path):
     time = Time()
+    killed(tmp_path, time)
+    within = Time()
+    within.moment = replace(time.moment, wall_s=0.0)
+    state, keeper = restored(tmp_path, within)
+    assert keeper.warning == ""
+    assert state.coil_c < LIMIT_C
     killed(tmp_path, time)
     time.go(-3_600.0, "another boot")
     state, keeper = restored(tmp_path, time)
@@ -202,20 +200,9 @@ def test_a_clock_that_was_set_back_gives_the_warmest_state(tmp_path: Path) -> No
     assert "future" in keeper.warning
 
 
-def test_a_clock_that_is_set_back_within_a_boot_does_not_count(tmp_path: Path) -> None:
+def test_the_dose_is_of_the_day_and_ends_at_midnight_while_it_runs(tmp_path):
     time = Time()
-    killed(tmp_path, time)
-    time.moment = replace(time.moment, wall_s=0.0)
-    state, keeper = restored(tmp_path, time)
-    assert keeper.warning == ""
-    assert state.coil_c is not None
-    assert state.coil_c < LIMIT_C
-
-
-def test_the_dose_is_of_the_day_and_ends_at_midnight_while_it_runs(tmp_path: Path) -> None:
-    time = Time()
-    keeper, drive = SafetyKeeper(tmp_path, time), driven()
-    keeper.restore(drive.processors, "dac")
+    keeper, drive = begun(tmp_path, time)
     played(drive, 2.0)
     assert state_of(drive).dose.squares > 0.0
     time.go(12.5 * 3_600.0)
@@ -229,14 +216,14 @@ def test_the_dose_is_of_the_day_and_ends_at_midnight_while_it_runs(tmp_path: Pat
     assert state.dose.squares == 0.0
 
 
-def test_the_dose_ends_at_midnight_also_while_nothing_plays(tmp_path: Path) -> None:
+def test_the_dose_ends_at_midnight_also_while_nothing_plays(tmp_path):
     time = Time()
-    keeper, drive = SafetyKeeper(tmp_path, time), driven()
-    keeper.restore(drive.processors, "dac")
+    keeper, drive = begun(tmp_path, time)
     played(drive, 2.0)
     keeper.close(drive.processors)
     waiting = driven()
-    keeper.restore(waiting.processors, "dac")
+    keeper.note_device("dac")
+    keeper.restore(waiting.processors)
     assert state_of(waiting).dose.squares > 0.0
     time.go(12.5 * 3_600.0)
     keeper.update((*drive.processors, *waiting.processors), 100.0)
@@ -246,19 +233,7 @@ def test_the_dose_ends_at_midnight_also_while_nothing_plays(tmp_path: Path) -> N
     assert state_of(waiting).dose.time_s == pytest.approx(0.3, abs=0.11)
 
 
-def test_what_moves_to_another_device_is_recorded_there(tmp_path: Path) -> None:
-    time = Time()
-    keeper, drive = SafetyKeeper(tmp_path, time), driven()
-    keeper.restore(drive.processors, "dac")
-    played(drive, 1.0)
-    keeper.note_device("another")
-    set_state(drive, 100.0, 60.0)
-    keeper.close(drive.processors)
-    state, _ = restored(tmp_path, time, "another")
-    assert state.coil_c == pytest.approx(100.0, abs=0.1)
-
-
-def test_another_device_is_cold_but_has_the_dose_of_who_sits_there(tmp_path: Path) -> None:
+def test_another_device_is_cold_but_has_the_dose_of_who_sits_there(tmp_path):
     time = Time()
     killed(tmp_path, time)
     state, keeper = restored(tmp_path, time, "another")
@@ -270,9 +245,19 @@ def test_another_device_is_cold_but_has_the_dose_of_who_sits_there(tmp_path: Pat
     assert (tmp_path / MARK).exists()
 
 
-def test_a_folder_that_cannot_be_written_is_one_warning(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_written_is_one_warning(tmp_path):
     (tmp_path / "file").write_text("")
-    keeper, drive = SafetyKeeper(tmp_path / "file" / "folder", Time()), driven()
-    keeper.restore(drive.processors, "dac")
+    keeper, drive = begun(tmp_path / "file" / "folder", Time())
     keeper.update(drive.processors, 0.0)
     assert "not kept" in keeper.warning
+
+
+def test_what_moves_to_another_device_is_recorded_there(tmp_path):
+    time = Time()
+    keeper, drive = begun(tmp_path, time)
+    played(drive, 1.0)
+    keeper.note_device("another")
+    set_state(drive, 100.0, 60.0)
+    keeper.close(drive.processors)
+    state, _ = restored(tmp_path, time, "another")
+    assert state.coil_c == pytest.approx(100.0, abs=0.1)

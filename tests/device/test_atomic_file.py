@@ -2,6 +2,7 @@
 
 import errno
 import os
+import shutil
 import signal
 import stat
 import subprocess
@@ -13,6 +14,7 @@ import pytest
 
 from device.atomic_file import AtomicFile, write_bytes_atomically
 from device.errors import UsageError, WriteError
+from tests.support.commands import listing, open_files
 from tests.support.recordings import ROOT
 
 
@@ -26,32 +28,24 @@ def way(request, monkeypatch):
     return request.param
 
 
-def open_files():
-    return len(list(Path("/proc/self/fd").iterdir()))
+@pytest.fixture(params=[{}, {"out.wav": b"old"}], ids=["new", "old"])
+def before(request, tmp_path):
+    for name, content in request.param.items():
+        (tmp_path / name).write_bytes(content)
+    return request.param
 
 
-def listing(folder):
-    return {path.name: path.read_bytes() for path in folder.iterdir()}
-
-
-@pytest.mark.parametrize("before", [None, b"old"])
 def test_the_file_appears_with_commit_only(tmp_path, way, before):
-    path = tmp_path / "out.wav"
-    if before is not None:
-        path.write_bytes(before)
-    file = AtomicFile(path)
+    file = AtomicFile(tmp_path / "out.wav")
     file.write(b"new ")
     file.write(b"content")
     if way == "nameless":
-        assert listing(tmp_path) == ({"out.wav": before} if before else {})
+        assert listing(tmp_path) == before
     file.commit()
     assert listing(tmp_path) == {"out.wav": b"new content"}
 
 
-@pytest.mark.parametrize("before", [{}, {"out.wav": b"old"}])
 def test_an_exception_leaves_the_folder_as_it_was(tmp_path, way, before):
-    for name, content in before.items():
-        (tmp_path / name).write_bytes(content)
     file = AtomicFile(tmp_path / "out.wav")
 
     def fail():
@@ -155,9 +149,7 @@ def test_a_path_that_cannot_be_written_is_refused_with_the_reason(tmp_path, way,
 
 @pytest.mark.parametrize("step", ["fsync", "replace"])
 @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT, errno.EIO])
-def test_a_failure_at_the_very_end_leaves_the_old_file_only(
-    tmp_path, way, monkeypatch, step, number
-):
+def test_a_failure_at_the_end_leaves_the_old_file_only(tmp_path, way, monkeypatch, step, number):
     def fail(*args, **kwargs):
         assert (tmp_path / "out.wav").read_bytes() == b"old"
         raise OSError(number, os.strerror(number))
@@ -201,24 +193,26 @@ def folder_of_nobody():
             (folder / "closed").chmod(0o755)
 
 
-@pytest.mark.parametrize("name", ["read_only/out.wav", "closed/out.wav", "closed/none/out.wav"])
-def test_a_folder_that_may_not_be_written_is_refused(folder_of_nobody, way, name):
-    with pytest.raises(UsageError, match="no permission to write in folder"):
-        AtomicFile(folder_of_nobody / name)
+NO_PERMISSION = "no permission to write in folder"
 
 
-def test_a_write_protected_file_is_refused_though_its_folder_is_free(folder_of_nobody, way):
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        *((f"{name}/out.wav", NO_PERMISSION) for name in ("read_only", "closed", "closed/none")),
+        ("free/protected", "write-protected"),
+    ],
+)
+def test_what_may_not_be_written_is_refused(folder_of_nobody, way, name, words):
     write_bytes_atomically(folder_of_nobody / "free" / "new", b"new")
-    with pytest.raises(UsageError, match="write-protected"):
-        AtomicFile(folder_of_nobody / "free" / "protected")
+    with pytest.raises(UsageError, match=words):
+        AtomicFile(folder_of_nobody / name)
 
 
 def test_a_folder_that_vanishes_is_a_write_error(tmp_path, way):
     folder = tmp_path / "folder"
     folder.mkdir()
     file = AtomicFile(folder / "out.wav")
-    for path in folder.iterdir():
-        path.unlink()
-    folder.rmdir()
+    shutil.rmtree(folder)
     with pytest.raises(WriteError, match=r"out\.wav"):
         file.commit()

@@ -1,9 +1,8 @@
-"""What is asked of every block, compiled and in NumPy: the same answers."""
-
-from __future__ import annotations
+"""Operations on blocks of frames give NumPy's answers, and refuse what does not fit."""
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,41 +11,32 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from device import blocks
-from device.clock.ring import CubicReader
+from device.clock.delay_line import CubicReader
+from device.errors import NotFoundError
 from device.rig import PAPER
 from device.rig.actuator import LinearActuator
-from device.units import Float32Array, FloatArray
-
-needs_compiled = pytest.mark.skipif(
-    blocks.compiled is None, reason="device/blocks_library.so is not built here: see tools/setup.sh"
-)
-
-
-def in_numpy(samples: Float32Array | FloatArray) -> float:
-    return float(np.max(np.abs(samples), initial=0.0))
 
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 @given(data=st.data())
-def test_the_peak_is_the_largest_magnitude_whatever_the_samples(
-    dtype: type, data: st.DataObject
-) -> None:
+def test_the_peak_is_the_largest_magnitude_whatever_the_samples(dtype, data):
     shape = data.draw(arrays.array_shapes(min_dims=1, max_dims=3, min_side=0, max_side=40))
     samples = data.draw(arrays.arrays(dtype, shape))
-    np.testing.assert_equal(blocks.peak(samples), in_numpy(samples))
+    expected = float(np.max(np.abs(samples), initial=0.0))
+    np.testing.assert_equal(blocks.peak(samples), expected)
 
 
 @pytest.mark.parametrize("spoiled", [math.nan, -math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize("place", [0, 7, 511])
-def test_one_sample_that_is_not_finite_makes_the_peak_so(spoiled: float, place: int) -> None:
+def test_one_sample_that_is_not_finite_makes_the_peak_so(spoiled, place):
     samples = np.random.default_rng(1).uniform(-1, 1, 512).astype(np.float32)
     samples[place] = spoiled
     assert not math.isfinite(blocks.peak(samples))
     assert math.isnan(blocks.peak(samples)) == math.isnan(spoiled)
 
 
-def test_the_peak_of_any_layout_and_type_is_found() -> None:
+def test_the_peak_of_any_layout_and_type_is_found():
     samples = np.arange(-12.0, 12.0).reshape(4, 6)
     assert blocks.peak(samples.T) == 12.0
     assert blocks.peak(samples[:, ::2]) == 12.0
@@ -55,120 +45,92 @@ def test_the_peak_of_any_layout_and_type_is_found() -> None:
     assert blocks.peak(np.float32(3.0) * np.ones(())) == 3.0
 
 
-@needs_compiled
+STEPS = st.floats(0.1, 3.0) | st.floats(0.999, 1.001)
+FRACTIONS = st.floats(0.0, 1.0, exclude_max=True)
+
+
 @given(
-    st.integers(1, 3),
-    st.integers(0, 1_300),
-    st.floats(0.1, 3.0) | st.floats(0.999, 1.001),
-    st.floats(0.0, 1.0, exclude_max=True),
-    st.integers(0, 2**45),
+    *(st.integers(1, 3), st.integers(0, 1_300), STEPS, FRACTIONS),
+    *(st.integers(0, 2**45), st.booleans()),
 )
-def test_frames_between_frames_are_the_same_compiled_and_in_numpy(
-    channels: int, count: int, step: float, fraction: float, start: int
-) -> None:
+def test_frames_between_frames_are_on_the_cubic_through_four_whatever_the_layout(
+    channels, count, step, fraction, start, strided
+):
     ring = np.random.default_rng(1).uniform(-1, 1, (4_096, channels)).astype(np.float32)
-    compiled, twin = (CubicReader(ring) for _ in range(2))
-    for reader in (compiled, twin):
-        reader.jump_to(start)
-        reader.fraction = fraction
-    made = np.empty((count, channels), np.float32)
-    # Of an array that is not contiguous nothing compiled can be made.
-    apart = np.empty((count, 2 * channels), np.float32)[:, ::2]
-    compiled.read(made, step)
-    twin.read(apart, step)
+    reader = CubicReader(ring)
+    reader.position, reader.fraction = start, fraction
+    out = np.empty((count, channels * (1 + strided)), np.float32)[:, :: 1 + strided]
+    reader.read(out, step)
+    place = np.arange(count) * step + fraction
+    whole = np.floor(place)
+    s = (place - whole)[:, np.newaxis]
+    frames = ring[(start + whole.astype(int) + np.arange(-1, 3)[:, np.newaxis]) % len(ring)]
+    expected = (
+        frames[0] * -s * (s - 1) * (s - 2) / 6
+        + frames[1] * (s + 1) * (s - 1) * (s - 2) / 2
+        - frames[2] * (s + 1) * s * (s - 2) / 2
+        + frames[3] * (s + 1) * s * (s - 1) / 6
+    )
     # Sums up to 1.6 are rounded to float32, each to 6e-8 of 1; all before that is float64.
-    np.testing.assert_allclose(made, apart, rtol=0, atol=3e-7)
-    assert compiled.position + compiled.fraction == pytest.approx(twin.position + twin.fraction)
+    np.testing.assert_allclose(out, expected, rtol=0, atol=3e-7)
 
 
-@needs_compiled
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"row": 8},
-        {"row": -1},
-        {"row": 1.0},
-        {"fraction": 1.0},
-        {"fraction": -0.1},
-        {"fraction": math.nan},
-        {"step": 0.0},
-        {"step": math.nan},
-        {"step": math.inf},
-        {"step": 1e300},
-        {"ring": np.zeros((8, 1))},
-        {"ring": np.zeros((8, 2), np.float32)},
-        {"ring": np.zeros((0, 1), np.float32)},
-        {"ring": np.zeros(8, np.float32)},
-        {"ring": None},
-        {"out": np.zeros((4, 1))},
-        {"out": np.zeros((4, 2), np.float32)[:, :1]},
-        {"out": b"1234"},
-    ],
+def test_without_the_compiled_library_a_reader_says_how_to_get_it(monkeypatch):
+    monkeypatch.setattr(blocks, "compiled", None)
+    with pytest.raises(NotFoundError, match="make run"):
+        CubicReader(np.zeros((8, 1), np.float32))
+    assert blocks.peak(np.array([[-2.0, 1.0]])) == 2.0
+
+
+def each(**wrongs: Any) -> list[tuple[str, Any]]:
+    return [(name, wrong) for name in wrongs for wrong in wrongs[name]]
+
+
+NO_PLACE = each(
+    row=(8, -1, 1.0),
+    fraction=(1.0, -0.1, math.nan),
+    step=(0.0, math.nan, math.inf, 1e300),
+    ring=(None, *(np.zeros(shape, np.float32) for shape in (8, (8, 2), (0, 1))), np.zeros((8, 1))),
+    out=(np.zeros((4, 1)), np.zeros((4, 2), np.float32)[:, :1], b"1234"),
 )
-def test_what_does_not_fit_is_refused_and_nothing_is_read(change: dict[str, object]) -> None:
-    assert blocks.compiled is not None
-    fitting = {
-        "ring": np.zeros((8, 1), np.float32),
-        "out": np.zeros((4, 1), np.float32),
-        "row": 0,
-        "fraction": 0.0,
-        "step": 1.0,
-    }
-    cubic: Callable[..., None] = blocks.compiled.cubic
+
+
+@pytest.mark.parametrize(("name", "wrong"), NO_PLACE)
+def test_what_does_not_fit_is_refused_and_nothing_is_read(name, wrong):
+    ring, out = (np.zeros((rows, 1), np.float32) for rows in (8, 4))
+    fitting: Any = {"ring": ring, "out": out, "row": 0, "fraction": 0.0, "step": 1.0}
+    cubic: Callable[..., None] = blocks.require_compiled().cubic
     cubic(**fitting)
     with pytest.raises((TypeError, ValueError, BufferError, OverflowError)):
-        cubic(**(fitting | change))
+        cubic(**(fitting | {name: wrong}))
 
 
-def test_without_what_is_compiled_the_same_is_done_in_numpy(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    ring = np.random.default_rng(2).uniform(-1, 1, (512, 1)).astype(np.float32)
-    with_it, without = (CubicReader(ring) for _ in range(2))
-    expected, got = (np.empty((300, 1), np.float32) for _ in range(2))
-    with_it.read(expected, 1.0001)
-    monkeypatch.setattr(blocks, "compiled", None)
-    without.read(got, 1.0001)
-    np.testing.assert_allclose(got, expected, rtol=0, atol=3e-7)
-    assert blocks.peak(ring) == in_numpy(ring)
-
-
-@given(arrays.arrays(np.float32, st.tuples(st.integers(0, 300), st.integers(1, 3))), st.booleans())
-def test_a_block_that_is_taken_is_bytes_then_and_all_zero(
-    frames: Float32Array, in_numpy_alone: bool
-) -> None:
+@given(arrays.arrays(np.float32, st.tuples(st.integers(0, 300), st.integers(1, 3))))
+def test_an_emptied_block_gives_its_bytes_and_is_all_zero_unless_it_is_not_finite(frames):
     before = frames.copy()
-    with pytest.MonkeyPatch.context() as patch:
-        if in_numpy_alone:
-            patch.setattr(blocks, "compiled", None)
-        taken = blocks.emptied(frames)
+    stored = blocks.emptied(frames)
     if np.isfinite(before).all():
-        assert taken == before.tobytes()
-        assert frames.tobytes() == bytes(frames.nbytes)
+        assert stored == before.tobytes()
+        assert not frames.any()
     else:
-        assert taken is None
+        assert stored is None
         np.testing.assert_array_equal(frames, before)
 
 
-@needs_compiled
 @pytest.mark.parametrize(
     "array", [np.zeros((4, 2), np.float32)[:, :1], b"1234", None, np.zeros(4, np.int16)]
 )
-def test_what_cannot_be_taken_is_refused(array: object) -> None:
-    assert blocks.compiled is not None
+def test_what_cannot_be_taken_is_refused(array):
     with pytest.raises((TypeError, BufferError)):
-        blocks.compiled.peak(array)  # type: ignore[arg-type]
+        blocks.require_compiled().peak(array)
 
 
 VOLTS = st.floats(-30.0, 30.0) | st.sampled_from([0.0, -0.0, 5e-324, 1e101, math.nan, -math.inf])
 
 
 @pytest.mark.exhaustive
-@needs_compiled
 @given(arrays.arrays(np.float64, st.integers(0, 1_300), elements=VOLTS), st.integers(1, 1_300))
-def test_the_linear_model_moves_the_same_compiled_and_in_numpy(
-    volts: FloatArray, blocksize: int
-) -> None:
+def test_the_linear_model_moves_the_same_compiled_and_in_numpy(volts, blocksize):
     moved, twin = (LinearActuator(PAPER.actuator, 48_000) for _ in range(2))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(blocks, "compiled", None)
@@ -186,43 +148,26 @@ def test_the_linear_model_moves_the_same_compiled_and_in_numpy(
     assert after == pytest.approx(expected_after, rel=1e-12, abs=1e-18)
 
 
-@needs_compiled
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"volts": np.zeros(8, np.float32)},
-        {"volts": np.zeros((8, 1))},
-        {"volts": np.zeros(16)[::2]},
-        {"poles": np.zeros((2, 5))},
-        {"poles": np.zeros((3, 6))},
-        {"state": np.zeros(7)},
-        {"state": np.frombuffer(bytes(64))},
-        {"taps": np.zeros((1, 3))},
-        {"taps": np.zeros((2, 4))},
-        {"moved": np.zeros((1, 7))},
-        {"moved": np.zeros(8)},
-        {"start": 5, "stop": 4},
-        {"stop": 9},
-        {"start": -1},
-        {"limit": "high"},
-    ],
+NO_MOTION = each(
+    volts=(np.zeros(8, np.float32), np.zeros((8, 1)), np.zeros(16)[::2]),
+    poles=(np.zeros((2, 5)), np.zeros((3, 6))),
+    state=(np.zeros(7), np.frombuffer(bytes(64))),
+    taps=(np.zeros((1, 3)), np.zeros((2, 4))),
+    moved=(np.zeros((1, 7)), np.zeros(8)),
+    start=(9, -1),
+    stop=(9, -1),
+    limit=("high",),
 )
-def test_what_is_no_motion_is_refused_and_nothing_is_moved(change: dict[str, object]) -> None:
-    assert blocks.compiled is not None
+
+
+@pytest.mark.parametrize(("name", "wrong"), NO_MOTION)
+def test_what_is_no_motion_is_refused_and_nothing_is_moved(name, wrong):
     state, moved = np.zeros(8), np.zeros((1, 8))
-    fitting: dict[str, object] = {
-        "volts": np.ones(8),
-        "poles": np.ones((2, 6)),
-        "state": state,
-        "taps": np.ones((1, 4)),
-        "moved": moved,
-        "start": 0,
-        "stop": 8,
-        "limit": 1e100,
-    }
-    move: Callable[..., int] = blocks.compiled.linear_motion
+    fitting: dict[str, Any] = {"volts": np.ones(8), "poles": np.ones((2, 6)), "state": state}
+    fitting |= {"taps": np.ones((1, 4)), "moved": moved, "start": 0, "stop": 8, "limit": 1e100}
+    move: Callable[..., int] = blocks.require_compiled().linear_motion
     with pytest.raises((TypeError, ValueError, BufferError, OverflowError)):
-        move(**(fitting | change))
+        move(**(fitting | {name: wrong}))
     assert not state.any()
     assert not moved.any()
     assert move(**fitting) == 0

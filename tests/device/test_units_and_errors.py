@@ -34,16 +34,11 @@ def test_only_what_is_not_finite_becomes_zero_and_the_rest_is_not_copied():
     assert np.isnan(broken[1])
 
 
-@pytest.mark.parametrize(
-    ("kind", "exit_code"),
-    [
-        (errors.UsageError, 2),
-        (errors.NotFoundError, 3),
-        (errors.LostError, 4),
-        (errors.InternalError, 5),
-        (errors.WriteError, 5),
-    ],
-)
+EXIT_CODES = {errors.UsageError: 2, errors.NotFoundError: 3, errors.LostError: 4}
+EXIT_CODES |= {errors.InternalError: 5, errors.WriteError: 5}
+
+
+@pytest.mark.parametrize(("kind", "exit_code"), EXIT_CODES.items())
 def test_an_error_knows_its_exit_code_and_is_one_line(kind, exit_code):
     error = kind("cannot write 'a\nb': no\r\n  room")
     assert isinstance(error, errors.CushionError)

@@ -1,7 +1,5 @@
 """The haptic device's own volume: set once for each opening, and again where another is wanted."""
 
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -13,15 +11,10 @@ from device.errors import LostError, NotFoundError, UsageError
 from device.volume_limit import limit_volume_db
 
 
-def test_nothing_is_set_while_nothing_is_wanted() -> None:
+def test_it_is_set_at_each_opening_and_between_them_only_where_another_is_wanted():
     volume, levels_db = DeviceVolume(), list[float]()
     volume.set(levels_db.append)
-    volume.update(levels_db.append)
     assert (levels_db, volume.warning) == ([], "")
-
-
-def test_it_is_set_at_each_opening_and_between_them_only_where_another_is_wanted() -> None:
-    volume, levels_db = DeviceVolume(-6.0), list[float]()
     for wanted_db in (-6.0, -6.0, -20.0, -20.0, None, -20.0):
         volume.wanted_db = wanted_db
         volume.update(levels_db.append)
@@ -34,15 +27,13 @@ def refuse(wanted_db: float) -> None:
     raise UsageError("it has no volume")
 
 
-def test_a_device_that_cannot_does_not_play_and_is_asked_again_each_time() -> None:
+def test_a_device_that_cannot_does_not_play_and_is_asked_again_each_time():
     volume = DeviceVolume(-6.0)
     for attempt in (volume.set, volume.update, volume.update):
         with pytest.raises(NotFoundError) as raised:
             attempt(refuse)
-        told = str(raised.value)
-        assert "device_volume_db = -6 cannot be set" in told
-        assert "it has no volume" in told
-        assert "--device-volume-db off" in told
+        for words in ("device_volume_db = -6 cannot be set", "it has no volume", "-db off"):
+            assert words in str(raised.value)
     levels_db: list[float] = []
     volume.update(levels_db.append)
     assert levels_db == [-6.0]
@@ -50,7 +41,7 @@ def test_a_device_that_cannot_does_not_play_and_is_asked_again_each_time() -> No
     volume.update(refuse)  # nothing is asked of it
 
 
-def test_a_server_that_is_lost_meanwhile_is_no_refusal_of_the_device() -> None:
+def test_a_server_that_is_lost_meanwhile_is_no_refusal_of_the_device():
     def lose(wanted_db: float) -> None:
         raise LostError("gone")
 
@@ -61,13 +52,12 @@ def test_a_server_that_is_lost_meanwhile_is_no_refusal_of_the_device() -> None:
     assert levels_db == [-6.0]
 
 
-def test_more_than_the_rig_allows_is_never_set_and_that_is_told() -> None:
+def test_more_than_the_rig_allows_is_never_set_and_that_is_told():
     volume, levels_db = DeviceVolume(0.0, -6.0), list[float]()
     volume.set(levels_db.append)
     assert levels_db == [-6.0]
-    assert volume.warning == (
-        "device_volume_db = 0: the rig allows at most -6 dB, which is set instead"
-    )
+    warning = "device_volume_db = 0: the rig allows at most -6 dB, which is set instead"
+    assert volume.warning == warning
     volume.wanted_db, volume.limit_db = -10.0, -6.0
     volume.update(levels_db.append)
     assert (levels_db, volume.warning) == ([-6.0, -10.0], "")
@@ -77,7 +67,7 @@ def test_more_than_the_rig_allows_is_never_set_and_that_is_told() -> None:
 
 
 @pytest.mark.parametrize("wanted_db", [None, -3.0])
-def test_a_warning_ends_with_what_it_was_about(wanted_db: float | None) -> None:
+def test_a_warning_ends_with_what_it_was_about(wanted_db):
     volume = DeviceVolume(0.0, -1.0)
     volume.set(lambda _: None)
     assert volume.warning
@@ -87,12 +77,9 @@ def test_a_warning_ends_with_what_it_was_about(wanted_db: float | None) -> None:
 
 
 @given(st.floats(allow_nan=False), st.floats(-80.0, 20.0))
-def test_no_level_above_0_db_nor_the_limit_is_ever_set(wanted_db: float, limit_db: float) -> None:
+def test_no_level_above_0_db_nor_the_limit_is_ever_set(wanted_db, limit_db):
     level_db = limit_volume_db(wanted_db, -math.inf, "the device", limit_db)
     assert level_db <= min(0.0, limit_db)
     assert level_db == wanted_db or wanted_db > min(0.0, limit_db)
-
-
-def test_a_device_that_is_too_loud_at_its_lowest_is_refused() -> None:
     with pytest.raises(UsageError, match="cannot be set safely"):
         limit_volume_db(-6.0, 1.0, "the device")

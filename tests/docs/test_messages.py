@@ -1,7 +1,5 @@
 """Every message that a user can meet has a line with an anchor on the page of messages."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 
@@ -13,8 +11,6 @@ from tools.docs.errors import AREAS, VALUE
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs/errors.md").read_text()
 LINES = dict(re.findall(r'^\| <a id="([\w-]+)"></a>(.*) \| (?:\d|warning) \|$', PAGE, re.MULTILINE))
-
-LEAST_LITERAL = 12
 
 CALLS: dict[str, tuple[object, ...]] = {
     "a misspelt command": ("rnder",),
@@ -52,7 +48,7 @@ def patterns() -> list[re.Pattern[str]]:
     found = []
     for shown in LINES.values():
         text = re.sub(r"\\([|*_])", r"\1", shown).replace("&lt;", "<")
-        if len(text.replace(VALUE, "").strip()) < LEAST_LITERAL:
+        if len(text.replace(VALUE, "").strip()) < 12:
             continue
         found.append(re.compile(".*".join(map(re.escape, text.split(VALUE))), re.DOTALL))
     return found

@@ -1,7 +1,5 @@
 """The notebook of the examples runs without Jupyter and gives the outputs that it is kept with."""
 
-from __future__ import annotations
-
 import base64
 import json
 import os
@@ -11,28 +9,13 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import pytest
-
 ROOT = Path(__file__).resolve().parents[2]
-NOTEBOOK = ROOT / "examples/first_steps.ipynb"
-LINES_MAX = 30  # a cell that is read at a glance
-PICTURES_MAX_BYTES = 400_000
+PATH = ROOT / "examples/first_steps.ipynb"
 END_OF_CELL = "--- end of the cell"
 
 Cell = dict[str, Any]
-
-
-@pytest.fixture(scope="module")
-def notebook() -> Cell:
-    """The notebook's JSON."""
-    found: Cell = json.loads(NOTEBOOK.read_text())
-    return found
-
-
-@pytest.fixture(scope="module")
-def code_cells(notebook: Cell) -> list[Cell]:
-    """Its code cells, in order."""
-    return [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
+NOTEBOOK: Cell = json.loads(PATH.read_text())
+CODE: list[Cell] = [cell for cell in NOTEBOOK["cells"] if cell["cell_type"] == "code"]
 
 
 def printed(cell: Cell) -> str:
@@ -48,40 +31,33 @@ def pictures(cell: Cell) -> list[bytes]:
     return [base64.b64decode("".join(data["image/png"])) for data in shown]
 
 
-def test_the_notebook_has_the_format_4_and_names_no_machine(notebook: Cell) -> None:
-    assert notebook["nbformat"] == 4
-    assert notebook["nbformat_minor"] >= 5
-    assert notebook["metadata"] == {
+def test_the_notebook_has_the_format_4_and_names_no_machine() -> None:
+    assert (NOTEBOOK["nbformat"], NOTEBOOK["nbformat_minor"] >= 5) == (4, True)
+    assert NOTEBOOK["metadata"] == {
         "kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"},
         "language_info": {"name": "python"},
     }
-    assert all(cell["metadata"] == {} for cell in notebook["cells"])
-    identities = [cell["id"] for cell in notebook["cells"]]
+    assert all(cell["metadata"] == {} for cell in NOTEBOOK["cells"])
+    identities = [cell["id"] for cell in NOTEBOOK["cells"]]
     assert len(set(identities)) == len(identities)
     assert all(re.fullmatch(r"[a-zA-Z0-9_-]{1,64}", identity) for identity in identities)
-    assert not re.search(r"/(home|root|tmp|work|opt|usr|Users)/", NOTEBOOK.read_text())
+    assert not re.search(r"/(home|root|tmp|work|opt|usr|Users)/", PATH.read_text())
 
 
-def test_all_cells_were_run_once_in_order_without_an_error(code_cells: list[Cell]) -> None:
-    counts = [cell["execution_count"] for cell in code_cells]
-    assert counts == [*range(1, len(code_cells) + 1)]
-    kinds = {output["output_type"] for cell in code_cells for output in cell["outputs"]}
+def test_its_cells_are_short_and_were_run_once_in_order_and_its_pictures_are_small() -> None:
+    assert [cell["execution_count"] for cell in CODE] == [*range(1, len(CODE) + 1)]
+    kinds = {output["output_type"] for cell in CODE for output in cell["outputs"]}
     assert kinds == {"stream", "display_data"}
-
-
-def test_its_cells_are_short_and_its_pictures_small(notebook: Cell, code_cells: list[Cell]) -> None:
-    assert all("".join(cell["source"]).count("\n") < LINES_MAX for cell in notebook["cells"])
-    shown = [picture for cell in code_cells for picture in pictures(cell)]
+    assert all("".join(cell["source"]).count("\n") < 30 for cell in NOTEBOOK["cells"])
+    shown = [picture for cell in CODE for picture in pictures(cell)]
     assert len(shown) == 4
     assert all(picture.startswith(b"\x89PNG\r\n\x1a\n") for picture in shown)
-    assert sum(map(len, shown)) < PICTURES_MAX_BYTES
+    assert sum(map(len, shown)) < 400_000
 
 
-def test_each_cell_prints_what_it_printed_and_draws_where_it_drew(
-    code_cells: list[Cell], tmp_path: Path
-) -> None:
+def test_each_cell_prints_what_it_printed_and_draws_where_it_drew(tmp_path: Path) -> None:
     parts = []
-    for cell in code_cells:
+    for cell in CODE:
         # the ";" of a last line hides its value in Jupyter
         parts += ["".join(cell["source"]), f"print(len(plt.get_fignums()), {END_OF_CELL!r})"]
         parts.append("plt.close('all')")
@@ -96,7 +72,7 @@ def test_each_cell_prints_what_it_printed_and_draws_where_it_drew(
     )
     assert (ran.returncode, ran.stderr) == (0, "")
     found = ran.stdout.split(f" {END_OF_CELL}\n")
-    kept = [f"{printed(cell)}{len(pictures(cell))}" for cell in code_cells]
+    kept = [f"{printed(cell)}{len(pictures(cell))}" for cell in CODE]
     assert found == [*kept, ""]
     assert [path.name for path in tmp_path.iterdir()] == ["cells.py"], "it writes no file"
 

@@ -1,8 +1,7 @@
 """Every format is what its readers take, and keeps its limits for any vibration."""
 
-from __future__ import annotations
-
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -12,17 +11,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.exports import ahap, haptic_clip, vibration_xml
 from audioflinger_hook.exports.glides import Onset, VibrationCurve
-from audioflinger_hook.exports.options import FORMATS, ExportOptions
-from audioflinger_hook.exports.parametric import Job
-from audioflinger_hook.transform.design import LiveDesign
+from audioflinger_hook.exports.options import FORMATS
 from device.errors import UsageError
 from tests.support.exports import CHECKS, RATE_HZ, check, exported, read_wave, scene
 
 PARAMETRIC = [name for name, one in FORMATS.items() if one.parametric]
-DESIGN = LiveDesign.of(Settings().parameters, RATE_HZ)
 
 
 @pytest.mark.parametrize("name", PARAMETRIC)
@@ -35,64 +30,40 @@ def test_a_scene_gives_a_file_that_keeps_the_rules(name: str, profile: str, tmp_
 
 
 @pytest.mark.parametrize("name", PARAMETRIC)
-@pytest.mark.parametrize("frames", [1, 47, 4_801])
 @pytest.mark.parametrize("level", [0.0, 1.0])
-def test_short_sounds_and_silence_give_files_that_keep_the_rules(
-    name: str, frames: int, level: float, tmp_path: Path
-) -> None:
-    sound = np.full((frames, 1), level, np.float32)
-    exported(sound, tmp_path / "out", name)
-    check(name, (tmp_path / "out").read_bytes())
+def test_short_sounds_and_silence_keep_the_rules(name: str, level: float, tmp_path: Path) -> None:
+    for frames in (1, 47, 4_801):
+        exported(np.full((frames, 1), level, np.float32), tmp_path / "out", name)
+        check(name, (tmp_path / "out").read_bytes())
 
 
-@pytest.mark.parametrize("name", PARAMETRIC)
-def test_equal_sounds_give_equal_files(name: str, tmp_path: Path) -> None:
-    for out in ("a", "b"):
-        exported(scene(), tmp_path / out, name)
-    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+levels = st.lists(st.floats(0.0, 1.3), min_size=1, max_size=400)
+frequencies = st.lists(st.floats(15.0, 230.0), min_size=1, max_size=20)
 
 
-curves = st.builds(
-    lambda levels, hz, times, rate: (levels, hz, times, rate),
-    st.lists(st.floats(0.0, 1.3), min_size=1, max_size=400),
-    st.lists(st.floats(15.0, 230.0), min_size=1, max_size=20),
-    st.lists(st.floats(0.0, 1.0), max_size=12),
-    st.sampled_from([500.0, 525.0]),
-)
-
-
-def curve_of(parts: Any, repeats: int) -> VibrationCurve:
-    """Return a curve of random levels, each held for some samples, with onsets anywhere."""
-    levels, hz, times, rate = parts
-    amplitude = np.repeat(np.array(levels, np.float32), repeats)
+@st.composite
+def curves(draw):
+    """Random levels, each held for some samples, with onsets anywhere, 0.06 s apart or more."""
+    rate, repeats = draw(st.sampled_from([500.0, 525.0])), draw(st.sampled_from([1, 3, 40]))
+    amplitude = np.repeat(np.array(draw(levels), np.float32), repeats)
+    hz = draw(frequencies)
     at_hz = np.resize(np.repeat(np.array(hz, np.float32), 9), amplitude.size)
     found: list[Onset] = []
-    for share in sorted(times):
+    for share in sorted(draw(st.lists(st.floats(0.0, 1.0), max_size=12))):
         time_s = share * amplitude.size / rate
         if time_s > 0.0 and (not found or time_s - found[-1].time_s >= 0.06):
             found.append(Onset(time_s, 0.0, 1.0, hz[0]))
     return VibrationCurve(rate, 0.0, amplitude, at_hz, tuple(found))
 
 
-@pytest.mark.parametrize(
-    ("name", "compose"),
-    [
-        ("ahap", ahap.compose),
-        ("haptic", haptic_clip.compose),
-        ("vibration-xml", vibration_xml.compose),
-    ],
-)
+@pytest.mark.parametrize("kind", [ahap, haptic_clip, vibration_xml])
 @settings(max_examples=60, deadline=None)
-@given(
-    parts=curves, repeats=st.sampled_from([1, 3, 40]), band=st.sampled_from([None, (55.0, 200.0)])
-)
+@given(curve=curves(), band=st.sampled_from([None, (55.0, 200.0)]))
 def test_any_curve_keeps_the_rules(
-    name: str, compose: Any, parts: Any, repeats: int, band: tuple[float, float] | None
+    kind: Any, curve: VibrationCurve, band: tuple[float, float] | None
 ) -> None:
-    curve = curve_of(parts, repeats)
-    options = ExportOptions(name, device_band_hz=band)
-    job = Job(Path("out"), Settings(), options, DESIGN, 1, 1.0)
-    content, composed = compose(curve, curve.amplitude.size / curve.rate_hz, job)
+    content, composed = kind.compose(curve, curve.amplitude.size / curve.rate_hz, band)
+    name = {ahap: "ahap", haptic_clip: "haptic", vibration_xml: "vibration-xml"}[kind]
     check(name, content)
     assert all(np.isfinite(value) for value in composed.error.values())
 
@@ -107,16 +78,9 @@ def test_a_device_band_moves_all_frequencies_into_it(name: str, tmp_path: Path) 
         hz = [point[1] for line in lines if line["type"] == "track" for point in line["points"]]
         assert 80.0 <= min(hz) <= max(hz) <= 230.0
     if name == "hjif":
-        assert all(80 <= hz <= 230 for hz in _keys(json.loads(content), "frequency_modulation"))
-
-
-def _keys(document: Any, key: str) -> list[Any]:
-    if isinstance(document, dict):
-        mine = [document[key]] if key in document else []
-        return mine + [one for value in document.values() for one in _keys(value, key)]
-    if isinstance(document, list):
-        return [one for value in document for one in _keys(value, key)]
-    return []
+        whole_hz = re.findall(rb'"frequency_modulation":(\d+)', content)
+        assert whole_hz
+        assert all(80 <= int(hz) <= 230 for hz in whole_hz)
 
 
 @pytest.mark.parametrize("channels", ["mono", "each"])
@@ -139,26 +103,10 @@ def test_ogg_has_the_sound_first_and_the_vibration_last(channels: Any, tmp_path:
     assert tags.info.length == pytest.approx(len(sound) / RATE_HZ)
 
 
-def test_equal_sounds_give_equal_ogg_files(tmp_path: Path) -> None:
-    for out in ("a", "b"):
-        exported(scene(), tmp_path / out, "ogg-haptic")
-    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
-
-
 @pytest.mark.parametrize("name", [name for name, one in FORMATS.items() if one.channels_max == 1])
 def test_a_format_of_one_channel_refuses_two(name: str, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"cannot hold 2 channels.*allowed: 1 to 1"):
         exported(scene(0.1, channels=2), tmp_path / "out", name, channels="each")
-    assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize("name", PARAMETRIC)
-@pytest.mark.parametrize(
-    "asked", [{"form": "reference"}, {"damping": "auto"}, {"protection": "on"}]
-)
-def test_what_needs_a_waveform_is_refused(name: str, asked: Any, tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"allowed: .* or .*wav"):
-        exported(scene(0.1), tmp_path / "out", name, **asked)
     assert not (tmp_path / "out").exists()
 
 
@@ -169,11 +117,8 @@ def test_every_parametric_format_has_a_check() -> None:
 def test_transients_of_ahap_undo_what_the_curve_takes_from_them(tmp_path: Path) -> None:
     exported(scene(), tmp_path / "out", "ahap")
     pattern = json.loads((tmp_path / "out").read_bytes())["Pattern"]
-    transients = [
-        one["Event"]
-        for one in pattern
-        if one.get("Event", {}).get("EventType") == "HapticTransient"
-    ]
+    events = [one["Event"] for one in pattern if "Event" in one]
+    transients = [one["Time"] for one in events if one["EventType"] == "HapticTransient"]
     assert transients
     curves = [one["ParameterCurve"] for one in pattern if "ParameterCurve" in one]
     starts = {
@@ -181,6 +126,5 @@ def test_transients_of_ahap_undo_what_the_curve_takes_from_them(tmp_path: Path) 
         for one in curves
         if one["ParameterID"] == "HapticIntensityControl"
     }
-    for event in transients:
-        # A curve begins with every transient, and its value there is no less than the pulse.
-        assert starts[event["Time"]] > 0.0
+    # A curve begins with every transient, and its value there is no less than the pulse.
+    assert all(starts[time_s] > 0.0 for time_s in transients)

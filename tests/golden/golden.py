@@ -8,10 +8,9 @@ hold for one kind of machine, whose libraries round logarithms, spectra and matr
 way. The entry `machine` is a probe of these; where it differs, nothing can be compared.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
+import functools
 import hashlib
 import io
 import itertools
@@ -28,13 +27,14 @@ import scipy.fft
 import soundfile
 
 from audioflinger_hook.cli import main as cushion
+from audioflinger_hook.config.profiles import PROFILES, parameters_of
 from audioflinger_hook.transform import TRANSFORM_VERSION
+from audioflinger_hook.transform.design import LiveDesign
+from tests.support.recordings import FOLDER as RECORDINGS
+from tests.support.signals import FORMS
 
 EXCERPT_S = 2.5
 DIGESTS = Path(__file__).with_name("digests.json")
-RECORDINGS = Path(__file__).resolve().parents[2] / ".cache/recordings"
-FORMS = ("live", "reference")
-PROFILES = ("paper", "cinema", "game", "music")
 TWO_ACTUATORS = """
 profile = "cinema"
 gain_db = -3
@@ -54,8 +54,10 @@ exposure_cap = "limit"
 CONFIGS = {
     "level": "gain_db = -7.5\n",
     "parameters": 'profile = "music"\n[transform]\nthreshold_hz = 0.1\npartials_max = 9\n',
-    "follower": "[transform]\nfollower_db = 20\nfollower_slope_db = 8\n",
-    "jnd": '[transform]\nmapping = "jnd"\nlevel_law = "energy"\nspeech_suppression_db = 12\n',
+    "follower": "[transform]\nloudness_db = 20\ndynamics = 0.4\n",
+    "jnd": (
+        '[transform]\nmapping = "jnd"\namplitude_mapping = "energy"\nspeech_suppression_db = 12\n'
+    ),
     "damped": 'damping = "auto"\nrig = "consumer"\n',
     "protected": 'protection = "on"\nexposure_cap = "action"\n',
     "one actuator": '[[actuator]]\nchannels = [1]\ngain_db = -6\ndamping = "auto"\n',
@@ -99,53 +101,29 @@ def excerpt(recording: Path, folder: Path) -> Path:
     return path
 
 
-def rendered(recording: Path, *options: str) -> Callable[[Path], bytes]:
+def rendered(recording: Path, *options: str, config: str = "") -> Callable[[Path], bytes]:
     """Return a case: the vibration of a recording, and its acceleration where that is asked for."""
 
     def render(folder: Path) -> bytes:
-        out = folder / "out.wav"
-        chosen = [folder / str(o) if str(o).endswith(".rig.wav") else o for o in options]
+        out, rig, settings = folder / "out.wav", folder / "rig.wav", folder / "config.toml"
+        chosen: list[object] = list(options)
+        if config:
+            settings.write_text(config)
+            chosen += ["--config", settings]
+        if config or "--rig" in options:
+            chosen += ["--acceleration", rig]
         run("render", excerpt(recording, folder), out, *chosen)
-        parts = [out, *(path for path in chosen if isinstance(path, Path) and path.exists())]
-        return b"".join(path.read_bytes() for path in parts)
+        return out.read_bytes() + (rig.read_bytes() if rig.exists() else b"")
 
     return render
 
 
-def configured(recording: Path, config: str, *options: object) -> Callable[[Path], bytes]:
-    """Return a case: what a config file makes of a recording, with the rig's acceleration."""
-
-    def render(folder: Path) -> bytes:
-        path = folder / "config.toml"
-        path.write_text(config)
-        out, rig = folder / "out.wav", folder / "rig.wav"
-        source = excerpt(recording, folder)
-        run("render", source, out, "--config", path, "--acceleration", rig, *options)
-        return out.read_bytes() + rig.read_bytes()
-
-    return render
-
-
-def kernel_settings(samplerate: int, profile: str) -> Callable[[Path], bytes]:
-    """Return a case: all numbers and tables that the compiled kernel is given."""
-
-    def settings(_folder: Path) -> bytes:
-        from audioflinger_hook.config.profiles import parameters_of
-
-        found = settings_of_kernel(parameters_of(profile), samplerate)
-        return b"".join(
-            name.encode() + np.asarray(found[name], dtype=np.float64).tobytes()
-            for name in sorted(found)
-        )
-
-    return settings
-
-
-def settings_of_kernel(parameters: object, samplerate: int) -> dict[str, object]:
-    """Return the kernel's settings by name; the one place that knows how they are made."""
-    from audioflinger_hook.transform.design import LiveDesign
-
-    return dict(LiveDesign.of(parameters, samplerate).settings())  # type: ignore[arg-type]
+def kernel_settings(samplerate: int, profile: str, _folder: Path) -> bytes:
+    """Return all numbers and tables that the compiled kernel is given."""
+    found = sorted(LiveDesign.of(parameters_of(profile), samplerate).settings().items())
+    return b"".join(
+        name.encode() + np.asarray(value, np.float64).tobytes() for name, value in found
+    )
 
 
 def demo(folder: Path) -> bytes:
@@ -179,12 +157,11 @@ def cases() -> Iterator[Case]:
                 yield f"render/{name}/{form}/{profile}/{channels}", rendered(file, *options)
         yield f"inspect/{name}", inspected(file)
     for file, rig in itertools.product(files[::9], ("paper", "consumer")):
-        options = ("--rig", rig, "--damping", "auto", "--acceleration", "x.rig.wav")
-        yield f"rig/{file.stem}/{rig}", rendered(file, *options)
+        yield f"rig/{file.stem}/{rig}", rendered(file, "--rig", rig, "--damping", "auto")
     for file, (config, text) in itertools.product(files[1::12], CONFIGS.items()):
-        yield f"config/{file.stem}/{config}", configured(file, text)
+        yield f"config/{file.stem}/{config}", rendered(file, config=text)
     for rate, profile in itertools.product((8_000, 44_100, 48_000, 96_000), PROFILES):
-        yield f"kernel/{rate}/{profile}", kernel_settings(rate, profile)
+        yield f"kernel/{rate}/{profile}", functools.partial(kernel_settings, rate, profile)
     yield "demo", demo
     yield "replay", replayed
 

@@ -1,7 +1,5 @@
 """The bytes that the commands write are those of the golden digests."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

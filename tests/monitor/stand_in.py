@@ -1,7 +1,5 @@
 """A daemon's socket without a daemon, and requests as an attacker would write them."""
 
-from __future__ import annotations
-
 import json
 import socket
 import time
@@ -15,7 +13,7 @@ from websockets.sync.client import ClientConnection, connect
 from audioflinger_hook.service.meters import BufferTimes, Level
 from audioflinger_hook.service.runtime_folder import RuntimeFolder
 from audioflinger_hook.service.state import DaemonState
-from audioflinger_hook.service.status import Endpoint, Levels, Status
+from audioflinger_hook.service.status import Endpoint, LatencyBudget, Levels, Status
 from audioflinger_hook.service.status_server import StatusServer
 from tests.support.commands import environment
 from tools.live_page import Monitor
@@ -32,6 +30,7 @@ STATUS = Status(
     Endpoint("sink:haptic", "haptic"),
     levels=Levels(Level(-6.0, -9.0), Level(-12.0, -15.0)),
     buffer_times=BufferTimes(0.2, 0.4, 1.0, 10.7, 2.0, (1, 2, 3, 4, 5, 6, 6, 6, 6, 6), 0.004, 1),
+    latency=LatencyBudget.of(delay_line_ms=3.0),
     engine="python",
     profile="cinema",
 )
@@ -117,7 +116,6 @@ class Page(Monitor):
 
 @contextmanager
 def page(base: Path, *options: str) -> Iterator[Page]:
-    """A page on a free port."""
     opened = Page(base, "--listen", "127.0.0.1:0", *options)
     try:
         yield opened
@@ -144,7 +142,6 @@ def message(live: ClientConnection, kind: str) -> dict[str, Any]:
 
 
 def ask(live: ClientConnection, number: int, **request: Any) -> Any:
-    """The daemon's answer to a request."""
     live.send(json.dumps({"id": number, **request}))
     found = message(live, "answer")
     assert found["id"] == number

@@ -1,24 +1,23 @@
 """Nobody sees or changes anything who was not given the token, and no other page may try."""
 
-from __future__ import annotations
-
 import json
 import os
+import re
 import stat
-from collections.abc import Iterator
 from contextlib import ExitStack, suppress
-from pathlib import Path
 
 import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
+from audioflinger_hook import __version__
 from audioflinger_hook.monitor.access import TOKEN_NAME, Access, Listen, load_token
 from audioflinger_hook.monitor.clients import CLIENTS_MAX, Clients
-from audioflinger_hook.monitor.metrics import metrics_text
+from audioflinger_hook.monitor.figures import figures_of, metrics_text
 from audioflinger_hook.monitor.server import CONNECTIONS_MAX, FILES, MESSAGE_BYTES_MAX
+from audioflinger_hook.service.json_codec import to_json
 from audioflinger_hook.service.runtime_folder import RuntimeFolder
 from device.errors import UsageError
-from tests.monitor.stand_in import Page, Settings, ask, daemon_socket, everything, message, page
+from tests.monitor.stand_in import STATUS, Page, ask, daemon_socket, everything, message, page
 from tests.servers.listening import wait_for
 
 FORBIDDEN = 403
@@ -31,25 +30,25 @@ UPGRADE = (
 
 
 @pytest.fixture(scope="module")
-def base(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def base(tmp_path_factory):
     return tmp_path_factory.mktemp("runtime")
 
 
 @pytest.fixture(scope="module")
-def daemon(base: Path) -> Iterator[Settings]:
+def daemon(base):
     with daemon_socket(base) as live:
         yield live
 
 
 @pytest.fixture(scope="module")
-def served(base: Path, daemon: Settings) -> Iterator[Page]:
+def served(base, daemon):
     with page(base) as opened:
         yield opened
         assert opened.process.poll() is None
 
 
 @pytest.fixture(autouse=True)
-def nothing_was_changed(daemon: Settings, served: Page) -> Iterator[None]:
+def nothing_was_changed(daemon, served):
     """After every attack the daemon has been asked nothing, and the page still serves."""
     daemon.requests.clear()
     yield
@@ -59,7 +58,11 @@ def nothing_was_changed(daemon: Settings, served: Page) -> Iterator[None]:
     daemon.requests.clear()
 
 
-# ---------------------------------------------------------------------------------------- requests
+def check_refused(served: Page, path: str, *headers: str, host: str | None = None) -> None:
+    status, answer = served.request(path, *headers, host=host)
+    assert status == FORBIDDEN
+    assert served.token not in answer
+    assert "Set-Cookie" not in answer
 
 
 @pytest.mark.parametrize(
@@ -67,123 +70,84 @@ def nothing_was_changed(daemon: Settings, served: Page) -> Iterator[None]:
     ["evil.example", "evil.example:8765", "", "127.0.0.1", "localhost", "127.0.0.1:1", "[::1"],
 )
 @pytest.mark.parametrize("path", ["/", "/live", "/metrics"])
-def test_a_foreign_host_is_refused(served: Page, host: str, path: str) -> None:
-    status, _ = served.request(path, f"Cookie: {served.cookie}", *UPGRADE, host=host)
-    assert status == FORBIDDEN
-
-
-def test_two_hosts_are_refused(served: Page) -> None:
-    status, _ = served.request("/", "Host: evil.example")
-    assert status == FORBIDDEN
+def test_a_foreign_host_is_refused(served, host, path):
+    check_refused(served, path, f"Cookie: {served.cookie}", *UPGRADE, host=host)
+    check_refused(served, path, f"Cookie: {served.cookie}", "Host: evil.example")
 
 
 @pytest.mark.parametrize(
     "origin", ["http://evil.example", "null", "http://127.0.0.1", "https://{host}", "file://"]
 )
-def test_a_foreign_origin_is_refused_even_with_the_cookie(served: Page, origin: str) -> None:
-    header = f"Origin: {origin.format(host=served.host)}"
+def test_a_foreign_origin_is_refused_even_with_the_cookie_and_a_missing_one_as_well(served, origin):
+    cookie, foreign = f"Cookie: {served.cookie}", origin.format(host=served.host)
     for path in ("/", "/live", "/metrics", "/session"):
-        status, _ = served.request(path, header, f"Cookie: {served.cookie}", *UPGRADE)
-        assert status == FORBIDDEN
+        check_refused(served, path, f"Origin: {foreign}", cookie, *UPGRADE)
     with pytest.raises(InvalidStatus, match="403"):
-        served.live(Origin=origin.format(host=served.host))
-
-
-def test_a_live_connection_without_an_origin_is_refused(served: Page) -> None:
-    status, _ = served.request("/live", f"Cookie: {served.cookie}", *UPGRADE)
-    assert status == FORBIDDEN
+        served.live(Origin=foreign)
+    check_refused(served, "/live", cookie, *UPGRADE)
 
 
 @pytest.mark.parametrize(
     "cookie", ["", "cushion=1", "{name}=", "{name}={wrong}", "{right}; {right}"]
 )
-def test_without_the_token_or_with_a_wrong_one_nothing_live_is_told(
-    served: Page, cookie: str
-) -> None:
+def test_without_the_token_or_with_a_wrong_one_nothing_live_is_told(served, cookie):
     name = f"cushion_{served.port}"
     given = cookie.format(name=name, wrong="0" * 32, right=served.cookie)
-    own = f"Origin: http://{served.host}"
     for path in ("/live", "/metrics", "/session"):
-        status, answer = served.request(path, own, f"Cookie: {given}", *UPGRADE)
-        assert status == FORBIDDEN
-        assert served.token not in answer
+        own = f"Origin: http://{served.host}"
+        check_refused(served, path, own, f"Cookie: {given}", *UPGRADE)
     with pytest.raises(InvalidStatus, match="403"):
         served.live(Cookie=given)
 
 
 @pytest.mark.parametrize("given", ["Bearer", "Bearer " + "0" * 32, "Basic {token}", "{token}", "é"])
-def test_a_wrong_bearer_gets_no_cookie(served: Page, given: str) -> None:
-    header = f"Authorization: {given.format(token=served.token)}"
-    status, answer = served.request("/session", header)
-    assert status == FORBIDDEN
-    assert "Set-Cookie" not in answer
+def test_a_wrong_bearer_gets_no_cookie_nor_do_two(served, given):
+    check_refused(served, "/session", f"Authorization: {given.format(token=served.token)}")
+    check_refused(served, "/session", *[f"Authorization: Bearer {served.token}"] * 2)
 
 
-def test_two_bearers_get_no_cookie(served: Page) -> None:
-    header = f"Authorization: Bearer {served.token}"
-    status, answer = served.request("/session", header, header)
-    assert status == FORBIDDEN
-    assert "Set-Cookie" not in answer
-
-
-def test_the_token_becomes_a_cookie_that_no_script_and_no_other_site_can_use(served: Page) -> None:
+def test_the_token_becomes_a_cookie_that_no_script_and_no_other_site_can_use(served, base):
     status, answer = served.request("/session", f"Authorization: Bearer {served.token}")
     assert status == 204
     (cookie,) = [line for line in answer.split("\r\n") if line.startswith("Set-Cookie:")]
     assert {"HttpOnly", "SameSite=Strict", "Path=/"} <= set(cookie.split("; "))
     assert served.cookie in cookie
+    path = base / "cushion" / TOKEN_NAME
+    assert stat.S_IMODE(path.stat().st_mode) == 0o600
+    assert path.read_text() == served.token
+    assert len(bytes.fromhex(served.token)) == 16  # 128 bits
 
 
 @pytest.mark.parametrize(
-    "path",
+    ("path", "status"),
     [
-        "/../../etc/passwd",
-        "/..%2f..%2fetc/passwd",
-        "/%2e%2e/%2e%2e/etc/passwd",
-        "//etc/passwd",
-        "/static/../../server.py",
-        "/..\\\\..\\\\etc\\\\passwd",
+        *((f"/{up}/{up}/etc/passwd", FORBIDDEN) for up in ("..", "..%2f", "%2e%2e", "..\\\\")),
+        *((path, FORBIDDEN) for path in ("//etc/passwd", "/static/../../server.py")),
+        *((f"/{name}", 404) for name in ("page.token", "server.py", "config.toml", "index.html")),
     ],
 )
-def test_a_path_out_of_the_table_is_refused(served: Page, path: str) -> None:
-    status, answer = served.request(path, f"Cookie: {served.cookie}")
-    assert status == FORBIDDEN
+def test_only_the_table_is_served(served, path, status):
+    found, answer = served.request(path, f"Cookie: {served.cookie}")
+    assert found == status
     assert "root:" not in answer
 
 
-@pytest.mark.parametrize("path", ["/page.token", "/server.py", "/config.toml", "/index.html", "/x"])
-def test_only_the_table_is_served(served: Page, path: str) -> None:
-    assert served.request(path, f"Cookie: {served.cookie}")[0] == 404
-
-
-@pytest.mark.parametrize("path", FILES)
-def test_every_file_of_the_page_carries_the_policy_and_no_permission_for_others(
-    served: Page, path: str
-) -> None:
+@pytest.mark.parametrize(("path", "kind"), [(path, kind) for path, (_, kind) in FILES.items()])
+def test_every_file_of_the_page_has_the_policy_and_loads_nothing_from_elsewhere(served, path, kind):
     status, answer = served.request(path)
-    head = answer.partition("\r\n\r\n")[0]
+    head, _, body = answer.partition("\r\n\r\n")
     assert status == 200
     policy = "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'"
-    assert policy in head
-    assert "X-Content-Type-Options: nosniff" in head
-    assert "X-Frame-Options: DENY" in head
+    for line in (policy, "X-Content-Type-Options: nosniff", "X-Frame-Options: DENY"):
+        assert line in head
     assert "access-control" not in head.lower()
-
-
-def test_the_page_loads_nothing_from_elsewhere(served: Page) -> None:
-    for path, (_, kind) in FILES.items():
-        body = served.request(path)[1].partition("\r\n\r\n")[2]
-        assert body
-        allowed = body.replace('xmlns="http://www.w3.org/2000/svg"', "")
-        assert "http://" not in allowed
-        assert "https://" not in allowed
-        assert not (
-            "html" in kind and ("<style" in body or " style=" in body or " onclick=" in body)
-        )
+    assert body
+    assert not re.search("https?://", body.replace('xmlns="http://www.w3.org/2000/svg"', ""))
+    assert not ("html" in kind and re.search("<style| style=| onclick=", body))
 
 
 @pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "OPTIONS", "TRACE", "CONNECT"])
-def test_other_methods_do_nothing(served: Page, method: str) -> None:
+def test_other_methods_do_nothing(served, method):
     lines = [f"{method} /live HTTP/1.1", f"Host: {served.host}", f"Cookie: {served.cookie}"]
     body = ["Content-Length: 13", "", '{"mute":true}']
     status, answer = served.raw("\r\n".join([*lines, *body]).encode())
@@ -194,17 +158,13 @@ def test_other_methods_do_nothing(served: Page, method: str) -> None:
 @pytest.mark.parametrize(
     "request_bytes",
     [
-        b"\x00" * 64,
-        b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03",
-        b"GET\r\n\r\n",
-        os.urandom(2000),
+        *(b"\x00" * 64, b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03", b"GET\r\n\r\n"),
+        *(os.urandom(2000), b"GET / HTTP/1.1\r\nX: " + b"a" * 200_000),
     ],
+    ids=range(5),
 )
-def test_garbage_instead_of_a_request_is_closed(served: Page, request_bytes: bytes) -> None:
-    assert served.raw(request_bytes + b"\r\n\r\n")[0] in (0, 400)
-
-
-# ---------------------------------------------------------------------------------------- messages
+def test_garbage_instead_of_a_request_and_headers_without_end_are_closed(served, request_bytes):
+    assert served.raw(request_bytes + b"\r\n\r\n")[0] in (0, 400, 431)
 
 
 @pytest.mark.parametrize(
@@ -212,29 +172,12 @@ def test_garbage_instead_of_a_request_is_closed(served: Page, request_bytes: byt
     [
         "x" * 5 * 1024,
         '{"id": 1, "set": {"gain_db": ' + "9" * 5_000 + "}}",
-        "{",
-        "[1, 2]",
-        '"mute"',
-        "[" * 2_000,
-        '{"mute": true}',
-        '{"id": "1", "mute": true}',
-        b"\x00\xff\xfe garbage",
-        b'{"id": 1, "mute": true}',
+        *("{", "[1, 2]", '"mute"', "[" * 2_000, '{"mute": true}', '{"id": "1", "mute": true}'),
+        *(b"\x00\xff\xfe garbage", b'{"id": 1, "mute": true}'),
     ],
-    ids=[
-        "5 KiB",
-        "long number",
-        "broken",
-        "list",
-        "text",
-        "deep",
-        "no id",
-        "id",
-        "binary",
-        "bytes",
-    ],
+    ids=range(10),
 )
-def test_a_message_that_is_none_closes_the_connection(served: Page, sent: str | bytes) -> None:
+def test_a_message_that_is_none_closes_the_connection(served, sent):
     with served.live() as live:
         message(live, "frame")
         live.send(sent)
@@ -243,7 +186,7 @@ def test_a_message_that_is_none_closes_the_connection(served: Page, sent: str | 
     assert live.close_code in (1008, 1009)
 
 
-def test_messages_up_to_the_limit_are_taken(daemon: Settings, served: Page) -> None:
+def test_messages_up_to_the_limit_are_taken(daemon, served):
     with served.live() as live:
         text = json.dumps({"id": 3, "undo": True})
         live.send(text + " " * (MESSAGE_BYTES_MAX - len(text)))
@@ -251,7 +194,7 @@ def test_messages_up_to_the_limit_are_taken(daemon: Settings, served: Page) -> N
     daemon.requests.clear()
 
 
-def test_a_ninth_page_is_refused_with_the_reason(served: Page) -> None:
+def test_a_ninth_page_is_refused_with_the_reason(served):
     with ExitStack() as opened:
 
         def opens() -> bool:
@@ -266,52 +209,30 @@ def test_a_ninth_page_is_refused_with_the_reason(served: Page) -> None:
             served.live()
 
 
-def test_a_hundred_connections_leave_the_page_as_it_was(served: Page) -> None:
+def test_a_hundred_connections_leave_the_page_as_it_was(served):
     with served.live() as live:
         message(live, "frame")
         held = [served.connection() for _ in range(100)]
         try:
-            closed = 0
             for client in held[CONNECTIONS_MAX:]:
                 client.settimeout(20.0)
-                try:
-                    closed += client.recv(1) == b""
-                except ConnectionResetError:
-                    closed += 1
-            assert closed == len(held) - CONNECTIONS_MAX
+                with suppress(ConnectionResetError):
+                    assert client.recv(1) == b""
             assert message(live, "frame")["n"] > 0
         finally:
             for client in held:
                 client.close()
 
 
-def test_a_request_that_never_ends_is_closed(served: Page) -> None:
+def test_a_request_that_never_ends_is_closed(served):
     with served.connection() as client:
         client.sendall(b"GET / HTTP/1.1\r\nHost: ")
         client.settimeout(20.0)
-        try:
-            answer = client.recv(65_536)
-        except ConnectionResetError:
-            answer = b""
-    assert b"200" not in answer.partition(b"\r\n")[0]
+        with suppress(ConnectionResetError):
+            assert b"200" not in client.recv(65_536).partition(b"\r\n")[0]
 
 
-def test_headers_without_end_are_closed(served: Page) -> None:
-    flood = b"GET / HTTP/1.1\r\n" + b"X: " + b"a" * 200_000
-    assert served.raw(flood)[0] in (0, 400, 431)
-
-
-# -------------------------------------------------------------------------------------------- token
-
-
-def test_the_token_has_128_bits_and_is_its_owners_alone(served: Page, base: Path) -> None:
-    path = base / "cushion" / TOKEN_NAME
-    assert stat.S_IMODE(path.stat().st_mode) == 0o600
-    assert path.read_text() == served.token
-    assert len(bytes.fromhex(served.token)) == 16
-
-
-def test_a_token_stays_from_run_to_run_and_a_doubtful_one_is_replaced(tmp_path: Path) -> None:
+def test_a_token_stays_from_run_to_run_and_a_doubtful_one_is_replaced(tmp_path):
     with RuntimeFolder({"XDG_RUNTIME_DIR": str(tmp_path)}, create=True) as folder:
         token = load_token(folder)
         assert load_token(folder) == token
@@ -328,7 +249,7 @@ def test_a_token_stays_from_run_to_run_and_a_doubtful_one_is_replaced(tmp_path: 
             load_token(folder)
 
 
-def test_another_name_of_this_computer_works_where_the_network_may_connect() -> None:
+def test_another_name_of_this_computer_works_where_the_network_may_connect():
     access = Access(Listen.parse("0.0.0.0:8765"), "0" * 32)
     assert access.refuse_host(["192.0.2.1:8765"], "192.0.2.1") == ""
     assert access.refuse_host([f"{os.uname().nodename.lower()}:8765"], "192.0.2.1") == ""
@@ -340,21 +261,28 @@ def test_another_name_of_this_computer_works_where_the_network_may_connect() -> 
     assert access.refuse_host(["192.0.2.9:8765"], "::ffff:192.0.2.1") != ""
 
 
-def test_metrics_of_a_daemon_whose_status_cannot_be_told_say_that_it_is_not_up() -> None:
+def test_a_daemon_of_another_version_is_up_and_the_page_says_what_to_do():
+    document = json.loads(to_json(STATUS)) | {"version": "0.9", "a new figure": 1}
     clients = Clients()
     clients.tell("status", {"error": "the status is not available: OSError"})
     assert b"cushion_up 0.0" in metrics_text(clients)
+    clients.tell("status", document)
+    text = metrics_text(clients)
+    assert b"cushion_up 1.0" in text
+    assert b'version="0.9"' in text
+    ((_, told, tone, _),) = figures_of(document)["panels"]["health"]
+    assert (told, tone) == (f"daemon 0.9, page {__version__}: restart the older one", "bad")
 
 
 @pytest.mark.parametrize(
     "text", ["", "8765", "host", "a b:1", "::1:8765", "[::1]", "h:70000", "h:-1"]
 )
-def test_an_address_that_is_none_is_refused(text: str) -> None:
+def test_an_address_that_is_none_is_refused(text):
     with pytest.raises(UsageError, match="HOST:PORT"):
         Listen.parse(text)
 
 
-def test_what_was_refused_is_told_to_nobody_but_the_one_who_asked(served: Page) -> None:
+def test_what_was_refused_is_told_to_nobody_but_the_one_who_asked(served):
     served.raw(b"GET /live HTTP/1.1\r\nHost: \xff\x7f\r\n\r\n")
     assert served.request("/live", "Cookie: \x7f" * 3, *UPGRADE)[0] in (0, 400, FORBIDDEN)
     assert served.stderr.count("\n") == 1  # the address

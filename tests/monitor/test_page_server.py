@@ -1,6 +1,4 @@
-"""The page's server: what browsers are told, and daemons that come, go and misbehave."""
-
-from __future__ import annotations
+"""The page's server: what browsers are told, frames, and daemons that misbehave."""
 
 import json
 import os
@@ -8,26 +6,32 @@ import shutil
 import signal
 import socket
 import subprocess
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
+from unittest.mock import ANY
 
 import pytest
+from websockets.sync.client import ClientConnection
 
+from audioflinger_hook.daemon.native.page import Page as NativePage
 from audioflinger_hook.service.runtime_folder import FOLDER_NAME
 from audioflinger_hook.service.status_server import NAME
-from tests.monitor.stand_in import LIMIT_S, Page, ask, daemon_socket, message, page
+from tests.monitor.stand_in import LIMIT_S, Page, Settings, ask, daemon_socket, message, page
 from tests.servers.listening import need, wait_for
-from tests.support.commands import call
+from tests.support.commands import RUN, call
 
 
-def test_a_browser_is_told_everything_and_its_requests_are_carried_out_in_order(
-    tmp_path: Path,
-) -> None:
+def test_a_browser_is_told_everything_and_its_requests_are_carried_out_in_order(tmp_path):
     with daemon_socket(tmp_path) as daemon, page(tmp_path) as served, served.live() as live:
         assert message(live, "status")["status"]["engine"] == "python"
+        shown = message(live, "figures")["figures"]
+        assert ["samples", "0 limited, 0 replaced", "", ANY] in shown["panels"]["health"]
+        assert shown["panels"]["rig"] == []
+        assert [name for name, _, _ in shown["parts"]][:3] == ["tap", "transform", "driving"]
         frame = message(live, "frame")
         assert frame["frame"]["partials"] == [[440, 100, 0.5]]
         assert daemon.page == served.address
@@ -38,9 +42,7 @@ def test_a_browser_is_told_everything_and_its_requests_are_carried_out_in_order(
         assert [asked["set"]["gain_db"] for asked in daemon.requests] == [-n for n in range(20)]
 
 
-def test_a_browser_that_acknowledges_nothing_gets_few_frames_and_then_the_newest(
-    tmp_path: Path,
-) -> None:
+def test_a_browser_that_acknowledges_nothing_gets_few_frames_and_then_the_newest(tmp_path):
     with daemon_socket(tmp_path) as daemon, page(tmp_path, "--rate=60") as served:
         with served.live() as live:
             frames: list[Any] = []
@@ -58,7 +60,7 @@ def test_a_browser_that_acknowledges_nothing_gets_few_frames_and_then_the_newest
         assert "cushion_page_overwritten_frames_total" in metrics
 
 
-def test_without_a_daemon_the_page_says_so_and_finds_the_next_one(tmp_path: Path) -> None:
+def test_without_a_daemon_the_page_says_so_and_finds_the_next_one(tmp_path):
     with page(tmp_path) as served, served.live() as live:
         link = message(live, "link")["link"]
         assert not link["connected"]
@@ -108,15 +110,13 @@ HELLO = b'{"hello": {"protocol": 1, "version": "0.1.0"}}\n'
     [
         (OLD, "the daemon is of another version than the page: the request is not known"),
         (NEW, "another version than the page: this daemon (version 9.0) speaks protocol 9"),
-        (b"[]\n", "the daemon sends what is not understood"),
-        (b"\xff\xfe\n", "the daemon sends what is not understood"),
+        (b"[]\n", "the daemon sent an invalid message"),
+        (b"\xff\xfe\n", "the daemon sent an invalid message"),
         (b"x" * (1 << 19), "the daemon sends lines over 262144 bytes"),
         (b"", "the daemon has ended; waiting for the next one"),
     ],
 )
-def test_a_daemon_that_is_not_understood_is_told_in_words(
-    tmp_path: Path, answer: bytes, words: str
-) -> None:
+def test_a_daemon_that_is_not_understood_is_told_in_words(tmp_path, answer, words):
     with (
         bad_daemon(tmp_path, lambda client: client.sendall(answer)),
         page(tmp_path) as served,
@@ -128,20 +128,22 @@ def test_a_daemon_that_is_not_understood_is_told_in_words(
         assert served.request("/")[0] == 200
 
 
-def test_a_daemon_that_stalls_is_left_and_asked_again(tmp_path: Path) -> None:
+def test_a_daemon_that_stalls_is_left_and_asked_again(tmp_path, monkeypatch):
     gone = threading.Event()
 
     def stall(client: socket.socket) -> None:
         client.sendall(HELLO)
         gone.wait(LIMIT_S)
 
+    hasty = "from audioflinger_hook.monitor import daemon_link\ndaemon_link.SILENT_S = 1.0\n"
+    monkeypatch.setattr("tools.live_page.CUSHION", (sys.executable, "-c", hasty + RUN))
     with bad_daemon(tmp_path, stall), page(tmp_path) as served, served.live() as live:
         assert message(live, "link")["link"]["connected"]
-        assert "the daemon has sent nothing for 5 s" in message(live, "link")["link"]["text"]
+        assert "the daemon has sent nothing for 1 s" in message(live, "link")["link"]["text"]
         gone.set()
 
 
-def test_a_daemon_that_floods_costs_no_memory(tmp_path: Path) -> None:
+def test_a_daemon_that_floods_costs_no_memory(tmp_path):
     frame = b'{"frame": {"sound": [], "vibration": [], "partials": [], "missed": 0}}\n' * 100
 
     def flood(client: socket.socket) -> None:
@@ -163,7 +165,7 @@ def _resident_kb(pid: int) -> int:
     return next(int(line.split()[1]) for line in lines if line.startswith("VmRSS"))
 
 
-def test_a_port_in_use_is_one_line_and_exit_code_2(tmp_path: Path) -> None:
+def test_a_port_in_use_is_one_line_and_exit_code_2(tmp_path):
     with page(tmp_path) as served:
         second = Page(tmp_path, "--listen", served.host)
         assert second.process.wait(LIMIT_S) == 2
@@ -173,7 +175,7 @@ def test_a_port_in_use_is_one_line_and_exit_code_2(tmp_path: Path) -> None:
         assert f"--listen 127.0.0.1:{served.port + 1}" in second.stderr
 
 
-def test_a_page_for_the_network_warns_and_still_needs_the_token(tmp_path: Path) -> None:
+def test_a_page_for_the_network_warns_and_still_needs_the_token(tmp_path):
     with page(tmp_path, "--listen", "0.0.0.0:0") as served:
         wait_for(lambda: served.stderr.count("\n") == 2, "warning", LIMIT_S)
         assert "0.0.0.0 is open to the network, and HTTP is not encrypted" in served.stderr
@@ -183,7 +185,7 @@ def test_a_page_for_the_network_warns_and_still_needs_the_token(tmp_path: Path) 
         assert served.request("/", host=f"evil.example:{served.port}")[0] == 403
 
 
-def test_a_page_ends_on_a_signal_and_keeps_its_token_for_the_next_one(tmp_path: Path) -> None:
+def test_a_page_ends_on_a_signal_and_keeps_its_token_for_the_next_one(tmp_path):
     with page(tmp_path) as first:
         token = first.token
     assert first.process.returncode == 130
@@ -194,9 +196,7 @@ def test_a_page_ends_on_a_signal_and_keeps_its_token_for_the_next_one(tmp_path: 
         assert second.process.wait(LIMIT_S) == 130
 
 
-def test_where_there_is_no_browser_to_open_the_words_say_so(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_where_there_is_no_browser_to_open_the_words_say_so(tmp_path, monkeypatch):
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("PATH", str(tmp_path))
@@ -214,34 +214,139 @@ def test_where_there_is_no_browser_to_open_the_words_say_so(
         (["--rate", "61"], "rate=61 is out of range; allowed: 1 to 60 Hz"),
     ],
 )
-def test_wrong_options_say_what_is_allowed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: list[str], words: str
-) -> None:
+def test_wrong_options_say_what_is_allowed(tmp_path, monkeypatch, options, words):
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     done = call("monitor", *options)
     assert done.code == 2
     assert words in done.stderr
 
 
+def metrics_of(served: Page) -> str:
+    status, answer = served.request("/metrics", f"Authorization: Bearer {served.token}")
+    assert status == 200
+    return answer.partition("\r\n\r\n")[2]
+
+
+def test_the_metrics_are_those_of_the_status_in_base_units(tmp_path):
+    with daemon_socket(tmp_path), page(tmp_path) as served, served.live() as live:
+        message(live, "status")
+        lines = metrics_of(served).splitlines()
+    for line in (
+        "cushion_up 1.0",
+        'cushion_state{state="running"} 1.0',
+        'cushion_state{state="idle"} 0.0',
+        'cushion_engine{engine="python"} 1.0',
+        'cushion_hop_seconds_bucket{le="0.0001"} 1.0',
+        "cushion_hop_seconds_count 6.0",
+        "cushion_late_callbacks_total 1.0",
+        'cushion_recoveries_total{cause="device-lost"} 0.0',
+        "cushion_clock_ratio 1.0",
+        'cushion_delay_part_seconds{part="delay_line"} 0.003',
+        "cushion_delay_seconds 0.003",
+        'cushion_xruns_total{stream="output"} 0.0',
+        f'cushion_level_peak_ratio{{signal="vibration"}} {10.0 ** (-12.0 / 20.0)}',
+        "cushion_muted 0.0",
+    ):
+        assert line in lines, line
+
+
 @pytest.mark.servers
-def test_promtool_finds_no_fault_with_the_metrics(tmp_path: Path) -> None:
+def test_promtool_finds_no_fault_with_the_metrics(tmp_path):
     need([] if shutil.which("promtool") else ["promtool"])
     with daemon_socket(tmp_path), page(tmp_path) as served, served.live() as live:
         message(live, "status")
-        status, answer = served.request("/metrics", f"Authorization: Bearer {served.token}")
-        assert status == 200
-        text = answer.partition("\r\n\r\n")[2]
         checked = subprocess.run(
-            ["promtool", "check", "metrics"], input=text, text=True, capture_output=True
+            ["promtool", "check", "metrics"],
+            input=metrics_of(served),
+            text=True,
+            capture_output=True,
         )
-        assert (checked.returncode, checked.stderr, checked.stdout) == (0, "", "")
-        for line in (
-            "cushion_up 1.0",
-            'cushion_state{state="running"} 1.0',
-            'cushion_engine{engine="python"} 1.0',
-            'cushion_hop_seconds_bucket{le="0.0001"} 1.0',
-            "cushion_hop_seconds_count 6.0",
-            "cushion_late_callbacks_total 1.0",
-            'cushion_recoveries_total{cause="device-lost"} 0.0',
-        ):
-            assert line in text
+    assert (checked.returncode, checked.stderr, checked.stdout) == (0, "", "")
+
+
+class Native(Settings):
+    """A daemon whose native engine plays: its frames name the memory."""
+
+    def __init__(self, **where: Any) -> None:
+        super().__init__()
+        self.where = where
+
+    def frame(self, missed: int, *, in_memory: bool) -> tuple[bytes, bool]:
+        assert in_memory
+        self.frames += 1
+        frame = {"state": "running", "level": 1.0, "memory": self.where, "missed": missed}
+        return json.dumps({"frame": frame}).encode() + b"\n", True
+
+
+@pytest.fixture
+def native(tmp_path):
+    (tmp_path / FOLDER_NAME).mkdir(mode=0o700)
+    opened = NativePage(tmp_path / FOLDER_NAME / "memory", 2, 1, [0])
+    yield opened
+    opened.close()
+
+
+def play(native: NativePage, hz: float) -> None:
+    """Write as the plugin does at the end of a buffer."""
+    written = native._page.readings
+    written.partials_count = 1
+    written.partials[0][:] = (hz, 100.0, 0.25)
+    written.sequence += 2
+    written.sound[1].peak, written.sound[1].mean_square = 0.5, 0.125
+    written.frames += 512
+
+
+def partials(live: ClientConnection) -> Any:
+    return message(live, "frame")["frame"]["partials"]
+
+
+def test_frames_show_the_memory_of_the_native_engine_while_it_plays(tmp_path, native):
+    daemon = Native(name="memory", channels=2, actuators=1)
+    with daemon_socket(tmp_path, daemon), page(tmp_path) as served, served.live() as live:
+
+        def shows(hz: float) -> bool:
+            play(native, hz)
+            return bool(partials(live) == [[hz, 100.0, 0.25]])
+
+        wait_for(lambda: shows(440.0), "the partial")
+        play(native, 440.0)
+        frame = message(live, "frame")["frame"]
+        assert (frame["sound"], frame["vibration"]) == ([[0, 0], [0.5, 0.125]], [[0, 0]])
+        wait_for(lambda: partials(live) == [], "silence once nothing is processed")
+        native._page.readings.frames += 512  # sound again, and nothing found in it yet
+        assert partials(live) == []
+        wait_for(lambda: shows(330.0), "the next partial")
+
+
+def test_the_daemon_makes_few_frames_for_a_client_that_reads_its_memory(tmp_path, native):
+    daemon = Native(name="memory", channels=2, actuators=1)
+    with daemon_socket(tmp_path, daemon), page(tmp_path) as served, served.live() as live:
+        message(live, "frame")
+        before = daemon.frames
+        for _ in range(60):
+            message(live, "frame")
+        # Four a second: of two seconds, and some more on a busy machine.
+        assert daemon.frames - before < 30
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        *({"name": name} for name in ("../memory", "text", "link", "none", 5)),
+        *({"channels": channels} for channels in (9, "2", 2.0)),
+        {"actuators": 1 << 40},
+        None,
+    ],
+    ids=str,
+)
+def test_memory_that_is_none_is_not_read(tmp_path, native, wrong):
+    folder = tmp_path / FOLDER_NAME
+    (tmp_path / "memory").write_bytes(native.path.read_bytes())
+    (folder / "text").write_text("no page")
+    (folder / "link").symlink_to(tmp_path / "memory")
+    where = {} if wrong is None else {"name": "memory", "channels": 2, "actuators": 1} | wrong
+    with daemon_socket(tmp_path, Native(**where)), page(tmp_path) as served, served.live() as live:
+        for _ in range(5):
+            play(native, 440.0)
+            frame = message(live, "frame")["frame"]
+            assert (frame["sound"], frame["vibration"], frame["partials"]) == ([], [], [])

@@ -9,14 +9,14 @@ import pytest
 import soundfile
 
 from audioflinger_hook.offline.inspection import inspect_file, inspect_tap
-from audioflinger_hook.scenes import Scene, SceneTrack
-from audioflinger_hook.sources import FileTap, FramesTap, mixdown
+from audioflinger_hook.sources import FileTap
 from audioflinger_hook.transform import TransformParameters
 from device.errors import UsageError
 from tests.support.commands import RATE, noise, open_files, sound
 from tests.support.recordings import require_recordings
 from tests.support.reference_oracle import oracle_units
-from tests.support.signals import columns, five_tones, joined, silence, tone
+from tests.support.signals import columns, five_tones, joined, silence
+from tests.support.taps import frames_of
 
 WINDOW = 2_229  # frames of a unit at 48 kHz
 FRAMES = RATE // 2  # of the sound that most tests look at
@@ -33,21 +33,13 @@ def assert_same(units, oracle):
     """What was found is what the independent implementation finds, to rounding."""
     assert [unit.unit for unit in units] == list(range(len(oracle)))
     for unit, expected in zip(units, oracle, strict=True):
-        found = [(p.audio_hz, p.amplitude, p.bandwidth_hz, p.r) for p in unit.principal]
-        wanted = [(p.audio_hz, p.amplitude, p.bandwidth_hz, p.r) for p in expected]
+        found, wanted = (
+            [(p.audio_hz, p.amplitude, p.bandwidth_hz, p.r, p.vibration_hz) for p in principal]
+            for principal in (unit.principal, expected)
+        )
         assert np.shape(found) == np.shape(wanted)
         # Both work in float64; 1e-6 is far above its rounding and far below what is printed.
         assert np.allclose(found, wanted, rtol=1e-6, atol=1e-9)
-        felt = [p.vibration_hz for p in unit.principal]
-        assert np.allclose(felt, [p.vibration_hz for p in expected], rtol=1e-9)
-
-
-def frames_left(tap):
-    """How many frames a tap still has."""
-    frames = 0
-    while (buffer := tap.read()) is not None:
-        frames += len(buffer)
-    return frames
 
 
 def test_units_are_what_an_independent_implementation_finds(source):
@@ -63,15 +55,10 @@ def test_units_of_a_recording_are_what_an_independent_implementation_finds():
 
 def test_other_parameters_reach_the_transform(source):
     samples, samplerate = soundfile.read(source)
-    changed: dict[str, Any] = {
-        "window_s": 0.03,
-        "band_low_hz": 80.0,
-        "vibration_top_hz": 180.0,
-        "partials_max": 5,
-    }
-    parameters = TransformParameters(**changed, threshold_hz=0.1)
+    changed: dict[str, Any] = {"window_s": 0.03, "band_low_hz": 80.0, "vibration_top_hz": 180.0}
+    parameters = TransformParameters(**changed, partials_max=5, threshold_hz=0.1)
     found = list(inspect_file(source, parameters))
-    assert_same(found, oracle_units(samples, samplerate, **changed, threshold=0.1))
+    assert_same(found, oracle_units(samples, samplerate, **changed, partials_max=5, threshold=0.1))
     assert max(len(unit.principal) for unit in found) == 5
 
 
@@ -85,54 +72,30 @@ def test_the_blocksize_changes_nothing(source, blocksize):
         assert list(inspect_tap(tap, TransformParameters(), at_s=0.25)) == [expected[5]]
 
 
-def test_a_scene_is_inspected_as_the_file_of_its_mixdown_is(source):
-    samples, _ = soundfile.read(source, dtype="float32")
-    scene = Scene("test", RATE, (SceneTrack("all", RATE, samples, 0.0),), 0.5)
-    tap = FramesTap(mixdown(scene), RATE, 256)
-    found = list(inspect_tap(tap, TransformParameters()))
-    assert found == list(inspect_file(source))
-
-
-def test_units_follow_each_other_without_gap_or_overlap(source):
-    units = list(inspect_file(source))
-    assert len(units) == -(-FRAMES // WINDOW)
-    starts = [unit.start_s for unit in units]
-    assert starts == pytest.approx([number * WINDOW / RATE for number in range(len(units))])
-
-
-def test_only_what_is_needed_for_the_asked_unit_is_read(source):
+def test_no_more_is_read_than_a_unit_needs(source):
     with closing(FileTap(source, blocksize=100)) as tap:
         (unit,) = inspect_tap(tap, TransformParameters(), at_s=0.1)
         assert unit.unit == 2
-        assert frames_left(tap) == pytest.approx(FRAMES - 3 * WINDOW, abs=100)
+        assert len(frames_of(tap)) == pytest.approx(FRAMES - 3 * WINDOW, abs=100)
+    with closing(FileTap(source, blocksize=WINDOW)) as tap:
+        assert next(inspect_tap(tap, TransformParameters())).unit == 0
+        assert len(frames_of(tap)) == FRAMES - WINDOW
 
 
 def test_every_moment_belongs_to_the_unit_that_holds_it(source):
     expected = list(inspect_file(source))
+    assert len(expected) == -(-FRAMES // WINDOW)
     for frame in (0, 1, WINDOW - 1, WINDOW, 5 * WINDOW + 3, FRAMES - 1):
         for share in (0.1, 0.5, 0.75):  # of the time until the next frame
             (unit,) = inspect_file(source, at_s=(frame + share) / RATE)
             assert unit == expected[frame // WINDOW]
-
-
-@pytest.mark.parametrize("samplerate", [1_000, 8_000, 22_050, 44_100, 48_000, 96_000])
-def test_a_units_own_start_belongs_to_it(tmp_path, samplerate):
-    path = sound(tmp_path / "in.wav", tone(200.0, 1.0, samplerate), samplerate)
-    for unit in inspect_file(path):
-        assert [unit] == list(inspect_file(path, at_s=unit.start_s))
+            assert unit.start_s == pytest.approx(unit.unit * WINDOW / RATE)
 
 
 @pytest.mark.parametrize("at_s", [0.5, 1.5, 1e9, 1e308, np.inf, -np.inf, np.nan, -1e-9])
 def test_a_moment_outside_the_sound_is_the_users_mistake(source, at_s):
     with pytest.raises(UsageError, match=r"time \S+ s is .*; allowed: 0"):
         list(inspect_file(source, at_s=at_s))
-
-
-def test_units_come_while_the_rest_is_still_unread(source):
-    with closing(FileTap(source, blocksize=WINDOW)) as tap:
-        first = next(inspect_tap(tap, TransformParameters()))
-        assert first.unit == 0
-        assert frames_left(tap) == FRAMES - WINDOW
 
 
 def test_whoever_stops_early_leaves_no_file_open(source):

@@ -3,15 +3,6 @@
 It is the algorithm of docs/transform.md without blocks, rings and filter states. What windows show
 is found in all of them at once. One loop over ticks and hops does what is sequential. Then all
 glides are played at once. `s` is all numbers and tables of `LiveDesign`, by name.
-
-| module | what it does |
-| --- | --- |
-| `__init__` | `vibration_of`: sound in, vibration out; where hops begin; glides to vibration |
-| `analysis` | principal frequencies of spectra |
-| `onsets`, `fresh` | onsets, and the partials that begin there |
-| `voice` | one voice: the body of the loop, the amplitudes of a hop |
-| `partials` | partials followed from hop to hop, merged and held |
-| `loudness`, `speech` | strength by loudness; speech lowered |
 """
 
 from dataclasses import dataclass
@@ -19,7 +10,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from scipy.signal import lfilter
+from scipy.signal import lfilter, sosfilt
 
 from audioflinger_hook.core.structures import GLIDE_COLUMNS, PARTIALS
 from audioflinger_hook.transform import TransformParameters
@@ -27,6 +18,7 @@ from audioflinger_hook.transform.arrays import FloatArray
 from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.downmix import MonoMix
 from device.layouts import downmix
+from tests.oracle.strength import driven
 from tests.oracle.voice import Told, Voice
 
 
@@ -49,9 +41,9 @@ class Vibration:
 
 
 def settings_of(design: LiveDesign) -> Any:
-    """Return all numbers and tables of a design as attributes, with its mapping and tracking."""
-    sections = {"mapping": design.mapping, "tracking": design.tracking}
-    return SimpleNamespace(**sections, **design.settings())
+    """Return all numbers and tables of a design as attributes, and three fields of its own."""
+    kept = {name: getattr(design, name) for name in ("mapping", "tracking", "samplerate")}
+    return SimpleNamespace(**kept, **design.settings())
 
 
 def vibration_of(
@@ -76,6 +68,9 @@ def vibration_of(
             mix = MonoMix(downmix(len(rows)), samplerate).process(rows[:, begins[0] :])
             heard = np.concatenate((heard[0, : begins[0]], mix))[None]
         begins = _play(s, voices, heard, begins, whole)
+    fade = np.concatenate((np.zeros(s.begin_frames), s.begin_fade))[: len(samples), None]
+    if s.begin_fade.size:
+        samples[: len(fade)] *= fade
     whole.limited = min(whole.limited + sum(voice.limited for voice in voices), samples.size)
     return whole
 
@@ -103,45 +98,75 @@ def _play(s, voices, sound, begins, whole):
         if hops:
             told = sorted((one for voice in voices for one in voice.told), key=lambda one: one[2])
             whole.told.append((int(ends[tick]), told[-PARTIALS:]))
-        followers = [voice.follower for voice in voices if voice.follower]
-        for follower in followers:  # the softer side of a sound stays softer
-            follower.programme_db = max(one.programme_db for one in followers)
+        if strengths := [voice.strength for voice in voices if voice.strength]:
+            # The softer side of a sound stays softer: the loudest has the programme.
+            loudest = max(strengths, key=lambda one: one.loud_db)
+            for one in strengths:
+                one.programme_db, one.heard = loudest.programme_db, loudest.heard
     rows: list[Any] = [whole.glides]
     for which, voice in enumerate(voices):
-        played, limited = vibrate(s, voice.partials.glides, voice.fresh.glides, tick)
+        parts = [(s.hop_frames, voice.partials.glides), (s.tick_frames, voice.fresh.glides)]
+        played, limited, driven_glides = vibrate(
+            s, voice.partials.glides, voice.fresh.glides, voice.wanted[:tick]
+        )
         part = whole.samples[begin + s.tick_frames :, which]
         part[: played.size] = played[: part.size]
         whole.limited += limited
-        parts = (s.hop_frames, voice.partials.glides), (s.tick_frames, voice.fresh.glides)
+        if voice.strength:
+            parts = [(s.tick_frames, driven_glides)]
         rows += [[(ends[at], length, which, *rest)] for length, some in parts for at, *rest in some]
     whole.glides = np.concatenate(rows)
     return later
 
 
-def vibrate(s: Any, hops: Any, fresh: Any, ticks: int) -> tuple[FloatArray, int]:
-    """Return the vibration (ticks x tick_frames,) after each of some ticks, and how many samples of
-    it the knee has rounded off. hops, fresh: glides over a hop, and over a tick."""
-    low_rate = np.zeros((ticks + s.ticks) * s.tick_steps)
-    _add(s, low_rate, hops, s.attack, s.glide, s.glide_s)
-    _add(s, low_rate, fresh, s.tick_glide, s.tick_glide, s.tick_glide_s)
-    smooth = lfilter(s.low_b, s.low_a, low_rate[: ticks * s.tick_steps])
+def vibrate(s: Any, hops: Any, fresh: Any, wanted: Any) -> tuple[FloatArray, int, Any]:
+    """Return the vibration (ticks x tick_frames,) after each of some ticks; how many samples of it
+    were limited; and, where loudness is followed, the glides of each tick. hops, fresh: glides over
+    a hop, and over a tick. wanted: strength at the end of each tick."""
+    ticks, limited = len(wanted), 0
+    glides: list[Any] = []
+    waves = _waves(s, hops, s.attack, s.glide, s.glide_s)
+    waves += _waves(s, fresh, s.tick_glide, s.tick_glide, s.tick_glide_s)
+    if s.loudness_scale.size:
+        rows = [
+            (tick + part, slot, numbers[:, part * s.tick_steps :][:, : s.tick_steps + 1])
+            for tick, slot, numbers in waves
+            for part in range(numbers.shape[1] // s.tick_steps)
+        ]
+        low_rate, steps, glides = driven(s, rows, wanted)
+        limited = steps * s.decimation
+    else:
+        low_rate = np.zeros((ticks + s.ticks) * s.tick_steps)
+        for tick, _, (_, amplitude, turns) in waves:
+            wave = amplitude * np.cos(2.0 * np.pi * turns)
+            low_rate[tick * s.tick_steps :][: wave.size - 1] += wave[1:]
+    low_rate = low_rate[: ticks * s.tick_steps]
+    smooth = (
+        sosfilt(s.low_sections.copy(), low_rate)
+        if s.low_sections.size
+        else lfilter(s.low_b, s.low_a, low_rate)
+    )
     padded = np.concatenate((np.zeros(len(s.phases) - 1), smooth))
     newest = [padded[tap : tap + smooth.size] for tap in range(len(s.phases))]
     vibration = (np.stack(newest, axis=1) @ s.phases).reshape(-1)
     size, room = np.abs(vibration), 1.0 - s.knee
     rounded = s.knee + room * np.tanh((size - s.knee) / room) * (1.0 - 1e-6)
     over = size > s.knee
-    return np.where(over, np.copysign(rounded, vibration), vibration), int(over.sum())
+    limited += int(over.sum())
+    return np.where(over, np.copysign(rounded, vibration), vibration), limited, glides
 
 
-def _add(s, low_rate, glides, attack, release, glide_s):
-    """Add the cosines of glides of one length; phase is the integral of frequency. One shape serves
-    all glides from one tick on, by whether their sum rises: it never exceeds both its ends."""
-    first, _, *numbers = np.array(glides).reshape(-1, 7).T
+def _waves(s, glides, attack, release, glide_s):
+    """Return of glides of one length tick, slot and (3, steps + 1): Hz, amplitude and turns, from
+    their start on; phase is the integral of frequency. One shape serves all glides from one tick
+    on, by whether their sum rises: it never exceeds both its ends."""
+    first, slots, *numbers = np.array(glides).reshape(-1, 7).T
     tick = first.astype(int)
     start_hz, end_hz, start, end, phase = (each[:, None] for each in numbers)
-    rise = np.bincount(tick, (end - start)[:, 0], len(low_rate))[tick]
+    rise = np.bincount(tick, (end - start)[:, 0], 1)[tick]
     shape = np.where(rise[:, None] > s.still, attack, release)
     turns = start_hz * s.seconds[: attack.size] + (end_hz - start_hz) * glide_s + phase
-    wave = np.cos(2.0 * np.pi * turns) * (start + (end - start) * shape)
-    np.add.at(low_rate, tick[:, None] * s.tick_steps + np.arange(attack.size), wave)
+    moving = (start_hz + (end_hz - start_hz) * release, start + (end - start) * shape, turns)
+    begins = np.stack((start_hz, start, phase), axis=1)
+    courses = np.concatenate((begins, np.stack(moving, axis=1)), axis=2)
+    return list(zip(tick, slots, courses, strict=True))

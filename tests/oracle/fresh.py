@@ -2,8 +2,10 @@
 
 from typing import Any
 
+import numpy as np
+
 from tests.oracle.onsets import Onsets
-from tests.oracle.partials import Begun, Partial, Partials
+from tests.oracle.partials import Begun, Partial, Partials, near_hz
 
 
 class Fresh:
@@ -19,7 +21,9 @@ class Fresh:
         return [(slot, one, one.begun) for slot, one in sorted(self.sounding.items())]
 
     def _room(self):
-        """Return what all amplitudes leave under the ceiling."""
+        """Return what all amplitudes leave under the ceiling, which strength by loudness keeps."""
+        if self.s.loudness_scale.size:
+            return np.inf
         end_sum = sum(one.amplitude for one in self.partials.sounding.values())
         taken = sum(begun.goal for _, _, begun in self._begun())
         return max(0.0, self.s.ceiling - (max(self.partials.start_sum, end_sum) + taken))
@@ -34,19 +38,20 @@ class Fresh:
             begun.goal = 0.0
         for group in onsets.groups(tick):
             hz, weight, amplitude = self.estimate(tick, group)
-            reach = s.tracking.near_hz(hz, s.mapping)
+            reach = near_hz(s, hz)
             base = sum(one.amplitude for one in self.partials.near(hz))
             base += sum(begun.goal for _, one, begun in self._begun() if abs(one.hz - hz) < reach)
             goal = min(amplitude - base, self._room())
-            if goal <= s.worth * amplitude:
+            if goal <= s.min_gain_share * amplitude:
                 continue
             begun = Begun(group, goal, base, weight)
             if young:
                 replaced = young.pop(0)
                 begun.age, begun.joins = 1, replaced.joins
                 vars(replaced).update(vars(begun))
-            elif len(self.sounding) < s.fresh_max:
-                slot, phase = min(set(range(s.fresh_max)) - set(self.sounding)), s.birth_phase
+            elif len(self.sounding) < s.onset_partials_max:
+                slot = min(set(range(s.onset_partials_max)) - set(self.sounding))
+                phase = s.start_phase
                 if other := self.partials.strongest_near(hz):
                     hz, phase = other.hz, (other.phase - other.hz * ticks_left * s.tick_s) % 1.0
                     begun.joins = True
@@ -58,12 +63,8 @@ class Fresh:
         """Write the glides of one tick; while the onset is still measured, improve them."""
         s, slots = self.s, self._begun()
         ends_hz = [self._improve(one, tick, onsets) for _, one, _ in slots]
-        room = self._room()
         for (slot, one, begun), hz in zip(slots, ends_hz, strict=True):
             goal = begun.goal * float(s.rise_shares[min(begun.age, s.rise_shares.size - 1)])
-            emphasis = s.emphasis[min(begun.age, s.emphasis.size - 1)]
-            if emphasis > 1.0 and goal > 0.0:
-                goal *= min(emphasis, s.ceiling / (s.ceiling - room))
             one.glide(self.glides, tick, 2 * self.partials.most + slot, hz, goal, s.tick_s)
             begun.age += 1
             if goal == 0.0 and begun.age > s.heard_ticks:
@@ -77,7 +78,7 @@ class Fresh:
         hz, begun.weight, amplitude = self.estimate(tick, begun.group)
         wanted = amplitude - begun.base
         # Of a sound that is there already rounding leaves nothing, or next to nothing.
-        if wanted < max(0.0, self.s.worth_holding * amplitude):
+        if wanted < max(0.0, self.s.min_held_share * amplitude):
             wanted = 0.0
         begun.goal += min(wanted - begun.goal, self._room())
         return one.hz if begun.joins else hz

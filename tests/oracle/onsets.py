@@ -62,9 +62,9 @@ class Onsets:
         hz, share = weighted / max(squares, 1e-300), min(1.0, power / max(total, 1e-300))
         one_tone = power**2 * s.one_tone[min(tick - onset, s.heard_ticks - 1)]
         # Where loudness is followed, noise is as strong as it is loud.
-        purity = 1.0 if s.loudness_weights.size else min(1.0, squares / max(one_tone, 1e-300))
+        purity = 1.0 if s.loudness_scale.size else min(1.0, squares / max(one_tone, 1e-300))
         by_energy = (share * purity) ** 0.5
-        weight = by_energy if s.by_energy else share**1.5 * purity
+        weight = by_energy if s.energy_mapping else share**1.5 * purity
         return hz, 0.0 if by_energy * level < s.weakest else float(weight)
 
     def recent_power(self, tick: int, group: tuple[int, int]) -> float:

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from audioflinger_hook.transform.design.synthesis import TrackingDesign
-from tests.oracle.loudness import at_hz
 
 
 @dataclass
@@ -48,20 +47,31 @@ class Partial:
         self.hz, self.amplitude = hz, amplitude
 
 
+def near_hz(s, hz):
+    """Return how far from a new partial its true frequency may be, in Hz of vibration."""
+    ratio = max(s.match_ratio, s.match_audio_hz / s.mapping.audio_hz(hz))
+    near = s.onset_reach * (s.scale_hz + s.scale_ratio * hz) * ratio
+    return max(near, float(merging_hz(s, hz))) if s.merge_ratio else near
+
+
+def merging_hz(tracking, hz):
+    """Return how close a partial must be to one at these Hz of vibration to be part of it."""
+    return np.maximum(tracking.merge_hz, tracking.merge_ratio * np.asarray(hz))
+
+
 class Partials:
     """The partials of one voice that sound, by slot, ascending; their `glides` by hop.
-    start_sum: of the amplitudes at the start of the latest glides. struck, struck_hops: strength at
-    the latest hand-over, and hops for which it limits the strength."""
+    start_sum: of the amplitudes at the start of the latest glides."""
 
     def __init__(self, s: Any) -> None:
-        self.s, self.most = s, s.partials_max + s.fresh_max
+        self.s, self.most = s, s.partials_max + s.onset_partials_max
         self.sounding: dict[int, Partial] = {}
         self.glides: list[tuple[float, ...]] = []
-        self.start_sum, self.struck, self.struck_hops = 0.0, 0.0, 0
+        self.start_sum = 0.0
 
     def near(self, hz: float) -> list[Partial]:
         """Return the partials that a new one at this frequency may be."""
-        reach = self.s.tracking.near_hz(hz, self.s.mapping)
+        reach = near_hz(self.s, hz)
         return [one for one in self.sounding.values() if abs(one.hz - hz) < reach]
 
     def strongest_near(self, hz: float) -> Partial | None:
@@ -77,7 +87,6 @@ class Partials:
         if len(self.sounding) < self.most:
             slot = min(set(range(self.most)) - set(self.sounding))
             self.sounding = dict(sorted({**self.sounding, slot: one}.items()))
-            self.struck, self.struck_hops = self._felt(), self.s.hold_hops
 
     def follow(self, tick: int, hz, amplitude, room: float, left: float, recent_power) -> None:
         """Go on to the partials that the long window shows at the end of a hop, ascending. room:
@@ -102,18 +111,11 @@ class Partials:
             one.hz += change_hz * self._followed(change_hz / s.steady_hz) * float(share)
             one.amplitude += change * self._followed(change / (s.steady_ratio * new))
         self._hold(end, room, left, recent_power)
-        if s.loudness_weights.size and self.struck_hops:
-            # Vibration is strongest at the onset, while what began there is held.
-            self.struck_hops -= 1
-            over = self._felt() / self.struck if self.struck else np.inf
-            kept = min(over, max(s.struck_share, s.struck_grown * over))
-            for one in self.sounding.values() if kept < over else []:
-                one.amplitude *= kept / over
         self._glide(tick, start)
 
     def fade(self, tick: int) -> None:
         """Let every partial end in one hop."""
-        start, self.sounding, self.struck_hops = self.sounding, {}, 0
+        start, self.sounding = self.sounding, {}
         self._glide(tick, start)
 
     def _nearest(self, hz):
@@ -129,8 +131,8 @@ class Partials:
         reach_hz = np.maximum(s.match_ratio, s.match_audio_hz / audio_hz)
         reach_hz *= s.scale_hz + s.scale_ratio * hz
         if s.merge_ratio:
-            reach_hz = np.maximum(reach_hz, s.tracking.merging_hz(hz))
-        reach_hz *= np.array([s.fresh_reach if one.begun else 1.0 for one in sounding])[nearest]
+            reach_hz = np.maximum(reach_hz, merging_hz(s, hz))
+        reach_hz *= np.array([s.onset_reach if one.begun else 1.0 for one in sounding])[nearest]
         mutual = distance.argmin(axis=0)[nearest] == np.arange(hz.size)
         slots = np.array(list(self.sounding))[nearest]
         return zip(slots.tolist(), gap_hz, mutual & (gap_hz <= reach_hz), strict=True)
@@ -149,7 +151,8 @@ class Partials:
             begun, amplitude = one.begun, one.begun.goal + one.begun.base
             share = recent_power(begun.group) / begun.power if begun.power > 0.0 else 0.0
             now, full = amplitude * min(1.0, share) ** 0.5, len(end) >= self.most
-            if begun.hops and now >= self.s.worth_holding * amplitude and (slot in end or not full):
+            least = self.s.min_held_share * amplitude
+            if begun.hops and now >= least and (slot in end or not full):
                 begun.hops, wanted[slot] = begun.hops - 1, now * known
                 end.setdefault(slot, replace(one, amplitude=0.0))
             elif slot in end:
@@ -160,12 +163,6 @@ class Partials:
         total = sum(lacking.values())
         for slot, lack in lacking.items():
             end[slot].amplitude += lack if total <= room else lack * room / total
-
-    def _felt(self):
-        """Return the strength of all that sounds."""
-        amplitude = np.array([one.amplitude for one in self.sounding.values()])
-        weight = at_hz(self.s.felt_weights, [one.hz for one in self.sounding.values()])
-        return float(np.linalg.norm(amplitude * weight))
 
     def _glide(self, tick, start):
         """Write the glides of the next hop, from its start to what sounds at its end."""
@@ -185,17 +182,17 @@ def merge(design: TrackingDesign, hz, amplitude, sounding_hz: list[float]):
     for one, here in enumerate(hz.tolist()):
         gaps = [abs(here - centre) for centre in centres]
         nearest = int(np.argmin(gaps)) if gaps else -1
-        if nearest < 0 or gaps[nearest] > design.merging_hz(centres[nearest]):
+        if nearest < 0 or gaps[nearest] > merging_hz(design, centres[nearest]):
             nearest = len(centres)
             centres.append(here)
         members.setdefault(nearest, []).append(one)
     power = amplitude * amplitude
-    groups = [(power[group].sum(), (power * hz)[group].sum(), power[group].max())
-              for group in members.values() if power[group].any()]  # fmt: skip
+    some = [group for group in members.values() if power[group].any()]
+    groups = [(power[one].sum(), (power * hz)[one].sum(), power[one].max()) for one in some]
     groups.sort(key=lambda group: group[1] / group[0])
     while len(groups) > 1:
         centre = np.array([weighted / total for total, weighted, _ in groups])
-        gap = np.diff(centre) / design.merging_hz(centre[:-1])
+        gap = np.diff(centre) / merging_hz(design, centre[:-1])
         closest = int(gap.argmin())
         if gap[closest] >= design.merge_again:
             break

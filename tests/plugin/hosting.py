@@ -1,6 +1,4 @@
-"""A small LADSPA host: the plugin's faces through the binary interface that hosts use."""
-
-from __future__ import annotations
+"""A small LADSPA host: the plugin's variants through the binary interface that hosts use."""
 
 import ctypes
 from collections.abc import Iterable, Sequence
@@ -10,10 +8,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from audioflinger_hook.config import profiles
 from audioflinger_hook.config.profiles import parameters_of
+from audioflinger_hook.core import library_path as plugin_path
 from audioflinger_hook.core.design import core_design
 from audioflinger_hook.mixer.layouts import source_weights
-from audioflinger_hook.plugin import plugin_path
+from audioflinger_hook.plugin.variants import VariantDescriptor
 from audioflinger_hook.transform import HapticTransform
 from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.downmix import source_mixes
@@ -22,7 +22,7 @@ from device.rig import CONSUMER, PAPER
 
 Floats = NDArray[np.float32]
 
-PROFILES = ("paper", "cinema", "game", "music")
+PROFILES = tuple(profiles.PROFILES)
 RATES_HZ = (
     *(8_000, 11_025, 16_000, 22_050, 32_000, 44_100, 48_000, 88_200, 96_000, 176_400, 192_000),
 )
@@ -33,8 +33,8 @@ STRONG = replace(PAPER, amplifier=replace(PAPER.amplifier, gain=400.0))
 LATENCY, SOUND_PEAK, VIBRATION_PEAK = 3, 4, 5
 
 
-class Descriptor(ctypes.Structure):
-    """LADSPA_Descriptor."""
+class Descriptor(VariantDescriptor):
+    """LADSPA_Descriptor, whose beginning describes the ports."""
 
 
 Instantiate = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.POINTER(Descriptor), ctypes.c_ulong)
@@ -43,16 +43,6 @@ Run = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_ulong)
 Call = ctypes.CFUNCTYPE(None, ctypes.c_void_p)
 
 Descriptor._fields_ = [
-    ("unique_id", ctypes.c_ulong),
-    ("label", ctypes.c_char_p),
-    ("properties", ctypes.c_int),
-    ("name", ctypes.c_char_p),
-    ("maker", ctypes.c_char_p),
-    ("copyright", ctypes.c_char_p),
-    ("port_count", ctypes.c_ulong),
-    ("port_descriptors", ctypes.POINTER(ctypes.c_int)),
-    ("port_names", ctypes.POINTER(ctypes.c_char_p)),
-    ("port_ranges", ctypes.c_void_p),
     ("implementation", ctypes.c_void_p),
     ("instantiate", Instantiate),
     ("connect_port", Connect),
@@ -73,7 +63,7 @@ def plugin() -> Path:
 
 
 def descriptors() -> dict[str, Descriptor]:
-    """All faces by label."""
+    """All variants by label."""
     describe = ctypes.CDLL(str(plugin())).ladspa_descriptor
     describe.argtypes, describe.restype = [ctypes.c_ulong], ctypes.POINTER(Descriptor)
     found: dict[str, Descriptor] = {}
@@ -94,24 +84,39 @@ def write_design(folder: Path, profile: str, rate_hz: int) -> Path:
 DESIGNS = ("transform", "protected", "several")
 
 
-def any_design(kind: str, rate_hz: int, channels: int) -> bytes:
-    """A transform alone, with one damped and capped rig, or with three actuators of two sides."""
+def several_drives(rate_hz: int) -> list[DriveDesign | None]:
+    """A damped and capped rig, one that protection limits all the time, and none."""
     damping = damping_for(CONSUMER.actuator, CONSUMER.amplifier.source_impedance_ohm)
-    damped = DriveDesign(CONSUMER, rate_hz, damping, "action")
-    drives: dict[str, list[DriveDesign | None]] = {
-        "transform": [],
-        "protected": [damped],
-        "several": [damped, DriveDesign(STRONG, rate_hz, exposure_cap="limit"), None],
-    }
-    sides = ("mix", "left", "front") if kind == "several" else ()
+    strong = DriveDesign(STRONG, rate_hz, exposure_cap="limit")
+    return [DriveDesign(CONSUMER, rate_hz, damping, "action"), strong, None]
+
+
+def driven_design(
+    rate_hz: int,
+    channels: int,
+    sides: Sequence[str],
+    drives: Sequence[DriveDesign | None],
+    *,
+    each: bool = False,
+) -> bytes:
+    """The transform of the cinema profile, and actuators with these drives."""
     return core_design(
         rate_hz,
         channels,
         transform=LiveDesign.of(parameters_of("cinema"), rate_hz).records(),
+        each=each,
         mixes=source_mixes(source_weights(channels, sides)) if sides else (),
-        drives=drives[kind],
+        drives=drives,
         delay_frames_max=rate_hz,
     )
+
+
+def any_design(kind: str, rate_hz: int, channels: int) -> bytes:
+    """A transform alone, with one damped and capped rig, or with three actuators of two sides."""
+    drives = several_drives(rate_hz)
+    if kind == "several":
+        return driven_design(rate_hz, channels, ("mix", "left", "front"), drives)
+    return driven_design(rate_hz, channels, (), drives[:1] if kind == "protected" else [])
 
 
 def damaged(design: bytes) -> dict[str, bytes]:
@@ -145,24 +150,24 @@ def any_lengths(rng: np.random.Generator, frames: int) -> list[int]:
 
 
 class Instance:
-    """One instance of a public face, whose controls are attributes."""
+    """One instance of a public variant, whose controls are attributes."""
 
     def __init__(self, label: str, rate_hz: int) -> None:
-        self._face = descriptors()[label]
-        handle = self._face.instantiate(ctypes.byref(self._face), rate_hz)
+        self._variant = descriptors()[label]
+        handle = self._variant.instantiate(ctypes.byref(self._variant), rate_hz)
         self.made = bool(handle)
         self._handle = handle
         # Ports: 9 is an audio input, 10 an audio output, 4 a bit of controls.
-        kinds = [self._face.port_descriptors[port] for port in range(self._face.port_count)]
+        kinds = [self._variant.port_descriptors[port] for port in range(self._variant.port_count)]
         self._inputs = [port for port, kind in enumerate(kinds) if kind == 9]
         self._outputs = [port for port, kind in enumerate(kinds) if kind == 10]
         controls = [port for port, kind in enumerate(kinds) if kind & 4]
         self.controls = (ctypes.c_float * len(controls))()
         for index, port in enumerate(controls if self.made else ()):
             place = ctypes.addressof(self.controls) + 4 * index
-            self._face.connect_port(handle, port, place)
+            self._variant.connect_port(handle, port, place)
         if self.made:
-            self._face.activate(handle)
+            self._variant.activate(handle)
 
     @property
     def channels(self) -> int:
@@ -171,7 +176,7 @@ class Instance:
 
     def activate(self) -> None:
         """Begin a new stream."""
-        self._face.activate(self._handle)
+        self._variant.activate(self._handle)
 
     def run(self, sound: Floats, *, in_place: bool = False) -> Floats:
         """The vibration of a block, (frames, outputs)."""
@@ -179,16 +184,16 @@ class Instance:
         rows = np.ascontiguousarray(sound.T, np.float32)
         out = rows if in_place else np.full((len(self._outputs), frames), np.nan, np.float32)
         for row, port in zip(rows, self._inputs, strict=True):
-            self._face.connect_port(self._handle, port, row.ctypes.data)
+            self._variant.connect_port(self._handle, port, row.ctypes.data)
         for row, port in zip(out, self._outputs, strict=False):
-            self._face.connect_port(self._handle, port, row.ctypes.data)
-        self._face.run(self._handle, frames)
+            self._variant.connect_port(self._handle, port, row.ctypes.data)
+        self._variant.run(self._handle, frames)
         return out[: len(self._outputs)].T.copy()
 
     def close(self) -> None:
         """End it."""
         if self.made:
-            self._face.cleanup(self._handle)
+            self._variant.cleanup(self._handle)
         self.made = False
 
 

@@ -1,9 +1,8 @@
 import numpy as np
 import pytest
 
-from audioflinger_hook.scenes import Scene, SceneTrack, demo_scene
+from audioflinger_hook.scenes import Scene, demo_scene
 from audioflinger_hook.sources import mixdown
-from device.errors import UsageError
 from tests.support.costs import cost_ffts
 from tools.bench.cost import in_ffts
 
@@ -13,7 +12,7 @@ NAMES = ["engine", "footsteps", "speech", "explosion", "chord"]
 
 @pytest.fixture(scope="module")
 def scene():
-    return demo_scene(SAMPLERATE)
+    return demo_scene()
 
 
 @pytest.fixture(scope="module")
@@ -30,30 +29,12 @@ def rms_between(frames, start_s, end_s, samplerate=SAMPLERATE):
     return np.sqrt(np.mean(part.astype(np.float64) ** 2, axis=0))
 
 
-def longest_silence_s(frames):
-    silent = np.concatenate([[False], np.all(frames == 0.0, axis=1), [False]])
-    turns = np.flatnonzero(np.diff(silent.astype(np.int8)))
-    return float(np.max(turns[1::2] - turns[::2])) / SAMPLERATE
-
-
-@pytest.mark.exhaustive
-def test_the_demo_scene_is_the_same_bytes_twice(mix):
-    assert mixdown(demo_scene(SAMPLERATE)).tobytes() == mix.tobytes()
-
-
-def test_the_demo_scene_is_15_seconds_of_stereo_float32_at_48_khz(scene, mix):
+def test_the_demo_scene_is_15_loud_seconds_of_stereo_with_a_second_of_exact_silence(scene, mix):
     assert (scene.name, scene.samplerate, scene.duration_s) == ("demo", 48_000, 15.0)
-    assert mix.shape == (15 * 48_000, 2)
-    assert mix.dtype == np.float32
-
-
-def test_the_mixdown_is_finite_and_peaks_between_1_and_3_db_below_full_scale(mix):
-    assert np.all(np.isfinite(mix))
-    assert -3.0 <= 20.0 * np.log10(np.max(np.abs(mix))) <= -1.0
-
-
-def test_about_a_second_of_the_demo_scene_is_exact_silence(mix):
-    assert 0.9 <= longest_silence_s(mix) <= 1.5
+    assert (mix.shape, mix.dtype) == ((15 * 48_000, 2), np.float32)
+    assert -3.0 <= 20.0 * np.log10(np.max(np.abs(mix))) <= -1.0  # of full scale, and finite
+    sounding = np.flatnonzero(mix.any(axis=1))
+    assert 0.9 <= np.diff(sounding).max() / SAMPLERATE <= 1.5
 
 
 @pytest.mark.sweep
@@ -61,18 +42,15 @@ def test_about_a_second_of_the_demo_scene_is_exact_silence(mix):
 def test_each_voice_can_be_heard_over_all_others_in_a_second_of_its_own(scene, name):
     own = track_named(scene, name)
     rest = tuple(track for track in scene.tracks if track is not own)
-    others = mixdown(Scene("others", SAMPLERATE, rest, scene.duration_s))
-    alone = mixdown(Scene("alone", SAMPLERATE, (own,), scene.duration_s))
-    starts_s = np.arange(own.start_s, own.end_s - 1.0, 0.1)
-    margins_db = [
-        20.0
-        * np.log10(
-            np.max(rms_between(alone, start_s, start_s + 1.0))
-            / max(np.max(rms_between(others, start_s, start_s + 1.0)), 1e-9)
-        )
-        for start_s in starts_s
+    alone, others = (
+        mixdown(Scene("part", SAMPLERATE, tracks, scene.duration_s)) for tracks in ((own,), rest)
+    )
+    margins = [
+        rms_between(alone, at_s, at_s + 1.0).max()
+        / max(rms_between(others, at_s, at_s + 1.0).max(), 1e-9)
+        for at_s in np.arange(own.start_s, own.end_s - 1.0, 0.1)
     ]
-    assert max(margins_db) > 20.0
+    assert max(margins) > 10.0  # 20 dB
     # -40 dBFS over the whole track: nobody has to search for it
     assert np.max(rms_between(alone, own.start_s, own.end_s)) > 0.01
 
@@ -89,26 +67,23 @@ def test_each_track_starts_and_ends_at_exactly_zero_and_keeps_no_offset(scene, n
 def test_the_engine_moves_from_the_left_to_the_right(scene):
     engine = track_named(scene, "engine")
     left, right = rms_between(engine.frames, 1.0, 2.0, engine.samplerate)
+    later_left, later_right = rms_between(engine.frames, 3.8, 4.3, engine.samplerate)
     assert left > 2.0 * right
-    left, right = rms_between(engine.frames, 3.8, 4.3, engine.samplerate)
-    assert right > 2.0 * left
+    assert later_right > 2.0 * later_left
 
 
 def test_the_footsteps_fall_left_and_right_in_turn(scene):
     steps = track_named(scene, "footsteps")
-    balance = []
-    for step in range(6):
-        left, right = rms_between(steps.frames, 0.42 * step, 0.42 * step + 0.2, steps.samplerate)
-        balance.append(left > right)
-    assert balance == [True, False] * 3
+    starts_s = [0.42 * step for step in range(6)]
+    sides = [rms_between(steps.frames, at_s, at_s + 0.2, steps.samplerate) for at_s in starts_s]
+    assert [left > right for left, right in sides] == [True, False] * 3
 
 
 def test_the_explosion_is_the_loudest_second_of_the_scene(scene, mix):
     seconds = [np.max(rms_between(mix, start_s, start_s + 1.0)) for start_s in range(15)]
     assert 9 <= int(np.argmax(seconds)) <= 10
-    assert max(track.frames.max() for track in scene.tracks) == np.max(
-        track_named(scene, "explosion").frames
-    )
+    loudest = max(scene.tracks, key=lambda track: track.frames.max())
+    assert loudest.name == "explosion"
 
 
 def test_the_events_are_the_sounding_stretches_of_all_tracks_in_order_of_time(scene):
@@ -117,63 +92,17 @@ def test_the_events_are_the_sounding_stretches_of_all_tracks_in_order_of_time(sc
     first, second, *others = events
     assert (first[1], second[0]) == track_named(scene, "engine").pause_s
     for start_s, end_s, name in others:
-        assert (start_s, end_s) == (
-            track_named(scene, name).start_s,
-            track_named(scene, name).end_s,
-        )
+        track = track_named(scene, name)
+        assert (start_s, end_s) == (track.start_s, track.end_s)
     assert all(0.0 <= start_s < end_s <= scene.duration_s for start_s, end_s, _ in events)
     assert events == sorted(events)
 
 
 @pytest.mark.exhaustive
 def test_making_the_demo_scene_takes_less_than_a_second_and_a_half_of_a_quick_machine():
-    assert cost_ffts(lambda: demo_scene(SAMPLERATE)) < in_ffts(1.5)
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("samplerate", [16_000, 22_050, 44_100, 96_000])
-def test_the_demo_scene_keeps_its_shape_at_other_rates(samplerate):
-    scene = demo_scene(samplerate)
-    mix = mixdown(scene)
-    assert mix.shape == (15 * samplerate, 2)
-    assert np.all(np.isfinite(mix))
-    assert np.max(np.abs(mix)) <= 1.0
-
-
-@pytest.mark.parametrize("samplerate", [0, 8_000, 384_000])
-def test_a_rate_outside_the_range_is_refused_with_its_value(samplerate):
-    with pytest.raises(UsageError, match=f"samplerate={samplerate} is outside 16000 to 192000"):
-        demo_scene(samplerate)
+    assert cost_ffts(lambda: demo_scene()) < in_ffts(1.5)
 
 
 def test_the_tracks_of_the_demo_scene_cannot_be_changed_by_accident(scene):
     with pytest.raises(ValueError, match="read-only"):
         scene.tracks[0].frames[0, 0] = 1.0
-
-
-def ones(frames, channels=2, samplerate=1000, start_s=0.0):
-    return SceneTrack("ones", samplerate, np.ones((frames, channels), np.float32), start_s)
-
-
-def test_a_mixdown_adds_tracks_at_their_starts_and_is_zero_elsewhere():
-    mix = mixdown(Scene("sum", 1000, (ones(4), ones(3, start_s=0.002)), 0.008))
-    assert mix[:, 0].tolist() == [1, 1, 2, 2, 1, 0, 0, 0]
-    assert np.array_equal(mix[:, 0], mix[:, 1])
-
-
-def test_a_mixdown_does_not_limit_what_exceeds_full_scale():
-    assert np.all(mixdown(Scene("loud", 1000, (ones(4), ones(4), ones(4)), 0.004)) == 3.0)
-
-
-def test_a_mixdown_spreads_a_mono_track_over_all_channels():
-    mix = mixdown(Scene("mono", 1000, (ones(4, channels=1), ones(2)), 0.005))
-    assert mix.tolist() == [[2, 2], [2, 2], [1, 1], [1, 1], [0, 0]]
-
-
-def test_a_mixdown_brings_a_track_of_another_rate_to_its_own():
-    # Half a second at half the rate is half a second; the edges ring for 64 frames of the track.
-    mix = mixdown(Scene("mixed", 2000, (ones(500, samplerate=1000),), 1.0))
-    assert len(mix) == 2000
-    assert np.allclose(mix[300:900], 1.0, atol=1e-3)
-    assert np.allclose(mix[1300:], 0.0, atol=1e-6)
-    assert mix[:, 0].sum() == pytest.approx(1000, rel=1e-3)

@@ -5,23 +5,20 @@ SERVER]`, until it is killed: its processor time is what streams alone cost, and
 did not come in time, which it prints, nobody's did.
 """
 
-from __future__ import annotations
-
-import subprocess
 import sys
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import closing, contextmanager
-from pathlib import Path
+from typing import Any
 
-from audioflinger_hook.cli.signals import freeze_loaded_objects
+from audioflinger_hook.cli.process import freeze_loaded_objects
 from device.stream import CaptureStream, PcmConfig, PlaybackStream, filter_stderr
 from device.stream.pcms import ServerDevice
 from device.units import Float32Array
+from tests.servers.daemons import program
 from tests.servers.listening import RATE_HZ
 from tools.live_latency.pauses import Pause
 
-ROOT = Path(__file__).parents[2]
 WITNESS_FRAMES = 256
 CAPTURE_LATE_S = 0.022
 """Of blocks of so many frames. Captured ones come in twos where the server's own are longer."""
@@ -43,14 +40,7 @@ class Late:
             self.gaps.append((before_s, now_s))
 
 
-def main(
-    block_frames: int,
-    tap: str,
-    sink: str,
-    tap_server: str | None = None,
-    sink_server: str | None = None,
-) -> None:
-    """Open both, say so, and tell of gaps."""
+def main(block_frames, tap, sink, tap_server=None, sink_server=None):
     filter_stderr()
     config = PcmConfig("bare_tap", "bare_output")
     captured, played = Late(CAPTURE_LATE_S), Late(PLAYBACK_LATE_S)
@@ -73,22 +63,18 @@ def main(
 
 
 class BareStreams:
-    """A running one. process: itself."""
-
-    def __init__(self, process: subprocess.Popen[str]) -> None:
+    def __init__(self, process: Any) -> None:
         self.process = process
         self._gaps: list[Pause] = []
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
 
     def close(self) -> None:
-        """End them, once all that they wrote is read."""
         self.process.kill()
         self.process.wait()
         self._reader.join()
 
     def _read(self) -> None:
-        assert self.process.stdout is not None
         for line in self.process.stdout:
             self._gaps.append(Pause(*map(float, line.split())))
 
@@ -103,22 +89,11 @@ def bare_streams(
     environment: Mapping[str, str], *arguments: str, block_frames: int = WITNESS_FRAMES
 ) -> Iterator[BareStreams]:
     """They run from when both are open until the context ends. arguments: of `main`."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "tests.servers.bare_streams", str(block_frames), *arguments],
-        cwd=ROOT,
-        env=dict(environment),
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    assert process.stdout is not None
-    try:
+    command = (sys.executable, "-m", "tests.servers.bare_streams", str(block_frames), *arguments)
+    with program(environment, *command) as process:
         assert process.stdout.readline() == "ready\n"
         with closing(BareStreams(process)) as bare:
             yield bare
-    finally:
-        process.kill()
-        process.wait()
-        process.stdout.close()
 
 
 if __name__ == "__main__":

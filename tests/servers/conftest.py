@@ -1,7 +1,5 @@
 """Each kind of sound server, in a folder of its own, and PortAudio led to it."""
 
-from __future__ import annotations
-
 import gc
 import tempfile
 from collections.abc import Iterator
@@ -14,7 +12,10 @@ from device.stream import portaudio
 from device.stream.pcms import PcmConfig
 from device.stream.streams import CaptureStream, PlaybackStream
 from tests.servers.listening import Notes, count_stuck, need
+from tools.live_latency.bursts import REFERENCE
 from tools.sound_server import PROGRAMS, SoundServer, missing_programs
+
+QUANTUM = 1_024
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -38,30 +39,53 @@ def started(kind: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[SoundServer]
 
 
 @pytest.fixture(params=sorted(PROGRAMS))
-def server(
-    request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
-) -> Iterator[SoundServer]:
+def server(request, monkeypatch):
     yield from started(request.param, monkeypatch)
 
 
 @pytest.fixture
-def pcms(server: SoundServer) -> Iterator[PcmConfig]:
+def pipewire(monkeypatch):
+    yield from started("pipewire", monkeypatch)
+
+
+@pytest.fixture
+def pulse(monkeypatch):
+    yield from started("pulse", monkeypatch)
+
+
+@pytest.fixture(params=["python", "native"])
+def engine(request, server):
+    if request.param == "native" and server.kind != "pipewire":
+        pytest.skip("the native engine needs PipeWire")
+    return request.param
+
+
+@pytest.fixture
+def timed_pipewire(pipewire):
+    """PipeWire in cycles of QUANTUM frames, for measurements of delays against a reference."""
+    pipewire.add_reference(REFERENCE)
+    pipewire.set_clock("force-quantum", QUANTUM)
+    return pipewire
+
+
+@pytest.fixture
+def pcms(server):
     config = PcmConfig("cushion_tap", "cushion_output")
     yield config
     for item in gc.get_objects():  # what a failed test left open must not fail the next one
         if isinstance(item, (CaptureStream, PlaybackStream)):
             item.close()
-    assert portaudio.count_open() == count_stuck()
+    assert len(portaudio.open_tags) == count_stuck()
     config.close()
 
 
 @pytest.fixture
-def notes() -> Notes:
+def notes():
     return Notes()
 
 
 @pytest.fixture
-def connection(server: SoundServer, notes: Notes) -> Iterator[PulseConnection]:
+def connection(server, notes):
     connection = PulseConnection(notes)
     yield connection
     connection.close()

@@ -7,10 +7,9 @@ through a divider of 20, all at 1 V full scale. RIG may be a file, also of a coi
 currents.
 """
 
-from __future__ import annotations
-
 import subprocess
 import sys
+from typing import Any
 
 import numpy as np
 
@@ -32,7 +31,6 @@ NAMES = "acceleration,current,voltage"
 
 
 def main(haptic: str, instruments: str, rig_name: str) -> None:
-    """Move it, block by block."""
     rig = rig_by_name(rig_name)
     random = np.random.default_rng(1)
     dac, amplifier = Dac(rig.dac), Amplifier(rig.amplifier, RATE_HZ)
@@ -42,12 +40,10 @@ def main(haptic: str, instruments: str, rig_name: str) -> None:
     form = ["--raw", "--format=float32le", f"--rate={RATE_HZ}"]
     listen = [f"--device={haptic}.monitor", "--channels=2", "--latency-msec=20"]
     show = [f"--device={instruments}", f"--channels={CHANNELS}", f"--channel-map={MAP}"]
-    heard = subprocess.Popen(["parec", *form, *listen], stdout=subprocess.PIPE)
-    shown = subprocess.Popen(
+    heard: Any = subprocess.Popen(["parec", *form, *listen], stdout=subprocess.PIPE)
+    shown: Any = subprocess.Popen(
         ["pacat", "-p", *form, *show, "--latency-msec=200"], stdin=subprocess.PIPE
     )
-    assert heard.stdout is not None
-    assert shown.stdin is not None
     first = True
     while block := heard.stdout.read(FRAMES * 8):
         frames = np.frombuffer(block[: len(block) // 8 * 8], np.float32).reshape(-1, 2)

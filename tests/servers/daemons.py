@@ -1,7 +1,5 @@
 """What the tests of `cushion run` share: the command as a process, its status, what comes out."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
@@ -15,28 +13,28 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import correlate
 
 from audioflinger_hook.config.profiles import LIVE_DEFAULT, parameters_of
-from audioflinger_hook.service.state import Cause, DaemonState
+from audioflinger_hook.service.state import DaemonState
 from audioflinger_hook.service.status import Status
 from audioflinger_hook.service.status_client import ask_status
 from audioflinger_hook.transform.mapping import vibration_hz
 from device.errors import CushionError
 from device.units import Float32Array
-from tests.servers.listening import RATE_HZ, wait_for
+from tests.servers.listening import RATE_HZ, playing, recording, wait_for
 from tools.sound_server import SoundServer
 
 CUSHION = (sys.executable, "-m", "audioflinger_hook")
 ROOT = Path(__file__).parents[2]
 SOUNDING = (DaemonState.RUNNING, DaemonState.IDLE)
-FELT = 1e-3
-"""Vibration of at least this is felt."""
+FELT = 1e-3  # vibration of at least this is felt
 
 
 class Daemon:
     """A running `cushion run`; stderr: what it has written there so far."""
 
-    def __init__(self, server: SoundServer, process: subprocess.Popen[str]) -> None:
+    def __init__(self, server: SoundServer, process: Any) -> None:
         self._server = server
         self.process = process
         self.stderr = ""
@@ -44,7 +42,6 @@ class Daemon:
         self._reader.start()
 
     def _read(self) -> None:
-        assert self.process.stderr is not None
         for line in self.process.stderr:
             self.stderr += line
 
@@ -73,7 +70,6 @@ class Daemon:
         return seen[0]
 
     def wait_state(self, state: DaemonState, limit_s: float = 15.0) -> Status:
-        """Its status once it is in this state."""
         return self.wait(lambda status: status.state is state, state.value, limit_s)
 
     def wait_ready(self, limit_s: float = 20.0) -> Status:
@@ -93,15 +89,13 @@ class Daemon:
         return self.wait_exit()
 
     def wait_exit(self, limit_s: float = 15.0) -> int:
-        """Its exit code."""
-        code = self.process.wait(limit_s)
+        code: int = self.process.wait(limit_s)
         self.close()
         return code
 
     def close(self) -> None:
         """Read the rest of what it wrote, once it has ended."""
         self._reader.join(5.0)
-        assert self.process.stderr is not None
         self.process.stderr.close()
 
 
@@ -148,8 +142,35 @@ def running(
         sys.stderr.write(daemon.stderr)
 
 
+@contextmanager
+def vibrating(
+    server: SoundServer, folder: Path, sound: Float32Array, *arguments: str, **options: Any
+) -> Iterator[tuple[Daemon, Callable[[], Float32Array]]]:
+    """A daemon that vibrates while a sound plays to `desktop`, and a recording of what is felt.
+
+    options: of `running`.
+    """
+    with (
+        playing(server, "desktop", sound),
+        running(server, *arguments, **options) as daemon,
+        recording(server, "haptic.monitor", folder / "felt") as felt,
+    ):
+        wait_for(lambda: felt_now(felt), "vibration")
+        yield daemon, felt
+
+
+@contextmanager
+def program(environ: Mapping[str, str], *command: str, **options: Any) -> Iterator[Any]:
+    """A program that is killed at the end; what it writes goes to a pipe. options: of Popen."""
+    pipes = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE} | options
+    with subprocess.Popen(command, env=dict(environ), cwd=ROOT, text=True, **pipes) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
 def cushion(server: SoundServer, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """A command that ends by itself."""
     return subprocess.run(
         [*CUSHION, *arguments],
         env=environment(server),
@@ -165,13 +186,7 @@ def environment(server: SoundServer) -> dict[str, str]:
     return {**server.environment, "PYTHONPATH": str(ROOT)}
 
 
-def recovered(status: Status, cause: Cause) -> int:
-    """How often it recovered from this."""
-    return status.recoveries[cause]
-
-
 def tone(hz: float, seconds: float, level: float = 0.3) -> Float32Array:
-    """A stereo tone."""
     wave = level * np.sin(2.0 * np.pi * hz * np.arange(int(seconds * RATE_HZ)) / RATE_HZ)
     return np.column_stack([wave, wave]).astype(np.float32)
 
@@ -198,9 +213,9 @@ def envelope(samples: NDArray[np.floating]) -> NDArray[np.float64]:
 
 def best_lag(heard: NDArray[np.float64], wanted: NDArray[np.float64]) -> int:
     """By how many ms `wanted` comes late in `heard`."""
-    size = len(heard) + len(wanted)
-    products = np.fft.irfft(np.fft.rfft(heard, size) * np.fft.rfft(wanted, size).conj(), size)
-    return int(np.argmax(products[: max(1, len(heard) - len(wanted) + 1)]))
+    if len(heard) <= len(wanted):
+        return 0
+    return int(np.argmax(correlate(heard, wanted, "valid")))
 
 
 def nearest_lag(heard: NDArray[np.float64], wanted: NDArray[np.float64]) -> int:
@@ -238,18 +253,32 @@ def felt_now(heard: Callable[[], Float32Array], seconds: float = 0.05) -> bool:
     return bool(len(last)) and float(np.abs(last).max()) > FELT
 
 
+def longest_silence(frames: Float32Array) -> int:
+    """Frames of the longest run of exact zeros."""
+    heard = np.flatnonzero(frames.any(axis=1))
+    if not len(heard):
+        return len(frames)
+    return int(np.diff(np.concatenate([[-1], heard, [len(frames)]])).max()) - 1
+
+
+def links_of(server: SoundServer) -> str:
+    """All links of PipeWire's graph, below each of their ports."""
+    command = ("pw-link", "--links")
+    return subprocess.run(
+        command, env=server.environment, capture_output=True, text=True, check=True
+    ).stdout
+
+
 def modules_of(server: SoundServer) -> list[str]:
     return server.pactl("list", "short", "modules").splitlines()
 
 
 def cpu_s(pid: int) -> float:
-    """Time that a process has used."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def cpu_percent(*pids: int, seconds: float = 4.0) -> list[float]:
-    """What processes use of one core, each."""
     began_s, used_s = time.monotonic(), [cpu_s(pid) for pid in pids]
     wait_for(lambda: time.monotonic() - began_s > seconds, "time", 2.0 * seconds)
     elapsed_s = time.monotonic() - began_s

@@ -4,8 +4,6 @@ Lines on its standard input: `pause`, `go on`; it says each one back when it is 
 48 kHz stereo float32, and its first line is the index of its stream.
 """
 
-from __future__ import annotations
-
 import ctypes
 import math
 import sys

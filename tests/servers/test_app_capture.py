@@ -1,7 +1,5 @@
 """Each application is captured by itself, unchanged, and nothing else ever is."""
 
-from __future__ import annotations
-
 import gc
 import random
 import signal
@@ -9,9 +7,8 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,37 +24,33 @@ from device.server.pulse import PulseConnection
 from device.server.snapshot import Stream
 from device.stream.pcms import APPLICATION_NAME, ROLE
 from device.units import Float32Array
+from tests.servers.daemons import environment, program
 from tests.servers.listening import (
+    ATTEMPTS,
     RATE_HZ,
     Collector,
     noise,
     playing,
     sounding,
     wait_for,
+    wait_seconds,
 )
-from tools.sound_server import ServerError, SoundServer
-
-ROOT = Path(__file__).parents[2]
-ATTEMPTS = 3
-"""A shared machine drops whole buffers now and then."""
+from tests.support.commands import open_files
+from tools.sound_server import ServerError
 
 LEVEL = 0.4
 MICROPHONE_HZ = 1_000
-SILENT = 1e-3 * LEVEL
-"""60 dB under the level of the tones."""
+SILENT = 1e-3 * LEVEL  # 60 dB under the level of the tones
 
 
 class Player:
     """A running `tests.servers.player`; index: of its stream."""
 
-    def __init__(self, process: subprocess.Popen[str]) -> None:
-        assert process.stdout is not None
+    def __init__(self, process: Any) -> None:
         self.process = process
         self.index = int(process.stdout.readline())
 
     def tell(self, what: str) -> None:
-        assert self.process.stdin is not None
-        assert self.process.stdout is not None
         self.process.stdin.write(f"{what}\n")
         self.process.stdin.flush()
         assert self.process.stdout.readline().strip() == what
@@ -68,37 +61,20 @@ class Player:
 
 
 @contextmanager
-def tone(
-    server: SoundServer, hz: int, sink: str = "desktop", level: float = LEVEL
-) -> Iterator[Player]:
-    """Another program that plays a tone."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "tests.servers.player", str(hz), str(level), sink],
-        env=server.environment | {"PYTHONPATH": str(ROOT)},
-        cwd=ROOT,
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    try:
+def tone(server, hz, sink="desktop", level=LEVEL):
+    command = (sys.executable, "-m", "tests.servers.player", str(hz), str(level), sink)
+    with program(environment(server), *command, stdin=subprocess.PIPE) as process:
         yield Player(process)
-    finally:
-        process.kill()
-        process.wait(5.0)
-        for pipe in (process.stdin, process.stdout):
-            assert pipe is not None
-            pipe.close()
 
 
 @pytest.fixture
-def apps(server: SoundServer) -> Iterator[AppCaptures]:
+def apps(server):
     apps = AppCaptures()
     yield apps
     assert apps.close()
 
 
 def amplitude(frames: Float32Array, hz: int) -> float:
-    """The amplitude of a tone of this frequency."""
     window = np.hanning(len(frames))
     wave = np.exp(-2j * np.pi * hz * np.arange(len(frames)) / RATE_HZ)
     return float(2.0 * abs(np.sum(frames[:, 0] * window * wave)) / window.sum())
@@ -127,38 +103,14 @@ def stream_of(connection: PulseConnection, process_id: int) -> Stream:
         streams = connection.snapshot().sink_inputs
         return next((item for item in streams if item.process_id == process_id), None)
 
-    stream = wait_for(found, "the player")
-    assert stream is not None
-    return stream
+    return wait_for(found, "the player")
 
 
 def ended(capture: AppCapture) -> EndReason:
-    reason = wait_for(lambda: capture.ended, "the end of the capture", 1.0)
-    assert reason is not None
-    return reason
+    return wait_for(lambda: capture.ended, "the end of the capture", 1.0)
 
 
-def test_two_applications_come_apart(server: SoundServer, apps: AppCaptures) -> None:
-    with tone(server, 440) as one, tone(server, 720) as other:
-        first, second = Collector(), Collector()
-        captures = [
-            apps.open(one.index, RATE_HZ, 2, first),
-            apps.open(other.index, RATE_HZ, 2, second),
-        ]
-        for collector, own, other_hz in ((first, 440, 720), (second, 720, 440)):
-            assert steady(collector, own) == pytest.approx(LEVEL, rel=0.01)
-            assert foreign(collector, other_hz) < SILENT
-        for capture in captures:
-            assert capture.ended is None
-            assert capture.errors == {}
-            assert capture.frames >= capture.callbacks > 0
-            assert capture.close()
-            assert capture.ended is EndReason.CLOSED
-
-
-def test_samples_come_bit_for_bit(
-    server: SoundServer, apps: AppCaptures, connection: PulseConnection
-) -> None:
+def test_samples_come_bit_for_bit(server, apps, connection):
     played = noise(4.0)
 
     def is_exact() -> bool:
@@ -174,9 +126,7 @@ def test_samples_come_bit_for_bit(
     assert any(is_exact() for _ in range(ATTEMPTS))
 
 
-def test_the_applications_volume_and_mute_count_the_sinks_do_not(
-    server: SoundServer, apps: AppCaptures
-) -> None:
+def test_the_applications_volume_and_mute_count_the_sinks_do_not(server, apps):
     with tone(server, 440) as player:
         collector = Collector()
         apps.open(player.index, RATE_HZ, 2, collector)
@@ -200,7 +150,7 @@ def test_the_applications_volume_and_mute_count_the_sinks_do_not(
         comes(LEVEL)
 
 
-def test_the_server_converts_rate_and_channels(server: SoundServer, apps: AppCaptures) -> None:
+def test_the_server_converts_rate_and_channels(server, apps):
     with tone(server, 440) as player:
         collector = Collector()
         capture = apps.open(player.index, 24_000, 1, collector)
@@ -212,7 +162,7 @@ def test_the_server_converts_rate_and_channels(server: SoundServer, apps: AppCap
         assert capture.close()
 
 
-def test_what_cannot_be_captured_is_said(server: SoundServer, apps: AppCaptures) -> None:
+def test_what_cannot_be_captured_is_said(server, apps):
     with pytest.raises(NotFoundError, match="no application plays a stream with the index 4711"):
         apps.open(4_711, RATE_HZ, 2, Collector())
     apps.close()
@@ -220,27 +170,29 @@ def test_what_cannot_be_captured_is_said(server: SoundServer, apps: AppCaptures)
         apps.open(0, RATE_HZ, 2, Collector())
 
 
-def test_the_end_of_the_application_ends_its_capture_and_no_other(
-    server: SoundServer, apps: AppCaptures
-) -> None:
+def test_two_applications_come_apart_and_the_end_of_one_ends_its_capture_alone(server, apps):
     with tone(server, 440) as one, tone(server, 720) as other:
         first, second = Collector(), Collector()
         capture = apps.open(one.index, RATE_HZ, 2, first)
         stays = apps.open(other.index, RATE_HZ, 2, second)
-        last(first)
+        for collector, own_hz, other_hz in ((first, 440, 720), (second, 720, 440)):
+            assert steady(collector, own_hz) == pytest.approx(LEVEL, rel=0.01)
+            assert foreign(collector, other_hz) < SILENT
         one.end()
         assert ended(capture) is EndReason.GONE
         assert capture.close()
         assert capture.ended is EndReason.GONE
         assert steady(second, 720) == pytest.approx(LEVEL, rel=0.01)
         assert stays.ended is None
+        assert stays.errors == {}
+        assert stays.frames >= stays.callbacks > 0
+        assert stays.close()
+        assert stays.ended is EndReason.CLOSED
         with pytest.raises(NotFoundError, match="ended just now"):
             apps.open(one.index, RATE_HZ, 2, first)
 
 
-def test_a_moved_application_is_captured_on_or_its_capture_ends(
-    server: SoundServer, apps: AppCaptures
-) -> None:
+def test_a_moved_application_is_captured_on_or_its_capture_ends(server, apps):
     server.add_sink("speakers")
     with tone(server, 440) as player, tone(server, 720, "speakers"):
         collector = Collector()
@@ -258,14 +210,12 @@ def test_a_moved_application_is_captured_on_or_its_capture_ends(
         assert capture.ended is None
 
 
-def test_a_server_that_dies_ends_all_captures(server: SoundServer, apps: AppCaptures) -> None:
+def test_a_server_that_dies_ends_all_captures(server, apps):
     with tone(server, 440) as one, tone(server, 720) as other:
         captures = [apps.open(item.index, RATE_HZ, 2, Collector()) for item in (one, other)]
         wait_for(lambda: all(capture.callbacks for capture in captures), "frames")
-        killed_s = time.monotonic()
         server.kill()
         assert [ended(capture) for capture in captures] == [EndReason.LOST, EndReason.LOST]
-        print(f"{server.kind}: noticed after {time.monotonic() - killed_s:.3f} s")
         assert apps.lost is not None
         with pytest.raises(LostError, match="was lost"):
             apps.open(one.index, RATE_HZ, 2, Collector())
@@ -280,7 +230,7 @@ def test_a_server_that_dies_ends_all_captures(server: SoundServer, apps: AppCapt
         assert again.close()
 
 
-def test_a_server_that_hangs_counts_as_lost(server: SoundServer, apps: AppCaptures) -> None:
+def test_a_server_that_hangs_counts_as_lost(server, apps):
     with tone(server, 440) as player:
         capture = apps.open(player.index, RATE_HZ, 2, Collector())
         wait_for(lambda: capture.callbacks, "frames")
@@ -296,32 +246,33 @@ def test_a_server_that_hangs_counts_as_lost(server: SoundServer, apps: AppCaptur
         server.resume()
 
 
-def test_a_paused_application_is_not_lost_and_goes_on(
-    server: SoundServer, apps: AppCaptures
-) -> None:
+@pytest.mark.parametrize("hangs", [False, True], ids=["pauses", "hangs"])
+def test_an_application_that_pauses_or_hangs_is_not_lost_and_goes_on(server, apps, hangs):
     with tone(server, 440) as player:
         collector = Collector()
         capture = apps.open(player.index, RATE_HZ, 2, collector)
         assert steady(collector, 440) == pytest.approx(LEVEL, rel=0.01)
-        player.tell("pause")
+        if hangs:
+            player.process.send_signal(signal.SIGSTOP)
+        else:
+            player.tell("pause")
 
         def is_silent() -> bool:
             """For longer than it takes to ask whether the server is still there."""
-            now_s = time.monotonic()
             frames = capture.frames
-            wait_for(lambda: time.monotonic() - now_s > 1.5, "time")
-            new = collector.frames()[frames:]
-            return not new.any()
+            wait_seconds(1.5)
+            return not collector.frames()[frames:].any()
 
         wait_for(is_silent, "silence")
         assert capture.ended is None
-        player.tell("go on")
+        if hangs:
+            player.process.send_signal(signal.SIGCONT)
+        else:
+            player.tell("go on")
         assert steady(collector, 440) == pytest.approx(LEVEL, rel=0.01)
 
 
-def test_an_application_that_pauses_already_is_captured_once_it_goes_on(
-    server: SoundServer, apps: AppCaptures, connection: PulseConnection
-) -> None:
+def test_an_application_that_pauses_already_is_captured_once_it_goes_on(server, apps, connection):
     with tone(server, 440) as player:
         player.tell("pause")
         wait_for(lambda: stream_of(connection, player.process.pid).corked, "the pause")
@@ -337,23 +288,7 @@ def test_an_application_that_pauses_already_is_captured_once_it_goes_on(
         wait_for(lambda: len(connection.snapshot().source_outputs) == 1, "the end of the other")
 
 
-def test_an_application_that_hangs_is_not_lost_and_goes_on(
-    server: SoundServer, apps: AppCaptures
-) -> None:
-    with tone(server, 440) as player:
-        collector = Collector()
-        capture = apps.open(player.index, RATE_HZ, 2, collector)
-        last(collector)
-        player.process.send_signal(signal.SIGSTOP)
-        wait_for(lambda: not last(collector, 0.1).any(), "silence")
-        assert capture.ended is None
-        player.process.send_signal(signal.SIGCONT)
-        assert steady(collector, 440) == pytest.approx(LEVEL, rel=0.01)
-
-
-def test_a_microphone_is_never_captured(
-    server: SoundServer, apps: AppCaptures, connection: PulseConnection
-) -> None:
+def test_a_microphone_is_never_captured(server, apps, connection):
     server.add_microphone("microphone")
     collector = Collector()
     captures: list[AppCapture] = []
@@ -371,8 +306,7 @@ def test_a_microphone_is_never_captured(
         with tone(server, 440) as player:
             capture(player.index)
             last(collector)
-            own = find_tagged(connection.snapshot().source_outputs, captures[-1].tag)
-            assert own is not None
+            own: Any = find_tagged(connection.snapshot().source_outputs, captures[-1].tag)
             with pytest.raises(ServerError):
                 server.pactl("move-source-output", str(own.index), "microphone")
             last(collector)
@@ -393,19 +327,15 @@ def test_a_microphone_is_never_captured(
     heard = [amplitude(piece, MICROPHONE_HZ) for piece in pieces]
     assert max(heard) < 0.05 * LEVEL
     assert np.median(heard) < SILENT
-    print(f"{server.kind}: {len(captures)} captures, {len(refused)} refused")
 
 
-def test_our_captures_are_known_and_not_captured_themselves(
-    server: SoundServer, apps: AppCaptures, connection: PulseConnection
-) -> None:
+def test_our_captures_are_known_and_not_captured_themselves(server, apps, connection):
     refuge = FallbackSink(connection)
     server.add_sink("virtual")
     server.pactl("load-module", "module-loopback", "source=virtual.monitor", "sink=desktop")
     with tone(server, 440, "virtual") as player, tone(server, 720, "haptic"):
         capture = apps.open(player.index, RATE_HZ, 2, Collector())
-        own = find_tagged(connection.snapshot().source_outputs, capture.tag)
-        assert own is not None
+        own: Any = find_tagged(connection.snapshot().source_outputs, capture.tag)
         assert is_own_stream(own)
         assert (own.application, own.role) == (APPLICATION_NAME, ROLE)
         wait_for(lambda: len(connection.snapshot().sink_inputs) == 3, "the loopback")
@@ -415,9 +345,7 @@ def test_our_captures_are_known_and_not_captured_themselves(
     refuge.close()
 
 
-def test_what_goes_wrong_in_on_frames_is_counted_and_stops_no_one(
-    server: SoundServer, apps: AppCaptures
-) -> None:
+def test_what_goes_wrong_in_on_frames_is_counted_and_stops_no_one(server, apps):
     def on_frames(frames: Float32Array, now_s: float) -> None:
         if not frames.flags.writeable:
             apps.open(player.index, RATE_HZ, 2, collector)
@@ -432,13 +360,11 @@ def test_what_goes_wrong_in_on_frames_is_counted_and_stops_no_one(
         assert good.errors == {}
 
 
-def test_opening_and_closing_leaves_nothing_behind(
-    server: SoundServer, connection: PulseConnection
-) -> None:
+def test_opening_and_closing_leaves_nothing_behind(server, connection):
     def held() -> tuple[int, int, int]:
         gc.collect()
         outputs = len(connection.snapshot().source_outputs)
-        return outputs, threading.active_count(), len(list(Path("/proc/self/fd").iterdir()))
+        return outputs, threading.active_count(), open_files()
 
     def cycle() -> None:
         apps = AppCaptures()

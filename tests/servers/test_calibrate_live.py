@@ -1,7 +1,5 @@
 """`cushion calibrate` on a sound server: a simulated cushion hangs on its sinks."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal
@@ -17,8 +15,8 @@ import pytest
 from device.identification.mechanics import write_rig
 from device.rig import PAPER, read_rig
 from tests.servers.conftest import started
-from tests.servers.cushion_on_a_bench import CHANNELS, MAP, NAMES, OPTIONS
-from tests.servers.daemons import CUSHION, ROOT, cushion, environment, felt_now
+from tests.servers.cushion_on_a_bench import MAP, NAMES, OPTIONS
+from tests.servers.daemons import CUSHION, cushion, environment, felt_now, program
 from tests.servers.listening import RATE_HZ, recording, wait_for
 from tools.sound_server import SoundServer
 
@@ -26,35 +24,22 @@ BENCH = "tests.servers.cushion_on_a_bench"
 
 
 @pytest.fixture
-def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[SoundServer]:
+def server(monkeypatch):
     """PulseAudio alone: each sweep takes its time, and streams are the same on both."""
     for server in started("pulse", monkeypatch):
-        server.pactl(
-            *("load-module", "module-null-sink", "sink_name=instruments", "rate=48000"),
-            *(f"channels={CHANNELS}", f"channel_map={MAP}", "format=float32le", "norewinds=1"),
-        )
+        server.add_sink("instruments", channel_map=MAP)
         yield server
 
 
 @contextmanager
 def on_a_bench(server: SoundServer, rig: str = "paper") -> Iterator[None]:
-    process = subprocess.Popen(
-        [sys.executable, "-m", BENCH, "haptic", "instruments", rig],
-        env=environment(server),
-        cwd=ROOT,
-        start_new_session=True,
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        assert process.stdout is not None
-        assert process.stdout.readline() == "ready\n"
-        yield
-    finally:
-        os.killpg(process.pid, signal.SIGKILL)  # with its players
-        process.wait()
-        assert process.stdout is not None
-        process.stdout.close()
+    command = (sys.executable, "-m", BENCH, "haptic", "instruments", rig)
+    with program(environment(server), *command, start_new_session=True) as process:
+        try:
+            assert process.stdout.readline() == "ready\n"
+            yield
+        finally:
+            os.killpg(process.pid, signal.SIGKILL)  # with its players
 
 
 def calibrate(server: SoundServer, out: Path, *more: str) -> subprocess.CompletedProcess[str]:
@@ -69,31 +54,9 @@ def arguments(out: Path) -> list[str]:
 
 
 @pytest.mark.calm
-def test_a_cushion_on_a_sound_server_is_identified_and_its_file_is_used_at_once(
-    server: SoundServer, tmp_path: Path
-) -> None:
-    path = tmp_path / "mine.toml"
-    with on_a_bench(server):
-        done = calibrate(server, path, "--level", "0.03", "--json")
-    assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout)
-    print(found["devices"])
-    rig = read_rig(path)
-    assert rig.name == "mine"
-    assert rig.actuator.resonance_hz == pytest.approx(PAPER.actuator.resonance_hz, rel=0.005)
-    assert rig.actuator.q_mechanical == pytest.approx(PAPER.actuator.q_mechanical, rel=0.05)
-    # nine with eddy currents, which a block that the bench plays late may look like
-    assert len(found["values"]) in (7, 9)
-    assert found["values"]["amplifier.gain"]["value"] == pytest.approx(2.5, rel=0.01)
-
-
-@pytest.mark.calm
-def test_a_coil_with_eddy_currents_on_another_amplifier_is_identified(
-    server: SoundServer, tmp_path: Path
-) -> None:
-    eddy = replace(
-        PAPER.actuator, inductance_h=5e-4, inductance_eddy_h=1.5e-3, resistance_eddy_ohm=1.5
-    )
+def test_a_coil_with_eddy_currents_is_identified_and_its_file_is_used_at_once(server, tmp_path):
+    coil = {"inductance_h": 5e-4, "inductance_eddy_h": 1.5e-3, "resistance_eddy_ohm": 1.5}
+    eddy = replace(PAPER.actuator, **coil)
     amplifier = replace(PAPER.amplifier, gain=5.0, low_cut_hz=3.0)
     true = replace(PAPER, name="true", actuator=eddy, amplifier=amplifier, sources=())
     write_rig(true, tmp_path / "true.toml")
@@ -102,6 +65,7 @@ def test_a_coil_with_eddy_currents_on_another_amplifier_is_identified(
         done = cushion(server, *arguments(path), "--seconds", "2", "--level", "0.02", "--json")
     assert done.returncode == 0, done.stderr
     found = read_rig(path)
+    assert found.name == "mine"
     for name in ("resistance_ohm", "force_factor_n_per_a", "moving_mass_kg"):
         assert getattr(found.actuator, name) == pytest.approx(getattr(eddy, name), rel=0.02)
     assert found.amplifier.gain == pytest.approx(5.0, rel=0.01)
@@ -113,13 +77,10 @@ def test_a_coil_with_eddy_currents_on_another_amplifier_is_identified(
         <= one["interval"][1]
         for name, one in values
     ]
-    print(held)
     assert sum(held) >= len(held) - 2  # of ten intervals of 95 %, three miss once in 87 runs
 
 
-def test_where_nothing_hangs_on_it_there_is_no_signal_and_no_file(
-    server: SoundServer, tmp_path: Path
-) -> None:
+def test_where_nothing_hangs_on_it_there_is_no_signal_and_no_file(server, tmp_path):
     path = tmp_path / "mine.toml"
     done = calibrate(server, path)
     assert done.returncode == 2
@@ -129,21 +90,13 @@ def test_where_nothing_hangs_on_it_there_is_no_signal_and_no_file(
 
 
 @pytest.mark.calm
-def test_ctrl_c_in_a_sweep_is_silence_at_once_and_no_file(
-    server: SoundServer, tmp_path: Path
-) -> None:
+def test_ctrl_c_in_a_sweep_is_silence_at_once_and_no_file(server, tmp_path):
     path = tmp_path / "mine.toml"
+    command = (*CUSHION, *arguments(path), "--seconds", "30")
     with (
         on_a_bench(server),
         recording(server, "haptic.monitor", tmp_path / "heard") as heard,
-        subprocess.Popen(
-            [*CUSHION, *arguments(path), "--seconds", "30"],
-            env=environment(server),
-            cwd=ROOT,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        ) as process,
+        program(environment(server), *command, stderr=subprocess.PIPE) as process,
     ):
         wait_for(lambda: felt_now(heard) or process.poll() is not None, "the sweep", 30.0)
         assert process.poll() is None, process.communicate()

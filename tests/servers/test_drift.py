@@ -5,8 +5,6 @@ their own besides (their blocks are rounded to microseconds), so the true drift 
 two monitors.
 """
 
-from __future__ import annotations
-
 import os
 import tempfile
 import time
@@ -18,11 +16,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from audioflinger_hook.cli.signals import freeze_loaded_objects
+from audioflinger_hook.cli.process import freeze_loaded_objects
 from audioflinger_hook.config.settings import LiveSettings
 from audioflinger_hook.daemon.capture_queue import CaptureQueue
 from audioflinger_hook.daemon.engine import Clocks, Engine
-from device.clock.delay_line import DelayState, DelayStatus
+from device.clock.delay_control import DelayState, DelayStatus
 from device.stream import CaptureStream, PcmConfig, PlaybackStream
 from device.stream.pcms import ServerDevice
 from tests.servers.bare_streams import bare_streams
@@ -38,15 +36,11 @@ SOAK_S = float(os.environ.get("CUSHION_DRIFT_SOAK_S", "300"))
 """How long each pair of clocks is watched in the soak."""
 
 SHORT_S = 20.0
-SHORT_SETTLES_S = 20.0
-SETTLES_S = 60.0
-"""The delay line steers with 0.02 Hz once it has found its target."""
-
+SETTLES_S = 60.0  # the delay line steers with 0.02 Hz once it has found its target
 POLL_S = 0.1
 RECOVERS_S = 4.0
 """What a gap may disturb: frames are lost, and the clock waits for 2 s before it takes its word."""
-LEAST_CLEAR = 0.7
-"""Of the time, what must be free of such pauses for a run to tell anything."""
+LEAST_CLEAR = 0.7  # of the time, what must be free of such pauses for a run to tell anything
 
 
 @dataclass(frozen=True)
@@ -79,13 +73,7 @@ class Watched:
 
     @property
     def resyncs(self) -> int:
-        return self._rises([status.resyncs for status in self.statuses])
-
-    @property
-    def starved(self) -> int:
-        return self._rises([status.underflows for status in self.statuses])
-
-    def _rises(self, counts: list[int]) -> int:
+        counts = [status.resyncs for status in self.statuses]
         return int(np.sum(np.diff(counts)[self.clear[1:]]))
 
     def __str__(self) -> str:
@@ -94,8 +82,8 @@ class Watched:
         return (
             f"drift {self.drift_ppm:+.0f} ppm, mean ratio {self.ratio_ppm:+.0f} ppm, delay less "
             f"target {errors_ms.min():+.2f} to {errors_ms.max():+.2f} ms, target "
-            f"{1e3 * self.statuses[-1].target_s:.2f} ms, {self.resyncs} resyncs, "
-            f"{self.starved} underflows; {len(self.pauses)} times a core or bare streams stood "
+            f"{1e3 * self.statuses[-1].target_s:.2f} ms, {self.resyncs} resyncs; "
+            f"{len(self.pauses)} times a core or bare streams stood "
             f"still, up to {longest_ms:.0f} ms: {100.0 * np.mean(self.clear):.0f} % of the time "
             "counts"
         )
@@ -155,9 +143,7 @@ def bridged(heard: SoundServer, felt: SoundServer) -> Iterator[Engine]:
         config.close()
 
 
-def watched(
-    ratio: float, seconds: float, settles_s: float, monkeypatch: pytest.MonkeyPatch
-) -> Watched:
+def watched(ratio, seconds, settles_s, monkeypatch):
     """What the delay line does for `seconds` once it has played for settles_s."""
     tone = swelling_tone(145.0, 60.0, RATE_HZ)[:, None].repeat(2, axis=1).astype(np.float32)
     length = int((settles_s + seconds + 30.0) / 60.0) + 1
@@ -178,7 +164,7 @@ def watched(
         times_s: list[float] = []
         statuses: list[DelayStatus] = []
 
-        def over() -> bool:
+        def over():
             now_s = time.monotonic()
             elapsed_s = now_s - began_s
             captured.drain()
@@ -190,9 +176,8 @@ def watched(
 
         wait_for(over, "the end", settles_s + seconds + 10.0)
         drift_ppm = taken.line().drift_ppm - captured.line().drift_ppm
-        pauses = tuple(
-            pause for pause in (*witness.core_pauses(), *bare.gaps) if pause.end_s > began_s
-        )
+        every_pause = (*witness.core_pauses(), *bare.gaps)
+        pauses = tuple(pause for pause in every_pause if pause.end_s > began_s)
     result = Watched(times_s, statuses, drift_ppm, pauses)
     if not result.clear.any():
         pytest.skip("frames are lost all the time, whoever asks for them")
@@ -207,11 +192,8 @@ def recording(server: SoundServer, sink: str) -> Recording:
 
 
 @pytest.mark.servers
-@pytest.mark.parametrize("ratio", [pytest.param(0.9998, marks=pytest.mark.soak), 1.0002])
-def test_a_card_that_is_fast_or_slow_is_followed(
-    ratio: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    found = watched(ratio, SHORT_S, SHORT_SETTLES_S, monkeypatch)
+def test_a_card_that_is_fast_is_followed(monkeypatch):
+    found = watched(1.0002, SHORT_S, SHORT_S, monkeypatch)
     assert found.resyncs == 0
     # Twice what is allowed when all has settled, which takes a minute.
     assert np.abs(found.errors_ms).max() <= 2.0
@@ -219,9 +201,7 @@ def test_a_card_that_is_fast_or_slow_is_followed(
 
 @pytest.mark.soak
 @pytest.mark.parametrize("ratio", [0.9998, 1.0, 1.0002])
-def test_the_delay_stays_on_its_target_for_minutes(
-    ratio: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_delay_stays_on_its_target_for_minutes(ratio, monkeypatch):
     settles_s = min(SETTLES_S, SOAK_S / 2.0)
     found = watched(ratio, SOAK_S - settles_s, settles_s, monkeypatch)
     assert found.resyncs == 0

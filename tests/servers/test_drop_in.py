@@ -1,15 +1,11 @@
 """Drop-in mode: the server forwards the sound, as late as asked for, whatever becomes of us."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,19 +16,19 @@ from device.server.forwarding import SINK, loopbacks
 from device.server.guard import Hold, StreamGuard
 from device.server.identity import find_sink, find_tagged
 from device.server.pulse import PulseConnection
-from device.server.snapshot import Stream
-from device.stream.pcms import PcmConfig, ServerDevice
-from device.stream.streams import PlaybackStream
 from device.units import Float32Array
-from tests.servers.daemons import ROOT, modules_of, tone
+from tests.servers.daemons import ROOT, modules_of, program, tone
 from tests.servers.listening import (
     RATE_HZ,
     arriving,
     insist_on_default,
+    level_db,
+    more,
+    open_output,
     playing,
     recording,
-    steady,
     wait_for,
+    wait_seconds,
 )
 from tools.sound_server import SoundServer
 from tools.sound_server_files import keep_default_sink
@@ -49,51 +45,34 @@ sys.stdin.read()
 
 
 @contextmanager
-def dropped_in(
-    connection: PulseConnection, target: str | None = None, delay_s: float | None = None
-) -> Iterator[DropIn]:
-    """Drop-in mode, once the virtual sink is the default one."""
+def dropped_in(connection, target=None, delay_s=None):
     drop_in = DropIn(connection, target, delay_s, haptic_sink="haptic")
     try:
-        wait_for(
-            lambda: connection.snapshot().default_sink == SINK, "virtual sink as default", 20.0
-        )
+        wait_for_default(connection, SINK, 20.0)
         yield drop_in
     finally:
         drop_in.close()
 
 
-def forwarded(connection: PulseConnection, drop_in: DropIn) -> bool:
-    """Whether both streams of the loopback are on their devices, by the latest snapshot."""
+def forwarded(connection: PulseConnection, drop_in: DropIn, target: str | None = None) -> bool:
+    """Whether both streams of the loopback are on their devices, and that the target."""
     found = () if connection.lost else loopbacks(connection.latest)
-    return any(one.complete and one.route.target == drop_in.target_name for one in found)
+    here = drop_in.target_name
+    is_there = any(one.complete and one.route.target == here for one in found)
+    return target in (None, here) and is_there
 
 
 @contextmanager
 def another_process() -> Iterator[subprocess.Popen[str]]:
-    """Drop-in mode in a process of its own."""
-    process = subprocess.Popen(
-        [sys.executable, "-c", ANOTHER_PROCESS],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-        cwd=ROOT,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-    )
-    assert process.stdin is not None
-    assert process.stdout is not None
-    try:
+    environ = os.environ | {"PYTHONPATH": str(ROOT)}
+    command = (sys.executable, "-c", ANOTHER_PROCESS)
+    with program(environ, *command, stdin=subprocess.PIPE) as process:
         assert process.stdout.readline().strip() == "desktop"
         yield process
-    finally:
-        process.kill()
-        process.wait(5.0)
-        process.stdin.close()
-        process.stdout.close()
 
 
 @pytest.fixture(autouse=True)
-def still_recordings(server: SoundServer) -> None:
+def still_recordings(server):
     """PulseAudio moves what records the default source when the default sink is another one."""
     server.pactl("set-default-source", "haptic.monitor")
 
@@ -102,6 +81,14 @@ def places(connection: PulseConnection) -> dict[str, str]:
     """Where each playing program is, by its process id."""
     streams = connection.snapshot().sink_inputs
     return {str(stream.process_id): stream.device_name for stream in streams}
+
+
+def wait_for_place(connection: PulseConnection, player: int, sink: str) -> None:
+    wait_for(lambda: places(connection).get(str(player)) == sink, f"the player on {sink}")
+
+
+def wait_for_default(connection: PulseConnection, sink: str, limit_s: float = 10.0) -> None:
+    wait_for(lambda: connection.snapshot().default_sink == sink, f"default sink {sink}", limit_s)
 
 
 def everything(server: SoundServer, connection: PulseConnection) -> object:
@@ -113,10 +100,6 @@ def everything(server: SoundServer, connection: PulseConnection) -> object:
         places(connection),
         [server.pactl("get-sink-volume", name) for name in server.names("sinks")],
     )
-
-
-def level_db(frames: Float32Array) -> float:
-    return float(10.0 * np.log10(np.mean(np.square(frames, dtype=np.float64)) + 1e-20))
 
 
 def sounds(heard: Callable[[], Float32Array], seconds: float = 0.1) -> bool:
@@ -141,7 +124,6 @@ def lateness_ms(server: SoundServer, played: Float32Array) -> float:
 
 
 def starts(frames: Float32Array) -> list[int]:
-    """The first frames of clicks."""
     loud = np.flatnonzero(np.abs(frames[:, 0]) > 0.2)
     return [int(frame) for frame in loud[np.diff(loud, prepend=-RATE_HZ) > RATE_HZ // 10]]
 
@@ -153,37 +135,14 @@ def clicks(seconds: float) -> Float32Array:
     return frames
 
 
-def test_what_plays_to_the_default_sink_is_heard_at_its_level_and_can_be_tapped(
-    server: SoundServer, connection: PulseConnection, tmp_path: Path
-) -> None:
-    with (
-        dropped_in(connection, delay_s=0.05) as drop_in,
-        recording(server, "desktop.monitor", tmp_path / "far", stays=True) as far,
-        recording(server, f"{SINK}.monitor", tmp_path / "near", stays=True) as near,
-        playing(server, DEFAULT, tone(1_000.0, 20.0)),
-    ):
-        assert (drop_in.target_name, drop_in.delay_s) == ("desktop", 0.05)
-        wait_for(lambda: forwarded(connection, drop_in), "forwarding")
-
-        def alike() -> bool:
-            both = [level_db(heard()[-RATE_HZ // 2 :]) for heard in (near, far)]
-            return all(abs(level - level_db(tone(1_000.0, 1.0))) < 0.1 for level in both)
-
-        wait_for(alike, "the same level on both sinks")
-        wait_for(lambda: sounds(far) and sounds(near), "sound without gaps")
-
-
 @pytest.mark.parametrize("delay_ms", [0, 75, 150])
-def test_the_sound_is_as_late_as_asked_for(
-    server: SoundServer, connection: PulseConnection, delay_ms: int
-) -> None:
+def test_the_sound_is_as_late_as_asked_for(server, connection, delay_ms):
     wanted_ms = max(delay_ms, 20)
     with dropped_in(connection, delay_s=delay_ms / 1e3) as drop_in:
         measured = [lateness_ms(server, clicks(20.0))]
         # where a busy machine held PulseAudio up it finds back at 1 % of speed
         while abs(measured[-1] - wanted_ms) > 10.0 and len(measured) < 10:
             measured.append(lateness_ms(server, clicks(20.0)))
-        print(f"{server.kind}: {wanted_ms} ms became {measured}")
         assert abs(measured[-1] - wanted_ms) <= 10.0
         drop_in.delay_s = 0.1
         wait_for(lambda: delays(connection) == ["100"], "the other delay")
@@ -196,14 +155,11 @@ def forwarders(connection: PulseConnection) -> list[int]:
 
 
 def delays(connection: PulseConnection) -> list[str]:
-    """The delays of all loopbacks of ours."""
     streams = connection.snapshot().sink_inputs
     return [item.properties["cushion.delay_ms"] for item in streams if item.module is not None]
 
 
-def test_another_delay_while_sound_plays_is_no_more_than_a_short_gap(
-    server: SoundServer, connection: PulseConnection, tmp_path: Path
-) -> None:
+def test_another_delay_while_sound_plays_is_no_more_than_a_short_gap(server, connection, tmp_path):
     with (
         dropped_in(connection, delay_s=0.02) as drop_in,
         recording(server, "desktop.monitor", tmp_path / "far", stays=True) as far,
@@ -215,28 +171,22 @@ def test_another_delay_while_sound_plays_is_no_more_than_a_short_gap(
             before = len(far())
             drop_in.delay_s = delay_ms / 1e3
             wait_for(lambda: delays(connection) == [str(delay_ms)], "the other delay")
-            after = len(far())
-            wait_for(lambda: len(far()) > after + RATE_HZ // 4, "more")
+            more(far, 0.25)
             return np.count_nonzero(np.abs(far()[before:, 0]) < 0.01) / 48
 
         silences = [silence_ms(75 if trial % 2 == 0 else 20) for trial in range(6)]
-        print(f"{server.kind}: {silences} ms of silence")
-        assert (
-            min(silences[::2]) < 50.0
-        )  # loading anew would cost 75 ms and more; xruns come on top
+        # loading anew would cost 75 ms and more; xruns come on top
+        assert min(silences[::2]) < 50.0
 
 
 @pytest.mark.calm
-def test_a_killed_process_leaves_the_sound_going_and_the_next_one_takes_over(
-    server: SoundServer, connection: PulseConnection, tmp_path: Path
-) -> None:
+def test_after_a_kill_sound_goes_on_and_the_next_process_takes_over(server, connection, tmp_path):
     with ExitStack() as stack:
         stack.enter_context(playing(server, DEFAULT, tone(440.0, 60.0)))
         wait_for(lambda: list(places(connection).values()) == ["desktop"], "the player")
         before = everything(server, connection)
-        far = stack.enter_context(
-            recording(server, "desktop.monitor", tmp_path / "far", stays=True)
-        )
+        desktop = recording(server, "desktop.monitor", tmp_path / "far", stays=True)
+        far = stack.enter_context(desktop)
         with another_process() as process:
             wait_for(lambda: SINK in places(connection).values(), "the player in between")
             wait_for(lambda: sounds(far, 0.5), "sound")
@@ -252,16 +202,13 @@ def test_a_killed_process_leaves_the_sound_going_and_the_next_one_takes_over(
             wait_for(lambda: sounds(far, 0.2), "sound")
             assert forwarders(connection) == forwarder  # the same one: no gap
             heard = far()[killed:, 0]
-        silent = np.count_nonzero(np.abs(heard).reshape(-1)[: len(heard) // 96 * 96]
-                                  .reshape(-1, 96).max(axis=1) < 0.01)  # fmt: skip
-        print(f"{server.kind}: {2 * silent} ms of silence in {len(heard) / RATE_HZ:.1f} s")
+        blocks = np.abs(heard[: len(heard) // 96 * 96]).reshape(-1, 96)
+        silent = np.count_nonzero(blocks.max(axis=1) < 0.01)
         assert silent * 96 < 0.1 * RATE_HZ  # xruns of a busy machine, no more
         assert everything(server, connection) == before
 
 
-def test_closing_leaves_everything_as_it_was(
-    server: SoundServer, connection: PulseConnection, tmp_path: Path
-) -> None:
+def test_closing_leaves_everything_as_it_was_again_and_again(server, connection, tmp_path):
     server.add_sink("speakers")
     server.pactl("set-sink-volume", "desktop", "40%")
     sound = tone(440.0, 60.0)
@@ -272,44 +219,19 @@ def test_closing_leaves_everything_as_it_was(
     ):
         wait_for(lambda: len(places(connection)) == 3, "three players")
         before = everything(server, connection)
-        with dropped_in(connection, "speakers", 0.03):
-            wait_for(
-                lambda: (
-                    places(connection)
-                    == {
-                        str(follower): SINK,
-                        str(bound): SINK,
-                        str(apart): "haptic",
-                        "None": "speakers",
-                    }
-                ),
-                "both players in between",
-            )
-        wait_for(lambda: everything(server, connection) == before, "what was before", 2.0)
-        server.choose_default("haptic")  # and streams follow the default sink as before
-        wait_for(
-            lambda: (
-                places(connection)
-                == {str(follower): "haptic", str(bound): "speakers", str(apart): "haptic"}
-            ),
-            "the player on the other default sink",
-        )
-
-
-def test_ten_times_leave_nothing(server: SoundServer, connection: PulseConnection) -> None:
-    with playing(server, DEFAULT, tone(440.0, 60.0)):
-        wait_for(lambda: places(connection), "the player")
-        before = everything(server, connection)
+        between = {str(follower): SINK, str(bound): SINK, str(apart): "haptic"}
+        between["None"] = "speakers"  # the loopback
         for _ in range(10):
-            with dropped_in(connection) as drop_in:
-                wait_for(lambda: SINK in places(connection).values(), "the player in between")
+            with dropped_in(connection, "speakers", 0.03) as drop_in:
+                wait_for(lambda: places(connection) == between, "both players in between")
             drop_in.close()  # again, which does nothing
             wait_for(lambda: everything(server, connection) == before, "what was before", 2.0)
+        server.choose_default("haptic")  # and streams follow the default sink as before
+        after = {str(follower): "haptic", str(bound): "speakers", str(apart): "haptic"}
+        wait_for(lambda: places(connection) == after, "the player on the other default sink")
 
 
-def test_without_its_sink_the_sound_goes_elsewhere_until_that_is_back(
-    server: SoundServer, connection: PulseConnection, tmp_path: Path
-) -> None:
+def test_without_its_sink_the_sound_goes_elsewhere_until_that_is_back(server, connection, tmp_path):
     server.add_sink("speakers")
     with (
         dropped_in(connection) as drop_in,
@@ -324,26 +246,18 @@ def test_without_its_sink_the_sound_goes_elsewhere_until_that_is_back(
         server.add_sink("desktop")
         with recording(server, "desktop.monitor", tmp_path / "first", stays=True) as first:
             wait_for(lambda: sounds(first), "sound from the first sink")
-        wait_for(
-            lambda: forwarded(connection, drop_in) and drop_in.target_name == "desktop",
-            "the first sink",
-        )
+        wait_for(lambda: forwarded(connection, drop_in, "desktop"), "the first sink")
         for name in ("desktop", "speakers"):
             server.remove(name)
         wait_for(lambda: "no sink is left" in drop_in.reason, "the reason")
         assert not forwarded(connection, drop_in)
         server.add_sink("speakers")
-        wait_for(
-            lambda: forwarded(connection, drop_in) and drop_in.target_name == "speakers",
-            "forwarding",
-        )
+        wait_for(lambda: forwarded(connection, drop_in, "speakers"), "forwarding")
         wait_for(lambda: not drop_in.reason, "the end of the reason")
         assert not np.any(felt())  # never the haptic sink
 
 
-def test_the_default_sink_that_a_user_chooses_becomes_the_target(
-    server: SoundServer, connection: PulseConnection, tmp_path: Path
-) -> None:
+def test_the_default_sink_that_a_user_chooses_becomes_the_target(server, connection, tmp_path):
     server.add_sink("speakers")
     with playing(server, DEFAULT, tone(440.0, 60.0)) as player:
         wait_for(lambda: places(connection), "the player")
@@ -353,27 +267,24 @@ def test_the_default_sink_that_a_user_chooses_becomes_the_target(
         ):
             server.pactl("set-default-sink", "speakers")
             wait_for(lambda: drop_in.target_name == "speakers", "the choice")
-            wait_for(lambda: connection.snapshot().default_sink == SINK, "the default sink")
-            wait_for(lambda: places(connection).get(str(player)) == SINK, "the player")
+            wait_for_default(connection, SINK)
+            wait_for_place(connection, player, SINK)
             wait_for(lambda: sounds(other), "sound from the chosen sink")
             assert forwarded(connection, drop_in)
         assert connection.snapshot().default_sink == "speakers"
         wait_for(lambda: places(connection) == {str(player): "speakers"}, "the player", 2.0)
 
 
-def test_the_haptic_sink_is_no_target_and_our_own_stream_stays_on_it(
-    server: SoundServer, connection: PulseConnection, pcms: PcmConfig
-) -> None:
-    pcms.pcms["cushion_output"].target = ServerDevice("haptic")
-    stream = PlaybackStream(pcms.pcms["cushion_output"], RATE_HZ, 2, steady)
+def test_the_haptic_sink_is_no_target_and_our_own_stream_stays_on_it(server, connection, pcms):
+    stream = open_output(pcms)
     guard = StreamGuard(connection, stream, "haptic")
     wait_for(lambda: guard.hold is Hold.FREE, "our stream")
     with dropped_in(connection) as drop_in, playing(server, DEFAULT, tone(440.0, 60.0)) as player:
-        wait_for(lambda: places(connection).get(str(player)) == SINK, "the player")
+        wait_for_place(connection, player, SINK)
         server.pactl("set-default-sink", "haptic")
         wait_for(lambda: "the vibration goes there" in drop_in.reason, "the refusal")
-        wait_for(lambda: connection.snapshot().default_sink == SINK, "the default sink")
-        wait_for(lambda: places(connection).get(str(player)) == SINK, "the player")
+        wait_for_default(connection, SINK)
+        wait_for_place(connection, player, SINK)
         assert drop_in.target_name == "desktop"
         wait_for(lambda: guard.hold is Hold.FREE, "our stream")  # PulseAudio had moved it
 
@@ -386,9 +297,7 @@ def test_the_haptic_sink_is_no_target_and_our_own_stream_stays_on_it(
     guard.release()
 
 
-def test_what_cannot_be_forwarded_to_is_refused_and_leaves_nothing(
-    server: SoundServer, connection: PulseConnection
-) -> None:
+def test_what_cannot_be_forwarded_to_is_refused_and_leaves_nothing(server, connection):
     before = everything(server, connection)
     with pytest.raises(NotFoundError, match="no sink 'desktob'; did you mean 'desktop'"):
         DropIn(connection, "desktob")
@@ -406,12 +315,10 @@ def test_what_cannot_be_forwarded_to_is_refused_and_leaves_nothing(
         DropIn(connection)
 
 
-def test_volume_changes_the_virtual_sink_and_what_is_tapped_there(
-    server: SoundServer, connection: PulseConnection, tmp_path: Path
-) -> None:
+def test_sound_keeps_its_level_and_volume_is_that_of_the_virtual_sink(server, connection, tmp_path):
     server.pactl("set-sink-volume", "desktop", "80%")
     with (
-        dropped_in(connection),
+        dropped_in(connection, delay_s=0.05) as drop_in,
         playing(server, DEFAULT, tone(1_000.0, 60.0)),
         recording(server, f"{SINK}.monitor", tmp_path / "near", stays=True) as near,
         recording(server, "desktop.monitor", tmp_path / "far", stays=True) as far,
@@ -420,8 +327,10 @@ def test_volume_changes_the_virtual_sink_and_what_is_tapped_there(
         def levels() -> np.ndarray:
             return np.array([level_db(heard()[-RATE_HZ // 4 :]) for heard in (near, far)])
 
+        assert (drop_in.target_name, drop_in.delay_s) == ("desktop", 0.05)
         loud = level_db(tone(1_000.0, 1.0)) + np.array([0.0, 60.0 * np.log10(0.8)])
         wait_for(lambda: np.abs(levels() - loud).max() < 0.2, "the full volume")
+        wait_for(lambda: sounds(far) and sounds(near), "sound without gaps")
         server.pactl("set-sink-volume", DEFAULT, "50%")
         soft = loud + 60.0 * np.log10(0.5)
         wait_for(lambda: np.abs(levels() - soft).max() < 0.2, "half the volume")
@@ -429,27 +338,22 @@ def test_volume_changes_the_virtual_sink_and_what_is_tapped_there(
     assert "80%" in server.pactl("get-sink-volume", "desktop")
 
 
-def test_a_stream_that_somebody_moves_away_is_left_there(
-    server: SoundServer, connection: PulseConnection
-) -> None:
+def test_a_stream_that_somebody_moves_away_is_left_there(server, connection):
     server.add_sink("speakers")
     with dropped_in(connection), playing(server, DEFAULT, tone(440.0, 60.0)) as player:
-        wait_for(lambda: places(connection).get(str(player)) == SINK, "the player")
+        wait_for_place(connection, player, SINK)
         snapshot = connection.latest
         index = next(item.index for item in snapshot.sink_inputs if item.process_id == player)
         sinks = {sink.name: sink.index for sink in snapshot.sinks}
         connection.move_sink_input(index, sinks["desktop"])
-        wait_for(lambda: places(connection).get(str(player)) == "desktop", "the player")
-        until_s = time.monotonic() + 1.0
-        wait_for(lambda: time.monotonic() > until_s, "a second")
+        wait_for_place(connection, player, "desktop")
+        wait_seconds(1.0)
         assert places(connection)[str(player)] == "desktop"
         with playing(server, "desktop", tone(440.0, 60.0)) as new:
-            wait_for(lambda: places(connection).get(str(new)) == SINK, "the new player")
+            wait_for_place(connection, new, SINK)
 
 
-def test_a_program_that_wants_the_default_sink_for_itself_gets_it(
-    server: SoundServer, connection: PulseConnection
-) -> None:
+def test_a_program_that_wants_the_default_sink_for_itself_gets_it(server, connection):
     server.add_sink("speakers")
     with dropped_in(connection) as drop_in:
 
@@ -460,22 +364,20 @@ def test_a_program_that_wants_the_default_sink_for_itself_gets_it(
 
         # a connection to PipeWire that is not told of a default is found and renewed in 6 s
         wait_for(insists, "the reason", 20.0)
-        wait_for(lambda: connection.snapshot().default_sink == "speakers", "the other default")
+        wait_for_default(connection, "speakers")
         assert connection.snapshot().default_sink == "speakers"
         assert forwarded(connection, drop_in)
         server.pactl("set-default-sink", SINK)
         wait_for(lambda: drop_in.reason == "", "the end of the contest")
 
 
-def test_a_virtual_sink_that_is_forwarded_to_brings_nothing_back(
-    server: SoundServer, connection: PulseConnection, tmp_path: Path
-) -> None:
+def test_a_virtual_sink_that_is_forwarded_to_brings_nothing_back(server, connection, tmp_path):
     module = server.pactl(
         "load-module", "module-remap-sink", "sink_name=virtual", "master=desktop", "channels=2"
     )
     insist_on_default(server, connection, "virtual")
 
-    def outlet() -> Stream:
+    def outlet():
         streams = connection.snapshot().sink_inputs
         return next(item for item in streams if str(item.module) == module)
 
@@ -489,8 +391,7 @@ def test_a_virtual_sink_that_is_forwarded_to_brings_nothing_back(
         with suppress(NotFoundError):  # PipeWire binds it to its master
             connection.move_sink_input(outlet().index, find_sink(connection.latest, SINK).index)
         wait_for(lambda: outlet().device_name == "desktop", "the virtual sink's sound")
-        again = len(near())
-        wait_for(lambda: len(near()) > again + 2 * RATE_HZ, "two seconds")
+        more(near, 2.0)
         level = level_db(near()[-RATE_HZ // 2 :]) - level_db(tone(440.0, 1.0))
         assert abs(level) < 0.2  # one sound, not many
         assert forwarded(connection, drop_in)
@@ -498,15 +399,13 @@ def test_a_virtual_sink_that_is_forwarded_to_brings_nothing_back(
     server.pactl("unload-module", module)
 
 
-def test_a_server_started_anew_has_a_usable_default_sink(
-    server: SoundServer, connection: PulseConnection, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_server_started_anew_has_a_usable_default_sink(server, connection, monkeypatch):
     server.stop()
     keep_default_sink(server.kind, server.folder)
     server.start()
     connection = PulseConnection()
     drop_in = DropIn(connection, haptic_sink="haptic")
-    wait_for(lambda: connection.snapshot().default_sink == SINK, "the default sink")
+    wait_for_default(connection, SINK)
     wait_for(lambda: remembers(server), "the server's memory")
     server.kill()
     wait_for(lambda: connection.lost, "the loss")
@@ -517,7 +416,6 @@ def test_a_server_started_anew_has_a_usable_default_sink(
     server.start()
     connection = PulseConnection()
     wait_for(lambda: connection.snapshot().default_sink, "a default sink")
-    print(f"{server.kind}: {connection.latest.default_sink} is the default sink")
     assert connection.latest.default_sink in ("desktop", "haptic")
     with dropped_in(connection, "desktop") as drop_in:
         assert forwarded(connection, drop_in)

@@ -1,12 +1,8 @@
 """The plugin in the programs that people use: FFmpeg, LADSPA and LV2 hosts, PipeWire."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess
-import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +14,6 @@ from tests.plugin.hosting import (
     DESIGNS,
     PROFILES,
     RATES_HZ,
-    Floats,
     any_design,
     any_sound,
     damaged,
@@ -26,10 +21,10 @@ from tests.plugin.hosting import (
     vibration,
     write_design,
 )
-from tests.servers.conftest import started
 from tests.servers.daemons import ROOT, felt_now, tone
 from tests.servers.listening import need, playing, recording, wait_for
-from tools.sound_server import SoundServer
+from tests.support.commands import call
+from tests.support.commands import vibration as samples
 
 pytestmark = pytest.mark.servers
 
@@ -42,26 +37,20 @@ def needs(*programs: str) -> None:
 
 
 @pytest.fixture
-def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def home(tmp_path, monkeypatch):
     """A home folder in which the plugin is installed."""
     for name in ("XDG_DATA_HOME", "XDG_CONFIG_HOME", "LADSPA_PATH"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.setenv("LV2_PATH", str(tmp_path / ".lv2"))
-    monkeypatch.setenv("PYTHONPATH", str(ROOT))
     cushion("plugin", "install")
     return tmp_path
 
 
 def cushion(*arguments: str) -> str:
     """What a command prints; it must succeed."""
-    done = subprocess.run(
-        [sys.executable, "-m", "audioflinger_hook", *arguments],
-        capture_output=True,
-        text=True,
-        cwd=ROOT,
-    )
-    assert done.returncode == 0, done.stderr
+    done = call(*arguments)
+    assert done.code == 0, done
     return done.stdout.strip()
 
 
@@ -75,7 +64,7 @@ def ran(*command: str | Path) -> str:
 
 
 @pytest.fixture
-def sound(tmp_path: Path) -> Path:
+def sound(tmp_path):
     """A stereo file of 32-bit floats: bursts with silence before, between and after them."""
     at_s = np.arange(3 * RATE_HZ) / RATE_HZ
     burst = 0.4 * np.sin(2 * np.pi * 330.0 * at_s) * ((at_s % 1.0) > 0.6)
@@ -84,29 +73,18 @@ def sound(tmp_path: Path) -> Path:
     return path
 
 
-def samples(path: Path) -> Floats:
-    """All samples of a file, (frames, channels)."""
-    found: Floats = soundfile.read(path, dtype="float32", always_2d=True)[0]
-    return found
-
-
-# ------------------------------------------------------------------------------------------- FFmpeg
-
-
 @pytest.mark.parametrize("rate_hz", RATES_HZ)
-def test_ffmpeg_gives_the_bytes_of_ctypes_at_every_rate_whatever_its_blocks(
-    home: Path, monkeypatch: pytest.MonkeyPatch, rate_hz: int
-) -> None:
+def test_ffmpeg_gives_the_bytes_of_ctypes_at_every_rate_in_any_blocks(home, monkeypatch, rate_hz):
     needs("ffmpeg")
     rng, plugin_file = np.random.default_rng(rate_hz), cushion("plugin", "path")
     raw = "f32le", "-ar", str(rate_hz), "-ac"
     profile = PROFILES[rng.integers(len(PROFILES))]
-    faces = {f"haptic_cushion_{profile}": write_design(home / ".local/share", profile, rate_hz)}
+    variants = {f"haptic_cushion_{profile}": write_design(home / ".local/share", profile, rate_hz)}
     for kind in DESIGNS:
         (home / kind).write_bytes(any_design(kind, rate_hz, 8))
-        faces[f"haptic_cushion_daemon:{kind}"] = home / kind
-    for face, design in faces.items():
-        core, label = Core(design.read_bytes()), face.partition(":")[0]
+        variants[f"haptic_cushion_daemon:{kind}"] = home / kind
+    for variant, design in variants.items():
+        core, label = Core(design.read_bytes()), variant.partition(":")[0]
         sound = any_sound(rng, rate_hz, 2 * rate_hz, core.info.inputs)
         sound.tofile(home / "sound")
         wanted = core.process(sound)
@@ -118,12 +96,10 @@ def test_ffmpeg_gives_the_bytes_of_ctypes_at_every_rate_whatever_its_blocks(
                 *("-f", "f32le", "-c:a", "pcm_f32le", home / "out"),
             )
             got = np.fromfile(home / "out", np.float32).reshape(len(sound), -1)
-            assert got[:, : core.outputs].tobytes() == wanted.tobytes(), (face, blocks)
+            assert got[:, : core.outputs].tobytes() == wanted.tobytes(), (variant, blocks)
 
 
-def test_with_a_damaged_design_ffmpeg_goes_on_and_says_what_is_wrong(
-    home: Path, sound: Path
-) -> None:
+def test_with_a_damaged_design_ffmpeg_goes_on_and_says_what_is_wrong(home, sound):
     needs("ffmpeg")
     path = write_design(home / ".local/share", "game", RATE_HZ)
     effect = f"ladspa=file={cushion('plugin', 'path')}:plugin=haptic_cushion_game"
@@ -135,7 +111,7 @@ def test_with_a_damaged_design_ffmpeg_goes_on_and_says_what_is_wrong(
         assert not samples(out).any()
 
 
-def test_a_film_gets_the_vibration_as_another_track(home: Path, sound: Path) -> None:
+def test_a_film_gets_the_vibration_as_another_track(home, sound):
     needs("ffmpeg", "ffprobe")
     film, path = home / "film.mkv", cushion("plugin", "path")
     picture = "testsrc=size=64x64:rate=5:duration=3"
@@ -147,13 +123,10 @@ def test_a_film_gets_the_vibration_as_another_track(home: Path, sound: Path) -> 
         *("-metadata:s:a:1", "title=Vibration", home / "felt.mkv"),
     )
     shown = ran("ffprobe", "-v", "error", "-show_entries", "stream=codec_type", home / "felt.mkv")
-    assert shown.count("codec_type=audio") == 2
-    assert shown.count("codec_type=video") == 1
+    assert (shown.count("codec_type=audio"), shown.count("codec_type=video")) == (2, 1)
 
 
-def test_gstreamer_finds_the_plugin_and_gives_the_bytes_of_the_transform(
-    home: Path, sound: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_gstreamer_finds_the_plugin_and_gives_the_bytes_of_the_transform(home, sound, monkeypatch):
     needs("gst-inspect-1.0", "gst-launch-1.0")
     monkeypatch.setenv("LADSPA_PATH", str(Path(cushion("plugin", "path")).parent))
     monkeypatch.setenv("GST_REGISTRY", str(home / "registry"))
@@ -170,9 +143,7 @@ def test_gstreamer_finds_the_plugin_and_gives_the_bytes_of_the_transform(
     assert len(got) > RATE_HZ
 
 
-def test_alsa_plays_through_the_plugin(
-    home: Path, sound: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_alsa_plays_through_the_plugin(home, sound, monkeypatch):
     needs("aplay")
     folder = Path(cushion("plugin", "path")).parent
     (home / ".asoundrc").write_text(
@@ -197,10 +168,7 @@ pcm.written {{ type file slave.pcm "null" file "{home / "vibration.raw"}" format
     assert np.abs(got[:length] - wanted[:length]).max() < 1e-6
 
 
-# ----------------------------------------------------------------------------------- LADSPA and LV2
-
-
-def test_a_ladspa_host_lists_the_faces_and_gives_the_vibration(home: Path, sound: Path) -> None:
+def test_a_ladspa_host_lists_the_variants_and_gives_the_vibration(home, sound):
     needs("analyseplugin", "applyplugin")
     path = cushion("plugin", "path")
     shown = ran("analyseplugin", path, "haptic_cushion_cinema")
@@ -215,13 +183,10 @@ def test_a_ladspa_host_lists_the_faces_and_gives_the_vibration(home: Path, sound
     assert np.abs(got[: len(wanted)] - wanted[: len(got)]).max() < 2.0 / 32_768
 
 
-def test_the_lv2_bundle_is_valid_and_gives_the_bytes_of_the_transform(
-    home: Path, sound: Path
-) -> None:
+def test_the_lv2_bundle_is_valid_and_gives_the_bytes_of_the_transform(home, sound):
     needs("lv2ls", "lv2info", "lv2apply", "lv2_validate")
-    assert ran("lv2ls").split() == sorted(
-        f"urn:haptic-cushion:{name}" for name in (*PROFILES, "mono")
-    )
+    variants = sorted(f"urn:haptic-cushion:{name}" for name in (*PROFILES, "mono"))
+    assert ran("lv2ls").split() == variants
     shown = ran("lv2info", "urn:haptic-cushion:cinema")
     assert "Has latency:       yes" in shown
     assert "error" not in shown.lower()
@@ -232,17 +197,7 @@ def test_the_lv2_bundle_is_valid_and_gives_the_bytes_of_the_transform(
     assert np.array_equal(samples(out)[: len(wanted), 0], wanted)
 
 
-# ----------------------------------------------------------------------------------------- PipeWire
-
-
-@pytest.fixture
-def pipewire(monkeypatch: pytest.MonkeyPatch) -> Iterator[SoundServer]:
-    yield from started("pipewire", monkeypatch)
-
-
-def test_the_drop_in_plays_to_its_device_and_remove_takes_everything_back(
-    pipewire: SoundServer, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_the_drop_in_plays_to_its_device_and_remove_leaves_nothing(pipewire, monkeypatch, tmp_path):
     environment = pipewire.environment | {"PYTHONPATH": str(ROOT)}
     monkeypatch.setenv("HOME", environment["HOME"])
     monkeypatch.setenv("XDG_CONFIG_HOME", environment["XDG_CONFIG_HOME"])
@@ -263,88 +218,20 @@ def test_the_drop_in_plays_to_its_device_and_remove_takes_everything_back(
     assert left == []
 
 
-# ---------------------------------------------------------------------------------------- real time
-
-
-TRAP = r"""
-#define _GNU_SOURCE
-#include <dlfcn.h>
-#include <stdlib.h>
-#include <unistd.h>
-int trap_armed;
-static void caught(void) { if (trap_armed) { write(2, "TRAPPED\n", 8); _exit(7); } }
-extern void *__libc_malloc(size_t); extern void *__libc_calloc(size_t, size_t);
-extern void *__libc_realloc(void *, size_t); extern void __libc_free(void *);
-void *malloc(size_t n) { caught(); return __libc_malloc(n); }
-void *calloc(size_t n, size_t m) { caught(); return __libc_calloc(n, m); }
-void *realloc(void *p, size_t n) { caught(); return __libc_realloc(p, n); }
-void free(void *p) { caught(); __libc_free(p); }
-"""
-
-HOST = r"""
-#include <dlfcn.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-#include <sys/syscall.h>
-#include <unistd.h>
-#include "ladspa_abi.h"
-int main(int argc, char **argv)
-{
-    (void)argc;
-    void *library = dlopen(argv[1], RTLD_NOW);
-    const LadspaDescriptor *(*describe)(unsigned long) =
-        (const LadspaDescriptor *(*)(unsigned long))dlsym(library, "ladspa_descriptor");
-    int *armed = dlsym(RTLD_DEFAULT, "trap_armed");
-    const LadspaDescriptor *face = describe(1);
-    void *instance = face->instantiate(face, 48000);
-    static float in[2][4096], out[2][4096], controls[6];
-    if (!instance)
-        return 3;
-    for (int c = 0; c < 2; c++) {
-        face->connect_port(instance, c, in[c]);
-        face->connect_port(instance, 2 + c, out[c]);
-    }
-    for (int c = 0; c < 6; c++)
-        face->connect_port(instance, 4 + c, &controls[c]);
-    face->activate(instance);
-    if (armed)
-        *armed = 1;
-    syscall(SYS_getppid);
-    for (int block = 0; block < 200; block++) {
-        for (int i = 0; i < 4096; i++)
-            in[0][i] = in[1][i] = (block / 10) % 2 ? (i * 7919 + block) % 200 / 300.0f - 0.3f : 0;
-        controls[0] = (float)(block % 7) - 3;
-        controls[1] = (float)(block % 5) * 40;
-        controls[2] = block % 50 == 0;
-        face->run(instance, block % 3 ? 4096 : 1023);
-    }
-    syscall(SYS_getppid);
-    if (armed)
-        *armed = 0;
-    face->cleanup(instance);
-    return 0;
-}
-"""
-
-
 @pytest.fixture(scope="module")
-def host(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def host(tmp_path_factory):
     """A program that runs the plugin between two marks, and a trap for allocations."""
     folder = tmp_path_factory.mktemp("host")
     write_design(folder, "cinema", RATE_HZ)
-    (folder / "host.c").write_text(HOST)
-    (folder / "trap.c").write_text(TRAP)
-    include = f"-I{plugin().parents[1] / 'plugin/native'}"
-    for command in (
-        ["gcc", include, str(folder / "host.c"), "-o", str(folder / "host"), "-ldl", "-rdynamic"],
-        ["gcc", "-shared", "-fPIC", str(folder / "trap.c"), "-o", str(folder / "trap.so")],
-    ):
-        subprocess.run(command, check=True, capture_output=True)
+    source, include = ROOT / "tests/support", plugin().parents[1] / "plugin/native"
+    host = "-I", include, source / "ladspa_host.c", "-o", folder / "host", "-ldl", "-rdynamic"
+    trap = "-shared", "-fPIC", source / "allocation_trap.c", "-o", folder / "trap.so"
+    for arguments in (host, trap):
+        subprocess.run(["gcc", *arguments], check=True, capture_output=True)
     return folder
 
 
-def test_run_allocates_nothing(host: Path) -> None:
+def test_run_allocates_nothing(host):
     done = subprocess.run(
         [host / "host", plugin()],
         env=os.environ | {"LD_PRELOAD": str(host / "trap.so"), "XDG_DATA_HOME": str(host)},
@@ -354,7 +241,7 @@ def test_run_allocates_nothing(host: Path) -> None:
     assert (done.returncode, done.stderr) == (0, "")
 
 
-def test_run_makes_no_system_call(host: Path) -> None:
+def test_run_makes_no_system_call(host):
     traced = host / "trace"
     needs("strace")
     subprocess.run(

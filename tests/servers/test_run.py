@@ -1,10 +1,14 @@
 """`cushion run` on a real sound server: what plays is felt, whatever becomes of the rest."""
 
-from __future__ import annotations
-
+import json
+import os
+import signal
+import subprocess
 import time
 from contextlib import closing
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,25 +19,31 @@ from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.offline.render import render_file
 from audioflinger_hook.scenes import demo_scene
 from audioflinger_hook.service.state import Cause, DaemonState
+from audioflinger_hook.service.status import Status
 from audioflinger_hook.sources import mixdown
-from device.units import Float32Array, FloatArray
+from device.units import Float32Array
 from tests.servers.bare_streams import bare_streams
 from tests.servers.daemons import (
+    CUSHION,
     FELT,
     Daemon,
     best_lag,
     cpu_percent,
     cushion,
     envelope,
+    environment,
     felt_now,
     likeness,
     modules_of,
-    recovered,
+    program,
     running,
     tone,
+    vibrating,
 )
-from tests.servers.listening import RATE_HZ, playing, recording, wait_for
+from tests.servers.listening import RATE_HZ, more, playing, recording, wait_for, wait_seconds
+from tests.servers.test_run_reload import connections, reload
 from tests.servers.witness import Verdict
+from tests.support.parameters import TWO_SHAKERS
 from tools.live_latency.pauses import PauseWitness
 from tools.sound_server import SoundServer
 
@@ -52,7 +62,7 @@ WINDOWS = 5
 
 
 @pytest.fixture(scope="session")
-def scene(tmp_path_factory: pytest.TempPathFactory) -> tuple[Float32Array, FloatArray]:
+def scene(tmp_path_factory):
     """Eight seconds of sound, and the vibration that a file of it gives."""
     folder = tmp_path_factory.mktemp("scene")
     source, target = folder / "sound.wav", folder / "vibration.wav"
@@ -79,9 +89,7 @@ def take(server: SoundServer, sound: Float32Array, folder: Path) -> tuple[Float3
     return felt()[:, 0], status, away_s
 
 
-def test_what_plays_is_felt_as_a_file_of_it_is_rendered(
-    server: SoundServer, scene: tuple[Float32Array, FloatArray], tmp_path: Path
-) -> None:
+def test_what_plays_is_felt_as_a_file_of_it_is_rendered(server, scene, tmp_path):
     """A take counts only if no core was taken away for 20 ms, which no stream outlasts."""
     sound, vibration = scene
     shown, verdict = False, Verdict("felt as rendered", needed=1, stray=0)
@@ -97,14 +105,11 @@ def test_what_plays_is_felt_as_a_file_of_it_is_rendered(
         shown = verdict.add(found, good=good, witness_torn=away_s > 0.02)
 
 
-def test_it_ends_after_the_seconds_asked_for_and_tells_what_it_does_until_then(
-    server: SoundServer,
-) -> None:
+def test_it_ends_after_the_seconds_asked_for_and_tells_what_it_does_until_then(server):
     with playing(server, "desktop", tone(60.0, 30.0)), running(server, "--seconds", "6") as daemon:
         status = daemon.wait(lambda s: s.levels.vibration.peak_dbfs > -60.0, "vibration")
         assert status.state is DaemonState.RUNNING
-        assert status.tap.name == "desktop.monitor"
-        assert status.device.name == "haptic"
+        assert (status.tap.name, status.device.name) == ("desktop.monitor", "haptic")
         assert status.pid == daemon.process.pid
         assert 5.0 < status.latency.total_ms < 250.0
         assert -20.0 < status.levels.sound.rms_dbfs < -6.0
@@ -113,18 +118,14 @@ def test_it_ends_after_the_seconds_asked_for_and_tells_what_it_does_until_then(
         assert daemon.wait_exit() == 0
 
 
-def test_there_is_one_daemon_and_the_other_is_told_who_it_is(server: SoundServer) -> None:
+def test_there_is_one_daemon_and_when_it_is_ended_nothing_of_it_is_left(server):
+    before = modules_of(server)
     with running(server) as daemon:
+        assert "cushion.stream" in server.pactl("list", "sink-inputs")
         second = cushion(server, "run", "--device", "haptic", "--seconds", "1")
         assert second.returncode == 2
         assert str(daemon.process.pid) in second.stderr
         assert len(second.stderr.strip().splitlines()) == 1
-
-
-def test_when_it_is_ended_nothing_of_it_is_left(server: SoundServer) -> None:
-    before = modules_of(server)
-    with running(server) as daemon:
-        assert "cushion.stream" in server.pactl("list", "sink-inputs")
         code = daemon.end()
     assert code == 130
     assert "Traceback" not in daemon.stderr
@@ -135,56 +136,56 @@ def test_when_it_is_ended_nothing_of_it_is_left(server: SoundServer) -> None:
     assert cushion(server, "status").returncode == 3
 
 
-def test_the_device_vanishes_and_nobody_else_plays_its_vibration(
-    server: SoundServer, tmp_path: Path
-) -> None:
+BACK_S = {"python": 2.0, "native": 1.0}
+"""Within this it plays again once a fault is over, with each engine."""
+
+
+def test_the_device_vanishes_and_nobody_else_plays_its_vibration(server, engine, tmp_path):
     server.add_sink("speakers")
     server.choose_default("speakers")
     with (
-        running(server, "--tap", "sink:desktop") as daemon,
-        playing(server, "desktop", tone(60.0, 60.0)),
+        playing(server, "desktop", tone(60.0, 90.0)),
+        recording(server, "speakers.monitor", tmp_path / "elsewhere") as heard,
+        running(server, "--tap", "sink:desktop", engine=engine) as daemon,
     ):
-        with (
-            recording(server, "speakers.monitor", tmp_path / "elsewhere") as heard,
-            recording(server, "haptic.monitor", tmp_path / "before") as felt,
-        ):
-            wait_for(lambda: felt_now(felt), "vibration")
+        for _ in range(3):
+            with recording(server, "haptic.monitor", tmp_path / "felt") as felt:
+                wait_for(partial(felt_now, felt), "vibration")
             server.remove("haptic")
-            status = daemon.wait_state(DaemonState.WAITING_FOR_DEVICE)
-            assert "haptic" in status.reason
-            long = len(heard()) + RATE_HZ // 2
-            wait_for(lambda: len(heard()) > long, "half a second")
+            assert "haptic" in daemon.wait_state(DaemonState.WAITING_FOR_DEVICE).reason
+            more(heard, 0.5)
             server.add_sink("haptic")
             back_s = time.monotonic()
-            with recording(server, "haptic.monitor", tmp_path / "after") as felt_again:
-                wait_for(lambda: felt_now(felt_again), "vibration again", 5.0)
-            took_s = time.monotonic() - back_s
-            assert np.count_nonzero(heard()) == 0
+            with recording(server, "haptic.monitor", tmp_path / "again") as again:
+                wait_for(partial(felt_now, again), "it again")
+            assert time.monotonic() - back_s < BACK_S[engine]
         status = daemon.wait_state(DaemonState.RUNNING)
-    print(f"{server.kind}: felt {took_s:.2f} s after the device was back")
-    assert took_s < 2.0
-    assert recovered(status, Cause.DEVICE_LOST) >= 1
+        assert not heard().any()
+    assert status.recoveries[Cause.DEVICE_LOST] >= 3
 
 
-def test_the_server_is_killed_and_comes_back(server: SoundServer, tmp_path: Path) -> None:
-    with running(server) as daemon:
-        server.kill()
-        daemon.wait_state(DaemonState.WAITING_FOR_SERVER)
-        server.start()
-        back_s = time.monotonic()
-        with (
-            playing(server, "desktop", tone(60.0, 30.0)),
-            recording(server, "haptic.monitor", tmp_path / "felt") as felt,
-        ):
-            wait_for(lambda: felt_now(felt), "vibration", 10.0)
-            took_s = time.monotonic() - back_s
-            status = daemon.wait_state(DaemonState.RUNNING)
-    print(f"{server.kind}: felt {took_s:.2f} s after the server was back")
-    assert took_s < 2.0
-    assert recovered(status, Cause.SERVER_LOST) == 1
+def test_the_server_is_killed_and_comes_back(server, engine, tmp_path):
+    with running(server, engine=engine) as daemon:
+        for _ in range(2):
+            with playing(server, "desktop", tone(60.0, 30.0)):
+                daemon.wait(lambda s: s.levels.vibration.peak_dbfs > -60.0, "vibration")
+                server.kill()
+            daemon.wait_state(DaemonState.WAITING_FOR_SERVER)
+            server.start()
+            with (
+                playing(server, "desktop", tone(60.0, 30.0)),
+                recording(server, "desktop.monitor", tmp_path / "sound") as sound,
+                recording(server, "haptic.monitor", tmp_path / "felt") as felt,
+            ):
+                # the server itself takes its time to link streams
+                wait_for(partial(felt_now, sound), "sound")
+                wait_for(partial(felt_now, felt), "vibration", BACK_S[engine])
+                status = daemon.wait_state(DaemonState.RUNNING)
+    assert status.engine == engine
+    assert status.recoveries[Cause.SERVER_LOST] == 2
 
 
-def test_without_a_server_it_says_so_or_waits_for_one(server: SoundServer) -> None:
+def test_without_a_server_it_says_so_or_waits_for_one(server):
     server.kill()
     alone = cushion(server, "run", "--device", "haptic")
     assert alone.returncode == 4
@@ -193,9 +194,7 @@ def test_without_a_server_it_says_so_or_waits_for_one(server: SoundServer) -> No
     with running(server, "--wait", ready=False) as daemon:
         daemon.wait_state(DaemonState.WAITING_FOR_SERVER)
         server.start()
-        back_s = time.monotonic()
         daemon.wait_ready()
-        print(f"{server.kind}: plays {time.monotonic() - back_s:.2f} s after the server came")
 
 
 def least_cpu_percent(daemon: Daemon, limit_percent: float) -> float:
@@ -217,15 +216,10 @@ def beside_bare_streams(daemon: Daemon, server: SoundServer) -> tuple[float, flo
     return daemon_percent, bare_percent
 
 
-def test_silence_costs_little_and_the_sound_after_it_is_felt(
-    server: SoundServer, scene: tuple[Float32Array, FloatArray], tmp_path: Path
-) -> None:
+def test_silence_costs_little_and_the_sound_after_it_is_felt(server, scene, tmp_path):
     sound, _ = scene
-    with (
-        running(server) as daemon,
-        recording(server, "haptic.monitor", tmp_path / "felt") as felt,
-    ):
-        idle = daemon.wait_state(DaemonState.IDLE)
+    with running(server) as daemon, recording(server, "haptic.monitor", tmp_path / "felt") as felt:
+        daemon.wait_state(DaemonState.IDLE)
         idle_percent = least_cpu_percent(daemon, IDLE_PERCENT)
         began = len(felt())
         with playing(server, "desktop", np.tile(sound, (8, 1))):
@@ -234,13 +228,8 @@ def test_silence_costs_little_and_the_sound_after_it_is_felt(
             beside_percent = bare_percent = None
             if playing_percent > PLAYING_PERCENT:
                 beside_percent, bare_percent = beside_bare_streams(daemon, server)
-            status = daemon.wait_state(DaemonState.RUNNING)
+            daemon.wait_state(DaemonState.RUNNING)
         assert np.abs(felt()[began:]).max() > FELT
-    print(
-        f"{server.kind}: {idle_percent:.1f} % of a core idle, {playing_percent:.1f} % playing, "
-        f"bare streams {bare_percent or 'not asked'}; "
-        f"delay {idle.delay_line.delay_ms:.1f} then {status.delay_line.delay_ms:.1f} ms"
-    )
     assert idle_percent <= IDLE_PERCENT
     if beside_percent is not None and bare_percent is not None:
         assert beside_percent <= TIMES_BARE * bare_percent
@@ -248,3 +237,151 @@ def test_silence_costs_little_and_the_sound_after_it_is_felt(
             f"{playing_percent:.1f} % of a core, over {PLAYING_PERCENT:g}: not shown on a machine "
             f"where streams that do nothing take {bare_percent:.1f} %"
         )
+
+
+def test_the_tapped_sink_is_removed_and_added_again(server, engine, tmp_path):
+    server.add_sink("speakers")
+    with (
+        recording(server, "haptic.monitor", tmp_path / "felt") as felt,
+        running(server, "--tap", "sink:speakers", engine=engine) as daemon,
+    ):
+        with playing(server, "speakers", tone(60.0, 60.0)):
+            wait_for(lambda: felt_now(felt), "vibration")
+            server.remove("speakers")
+            status = daemon.wait_state(DaemonState.WAITING_FOR_SOUND_SOURCE)
+        assert "no sink 'speakers'" in status.reason
+        wait_for(lambda: not felt_now(felt), "silence")
+        server.add_sink("speakers")
+        with playing(server, "speakers", tone(60.0, 60.0)):
+            wait_for(lambda: felt_now(felt), "vibration again", BACK_S[engine])
+            daemon.wait_state(DaemonState.RUNNING)
+
+
+def test_the_default_sink_is_removed_and_what_takes_its_place_is_felt(server, tmp_path):
+    server.add_sink("speakers")
+    server.choose_default("speakers")
+    with (
+        recording(server, "haptic.monitor", tmp_path / "felt") as felt,
+        running(server) as daemon,
+        # PulseAudio moves the player with its sink's end, PipeWire plays to the new default
+        playing(server, "desktop", tone(60.0, 60.0)),
+    ):
+        daemon.wait(lambda s: s.tap.name == "speakers.monitor", "the tap")
+        assert not felt_now(felt)
+        gone_s = time.monotonic()
+        server.remove("speakers")
+        server.choose_default("desktop")  # a server may choose the device, which is never tapped
+        wait_for(lambda: felt_now(felt), "vibration", 10.0)
+        took_s = time.monotonic() - gone_s
+        daemon.wait(lambda s: s.tap.name == "desktop.monitor", "the new tap")
+    assert took_s < BACK_S["python"]
+
+
+@pytest.mark.parametrize("sink", ["haptic", "desktop"])
+def test_a_suspended_sink_stops_the_vibration_and_it_goes_on_afterwards(server, sink, tmp_path):
+    if server.kind == "pipewire":
+        pytest.skip("PipeWire resumes a sink that is played to")
+    with vibrating(server, tmp_path, tone(60.0, 60.0)) as (daemon, felt):
+        server.pactl("suspend-sink", sink, "1")
+        frames = len(felt())
+        wait_seconds(3.0)
+        if sink == "desktop":
+            assert not felt_now(felt)
+        else:
+            assert len(felt()) - frames < 24_000  # its monitor stood, too
+        resumed = len(felt())
+        server.pactl("suspend-sink", sink, "0")
+        limit_s = BACK_S["python"]
+        wait_for(lambda: np.abs(felt()[resumed:]).max(initial=0.0) > FELT, "vibration", limit_s)
+        daemon.wait_state(DaemonState.RUNNING)
+        wait_for(lambda: felt_now(felt), "vibration that goes on")
+        loudest = float(np.abs(felt()[resumed:]).max())
+    assert loudest <= 1.0
+
+
+def test_a_test_tone_whose_device_vanishes_ends_and_says_so(server):
+    command = [*CUSHION, "test-tone", "--device", "haptic", "--seconds", "20"]
+    with program(environment(server), *command, stderr=subprocess.PIPE) as process:
+        assert "60 Hz" in process.stdout.readline()
+        server.remove("haptic")
+        assert process.wait(10.0) == 4
+        assert "the device was lost" in process.stderr.read()
+
+
+def test_a_killed_daemon_leaves_heat_and_dose_and_a_damaged_record_means_hot_coils(server, engine):
+    record = Path(server.environment["XDG_STATE_HOME"]) / "cushion" / "actuators.json"
+    protected = "--protection", "on"
+
+    def recorded() -> Any:
+        return json.loads(record.read_text())["actuators"]["haptic 0.0"]
+
+    def knows_its_coil(status: Status) -> bool:
+        return bool(status.exposure and status.protection and status.protection.coil_c)
+
+    with playing(server, "desktop", tone(60.0, 120.0)):
+        with running(server, *protected, engine=engine) as daemon:
+            seen: Any = daemon.wait(lambda s: s.exposure and s.exposure.a8_m_s2, "a dose")
+            assert engine == "native" or seen.protection.coil_c == pytest.approx(20.0, abs=1.0)
+            assert not seen.warnings
+            wait_for(record.exists, "the record")
+            wait_for(lambda: recorded()["dose"]["squares"], "a recorded dose", 15.0)
+            daemon.process.kill()
+        left = recorded() | {"coil_c": 110.0, "magnet_c": 60.0}
+        known = json.loads(record.read_text())
+        known["actuators"]["haptic 0.0"] = left
+        record.write_text(json.dumps(known))
+        with running(server, *protected, engine=engine) as daemon:
+            seen = daemon.wait(knows_its_coil, "protection")
+            assert 80.0 < seen.protection.coil_c < 120.0
+            assert seen.exposure.a8_m_s2 >= (left["dose"]["squares"] / 28_800.0) ** 0.5
+            assert not any("coils count" in warning for warning in seen.warnings)
+        record.write_text("{")
+        with running(server, *protected, engine=engine) as daemon:
+            seen = daemon.wait(knows_its_coil, "protection")
+            assert seen.protection.coil_c > 90.0
+            assert sum("damaged" in warning for warning in seen.warnings) == 1
+
+
+TONE_HZ = 110.0
+
+
+def test_two_actuators_are_felt_where_they_are_wired_and_as_strong_as_asked(server, tmp_path):
+    path = tmp_path / "c.toml"
+    path.write_text(TWO_SHAKERS.replace("[1]", "[2]"))
+    done = cushion(server, "run", "--device", "haptic", "--config", str(path))
+    assert done.returncode == 3
+    (line,) = done.stderr.splitlines()
+    assert "actuator 2 wants channel 2, but the sink 'haptic' has no such channel" in line
+
+    path.write_text(TWO_SHAKERS + 'polarity = "inverted"\ngain_db = -6.0206\n')
+    with (
+        playing(server, "desktop", tone(TONE_HZ, 60.0)) as player,
+        running(server, "--config", str(path)) as daemon,
+        recording(server, "haptic.monitor", tmp_path / "felt") as felt,
+    ):
+
+        def now() -> Float32Array:
+            return felt()[-RATE_HZ // 10 :]
+
+        def peaks() -> list[float]:
+            last = now()
+            return [float(peak) for peak in np.abs(last).max(axis=0)] if len(last) else [0.0, 0.0]
+
+        # The same sound left and right: one is half of the other, upside down, sample by sample.
+        wait_for(lambda: min(peaks()) > FELT, "vibration on both", 15.0)
+        last = now()
+        np.testing.assert_allclose(last[:, 1], -0.5 * last[:, 0], atol=1e-6)  # float32 of below 1
+        status = daemon.wait(lambda s: s.actuators[1].level.peak_dbfs > -60.0, "levels")
+        assert [actuator.channels for actuator in status.actuators] == [("0",), ("1",)]
+
+        streams = connections(server, "sink-inputs")
+        path.write_text(TWO_SHAKERS.translate({ord("0"): "1", ord("1"): "0"}))
+        assert "changed: the actuators" in reload(daemon)
+        wait_for(lambda: abs(peaks()[0] - peaks()[1]) < 0.02 * peaks()[1], "both as strong", 5.0)
+        assert connections(server, "sink-inputs") == streams
+
+        # Left alone, which is wired to the second channel by now.
+        os.kill(player, signal.SIGTERM)
+        left_only = tone(TONE_HZ, 60.0) * np.array([1.0, 0.0], np.float32)
+        with playing(server, "desktop", left_only):
+            wait_for(lambda: peaks()[1] > FELT > 1e-3 * FELT > peaks()[0], "the left one", 15.0)

@@ -1,6 +1,4 @@
-"""The measure of clicks finds lost cycles, and only a torn witness excuses an attempt."""
-
-from __future__ import annotations
+"""Measures find lost cycles and delays, and only a torn witness excuses an attempt."""
 
 import numpy as np
 import pytest
@@ -17,15 +15,15 @@ from tests.servers.witness import (
     silent_blocks,
     tears,
 )
+from tools.live_latency.bursts import BurstDelays, burst_sound, onsets
 
 
 def without_a_cycle(at: int, frames: int) -> Float32Array:
-    """A tone that lacks these frames."""
     whole = tone(110.0, 4.0)
     return np.concatenate([whole[:at], whole[at + frames :]])
 
 
-def test_a_whole_tone_is_not_torn_and_nothing_of_it_is_silent() -> None:
+def test_a_whole_tone_is_not_torn_and_nothing_of_it_is_silent():
     whole = tone(110.0, 4.0)
     assert tears(whole) == 0
     assert above_250_hz(whole).max() < CLICK_DB - 10.0
@@ -33,11 +31,11 @@ def test_a_whole_tone_is_not_torn_and_nothing_of_it_is_silent() -> None:
 
 
 @pytest.mark.parametrize("frames", [128, 256, 1_024])
-def test_a_lost_cycle_tears_a_tone(frames: int) -> None:
+def test_a_lost_cycle_tears_a_tone(frames):
     assert tears(without_a_cycle(2 * RATE_HZ, frames)) > 0
 
 
-def test_a_tear_counts_only_while_something_is_felt() -> None:
+def test_a_tear_counts_only_while_something_is_felt():
     torn, felt = without_a_cycle(2 * RATE_HZ, 256), tone(110.0, 4.0)
     assert tears(torn, felt) > 0
     felt[2 * RATE_HZ : 2 * RATE_HZ + RATE_HZ // 10] = 0.0
@@ -45,7 +43,7 @@ def test_a_tear_counts_only_while_something_is_felt() -> None:
     assert tears(without_a_cycle(RATE_HZ, 256), felt) > 0
 
 
-def test_a_second_failed_attempt_fails_unless_the_witness_was_torn_in_it() -> None:
+def test_a_second_failed_attempt_fails_unless_the_witness_was_torn_in_it():
     verdict = Verdict("step")
     assert not verdict.add(1, good=True, witness_torn=False)
     assert not verdict.add(2, good=False, witness_torn=True)
@@ -54,7 +52,7 @@ def test_a_second_failed_attempt_fails_unless_the_witness_was_torn_in_it() -> No
         verdict.add(4, good=False, witness_torn=False)
 
 
-def test_it_is_shown_after_some_clean_attempts_and_skipped_after_many_excused_ones() -> None:
+def test_it_is_shown_after_some_clean_attempts_and_skipped_after_many_excused_ones():
     verdict = Verdict("step")
     assert [verdict.add(n, good=True, witness_torn=n > 1) for n in range(CLEAN)][-1]
     verdict = Verdict("step")
@@ -62,3 +60,15 @@ def test_it_is_shown_after_some_clean_attempts_and_skipped_after_many_excused_on
         assert not verdict.add(attempt, good=False, witness_torn=True)
     with pytest.raises(pytest.skip.Exception, match="too busy"):
         verdict.add(EXCUSED, good=False, witness_torn=True)
+
+
+def test_a_known_delay_is_found_to_the_sample():
+    sound = burst_sound(9, RATE_HZ)
+    assert len(onsets(sound, RATE_HZ)) == 9
+    for delay in (0, 480, 2_400):
+        felt = np.concatenate([np.zeros(delay), sound[: len(sound) - delay]])
+        found = BurstDelays.of(sound, felt, RATE_HZ)
+        assert found.half_ms.size == 9
+        # the first sample of a cosine is its peak
+        assert found.tenth_ms == pytest.approx(1e3 * delay / RATE_HZ)
+        assert found.half_ms == pytest.approx(1e3 * delay / RATE_HZ)

@@ -6,8 +6,6 @@ which the witness was torn, too, is made again. Of the others a single one may f
 may be lost on one server alone; so many must be as they should that a click now and then is found.
 """
 
-from __future__ import annotations
-
 import signal
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
@@ -25,30 +23,21 @@ from tests.servers.daemons import FELT, Daemon, tone
 from tests.servers.listening import RATE_HZ, playing, recording, wait_for
 from tools.sound_server import SoundServer
 
-CLICK_DB = -50.0
-"""Loudest click: what is above 250 Hz, against full scale."""
-
+CLICK_DB = -50.0  # loudest click: what is above 250 Hz, against full scale
 CLEAN, STRAY = 5, 1
 """Attempts that must be as they should, and that may fail before: a click in every second one is
 missed one time in 9, and a cycle that is lost in one of 30 fails one test in 60."""
 
-EXCUSED = 10
-"""Failed attempts with a torn witness after which the machine is too busy to tell."""
-
+EXCUSED = 10  # failed attempts with a torn witness after which the machine is too busy to tell
 AFTER = RATE_HZ
 """Frames that are looked at once a step is in effect: its last fade may begin only then."""
 
 EARLIER = RATE_HZ // 5
 """Frames before a step that are looked at, too: the filter starts from silence."""
 
-SETTLED = RATE_HZ // 10
-"""Frames after which the filter's start is over."""
-
-BLOCK = RATE_HZ // 100
-"""Frames of a block that is felt or not."""
-
-NEAR = RATE_HZ // 5
-"""Frames between two recordings of one moment, at most."""
+SETTLED = RATE_HZ // 10  # frames after which the filter's start is over
+BLOCK = RATE_HZ // 100  # frames of a block that is felt or not
+NEAR = RATE_HZ // 5  # frames between two recordings of one moment, at most
 
 Heard = Callable[[], Float32Array]
 

@@ -1,7 +1,5 @@
 """The user unit and the udev rule."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import stat
@@ -13,13 +11,17 @@ import pytest
 
 from audioflinger_hook.service.install import (
     FORGET,
+    MARK,
     START,
+    UDEV_COMMAND,
+    UDEV_PATH,
+    UDEV_RULE,
     install,
     own_command,
     remove,
     systemd_version,
+    unit_text,
 )
-from audioflinger_hook.service.unit import MARK, UDEV_COMMAND, UDEV_PATH, UDEV_RULE, unit_text
 from device.errors import UsageError, WriteError
 from device.stream.callback_thread import PRIORITY
 
@@ -52,7 +54,11 @@ def complaints(text: str, folder: Path) -> str:
 
 
 @needs_systemd
-def test_systemd_has_nothing_to_say_about_the_unit(tmp_path):
+def test_systemd_has_nothing_to_say_about_the_unit(tmp_path, environ):
+    version = systemd_version()
+    assert version > 200
+    path = install([], [sys.executable], environ, version).path
+    assert complaints(path.read_text(), tmp_path) == ""
     text = unit_text((sys.executable, "-m", "audioflinger_hook", "run"), STATE)
     assert complaints(text, tmp_path) == ""
     assert "Nonsense" in complaints(text.replace("UMask=", "Nonsense="), tmp_path)
@@ -74,9 +80,8 @@ def test_systemd_understands_every_name_and_argument(tmp_path):
 
 def test_the_command_is_quoted_so_that_nothing_in_it_is_expanded():
     text = unit_text(("/opt/a b/100%/$x/cushion", "run", '$HOME %h "q" b\\s'), Path("/s %h"))
-    assert line_of(text, "ExecStart") == (
-        '"/opt/a b/100%%/$x/cushion" "run" "$$HOME %%h \\"q\\" b\\\\s"'
-    )
+    quoted = '"/opt/a b/100%%/$x/cushion" "run" "$$HOME %%h \\"q\\" b\\\\s"'
+    assert line_of(text, "ExecStart") == quoted
     assert line_of(text, "ReadWritePaths") == '"-/s %%h"'
     assert line_of(text, "ExecReload") == "/bin/kill -HUP $MAINPID"
 
@@ -86,17 +91,8 @@ def test_a_newer_systemd_sends_the_signal_itself_and_waits_for_the_end_of_the_re
     assert old == unit_text(("/cushion", "run"), STATE)
     assert line_of(old, "Type") == "notify"
     assert "ReloadSignal" not in old
-    assert line_of(new, "Type") == "notify-reload"
-    assert line_of(new, "ReloadSignal") == "SIGHUP"
+    assert (line_of(new, "Type"), line_of(new, "ReloadSignal")) == ("notify-reload", "SIGHUP")
     assert "ExecReload" not in new
-
-
-@needs_systemd
-def test_the_unit_that_is_written_is_one_for_the_systemd_that_is_there(tmp_path, environ):
-    version = systemd_version()
-    assert version > 200
-    path = install([], [sys.executable], environ, version).path
-    assert complaints(path.read_text(), tmp_path) == ""
 
 
 def test_without_systemd_its_version_is_0(monkeypatch, tmp_path):
@@ -112,8 +108,7 @@ def test_without_systemd_its_version_is_0(monkeypatch, tmp_path):
 def test_wrong_config_stays_wrong_and_audio_threads_have_room_and_bounds():
     text = unit_text(("/cushion", "run"), STATE)
     assert line_of(text, "RestartPreventExitStatus") == "2 3"
-    assert line_of(text, "LimitRTPRIO") == "20"
-    assert line_of(text, "LimitRTTIME") == "200ms:2s"
+    assert (line_of(text, "LimitRTPRIO"), line_of(text, "LimitRTTIME")) == ("20", "200ms:2s")
     assert int(line_of(text, "LimitRTPRIO")) >= PRIORITY
     assert line_of(text, "RestrictAddressFamilies") == "AF_UNIX AF_NETLINK"
     # Neither the sound cards nor real-time priority may be out of reach.
@@ -123,29 +118,20 @@ def test_wrong_config_stays_wrong_and_audio_threads_have_room_and_bounds():
 @pytest.mark.parametrize(
     "command",
     [
-        ("cushion",),
-        ("./cushion",),
-        ('/a"b/cushion',),
-        ("/a'b/cushion",),
-        ("/a\\b/cushion",),
-        ("/a\nb/cushion",),
-        ("/a\udc80/cushion",),
+        *(("cushion",), ("./cushion",), ('/a"b/cushion',), ("/a'b/cushion",), ("/a\\b/cushion",)),
+        *(("/a\nb/cushion",), ("/a\udc80/cushion",), ("/cushion", "\x07")),
         ("/cushion", "a\nExecStartPre=/bin/evil"),
-        ("/cushion", "\x07"),
     ],
 )
 def test_what_systemd_cannot_take_is_refused(command):
     with pytest.raises(UsageError, match="systemd"):
         unit_text(command, STATE)
+    for folder in ('/a"b', "/a\\b", "/a\nb"):
+        with pytest.raises(UsageError, match="systemd cannot use"):
+            unit_text(("/cushion",), Path(folder))
 
 
-@pytest.mark.parametrize("folder", ['/a"b', "/a\\b", "/a\nb"])
-def test_a_state_folder_that_systemd_cannot_take_is_refused(folder):
-    with pytest.raises(UsageError, match="systemd cannot use"):
-        unit_text(("/cushion",), Path(folder))
-
-
-def test_the_unit_is_written_whole_where_systemd_looks_and_only_if_it_is_new(environ, tmp_path):
+def test_the_unit_is_written_whole_where_systemd_looks_if_new_and_removed_alone(environ, tmp_path):
     done = install(["--tap", "sink:a b"], ["/opt/cushion"], environ)
     assert done.path == tmp_path / ".config/systemd/user/cushion.service"
     assert (done.changed, done.commands) == (True, START)
@@ -160,29 +146,24 @@ def test_the_unit_is_written_whole_where_systemd_looks_and_only_if_it_is_new(env
     assert done.path.stat().st_ino == inode
     assert install([], ["/opt/cushion"], environ).changed
     assert [path.name for path in done.path.parent.iterdir()] == ["cushion.service"]
+    other = done.path.with_name("other.service")
+    other.touch()
+    removed = remove(environ)
+    assert (removed.path, removed.changed, removed.commands) == (done.path, True, FORGET)
+    assert list(other.parent.iterdir()) == [other]
+    assert not remove(environ).changed
 
 
-def test_the_config_and_state_homes_are_respected_and_relative_ones_are_not(tmp_path):
-    environ = {
-        "HOME": str(tmp_path / "home"),
-        "XDG_CONFIG_HOME": str(tmp_path / "config"),
-        "XDG_STATE_HOME": "relative",
-    }
-    done = install([], ["/opt/cushion"], environ)
+def test_the_config_and_state_homes_are_respected_and_wrong_ones_are_not(tmp_path):
+    environ = {"HOME": str(tmp_path / "home"), "XDG_STATE_HOME": "relative"}
+    done = install([], ["/opt/cushion"], environ | {"XDG_CONFIG_HOME": str(tmp_path / "config")})
     assert done.path == tmp_path / "config/systemd/user/cushion.service"
     assert (tmp_path / "home/.local/state/cushion").is_dir()
     with pytest.raises(UsageError, match="neither XDG_CONFIG_HOME nor HOME"):
         install([], ["/opt/cushion"], {})
-
-
-def test_removing_takes_our_unit_and_nothing_else(environ, tmp_path):
-    path = install([], ["/opt/cushion"], environ).path
-    other = path.with_name("other.service")
-    other.touch()
-    done = remove(environ)
-    assert (done.path, done.changed, done.commands) == (path, True, FORGET)
-    assert list(path.parent.iterdir()) == [other]
-    assert not remove(environ).changed
+    (tmp_path / "file").touch()
+    with pytest.raises(UsageError, match="cannot make the folder"):
+        install([], ["/opt/cushion"], environ | {"XDG_CONFIG_HOME": str(tmp_path / "file")})
 
 
 @pytest.mark.parametrize("kind", ["edited", "binary", "masked", "folder", "huge"])
@@ -201,13 +182,6 @@ def test_a_unit_that_somebody_else_wrote_stays(environ, tmp_path, kind):
         with pytest.raises(UsageError, match="is left alone; move it away first"):
             change()
     assert os.path.samestat(path.lstat(), before)
-
-
-def test_a_config_home_that_is_no_folder_is_an_error_of_one_line(tmp_path):
-    (tmp_path / "file").touch()
-    environ = {"HOME": str(tmp_path), "XDG_CONFIG_HOME": str(tmp_path / "file")}
-    with pytest.raises(UsageError, match="cannot make the folder"):
-        install([], ["/opt/cushion"], environ)
 
 
 def test_a_disk_that_is_full_leaves_the_unit_as_it_was(environ, monkeypatch):
@@ -237,26 +211,14 @@ def test_the_program_that_runs_is_the_one_that_is_installed(tmp_path):
     assert own_command(str(link), sys.executable) == (str(link),)
 
 
-# ------------------------------------------------------------------------------------- udev
-
-
-def test_the_rule_gives_usb_audio_devices_to_who_sits_there():
-    (rule,) = [line for line in UDEV_RULE.splitlines() if not line.startswith("#")]
-    assert rule == (
-        'ACTION!="remove", SUBSYSTEM=="usb", ENV{DEVTYPE}=="usb_device", '
-        'ENV{ID_USB_INTERFACES}=="*:0101??:*", TAG+="uaccess"'
-    )
-    assert int(Path(UDEV_PATH).name[:2]) < 73
-
-
 def test_the_command_installs_the_rule_as_it_is(tmp_path):
     """The command runs here with a `sudo` that only does the writing, elsewhere."""
     target = tmp_path / "70-cushion.rules"
     sudo = f'sudo() {{ if [ "$1" = tee ]; then cat > "{target}"; else echo "$*"; fi; }}\n'
-    done = subprocess.run(
-        ["sh", "-c", sudo + UDEV_COMMAND], capture_output=True, text=True, timeout=10
-    )
+    command = ["sh", "-c", sudo + UDEV_COMMAND]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=10)
     assert done.stderr == ""
+    assert int(Path(UDEV_PATH).name[:2]) < 73  # the rule that gives access away
     assert target.read_text() == UDEV_RULE
     assert done.stdout.splitlines() == [
         "udevadm control --reload",

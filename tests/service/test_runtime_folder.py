@@ -1,7 +1,5 @@
 """The runtime folder is private, and one daemon holds it at a time."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal
@@ -11,6 +9,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -43,26 +42,27 @@ def folder(environ):
 
 
 @contextmanager
-def holding(environ: dict[str, str]) -> Iterator[subprocess.Popen[str]]:
+def holding(environ: dict[str, str], program: str = HOLD) -> Iterator[Any]:
+    """A program of its own that has said "held" and waits."""
     with subprocess.Popen(
-        [sys.executable, "-c", HOLD],
+        [sys.executable, "-c", program],
         env=environment(**environ),
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
     ) as process:
-        assert process.stdout is not None
         try:
+            assert process.stdout
             assert process.stdout.readline() == "held\n"
             yield process
         finally:
             process.kill()
 
 
-# --------------------------------------------------------------------------------- the folder
-
-
 def test_the_folder_is_made_for_its_owner_alone_whatever_the_umask(environ, tmp_path):
+    with pytest.raises(NotFoundError):
+        RuntimeFolder(environ, create=False)
+    assert list(tmp_path.iterdir()) == []  # who only asks makes none
     before = os.umask(0)
     try:
         RuntimeFolder(environ, create=True).close()
@@ -90,21 +90,14 @@ def test_without_the_variable_a_private_folder_for_temporary_files_serves(variab
         RuntimeFolder({**variable, "TMPDIR": str(tmp_path)}, create=True)
 
 
-def test_who_only_asks_makes_no_folder(environ, tmp_path):
-    with pytest.raises(NotFoundError):
-        RuntimeFolder(environ, create=False)
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_a_link_or_a_file_in_its_place_is_refused(environ, tmp_path):
     (tmp_path / "elsewhere").mkdir(mode=0o700)
-    (tmp_path / "cushion").symlink_to("elsewhere")
-    with pytest.raises(UsageError, match="is a link or not a folder; remove it"):
-        RuntimeFolder(environ, create=True)
-    (tmp_path / "cushion").unlink()
-    (tmp_path / "cushion").touch()
-    with pytest.raises(UsageError, match="is a link or not a folder; remove it"):
-        RuntimeFolder(environ, create=True)
+    place = tmp_path / "cushion"
+    for make in (lambda: place.symlink_to("elsewhere"), place.touch):
+        make()
+        with pytest.raises(UsageError, match="is a link or not a folder; remove it"):
+            RuntimeFolder(environ, create=True)
+        place.unlink()
 
 
 @pytest.mark.parametrize("mode", [0o777, 0o750, 0o701])
@@ -118,14 +111,15 @@ def test_a_folder_that_others_can_enter_is_refused(environ, tmp_path, mode):
 
 
 @root_only
-def test_a_folder_of_somebody_else_is_refused(environ, tmp_path):
-    (tmp_path / "cushion").mkdir(mode=0o700)
+def test_a_folder_or_a_lock_file_of_somebody_else_is_refused(environ, tmp_path):
+    with RuntimeFolder(environ, create=True) as folder:
+        (folder.path / LOCK_NAME).touch()
+        os.chown(folder.path / LOCK_NAME, 65534, 65534)
+        with pytest.raises(UsageError, match="is not a file of user 0; remove it"):
+            DaemonLock(folder, ME)
     os.chown(tmp_path / "cushion", 65534, 65534)
     with pytest.raises(UsageError, match="belongs to user 65534, not to 0; run as that user"):
         RuntimeFolder(environ, create=True)
-
-
-# ----------------------------------------------------------------------------------- the lock
 
 
 def test_the_second_daemon_is_told_who_holds_the_lock(environ, folder):
@@ -141,7 +135,6 @@ def test_the_second_daemon_is_told_who_holds_the_lock(environ, folder):
 def test_the_lock_is_free_after_any_death_of_its_holder(environ, folder, end):
     with holding(environ) as process:
         if end is None:
-            assert process.stdin is not None
             process.stdin.close()
         else:
             process.send_signal(end)
@@ -159,6 +152,7 @@ def test_a_program_that_the_holder_started_does_not_keep_the_lock(environ, folde
 
 
 def test_a_released_lock_is_free_and_leaves_no_name_behind(folder):
+    (folder.path / LOCK_NAME).write_text("x" * 1000)  # of one who is long dead
     lock = DaemonLock(folder, ME)
     held = json.loads((folder.path / LOCK_NAME).read_text())
     assert held == {"pid": ME.pid, "started": ME.started, "device": ME.device}
@@ -167,12 +161,6 @@ def test_a_released_lock_is_free_and_leaves_no_name_behind(folder):
     lock.release()
     assert (folder.path / LOCK_NAME).read_text() == ""
     DaemonLock(folder, ME).release()
-
-
-def test_what_a_long_dead_holder_wrote_is_overwritten_to_the_last_byte(folder):
-    (folder.path / LOCK_NAME).write_text("x" * 1000)
-    with DaemonLock(folder, ME):
-        assert json.loads((folder.path / LOCK_NAME).read_text())["pid"] == ME.pid
 
 
 @pytest.mark.parametrize(
@@ -210,11 +198,3 @@ def test_what_is_no_file_of_ours_is_refused_at_once(folder, make):
         DaemonLock(folder, ME)
     assert open_files() == files
     assert not (folder.path / "x").exists()
-
-
-@root_only
-def test_a_lock_file_of_somebody_else_is_refused(folder):
-    (folder.path / LOCK_NAME).touch()
-    os.chown(folder.path / LOCK_NAME, 65534, 65534)
-    with pytest.raises(UsageError, match="is not a file of user 0; remove it"):
-        DaemonLock(folder, ME)

@@ -1,55 +1,47 @@
 """Sounds that come one beside the other are one mix, at the pace of one of them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
-from audioflinger_hook.mixer import Mixer
 from audioflinger_hook.sources import VoicesClient
-from audioflinger_hook.sources.applications import PACE_LOST_S, WAITING_S, Voice
+from audioflinger_hook.sources.applications import PACE_LOST_S, WAITING_S
+from tests.support.taps import mixed as cycles
+from tests.support.taps import mixer_for, noise
 
 RATE_HZ = 48_000
 BLOCK = 256
 BLOCK_S = BLOCK / RATE_HZ
 
 
-def a_mix(*names: str) -> tuple[Mixer, VoicesClient, list[Voice]]:
-    mixer = Mixer(RATE_HZ, 1, standby_delay_s=float("inf"))
+def a_mix(*names):
     client = VoicesClient(RATE_HZ, 1)
-    client.connect(mixer)
+    mixer = mixer_for(client)
     return mixer, client, [client.add(name) for name in names]
 
 
-def mixed(mixer: Mixer, client: VoicesClient) -> NDArray[np.float32]:
+def mixed(mixer, client):
     """Do the cycles that are due."""
-    parts = [np.zeros(0, np.float32)]
-    while client.pending_frames:
-        frames = client.play()
-        parts.append(mixer.cycle(0.0, frames).buffer.audio[:, 0].copy())
-    return np.concatenate(parts)
+    return np.concatenate([level(0.0, 0), *cycles(client, mixer)])[:, 0]
 
 
-def level(value: float, count: int = BLOCK) -> NDArray[np.float32]:
+def level(value, count=BLOCK):
     return np.full((count, 1), value, np.float32)
 
 
-def test_one_voice_passes_bit_for_bit_whatever_its_buffers_are() -> None:
+def test_one_voice_passes_bit_for_bit_whatever_its_buffers_are():
     mixer, client, (voice,) = a_mix("player")
-    noise = np.random.default_rng(0).uniform(-0.5, 0.5, (20_000, 1)).astype(np.float32)
+    counts = np.cumsum([256, 7, 1, 960, 5_000, 333])
+    sound = noise(7_000, 1)
     parts = []
-    first = 0
-    for count in [256, 7, 1, 960, 5_000, 333, 256]:
-        client.push(voice, noise[first : first + count], first / RATE_HZ)
+    for part in np.split(sound, counts):
+        client.push(voice, part, 0.0)
         parts.append(mixed(mixer, client))
-        first += count
-    np.testing.assert_array_equal(np.concatenate(parts), noise[:first, 0])
+    np.testing.assert_array_equal(np.concatenate(parts), sound[:, 0])
 
 
-def test_two_voices_are_added_and_the_second_is_a_block_late_at_most() -> None:
+def test_two_voices_are_added_and_the_second_is_a_block_late_at_most():
     mixer, client, (one, other) = a_mix("one", "other")
     heard = []
     for block in range(20):
@@ -57,12 +49,11 @@ def test_two_voices_are_added_and_the_second_is_a_block_late_at_most() -> None:
         heard.append(mixed(mixer, client))
         client.push(other, level(0.5), block * BLOCK_S)
         assert not client.pending_frames
-    np.testing.assert_array_equal(heard[0], 0.25)
-    for later in heard[1:]:
-        np.testing.assert_array_equal(later, 0.75)
+    assert (heard[0] == 0.25).all()
+    assert (np.array(heard[1:]) == 0.75).all()
 
 
-def test_when_the_voice_that_set_the_pace_is_silent_another_does() -> None:
+def test_when_the_voice_that_set_the_pace_is_silent_another_does():
     mixer, client, (one, other) = a_mix("one", "other")
     client.push(one, level(0.25), 0.0)
     mixed(mixer, client)
@@ -72,7 +63,7 @@ def test_when_the_voice_that_set_the_pace_is_silent_another_does() -> None:
     assert mixed(mixer, client)[-1] == 0.5
 
 
-def test_a_voice_that_was_removed_takes_the_pace_with_it() -> None:
+def test_a_voice_that_was_removed_takes_the_pace_with_it():
     mixer, client, (one, other) = a_mix("one", "other")
     client.push(one, level(0.25), 0.0)
     mixed(mixer, client)
@@ -82,7 +73,7 @@ def test_a_voice_that_was_removed_takes_the_pace_with_it() -> None:
     assert len(mixer.cycle(1.0, BLOCK).buffer.audio) == BLOCK
 
 
-def test_what_waits_longer_than_it_should_is_dropped_and_counted() -> None:
+def test_what_waits_longer_than_it_should_is_dropped_and_counted():
     mixer, client, (one, other) = a_mix("one", "other")
     client.push(one, level(0.25), 0.0)
     for _ in range(100):
@@ -92,14 +83,14 @@ def test_what_waits_longer_than_it_should_is_dropped_and_counted() -> None:
     assert mixed(mixer, client)[-1] == 0.75
 
 
+pushes = st.tuples(st.integers(0, 2), st.integers(1, 3_000), st.floats(0.0, 0.1))
+
+
 @settings(max_examples=50)
-@given(
-    st.lists(st.tuples(st.integers(0, 2), st.integers(1, 3_000), st.floats(0.0, 0.1)), max_size=40)
-)
-def test_no_order_of_buffers_loses_a_cycle(calls: list[tuple[int, int, float]]) -> None:
+@given(st.lists(pushes, max_size=40))
+def test_no_order_of_buffers_loses_a_cycle(calls):
     mixer, client, voices = a_mix("a", "b", "c")
-    now_s, paced = 0.0, 0
-    heard = 0
+    now_s = paced = heard = 0
     for number, count, seconds in calls:
         now_s += seconds
         client.push(voices[number], level(0.1, count), now_s)
@@ -111,7 +102,7 @@ def test_no_order_of_buffers_loses_a_cycle(calls: list[tuple[int, int, float]]) 
 
 
 @pytest.mark.parametrize("count", [0, 1])
-def test_nothing_is_due_before_anything_came(count: int) -> None:
+def test_nothing_is_due_before_anything_came(count):
     _, client, _ = a_mix(*["voice"] * count)
     assert client.play() is None
     client.close()

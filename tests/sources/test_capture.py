@@ -1,19 +1,20 @@
 """A capture as a tap: buffers as delivered, with every change of format and discontinuity."""
 
-from __future__ import annotations
-
-import numpy as np
 import pytest
 
 from audioflinger_hook.capture import CaptureWriter
 from audioflinger_hook.sources import Tap
-from audioflinger_hook.sources.capture import CaptureTap
+from audioflinger_hook.sources.file import CaptureTap
 from device.errors import UsageError
+from tests.support.taps import noise
 
 
-def noise(frames, channels=2, seed=0):
-    random = np.random.default_rng(seed)
-    return random.standard_normal((frames, channels)).astype(np.float32)
+def captured(folder, *buffers, stream="tap"):
+    """Write buffers at 48 kHz as a capture, and return its folder."""
+    with CaptureWriter(folder, streams=(stream,)) as writer:
+        for frames in buffers:
+            writer.write_buffer(stream, frames, 48_000, 0.0)
+    return folder
 
 
 def test_buffers_formats_times_and_discontinuities_are_those_delivered(tmp_path):
@@ -47,37 +48,16 @@ def test_buffers_formats_times_and_discontinuities_are_those_delivered(tmp_path)
     assert tap.read() is None
 
 
-def test_a_capture_that_was_cut_off_is_played_to_its_end_with_a_warning(tmp_path):
-    writer = CaptureWriter(tmp_path)
-    for seed in range(3):
-        writer.write_buffer("tap", noise(10, seed=seed), 48_000, 0.0)
-    tap = CaptureTap(tmp_path)
-    assert [tap.read() is None for _ in range(4)] == [False, False, False, True]
-    (warning,) = tap.warnings
-    assert "recovered: 3 whole buffers (30 frames) of stream tap" in warning
-    writer.close()
-
-
-@pytest.mark.parametrize("buffers", [[], [noise(0)], [noise(0), noise(0, 1)]])
-def test_a_capture_without_sound_is_refused(tmp_path, buffers):
-    with CaptureWriter(tmp_path) as writer:
-        for frames in buffers:
-            writer.write_buffer("tap", frames, 48_000, 0.0)
-    with pytest.raises(UsageError, match=r"has no sound \(0 frames\)"):
-        CaptureTap(tmp_path)
-
-
-def test_a_capture_killed_before_its_first_buffer_says_so(tmp_path):
-    (tmp_path / "index.jsonl").write_bytes(b'{"kind":"capt')
+def test_a_capture_without_sound_is_refused(tmp_path):
+    for name, buffers in (("a", []), ("b", [noise(0)]), ("c", [noise(0), noise(0, 1)])):
+        with pytest.raises(UsageError, match=r"has no sound \(0 frames\)"):
+            CaptureTap(captured(tmp_path / name, *buffers))
+    (tmp_path / "d").mkdir()
+    (tmp_path / "d/index.jsonl").write_bytes(b'{"kind":"capt')
     with pytest.raises(UsageError, match="cut off before the first buffer"):
-        CaptureTap(tmp_path)
-
-
-def test_a_capture_of_effect_output_only_is_no_tap(tmp_path):
-    with CaptureWriter(tmp_path, streams=("effect",)) as writer:
-        writer.write_buffer("effect", noise(3), 48_000, 0.0)
+        CaptureTap(tmp_path / "d")
     with pytest.raises(UsageError, match="no stream 'tap', only effect"):
-        CaptureTap(tmp_path)
+        CaptureTap(captured(tmp_path / "e", noise(3), stream="effect"))
 
 
 def test_a_format_that_the_transform_does_not_take_is_refused_where_it_comes(tmp_path):
@@ -85,10 +65,7 @@ def test_a_format_that_the_transform_does_not_take_is_refused_where_it_comes(tmp
         writer.write_buffer("tap", noise(3), 8, 0.0)
     with pytest.raises(UsageError, match=r"first: samplerate=8 Hz is out of range"):
         CaptureTap(tmp_path / "first")
-    with CaptureWriter(tmp_path / "second") as writer:
-        writer.write_buffer("tap", noise(3), 48_000, 0.0)
-        writer.write_buffer("tap", noise(3, 65), 48_000, 0.0)
-    tap = CaptureTap(tmp_path / "second")
+    tap = CaptureTap(captured(tmp_path / "second", noise(3), noise(3, 65)))
     assert tap.read() is not None
     with pytest.raises(UsageError, match=r"second: channels=65 is out of range"):
         tap.read()

@@ -1,25 +1,17 @@
 """A scene in the mixer: every sound on its frame, paused and resumed, in its own format."""
 
-from __future__ import annotations
-
-import math
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from audioflinger_hook.mixer import Mixer, PcmFormat, TrackState
+from audioflinger_hook.mixer import PcmFormat
 from audioflinger_hook.mixer.pcm import decode, encode
-from audioflinger_hook.scenes import Scene, SceneTrack, demo_scene
+from audioflinger_hook.scenes import Scene, SceneTrack
 from audioflinger_hook.sources import SceneClient, mixdown
+from tests.support.taps import mixed, mixer_for, noise
 
 RATE = 48_000
-
-
-def noise(frames, channels=2, seed=0):
-    random = np.random.default_rng(seed)
-    return random.uniform(-0.9, 0.9, (frames, channels)).astype(np.float32)
 
 
 def scene_of(*tracks, frames=10_000):
@@ -32,24 +24,10 @@ def track(frames, start=0, **options):
 
 def played(scene, cycle_frames):
     """What is heard of a scene in cycles of so many frames."""
-    mixer = Mixer(scene.samplerate, scene.channels, standby_delay_s=math.inf)
     client = SceneClient(scene, cycle_frames)
-    client.connect(mixer)
-    blocks = []
-    while (frames := client.play()) is not None:
-        assert frames <= cycle_frames
-        blocks.append(mixer.cycle(0.0, frames).buffer.audio.copy())
+    blocks = mixed(client, mixer_for(client))
+    assert max(map(len, blocks)) <= cycle_frames
     return np.concatenate(blocks)
-
-
-@settings(max_examples=50)
-@given(st.integers(0, 4_000), st.integers(1, 5_000), st.integers(1, 2_000))
-def test_a_track_starts_on_its_frame_whatever_the_cycle_length(start, length, cycle_frames):
-    frames = noise(length)
-    wanted = np.zeros((10_000, 2), np.float32)
-    wanted[start : start + length] = frames
-    made = played(scene_of(track(frames, start)), max(cycle_frames, 8))
-    assert np.array_equal(made, wanted)
 
 
 @pytest.mark.parametrize("cycle_frames", [37, 256, 960])
@@ -64,14 +42,18 @@ def test_a_track_of_another_rate_starts_within_a_frame_of_its_own(samplerate, cy
         assert abs(np.abs(made[:, 0]).argmax() - start - late) <= max(1.0, RATE / samplerate)
 
 
-@settings(max_examples=30)
-@given(st.lists(st.tuples(st.integers(0, 6_000), st.integers(1, 4_000)), min_size=1, max_size=6))
-def test_a_mixdown_of_float_tracks_is_their_plain_sum_bit_for_bit(places):
+@settings(max_examples=50)
+@given(
+    st.lists(st.tuples(st.integers(0, 4_000), st.integers(1, 5_000)), min_size=1, max_size=6),
+    st.integers(8, 2_000),
+)
+def test_tracks_start_on_their_frames_and_add_up_exactly_whatever_the_cycle(places, cycle_frames):
     tracks = [track(noise(length, seed=seed), start) for seed, (start, length) in enumerate(places)]
     wanted = np.zeros((10_000, 2), np.float32)
     for one, (start, length) in zip(tracks, places, strict=True):
         wanted[start : start + length] += one.frames
-    assert np.array_equal(mixdown(scene_of(*tracks)), wanted)
+    for made in (played(scene_of(*tracks), cycle_frames), mixdown(scene_of(*tracks))):
+        assert np.array_equal(made, wanted)
 
 
 @pytest.mark.parametrize("pcm_format", PcmFormat)
@@ -79,31 +61,23 @@ def test_a_track_sounds_as_its_format_stores_it(pcm_format):
     frames = noise(3_000)
     stored = decode(encode(frames, pcm_format), pcm_format, 2)
     made = mixdown(scene_of(track(frames, 1_000, pcm_format=pcm_format)))
-    assert np.array_equal(made[1_000:4_000], stored)
-    assert not made[:1_000].any()
-    assert not made[4_000:].any()
-
-
-# --- pauses
+    assert np.array_equal(made, np.pad(stored, ((1_000, 6_000), (0, 0))))
 
 
 @pytest.mark.parametrize("cycle_frames", [64, 256, 300, 960])
 @pytest.mark.parametrize(
-    ("start", "pause", "resume"),
-    [(0, 2_000, 5_000), (100, 1_920, 5_760), (4_000, 5_760, 9_000)],
+    ("start", "pause", "resume"), [(0, 2_000, 5_000), (100, 1_920, 5_760), (4_000, 5_760, 9_000)]
 )
 def test_a_paused_track_is_silent_and_goes_on_where_it_stopped(start, pause, resume, cycle_frames):
     frames = noise(4_000)
     paused = track(frames, start, pause_s=(pause / RATE, resume / RATE))
     made = played(scene_of(paused, frames=13_000), cycle_frames)
-    down = pause // cycle_frames * cycle_frames  # the cycle that ramps down
+    # the cycles that ramp down and up
+    down, up = (at // cycle_frames * cycle_frames for at in (pause, resume))
     silent = down + cycle_frames
-    up = resume // cycle_frames * cycle_frames  # the cycle that ramps up
-    still = up - silent
-    whole = np.zeros((13_000, 2), np.float32)
+    whole, gone_on = np.zeros((2, 13_000, 2), np.float32)
     whole[start : start + 4_000] = frames
-    gone_on = np.zeros((13_000, 2), np.float32)
-    gone_on[still:] = whole[: 13_000 - still]
+    gone_on[up - silent :] = whole[: 13_000 - up + silent]
     assert np.array_equal(made[:down], whole[:down])
     assert not made[silent:up].any()
     assert np.array_equal(made[up + cycle_frames :], gone_on[up + cycle_frames :])
@@ -124,48 +98,3 @@ def test_a_pause_in_the_last_cycle_of_a_sound_keeps_what_is_left_until_it_goes_o
     rising = np.arange(left)[:, None] / 256 * frames[down:]
     assert np.allclose(made[up : up + left], rising, atol=1e-6)
     assert not made[up + left :].any()
-
-
-def test_a_track_says_that_it_is_paused_and_that_it_plays():
-    scene = scene_of(track(noise(4_000), 500, pause_s=(2_000 / RATE, 4_000 / RATE)))
-    mixer = Mixer(RATE, 2, standby_delay_s=math.inf)
-    client = SceneClient(scene, 500)
-    client.connect(mixer)
-    states = []
-    while (frames := client.play()) is not None:
-        mixer.cycle(0.0, frames)
-        states.append(mixer.tracks[0].state)
-    assert states[0] is TrackState.IDLE
-    assert set(states[1:4]) == {TrackState.ACTIVE}
-    assert set(states[4:8]) == {TrackState.PAUSED}
-    assert states[-1] is TrackState.STOPPED
-
-
-# --- the demo
-
-
-@pytest.mark.exhaustive
-def test_the_demo_has_tracks_of_many_rates_and_formats_and_one_that_pauses():
-    tracks = demo_scene().tracks
-    assert len({one.samplerate for one in tracks}) >= 4
-    assert len({one.pcm_format for one in tracks}) >= 4
-    assert {one.frames.shape[1] for one in tracks} == {1, 2}
-    assert [one.name for one in tracks if one.pause_s] == ["engine"]
-
-
-@pytest.mark.exhaustive
-def test_the_demo_is_silent_while_its_engine_pauses_and_loses_none_of_it():
-    scene = demo_scene()
-    engine = scene.tracks[0]
-    assert engine.pause_s
-    made = mixdown(Scene("engine", RATE, (engine,), scene.duration_s))
-    pause, resume = (round(at_s * RATE) for at_s in engine.pause_s)
-    assert not made[pause + 256 : resume - 256].any()
-    alone = SceneTrack(engine.name, RATE, engine.frames, engine.start_s, engine.pcm_format)
-    plain = SceneTrack("plain", engine.samplerate, engine.frames, engine.start_s, engine.pcm_format)
-    assert alone.duration_s != plain.duration_s
-    through = mixdown(Scene("engine", RATE, (plain,), scene.duration_s))
-    still = (resume // 256 - pause // 256 - 1) * 256
-    begin = resume + 512
-    assert np.array_equal(made[begin:], through[begin - still : len(made) - still])
-    assert np.abs(made[begin:]).max() > 0.1

@@ -1,7 +1,5 @@
 """A tap on a track: bit for bit at the mix's rate, without a gap at another, through any change."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -10,49 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal.windows import blackmanharris
 
-from audioflinger_hook.mixer import Mixer
 from audioflinger_hook.mixer.resampler import tail_frames_out
 from audioflinger_hook.sources import FramesTap, TapClient
+from tests.support.taps import BufferTap, cut, mixed, mixer_for, noise
 
 RATE = 48_000
-
-
-class BufferTap:
-    """Delivers the given buffers: (frames, samplerate, whether frames are missing before it)."""
-
-    def __init__(self, *buffers):
-        self._buffers = list(buffers)
-        self.samplerate, self.channels = buffers[0][1], buffers[0][0].shape[1]
-        self.format_changed = self.discontinuity = False
-        self.closed = 0
-
-    @property
-    def frames_expected(self):
-        return sum(len(frames) for frames, *_ in self._buffers)
-
-    def read(self):
-        if not self._buffers:
-            return None
-        frames, samplerate, self.discontinuity = self._buffers.pop(0)
-        before = (self.samplerate, self.channels)
-        self.samplerate, self.channels = samplerate, frames.shape[1]
-        self.format_changed = (self.samplerate, self.channels) != before
-        return frames
-
-    def close(self):
-        self.closed += 1
-
-
-def cut(frames, lengths, samplerate=RATE):
-    """Frames as buffers of the given lengths, and one of the rest."""
-    ends = np.minimum(np.cumsum([0, *lengths]), len(frames))
-    parts = zip(ends, [*ends[1:], len(frames)], strict=True)
-    return [(frames[first:last], samplerate, False) for first, last in parts]
-
-
-def noise(frames, channels=2, seed=0):
-    random = np.random.default_rng(seed)
-    return random.standard_normal((frames, channels)).astype(np.float32)
 
 
 def tone(hz, frames, samplerate, first=0.0):
@@ -61,29 +21,17 @@ def tone(hz, frames, samplerate, first=0.0):
     return (0.5 * np.sin(phase)).astype(np.float32)[:, None]
 
 
-def connected(tap, samplerate=None, channels=None):
+def connected(tap, samplerate=0, channels=0):
     """A client on a mix of its own, by default the one that suits it."""
     client = TapClient(tap)
-    mixer = Mixer(
-        samplerate or client.samplerate, channels or client.channels, standby_delay_s=math.inf
-    )
-    client.connect(mixer)
-    return client, mixer
+    return client, mixer_for(client, samplerate, channels)
 
 
 def heard(client, mixer):
     """Everything that is mixed until the client ends, a block a cycle."""
-    blocks = []
-    while (frames := client.play()) is not None:
-        report = mixer.cycle(0.0, frames)
-        assert report.frames_written == frames
-        assert report.underruns == 0
-        blocks.append(report.buffer.audio.copy())
+    blocks = mixed(client, mixer)
     assert client.play() is None
     return blocks
-
-
-# --- at the rate of the mix
 
 
 @settings(max_examples=60)
@@ -96,55 +44,41 @@ def test_sound_passes_bit_for_bit_through_any_split_into_buffers(lengths, channe
     frames = noise(5_000, channels)
     odd = [np.nan, np.inf, -np.inf, -0.0, 1e-44, 3e38, -1_000.0]
     frames[: len(odd), 0] = odd
-    client, mixer = connected(BufferTap(*cut(frames, lengths, samplerate)))
+    client, mixer = connected(cut(frames, lengths, samplerate))
     blocks = heard(client, mixer)
     assert np.concatenate(blocks).tobytes() == frames.tobytes()
     assert client.buffers == len(lengths) + 1
 
 
-def test_a_buffer_is_one_cycle_and_a_longer_one_as_few_as_can_be():
+def test_a_buffer_is_one_cycle_a_longer_one_as_few_as_can_be_and_none_waits_for_the_next():
     lengths = [1, 959, 960, 961, 0, 2_000]
-    client, mixer = connected(BufferTap(*cut(noise(sum(lengths)), lengths)))
+    client, mixer = connected(cut(noise(sum(lengths)), lengths))
     assert mixer.frames == 960
-    cycles = [len(block) for block in heard(client, mixer)]
-    assert cycles == [1, 959, 960, 960, 1, 960, 960, 80]
-
-
-def test_no_buffer_waits_for_the_next():
-    frames = noise(3_000)
-    client, mixer = connected(BufferTap(*cut(frames, [100, 700, 3])))
-    done = 0
-    for buffers in (1, 2, 3, 4):
-        played = client.play()
-        assert played is not None
-        assert client.buffers == buffers
-        audio = mixer.cycle(0.0, played).buffer.audio
-        assert np.array_equal(audio, frames[done : done + played])
-        done += played
-    assert done == 803 + 960
+    done = []
+    while played := client.play():
+        mixer.cycle(0.0, played)
+        done.append((played, client.buffers))
+    assert done == [(1, 1), (959, 2), (960, 3), (960, 4), (1, 4), (960, 6), (960, 6), (80, 6)]
 
 
 def test_what_is_expected_is_what_the_tap_expects_and_close_closes_the_tap():
-    tap = BufferTap(*cut(noise(500), [100]))
+    tap = cut(noise(500), [100])
     client = TapClient(tap)
     assert client.frames_expected == 500
     client.close()
     assert tap.closed == 1
 
 
-# --- at another rate
-
-
 @pytest.mark.parametrize("lengths", [[], [1] * 50, [0, 7, 441, 0, 5_000, 33]])
 @pytest.mark.parametrize("samplerate", [8_000, 44_100, 44_101, 96_000])
 def test_a_tone_of_another_rate_is_the_same_tone_without_a_gap(samplerate, lengths):
     frames = tone(1_000.0, samplerate // 2, samplerate)
-    client, mixer = connected(BufferTap(*cut(frames, lengths, samplerate)), RATE, 1)
+    client, mixer = connected(cut(frames, lengths, samplerate), RATE, 1)
     made = np.concatenate(heard(client, mixer))
     tail = tail_frames_out(samplerate, RATE)
     assert len(made) == math.ceil(len(frames) * RATE / samplerate) + tail
     # The resampler's own latency apart, every frame is where the tone is, but for its two ends.
-    late = mixer_latency(samplerate)
+    late = 64 * max(1.0, samplerate / RATE)  # in frames of the track: half the filter
     wanted = tone(1_000.0, len(made), RATE, -late * RATE / samplerate)
     inner = slice(2 * tail + 1, -2 * tail - 1)
     assert np.abs(made[inner] - wanted[inner]).max() < 1e-4
@@ -157,16 +91,15 @@ def test_a_tone_of_another_rate_is_the_same_tone_without_a_gap(samplerate, lengt
 
 @pytest.mark.parametrize("frames", [40, 4_800])
 def test_the_rest_of_a_former_rate_sounds_under_what_follows(frames):
-    tap = BufferTap((noise(4_410), 44_100, False), (noise(frames), RATE, False))
-    client, mixer = connected(tap, RATE)
+    click = np.zeros((4_410, 1), np.float32)
+    click[-70] = 1.0
+    silence = np.zeros((frames, 1), np.float32)
+    client, mixer = connected(BufferTap((click, 44_100, False), (silence, RATE, False)), RATE)
     tail = tail_frames_out(44_100, RATE)
     assert 40 < tail < 4_800
-    assert sum(map(len, heard(client, mixer))) == 4_410 * RATE // 44_100 + max(frames, tail)
-
-
-def mixer_latency(samplerate):
-    """Frames of the track by which a resampler is late: half its filter."""
-    return 64 * max(1.0, samplerate / RATE)
+    made = np.concatenate(heard(client, mixer))
+    assert len(made) == 4_410 * RATE // 44_100 + max(frames, tail)
+    assert made.sum() == pytest.approx(RATE / 44_100, rel=1e-3)
 
 
 @pytest.mark.parametrize("samplerate", [1_000, 8_000, 44_100, 192_000])
@@ -182,16 +115,9 @@ def test_what_is_played_last_is_heard_too_however_long_the_resampler_holds_it(sa
 @given(st.lists(st.integers(0, 2_500), max_size=10))
 @settings(max_examples=20)
 def test_the_split_into_buffers_changes_no_bit_of_resampled_sound(lengths):
-    frames = noise(6_000, 2)
-    made = []
-    whole: list[int] = []
-    for split in (lengths, whole):
-        tap = BufferTap(*cut(frames, split, 44_100))
-        made.append(np.concatenate(heard(*connected(tap, RATE, 2))))
-    assert made[0].tobytes() == made[1].tobytes()
-
-
-# --- a format that changes
+    taps = [cut(noise(6_000, 2), split, 44_100) for split in (lengths, lengths[:0])]
+    made = [np.concatenate(heard(*connected(tap, RATE, 2))).tobytes() for tap in taps]
+    assert made[0] == made[1]
 
 
 def test_another_format_goes_on_in_the_mix_of_the_first():
@@ -207,6 +133,8 @@ def test_another_format_goes_on_in_the_mix_of_the_first():
     client, mixer = connected(tap)
     made = np.concatenate(heard(client, mixer))
     assert (mixer.samplerate, mixer.channels) == (RATE, 2)
+    mixer.cycle(0.0)
+    assert len(mixer.tracks) == 1, "tracks of formats that are over leave"
     assert made.shape == (2_000 + 24_000 + 700 + 960, 2)
     assert made[:2_000].tobytes() == stereo.tobytes()
     second = made[2_000:26_000]
@@ -218,29 +146,3 @@ def test_another_format_goes_on_in_the_mix_of_the_first():
     assert client.buffers == 1 + 50 + 3
     assert client.format_changes == 3
     assert client.discontinuities == 2
-
-
-def test_what_a_resampler_still_holds_when_the_format_changes_is_heard_beside_the_new():
-    click = np.zeros((441, 1), np.float32)
-    click[-70] = 1.0
-    tap = BufferTap((click, 44_100, False), (np.zeros((1, 1), np.float32), RATE, False))
-    client, mixer = connected(tap, RATE, 1)
-    made = np.concatenate(heard(client, mixer))
-    assert made.sum() == pytest.approx(RATE / 44_100, rel=1e-3)
-
-
-def test_tracks_of_formats_that_are_over_leave_the_mixer():
-    buffers = [(noise(500, channels), RATE, False) for channels in (1, 2, 3, 1, 2)]
-    client, mixer = connected(BufferTap(*buffers))
-    heard(client, mixer)
-    mixer.cycle(0.0)
-    assert len(mixer.tracks) == 1
-    assert client.format_changes == 4
-
-
-def test_a_discontinuity_is_counted_and_the_sound_goes_on():
-    frames = noise(900)
-    buffers = [(part, RATE, number in (0, 2)) for number, part in enumerate(np.split(frames, 3))]
-    client, mixer = connected(BufferTap(*buffers))
-    assert np.array_equal(np.concatenate(heard(client, mixer)), frames)
-    assert (client.buffers, client.discontinuities, client.format_changes) == (3, 2, 0)

@@ -3,8 +3,6 @@
 Nothing there keeps time, so whoever fills a block has to take a while over it.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -44,11 +42,10 @@ def portaudio_with(name: str) -> Iterator[PcmConfig]:
         yield config
     finally:
         config.close()
-    assert portaudio.count_open() == 0
+    assert len(portaudio.open_tags) == 0
 
 
 def until(condition, limit_s: float = 10.0) -> None:
-    """Wait until it holds."""
     end_s = time.monotonic() + limit_s
     while not condition():
         assert time.monotonic() < end_s

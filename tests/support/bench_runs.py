@@ -1,12 +1,13 @@
 """The bench with the least effort, and its command run inside this process."""
 
-from __future__ import annotations
+from collections.abc import Callable
 
-import contextlib
-import io
+import pytest
 
-from tests.support.commands import Done
+from tests.support.commands import Done, call
+from tools.bench import run
 from tools.bench.__main__ import main
+from tools.bench.report import Row, Section
 from tools.bench.workbench import SUBJECTS, Effort, Workbench
 
 LEAST = Effort(
@@ -43,13 +44,26 @@ LEAST = Effort(
 
 
 def a_bench(found=(), absent=None):
-    """Return a workbench of the least effort."""
     return Workbench(LEAST, SUBJECTS, found, absent or {})
 
 
 def bench_command(*arguments: object) -> Done:
     """Run python -m tools.bench inside this process."""
-    stdout, stderr = io.StringIO(), io.StringIO()
-    with contextlib.redirect_stdout(stdout), contextlib.redirect_stderr(stderr):
-        code = main([str(argument) for argument in arguments])
-    return Done(code, stdout.getvalue(), stderr.getvalue())
+    return call(*arguments, program=main)
+
+
+def run_benches(
+    monkeypatch: pytest.MonkeyPatch, *arguments: object, **benches: Callable[[Workbench], Section]
+) -> Done:
+    """Run the quick command with these benches alone, by name."""
+    chosen = tuple((name, measure, 1.0) for name, measure in benches.items())
+    monkeypatch.setattr(run, "BENCHES", chosen)
+    return bench_command("--quick", *arguments)
+
+
+def fine(_: object) -> Section:
+    return Section("Fine", "It works.", (Row("one", 1.0),))
+
+
+def broken(_: object) -> Section:
+    raise ValueError("the ground\nis gone")

@@ -1,7 +1,5 @@
 """Small libraries of sound, and what a run has left in its output folder."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any
@@ -37,13 +35,11 @@ def results(out: Path) -> dict[str, bytes]:
 
 
 def record(out: Path, name: str) -> dict[str, Any]:
-    """Return the record of a result."""
     found: dict[str, Any] = json.loads((out / f"{name}.json").read_text())
     return found
 
 
 def rows(path: Path) -> list[dict[str, Any]]:
-    """Return the lines of a manifest."""
     return [json.loads(line) for line in path.read_text().splitlines()]
 
 

@@ -4,15 +4,14 @@ What is written is a sawtooth of frame numbers, so what is read tells exactly wh
 the true delay, without a look into the line.
 """
 
-from __future__ import annotations
-
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from device.clock.delay_line import DelayLine, DelayState, DelayStatus
-from device.units import Float32Array, FloatArray
+from device.clock.delay_control import DelayState, DelayStatus
+from device.clock.delay_line import DelayLine
+from device.units import FloatArray
 
 SAWTOOTH_FRAMES = 1 << 14
 """One frame is 2^-14 of full scale: float32 then tells 1/1000 of a frame."""
@@ -85,14 +84,11 @@ class Course:
         return error[np.isfinite(error)]
 
 
-def run(
-    line: DelayLine,
-    writer: Side,
-    reader: Side,
-    seconds: float,
-    at_read: Callable[[float, DelayLine, Float32Array], None] | None = None,
-) -> Course:
-    """Play both sides against each other; both begin with the same true time, unless set."""
+def run(line: DelayLine, writer: Side, reader: Side, seconds: float, at_read=None) -> Course:
+    """Play both sides against each other; both begin with the same true time, unless set.
+
+    at_read: called after each read with its time, the line, and what was read.
+    """
     assert SAWTOOTH_FRAMES % writer.block == 0
     ramp = np.arange(SAWTOOTH_FRAMES, dtype=np.float32) / np.float32(SAWTOOTH_FRAMES)
     sawtooth = np.repeat(ramp[:, np.newaxis], line.channels, axis=1)

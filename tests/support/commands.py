@@ -5,22 +5,22 @@ plain shell; `call` runs the command inside this process, a second sooner, for w
 on that. Both return what came of it. Arguments may be numbers and paths.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
+import json
 import os
 import select
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 import soundfile
 from numpy.typing import NDArray
 
@@ -93,19 +93,51 @@ def cushion(*arguments: object, **options: Any) -> Done:
     return Done(process.returncode, stdout or "", stderr or "")
 
 
-def call(*arguments: object) -> Done:
-    """Run a command inside this process."""
+def call(*arguments: object, program: Callable[[list[str]], int] = main) -> Done:
+    """Run a command, or the main function of another program, inside this process."""
     stdout, stderr = io.StringIO(), io.StringIO()
     handlers = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)}
     try:
         with contextlib.redirect_stdout(stdout), contextlib.redirect_stderr(stderr):
-            code = main([str(argument) for argument in arguments])
+            code = program([str(argument) for argument in arguments])
     except SystemExit as end:  # --help and --version
         code = int(end.code or 0)
     finally:
         for number, handler in handlers.items():
             signal.signal(number, handler)
     return Done(code, stdout.getvalue(), stderr.getvalue())
+
+
+def document(*arguments: object) -> Any:
+    """Run a command with --json that works and has nothing to warn of; return what it prints."""
+    done = call(*arguments, "--json")
+    assert (done.code, done.stderr) == (0, ""), done
+    return json.loads(done.stdout)
+
+
+def without_a_reader(*arguments: object, **options: Any) -> Done:
+    """Run a command in a process of its own; whoever read its standard output has gone."""
+    ours, theirs = os.pipe()
+    os.close(ours)
+    try:
+        return cushion(*arguments, stdout=theirs, **options)
+    finally:
+        os.close(theirs)
+
+
+def ended_by(name: str, folder: Path) -> dict[str, str]:
+    """Return an environment in which a process that opens a file of this name ends at once.
+
+    As with a decoder that crashes. Every process of the command imports what is written in folder.
+    """
+    (folder / "sitecustomize.py").write_text(
+        "import os, sys\n"
+        "def ended(event, arguments):\n"
+        f"    if event == 'open' and str(arguments[0]).endswith({name!r}):\n"
+        "        os._exit(9)\n"
+        "sys.addaudithook(ended)\n"
+    )
+    return {"PYTHONPATH": f"{folder}{os.pathsep}{ROOT}"}
 
 
 def refused(done: Done, code: int = 2) -> str:
@@ -129,7 +161,13 @@ def until(condition: Callable[[], bool], process: subprocess.Popen[str]) -> None
             raise AssertionError(f"ended too soon: {process.communicate()}")
 
 
-def held_back(process: subprocess.Popen[str], folder: Path) -> list[int]:
+def workers_of(process: subprocess.Popen[str]) -> list[psutil.Process]:
+    """Return the worker processes of a run, not the server that forks them."""
+    servers = psutil.Process(process.pid).children()
+    return [worker for server in servers for worker in server.children()]
+
+
+def held_back(process: subprocess.Popen[str] | psutil.Process, folder: Path) -> list[int]:
     """Return the length of every file that a process writes in a folder, named or not yet."""
     lengths = []
     with contextlib.suppress(OSError):  # the process has ended
@@ -149,28 +187,14 @@ def on_a_terminal(*arguments: object, streams: tuple[str, ...], **options: Any) 
     try:
         with start(*arguments, env=env, **options, **terminal) as process:
             os.close(theirs)
-            for piece in _pieces(ours, process):
-                drawn += piece
+            with contextlib.suppress(OSError):  # EIO: nobody has the terminal open any more
+                while select.select([ours], [], [], DEADLINE_S)[0]:
+                    drawn += os.read(ours, 65_536)
+                process.kill()
             stdout, stderr = process.communicate(timeout=DEADLINE_S)
     finally:
         os.close(ours)
     return Done(process.returncode, stdout or "", stderr or ""), drawn.decode()
-
-
-def _pieces(terminal: int, process: subprocess.Popen[str]) -> Iterator[bytes]:
-    """Yield what is drawn until nobody has the terminal open any more."""
-    deadline = time.monotonic() + DEADLINE_S
-    while time.monotonic() < deadline:
-        if not select.select([terminal], [], [], 0.1)[0]:
-            continue
-        try:
-            yield os.read(terminal, 65_536)
-        except OSError:  # EIO: the other end is closed
-            return
-    process.kill()
-
-
-# ------------------------------------------------------------------------------------- the files
 
 
 def sound(path: Path, samples: NDArray[Any], samplerate: int = RATE, **options: Any) -> Path:
@@ -192,7 +216,6 @@ def vibration(path: Path) -> NDArray[np.float32]:
 
 
 def open_files() -> int:
-    """Return how many files this process has open."""
     return len(list(Path("/proc/self/fd").iterdir()))
 
 

@@ -1,8 +1,8 @@
 /* Plays sound through a core without Python: core_host DESIGN BLOCK
  *
- * Float samples on stdin, (frames, inputs), become samples on stdout, in calls of BLOCK frames: floats of
- * the actuators, or doubles of the vibration where the design has no actuators. Each actuator plays the
- * vibration of its number, and every second one at half the level. */
+ * Reads float samples, (frames, inputs), from stdin, BLOCK frames at once. Writes the actuators' signals to
+ * stdout as floats, or the vibration as doubles if the design has no actuators. Actuator k plays vibration k,
+ * modulo the number of vibrations; every second actuator has a gain of -0.5. */
 
 #include <stdio.h>
 #include <stdlib.h>

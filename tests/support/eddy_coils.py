@@ -5,8 +5,6 @@ whether its order is whole, fractional or infinite. The spring that hardens and 
 are added as forces and voltages of the last solution, until nothing changes.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -19,23 +17,13 @@ from device.rig import Rig
 from device.rig.actuator import Motion, first_order_hold
 from device.rig.parameters import ActuatorParameters
 from device.units import FloatArray
-from tests.support.random_rigs import random_rig
+from tests.support.random_rigs import log_uniform, random_rig
 
 Law = Callable[[np.ndarray], np.ndarray]
 """The coil's impedance without its resistance, ohm, for s = j w."""
 
 _REST_S = 2.0
 """Silence behind the signal, in which the rig comes to rest."""
-
-
-def plain(inductance_h: float) -> Law:
-    """An inductance."""
-    return lambda s: s * inductance_h
-
-
-def parallel(inductance_h: float, eddy_h: float, eddy_ohm: float) -> Law:
-    """L1 + (L2 || R2)."""
-    return lambda s: s * inductance_h + s * eddy_h * eddy_ohm / (eddy_ohm + s * eddy_h)
 
 
 def leach(factor: float, exponent: float) -> Law:
@@ -54,7 +42,7 @@ def diffusion(leak_h: float, inductance_h: float, corner_hz: float) -> Law:
 
 
 def ladder(inductance_h: float, *sections: tuple[float, float]) -> Law:
-    """L1 and several L || R in series: what a thick or layered conductor does."""
+    """L1 and any number of L || R in series: what a thick or layered conductor does."""
 
     def law(s: np.ndarray) -> np.ndarray:
         z = s * inductance_h
@@ -95,19 +83,17 @@ class CoilRig:
         force, emf = np.zeros_like(drive), np.zeros_like(drive)
         y = i = np.zeros(0)
         for _ in range(40):
-            current = (drive - emf - s * bl * force / stiffness) / (
-                electric + s * bl**2 / stiffness
-            )
+            back = emf + s * bl * force / stiffness
+            current = (drive - back) / (electric + s * bl**2 / stiffness)
             moved = (bl * current + force) / stiffness
             before = y
             y, v, i = irfft(moved, length), irfft(s * moved, length), irfft(current, length)
             if large is None or (len(before) and np.abs(y - before).max() < 1e-7 * np.abs(y).max()):
                 break
             share = (y / a.x_max_m) ** 2
-            force = rfft(
-                -k * large.stiffness_rise * share * y - bl * large.force_factor_loss * share * i
-            )
-            emf = rfft(-bl * large.force_factor_loss * share * v)
+            lost = bl * large.force_factor_loss * share
+            force = rfft(-k * large.stiffness_rise * share * y - lost * i)
+            emf = rfft(-lost * v)
         else:
             raise AssertionError("the excursion is too large for this simulator")
         frames = len(volts)
@@ -119,9 +105,8 @@ class EddyActuator:
     """A linear actuator with L1 + (L2 || R2), block by block; exact for straight lines of volts."""
 
     def __init__(self, p: ActuatorParameters, samplerate: float, source_ohm: float) -> None:
-        m, bl, main, inner = (
-            p.moving_mass_kg, p.force_factor_n_per_a, p.inductance_h, p.inductance_eddy_h,
-        )  # fmt: skip
+        m, bl = p.moving_mass_kg, p.force_factor_n_per_a
+        main, inner = p.inductance_h, p.inductance_eddy_h
         r, r2 = p.resistance_ohm + source_ohm, p.resistance_eddy_ohm
         rate = np.array(
             [
@@ -139,7 +124,6 @@ class EddyActuator:
         self._state, self._last = np.zeros(4, complex), 0.0
 
     def move(self, volts: FloatArray, _: object = None) -> Motion:
-        """Return the next frames of the motion."""
         before = np.concatenate([[self._last], volts[:-1]])
         pushed = np.outer(self._inverse @ self._before, before)
         pushed += np.outer(self._inverse @ self._now, volts)
@@ -166,38 +150,31 @@ def random_coil_rig(seed: int, kind: str | None = None) -> tuple[CoilRig, str]:
     kind = kind or KINDS[seed % 3]
     seat = bool(random.random() < 0.33)
     r = rig.actuator.resistance_ohm
-    reactance = r * float(np.exp(random.uniform(math.log(0.05), math.log(0.6))))
+    reactance = r * log_uniform(random, 0.05, 0.6)
     w = math.tau * 200.0
+    big = reactance / w
     if kind == "plain":
-        law, main = plain(rig.actuator.inductance_h), rig.actuator.inductance_h
+        main = rig.actuator.inductance_h
+        law = ladder(main)
     elif kind == "parallel":
-        main = reactance / w * float(random.uniform(0.2, 1.0))
-        eddy = reactance / w * float(random.uniform(0.5, 2.0))
-        corner = float(np.exp(random.uniform(math.log(60.0), math.log(600.0))))
-        law = parallel(main, eddy, math.tau * corner * eddy)
+        main = big * float(random.uniform(0.2, 1.0))
+        eddy = big * float(random.uniform(0.5, 2.0))
+        ohm = math.tau * log_uniform(random, 60.0, 600.0) * eddy
+        law = ladder(main, (eddy, ohm))
     elif kind == "leach":
         exponent = float(random.uniform(0.5, 0.85))
-        law, main = leach(reactance / w**exponent, exponent), reactance / w
+        law, main = leach(reactance / w**exponent, exponent), big
     elif kind == "diffusion":
         main = 0.3 * reactance / w
-        law = diffusion(
-            main, reactance / w, float(np.exp(random.uniform(math.log(20.0), math.log(200.0))))
-        )
+        law = diffusion(main, big, log_uniform(random, 20.0, 200.0))
     elif kind == "ladder":
         main = 0.3 * reactance / w
-        hz = np.exp(random.uniform(math.log(40.0), math.log(1000.0), 3)).tolist()
-        big = reactance / w
-        law = ladder(
-            main,
-            *(
-                (share * big, math.tau * c * share * big)
-                for share, c in zip((1.0, 0.5, 0.3), hz, strict=True)
-            ),
-        )
+        hz = [log_uniform(random, 40.0, 1000.0) for _ in range(3)]
+        parts = zip((1.0, 0.5, 0.3), hz, strict=True)
+        law = ladder(main, *((share * big, math.tau * c * share * big) for share, c in parts))
     else:
         raise AssertionError(kind)
     actuator = replace(rig.actuator, inductance_h=main)
     if kind == "parallel":
-        ohm = math.tau * corner * eddy
         actuator = replace(actuator, inductance_eddy_h=eddy, resistance_eddy_ohm=ohm)
     return CoilRig(replace(rig, actuator=actuator), law, seat), kind

@@ -1,7 +1,5 @@
 """Objects of PipeWire's graph as `pw-dump` prints them, for tests that need no server."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from device.server.graph import Graph

@@ -1,13 +1,10 @@
 """What a process holds more after a long stream."""
 
-from __future__ import annotations
-
 import gc
-import os
-import resource
 import sys
 from dataclasses import dataclass
-from pathlib import Path
+
+import psutil
 
 from tools.bench.sounds.signals import Stereo
 from tools.bench.workbench import Stream
@@ -58,10 +55,6 @@ def memory_growth(stream: Stream, sound: Stereo, blocksize: int, frames: int) ->
     )
 
 
-def resident_bytes() -> int:
-    """Return the memory that the process occupies now, or did at most where Linux does not say."""
-    try:
-        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
-    except (OSError, ValueError, IndexError):
-        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
-    return pages * os.sysconf("SC_PAGE_SIZE")
+def resident_bytes(pid: int | None = None) -> int:
+    """Return the memory that a process occupies now, by default this one."""
+    return int(psutil.Process(pid).memory_info().rss)

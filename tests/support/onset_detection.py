@@ -3,8 +3,6 @@
 It runs the oracle's search for onsets, by which the live form begins partials.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,27 +35,26 @@ STEADY_S = 2.0
 
 @dataclass(frozen=True)
 class Found:
-    """Counts of onsets: there, detected, and both; and the delay of each of these, s."""
+    """How many onsets are there and were detected, and the delay of each that is both, s."""
 
     there: int
     detected: int
-    hits: int
-    late_s: tuple[float, ...]
+    late_s: list[float]
 
     @property
     def precision(self) -> float:
         """Share of the detected ones that were there."""
-        return self.hits / self.detected if self.detected else float("nan")
+        return len(self.late_s) / self.detected
 
     @property
     def recall(self) -> float:
         """Share of those there that were detected."""
-        return self.hits / self.there if self.there else float("nan")
+        return len(self.late_s) / self.there
 
     @property
     def f1(self) -> float:
         """The harmonic mean of both."""
-        return 2.0 * self.hits / max(1, self.there + self.detected)
+        return 2.0 * len(self.late_s) / (self.there + self.detected)
 
 
 def onset_times_s(sound: FloatArray) -> FloatArray:
@@ -68,10 +65,9 @@ def onset_times_s(sound: FloatArray) -> FloatArray:
     onset = Onsets(s, filtered, ends).onset
     heard = (1 + np.flatnonzero(onset == np.arange(ends.size))).tolist()
     # A second detection within the rest is of the same onset.
-    kept = [tick for tick, last in zip(heard, [-s.rest_ticks, *heard], strict=False)
-            if tick - last >= s.rest_ticks]  # fmt: skip
-    tick_s = float(s.tick_s)
-    return np.array(kept, dtype=np.float64) * tick_s
+    pairs = zip(heard, [-s.rest_ticks, *heard], strict=False)
+    kept = [tick for tick, last in pairs if tick - last >= s.rest_ticks]
+    return np.array(kept, dtype=np.float64) * float(s.tick_s)
 
 
 def found(sound: FloatArray, onsets_s: FloatArray) -> Found:
@@ -85,7 +81,7 @@ def found(sound: FloatArray, onsets_s: FloatArray) -> Found:
             nearest = int(away.argmin())
             free[nearest] = False
             late.append(float(detected[nearest]) - onset_s)
-    return Found(onsets_s.size, detected.size, len(late), tuple(late))
+    return Found(onsets_s.size, detected.size, late)
 
 
 def _spread(rng: np.random.Generator, bounds: tuple[float, float], count: int) -> FloatArray:

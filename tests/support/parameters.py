@@ -1,6 +1,4 @@
-"""The transform's parameters by kind: numbers with their ranges, and words with their choices."""
-
-from __future__ import annotations
+"""Parameters by kind, numbers with their ranges and words with their choices, and actuators."""
 
 from audioflinger_hook.transform import TransformParameters
 from device.values import Choice, Number
@@ -15,3 +13,12 @@ CHOICES = {
     for name, described in TransformParameters.DESCRIPTIONS.items()
     if isinstance(described, Choice)
 }
+TWO_SHAKERS = """\
+[[actuator]]
+source = "left"
+channels = [0]
+
+[[actuator]]
+source = "right"
+channels = [1]
+"""

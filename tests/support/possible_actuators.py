@@ -1,7 +1,5 @@
 """The actuators that a rig may turn out to have, and an optimiser that looks for bad drives."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -15,9 +13,9 @@ from device.rig import ActuatorParameters, Rig
 from device.rig.actuator import first_order_hold
 from device.rig.adaptive_actuator import AdaptiveActuator
 from device.rig.electronics import Amplifier
-from device.rig.model_levels import ModelLevel
 from device.rig.parameters import SeatParameters, vary
 from device.units import FloatArray
+from tests.support.random_rigs import linear_rates
 
 FREE = SeatParameters(mass_kg=0.57, stiffness_n_per_m=100.0, damping_n_s_per_m=0.0)
 """A board that lies freely: 2 Hz on its spring, far below every vibration."""
@@ -58,21 +56,8 @@ def excursion_sections(rig: Rig, possible: Possible, samplerate: int) -> FloatAr
     Written from the forces on coil and frame, apart from what is tested.
     """
     p, seat = possible.of(rig.actuator), possible.seat
-    k, c, bl = p.stiffness_n_per_m, p.damping_n_s_per_m, p.force_factor_n_per_a
     resistance = p.resistance_ohm + rig.amplifier.source_impedance_ohm
-    # x, x' in the frame, current, and the frame's place and speed
-    force = np.array([-k, -c, bl, 0.0, 0.0])
-    ground = np.array([0.0, 0.0, 0.0, -seat.stiffness_n_per_m, -seat.damping_n_s_per_m])
-    frame = (ground - force) / seat.mass_kg
-    rate = np.array(
-        [
-            [0.0, 1.0, 0.0, 0.0, 0.0],
-            force / p.moving_mass_kg - frame,
-            np.array([0.0, -bl, -resistance, 0.0, 0.0]) / p.inductance_h,
-            [0.0, 0.0, 0.0, 0.0, 1.0],
-            frame,
-        ]
-    )
+    rate = linear_rates(p, seat, resistance, p.force_factor_n_per_a)
     drive = np.array([0.0, 0.0, 1.0 / p.inductance_h, 0.0, 0.0])
     scale = np.array([1e3, 1.0, 1.0, 1e3, 1.0])
     rate, drive = rate * scale[:, None] / scale, drive * scale
@@ -96,9 +81,8 @@ def non_linear_excursion(rig: Rig, possible: Possible, drive: FloatArray, sample
     """Return the same of the non-linear model, for a drive of (frames,)."""
     true = replace(rig, actuator=possible.of(rig.actuator), seat=possible.seat)
     volts = np.ascontiguousarray(volts_of(rig, drive, samplerate))
-    actuator = AdaptiveActuator(
-        true, samplerate, level=ModelLevel.NONLINEAR, seat=possible.seat is not GROUND
-    )
+    is_on_seat = possible.seat is not GROUND
+    actuator = AdaptiveActuator(true, samplerate, model="nonlinear", seat=is_on_seat)
     x = actuator.move(volts, ("displacement_m",)).displacement_m
     return float(np.abs(x).max()) / rig.actuator.x_max_m
 
@@ -107,8 +91,9 @@ def non_linear_excursion(rig: Rig, possible: Possible, drive: FloatArray, sample
 
 KINDS = 6
 DRIVES = (
-    (0.0, KINDS - 1e-6), (0.3, 2.0), (0.1, 3.0), (0.0, 1.0), (0.0, 1.0), (0.1, 1.0), (0.3, 1.5),
-)  # fmt: skip
+    *((0.0, KINDS - 1e-6), (0.3, 2.0), (0.1, 3.0)),
+    *((0.0, 1.0), (0.0, 1.0), (0.1, 1.0), (0.3, 1.5)),
+)
 """Bounds of the numbers that `searched_drive` takes after f0 and the rate."""
 
 
@@ -165,10 +150,8 @@ def search(
 
     low, high = np.array(bounds).T
     first = np.random.default_rng(seed).uniform(low, high, (drives, len(bounds)))
-    differential_evolution(
-        lowest, bounds, init=first, maxiter=generations, tol=0.0, polish=False, rng=seed,
-        vectorized=True, updating="deferred",
-    )  # fmt: skip
+    options = {"tol": 0.0, "polish": False, "vectorized": True, "updating": "deferred"}
+    differential_evolution(lowest, bounds, init=first, maxiter=generations, rng=seed, **options)
     return best, found, tries
 
 
@@ -183,7 +166,5 @@ def strong(rig: Rig, stronger: float) -> Rig:
     friction = p.damping_n_s_per_m * s * impedance + p.force_factor_n_per_a**2 * s
     x_m = abs(p.force_factor_n_per_a / friction)
     gain = stronger * p.x_max_m / x_m / rig.dac.full_scale_v
-    amplifier = replace(
-        rig.amplifier, gain=gain, output_limit_v=2.0 * gain, current_limit_a=math.inf
-    )
-    return replace(rig, amplifier=amplifier)
+    free = replace(rig.amplifier, current_limit_a=math.inf)
+    return replace(rig, amplifier=replace(free, gain=gain, output_limit_v=2.0 * gain))

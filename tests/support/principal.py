@@ -1,11 +1,8 @@
 """What the live form finds in single windows."""
 
-from __future__ import annotations
-
 from audioflinger_hook.transform import FloatArray, TransformParameters
 from audioflinger_hook.transform.design import LiveDesign
-from audioflinger_hook.transform.principal import Principals
-from audioflinger_hook.transform.spectrum import Spectrum
+from audioflinger_hook.transform.principal import Principals, Spectrum
 from tests.oracle.analysis import all_principal
 
 

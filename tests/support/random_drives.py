@@ -3,8 +3,6 @@
 Tones, bursts, sweeps, noise, music-like chords and steps, up to three times full scale.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -12,8 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.signal import butter, sosfilt
 
-from audioflinger_hook.drive.rig_driver import RigDriver
-from device.drive.exposure.dose import ACTION_A8_M_S2, ACTION_VDV, DAY_S, DoseSums, Exposure
+from device.drive.exposure import ACTION_A8_M_S2, ACTION_VDV, DAY_S, DoseSums, Exposure
 from device.drive.safety import SafetyState
 from device.rig import CONSUMER, PAPER, Rig
 from device.rig.actuator import LinearActuator
@@ -21,6 +18,7 @@ from device.rig.electronics import Amplifier, Dac
 from device.rig.parameters import ThermalParameters, vary
 from device.rig.thermal import Temperatures
 from device.units import Float32Array, FloatArray
+from tools.rig_driver import RigDriver
 
 RATE, SECONDS, CHANNELS = 6_000, 1.5, 40
 KINDS = ("tone", "bursts", "sweep", "noise", "music", "steps")

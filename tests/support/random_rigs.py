@@ -3,20 +3,20 @@
 Written from the equations of motion, apart from what identifies.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from device.identification.acceleration import Mode, identify_mode
 from device.identification.output_error import Estimate
+from device.identification.recording import Sweep
 from device.identification.simulated_laboratory import SimulatedLaboratory
-from device.identification.sweep import Sweep
 from device.rig import PAPER, ActuatorParameters, Rig
 from device.rig.parameters import LargeSignalParameters, SeatParameters
+from device.units import FloatArray
 from tools.soak_record import F0_ERROR, HELD, Q_ERROR, SNR_DB
 
 SHARES = (0.05, 0.12)
@@ -24,13 +24,14 @@ SHARES = (0.05, 0.12)
 SWEEP_S = 5.0
 
 
+def log_uniform(random: np.random.Generator, low: float, high: float) -> float:
+    """A random number, evenly spread by its logarithm."""
+    return float(np.exp(random.uniform(math.log(low), math.log(high))))
+
+
 def random_rig(seed: int) -> tuple[Rig, bool]:
     """A rig on the paper's instruments, and whether its seat is loaded: every other one is."""
-    random = np.random.default_rng(seed)
-
-    def between(low: float, high: float) -> float:
-        return float(np.exp(random.uniform(math.log(low), math.log(high))))
-
+    between = partial(log_uniform, np.random.default_rng(seed))
     mass, resistance = between(0.1, 0.5), between(3.0, 8.0)
     actuator = ActuatorParameters(
         moving_mass_kg=mass,
@@ -63,41 +64,36 @@ class Truth:
     q: float
 
 
+def linear_rates(a: ActuatorParameters, s: SeatParameters, ohm: float, bl: float) -> FloatArray:
+    """Rates of the place and speed of a coil in its frame, its current, and those of the frame."""
+    force = np.array([-a.stiffness_n_per_m, -a.damping_n_s_per_m, bl, 0.0, 0.0])
+    ground = np.array([0.0, 0.0, 0.0, -s.stiffness_n_per_m, -s.damping_n_s_per_m])
+    frame = (ground - force) / s.mass_kg
+    current = np.array([0.0, -bl, -ohm, 0.0, 0.0]) / a.inductance_h
+    coil, moved = force / a.moving_mass_kg - frame, np.eye(5)
+    return np.array([moved[1], coil, current, moved[4], frame])
+
+
 def truth(rig: Rig, seat: bool, *, coil_open: bool = False) -> Truth:
     """Of the poles with the least damping above the seat's own."""
     a, s = rig.actuator, rig.seat
     assert s
-    m, c, k = a.moving_mass_kg, a.damping_n_s_per_m, a.stiffness_n_per_m
     bl = 0.0 if coil_open else a.force_factor_n_per_a
-    r = a.resistance_ohm + rig.amplifier.source_impedance_ohm
-    inductance = a.inductance_h
-    # x: mass, z: frame; y = x - z
-    big, ks, cs = (s.mass_kg, s.stiffness_n_per_m, s.damping_n_s_per_m) if seat else (1e12, 0, 0)
-    rate = np.array(
-        [
-            [0, 1, 0, 0, 0],
-            [-k / m, -c / m, k / m, c / m, bl / m],
-            [0, 0, 0, 1, 0],
-            [k / big, c / big, -(k + ks) / big, -(c + cs) / big, -bl / big],
-            [0, -bl / inductance, 0, bl / inductance, -r / inductance],
-        ]
-    )
+    ohm = a.resistance_ohm + rig.amplifier.source_impedance_ohm
+    rate = linear_rates(a, s if seat else SeatParameters(1e12, 1e-9, 0.0), ohm, bl)
     poles = np.linalg.eigvals(rate)
     poles = poles[poles.imag > 1e-3 * abs(poles)]
     mode = poles[np.argmax(np.abs(poles))]
     return Truth(abs(mode) / math.tau, abs(mode) / (-2.0 * mode.real))
 
 
-def sweep_of(rig: Rig, share: float, bench: SimulatedLaboratory) -> Sweep:
-    """15 to 400 Hz, moving that share of Xmax."""
-    return bench.sweep_at_excursion(Sweep(low_hz=15.0, high_hz=400.0, duration_s=SWEEP_S), share)
-
-
 def identified(seed: int, share: float) -> tuple[Mode, Truth]:
     """The mode of a random rig from one noisy sweep of the non-linear model, and the true one."""
     rig, seat = random_rig(seed)
     bench = SimulatedLaboratory(rig, seat=seat, snr_db=SNR_DB, seed=seed)
-    recording = bench.measure(sweep_of(rig, share, bench), [("voltage", "acceleration")])[0]
+    sweep = Sweep(low_hz=15.0, high_hz=400.0, duration_s=SWEEP_S)
+    moving = bench.sweep_at_excursion(sweep, share)
+    recording = bench.measure(moving, [("voltage", "acceleration")])[0]
     return identify_mode(recording, rig.actuator.x_max_m), truth(rig, seat)
 
 
@@ -112,17 +108,11 @@ class Found:
 
     @property
     def passed(self) -> bool:
-        """Whether every limit is kept."""
-        return (
-            F0_ERROR.met(self.f0_error_percent)
-            and Q_ERROR.met(self.q_error_percent)
-            and HELD.met(self.f0_held_percent)
-            and HELD.met(self.q_held_percent)
-        )
+        found = F0_ERROR.met(self.f0_error_percent) and Q_ERROR.met(self.q_error_percent)
+        return found and HELD.met(self.f0_held_percent) and HELD.met(self.q_held_percent)
 
 
 def found_of(pairs: Sequence[tuple[Mode, Truth]]) -> Found:
-    """Sum up what was identified of some rigs."""
     f0 = [(mode.f0_hz, true.f0_hz) for mode, true in pairs]
     q = [(mode.q, true.q) for mode, true in pairs]
     return Found(_largest_error(f0), _largest_error(q), _held(f0), _held(q))

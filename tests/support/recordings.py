@@ -23,14 +23,10 @@ WHY_NONE = (
 
 
 @functools.cache
-def _long_enough() -> tuple[Path, ...]:
-    files = sorted(path for path in FOLDER.rglob("*") if path.suffix in {".wav", ".oga"})
-    return tuple(path for path in files if soundfile.info(path).duration > SHORTEST_S)
-
-
 def recordings() -> list[Path]:
     """Sorted paths of all recordings longer than SHORTEST_S; empty where none were fetched."""
-    return list(_long_enough())
+    files = sorted(path for path in FOLDER.rglob("*") if path.suffix in {".wav", ".oga"})
+    return [path for path in files if soundfile.info(path).duration > SHORTEST_S]
 
 
 def require_recordings() -> list[Path]:

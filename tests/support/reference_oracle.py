@@ -1,19 +1,14 @@
 """An independent loop-form of the transform's equations, as an oracle for the tests.
 
-It follows the paper's equations step by step in float64: mono, band-pass, unit sequences,
-spectrum, candidates, half-power bandwidth, decision, scaling, synthesis. It is slow and literal,
-with Python loops over units, bins and walks, and it is kept apart from the package on purpose: it
-imports nothing from it, so that both can be wrong only separately.
+It follows the paper's equations step by step in float64, with loops over units, bins and walks. It
+imports nothing from the package, so that both can be wrong only separately.
 
-Frequencies are in Hz, times in seconds, amplitudes relative to full scale (a full-scale sine has
-amplitude 1). Only the samplerate and the signal's shape are checked here; the range of every
-other parameter is the package's to guard.
+A full-scale sine has amplitude 1. Only the samplerate and the signal's shape are checked here.
 """
-
-from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -26,16 +21,12 @@ LOWEST_SAMPLERATE = 1000.0
 LARGEST_SAMPLE = 1e3
 PARABOLA_POWER = 0.2
 HAMMING_HALF_POWER_BINS = 1.30
+WINDOW_S = 0.04643
 
 
 @dataclass(frozen=True)
 class OraclePrincipal:
-    """One principal frequency of one unit: where it is heard and where it is felt.
-
-    ``audio_hz`` is the refined frequency f_cp, ``amplitude`` is A_f (full-scale sine = 1),
-    ``bandwidth_hz`` is the half-power width df, ``r`` is A_f df (amplitude x Hz) and
-    ``vibration_hz`` is s(f_cp).
-    """
+    """One principal frequency of one unit: f_cp, A_f, the half-power width, A_f df, and s(f_cp)."""
 
     audio_hz: float
     amplitude: float
@@ -48,7 +39,7 @@ def oracle_units(
     signal: npt.ArrayLike,
     samplerate: float,
     *,
-    window_s: float = 0.04643,
+    window_s: float = WINDOW_S,
     band_low_hz: float = 50.0,
     band_high_hz: float = 12000.0,
     vibration_top_hz: float = 220.0,
@@ -57,12 +48,14 @@ def oracle_units(
 ) -> list[list[OraclePrincipal]]:
     """The principal frequencies of every unit, one list per unit, ascending in audio_hz.
 
-    ``signal`` is float, shape (frames,) or (frames, channels), full scale = 1; ``samplerate`` in
-    Hz. There are ceil(frames / N) units of N = round(window_s * samplerate) frames; the hop is N.
+    signal: (frames,) or (frames, channels). There are ceil(frames / N) units of
+    N = round(window_s * samplerate) frames; the hop is N.
     """
     filtered = _band_passed(_mono(signal), samplerate, band_low_hz, band_high_hz)
+    length = _unit_length(window_s, samplerate)
     units: list[list[OraclePrincipal]] = []
-    for unit in _unit_sequences(filtered, _unit_length(window_s, samplerate)):
+    # Open: the zeros follow the filter, so its ringing past the input's end is not heard.
+    for unit in np.pad(filtered, (0, -len(filtered) % length)).reshape(-1, length):
         spectrum, nfft = _amplitude_spectrum(unit)
         found: list[OraclePrincipal] = []
         # Open: a bin without two neighbours (0 and the last) is no candidate.
@@ -75,63 +68,37 @@ def oracle_units(
             offset, amplitude = _refined(spectrum, k)
             audio_hz = (k + offset) * samplerate / nfft
             level = amplitude / math.sqrt(2.0)
-            left = _side(spectrum, k, -1, level)
-            right = _side(spectrum, k, +1, level)
-            bandwidth_hz = (right - left) * samplerate / nfft
+            bins = _side(spectrum, k, +1, level) - _side(spectrum, k, -1, level)
+            bandwidth_hz = bins * samplerate / nfft
             r = amplitude * bandwidth_hz
             if r > threshold:
-                vibration_hz = _scaled(
-                    audio_hz, window_s, band_low_hz, band_high_hz, vibration_top_hz
-                )
-                found.append(OraclePrincipal(audio_hz, amplitude, bandwidth_hz, r, vibration_hz))
+                felt_hz = _scaled(audio_hz, window_s, band_low_hz, band_high_hz, vibration_top_hz)
+                found.append(OraclePrincipal(audio_hz, amplitude, bandwidth_hz, r, felt_hz))
         found.sort(key=lambda principal: (-principal.r, principal.audio_hz))
-        kept = found[:partials_max]
-        kept.sort(key=lambda principal: principal.audio_hz)
-        units.append(kept)
+        units.append(sorted(found[:partials_max], key=lambda principal: principal.audio_hz))
     return units
 
 
 def oracle_vibration(
-    signal: npt.ArrayLike,
-    samplerate: float,
-    *,
-    window_s: float = 0.04643,
-    band_low_hz: float = 50.0,
-    band_high_hz: float = 12000.0,
-    vibration_top_hz: float = 220.0,
-    threshold: float = 0.3,
-    partials_max: int = 16,
+    signal: npt.ArrayLike, samplerate: float, *, window_s: float = WINDOW_S, **parameters: Any
 ) -> Float64Array:
-    """The vibration, float64, shape (frames,), as long as the input and not limited.
+    """The vibration, (frames,), as long as the input and not limited; parameters: of the units.
 
-    ``signal`` is float, shape (frames,) or (frames, channels), full scale = 1; ``samplerate`` in
-    Hz. A steady full-scale sine comes out near full scale. Silent units are exact zeros.
+    A steady full-scale sine comes out near full scale. Silent units are exact zeros.
     """
-    units = oracle_units(
-        signal,
-        samplerate,
-        window_s=window_s,
-        band_low_hz=band_low_hz,
-        band_high_hz=band_high_hz,
-        vibration_top_hz=vibration_top_hz,
-        threshold=threshold,
-        partials_max=partials_max,
-    )
-    frames = len(np.asarray(signal))
+    units = oracle_units(signal, samplerate, window_s=window_s, **parameters)
     length = _unit_length(window_s, samplerate)
     # Every unit starts its own clock at 0, so the cosines step in phase at the unit edges.
     t = np.arange(length, dtype=np.float64) / samplerate
     full_scale = HAMMING_HALF_POWER_BINS * samplerate / length
-    vibration = np.zeros(len(units) * length, dtype=np.float64)
-    for index, unit in enumerate(units):
+    vibration = np.zeros((len(units), length))
+    for g, unit in zip(vibration, units, strict=True):
         # Open: the sum of r runs over the frequencies that were kept, not over the pruned ones.
         total_r = math.fsum(principal.r for principal in unit)
-        g = np.zeros(length, dtype=np.float64)
         for principal in unit:
             share = principal.r / total_r
             g += share * principal.r * np.cos(2.0 * np.pi * principal.vibration_hz * t)
-        vibration[index * length : (index + 1) * length] = g / full_scale
-    return vibration[:frames]
+    return (vibration / full_scale).reshape(-1)[: len(np.asarray(signal))]
 
 
 def _mono(signal: npt.ArrayLike) -> Float64Array:
@@ -166,18 +133,6 @@ def _unit_length(window_s: float, samplerate: float) -> int:
     return round(window_s * samplerate)
 
 
-def _unit_sequences(filtered: Float64Array, length: int) -> list[Float64Array]:
-    """The contiguous units, each of shape (length,), the last padded with zeros."""
-    units: list[Float64Array] = []
-    for start in range(0, len(filtered), length):
-        # Open: the zeros follow the filter, so its ringing past the input's end is not heard.
-        unit = np.zeros(length, dtype=np.float64)
-        piece = filtered[start : start + length]
-        unit[: len(piece)] = piece
-        units.append(unit)
-    return units
-
-
 def _amplitude_spectrum(unit: Float64Array) -> tuple[list[float], int]:
     """The amplitudes A[k] of the bins k * samplerate / NFFT, up to the last bin, and NFFT."""
     length = len(unit)
@@ -203,21 +158,17 @@ def _refined(spectrum: list[float], k: int) -> tuple[float, float]:
 def _side(spectrum: list[float], k: int, step: int, level: float) -> float:
     """Where one side of the half-power width ends, as a fractional bin; step is -1 or +1."""
     # Open: A at the bin itself may already be below A_f/sqrt(2); then both sides end at the bin.
-    if spectrum[k] < level:
-        return float(k)
     j = k
-    while True:
-        following = j + step
-        # The walk may leave the band: only the spectrum's own ends stop it.
-        if following < 0 or following >= len(spectrum):
-            return float(j)
+    # The walk may leave the band: only the spectrum's own ends stop it.
+    while spectrum[k] >= level and 0 <= j + step < len(spectrum):
+        here, following = spectrum[j], spectrum[j + step]
         # Equal amplitudes do not rise: a flat valley ends at its far bin.
-        if spectrum[following] > spectrum[j]:
-            return float(j)
-        if spectrum[following] < level:
-            fraction = (spectrum[j] - level) / (spectrum[j] - spectrum[following])
-            return j + step * fraction
-        j = following
+        if following > here:
+            break
+        if following < level:
+            return j + step * (here - level) / (here - following)
+        j += step
+    return float(j)
 
 
 def _scaled(x: float, window_s: float, f_m: float, f_h: float, top: float) -> float:

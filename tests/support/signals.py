@@ -5,8 +5,6 @@ Makers return float64 arrays (frames,), full scale 1, and take seconds, Hz and a
 that leaves it, the latency and what it still owed at the end included.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Any
 
@@ -14,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import butter, hilbert, sosfilt, sosfiltfilt
 
-from audioflinger_hook.transform import HapticTransform
+from audioflinger_hook.transform import HapticTransform, TransformParameters
 from audioflinger_hook.transform.haptic import Form
+from audioflinger_hook.transform.mapping import vibration_hz
 
 FloatArray = NDArray[np.float64]
 
@@ -27,12 +26,10 @@ FORMS: tuple[Form, ...] = ("live", "reference")
 
 
 def times(seconds: float, samplerate: int) -> FloatArray:
-    """Return the time of each frame, in seconds from the first."""
     return np.arange(round(seconds * samplerate)) / samplerate
 
 
 def silence(seconds: float, samplerate: int) -> FloatArray:
-    """Return digital silence."""
     return np.zeros(round(seconds * samplerate))
 
 
@@ -40,8 +37,7 @@ def tone(
     hz: float, seconds: float, samplerate: int, amplitude: float = 1.0, phase: float = 0.3
 ) -> FloatArray:
     """Return a steady sine; phase in radians at the first frame."""
-    result: FloatArray = amplitude * np.sin(2 * np.pi * hz * times(seconds, samplerate) + phase)
-    return result
+    return np.asarray(amplitude * np.sin(2 * np.pi * hz * times(seconds, samplerate) + phase))
 
 
 def five_tones(seconds: float, samplerate: int, amplitude: float = 0.15) -> FloatArray:
@@ -50,14 +46,11 @@ def five_tones(seconds: float, samplerate: int, amplitude: float = 0.15) -> Floa
     return np.asarray(np.sum(tones, axis=0))
 
 
-def burst(
-    hz: float, onset_s: float, seconds: float, samplerate: int, amplitude: float
-) -> FloatArray:
-    """Return a 0.25 s tone burst with a raised-cosine rise of 1 ms that begins at onset_s."""
-    since = times(seconds, samplerate) - onset_s
+def burst(hz: float, at_s: float, seconds: float, samplerate: int, amplitude: float) -> FloatArray:
+    """Return a 0.25 s tone burst with a raised-cosine rise of 1 ms that begins at at_s."""
+    since = times(seconds, samplerate) - at_s
     rise = 0.5 - 0.5 * np.cos(np.pi * np.clip(since / 0.001, 0.0, 1.0))
-    result: FloatArray = amplitude * rise * (since < 0.25) * np.sin(2 * np.pi * hz * since)
-    return result
+    return np.asarray(amplitude * rise * (since < 0.25) * np.sin(2 * np.pi * hz * since))
 
 
 def square(hz: float, seconds: float, samplerate: int, amplitude: float = 1.0) -> FloatArray:
@@ -87,19 +80,16 @@ def chirp(
     """Return a sweep whose frequency grows by the same factor in equal times."""
     growth = np.log(to_hz / from_hz) / seconds
     turns = from_hz / growth * np.expm1(growth * times(seconds, samplerate))
-    result: FloatArray = amplitude * np.sin(2 * np.pi * turns)
-    return result
+    return np.asarray(amplitude * np.sin(2 * np.pi * turns))
 
 
 def one_sample(seconds: float, samplerate: int, at_s: float, height: float = 1.0) -> FloatArray:
     """Return silence but for one frame."""
-    result = silence(seconds, samplerate)
-    result[round(at_s * samplerate)] = height
-    return result
+    frames = np.arange(round(seconds * samplerate))
+    return np.where(frames == round(at_s * samplerate), height, 0.0)
 
 
 def joined(*parts: FloatArray) -> FloatArray:
-    """Return the parts one after another."""
     return np.concatenate(parts)
 
 
@@ -110,7 +100,6 @@ def columns(*channels: FloatArray) -> FloatArray:
 
 
 def opened(samplerate: int, channels: int, form: Form = "live", **options: Any) -> HapticTransform:
-    """Return a new transform of a form."""
     return HapticTransform(samplerate, channels, form=form, **options)
 
 
@@ -142,6 +131,16 @@ def in_blocks(
 def identical(one: FloatArray, other: FloatArray) -> bool:
     """Return whether two arrays are the same, byte for byte: the sign of 0 counts, too."""
     return one.shape == other.shape and one.tobytes() == other.tobytes()
+
+
+def level_db(vibration: FloatArray) -> float:
+    """Return the level of a vibration, a full-scale sine at 0 dB."""
+    return float(10 * np.log10(2 * np.mean(vibration**2) + 1e-30))
+
+
+def felt_hz(audio_hz: float) -> float:
+    """Return where a tone is felt by the paper's mapping."""
+    return float(vibration_hz(np.array([float(audio_hz)]), TransformParameters())[0])
 
 
 def energy_above_db(vibration: FloatArray, hz: float, samplerate: int) -> float:

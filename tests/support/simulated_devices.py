@@ -1,7 +1,12 @@
 """An output and an input with a simulated rig in between, block by block, without a clock."""
 
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
 import numpy as np
 
+from device.rig import Rig
 from device.rig.actuator import LinearActuator
 from device.rig.electronics import Amplifier, Dac
 from tests.support.eddy_coils import EddyActuator
@@ -12,6 +17,7 @@ AFTER = 20
 """Blocks that are asked for once it has ended: an output goes on until it is closed."""
 
 
+@dataclass
 class SimulatedDevices:
     """A `Transport`. Every run begins at rest.
 
@@ -25,28 +31,22 @@ class SimulatedDevices:
     the peak of each run.
     """
 
+    rig: Rig
+    inputs: Any
+    delay_s: float = 0.0634
+    drift_ppm: float = 0.0
+    noise: float = 1e-5
+    gains: dict[str, float] = field(default_factory=dict)
+    change: Callable[..., Any] = lambda name, samples, first: samples
+    lost: dict[int, int] = field(default_factory=dict)
+    on_block: Callable[..., object] = lambda exchange, number: None
+    stands_still: int | None = None
+    loses_always: bool = False
     samplerate = RATE
+    runs = ended_at = 0
 
-    def __init__(
-        self,
-        rig,
-        inputs,
-        *,
-        delay_s=0.0634,
-        drift_ppm=0.0,
-        noise=1e-5,
-        gains=None,
-        change=lambda name, samples, first: samples,
-        lost=None,
-        on_block=lambda exchange, number: None,
-        stands_still=None,
-        loses_always=False,
-    ):
-        self.rig, self.inputs, self.delay, self.drift_ppm = rig, inputs, delay_s * RATE, drift_ppm
-        self.noise, self.gains, self.change, self.lost = noise, gains or {}, change, lost or {}
-        self.on_block, self.stands_still, self.loses_always = on_block, stands_still, loses_always
-        self.played, self.levels, self.runs = np.zeros(0), [], 0
-        self.ended_at = 0
+    def __post_init__(self):
+        self.played, self.levels = np.zeros(0), []
 
     def run(self, exchange):
         self.runs += 1
@@ -94,7 +94,7 @@ class SimulatedDevices:
             if self.stands_still is not None and number >= self.stands_still:
                 continue
             frames = random.standard_normal((len(j), len(names))) * self.noise
-            t = (j - self.delay) / rate
+            t = (j - self.delay_s * RATE) / rate
             for column, name in enumerate(names):
                 if name == "-":
                     continue

@@ -1,8 +1,7 @@
 """The soaks of transform and identification: long runs whose records the bench shows."""
 
-from __future__ import annotations
-
 import time
+from dataclasses import asdict
 
 import numpy as np
 
@@ -11,12 +10,8 @@ from audioflinger_hook.transform.design.synthesis import LiveGrid
 from tests.support.memory import memory_growth
 from tests.support.random_rigs import SWEEP_S, found_of, identified
 from tools.bench.machine import cpu_model
-from tools.bench.measures.vibration import SineFit, sine_fit
-from tools.bench.sounds.signals import (
-    SAMPLERATE,
-    demo_sound,
-    tone,
-)
+from tools.bench.measures.vibration import sine_fit
+from tools.bench.sounds.signals import SAMPLERATE, demo_sound, tone
 from tools.records import now
 from tools.soak_record import (
     HOPS,
@@ -67,7 +62,8 @@ def soak_tone(hops: int = HOPS) -> SoakRecord:
         at_start = SETTLED_AFTER_S <= index < SETTLED_AFTER_S + WATCHED_S
         if at_start or index >= seconds - WATCHED_S:
             watched.append(vibration)
-    first, last = _fit(watched[:WATCHED_S]), _fit(watched[WATCHED_S:])
+    ends = np.concatenate(watched).reshape(2, -1)
+    first, last = (sine_fit(end, SAMPLERATE) for end in ends)
     drift_db = abs(20.0 * float(np.log10(last.amplitude / first.amplitude)))
     return SoakRecord(
         what=f"steady tone of {TONE_HZ:g} Hz",
@@ -83,10 +79,6 @@ def soak_tone(hops: int = HOPS) -> SoakRecord:
     )
 
 
-def _fit(seconds: list[FloatArray]) -> SineFit:
-    return sine_fit(np.concatenate(seconds), SAMPLERATE)
-
-
 def soak_identification(share: float, rigs: int = RIGS) -> SoakRecord:
     """What is found of many random rigs by sweeps of that share of Xmax."""
     start_s = time.process_time()
@@ -100,8 +92,5 @@ def soak_identification(share: float, rigs: int = RIGS) -> SoakRecord:
         took_s=time.process_time() - start_s,
         passed=found.passed,
         rigs=rigs,
-        f0_error_percent=found.f0_error_percent,
-        q_error_percent=found.q_error_percent,
-        f0_held_percent=found.f0_held_percent,
-        q_held_percent=found.q_held_percent,
+        **asdict(found),
     )

@@ -1,7 +1,6 @@
 """What /proc/asound looks like, written anew: cards of every kind without any card."""
 
-from __future__ import annotations
-
+import shutil
 from pathlib import Path
 
 ASYNC = """\
@@ -73,7 +72,7 @@ Playback:
 """
 """A UAC1 device with a range of rates."""
 
-PLAYBACK_INFO = "card: 1\ndevice: 0\nstream: PLAYBACK\nid: USB Audio\nname: {}\n"
+PCM_INFO = "card: 1\ndevice: 0\nid: USB Audio\nname: {}\n"
 
 STATUS = "state: RUNNING\nowner_pid   : {}\ntrigger_time: 1.0\n-----\ndelay       : 768\n"
 
@@ -105,6 +104,7 @@ class Cards:
         stream: str = "",
         usb_id: str = "",
         devices: tuple[int, ...] = (0,),
+        captures: tuple[int, ...] = (),
     ) -> Path:
         """Make a card and return its folder; without `stream` it is no USB card."""
         driver = "USB-Audio" if stream else "HDA-Intel"
@@ -113,12 +113,13 @@ class Cards:
             f"                      Maker {card_id} at somewhere\n"
         )
         folder = self.root / f"card{number}"
-        for device in devices:
-            playback = folder / f"pcm{device}p"
-            (playback / "sub0").mkdir(parents=True)
-            (playback / "info").write_text(PLAYBACK_INFO.format(f"output {device}"))
-            (playback / "sub0" / "status").write_text("closed\n")
-            (playback / "sub0" / "hw_params").write_text("closed\n")
+        sides = [(device, "p", "output") for device in devices]
+        for device, side, name in [*sides, *((device, "c", "input") for device in captures)]:
+            pcm = folder / f"pcm{device}{side}"
+            (pcm / "sub0").mkdir(parents=True)
+            (pcm / "info").write_text(PCM_INFO.format(f"{name} {device}"))
+            (pcm / "sub0" / "status").write_text("closed\n")
+            (pcm / "sub0" / "hw_params").write_text("closed\n")
             if stream:
                 (folder / f"stream{device}").write_text(stream)
         folder.mkdir(exist_ok=True)
@@ -128,17 +129,13 @@ class Cards:
         return folder
 
     def unplug(self, number: int) -> None:
-        """Take a card away, folder and all."""
         del self._lines[number]
         self._write()
-        folder = self.root / f"card{number}"
-        for path in sorted(folder.rglob("*"), reverse=True):
-            path.rmdir() if path.is_dir() else path.unlink()
-        folder.rmdir()
+        shutil.rmtree(self.root / f"card{number}")
 
-    def use(self, number: int, process: int, device: int = 0) -> None:
-        """Have a process play there; 0 for nobody."""
-        status = self.root / f"card{number}/pcm{device}p/sub0/status"
+    def use(self, number: int, process: int, pcm: str = "pcm0p") -> None:
+        """Have a process use a device; 0 for none."""
+        status = self.root / f"card{number}/{pcm}/sub0/status"
         status.write_text(STATUS.format(process) if process else "closed\n")
 
     def _write(self) -> None:

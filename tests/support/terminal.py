@@ -1,11 +1,8 @@
 """A command on a terminal of its own, as whoever sits at it uses it."""
 
-from __future__ import annotations
-
 import os
 import select
 import time
-from types import TracebackType
 from typing import Any, Self
 
 from tests.support.commands import DEADLINE_S, start
@@ -33,12 +30,7 @@ class Terminal:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_error: object) -> None:
         self.process.kill()
         self.process.wait()
         self.close()
@@ -52,7 +44,6 @@ class Terminal:
         self._seen = self.shown.index(text, self._seen) + len(text)
 
     def type(self, line: str) -> None:
-        """Type a line."""
         os.write(self._ours, f"{line}\n".encode())
 
     def press(self, key: bytes) -> None:

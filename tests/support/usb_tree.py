@@ -1,11 +1,11 @@
 """A small /sys, /dev and /proc with USB devices in it, laid out as the kernel does."""
 
-from __future__ import annotations
-
 import os
 import shutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+
+from device.usb import UsbAudioDevice, find_devices
 
 CONTROL, STREAMING, MIDI = (1, 1), (1, 2), (1, 3)
 HID = (3, 0)
@@ -24,13 +24,10 @@ class UsbTree:
         for folder in ("sys", "dev", "proc"):
             (root / folder).mkdir(parents=True, exist_ok=True)
         if bus:
-            self.add_bus(1)
-
-    def add_bus(self, number: int) -> None:
-        hub = self.sys / HOST / f"usb{number}"
-        hub.mkdir(parents=True)
-        self._list(hub)
-        (self.root / f"dev/bus/usb/{number:03d}").mkdir(parents=True)
+            hub = self.sys / HOST / "usb1"
+            hub.mkdir(parents=True)
+            self._list(hub)
+            (root / "dev/bus/usb/001").mkdir(parents=True)
 
     def plug(
         self,
@@ -53,18 +50,10 @@ class UsbTree:
         folder = self.path(port)
         folder.mkdir(parents=True)
         vendor, product_id = ids.split(":")
-        self._write(
-            folder,
-            busnum=str(bus),
-            devnum=str(address),
-            idVendor=vendor,
-            idProduct=product_id,
-            speed="480",
-            bMaxPower="100mA",
-            manufacturer=manufacturer,
-            product=product,
-            serial=serial,
-        )
+        self._write(folder, {"busnum": bus, "devnum": address, "speed": 480})
+        self._write(folder, {"idVendor": vendor, "idProduct": product_id, "bMaxPower": "100mA"})
+        names = {"manufacturer": manufacturer, "product": product, "serial": serial}
+        self._write(folder, names)
         if descriptors is not None:
             (folder / "descriptors").write_bytes(descriptors)
         node = self.root / f"dev/bus/usb/{bus:03d}/{address:03d}"
@@ -74,30 +63,31 @@ class UsbTree:
         for number, (kind, subclass) in enumerate(interfaces):
             interface = folder / f"{port}:1.{number}"
             interface.mkdir()
-            self._write(
-                interface,
-                bInterfaceNumber=f"{number:02x}",
-                bInterfaceClass=f"{kind:02x}",
-                bInterfaceSubClass=f"{subclass:02x}",
-                bInterfaceProtocol="20",
-            )
+            known = {"Number": number, "Class": kind, "SubClass": subclass, "Protocol": 0x20}
+            self._write(interface, {f"bInterface{name}": f"{n:02x}" for name, n in known.items()})
             if driver is not None and kind == 1:
                 (self.sys / "bus/usb/drivers" / driver).mkdir(parents=True, exist_ok=True)
                 (interface / "driver").symlink_to(self.sys / "bus/usb/drivers" / driver)
             self._list(interface)
         if card is not None:
-            self.add_card(port, card, card_id, playback)
+            self._card(folder / f"{port}:1.0", card, card_id, playback)
         return folder
-
-    def add_card(
-        self, port: str, number: int, card_id: str = "DAC", playback: Sequence[int] = (0,)
-    ) -> None:
-        """Make a sound card of a device's first interface, as its driver does a little later."""
-        interface = self.path(port) / f"{port}:1.0"
-        self._card(interface, number, card_id, playback)
 
     def add_built_in_card(self, number: int) -> None:
         self._card(self.sys / "devices/pci0000:00/0000:00:1f.3", number, "PCH", (0,))
+
+    @property
+    def devices(self) -> tuple[UsbAudioDevice, ...]:
+        return find_devices(self.root).devices
+
+    @property
+    def only(self) -> UsbAudioDevice:
+        (device,) = self.devices
+        return device
+
+    @property
+    def ports(self) -> list[str]:
+        return [device.port for device in self.devices]
 
     def unplug(self, port: str) -> None:
         folder = self.path(port)
@@ -125,7 +115,7 @@ class UsbTree:
         card = parent / f"sound/card{number}"
         card.mkdir(parents=True)
         (card / "device").symlink_to(parent)
-        self._write(card, id=card_id, number=str(number))
+        self._write(card, {"id": card_id, "number": number})
         self._list(card, "class/sound")
         for device in playback:
             pcm = card / f"pcmC{number}D{device}p"
@@ -133,7 +123,7 @@ class UsbTree:
             self._list(pcm, "class/sound")
         asound = self.root / f"proc/asound/card{number}"
         asound.mkdir(parents=True)
-        self._write(asound, id=card_id)
+        self._write(asound, {"id": card_id})
 
     def _list(self, folder: Path, where: str = "bus/usb/devices") -> None:
         listing = self.sys / where
@@ -141,10 +131,10 @@ class UsbTree:
         (listing / folder.name).symlink_to(os.path.relpath(folder, listing))
 
     @staticmethod
-    def _write(folder: Path, **attributes: str | bytes | None) -> None:
-        for name, text in attributes.items():
-            if text is not None:
-                content = text.encode() if isinstance(text, str) else text
+    def _write(folder: Path, attributes: Mapping[str, str | int | bytes | None]) -> None:
+        for name, told in attributes.items():
+            if told is not None:
+                content = told if isinstance(told, bytes) else str(told).encode()
                 (folder / name).write_bytes(content + b"\n")
 
     @staticmethod

@@ -1,7 +1,5 @@
 """The fast tier of the transform's sweeps: a few cases that cover the values of every parameter."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from pathlib import Path
 

@@ -3,7 +3,7 @@
 import pickle
 import struct
 import zlib
-from dataclasses import FrozenInstanceError, fields, replace
+from dataclasses import FrozenInstanceError, fields
 
 import numpy as np
 import pytest
@@ -13,9 +13,7 @@ from hypothesis import strategies as st
 from audioflinger_hook.core import blob
 from audioflinger_hook.transform import TransformParameters
 from audioflinger_hook.transform.design import SECTIONS, LiveDesign
-from audioflinger_hook.transform.haptic import CoreStream
 from device.errors import UsageError
-from tests.support.signals import identical, joined, silence, tone, white_noise
 
 RATE = 8_000
 DESIGN = LiveDesign.of(TransformParameters(), RATE)
@@ -23,16 +21,12 @@ BLOB = DESIGN.to_bytes()
 PARAMETERS = [
     TransformParameters(),
     TransformParameters(loudness_db=20.0, speech_suppression_db=12.0),
-    TransformParameters(mapping="jnd", level_law="energy", window_s=0.03, partials_max=3),
+    TransformParameters(mapping="jnd", amplitude_mapping="energy", window_s=0.03, partials_max=3),
 ]
 
 
-def further(value):
-    return pytest.param(value, marks=pytest.mark.exhaustive)
-
-
 @pytest.mark.parametrize("parameters", PARAMETERS, ids=["default", "followers", "mappings"])
-@pytest.mark.parametrize("samplerate", [1_000, 8_000, *map(further, (44_100, 48_000, 192_000))])
+@pytest.mark.parametrize("samplerate", [1_000, 8_000, 44_100, 48_000, 192_000])
 def test_a_design_is_read_as_it_was_written(parameters, samplerate):
     design = LiveDesign.of(parameters, samplerate)
     again = LiveDesign.from_bytes(design.to_bytes())
@@ -44,15 +38,6 @@ def test_a_design_is_read_as_it_was_written(parameters, samplerate):
         assert np.shape(read) == np.shape(value), name
     assert again.to_bytes() == design.to_bytes()
     assert pickle.loads(pickle.dumps(design)) == design
-
-
-@pytest.mark.parametrize("parameters", PARAMETERS, ids=["default", "followers", "mappings"])
-def test_a_design_that_was_read_plays_the_same_bytes(parameters):
-    sound = joined(white_noise(0.3, RATE, 0.3), silence(0.2, RATE), tone(300, 0.3, RATE))[:, None]
-    design = LiveDesign.of(parameters, RATE)
-    again = LiveDesign.from_bytes(design.to_bytes())
-    one, other = (CoreStream(each, 1, False).process(sound) for each in (design, again))
-    assert identical(one, other)
 
 
 def test_designs_of_other_parameters_or_rates_are_others():
@@ -84,30 +69,17 @@ def test_every_setting_has_one_name():
     assert max(map(len, names)) <= 36
 
 
-@given(at=st.integers(0, len(BLOB) - 1), flip=st.integers(1, 255))
-def test_a_blob_with_any_byte_changed_is_refused(at, flip):
+@given(
+    at=st.integers(0, len(BLOB) - 1),
+    flip=st.integers(1, 255),
+    more=st.binary(min_size=1, max_size=64),
+)
+def test_a_blob_that_is_changed_cut_or_too_long_is_refused(at, flip, more):
     damaged = bytearray(BLOB)
     damaged[at] ^= flip
-    with pytest.raises(UsageError, match=r"design"):
-        LiveDesign.from_bytes(bytes(damaged))
-
-
-@given(length=st.integers(0, len(BLOB) - 1))
-def test_a_blob_that_is_cut_is_refused(length):
-    with pytest.raises(UsageError, match=r"design"):
-        LiveDesign.from_bytes(BLOB[:length])
-
-
-@given(more=st.binary(min_size=1, max_size=64))
-def test_a_blob_that_is_too_long_is_refused(more):
-    with pytest.raises(UsageError, match=r"too long"):
-        LiveDesign.from_bytes(BLOB + more)
-
-
-@given(foreign=st.binary(max_size=200))
-def test_anything_else_is_refused(foreign):
-    with pytest.raises(UsageError, match=r"design"):
-        LiveDesign.from_bytes(foreign)
+    for wrong in (bytes(damaged), BLOB[:at], BLOB + more, more):
+        with pytest.raises(UsageError, match=r"design"):
+            LiveDesign.from_bytes(wrong)
 
 
 def sealed(data):
@@ -144,9 +116,3 @@ def test_a_damaged_blob_with_a_fitting_checksum_is_refused_or_holds_other_number
     except UsageError:
         return
     assert design != DESIGN
-
-
-def test_sections_can_be_replaced():
-    longer = replace(DESIGN, tracking=replace(DESIGN.tracking, hold_hops=7))
-    assert longer.settings()["hold_hops"] == 7
-    assert longer != DESIGN

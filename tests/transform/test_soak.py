@@ -1,13 +1,15 @@
 """What takes minutes; `make soak` runs it, and the bench shows the last results."""
 
+from collections.abc import Callable
+
 import pytest
 
-from device.rig.model_levels import ModelLevel
+from device.rig.parameters import Model
 from tests.support.random_rigs import SHARES
 from tests.support.rig_soak import soak_energy
 from tests.support.soak import soak_identification, soak_scene, soak_tone
 from tools.records import PROJECT_ROOT
-from tools.soak_record import HOPS, RECORD, RIGS, SAMPLES, STEPPED_SAMPLES, SoakRecord, keep_record
+from tools.soak_record import HOPS, RECORD, RIGS, SAMPLES, SoakRecord, keep_record
 
 
 def kept(record: SoakRecord) -> SoakRecord:
@@ -17,27 +19,22 @@ def kept(record: SoakRecord) -> SoakRecord:
 
 
 @pytest.mark.soak
-def test_a_million_hops_of_the_demo_scene_leave_nothing_in_memory() -> None:
-    record = kept(soak_scene())
+@pytest.mark.parametrize("soaked", [soak_scene, soak_tone])
+def test_a_million_hops_leave_nothing_in_memory_and_a_tone_as_loud_and_pure_as_at_first(
+    soaked: Callable[[], SoakRecord],
+) -> None:
+    record = kept(soaked())
     assert record.hops is not None
     assert record.hops >= HOPS
     assert record.passed, record
 
 
 @pytest.mark.soak
-def test_a_tone_is_as_loud_and_as_pure_after_a_million_hops_as_at_first() -> None:
-    record = kept(soak_tone())
-    assert record.hops is not None
-    assert record.hops >= HOPS
-    assert record.passed, record
-
-
-@pytest.mark.soak
-@pytest.mark.parametrize("level", [ModelLevel.LINEAR, ModelLevel.NONLINEAR, ModelLevel.STEPPED])
-def test_over_a_hundred_million_samples_no_energy_creeps_up(level: ModelLevel) -> None:
-    record = kept(soak_energy(level))
+@pytest.mark.parametrize("model", ["linear", "nonlinear"])
+def test_over_a_hundred_million_samples_no_energy_creeps_up(model: Model) -> None:
+    record = kept(soak_energy(model))
     assert record.samples is not None
-    assert record.samples >= (STEPPED_SAMPLES if level is ModelLevel.STEPPED else SAMPLES)
+    assert record.samples >= SAMPLES
     assert record.passed, record
 
 

@@ -6,8 +6,17 @@ import numpy as np
 import pytest
 
 from audioflinger_hook.transform import HapticTransform, TransformParameters
-from audioflinger_hook.transform.reference.transform import Superposition
-from tests.support.signals import chirp, five_tones, identical, silence, white_noise
+from audioflinger_hook.transform.reference import Superposition
+from tests.support.signals import (
+    chirp,
+    columns,
+    five_tones,
+    identical,
+    in_blocks,
+    played,
+    silence,
+    white_noise,
+)
 
 RATE = 48_000
 
@@ -16,19 +25,10 @@ def single(values):
     return np.asarray(values, np.float32)
 
 
-def units_of_partials(counts, top_hz=220.0, seed=3):
-    """Weights and frequencies of units with so many partials each, and where they begin."""
-    generator = np.random.default_rng(seed)
-    edges = np.concatenate(([0], np.cumsum(counts)))
-    weight = 10.0 ** generator.uniform(-4.0, 0.5, edges[-1])
-    return weight, generator.uniform(10.0, top_hz, edges[-1]), edges
-
-
 def both_ways(superposition, weight, hz, edges):
-    exact = [
-        superposition.exact(weight[first:end], hz[first:end]) for first, end in pairwise(edges)
-    ]
-    return np.stack(exact), superposition.single(weight, hz, edges)
+    units = (slice(*unit) for unit in pairwise(edges))
+    exact = np.stack([superposition.exact(weight[unit], hz[unit]) for unit in units])
+    return exact, superposition.single(weight, hz, edges)
 
 
 @pytest.mark.parametrize(
@@ -37,18 +37,14 @@ def both_ways(superposition, weight, hz, edges):
 )
 def test_rounded_to_float32_every_sample_is_that_of_the_equation(frames, samplerate, top_hz):
     superposition = Superposition(frames, samplerate)
-    counts = [3, 0, 16, 1, 64, 0] * 4
-    exact, quick = both_ways(superposition, *units_of_partials(counts, top_hz))
+    counts = [3, 0, 16, 1, 64, 0] * 4  # partials of each unit
+    generator, edges = np.random.default_rng(3), np.concatenate(([0], np.cumsum(counts)))
+    weight = 10.0 ** generator.uniform(-4.0, 0.5, edges[-1])
+    hz = generator.uniform(10.0, top_hz, edges[-1])
+    exact, quick = both_ways(superposition, weight, hz, edges)
     assert quick.shape == (len(counts), frames)
     assert identical(single(quick), single(exact))
     assert not quick[1].any()
-
-
-def test_no_unit_with_a_partial_is_silence():
-    superposition = Superposition(2_229, RATE)
-    exact, quick = both_ways(superposition, *units_of_partials([0, 0]))
-    assert identical(exact, quick)
-    assert not quick.any()
 
 
 def test_sums_on_an_edge_of_float32_go_the_way_that_the_equation_goes(monkeypatch):
@@ -62,28 +58,11 @@ def test_sums_on_an_edge_of_float32_go_the_way_that_the_equation_goes(monkeypatc
     superposition, edges = Superposition(frames, RATE), np.arange(units + 1)
     exact, quick = both_ways(superposition, weight, hz, edges)
     assert identical(single(quick), single(exact))
-    monkeypatch.setattr(Superposition, "_settle", lambda *_: None)
+    monkeypatch.setattr(Superposition, "_redo", lambda *_: None)
     unsettled = superposition.single(weight, hz, edges)
     assert np.count_nonzero(single(unsettled) != single(exact)) > 0.1 * units
 
 
-def test_a_quick_sum_is_off_by_far_less_than_what_is_taken_for_its_error(monkeypatch):
-    errors = []
-
-    def noted(_, sums, weight, hz, edges):
-        totals = np.add.reduceat(weight, edges[:-1])
-        errors.append((sums.copy(), totals))
-
-    monkeypatch.setattr(Superposition, "_settle", noted)
-    superposition = Superposition(2_229, RATE)
-    exact, quick = both_ways(superposition, *units_of_partials([16] * 200))
-    ((_, totals),) = errors
-    apart = np.abs(exact - quick).max(axis=1) / totals
-    # The least that `_settle` takes for 16 partials under 220 Hz is 8 epsilons of 64 rad.
-    assert apart.max() < 0.25 * 8 * 64 * 2.0**-52
-
-
-@pytest.mark.parametrize("blocksize", [1_000, 32_768])
 @pytest.mark.parametrize("per_channel", [False, True])
 @pytest.mark.parametrize(
     "sound",
@@ -95,19 +74,14 @@ def test_a_quick_sum_is_off_by_far_less_than_what_is_taken_for_its_error(monkeyp
     ],
     ids=["noise", "five tones", "chirp", "silence"],
 )
-def test_vibration_wanted_as_float32_is_the_reference_forms(sound, per_channel, blocksize):
-    sound = np.stack((sound, 0.3 * sound[::-1]), axis=1)
-    made = []
-    for rounded in (False, True):
-        transform = HapticTransform(
-            RATE, 2, form="reference", per_channel=per_channel, single=rounded
-        )
-        parts = [
-            transform.process(sound[first : first + blocksize])
-            for first in range(0, len(sound), blocksize)
-        ]
-        made.append(np.concatenate([*parts, transform.finish()]))
-    assert identical(single(made[0]), single(made[1]))
+def test_vibration_wanted_as_float32_is_the_reference_forms(sound, per_channel):
+    both = columns(sound, 0.3 * sound[::-1])
+    options = {"form": "reference", "per_channel": per_channel}
+    exact = played(both, RATE, **options)
+    for blocksize in (1_000, 32_768):
+        blocks = [blocksize] * (sound.size // blocksize)
+        quick = in_blocks(both, blocks, RATE, single=True, **options)
+        assert identical(single(quick), single(exact))
 
 
 def test_it_holds_with_every_partial_there_may_be():

@@ -4,8 +4,6 @@ Each scene leaves in FOLDER what came of it, for the tests outside to judge. Sec
 instructions and leaps: limits are far away.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -15,7 +13,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -43,17 +41,10 @@ POLL_S = 0.05
 LIMIT_S = 1_800.0
 
 
-def cushion(*arguments: str) -> str:
-    """What a command prints."""
-    done = subprocess.run([*CUSHION, *arguments], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
-
-
 def devices(count: int) -> list[dict[str, Any]]:
     """The USB devices as the command lists them, once there are so many with a card."""
     await_cards(count)
-    found: list[dict[str, Any]] = json.loads(cushion("devices", "--json"))["usb"]
+    found: list[dict[str, Any]] = json.loads(call("devices", "--json").stdout)["usb"]
     assert len(found) == count, found
     return found
 
@@ -167,11 +158,9 @@ class Run:
             assert time.monotonic() < deadline_s, (self.states, status)
             time.sleep(POLL_S)
 
-    def end(self) -> str:
-        """Let it end; what it wrote."""
+    def end(self) -> None:
         self.process.terminate()
-        _, told = self.process.communicate(timeout=LIMIT_S)
-        return told
+        self.process.communicate(timeout=LIMIT_S)
 
 
 def bits(folder: Path) -> dict[str, Any]:
@@ -180,17 +169,10 @@ def bits(folder: Path) -> dict[str, Any]:
     settings = mixed(chosen["hw"][0])
     for device in (chosen, other):
         full_volume(device["hw"][0])
-    told = cushion_run("--device", chosen["device"], "--seconds", "6")
-    names = [chosen["device"], other["device"]]
-    return {"names": names, "told": told, "hw": chosen["hw"], "mixed": settings}
-
-
-def cushion_run(*arguments: str) -> str:
-    """A run that ends by itself; what it wrote."""
-    run = Run("scene:demo", *arguments)
+    run = Run("scene:demo", "--device", chosen["device"], "--seconds", "6")
     _, told = run.process.communicate()
     assert run.process.returncode == 0, told
-    return told
+    return {"names": [chosen["device"], other["device"]], "mixed": settings}
 
 
 def count_real_time(process: int) -> int:
@@ -208,34 +190,27 @@ def pulled(folder: Path) -> dict[str, Any]:
     full_volume(device["hw"][0])
     name = device["device"].partition("@")[0]
     run = Run(sound(60.0), "--device", name)
-    playing = run.wait(lambda status: status["state"] == "running")
+    run.wait(lambda status: status["state"] == "running")
     time.sleep(3.0)
     first = count_real_time(run.process.pid)
     order(folder, "unplug", "dac")
-    pulled_s = time.monotonic()
-    noticed = run.wait(lambda status: status["state"] != "running")
+    run.wait(lambda status: status["state"] != "running")
     time.sleep(1.0)
     run.process.send_signal(signal.SIGSTOP)  # or it would play before the volume is set
     order(folder, "plug", "dac", "3")
     (again,) = await_cards(1)
     full_volume(hw_names(again)[0])
     run.process.send_signal(signal.SIGCONT)
-    plugged_s = time.monotonic()
-    back = run.wait(lambda status: status["state"] == "running")
+    run.wait(lambda status: status["state"] == "running")
     time.sleep(3.0)
     last = run.look()
     real_time = count_real_time(run.process.pid)
-    told = run.end()
+    run.end()
     return {
-        "name": name,
         "ports": [device["port"], again.port],
-        "playing_s": playing,
         "real_time_threads": [first, real_time],
-        "noticed_after_s": noticed - pulled_s,
-        "back_after_s": back - plugged_s,
         "states": run.states,
         "last": last,
-        "told": told,
     }
 
 
@@ -243,28 +218,18 @@ def software(folder: Path, uac: int, ppm: float, seconds: float) -> dict[str, An
     """A DAC in software, whose clock is off, or which asks for frames by its feedback."""
     configuration = {1: dac_1, 2: dac_2}[uac]()
     descriptors = usb_builder.device(product=0xDAC0 + uac) + configuration
-    dac = SoftwareDac(
-        descriptors, uac, ["Soft", f"DAC {uac}", "SN1"], volumes={1: 0, 2: 0}, mutes={0: 0}
-    )
-    with (folder / "taken.raw").open("wb") as taken:
-        plugged = VirtualDac(dac, taken.write, ppm=ppm)
-        with ExitStack() as stack:
-            stack.callback(plugged.unplug)
-            (device,) = devices(1)
-            full_volume(device["hw"][0])
-            run = Run(sound(seconds + 60.0), "--device", device["device"].partition("@")[0])
-            began = run.wait(lambda status: status["state"] == "running")
-            while time.monotonic() < began + seconds:
-                run.look()
-                time.sleep(0.5)
-            told = run.end()
-    return {
-        "statuses": run.statuses,
-        "began_s": began,
-        "told": told,
-        "samplerate": dac.samplerate,
-        "formats": device["formats"],
-    }
+    strings = ["Soft", f"DAC {uac}", "SN1"]
+    dac = SoftwareDac(descriptors, uac, strings, volumes={1: 0, 2: 0}, mutes={0: 0})
+    with (folder / "taken.raw").open("wb") as taken, closing(VirtualDac(dac, taken.write, ppm=ppm)):
+        (device,) = devices(1)
+        full_volume(device["hw"][0])
+        run = Run(sound(seconds + 60.0), "--device", device["device"].partition("@")[0])
+        began = run.wait(lambda status: status["state"] == "running")
+        while time.monotonic() < began + seconds:
+            run.look()
+            time.sleep(0.5)
+        run.end()
+    return {"statuses": run.statuses, "formats": device["formats"]}
 
 
 def only_name() -> tuple[str, str]:
@@ -283,9 +248,7 @@ def unsettable(folder: Path) -> dict[str, Any]:
             descriptors, 1, ["Soft", which], volumes=volumes, mutes={0: 1}, keeps_volume=True
         )
         taken = bytearray()
-        plugged = VirtualDac(dac, taken.extend)
-        with ExitStack() as stack:
-            stack.callback(plugged.unplug)
+        with closing(VirtualDac(dac, taken.extend)):
             run = ("run", "--tap", sound(20.0), "--device", only_name()[0], "--seconds", "2")
             runs = []
             for level in ("-30", "off"):
@@ -305,12 +268,9 @@ def shapes(folder: Path) -> dict[str, Any]:
         ("slow", {"product": 0xDAC9}, dac_1(rates=[32_000]), [32_000]),
     ):
         descriptors = usb_builder.device(**ids) + configuration
-        dac = SoftwareDac(
-            descriptors, 1, ["Soft", name], samplerates=rates, volumes={0: 0, 1: 0, 2: 0}
-        )
-        with (folder / f"{name}.raw").open("wb") as taken, ExitStack() as stack:
-            plugged = VirtualDac(dac, taken.write)
-            stack.callback(plugged.unplug)
+        volumes = {0: 0, 1: 0, 2: 0}
+        dac = SoftwareDac(descriptors, 1, ["Soft", name], samplerates=rates, volumes=volumes)
+        with (folder / f"{name}.raw").open("wb") as taken, closing(VirtualDac(dac, taken.write)):
             device, hw = only_name()
             full_volume(hw)
             done = call("run", "--tap", sound(20.0), "--device", device, "--seconds", "2")
@@ -322,10 +282,8 @@ def shapes(folder: Path) -> dict[str, Any]:
 def configurations(folder: Path) -> dict[str, Any]:
     """A DAC in its second configuration, and one of class 3."""
     told = {}
-    for name, uac, configuration in (
-        ("second", 1, two_configurations()),
-        ("class 3", 3, headphones_3()),
-    ):
+    both = (("second", 1, two_configurations()), ("class 3", 3, headphones_3()))
+    for name, uac, configuration in both:
         device = usb_builder.device(product=0xDAC1, configurations=2 if uac == 1 else 1)
         # Requests of class 3 are those of class 2.
         dac = SoftwareDac(
@@ -336,9 +294,7 @@ def configurations(folder: Path) -> dict[str, Any]:
             volumes={0: 0, 1: 0, 2: 0},
         )
         taken = bytearray()
-        plugged = VirtualDac(dac, taken.extend)
-        with ExitStack() as stack:
-            stack.callback(plugged.unplug)
+        with closing(VirtualDac(dac, taken.extend)):
             if uac == 1:
                 choose_configuration(2)
             name_now, hw = only_name()
@@ -376,7 +332,6 @@ SCENES: dict[str, Callable[[Path], dict[str, Any]]] = {
 
 
 def main() -> int:
-    """Do it and leave what came of it."""
     scene, folder = sys.argv[1], Path(sys.argv[2])
     result = SCENES[scene](folder)
     if RECORD.exists():

@@ -9,8 +9,6 @@ Inside, a file `orders/N` in the shared folder asks for something of `ORDERS` by
 until it is gone.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -5,8 +5,6 @@ usbip_protocol.rst of the kernel, version 1.1.1): control requests go to a `Soft
 are taken at the pace of the DAC's own clock. For root, on a machine that is there for tests.
 """
 
-from __future__ import annotations
-
 import errno
 import heapq
 import select
@@ -61,17 +59,16 @@ class VirtualDac:
         (CONTROLLER / "attach").write_text(f"{self._port} {kernels.fileno()} {1 << 16 | 1} {speed}")
         kernels.close()
 
-    def unplug(self) -> None:
+    def close(self) -> None:
         """Pull it out; once more does nothing."""
         if self._thread.is_alive():
             (CONTROLLER / "detach").write_text(str(self._port))
             self._thread.join(5.0)
 
     def _free_port(self) -> int:
-        wanted = "hs"
         for line in (CONTROLLER / "status").read_text().splitlines()[1:]:
             hub, port, status, *_ = line.split()
-            if hub == wanted and int(status) == 4:
+            if hub == "hs" and int(status) == 4:
                 return int(port)
         raise OSError(errno.EBUSY, "all ports of vhci_hcd are taken")
 
@@ -102,9 +99,8 @@ class VirtualDac:
         if command == UNLINK:
             (unlinked,) = struct.unpack(">I", head[20:24])
             status = -errno.ECONNRESET if self._pending.pop(unlinked, None) else 0
-            self._socket.sendall(
-                HEADER.pack(UNLINKED, sequence, 0, 0, 0) + struct.pack(">i24x", status)
-            )
+            head = HEADER.pack(UNLINKED, sequence, 0, 0, 0)
+            self._socket.sendall(head + struct.pack(">i24x", status))
             return
         _, length, start, packets, _ = struct.unpack(">IiIiI", head[20:40])
         data = self._read(length) if direction != IN and length > 0 else b""
@@ -123,15 +119,7 @@ class VirtualDac:
         else:
             self._reply(sequence, 0, length, b"")
 
-    def _wait(
-        self,
-        sequence: int,
-        direction: int,
-        endpoint: int,
-        data: bytes,
-        places: list[tuple[int, int]],
-        start: int,
-    ) -> None:
+    def _wait(self, sequence, direction, endpoint, data, places, start):
         """Have packets answered when the DAC's clock has come to the end of them."""
         interval = self._endpoints[endpoint | direction << 7][6]
         packet_s = (125e-6 if self._high_speed else 1e-3) * 2 ** (interval - 1)
@@ -166,6 +154,5 @@ class VirtualDac:
         self, sequence: int, status: int, length: int, data: bytes, start: int = 0, packets: int = 0
     ) -> None:
         head = HEADER.pack(SUBMITTED, sequence, 0, 0, 0)
-        self._socket.sendall(
-            head + struct.pack(">iiiiI8x", status, length, start, packets, 0) + data
-        )
+        rest = struct.pack(">iiiiI8x", status, length, start, packets, 0)
+        self._socket.sendall(head + rest + data)

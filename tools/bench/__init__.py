@@ -1,17 +1,12 @@
-"""The bench: speed and error of the transform and of the simulated rig, measured on this machine.
+"""Benchmarks of the transform from sound to vibration, and of the simulated rig.
 
-    sounds, subjects, baselines -> sections (with cost, measures) -> report -> Markdown, JSON
-    records of soaks and of live latency --'                           '-> figures
+    `sounds`: synthetic signals, recordings, and films composed of recorded sounds.
+    `baselines`: other methods of converting sound to vibration.
+    `measures`: functions that compute properties of sounds, vibrations and rigs.
+    `sections`: one function for each section of the report.
+    `figures`: the pictures of the report.
 
-| folder | content |
-| --- | --- |
-| sounds | signals by formula, recordings, and real sounds in classes |
-| baselines | other methods from sound to vibration |
-| measures | error, similarity, lag and felt strength of a vibration; loudness; large bursts |
-| sections | one function a section of the report |
-| figures | the pictures of a report |
-
-`python -m tools.bench.real_sounds` measures only what is felt of real sounds, for chosen profiles.
-
-`python -m tools.bench` measures everything; `run.run_bench` does the same from Python.
+`python -m tools.bench` makes the whole report; in Python, call `run.run_bench`. `python -m
+tools.bench.films` measures only the vibration of films and recorded sounds, for chosen profiles or
+for any function that converts sound to vibration.
 """

@@ -1,8 +1,8 @@
-"""Measure speed and error on this machine: python -m tools.bench [--quick] [--json] [--out FILE]
+"""Runs the benchmarks, and prints a report as Markdown, or as JSON with --json.
 
-Prints the report as Markdown, or with --json as one JSON document. It writes no file unless --out,
---tables or --plots names one. Exit codes: 0 done; 2 wrong usage, something could not be measured,
-or a file could not be written; 130 interrupted.
+Usage: python -m tools.bench [--quick] [--json] [--out FILE]. The command writes files only with
+    --out, --tables or --plots. Exit codes: 0 success; 2 wrong usage or a failed measurement; 5 a
+    file could not be written; 130 interrupted.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ EXIT_INTERRUPTED = 130
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Return the exit code; every error is one line on standard error."""
+    """Run the benchmarks and return the exit code. Errors are printed on stderr."""
     options = _parser().parse_args(arguments)
     try:
         return _run(options)
@@ -44,7 +44,7 @@ def _parser() -> argparse.ArgumentParser:
         allow_abbrev=False,
     )
     parser.add_argument(
-        "--quick", action="store_true", help="the same rows from less material, in a minute"
+        "--quick", action="store_true", help="measure the same rows with less material, in a minute"
     )
     parser.add_argument("--json", action="store_true", help="print JSON; writes no files")
     parser.add_argument(
@@ -88,7 +88,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _writable(target: Path) -> Path:
-    """Return the target; an error that would stop the writing is raised before anything runs."""
+    """Return the target file after checking that it can be written."""
     if not target.parent.is_dir():
         raise UsageError(f"the folder {target.parent} does not exist; name another one")
     AtomicFile(target).abort()

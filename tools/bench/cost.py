@@ -1,8 +1,9 @@
-"""Timing: what a piece of work costs one thread, beside a unit of cost that is timed with it.
+"""CPU time of work on one thread, in seconds and relative to the CPU time of one FFT.
 
-Costs are CPU time of the calling thread (`time.thread_time`). The unit, one FFT, is timed right
-before every measurement, and ratios are taken pair by pair. Seconds depend on the machine and its
-load; the ratio hardly does. So limits of time are also set in units of the FFT.
+The function `interleaved` measures the time of FFTs of 2048 samples directly before each
+measurement of other work. Times in seconds depend on the machine and its load. Their ratio to the
+time of an FFT is nearly constant. Upper limits of CPU time are therefore also given as numbers of
+FFTs.
 """
 
 from __future__ import annotations
@@ -17,10 +18,8 @@ from scipy.fft import rfft
 from audioflinger_hook.transform import FloatArray, Frames
 
 RFFT_FRAMES = 2048
-RFFT_CALLS = 100
-"""Calls in one timing of the unit: about a millisecond, far over the clock's step."""
-LIMITS_RFFT_S = 7.7e-6
-"""What the unit took on the machine that the limits of time were set on."""
+RFFT_CALLS = 100  # FFTs in one timing, which takes about 1 ms
+LIMITS_RFFT_S = 7.7e-6  # time in s of the unit on the machine for which time limits were set
 
 Work = Callable[[], object]
 
@@ -28,7 +27,7 @@ _UNIT_INPUT = np.random.default_rng(0).standard_normal(RFFT_FRAMES).astype(np.fl
 
 
 def rfft_unit_s() -> float:
-    """Return the unit of cost: thread CPU seconds of one scipy.fft.rfft(2048, float32)."""
+    """Return the CPU time in s of one scipy.fft.rfft of 2048 float32 samples."""
     rfft(_UNIT_INPUT)
     start = time.thread_time()
     for _ in range(RFFT_CALLS):
@@ -37,12 +36,12 @@ def rfft_unit_s() -> float:
 
 
 def in_ffts(limit_s: float) -> float:
-    """Return a limit of time, s, as a limit in units of the FFT, to three digits."""
+    """Convert a time limit in s to a number of FFTs of 7.7 µs, with three significant digits."""
     return float(f"{limit_s / LIMITS_RFFT_S:.3g}")
 
 
 def thread_seconds(work: Work) -> float:
-    """Return the thread CPU seconds of one call."""
+    """Return the CPU time in s of one call of `work`."""
     start = time.thread_time()
     work()
     return time.thread_time() - start
@@ -50,19 +49,23 @@ def thread_seconds(work: Work) -> float:
 
 @dataclass
 class Timings:
-    """Repeated timings of one piece of work: seconds, and the same in units of the FFT."""
+    """Repeated timings of the same work.
+
+    seconds: CPU times in s.
+    units: CPU times divided by the time of one FFT.
+    """
 
     seconds: list[float] = field(default_factory=list)
     units: list[float] = field(default_factory=list)
 
     @property
     def median_s(self) -> float:
-        """The median in seconds."""
+        """The median CPU time in s."""
         return float(np.median(self.seconds))
 
     @property
     def median_units(self) -> float:
-        """The median of the ratios to the unit timed with each."""
+        """The median of `units`."""
         return float(np.median(self.units))
 
 
@@ -73,10 +76,12 @@ def interleaved(
     *,
     warm: bool = True,
 ) -> list[Timings]:
-    """Return the timings of several works; each round runs every one of them once.
+    """Time several functions in turn, and return the timings of each function.
 
-    repeats: of all works, or of each; a work with fewer skips rounds evenly. before: what runs
-    untimed before every run of each work. warm: one round runs first and is not counted.
+    works: functions to time.
+    repeats: number of timings of each function; one number for all, or one for each.
+    before: for each of `works`, a function to call before each timing; it is not timed.
+    warm: whether to call each function once before the timings.
     """
     timings = [Timings() for _ in works]
     firsts = before or [lambda: None] * len(works)
@@ -100,7 +105,10 @@ def interleaved(
 def call_times_s(
     work: Callable[[Frames], object], blocks: Sequence[Frames], before: Work | None = None
 ) -> FloatArray:
-    """Return the thread CPU seconds of each call on a block, (blocks,); before: runs untimed."""
+    """Return the CPU time in s of one call of `work` for each block, (blocks,).
+
+    before: function to call before each block; it is not timed.
+    """
     times = np.empty(len(blocks))
     for index, block in enumerate(blocks):
         if before:

@@ -1,7 +1,7 @@
-"""Show new records of live measurements and soaks in docs/benchmarks: python -m tools.bench.kept
+"""Updates the sections "Live bursts" and "Live latency" in docs/benchmarks.md, .json and .csv.
 
-Other programs measure them (see the footnotes of those sections), and `make bench` shows them among
-all else. This command replaces only their sections, in a second.
+Usage: python -m tools.bench.kept. This command does not measure, but reads files with earlier
+    results. The footnotes of both sections name the programs that write these files.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ SECTIONS = (kept_records.live_bursts, kept_records.live_latency)
 
 
 def main() -> int:
-    """Replace the sections; the exit code is 2 where a record is missing."""
-    nothing = cast(Workbench, None)  # these sections measure nothing
+    """Replace both sections; return exit code 0, or 2 if results are missing."""
+    nothing = cast(Workbench, None)  # these sections measure nothing themselves
     for measure in SECTIONS:
         section = measure(nothing)
         if section.missing:
@@ -40,7 +40,11 @@ def main() -> int:
 
 
 def replace_section(stem: Path, section: Section) -> None:
-    """Put a section in place of the one of its title, or before "Live latency"."""
+    """Write a section into STEM.md, STEM.json and STEM.csv.
+
+    It replaces the section with the same title. If no section has the same title, the new one is
+    inserted before "Live latency".
+    """
     page = stem.with_suffix(".md").read_text()
     shown = section_markdown(section).rstrip() + "\n\n"
     found = re.search(rf"^## {re.escape(section.title)}\n.*?(?=^## |\Z)", page, re.M | re.S)

@@ -1,4 +1,4 @@
-"""What the figures were measured on."""
+"""Description of the machine that runs the benchmarks."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ from tools.bench.cost import rfft_unit_s
 
 @dataclass(frozen=True)
 class MachineFacts:
-    """The machine and the software of a run.
+    """Machine and software of a run.
 
-    load_before: runnable tasks, the mean of the minute before the run (figures of a busy machine
-    are worse); rfft_us: thread CPU time of one rfft(2048, float32).
+    cores: number of processor cores that the program may use.
+    load_before: system load average of the minute before the run.
+    rfft_us: CPU time of one FFT of 2048 float32 samples in µs.
     """
 
     cpu: str
@@ -32,7 +33,7 @@ class MachineFacts:
 
 
 def machine_facts() -> MachineFacts:
-    """Return the facts of this machine, now."""
+    """Return the description of this machine."""
     return MachineFacts(
         cpu=cpu_model(),
         cores=len(os.sched_getaffinity(0)),
@@ -46,7 +47,7 @@ def machine_facts() -> MachineFacts:
 
 
 def cpu_model() -> str:
-    """Return the processor's name as Linux gives it, else what Python knows."""
+    """Return the name of the processor."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:

@@ -1,6 +1,6 @@
-"""The report: measured rows by section, as Markdown for readers and JSON for programs.
+"""The report of the benchmarks, and its conversion to Markdown and JSON.
 
-report.schema.json, beside this module, is the JSON Schema of the document.
+The file report.schema.json in this folder describes the JSON document.
 """
 
 from __future__ import annotations
@@ -21,30 +21,35 @@ COMMAND = "python -m tools.bench"
 
 @dataclass(frozen=True)
 class Must:
-    """A limit that a value has to keep: value <= bound, or value >= bound."""
+    """A limit that a measured value must meet: value <= bound, or value >= bound."""
 
     relation: Literal["<=", ">="]
     bound: float
 
     def met(self, value: float) -> bool:
-        """Return whether a value keeps the limit; NaN never does."""
+        """Return whether the value meets the limit; False for NaN."""
         return value <= self.bound if self.relation == "<=" else value >= self.bound
 
     def shown(self, unit: str) -> str:
-        """Return the limit as text with its unit."""
+        """Return the limit as text, for example "≤ 45 ms"."""
         sign = {"<=": "≤", ">=": "≥"}[self.relation]
         bound = number(self.bound) if float(self.bound).is_integer() else f"{self.bound:g}"
-        # "2 of 9" has a unit that only the count needs.
+        # The unit in "2 of 9" belongs to the count only.
         return f"{sign} {_with_unit(bound, '' if unit.startswith('of ') else unit)}"
 
 
 @dataclass(frozen=True)
 class Row:
-    """One measured value.
+    """One measured value, shown in one cell of the table of a section.
 
-    Rows of one name share a line of the table. `column` is whose value it is; `value` is in `unit`,
-    None where the note gives the reason. low, high: the spread over repeats. must: the limit;
-    lead: a stricter aim. ffts_column: the column with the same limit in FFTs.
+    name: label of the line in the table; rows with the same name share a line.
+    value: measured value in `unit`; None if there is no value.
+    column: heading of the column in the table.
+    must: limit that the value must meet.
+    low, high: smallest and largest value of repeated measurements.
+    note: remark, or the reason for a missing value.
+    lead: stricter limit, which is a goal.
+    ffts_column: column with the same time in units of one FFT.
     """
 
     name: str
@@ -60,13 +65,13 @@ class Row:
 
     @property
     def met(self) -> bool | None:
-        """Whether the limit is kept; None where none is asked or nothing was measured."""
+        """Whether the value meets the limit; None without a limit or a value."""
         if self.must is None or self.value is None:
             return None
         return self.must.met(self.value)
 
     def shown(self) -> str:
-        """Return the value with its spread and unit as text; no unit that the column names."""
+        """Return value, range and unit as text; the unit is omitted if the column states it."""
         if self.value is None:
             return self.note or "-"
         unit = "" if self.unit in self.column.split() else self.unit
@@ -84,7 +89,10 @@ def line(
     lead: Must | None = None,
     note: str = "",
 ) -> list[Row]:
-    """Return the rows of one line, by column; limits and the note are of the first column."""
+    """Return one row for each entry of `values`, which maps columns to values.
+
+    Only the first row gets `must`, `lead` and `note`.
+    """
     rows = [Row(name, value, unit, column) for column, value in values.items()]
     rows[0] = replace(rows[0], must=must, lead=lead, note=note)
     return rows
@@ -92,7 +100,12 @@ def line(
 
 @dataclass(frozen=True)
 class Missing:
-    """A row that could not be measured here: its name, the reason, and the command that helps."""
+    """A row that could not be measured.
+
+    name: label of the row.
+    reason: why the value is missing.
+    command: shell command that makes the measurement possible.
+    """
 
     name: str
     reason: str
@@ -104,9 +117,11 @@ class Missing:
 
 @dataclass(frozen=True)
 class Section:
-    """Rows under a title, with their meaning for the reader.
+    """One section of the report: a title, an explanation and a table of rows.
 
-    series: single measurements behind some rows, by name, for plots. footnote: what stands below.
+    missing: rows that could not be measured.
+    series: single measurements by name, from which pictures are drawn.
+    footnote: text below the table.
     """
 
     title: str
@@ -119,7 +134,12 @@ class Section:
 
 @dataclass(frozen=True)
 class BenchReport:
-    """Everything one run measured. date: UTC, ISO 8601; duration_s: wall time of the run."""
+    """The results of one run of the benchmarks.
+
+    date: start of the run, UTC, ISO 8601.
+    quick: whether less material was measured.
+    duration_s: wall time of the run.
+    """
 
     date: str
     quick: bool
@@ -129,12 +149,12 @@ class BenchReport:
 
     @property
     def missing(self) -> tuple[Missing, ...]:
-        """Every row that could not be measured."""
+        """All rows that could not be measured."""
         return tuple(missing for section in self.sections for missing in section.missing)
 
     @property
     def not_met(self) -> tuple[tuple[str, Row], ...]:
-        """Every row whose limit is not kept, with its full name: section, row, column."""
+        """Name and row for each row that does not meet its limit."""
         return tuple(
             (_full_name(section, row), row)
             for section in self.sections
@@ -144,7 +164,7 @@ class BenchReport:
 
     @property
     def met_in_ffts(self) -> frozenset[str]:
-        """The names of those of `not_met` that keep the same limit in FFTs: of a slow machine."""
+        """Names of rows that miss a time limit, while the same time in FFTs meets its limit."""
         return frozenset(
             _full_name(section, row)
             for section in self.sections
@@ -158,15 +178,15 @@ class BenchReport:
 
     @property
     def met_count(self) -> int:
-        """How many rows keep the limit that is asked of them."""
+        """Number of rows that meet their limit."""
         return sum(row.met is True for section in self.sections for row in section.rows)
 
     def section(self, title: str) -> Section:
-        """Return the section of that title; KeyError where there is none."""
+        """Return the section with this title. KeyError: there is no such section."""
         return {section.title: section for section in self.sections}[title]
 
     def to_json(self) -> dict[str, Any]:
-        """Return the report as what `json` writes; numbers that are not finite become None."""
+        """Return the report as a JSON document, with None for infinity and NaN."""
         sections = [asdict(section) for section in self.sections]
         for shown, section in zip(sections, self.sections, strict=True):
             for row, measured in zip(shown["rows"], section.rows, strict=True):
@@ -192,7 +212,7 @@ class BenchReport:
     def to_markdown(self, pictures: Mapping[str, str] | None = None) -> str:
         """Return the report as a Markdown document.
 
-        pictures: by the title of the section that they are shown in, as Markdown.
+        pictures: Markdown of each picture, by the title of its section.
         """
         shown = pictures or {}
         sections = (section_markdown(each, shown.get(each.title, "")) for each in self.sections)
@@ -205,22 +225,26 @@ class BenchReport:
         lines = [
             "# Speed and error, measured",
             "",
-            f"`{command} --out FILE` writes this page. Every number and verdict is measured or "
-            "computed by that command.",
+            f"`{command} --out FILE` writes this page. The command measures or computes all "
+            "values, except those of *Live bursts*, *Live latency* and the three sections with "
+            "*Soak*. Other commands measure these values.",
             "",
             f"- **Run**: {self.date}, {size}, {self.duration_s:.0f} s.",
             f"- **Machine**: {machine.cpu}, {machine.cores} cores, {machine.system}, "
             f"load {machine.load_before:.1f} before the run.",
             f"- **Software**: Python {machine.python}, NumPy {machine.numpy}, "
             f"SciPy {machine.scipy}.",
-            "- **Cost** is CPU time of the working thread, in ms for each second of 48 kHz stereo: "
-            "the median, with the smallest and the largest in brackets.",
-            "- **FFTs** give the same cost in units of one `scipy.fft.rfft` of 2048 float32 "
-            f"samples ({machine.rfft_us:.1f} µs here), timed along with it. This number is "
-            "comparable between machines, so limits of time are set in FFTs too, for a machine "
+            "- **Cost** is CPU time of the working thread, in ms for each second of 48 kHz "
+            "stereo sound. The table shows the median of all repeats, with the smallest and the "
+            "largest value in brackets.",
+            "- **FFTs** are the same cost, divided by the cost of one `scipy.fft.rfft` of 2048 "
+            f"float32 samples ({machine.rfft_us:.1f} µs on this machine). This FFT is timed "
+            "alternately with the measured work. Costs in FFTs are comparable between machines, so "
+            "costs also have limits in FFTs. These are the limits in ms, converted for a machine "
             f"whose FFT takes {1e6 * LIMITS_RFFT_S:g} µs.",
-            "- **live** is the form of the transform that a cushion plays; **reference** follows "
-            "the paper literally. *must* is the project's limit, *lead* a stricter aim.",
+            "- **live** is the live form of the transform; **reference** is the reference form, "
+            "which follows the paper's equations exactly. The column *must* shows the limit that "
+            "a value should meet; the column *lead* shows a stricter limit.",
             f"- **Result**: {self._result()}",
             *(f"  - not measured: {missing}" for missing in self.missing),
             "",
@@ -228,7 +252,6 @@ class BenchReport:
         return "\n".join(lines)
 
     def _result(self) -> str:
-        """Return the count of limits met, then the others: faults before slowness."""
         slow = [(name, row) for name, row in self.not_met if name in self.met_in_ffts]
         faults = [(name, row) for name, row in self.not_met if name not in self.met_in_ffts]
         count = f"{self.met_count} of {self.met_count + len(self.not_met)} limits met"
@@ -241,7 +264,7 @@ class BenchReport:
 
 
 def number(value: float) -> str:
-    """Return a number with three significant digits, in plain notation where that is short."""
+    """Return a number as short text, usually with three significant digits."""
     if not math.isfinite(value):
         return {math.inf: "∞", -math.inf: "-∞"}.get(value, "none")
     if value == 0.0:
@@ -252,7 +275,7 @@ def number(value: float) -> str:
         return f"{value:.1e}"
     if abs(value) >= 1000.0:
         return f"{round(value):,}".replace(",", " ")
-    rounded = float(f"{value:.3g}")  # 9.996 becomes 10.0, with one digit less after the point
+    rounded = float(f"{value:.3g}")  # 9.996 becomes 10.0, which needs one decimal less
     return f"{rounded:.{max(0, 2 - math.floor(math.log10(abs(rounded))))}f}"
 
 
@@ -269,7 +292,10 @@ def _verdict(row: Row) -> str:
 
 
 def section_markdown(section: Section, picture: str = "") -> str:
-    """Return a section as Markdown; picture: what is shown under its explanation."""
+    """Return a section as Markdown.
+
+    picture: Markdown of a picture to show below the explanation.
+    """
     columns = list(dict.fromkeys(row.column for row in section.rows))
     limited = any(row.must for row in section.rows)
     led = any(row.lead for row in section.rows)
@@ -299,7 +325,6 @@ def section_markdown(section: Section, picture: str = "") -> str:
 
 
 def _limits_and_verdict(asked: list[Row]) -> list[str]:
-    """Return the limits of one line, each once, and whether all are met or which are not."""
     limits = dict.fromkeys(row.must.shown(row.unit) for row in asked if row.must)
     missed = [row.column for row in asked if not row.met]
     if not missed:
@@ -308,7 +333,6 @@ def _limits_and_verdict(asked: list[Row]) -> list[str]:
 
 
 def _lead_and_verdict(aimed: list[Row]) -> list[str]:
-    """Return the closer limits of one line, each once, and whether all are kept."""
     limits = dict.fromkeys(row.lead.shown(row.unit) for row in aimed if row.lead)
     kept = all(row.lead.met(_plain(row.value)) for row in aimed if row.lead)
     return [", ".join(limits), "" if not aimed else MET if kept else NOT_MET]
@@ -323,7 +347,6 @@ def _line(cells: list[str]) -> str:
 
 
 def _finite(item: Any) -> Any:
-    """Return the document with None in place of every number that JSON does not know."""
     if isinstance(item, float):
         return item if math.isfinite(item) else None
     if isinstance(item, dict):

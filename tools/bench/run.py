@@ -1,4 +1,4 @@
-"""Every section of the bench, measured one after another."""
+"""All sections of the benchmarks, measured one after another."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from tools.bench.workbench import FULL, QUICK, SUBJECTS, Bench, Effort, Workbenc
 from tools.records import now
 
 Progress = Callable[[str, float], None]
-"""Called with what is measured now and the share that is done, 0 to 1."""
+"""Called with the current section and the finished share, 0 to 1."""
 
 BENCHES: tuple[tuple[str, Bench, float], ...] = (
     ("recordings", fidelity.recordings, 0.1),
@@ -60,7 +60,7 @@ BENCHES: tuple[tuple[str, Bench, float], ...] = (
     ("simulated rig", rig.linear_model, 2.0),
     ("work and precision", rig.work_and_precision, 5.0),
     ("model selection", model_selection.model_selection, 3.0),
-    ("scenes and rough drives", model_selection.drives_and_scenes, 3.0),
+    ("hard cases", model_selection.hard_cases, 4.0),
     ("scaling of the rig's cost", scaling.rig_scaling, 3.0),
     ("residual vibration", damping.residual_vibration, 2.0),
     ("protection", protection.protection, 1.0),
@@ -71,7 +71,6 @@ BENCHES: tuple[tuple[str, Bench, float], ...] = (
     ("soak of the rig", kept_records.rig_soak, 0.1),
     ("soak of the identification", kept_records.identification_soak, 0.1),
 )
-"""Every section in the order of the report: its name, its function, and its share of the time."""
 
 
 def run_bench(
@@ -80,7 +79,12 @@ def run_bench(
     *,
     effort: Effort | None = None,
 ) -> BenchReport:
-    """Return the report of everything, measured on this machine; `effort` overrides quick."""
+    """Measure all sections on this machine and return the report.
+
+    quick: whether to measure less material.
+    progress: function to call with the current section and the finished share of the work.
+    effort: amount of measurement, which replaces the amount chosen by `quick`.
+    """
     start_s = time.monotonic()
     machine = machine_facts()
     date = now()
@@ -99,7 +103,6 @@ def run_bench(
 
 
 def _measured(name: str, measure: Bench, bench: Workbench) -> Section:
-    """Return a section, or one that names the error, so that the others go on."""
     try:
         return measure(bench)
     except Exception as error:

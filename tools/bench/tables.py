@@ -1,4 +1,4 @@
-"""The report's tables for programs: one JSON document, and CSV with a line for each row."""
+"""The report as a JSON file and a CSV file, for other programs."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ COLUMNS = (
 
 
 def write_tables(report: BenchReport, stem: Path) -> list[Path]:
-    """Write STEM.json and STEM.csv, and return their paths. WriteError: one cannot be written.
+    """Write STEM.json and STEM.csv, and return both paths. WriteError: a file cannot be written.
 
-    The series behind the pictures are left out, as they are many megabytes.
+    The files do not contain the series of single measurements.
     """
     document = report.to_json()
     for section in document["sections"]:
@@ -43,7 +43,7 @@ def _csv(report: BenchReport) -> str:
 
 
 def csv_lines(section: Section) -> Iterator[list[str]]:
-    """Return the cells of a section's rows, as COLUMNS has them."""
+    """Yield a list of cells for each row of a section, in the order of COLUMNS."""
     for row in section.rows:
         must = row.must.shown(row.unit) if row.must else ""
         met = "" if row.met is None else "yes" if row.met else "no"

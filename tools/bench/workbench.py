@@ -1,4 +1,4 @@
-"""What every section is given: the effort, the subjects and the recordings; and its cost rows."""
+"""What all sections share: measured methods, amount of measurement, recordings, CPU times."""
 
 from __future__ import annotations
 
@@ -16,32 +16,36 @@ LIVE, REFERENCE = "live", "reference"
 
 
 class Stream(Protocol):
-    """One stream through anything that turns sound into vibration."""
+    """A method of converting sound to vibration, applied block by block."""
 
     def process(self, frames: Frames) -> FloatArray:
-        """Return (frames, channels_out) of vibration for (frames, channels) of sound."""
+        """Return the vibration (frames, channels_out) of a block of sound (frames, channels)."""
         ...
 
     def finish(self) -> FloatArray:
-        """Return the vibration that is still delayed."""
+        """Return the last frames of the vibration, which the latency has delayed."""
         ...
 
 
 @dataclass(frozen=True)
 class Subject:
-    """Something that is measured. start: (samplerate in Hz, channels) to a new stream."""
+    """A method that the benchmarks measure.
+
+    name: heading of the method's column.
+    start: function of a sample rate in Hz and a number of channels that returns a stream.
+    """
 
     name: str
     start: Callable[[int, int], Stream]
 
     def vibration(self, sound: Frames, samplerate: int) -> FloatArray:
-        """Return the vibration of a whole sound, (frames,), with its latency."""
+        """Return the first channel of the vibration, (frames,); the latency is not removed."""
         frames = sound if sound.ndim == 2 else sound[:, None]
         return self.start(samplerate, frames.shape[1]).process(frames)[:, 0]
 
 
 class Playback:
-    """A sound (frames, channels) for a subject: `open` a new stream, then `play` it in blocks."""
+    """Passes a sound (frames, channels) in blocks through a stream of a measured method."""
 
     def __init__(self, subject: Subject, sound: Frames, blocksize: int) -> None:
         self._subject = subject
@@ -50,7 +54,7 @@ class Playback:
         self.open()
 
     def open(self) -> None:
-        """Begin a new stream."""
+        """Open a new stream."""
         self._stream = self._subject.start(SAMPLERATE, self._sound.shape[1])
 
     def play(self) -> None:
@@ -60,7 +64,7 @@ class Playback:
 
 
 def timed(playbacks: Sequence[Playback], repeats: int | Sequence[int]) -> list[Timings]:
-    """Return the timings of playbacks, interleaved; opening a stream is not timed."""
+    """Time the playbacks in turn and return their timings. Opening the streams is not timed."""
     return interleaved(
         [each.play for each in playbacks], repeats, [each.open for each in playbacks]
     )
@@ -69,9 +73,11 @@ def timed(playbacks: Sequence[Playback], repeats: int | Sequence[int]) -> list[T
 def cost_rows(
     name: str, column: str, timings: Timings, duration_s: float, limit_ms: float | None = None
 ) -> list[Row]:
-    """Return what a second of sound costs, in ms with its spread and in FFTs.
+    """Return the CPU time for one second of sound as two rows: in ms, and in units of one FFT.
 
-    duration_s: of the sound that was timed; limit_ms: for a second of sound.
+    timings: timings of a whole sound.
+    duration_s: duration of this sound.
+    limit_ms: upper limit of the CPU time for one second of sound.
     """
     middle = 1e3 * timings.median_s / duration_s
     low = high = None
@@ -91,17 +97,20 @@ SUBJECTS: tuple[Subject, ...] = (
     Subject(LIVE, partial(HapticTransform, form="live")),
     Subject(REFERENCE, partial(HapticTransform, form="reference")),
 )
-"""What is compared; the limits are asked of the first."""
 
 
 @dataclass(frozen=True)
 class Effort:
-    """How much is measured: counts, and durations in seconds. The defaults are the quick run's.
+    """Amount of measurement: numbers of sounds and repeats, and durations in s.
 
-    slow_repeats: of everything but the live form; saving_s: of each sound that savings
-    are tried on; rig_timed_s: of the drives on which the rig is timed; real_sounds, exported: most
-    of each class; catalogue_shared: length in seconds and count of the files that two workers
-    share.
+    The defaults are for quick runs.
+
+    slow_repeats: number of timings of each method except the live form.
+    saving_s: duration of each sound in the section about savings.
+    rig_timed_s: duration of the drive signals in timings of the rig.
+    real_sounds, exported: upper limit of the number of sounds of each class.
+    films: number of films of each kind.
+    catalogue_shared: duration in s and number of the files that two workers share.
     """
 
     tones: int = 4
@@ -132,10 +141,11 @@ class Effort:
     model_repeats: int = 3
     integrator_repeats: int = 1
     real_sounds: int = 3
+    films: int = 1
     exported: int = 1
 
     def repeats_of(self, subject: Subject) -> int:
-        """Return how often a subject is timed."""
+        """Return how often a method is timed."""
         return self.cost_repeats if subject.name == LIVE else self.slow_repeats
 
 
@@ -147,15 +157,16 @@ FULL = Effort(
     cost_s=6.0, cold_s=4.0, saving_repeats=31, saving_s=3.0, mix_rounds=400,
     scaling_s=64.0, channels_s=4.0, hops_timed=30_000,
     render_s=(60.0, 600.0), rig_s=60.0, rig_timed_s=10.0, model_repeats=7, integrator_repeats=5,
-    real_sounds=99, exported=99, catalogue_s=(1.0, 60.0, 3_600.0), catalogue_shared=(60.0, 32),
+    real_sounds=99, films=20, exported=99, catalogue_s=(1.0, 60.0, 3_600.0),
+    catalogue_shared=(60.0, 32),
 )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Workbench:
-    """The effort, the subjects and the recordings of one run.
+    """What a section needs to measure: amount of measurement, methods and recordings.
 
-    absent: why some recordings are not among them, by name.
+    absent: names of missing or unreadable recordings, each with the reason.
     """
 
     effort: Effort
@@ -164,13 +175,12 @@ class Workbench:
     absent: Mapping[str, str] = field(default_factory=dict)
 
     def subject(self, name: str) -> Subject:
-        """Return the subject of that name."""
+        """Return the method with this name."""
         return {subject.name: subject for subject in self.subjects}[name]
 
     def missing_recordings(self, name: str) -> Missing:
-        """Return the missing row where there are no recordings to measure it on."""
+        """Return an entry for a row that is missing because there are no recordings."""
         return Missing(name, "there are no recordings to measure it on", RECORDINGS_COMMAND)
 
 
-Bench = Callable[[Workbench], Section]
-"""One section of the report: measured when called."""
+Bench = Callable[[Workbench], Section]  # a function that measures one section of the report

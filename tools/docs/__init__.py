@@ -1,1 +1,1 @@
-"""Generated parts and figures of README.md and docs/: `python -m tools.docs --write`."""
+"""Generates parts of docs/, and numbers in README.md and docs/: `python -m tools.docs --write`."""

@@ -1,6 +1,4 @@
-"""Check the generated parts of the pages, or write them: `python -m tools.docs [--write]`."""
-
-from __future__ import annotations
+"""Check or write the generated parts of the docs: `python -m tools.docs [--write]`."""
 
 import argparse
 import sys
@@ -11,8 +9,8 @@ from tools.docs.api import api_reference
 from tools.docs.commands import commands_reference
 from tools.docs.errors import errors_list
 from tools.docs.figures import SENTENCES, Benchmarks, corrected, figures
-from tools.docs.keys import keys_tables
 from tools.docs.results import exports_table, results_tables
+from tools.docs.tables import keys_tables, status_table
 from tools.guards import guards_table
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -25,13 +23,13 @@ GENERATED = {
     "docs/contributing.md": guards_table,
     "docs/errors.md": errors_list,
     "docs/exports.md": exports_table,
+    "docs/figures.md": status_table,
     "docs/results.md": results_tables,
 }
-"""Page: the function that returns its generated part."""
 
 
 def as_it_should_be(name: str) -> str:
-    """Return a page with its generated part, and with the benchmarks' figures in its sentences."""
+    """Return the text of a page with its generated part and the benchmarks' figures up to date."""
     page = (ROOT / name).read_text()
     if name in GENERATED:
         before, begin, rest = page.partition(BEGIN)
@@ -43,7 +41,7 @@ def as_it_should_be(name: str) -> str:
 
 
 def outdated() -> dict[str, str]:
-    """Return the pages that are not as they should be: what to take from each and what to add."""
+    """Return the outdated pages by name, each with its difference from the correct text."""
     found = {}
     for name in sorted({*GENERATED, *SENTENCES}):
         now, wanted = (ROOT / name).read_text(), as_it_should_be(name)
@@ -56,7 +54,7 @@ def outdated() -> dict[str, str]:
 
 
 def main() -> int:
-    """Write the outdated pages, or show what is to change; exit code 1 if there are any."""
+    """Write the outdated pages, or print the differences. Return 1 if a page remains outdated."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--write", action="store_true", help="write the pages")
     write = parser.parse_args().write

@@ -1,6 +1,4 @@
-"""The reference in docs/api.md, from signatures and docstrings."""
-
-from __future__ import annotations
+"""Generates the reference in docs/api.md from signatures and docstrings."""
 
 import inspect
 import re
@@ -31,14 +29,13 @@ CHAPTERS: dict[str, tuple[Any, ...]] = {
         *(errors.InternalError, errors.WriteError),
     ),
 }
-"""Heading: the functions and classes under it."""
 
 SECTION = re.compile(r"^(\w[\w ]*)\n-{3,}\n", re.MULTILINE)
 NAMED = re.compile(r"^(\w+(?:, \w+)*): ")
 
 
 def api_reference() -> str:
-    """Return signature and docstring of everything in `CHAPTERS`, with their public members."""
+    """Return signature and docstring of everything in `CHAPTERS`, including public members."""
     parts = []
     for chapter, things in CHAPTERS.items():
         parts.append(f"## {chapter}")
@@ -53,10 +50,8 @@ def _entry(thing: Any) -> Iterator[str]:
         yield _signature(thing.__name__, thing)
         yield _document(thing)
         return
-    fields = is_dataclass(thing)
-    if not (
-        fields or issubclass(thing, (Enum, Exception)) or getattr(thing, "_is_protocol", False)
-    ):
+    is_record = is_dataclass(thing) or issubclass(thing, (Enum, Exception))
+    if not is_record and not getattr(thing, "_is_protocol", False):
         yield _signature(thing.__name__, thing)
     yield _document(thing)
     if issubclass(thing, Described) and "\nAttributes\n" not in (inspect.getdoc(thing) or ""):
@@ -77,7 +72,7 @@ def _entry(thing: Any) -> Iterator[str]:
 
 
 def _home(thing: Any) -> str:
-    """Return the shortest package that offers a thing in its `__all__`."""
+    """Return the outermost package whose `__all__` contains an object, else the object's module."""
     names = thing.__module__.split(".")
     for count in range(1, len(names)):
         package = __import__(".".join(names[:count]), fromlist=["__all__"])
@@ -87,7 +82,7 @@ def _home(thing: Any) -> str:
 
 
 def _signature(name: str, called: Any) -> str:
-    """Return the call, an argument a line if it is long, without types: the text has them."""
+    """Return a call's signature without types, on several lines if it is long."""
     found = inspect.signature(called)
     shown: list[str] = []
     keyword = False
@@ -105,7 +100,6 @@ def _signature(name: str, called: Any) -> str:
 
 
 def _document(thing: Any) -> str:
-    """Return a docstring as Markdown: sections become bold words, terms become lists."""
     text = inspect.getdoc(thing) or ""
     head, *sections = SECTION.split(text)
     parts = [_plain(head)]
@@ -115,13 +109,13 @@ def _document(thing: Any) -> str:
 
 
 def _plain(text: str) -> str:
-    """Return paragraphs; lines that begin with names and a colon begin items of a list."""
+    """Return text as Markdown; lines that start with names and a colon become list items."""
     paragraphs = []
     for paragraph in text.strip().split("\n\n"):
         items: list[str] = []
         for line in paragraph.split("\n"):
             named = NAMED.match(line)
-            if named or not items:
+            if named or not items or line.startswith("- "):
                 term = f"- `{named[1]}`: " if named else ""
                 before = ["", ""] if items and not items[-1].startswith("- ") else [""]
                 items += [*before[1:], term + _escape(line[named.end() if named else 0 :])]
@@ -132,7 +126,6 @@ def _plain(text: str) -> str:
 
 
 def _terms(body: str) -> str:
-    """Return a numpydoc section as a list."""
     items = []
     for line in body.strip().split("\n"):
         if line and not line.startswith(" "):
@@ -144,7 +137,6 @@ def _terms(body: str) -> str:
 
 
 def _escape(text: str) -> str:
-    """Return text whose signs are not taken for Markdown, outside of code."""
     pieces = text.split("`")
     for place in range(0, len(pieces), 2):
         pieces[place] = re.sub(r"([*_\[\]<])", r"\\\1", pieces[place])

@@ -1,6 +1,4 @@
-"""The command reference in docs/commands.md, from the parser of `cushion`."""
-
-from __future__ import annotations
+"""Generates the command reference in docs/commands.md from the parser of `cushion`."""
 
 import argparse
 import textwrap
@@ -11,7 +9,7 @@ USAGE_WIDTH = 96
 
 
 def commands_reference() -> str:
-    """Return a table of the commands, then usage, example and options of each."""
+    """Return a table of the commands, then usage, example and options of each command."""
     rows = [f"| [`cushion {name}`](#cushion-{name}) | {COMMANDS[name][1]} |" for name in COMMANDS]
     parts = ["\n".join(["| command | does |", "| --- | --- |", *rows])]
     parts += [_command(name, *COMMANDS[name][1:]) for name in COMMANDS]
@@ -19,15 +17,11 @@ def commands_reference() -> str:
 
 
 def parser_of(name: str) -> argparse.ArgumentParser:
-    """Return the parser of one command, with all its options."""
-    found = next(
-        action
-        for action in build_parser()._actions
-        if isinstance(action, argparse._SubParsersAction)
-    )
+    """Return the parser of one command with all options."""
+    actions = build_parser()._actions
+    found = next(one for one in actions if isinstance(one, argparse._SubParsersAction))
     parser: argparse.ArgumentParser = found.choices[name]
-    add_options = getattr(parser, "add_options", None)
-    if add_options is not None:
+    if add_options := getattr(parser, "add_options", None):
         parser.add_options = None  # type: ignore[attr-defined]
         add_options(parser)
     return parser
@@ -44,7 +38,7 @@ def _command(name: str, does: str, example: str) -> str:
 
 
 def _usage(parser: argparse.ArgumentParser) -> list[str]:
-    """Return the usage as an indented block, the same on every terminal and Python."""
+    """Return the usage as indented lines, the same for all terminals and versions of Python."""
     positional = [action for action in parser._actions if not action.option_strings]
     names = " ".join(
         f"[{action.metavar}]" if action.nargs in ("?", "*") else str(action.metavar)
@@ -53,9 +47,7 @@ def _usage(parser: argparse.ArgumentParser) -> list[str]:
     if parser.usage:
         shown = [line.strip() for line in (parser.usage % {"prog": parser.prog}).splitlines()]
     else:
-        required = [
-            action for action in parser._actions if action.required and action.option_strings
-        ]
+        required = (one for one in parser._actions if one.required and one.option_strings)
         flags = " ".join(f"{action.option_strings[0]} {action.metavar}" for action in required)
         shown = [" ".join(f"{parser.prog} {flags} [options] {names}".split())]
     return [f"    {line}" for text in shown for line in textwrap.wrap(text, USAGE_WIDTH)]
@@ -66,7 +58,7 @@ def _row(action: argparse.Action) -> str:
     if action.option_strings and action.nargs != 0:
         name = f"{name} {action.metavar}"
     shown = f"`{name}`"
-    if "|" in name:  # in code, a forge and the site's generator read a bar in a table differently
+    if "|" in name:  # Markdown renderers disagree on a bar within code in a table
         shown = f"<code>{name.replace('|', '&#124;')}</code>"
     meaning = str(action.help).replace("|", "\\|")
     return f"| {shown} | {meaning} |"

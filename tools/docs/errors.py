@@ -1,6 +1,4 @@
-"""The list of messages in docs/errors.md, from the code that raises or prints them."""
-
-from __future__ import annotations
+"""Generates the list of messages in docs/errors.md from the code that raises or prints them."""
 
 import ast
 import re
@@ -11,7 +9,7 @@ import device.errors
 from device.errors import CushionError
 
 ROOT = Path(__file__).resolve().parents[2]
-VALUE = "…"  # stands for what the message fills in
+VALUE = "…"  # placeholder of a value in a message
 CODES = {
     name: kind.exit_code
     for name, kind in vars(device.errors).items()
@@ -22,12 +20,8 @@ AREAS = {
     "Config file": ("audioflinger_hook/config", "device/values.py", "device/drive"),
     "Sound files and captures": (
         *("audioflinger_hook/offline", "audioflinger_hook/capture", "audioflinger_hook/sources"),
-        *(
-            "audioflinger_hook/pipeline",
-            "audioflinger_hook/exports",
-            "device/wav_output.py",
-            "device/atomic_file.py",
-        ),
+        *("audioflinger_hook/pipeline", "audioflinger_hook/exports"),
+        *("device/wav_output.py", "device/atomic_file.py"),
     ),
     "Catalogues": ("audioflinger_hook/catalogue",),
     "Live sound": ("audioflinger_hook/daemon", "device/stream", "device/server", "device/clock"),
@@ -37,11 +31,10 @@ AREAS = {
     "Plugin": ("audioflinger_hook/plugin",),
     "Mixer, effects and library": ("audioflinger_hook", "device"),
 }
-"""Heading: the folders and files that it is about. The first that fits holds."""
 
 
 def errors_list() -> str:
-    """Return every message by area, each once, with its anchor and exit code."""
+    """Return all messages by area, without repetition, each with its anchor and exit code."""
     areas: dict[str, dict[str, str]] = {area: {} for area in AREAS}
     for path in sorted([*ROOT.glob("audioflinger_hook/**/*.py"), *ROOT.glob("device/**/*.py")]):
         name = path.relative_to(ROOT).as_posix()
@@ -62,7 +55,7 @@ def errors_list() -> str:
 
 
 def messages(tree: ast.Module) -> Iterator[tuple[str, str]]:
-    """Yield (text, exit code) of what a module's errors, warnings and refusals say."""
+    """Yield the text of each message in a module, and its exit code or "warning"."""
     constants = {
         target.id: statement.value
         for statement in tree.body
@@ -78,35 +71,33 @@ def messages(tree: ast.Module) -> Iterator[tuple[str, str]]:
         said = node.args[0]
         text = template(constants.get(said.id, said) if isinstance(said, ast.Name) else said)
         if len(re.sub(rf"[{VALUE}\W]+", "", text)) < 6:
-            continue  # another message handed on
+            continue  # the message of another error is passed on
         if name in CODES:
             yield text, str(CODES[name])
-        elif name == "Refusal":  # a mistake of a setting: its key, its value and what is allowed
+        elif name == "Refusal":  # a message about a setting: key, value and allowed values
             yield f"{VALUE}={VALUE} {text}; allowed: {VALUE}", "2"
         elif name == "warn":
             yield text, "warning"
 
 
 def template(node: ast.expr) -> str:
-    """Return the text of a literal, with a mark for each value, or "" if there is none."""
+    """Return the text of a string or f-string, with placeholders for values, or ""."""
     if isinstance(node, ast.Constant):
         return " ".join(node.value.split()) if isinstance(node.value, str) else ""
     if isinstance(node, ast.JoinedStr):
-        pieces = [
-            piece.value if isinstance(piece, ast.Constant) else VALUE for piece in node.values
-        ]
-        return " ".join("".join(map(str, pieces)).split())
+        pieces = (getattr(piece, "value", "") for piece in node.values)
+        return " ".join("".join(p if isinstance(p, str) else VALUE for p in pieces).split())
     return ""
 
 
 def slug(text: str) -> str:
-    """Return an anchor made of a message's first words."""
+    """Return an anchor made of the first eight words of a message."""
     words = re.findall(r"[a-z0-9]+", text.lower().replace(VALUE, " "))
     return "e-" + "-".join(words[:8])
 
 
 def unused(anchor: str, anchors: set[str]) -> str:
-    """Return the anchor, with a number if it is taken, and take it."""
+    """Return a unique anchor, with a number appended if necessary, and add it to `anchors`."""
     wanted, count = anchor, 2
     while wanted in anchors:
         wanted, count = f"{anchor}-{count}", count + 1

@@ -1,6 +1,4 @@
-"""Figures of the benchmarks in the sentences of the pages."""
-
-from __future__ import annotations
+"""Puts figures of the benchmarks into sentences of the docs."""
 
 import json
 import re
@@ -9,77 +7,79 @@ from math import ceil, floor
 from pathlib import Path
 from typing import Any
 
-from tools.docs.results import BASELINES, ROOT
+from tools.docs.results import ROOT
 
 NAME = re.compile(r"{\w+}")
 NUMBER = r"(-?\d+(?:\.\d+)?)"
 NATIVE = r"PipeWire [\d.]+, native, .*"
 PYTHON = r"\w+ [\d.]+,( quantum \d+,)? 512 frames"
 LOST = "sounds not felt at all"
-PAIRS = "in a programme: pairs within 3 dB"
-SHOTS = "shots: peak off the sound's, median"
+EXPLOSIONS = "film: explosions over dialogue"
+IMPACTS = "impacts over music that add .*"
 
 SENTENCES = {
     "README.md": (
-        "A 4.2 kHz tone arrives at {high_tone_db} dB",
-        "With `cinema`, {pairs} % of pairs of sounds are within 3 dB",
-        "reaches {baseline_pairs} %.",
-        "`cinema` loses {lost} of {sounds} sounds",
-        "On PipeWire half of a burst's peak comes {burst_ms} ms after its sound, "
-        "95 % of bursts within {burst_p95_ms} ms, for {cpu_least} to {cpu_most} % of a core",
-        "On PulseAudio it takes [about {pulse_ms} ms]",
-        "distortion under {thdn_db} dB",
-        "is under {above_250_db} dB on {recordings} recordings",
-        "Damping takes {damped_db} dB off",
-        "Half of the single shots have their peak more than {shot_ms} ms from that of the sound",
+        "The vibration of a 4.2 kHz tone has a level of {high_tone_db} dB relative to the tone",
+        "the level of explosions is {explosions_db} dB above that of dialogue in the vibration, "
+        "and {heard_db} dB in the sound.",
+        "With `cinema`, {lost} of {sounds} recorded sounds are without vibration",
+        "reaches half of its peak {burst_ms} ms after the start of the burst (median). "
+        "For 95 % of bursts, this time is at most {burst_p95_ms} ms",
+        "takes {cpu_least} to {cpu_most} % of a processor core",
+        "On PulseAudio, the delay is [about {pulse_ms} ms]",
+        "distortion and noise under {thdn_db} dB",
+        "is under {above_250_db} dB for each of {recordings} recordings",
+        "#residual-vibration) by {damped_db} dB",
+        "Of the impacts over music, {impacts} % raise the level of the vibration",
     ),
-    "docs/results.md": (
-        "`cinema` and `music` add {cinema_later_ms} ms, and `game` {game_later_ms} ms",
-    ),
+    "docs/results.md": ("`game` and `music`, the delay is up to {later_ms} ms longer",),
     "docs/live.md": (
-        "Half of a burst's peak comes {burst_ms} ms after its sound, "
-        "95 % of bursts within {burst_p95_ms} ms",
-        "It takes {cpu_least} to {cpu_most} % of a core.",
-        "later: {monitor_ms} ms to half of a burst's peak",
-        "which takes {python_least_ms} to {python_most_ms} ms, "
-        "and {python_cpu_least} to {python_cpu_most} % of a core",
-        "vibration arrives about {pulse_ms} ms after its sound on PulseAudio, "
+        "reaches half of its peak {burst_ms} ms after the start of the burst (median). "
+        "For 95 % of bursts, this time is at most {burst_p95_ms} ms",
+        "The native engine takes {cpu_least} to {cpu_most} % of a core.",
+        "then reaches half of its peak {monitor_ms} ms after the start of the burst",
+        "its vibration lags {python_least_ms} to {python_most_ms} ms behind the sound, "
+        "and the engine takes {python_cpu_least} to {python_cpu_most} % of a core",
+        "vibration comes about {pulse_ms} ms after its sound on PulseAudio, "
         "and {pipewire_ms} ms on PipeWire",
         "delays onsets by {cinema_ms} ms (`paper`: {paper_ms}, `game`: {game_ms})",
         "changes of sustained sound by {sustained_ms} ms",
     ),
-    "docs/plugin.md": ("({cinema_ms} ms; `paper` {paper_ms}, `game` {game_ms})",),
+    "docs/plugin.md": (
+        "({cinema_ms} ms with `cinema`, {paper_ms} with `paper`, {game_ms} with `game`)",
+    ),
     "docs/transform.md": (
         "latency of onsets, {latency_ms} ms",
         "`tonal_latency_frames`, {sustained_ms} ms",
     ),
-    "docs/exports.md": ("over {sounds} sounds of eight classes",),
+    "docs/exports.md": ("files of {sounds} sounds of eight classes",),
     "docs/catalogue.md": (
         "one core renders {hours_of_seconds} hours of sound in clips of a second, "
         "or {hours_of_minutes} hours in files of a minute",
-        "takes {done_ms} ms",
-        "{memory_1_mb} MB for a minute, {memory_10_mb} MB for ten",
+        "of a finished item takes {done_ms} ms",
+        "{memory_1_mb} MB for a minute, {memory_10_mb} MB for ten minutes of sound",
     ),
     "docs/get-started/films.md": (
-        "half of a burst's peak follows {burst_ms} ms after the sound",
-        "On PulseAudio it takes about {pulse_ms} ms",
+        "reaches half of its peak {burst_ms} ms after the start of the burst",
+        "On PulseAudio, the delay is about {pulse_ms} ms",
         "--offset-ms=-{pulse_ms}",
     ),
     "docs/troubleshooting.md": ("cushion run --drop-in --offset-ms=-{pulse_ms}",),
-    "docs/get-started/gamer.md": ("On PipeWire it is {game_ms} ms with this profile",),
+    "docs/get-started/gamer.md": (
+        "With the profile `game` on PipeWire, vibration starts {game_ms} ms after its sound",
+    ),
 }
-"""Page: its sentences with figures, each by its name in `figures`."""
 
 
 class Benchmarks:
-    """The values of docs/benchmarks.json, or of another file of that form."""
+    """Values of docs/benchmarks.json, or of another file of the same format."""
 
     def __init__(self, path: Path = ROOT / "docs/benchmarks.json") -> None:
         document = json.loads(path.read_text())
         self._rows = {section["title"]: section["rows"] for section in document["sections"]}
 
     def rows(self, section: str, row: str, column: str) -> list[dict[str, Any]]:
-        """Return the rows whose name fits a pattern, in a column; LookupError: there is none."""
+        """Return the rows of a column whose names match `row`. LookupError: there are none."""
         found = [
             each
             for each in self._rows[section]
@@ -90,24 +90,23 @@ class Benchmarks:
         return found
 
     def all(self, section: str, row: str, column: str) -> list[float]:
-        """Return the values of these rows."""
+        """Return the values of the rows that `rows` finds."""
         return [float(each["value"]) for each in self.rows(section, row, column)]
 
     def one(self, section: str, row: str, column: str = "live") -> float:
-        """Return the value of the only such row."""
+        """Return the value of the single matching row."""
         [value] = self.all(section, row, column)
         return value
 
 
 def figures(found: Benchmarks) -> dict[str, str]:
-    """Return the figures of the sentences by name, rounded as the pages say them."""
+    """Return the figures for the sentences by name, as text, rounded as in the docs."""
     native = found.all("Live latency", NATIVE, "CPU of the native engine")
     python = found.all("Live latency", PYTHON, "lag")
     paper, cinema, game = (
         found.one("Profiles", "latency", name) for name in ("paper", "cinema", "game")
     )
     lag = found.one("Live latency", r"PipeWire [\d.]+, native, quantum 256", "lag") - cinema
-    later = cinema - paper
     bursts = "Live bursts"
     streams, monitor = r".*, native, streams, .*", r".*, native, monitor, 1024 frames at 48000 Hz"
     pulse, pipewire = (
@@ -120,25 +119,22 @@ def figures(found: Benchmarks) -> dict[str, str]:
     )
     numbers = {
         "high_tone_db": round(found.one("Baselines", "4.2 kHz, level .*"), 1),
-        "pairs": round(found.one("On real sounds", PAIRS, "cinema")),
-        "baseline_pairs": round(
-            max(found.one("On real sounds", PAIRS, name) for name in BASELINES)
-        ),
+        "explosions_db": round(found.one("On real sounds", EXPLOSIONS, "cinema"), 1),
+        "heard_db": round(found.one("On real sounds", EXPLOSIONS, "sound"), 1),
+        "impacts": round(found.one("On real sounds", IMPACTS, "cinema")),
         "lost": found.one("On real sounds", LOST, "cinema"),
         "sounds": int(found.rows("On real sounds", LOST, "cinema")[0]["unit"].removeprefix("of ")),
         "recordings": found.one("Recordings", "recordings used", "found"),
         "thdn_db": ceil(found.one("Steady tones", r"worst THD\+N, 150 .*")),
         "above_250_db": ceil(found.one("Energy above 250 Hz", "worst recording")),
         "damped_db": round(undamped - damped, 1),
-        "shot_ms": floor(found.one("On real sounds", SHOTS, "cinema")),
         "paper_ms": round(paper + lag),
         "cinema_ms": round(cinema + lag),
         "burst_ms": round(max(found.all(bursts, streams, "to half, median")), 1),
         "burst_p95_ms": round(max(found.all(bursts, streams, "to half, 95 % under")), 1),
         "monitor_ms": round(max(found.all(bursts, monitor, "to half, median")), 1),
         "game_ms": round(game + lag),
-        "cinema_later_ms": round(later, 1),
-        "game_later_ms": round(game - paper, 1),
+        "later_ms": round(max(cinema, game) - paper, 1),
         "latency_ms": round(found.one("Onset lag", "declared latency"), 1),
         "sustained_ms": round(found.one("Onset lag", "sustained levels follow after"), 1),
         "pulse_ms": round(pulse),
@@ -159,9 +155,9 @@ def figures(found: Benchmarks) -> dict[str, str]:
 
 
 def corrected(page: str, text: str, sentences: tuple[str, ...], numbers: Mapping[str, str]) -> str:
-    """Return a page's text with the numbers of its sentences, wherever their lines break.
+    """Return the text of a page with new numbers in the sentences, which may span several lines.
 
-    ValueError: the page does not have a sentence exactly once.
+    ValueError: a sentence does not occur exactly once.
     """
     for sentence in sentences:
         names = [name[1:-1] for name in NAME.findall(sentence)]

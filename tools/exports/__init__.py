@@ -1,1 +1,1 @@
-"""Exported files played back, measured against the vibration, and drawn."""
+"""Renders exported files, compares the result with the original vibration, and draws both."""

@@ -1,4 +1,4 @@
-"""How near a rendered export is to the vibration it was made from."""
+"""Measures of the difference between a rendered export and the original vibration."""
 
 from __future__ import annotations
 
@@ -11,30 +11,21 @@ from scipy.signal import hilbert
 
 from device.units import FloatArray
 
-ENVELOPE_S = 0.05
-"""Length of the Hann window over power: swings above about 20 Hz are left out."""
-
+ENVELOPE_S = 0.05  # length of the Hann window that smooths the power
 ONSET_WINDOW_S = 0.012
-ONSET_SHARE = 0.15
-"""An onset raises the short envelope by this share of its largest value, ..."""
-
+ONSET_SHARE = 0.15  # an onset is a rise of the short envelope by at least this share of its maximum
 ONSET_FROM = 0.3
-"""... from at most this share of its level afterwards: what swells or beats is none."""
+"""Onsets start below this share of the later level, which excludes swells and beats."""
 
 ONSETS_APART_S = 0.08
-BORN_BEFORE_S = 0.012
-"""Vibration rises most within this time of the birth of an onset's partials."""
-
-ONSET_REACH_S = 0.015
-"""The other vibration may be shifted by this to either side."""
-
-AROUND_S = 0.02
-"""What is compared on both sides of an onset."""
+BORN_BEFORE_S = 0.012  # largest time in s from the birth of partials to the steepest rise
+ONSET_REACH_S = 0.015  # largest shift between both vibrations, in either direction, in s
+AROUND_S = 0.02  # length of the comparison before and after an onset, in s
 
 
 @dataclass(frozen=True)
 class Likeness:
-    """Correlation of the envelopes, and the time of each onset against the original, in ms."""
+    """Correlation of the envelopes of two vibrations, and time errors of clear onsets in ms."""
 
     envelope: float
     onset_errors_ms: tuple[float, ...]
@@ -43,7 +34,7 @@ class Likeness:
 def likeness(
     original: FloatArray, made: FloatArray, rate_hz: int, births_s: Sequence[float] = ()
 ) -> Likeness:
-    """Compare two vibrations of one length, (frames,); births_s: see `onset_errors_ms`."""
+    """Return the comparison of two vibrations, (frames,). births_s: as for `onset_errors_ms`."""
     ours, theirs = (envelope(one, rate_hz, ENVELOPE_S) for one in (original, made))
     if np.ptp(ours) and np.ptp(theirs):
         correlation = float(np.corrcoef(ours, theirs)[0, 1])
@@ -53,7 +44,7 @@ def likeness(
 
 
 def envelope(vibration: FloatArray, rate_hz: int, window_s: float) -> FloatArray:
-    """Return the r.m.s. of the analytic signal under a Hann window of this length."""
+    """Return the r.m.s. of the analytic signal under a Hann window of `window_s` seconds."""
     length = 2 * round(0.5 * window_s * rate_hz) + 1
     window = np.hanning(length + 2)[1:-1]
     power = np.abs(hilbert(vibration)) ** 2
@@ -63,7 +54,7 @@ def envelope(vibration: FloatArray, rate_hz: int, window_s: float) -> FloatArray
 
 
 def births_in(partials: bytes) -> list[float]:
-    """Return when the partials of onsets begin, in s, by an exported file of partial tracks."""
+    """Return the start times in s of partials that start at an onset, from a file of partials."""
     lines = (json.loads(line) for line in partials.splitlines())
     return sorted(line["points"][0][0] for line in lines if line.get("onset"))
 
@@ -71,11 +62,12 @@ def births_in(partials: bytes) -> list[float]:
 def onset_errors_ms(
     original: FloatArray, made: FloatArray, rate_hz: int, births_s: Sequence[float]
 ) -> tuple[float, ...]:
-    """Return for each onset of the original how much later the other one is, in ms.
+    """Return the delay in ms of each clear onset of `made` relative to `original`.
 
-    It is the shift at which both short envelopes rise most alike around the onset.
+    The delay is the shift that maximises the correlation of two curves: the changes of both
+    envelopes over 12 ms.
 
-    births_s: where the live form has found onsets; those that begin clearly are compared.
+    births_s: times in s of the onsets that the live form found.
     """
     ours, theirs = (_rises(one, rate_hz) for one in (original, made))
     short = envelope(original, rate_hz, ONSET_WINDOW_S)
@@ -100,7 +92,7 @@ def onset_errors_ms(
 
 
 def _lag(ours: FloatArray, theirs: FloatArray, place: int, reach: int, around: int) -> int:
-    """Return the shift in frames at which two curves correlate best around a place."""
+    """Return the shift in frames that maximises the correlation of two curves around an index."""
     pad = reach + around
     mine = np.pad(ours, pad)[place + reach : place + reach + 2 * around + 1]
     other = np.pad(theirs, pad)[place : place + 2 * (reach + around) + 1]
@@ -112,7 +104,6 @@ def _lag(ours: FloatArray, theirs: FloatArray, place: int, reach: int, around: i
 
 
 def _rises(vibration: FloatArray, rate_hz: int) -> FloatArray:
-    """Return by how much the short envelope rises around each frame."""
     short = envelope(vibration, rate_hz, ONSET_WINDOW_S)
     half = round(0.5 * ONSET_WINDOW_S * rate_hz)
     padded = np.pad(short, (half, half), constant_values=(0.0, short[-1]))

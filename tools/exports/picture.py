@@ -1,4 +1,4 @@
-"""Draws a film-like sound, its vibration, and what players make of each export.
+"""Draws the demo scene, its vibration, and the rendering of each export format.
 
 python -m tools.exports.picture [OUT]       default: docs/images/exports.png
 """
@@ -48,11 +48,11 @@ DOTS_PER_INCH = 110
 
 
 def main() -> None:
-    """Draw the figure."""
+    """Write the figure."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     default = PROJECT_ROOT / "docs/images/exports.png"
     parser.add_argument("out", nargs="?", type=Path, default=default)
-    figure = draw(mixdown(demo_scene(SOUND_HZ)))
+    figure = draw(mixdown(demo_scene()))
     canvas = FigureCanvasAgg(figure)
     canvas.draw()  # type: ignore[no-untyped-call]
     pixels = np.asarray(canvas.buffer_rgba())  # type: ignore[no-untyped-call]
@@ -60,7 +60,7 @@ def main() -> None:
 
 
 def draw(sound: NDArray[np.float32]) -> Figure:
-    """Return the figure for a sound, (frames, channels) at 48 kHz."""
+    """Return the figure for a sound. sound: (frames, channels) at 48 kHz."""
     settings, original = Settings(profile="cinema"), None
     births_s: list[float] = []
     made: dict[str, tuple[FloatArray, int]] = {}

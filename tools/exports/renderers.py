@@ -1,7 +1,8 @@
-"""Plays exported files: content of a file in, vibration out, as a player of the format would.
+"""Renders exported files to vibration, like a player of each format.
 
-Each renderer reads only the file. A transient is a pulse that falls to 0 in a straight line within
-20 ms, in step with the oscillator. All arrays are (frames,) float64, full scale +-1.
+A renderer gets only the content of the file, the duration and the sample rate. A transient is a
+pulse that decays linearly to 0 within 20 ms, in phase with the oscillator. All vibrations are
+(frames,) float64 with full scale ±1.
 """
 
 from __future__ import annotations
@@ -18,12 +19,11 @@ from audioflinger_hook.exports.envelope import TRANSIENT_S
 from audioflinger_hook.exports.options import VIBRATION_HIGH_HZ, VIBRATION_LOW_HZ
 from device.units import FloatArray
 
-MOTOR_HZ = 160.0
-"""Resonance of a phone's motor, which a waveform effect without frequencies is played at."""
+MOTOR_HZ = 160.0  # resonance in Hz of a phone's motor, for waveform effects without frequencies
 
 
 def render_ahap(content: bytes, duration_s: float, rate_hz: int) -> FloatArray:
-    """Return what Core Haptics plays: curves multiply intensity and add to sharpness."""
+    """Return the vibration of an AHAP file. Curves multiply intensity, and add to sharpness."""
     times = _times(duration_s, rate_hz)
     pattern = json.loads(content)["Pattern"]
     intensity_curve = _ahap_curve(pattern, "HapticIntensityControl", times, 1.0)
@@ -38,7 +38,7 @@ def render_ahap(content: bytes, duration_s: float, rate_hz: int) -> FloatArray:
             intensity[first:end] = values["HapticIntensity"]
             sharpness[first:end] = values["HapticSharpness"]
         elif first < times.size:
-            # The curve's value at the transient, in the middle of a sample's time.
+            # This is the curve's value at the first sample of the transient.
             level = values["HapticIntensity"] * intensity_curve[first]
             pulses.append((event["Time"], level**2))
     total = np.clip(sharpness + sharpness_curve, 0.0, 1.0)
@@ -48,7 +48,7 @@ def render_ahap(content: bytes, duration_s: float, rate_hz: int) -> FloatArray:
 
 
 def _ahap_curve(pattern: list[Any], name: str, times: FloatArray, rest: float) -> FloatArray:
-    """Return a parameter's value: each curve holds from its time on, linear between its points."""
+    """Return a parameter's values at `times`; the value before its first curve is `rest`."""
     value = np.full(times.size, rest)
     for curve in (entry["ParameterCurve"] for entry in pattern if "ParameterCurve" in entry):
         if curve["ParameterID"] != name:
@@ -61,7 +61,7 @@ def _ahap_curve(pattern: list[Any], name: str, times: FloatArray, rest: float) -
 
 
 def render_haptic(content: bytes, duration_s: float, rate_hz: int) -> FloatArray:
-    """Return what a player of .haptic plays; frequency 0 to 1 is 20-220 Hz."""
+    """Return the vibration of a .haptic file. Frequencies of 0 to 1 stand for 20 to 220 Hz."""
     times = _times(duration_s, rate_hz)
     envelopes = json.loads(content)["signals"]["continuous"]["envelopes"]
     points = envelopes["amplitude"]
@@ -77,7 +77,7 @@ def render_haptic(content: bytes, duration_s: float, rate_hz: int) -> FloatArray
 
 
 def render_vibration_xml(content: bytes, duration_s: float, rate_hz: int) -> FloatArray:
-    """Return what Android plays: ramps of an envelope effect, or steps of a waveform."""
+    """Return the vibration of an Android XML file: an envelope effect, or steps of a waveform."""
     times = _times(duration_s, rate_hz)
     effect = ElementTree.fromstring(content)[0]
     if effect.tag == "waveform-envelope-effect":
@@ -98,7 +98,7 @@ def render_vibration_xml(content: bytes, duration_s: float, rate_hz: int) -> Flo
 
 
 def render_hjif(content: bytes, duration_s: float, rate_hz: int) -> FloatArray:
-    """Return the sum of all waves of all bands and channels."""
+    """Return the vibration of an HJIF file: the sum of the waves of all bands and channels."""
     document = json.loads(content)
     vibration = np.zeros(_times(duration_s, rate_hz).size)
     for perception in document["perceptions"]:
@@ -122,7 +122,7 @@ def _add_wave(vibration: FloatArray, effect: Any, timescale: int, rate_hz: int) 
 
 
 def render_partials(content: bytes, duration_s: float, rate_hz: int) -> FloatArray:
-    """Return the sum of all tracks of all channels."""
+    """Return the vibration of a file of partial tracks: the sum of all tracks."""
     vibration = np.zeros(_times(duration_s, rate_hz).size)
     for line in content.splitlines():
         track = json.loads(line)
@@ -138,7 +138,7 @@ def render_partials(content: bytes, duration_s: float, rate_hz: int) -> FloatArr
         length, since = np.diff(at), times - at[place]
         slope = np.diff(hz) / length
         turned = length * (hz[:-1] + hz[1:]) / 2
-        # The phases at the points correct what straight lines of frequency miss.
+        # The phases at the points correct the error of linear interpolation of frequency.
         missed = (np.diff(phase) - turned + 0.5) % 1.0 - 0.5
         turns = phase[place] + since * (
             hz[place] + 0.5 * slope[place] * since + missed[place] / length[place]
@@ -155,7 +155,7 @@ RENDERERS: dict[str, Callable[[bytes, float, int], FloatArray]] = {
     "hjif": render_hjif,
     "partials": render_partials,
 }
-"""Renderers: content of a file, duration in seconds, rate in Hz to vibration."""
+"""Renderers by format. Arguments: content of a file, duration in s, rate in Hz."""
 
 
 def _times(duration_s: float, rate_hz: int) -> FloatArray:

@@ -1,4 +1,4 @@
-"""A sound, exported in every parametric format and played again by our renderers."""
+"""Exports a sound in all parametric formats and renders the files."""
 
 from __future__ import annotations
 
@@ -21,9 +21,10 @@ _BLOCK = 32_768
 def round_trip(
     sound: Float32Array, rate_hz: int, profile: str, folder: Path
 ) -> dict[str, Likeness]:
-    """Return how near what each format plays is to the vibration of a sound, by format.
+    """Return, by format, the likeness of the rendered file to the vibration of a sound.
 
-    sound: (frames, channels). folder: for the files; those of an earlier call are replaced.
+    sound: (frames, channels). folder: for the exported files; files of an earlier call are
+        overwritten.
     """
 
     def exported(format_name: str, output_rate_hz: int | None = None) -> Path:

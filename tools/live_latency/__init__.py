@@ -1,1 +1,1 @@
-"""The instrument for the latency of live vibration."""
+"""Measurement of the latency of live vibration."""

@@ -1,8 +1,7 @@
-"""When a recorded frame could first be had: a line of time through the arrivals of its blocks.
+"""Estimates when each frame of a recording could first have arrived.
 
-Blocks arrive early at best and late at will: a server hands them over in bursts, a busy machine
-lets them wait. No block arrives before its last frame is there, so the earliest arrivals carry the
-time, and all the others are ignored.
+Blocks of frames may arrive late, because a server sends several at once or the machine is busy. No
+block arrives before its last frame exists. Therefore only the earliest arrivals are used.
 """
 
 from __future__ import annotations
@@ -13,29 +12,20 @@ import numpy as np
 
 from audioflinger_hook.transform import FloatArray, IntArray
 
-WINDOW_S = 0.5
-"""Of the arrivals in so long only the earliest counts."""
-
-NEIGHBOURS = 3
-"""Windows on either side that are compared: late arrivals for a second make no jump."""
-
-JUMP_S = 0.001
-"""The line jumps by more than this where frames were lost, or came twice."""
-
-WANDER = 200e-6
-"""How fast the line may leave its mean slope, in seconds a second."""
+WINDOW_S = 0.5  # length of a window in s; only its earliest arrival is used
+NEIGHBOURS = 3  # number of windows compared on either side; fewer late windows cause no jump
+JUMP_S = 0.001  # smallest jump of the line, in s, that indicates lost or repeated frames
+WANDER = 200e-6  # largest deviation of the line's slope from its median slope, in s per s
 
 
 class ArrivalLine:
-    """The time at which each frame of one recording could first be had.
+    """The earliest time at which each frame of a recording could have arrived.
 
-    times_s: (blocks,) when each block came, seconds of one clock, ascending; frames: (blocks,)
-    how many frames there were with it. samplerate: nominal, Hz; the true one may lie anywhere
-    near it and wander by 200 ppm. At least one block.
-
-    jumps: frame numbers after which frames are missing or were inserted: the recording has a
-    splice there. drift_ppm: how much slower than nominal frames come, in the mean. Any thread may
-    use it, it never changes.
+    times_s: arrival time of each block in s, ascending, (blocks,); at least one.
+    frames: number of frames up to the end of each block, (blocks,).
+    samplerate: nominal rate in Hz; the true rate may differ, and may vary by 200 ppm.
+    jumps: numbers of the frames where frames are missing or inserted.
+    drift_ppm: median deviation of the frame rate in ppm; positive if this rate is below nominal.
     """
 
     def __init__(self, times_s: FloatArray, frames: IntArray, samplerate: float) -> None:
@@ -59,7 +49,7 @@ class ArrivalLine:
         self._part_ends = nominal_s[np.array(breaks, dtype=np.intp)]
 
     def times_s(self, frames: FloatArray | IntArray) -> FloatArray:
-        """Return when each of these frames, numbers from 0 on, could first be had, in seconds."""
+        """Return the earliest time in s at which each of these frames could have arrived."""
         nominal_s = np.asarray(frames, dtype=np.float64) / self._samplerate
         part = np.searchsorted(self._part_ends, nominal_s, side="left")
         times_s = nominal_s * (1.0 + self._slope)
@@ -70,7 +60,6 @@ class ArrivalLine:
 
 
 def _earliest(nominal_s: FloatArray, offset_s: FloatArray) -> IntArray:
-    """Return the number of the earliest block in each window, in order."""
     window = np.floor((nominal_s - nominal_s[0]) / WINDOW_S).astype(np.intp)
     order = np.lexsort((offset_s, window))
     first = np.concatenate(([True], np.diff(window[order]) > 0))
@@ -79,7 +68,6 @@ def _earliest(nominal_s: FloatArray, offset_s: FloatArray) -> IntArray:
 
 
 def _slope(x: FloatArray, y: FloatArray) -> float:
-    """Return the usual slope between earliest arrivals 2 s apart: jumps are not usual."""
     apart = min(round(2.0 / WINDOW_S), len(x) - 1)
     if apart < 1:
         return 0.0
@@ -87,14 +75,14 @@ def _slope(x: FloatArray, y: FloatArray) -> float:
 
 
 def _breaks(earliest: IntArray, flat: FloatArray) -> list[int]:
-    """Return the numbers of the last blocks before each jump; flat: offsets without the slope."""
+    """Return the index of the last block before each jump."""
     lows = flat[earliest]
     breaks: list[int] = []
     window = 1
     while window < len(lows):
         before = lows[max(0, window - NEIGHBOURS) : window].min()
         after = lows[window : window + NEIGHBOURS].min()
-        ending = len(lows) - window < NEIGHBOURS  # lateness at the very end is no jump yet
+        ending = len(lows) - window < NEIGHBOURS  # lateness at the end is not a jump
         if abs(after - before) <= JUMP_S or (ending and after > before):
             window += 1
             continue
@@ -102,8 +90,8 @@ def _breaks(earliest: IntArray, flat: FloatArray) -> list[int]:
         first = max(first, int(earliest[max(0, window - NEIGHBOURS)]))
         beyond = min(window + NEIGHBOURS, len(lows) - 1)
         near = np.arange(first, int(earliest[beyond]) + 1)
-        # Nothing comes earlier than its line. Up: what is too early for the later one precedes the
-        # jump. Down: what is too early for the line so far follows it.
+        # No block can arrive earlier than its line. Before an upward jump, blocks arrive too early
+        # for the later line. After a downward jump, they arrive too early for the earlier line.
         too_early = near[flat[near] < max(before, after) - 0.5 * JUMP_S]
         last = int(too_early[-1]) if after > before else int(too_early[0]) - 1
         if 0 <= last < len(flat) - 1 and (not breaks or last > breaks[-1]):
@@ -113,7 +101,7 @@ def _breaks(earliest: IntArray, flat: FloatArray) -> list[int]:
 
 
 def _supported(x: FloatArray, y: FloatArray) -> FloatArray:
-    """Return the highest line on or under all points that wanders no faster than WANDER."""
+    """Return the highest curve that is not above any point and has a slope of up to ±WANDER."""
     line = y.copy()
     for i in range(1, len(line)):
         line[i] = min(line[i], line[i - 1] + WANDER * (x[i] - x[i - 1]))

@@ -1,4 +1,4 @@
-"""The record of how late bursts are felt, kept in docs/bursts.json by tools/burst_latency.py."""
+"""Results of burst measurements, which tools/burst_latency.py stores in docs/bursts.json."""
 
 from __future__ import annotations
 
@@ -15,10 +15,13 @@ COMMAND = "python tools/burst_latency.py --rate 48000 44100 --out docs/bursts.js
 
 @dataclass(frozen=True)
 class BurstRecord:
-    """One measurement; delays in ms to a tenth and to half of the vibration's peak.
+    """Delays in ms from bursts until their vibration reaches a tenth, and half, of its peak.
 
-    tap: what is tapped, "streams" or "monitor". quantum_frames, rate_hz: of the graph. bursts: how
-    many were measured. budget_ms: the delay that the daemon's status shows.
+    tap: where the daemon records the sound, "streams" of players or "monitor" of their sink.
+    quantum_frames: cycle of PipeWire's graph in frames.
+    rate_hz: sample rate of PipeWire's graph.
+    bursts: number of measured bursts.
+    budget_ms: delay that the daemon reports.
     """
 
     server: str
@@ -36,7 +39,7 @@ class BurstRecord:
 
     @property
     def name(self) -> str:
-        """What was measured, the same for the next measurement."""
+        """The measured set-up as text. New results replace stored results with the same name."""
         return (
             f"{self.server}, {self.engine}, {self.tap}, {self.quantum_frames} frames at "
             f"{self.rate_hz} Hz"
@@ -44,7 +47,7 @@ class BurstRecord:
 
     @property
     def told(self) -> str:
-        """The record for a person to read."""
+        """The results as one line of text."""
         return (
             f"{self.name}: to half of the peak {self.half_median_ms:.1f} ms (95 % under "
             f"{self.half_p95_ms:.1f}), to a tenth {self.tenth_median_ms:.1f} ms (95 % under "
@@ -54,7 +57,7 @@ class BurstRecord:
 
 
 def to_json(measured: Iterable[BurstRecord]) -> dict[str, Any]:
-    """Return the document, numbers to two digits after the point."""
+    """Return the results as a JSON document, with numbers rounded to two decimals."""
     found = [
         {key: round(one, 2) if isinstance(one, float) else one for key, one in asdict(each).items()}
         for each in measured
@@ -63,11 +66,11 @@ def to_json(measured: Iterable[BurstRecord]) -> dict[str, Any]:
 
 
 def read_records(path: Path) -> tuple[BurstRecord, ...]:
-    """Return the records of a file; raises as `records.read_records`."""
+    """Return the results in a file; errors as in `tools.records.read_records`."""
     return records.read_records(path, BurstRecord, COMMAND)
 
 
 def keep_records(measured: Iterable[BurstRecord], path: Path) -> None:
-    """Put records into the file, each in place of the one of its name; all or nothing."""
+    """Add results to the file. New results replace stored results with the same names."""
     kept = records.merged(read_records, path, measured, lambda record: record.name)
     records.write_records(to_json(kept[name] for name in sorted(kept))["records"], path)

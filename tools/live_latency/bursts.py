@@ -1,8 +1,8 @@
-"""How late bursts of sound are felt: sound and vibration recorded in one stream of PipeWire.
+"""Delay from bursts of sound to their vibration, both recorded in one PipeWire stream.
 
-The monitor of a sink that drives the graph is read one cycle late, so it cannot be the reference.
-The player is linked to a third sink as well, which never drives. Its monitor and that of the
-device's sink are read in the same cycle, sample by sample.
+The monitor of a sink that drives PipeWire's graph is one cycle late, so this monitor cannot be the
+reference. Therefore the player is also linked to an additional sink, which never drives the graph.
+The monitors of this sink and of the sink for the vibration are recorded in the same cycle.
 """
 
 from __future__ import annotations
@@ -26,25 +26,26 @@ from tools.live_latency.recording import end, spawn
 
 BURSTS_HZ = (150.0, 440.0, 900.0)
 BURST_S, APART_S = 0.25, 0.75
-LEAD_S = 1.5
-"""Silence before the first burst, in which links are made."""
-
+LEAD_S = 1.5  # silence in s before the first burst, during which links are made
 REFERENCE = "reference"
 APPEARS_S = 10.0
-ONSET = 1e-3
-"""A sample over this share of the highest one, after silence, begins a burst."""
+ONSET = 1e-3  # a burst starts where, after silence, a sample exceeds this share of the peak
 
 
 @dataclass(frozen=True)
 class BurstDelays:
-    """Delays of the vibration of bursts in ms: to a tenth and to half of each one's peak."""
+    """Delays in ms from the start of each burst to its vibration.
+
+    tenth_ms: until the vibration reaches a tenth of its peak.
+    half_ms: until the vibration reaches half of its peak.
+    """
 
     tenth_ms: FloatArray
     half_ms: FloatArray
 
     @classmethod
     def of(cls, heard: FloatArray, felt: FloatArray, samplerate: int) -> BurstDelays:
-        """Return the delays in two recordings of equal length, (frames,) each."""
+        """Return the delays in recordings of the sound and of the vibration, both (frames,)."""
         tenth: list[float] = []
         half: list[float] = []
         for onset in onsets(heard, samplerate):
@@ -52,7 +53,7 @@ class BurstDelays:
             if part.size < round(BURST_S * samplerate) or part.max(initial=0.0) < 1e-4:
                 continue
             before = np.abs(felt[max(0, onset - round(0.005 * samplerate)) : onset])
-            if before.max(initial=0.0) > 0.05 * part.max():  # it still vibrates
+            if before.max(initial=0.0) > 0.05 * part.max():  # the previous burst still vibrates
                 continue
             for found, share in ((tenth, 0.1), (half, 0.5)):
                 found.append(1e3 * int(np.argmax(part >= share * part.max())) / samplerate)
@@ -60,7 +61,10 @@ class BurstDelays:
 
 
 def burst_sound(count: int, samplerate: int, seed: int = 1) -> FloatArray:
-    """Return (frames,) of bursts of constant level, at random places of the graph's cycle."""
+    """Return a sound with bursts of constant level at random times, (frames,).
+
+    count: number of bursts.
+    """
     random = np.random.default_rng(seed)
     frames = round((LEAD_S + count * (APART_S + 0.05) + 1.0) * samplerate)
     sound = np.zeros(frames)
@@ -75,7 +79,7 @@ def burst_sound(count: int, samplerate: int, seed: int = 1) -> FloatArray:
 
 
 def onsets(heard: FloatArray, samplerate: int) -> list[int]:
-    """Return the first frame of each burst."""
+    """Return the frame at which each burst starts in a recording."""
     loud = np.flatnonzero(np.abs(heard) > ONSET * np.abs(heard).max(initial=1e-9))
     if not loud.size:
         return []
@@ -84,27 +88,35 @@ def onsets(heard: FloatArray, samplerate: int) -> list[int]:
 
 
 class GraphOnce:
-    """PipeWire's graph as `pw-dump` prints it now, and links in it. environment: of programs."""
+    """Reads and changes PipeWire's graph of nodes, ports and links.
+
+    environment: environment variables that select the server.
+    """
 
     def __init__(self, environment: Mapping[str, str]) -> None:
         self._environment = dict(environment)
 
     def read(self) -> Graph:
-        """Return the graph as it is."""
+        """Return the current graph."""
         graph, decoder = Graph(), json.JSONDecoder()
         shown = self._run("pw-dump", "--no-colors")
-        while shown := shown.lstrip():  # what changes meanwhile is an array of its own
+        while shown := shown.lstrip():  # changes during the dump follow as further arrays
             objects, length = decoder.raw_decode(shown)
             graph.apply(objects)
             shown = shown[length:]
         return graph
 
     def ports(self, name: str, prefix: str) -> dict[str, int]:
-        """Return a node's ports by their names after the prefix, once it has some."""
+        """Wait for ports whose names start with `prefix`, and return their IDs.
+
+        The keys of the result are the names of the ports without `prefix`.
+
+        name: name of the node that has the ports.
+        """
         return wait_for(lambda: self._ports(name, prefix), f"ports {prefix}* of {name}")
 
     def link(self, output: int, put: int) -> None:
-        """Link two ports."""
+        """Link two ports. output: ID of the output port. put: ID of the input port."""
         self._run("pw-link", str(output), str(put))
 
     def _ports(self, name: str, prefix: str) -> dict[str, int]:
@@ -124,7 +136,12 @@ class GraphOnce:
 def wait_for(
     look: Callable[[], dict[str, int]], what: str, limit_s: float = APPEARS_S
 ) -> dict[str, int]:
-    """Return what `look` finds once it finds something. LostError: it does not."""
+    """Call `look` until it returns a result that is not empty, and return this result.
+
+    what: description of the result for the message of an error.
+
+    LostError: there is no result within `limit_s`.
+    """
     limit_s += time.monotonic()
     while not (found := look()):
         if time.monotonic() > limit_s:
@@ -141,7 +158,12 @@ def recorded_together(
     environment: Mapping[str, str],
     samplerate: int,
 ) -> Iterator[Path]:
-    """Record two ports, (node, port) each, in one stream; the file is whole after the context."""
+    """Record two ports in one stream within a `with` block, which gets the path of the WAV file.
+
+    left, right: for each channel of the file, name of a node and name of the node's port.
+
+    The file is complete only after the block.
+    """
     path, name = folder / "together.wav", "burst-recorder"
     process = spawn(
         [
@@ -157,7 +179,7 @@ def recorded_together(
             graph.link(graph.ports(node, port)[""], inputs[channel])
         yield path
     finally:
-        process.send_signal(signal.SIGINT)  # the file gets its length
+        process.send_signal(signal.SIGINT)  # makes pw-record write the length
         try:
             process.wait(APPEARS_S)
         except subprocess.TimeoutExpired:
@@ -175,12 +197,19 @@ def burst_delays(
     direct: bool = False,
     midway: Callable[[], object] = lambda: None,
 ) -> BurstDelays:
-    """Play bursts to a sink while a daemon runs, and return how late its device vibrates.
+    """Play bursts while a daemon runs, and return the delays of the daemon's vibration.
 
-    There must be a sink `reference` that never drives the graph. direct: the player is linked to
-    the device, too, so that all delays should be 0. midway: called while bursts play.
+    A sink named `reference` must exist and must never drive PipeWire's graph.
 
-    LostError: a program or a port did not come.
+    count: number of bursts.
+    folder: folder for the recording.
+    environment: environment variables that select the server.
+    sink: name of the sink that plays the bursts.
+    device: name of the sink that plays the daemon's vibration.
+    direct: whether to link the player to `device` too; a correct measurement then gives 0 ms.
+    midway: function to call while the bursts play.
+
+    LostError: a port does not appear, the player does not end, or a PipeWire program fails.
     """
     path = folder / "bursts.wav"
     soundfile.write(path, burst_sound(count, samplerate), samplerate, subtype="FLOAT")

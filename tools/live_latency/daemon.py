@@ -1,4 +1,4 @@
-"""A daemon of this very code, started to be measured, and what a daemon says of itself."""
+"""Starts `cushion run` from this source tree for measurements, and reads the daemon's status."""
 
 from __future__ import annotations
 
@@ -20,16 +20,14 @@ from tools.live_latency.recording import end, spawn
 from tools.records import PROJECT_ROOT
 
 READY_S = 30.0
-SETTLES_S = 10.0
-"""How long the delay line may take to its target; after that it is measured as it is."""
-
+SETTLES_S = 10.0  # longest wait in s for the delay line to reach its target
 ANSWER_S = 0.5
 TICK_S = 0.1
 READY = (DaemonState.RUNNING, DaemonState.IDLE)
 
 
 def status_of_daemon(environment: Mapping[str, str]) -> Status | None:
-    """Return what the daemon there says of itself, None while it does not answer."""
+    """Return the status of the running daemon; None if it does not answer."""
     try:
         return ask_status(ANSWER_S, time.monotonic, environment)
     except CushionError:
@@ -45,15 +43,14 @@ def running_daemon(
     block_frames: int | None = None,
     arguments: Sequence[str] = (),
 ) -> Iterator[None]:
-    """A context in which `cushion run` of this very code plays to a device.
+    """Run `cushion run` from this source tree within a `with` block.
 
-    folder: for its config file and what it prints; block_frames: for its streams, None for what
-    it takes by itself.
+    device: value of `--device`.
+    folder: folder for the config file and the output of the daemon.
+    block_frames: block size of the daemon's streams; None for the default.
+    arguments: further arguments of `cushion run`.
 
-    Raises
-    ------
-    LostError
-        It does not come to play within READY_S; the message is its own.
+    LostError: the daemon ends, or does not play within 30 s.
     """
     command = [sys.executable, "-m", "audioflinger_hook", "run", "--device", device, *arguments]
     if block_frames is not None:
@@ -74,7 +71,6 @@ def running_daemon(
 def _wait_until_ready(
     process: subprocess.Popen[bytes], environment: Mapping[str, str], printed: Path
 ) -> None:
-    """Return once it plays and has come to its delay, or has not for SETTLES_S."""
     began_s = time.monotonic()
     playing_s = np.inf
     while (now_s := time.monotonic()) < min(began_s + READY_S, playing_s + SETTLES_S):

@@ -1,8 +1,7 @@
-"""How much later one recording swells than another, to a fraction of a millisecond.
+"""Delay between the envelopes of two recordings, with a resolution below 1 ms.
 
-What is compared are envelopes: the live transform begins its hops anywhere in the sound, so waves
-differ from one run to the next, but levels do not. Everything here is arithmetic on arrays; any
-thread may use it.
+Two runs of the live transform may analyse the sound at different frames. The waveforms of their
+vibration therefore differ, while the envelopes agree.
 """
 
 from __future__ import annotations
@@ -17,37 +16,30 @@ from scipy.stats import theilslopes
 from audioflinger_hook.transform import FloatArray, Frames
 from tools.live_latency.arrival import ArrivalLine
 
-STEP_S = 0.001
-"""Levels are taken about so often, and compared exactly so often."""
-
+STEP_S = 0.001  # interval in s of compared levels; measured levels have about this interval
 ENVELOPE_HZ = 10.0
-"""Levels are smoothed to this: without the ripple of a vibration of 20 Hz, with speech's swell."""
+"""Cut-off of the level's smoothing, in Hz. The smoothing removes the ripple of 20 Hz vibration, and
+keeps the modulation of speech.
+"""
 
-BLUR_S = 0.1
-"""So far around a gap or a splice the smoothed level is not that of the sound."""
-
-EARLIEST_S, LATEST_S = -0.1, 1.5
-"""Lags that are looked for."""
-
-ALIKE = 0.9
-"""Envelopes that correlate less at their best lag are not of the same sound."""
-
-GAP_S = 0.002
-"""Silence for longer amid vibration is a gap: a zero crossing of 20 Hz takes less than this."""
-
-NOTHING = 1e-5
-"""Under this, of full scale, is silence."""
-
+BLUR_S = 0.1  # time in s around a gap or a splice in which the smoothed level is invalid
+EARLIEST_S, LATEST_S = -0.1, 1.5  # range of searched delays in s
+ALIKE = 0.9  # smallest correlation of envelopes of the same sound at the best delay
+GAP_S = 0.002  # shortest silence in s that counts as a gap; a zero crossing at 20 Hz is shorter
+NOTHING = 1e-5  # level of silence, relative to full scale
 _MERGED_S = 0.02
 _ROUNDS = 12
 _OUTLIER = 5.0
 
 
 class LevelTrace:
-    """The power of one recording every STEP_S or so, gathered block by block, and its silences.
+    """Collects levels and silences of a recording, which is added block by block.
 
-    samplerate: Hz. step_frames: frames to each power. gaps: (first frame, frames) of every silence
-    longer than GAP_S, the one at present left out. One thread at a time.
+    samplerate: in Hz.
+    step_frames: number of frames for each level.
+    gaps: first frame and number of frames of each silence over 2 ms that has ended.
+
+    Only one thread at a time may use it.
     """
 
     def __init__(self, samplerate: int) -> None:
@@ -60,7 +52,7 @@ class LevelTrace:
         self._silent = 0
 
     def add(self, mono: Frames) -> None:
-        """Take the next (frames,)."""
+        """Add the next block of the recording, (frames,)."""
         self._find_gaps(mono)
         squares = np.concatenate((self._rest, np.square(mono, dtype=np.float64)))
         whole = squares.size - squares.size % self.step_frames
@@ -77,7 +69,7 @@ class LevelTrace:
         self._frames += mono.size
 
     def levels(self) -> tuple[FloatArray, FloatArray]:
-        """Return the frames at which there is a level, and the smoothed level there, (steps,)."""
+        """Return the frame number of each level, and the smoothed levels, both (steps,)."""
         powers: FloatArray = np.concatenate([*self._powers, np.zeros(0)])
         steps = np.arange(powers.size, dtype=np.float64)
         frames: FloatArray = (steps + 0.5) * self.step_frames - 0.5
@@ -93,8 +85,9 @@ class LevelTrace:
 class Envelope:
     """The level of a recording over time.
 
-    times_s: (steps,) ascending, seconds of one clock; level: (steps,) r.m.s.; usable: (steps,)
-    False near gaps and splices.
+    times_s: time of each level in s, ascending, (steps,).
+    level: r.m.s. of the recording, (steps,).
+    usable: whether each level is valid, (steps,); False near silences and lost or inserted frames.
     """
 
     times_s: FloatArray
@@ -103,29 +96,29 @@ class Envelope:
 
     @classmethod
     def of(cls, trace: LevelTrace, line: ArrivalLine) -> Envelope:
-        """Return the envelope of a recording whose frames came along that line."""
+        """Return the envelope of a recording. line: arrival times of its frames."""
         frames, level = trace.levels()
         usable = np.ones(frames.size, dtype=bool)
         blur = BLUR_S * trace.samplerate
         spots = [(frame, 0) for frame in line.jumps] + trace.gaps
         for first, count in spots:
             usable[(frames > first - blur) & (frames < first + count + blur)] = False
-        # where frames came twice the clock would run backwards
+        # Repeated frames would make the time run backwards.
         times_s = np.maximum.accumulate(line.times_s(frames))
         return cls(times_s, level, usable)
 
     def at(self, times_s: FloatArray) -> FloatArray:
-        """Return the level at any times in between."""
+        """Return the interpolated levels at the given times in s."""
         level: FloatArray = np.interp(times_s, self.times_s, self.level)
         return level
 
     def least(self, first_s: float, last_s: float) -> float:
-        """Return the lowest level from one time to another."""
+        """Return the lowest level between two times in s."""
         first, beyond = np.searchsorted(self.times_s, (first_s, last_s)).tolist()
         return float(self.level[max(0, first - 1) : beyond + 1].min(initial=np.inf))
 
     def usable_at(self, times_s: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-        """Return where the level can be relied on, for times within the recording."""
+        """Return for each time in s whether it is within the recording and its level is valid."""
         places = np.searchsorted(self.times_s, times_s)
         inside = (places > 0) & (places < self.times_s.size)
         places = np.clip(places, 1, self.times_s.size - 1)
@@ -137,18 +130,22 @@ class Envelope:
 
 @dataclass(frozen=True)
 class Lag:
-    """By how many seconds one envelope comes after the other, and their correlation then."""
+    """Delay of one envelope relative to another.
+
+    seconds: delay in s.
+    similarity: correlation of both envelopes at this delay.
+    """
 
     seconds: float
     similarity: float
 
 
 def lag_between(wanted: Envelope, heard: Envelope, start_s: float, end_s: float) -> Lag | None:
-    """Return the lag of `heard` behind what `wanted` does from start_s to end_s.
+    """Return the delay of `heard` relative to the part of `wanted` from start_s to end_s.
 
-    The best of all lags from EARLIEST_S to LATEST_S by correlation, then a least-squares fit of
-    lag, gain and offset without what is not usable and without outliers. None where the two are
-    not alike, as in silence.
+    The first estimate is the delay with the largest correlation, between -0.1 and 1.5 s. A
+    least-squares fit of delay, gain and offset then refines the estimate, without invalid levels
+    and outliers. The result is None if the envelopes do not correlate, for example in silence.
     """
     times_s = np.arange(start_s, end_s, STEP_S)
     usable = wanted.usable_at(times_s)
@@ -178,7 +175,6 @@ def lag_between(wanted: Envelope, heard: Envelope, start_s: float, end_s: float)
 
 
 def _coarse(level: FloatArray, heard: Envelope, start_s: float) -> float:
-    """Return the lag of the best normalised correlation, to STEP_S."""
     lags = round((LATEST_S - EARLIEST_S) / STEP_S) + 1
     count = level.size
     reach = np.arange(lags + count - 1, dtype=np.float64)
@@ -198,7 +194,6 @@ def _coarse(level: FloatArray, heard: Envelope, start_s: float) -> float:
 def _fitted(
     level: FloatArray, found: FloatArray, kept: np.ndarray[tuple[int], np.dtype[np.bool_]]
 ) -> FloatArray:
-    """Return `level` with the gain and offset that bring it nearest to `found`."""
     columns = np.column_stack((level, np.ones_like(level)))
     gains, *_ = np.linalg.lstsq(columns[kept], found[kept], rcond=None)
     fitted: FloatArray = columns @ gains
@@ -206,10 +201,13 @@ def _fitted(
 
 
 def growth(times_s: FloatArray, lags: FloatArray) -> float:
-    """Return how much lags grow from the first time to the last: the Theil-Sen line's rise."""
+    """Return the change of delays from the first to the last time, on a fitted line.
+
+    The line is fitted by the Theil-Sen estimator.
+    """
     if len(lags) < 3:
         return 0.0
-    every = -(-len(lags) // 1_000)  # it compares every two
+    every = -(-len(lags) // 1_000)  # the estimator compares all pairs
     slope = theilslopes(lags[::every], times_s[::every]).slope
     return float(slope * (times_s[-1] - times_s[0]))
 
@@ -222,10 +220,16 @@ def dropouts(
     start_s: float,
     end_s: float,
 ) -> tuple[int, float]:
-    """Return how often the vibration was silent where it should not be, and seconds of it in all.
+    """Return the number of dropouts of the vibration, and their total duration in s.
 
-    wanted: the envelope that the vibration should have, lag_s before it is felt; start_s, end_s:
-    of the time in which it is felt. Silences within 20 ms of each other are one.
+    A dropout is a silence of the vibration where the expected vibration is not silent. Dropouts
+    less than 20 ms apart count as one.
+
+    wanted: envelope of the expected vibration.
+    felt: levels and silences of the recorded vibration.
+    line: arrival times of the frames of the recorded vibration.
+    lag_s: delay of the recorded vibration relative to the expected vibration in s.
+    start_s, end_s: times in s between which dropouts are counted.
     """
     if not felt.gaps:
         return 0, 0.0
@@ -248,10 +252,12 @@ def dropouts(
 def swelling_tone(
     frequency_hz: float, duration_s: float, samplerate: int, *, swell_hz: float = 4.0, seed: int = 1
 ) -> FloatArray:
-    """Return a tone whose level never swells the same way twice, (frames,) float64, peak 0.54.
+    """Return a tone with a randomly varying level, (frames,) float64, with a peak of 0.54.
 
-    frequency_hz: rounded so that the end joins the start. swell_hz: the fastest swell. The level
-    stays above a ninth of the highest, so that silence in its vibration is a fault.
+    The level is at least a ninth of its maximum, so silence in the vibration is a dropout.
+
+    frequency_hz: frequency, which is rounded so that the tone can be looped.
+    swell_hz: highest modulation frequency.
     """
     count = round(duration_s * samplerate)
     cycles = round(frequency_hz * duration_s)

@@ -1,8 +1,9 @@
-"""How late live vibration is: a daemon's tap and its device recorded side by side.
+"""Measures the latency of live vibration, from recordings of the sound and of the vibration.
 
-The sound's monitor is recorded twice and the device's once. What the transform makes of the sound
-offline, its latency taken out, is the vibration that should be felt with it; how much later the
-device's monitor has it is the lag. Between the two recordings of the sound there must be none.
+Two recordings of the sound and one of the vibration are made simultaneously. The transform renders
+the expected vibration from the recorded sound, without latency. The result is the delay of the
+recorded vibration relative to the expected vibration. A delay between the two recordings of the
+sound is an error of the measurement.
 """
 
 from __future__ import annotations
@@ -31,21 +32,20 @@ from tools.live_latency.usage import ProcessUse
 from tools.records import now
 
 WINDOW_S = 3.0
-LEAD_S, TAIL_S = 2.0, 2.0
-"""Recorded before and after what is measured: lines of time need both."""
-
+LEAD_S, TAIL_S = 2.0, 2.0  # additional recording time in s, required by the fit of arrival times
 POLL_S = 1.0
 TICK_S = 0.1
 
-Progress = Callable[[float, float], None]
-"""Told the seconds done and those in all."""
+Progress = Callable[[float, float], None]  # called with the completed and the total time in s
 
 
 @dataclass(frozen=True)
 class Place:
-    """Where a daemon runs: the monitors of what is heard and of what is felt.
+    """What is recorded in a measurement.
 
-    environment: leads programs to the sound server and to the daemon.
+    heard: name of the monitor of the sink that plays the sound.
+    felt: name of the monitor of the sink that plays the vibration.
+    environment: environment variables that select the sound server and the daemon.
     """
 
     heard: str
@@ -54,8 +54,6 @@ class Place:
 
 
 class _Polls:
-    """What the daemon told of itself, and when."""
-
     def __init__(self, environment: Mapping[str, str]) -> None:
         self._environment = environment
         self.seen: list[tuple[float, Status]] = []
@@ -63,7 +61,7 @@ class _Polls:
         self._due_s = time.monotonic()
 
     def poll(self, now_s: float) -> None:
-        """Ask it once a second; what it does not answer is left out."""
+        """Ask the daemon for its status, at most once each second; ignore missing answers."""
         if now_s < self._due_s:
             return
         self._due_s = now_s + POLL_S
@@ -75,13 +73,12 @@ class _Polls:
                 self.child_use.sample(status.engine_pid, now_s)
 
     def median(self, value: Callable[[Status], float], *span_s: float) -> float | None:
-        """Return the median of a figure, from one time to another or of all; None without one."""
+        """Return a value's median between two times, or over all answers; None without answers."""
         first_s, last_s = span_s or (-np.inf, np.inf)
         found = [value(status) for at_s, status in self.seen if first_s <= at_s < last_s]
         return float(np.median(found)) if found else None
 
     def rises(self, value: Callable[[Status], int]) -> int:
-        """Return how much a counter rose, which may have begun anew."""
         counts = [value(status) for _, status in self.seen]
         return sum(max(0, b - a) for a, b in pairwise(counts))
 
@@ -96,15 +93,14 @@ def measure(
     stimulus: str = "whatever played",
     progress: Progress | None = None,
 ) -> LiveRecord:
-    """Return how late the vibration of a running daemon is, for so many seconds from now on.
+    """Measure the delay of a running daemon's vibration.
 
-    settings: the daemon's; block_frames, quantum_frames, stimulus: for the record only. Takes 4 s
-    more than `seconds`, at least WINDOW_S; waits in the calling thread.
+    seconds: duration of the measurement in s, at least 3; the call takes 4 s longer.
+    settings: settings of the daemon.
+    block_frames, quantum_frames, stimulus: information that is only stored with the results.
+    progress: function to call with the completed and the total time in s.
 
-    Raises
-    ------
-    LostError, NotFoundError
-        The server, one of the monitors or a program needed is not there.
+    LostError, NotFoundError: the server, a monitor or a required program is missing.
     """
     load_before, date = os.getloadavg()[0], now()
     listened = _listen(place, max(seconds, WINDOW_S), settings, progress)
@@ -173,10 +169,13 @@ def measure(
 
 @dataclass(frozen=True)
 class _Listened:
-    """What was recorded from start_s to end_s, and a little around it.
+    """The recordings of one measurement.
 
-    sound, copy: the two recordings of one monitor; wanted: the vibration of the sound; felt: what
-    the device's monitor had instead, with its trace and line. splices: in all recordings.
+    start_s, end_s: times between which the recordings are evaluated.
+    sound, copy: two recordings of the sound.
+    wanted: the expected vibration.
+    felt, trace, line: envelope, levels and arrival times of the recorded vibration.
+    splices: number of places in all recordings where frames are missing or inserted.
     """
 
     start_s: float
@@ -195,7 +194,6 @@ class _Listened:
 def _listen(
     place: Place, seconds: float, settings: Settings, progress: Progress | None
 ) -> _Listened:
-    """Record everything side by side for so many seconds."""
     rate = samplerate_of(place.heard, place.environment)
     felt_rate = samplerate_of(place.felt, place.environment)
     heard, again, felt = LevelTrace(rate), LevelTrace(rate), LevelTrace(felt_rate)
@@ -246,10 +244,7 @@ def _listen(
 
 
 class Rendering:
-    """What the transform makes of a sound, its latency taken out, as levels.
-
-    The same as `cushion render` of it: mixed to one channel at full volume.
-    """
+    """Levels of the vibration that the transform renders from a mono sound, without latency."""
 
     def __init__(self, samplerate: int, settings: Settings) -> None:
         self.trace = LevelTrace(samplerate)
@@ -257,7 +252,7 @@ class Rendering:
         self._early = self._transform.latency_frames
 
     def add(self, mono: Frames) -> None:
-        """Take the next (frames,) of sound."""
+        """Add the next block of the sound, (frames,)."""
         vibration = self._transform.process(mono)[:, 0]
         skipped = min(self._early, vibration.size)
         self._early -= skipped

@@ -1,10 +1,9 @@
-"""When the machine itself stood still: no program can play then.
+"""Detects pauses of the whole machine, in which no program runs.
 
-Virtual machines do that for tens of ms. It tells a measurement what is not the fault of what it
-measures. One small process for each core sleeps a few ms at a time, before all others where that
-is allowed. A moment when none of them woke was one of the machine. Where only one did not, its core
-was busy; or, if that process goes before all others, the core itself was taken away for a while,
-and with it whatever ran there.
+A virtual machine may pause, which is not a fault of the measured program. On each core, a small
+process sleeps for 4 ms again and again, with real-time priority if allowed. If all these processes
+wake up late, the machine was paused. If only some of them wake up late, other programs used their
+cores. With real-time priority, the host of the virtual machine used these cores.
 """
 
 from __future__ import annotations
@@ -21,11 +20,8 @@ import numpy.typing as npt
 from audioflinger_hook.transform import FloatArray
 
 NAP_S = 0.004
-LEAST_S = 0.01
-"""What counts as a pause. Streams of 256 frames at 48 kHz outlast shorter ones."""
-PRIORITY = 60
-"""Of SCHED_FIFO, where it is granted: over that of the daemon's own threads."""
-
+LEAST_S = 0.01  # shortest pause in s
+PRIORITY = 60  # SCHED_FIFO priority if allowed, above that of the daemon's threads
 _WITNESS = """
 import os, select, signal, sys, time
 signal.signal(signal.SIGINT, signal.SIG_IGN)  # whoever started it ends it
@@ -47,21 +43,26 @@ while not select.select([0], [], [], nap_s)[0]:  # closed once its parent is gon
 
 @dataclass(frozen=True)
 class Pause:
-    """A time when a core, or the machine, ran nothing; seconds of time.monotonic."""
+    """A time in which a core or the whole machine ran no program.
+
+    start_s, end_s: times in s of time.monotonic.
+    """
 
     start_s: float
     end_s: float
 
     @property
     def seconds(self) -> float:
-        """How long it was."""
+        """The duration of the pause in s."""
         return self.end_s - self.start_s
 
 
 class PauseWitness:
-    """Watches all cores that this process may use, from now until `close`. One thread uses it.
+    """Watches all cores available to this process for pauses, until `close`.
 
-    first: whether the watching processes go before all others, so that nobody else delays them.
+    Only one thread may use it.
+
+    first: whether the watching processes have a real-time priority above that of the daemon.
     """
 
     def __init__(self) -> None:
@@ -77,14 +78,14 @@ class PauseWitness:
                 stdout=subprocess.PIPE,
             )
             assert process.stdout is not None
-            self.first &= process.stdout.readline() == b"first\n"  # it watches from now on
+            self.first &= process.stdout.readline() == b"first\n"  # watching has started
             os.set_blocking(process.stdout.fileno(), False)
             self._processes.append(process)
             self._seen.append([])
             self._rest.append(b"")
 
     def close(self) -> None:
-        """Stop watching. Again too."""
+        """Stop watching. Further calls have no effect."""
         self._read()
         for process in self._processes:
             with process:  # closes the pipes and waits
@@ -92,12 +93,12 @@ class PauseWitness:
         self._processes.clear()
 
     def pauses(self) -> tuple[Pause, ...]:
-        """Return when the whole machine stood still, until now, in order; also after the end."""
+        """Return the pauses of the whole machine until now, or until `close`, in order."""
         self._read()
         return common(self._seen)
 
     def core_pauses(self) -> tuple[Pause, ...]:
-        """Return when at least one core was taken away; `pauses` where that cannot be told."""
+        """Return the pauses of single cores; without real-time priority, those of the machine."""
         if not self.first:
             return self.pauses()
         self._read()
@@ -117,9 +118,12 @@ def _start(pause: Pause) -> float:
 
 
 def common(seen: Sequence[Sequence[Pause]]) -> tuple[Pause, ...]:
-    """Return when all cores stood still at once; short of LEAST_S by a nap is still counted.
+    """Return the times in which all cores paused together for at least 6 ms.
 
-    seen: of each core, in order. Cores notice a pause up to a nap apart.
+    Cores notice the start of the same pause up to 4 ms apart. Therefore 6 ms suffice, although each
+    core reports only pauses of 10 ms or more.
+
+    seen: pauses of each core, in order.
     """
     if not seen:
         return ()
@@ -137,7 +141,7 @@ def common(seen: Sequence[Sequence[Pause]]) -> tuple[Pause, ...]:
 def undisturbed(
     times_s: FloatArray, pauses: Iterable[Pause], recovers_s: float
 ) -> npt.NDArray[np.bool_]:
-    """Return which of these times are neither within a pause nor up to recovers_s behind one."""
+    """Return for each time whether it is neither in a pause nor within `recovers_s` after one."""
     clear = np.ones(len(times_s), np.bool_)
     for pause in pauses:
         clear &= (times_s < pause.start_s) | (times_s > pause.end_s + recovers_s)

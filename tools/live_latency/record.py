@@ -1,4 +1,4 @@
-"""The record of a live measurement, kept in docs/live.json by tools/latency.py."""
+"""Results of latency measurements, which tools/latency.py stores in docs/live.json."""
 
 from __future__ import annotations
 
@@ -13,23 +13,28 @@ from tools import records
 
 RECORD = Path("docs/live.json")
 COMMAND = "python tools/latency.py --seconds 60 --out docs/live.json"
-TRUSTED_MS = 1.0
-"""Largest trusted lag between two recordings of one monitor."""
+TRUSTED_MS = 1.0  # largest credible delay between two recordings of one monitor, in ms
 
 Numbers = tuple[float | None, ...]
 
 
 @dataclass(frozen=True)
 class LiveRecord:
-    """One measurement of a running daemon; times in ms, None where nothing was measured.
+    """Results of one measurement of a running daemon. A value that was not measured is None.
 
-    lags_ms: of each window, the delay of the vibration after its sound, transform included;
-    budgets_ms: what the daemon reported meanwhile. growth_ms: change of the lag over the run, by a
-    robust line; hidden_growth_ms: the part that the daemon does not report. check_*_ms: the lag
-    between two recordings of one monitor, the instrument's own error. splices: places where the
-    recordings lack frames. machine_pauses: how often the whole machine stood still. engine: native
-    or python; child_*: of the native engine's process. quantum_frames: cycle of PipeWire's graph
-    that was asked for, None for its own choice.
+    engine: native or python.
+    quantum_frames: requested cycle of PipeWire's graph; None for PipeWire's choice.
+    lags_ms: delay of the vibration in each piece of `window_s` s, including the transform's
+        latency.
+    budgets_ms: the same delay as reported by the daemon.
+    growth_ms: change of the delay from the start to the end, on a fitted line.
+    hidden_growth_ms: part of this change that the daemon does not report.
+    check_median_ms, check_worst_ms: delay between two recordings of one monitor, which shows the
+        error of the measurement.
+    splices: number of places in the recordings where frames are missing or inserted.
+    machine_pauses: number of pauses of the whole machine.
+    child_cpu_percent, child_memory_growth_kb: CPU time and memory growth of the native engine's
+        process.
     """
 
     server: str
@@ -74,7 +79,7 @@ class LiveRecord:
 
     @property
     def name(self) -> str:
-        """Server, engine and block sizes, the same for the next measurement."""
+        """Server, engine and block sizes. New results replace stored results with the same name."""
         engine = "" if self.engine == "python" else f", {self.engine}"
         quantum = "" if self.quantum_frames is None else f", quantum {self.quantum_frames}"
         frames = "" if self.block_frames is None else f", {self.block_frames} frames"
@@ -82,17 +87,17 @@ class LiveRecord:
 
     @property
     def busy(self) -> bool:
-        """Whether the machine was overloaded."""
+        """Whether the system load exceeded the number of cores, before or after the measurement."""
         return max(self.load_before, self.load_after) > self.cores
 
     @property
     def trusted(self) -> bool:
-        """Whether the instrument's own error is small."""
+        """Whether the median error of the measurement is known and at most 1 ms."""
         return self.check_median_ms is not None and abs(self.check_median_ms) <= TRUSTED_MS
 
 
 def to_json(measured: Iterable[LiveRecord]) -> dict[str, Any]:
-    """Return the document, numbers to three digits after the point."""
+    """Return the results as a JSON document, with numbers rounded to three decimals."""
     return {
         "schema": records.SCHEMA_VERSION,
         "records": [_rounded(asdict(record)) for record in measured],
@@ -110,7 +115,7 @@ def _rounded(item: Any) -> Any:
 
 
 def read_records(path: Path) -> tuple[LiveRecord, ...]:
-    """Return the records of a file; raises as `records.read_records`."""
+    """Return the results in a file; errors as in `tools.records.read_records`."""
     return tuple(
         replace(record, lags_ms=tuple(record.lags_ms), budgets_ms=tuple(record.budgets_ms))
         for record in records.read_records(path, LiveRecord, COMMAND)
@@ -118,13 +123,13 @@ def read_records(path: Path) -> tuple[LiveRecord, ...]:
 
 
 def keep_records(measured: Iterable[LiveRecord], path: Path) -> None:
-    """Put records into the file, each in place of the one of its name; all or nothing."""
+    """Add results to the file. New results replace stored results with the same names."""
     kept = records.merged(read_records, path, measured, lambda record: record.name)
     ordered = [kept[name] for name in sorted(kept, key=_in_order)]
     records.write_records(to_json(ordered)["records"], path)
 
 
 def _in_order(name: str) -> tuple[str, tuple[int, ...]]:
-    """Return the words and then the numbers of a name, so that 1024 frames come after 256."""
+    """Return a key that sorts names by their words and then by their numbers."""
     words = re.sub(r"\d+", "", name)
     return words, tuple(map(int, re.findall(r"\d+", name)))

@@ -1,9 +1,9 @@
-"""Monitors recorded side by side, and a sound played meanwhile, by the server's own small programs.
+"""Recording of monitors and playback of sound, by the sound server's command-line programs.
 
-`parec` hands over what a monitor has rendered at once, so the earliest arrivals tell its clock
-to some hundredths of a millisecond. Callbacks of 256 frames would not: PulseAudio renders some 255
-at a time, the rest waits for the next callback, and the line of arrivals wanders by 5 ms for
-seconds. Requests of 20 ms are longer than the daemon's: its blocks are not made shorter by them.
+`parec` forwards frames of a monitor at once, so the earliest arrivals follow the monitor's clock.
+Callbacks with blocks of fixed length would be less accurate, since frames would wait for a complete
+block. The latency of 20 ms that is requested for recordings exceeds the latency of the daemon's
+streams. The server therefore does not shorten the daemon's blocks.
 """
 
 from __future__ import annotations
@@ -25,12 +25,8 @@ from device.errors import LostError, NotFoundError
 from tools.live_latency.arrival import ArrivalLine
 
 RECORD_MS = 20
-PLAY_MS = 200
-"""Requested of the server: what is recorded comes in blocks of at most so long, ..."""
-
-PLAYER = "Stimulus"
-"""Name of what plays."""
-
+PLAY_MS = 200  # latencies that are requested of the server, for recording and playback, in ms
+PLAYER = "Stimulus"  # name of the playback stream
 START_S = 5.0
 _SAMPLE_BYTES = 4
 _READ_BYTES = 1 << 16
@@ -38,17 +34,15 @@ _SPECIFICATION = re.compile(r"(\d+)ch (\d+)Hz")
 
 
 class Recording:
-    """One monitor, mixed to one channel, from now on until `close`.
+    """A recording of one monitor, mixed to one channel, until `close`.
 
-    take(frames): called by `drain` with the (frames,) float32 that came. A thread of its own reads
-    and notes times of time.monotonic(); one thread calls the methods.
+    source: name of the monitor.
+    samplerate: in Hz.
+    environment: environment variables that select the server.
+    take: function that `drain` calls with new frames, (frames,) float32.
 
-    Raises
-    ------
-    NotFoundError
-        parec is not installed.
-    LostError
-        Nothing was recorded within START_S.
+    NotFoundError: parec is not installed.
+    LostError: nothing is recorded within 5 s.
     """
 
     def __init__(
@@ -95,11 +89,11 @@ class Recording:
 
     @property
     def running(self) -> bool:
-        """Whether it still records."""
+        """Whether the recording program still runs."""
         return self._process.poll() is None
 
     def drain(self) -> None:
-        """Hand over what has come since the last time."""
+        """Call `take` with all frames that have arrived since the last `drain`."""
         ready = len(self._blocks)
         data = self._rest + b"".join(self._blocks[:ready])
         del self._blocks[:ready]
@@ -109,13 +103,13 @@ class Recording:
             self._take(np.frombuffer(data[:whole], np.float32))
 
     def line(self) -> ArrivalLine:
-        """Return when its frames could first be had, as of now."""
+        """Return the earliest possible arrival times of all frames up to now."""
         count = len(self._bytes)
         frames = np.array(self._bytes[:count], dtype=np.intp) // _SAMPLE_BYTES
         return ArrivalLine(np.array(self._times_s[:count]), frames, self.samplerate)
 
     def close(self) -> None:
-        """End it; again, too."""
+        """End the recording. Further calls have no effect."""
         end(self._process)
         self._reader.join(START_S)
         if self._process.stdout is not None and not self._reader.is_alive():
@@ -126,12 +120,9 @@ class Recording:
 def playing(
     sink: str, loop: Frames, samplerate: int, environment: Mapping[str, str]
 ) -> Iterator[None]:
-    """A context in which (frames, channels) are played to a sink over and over.
+    """Play a sound, (frames, channels), to a sink in a loop within a `with` block.
 
-    Raises
-    ------
-    NotFoundError
-        pacat is not installed.
+    NotFoundError: pacat is not installed.
     """
     command = ["pacat", "--playback", f"--client-name={PLAYER}", "--property=media.role=music"]
     process = spawn(
@@ -154,7 +145,6 @@ def playing(
 
 
 def _feed(process: subprocess.Popen[bytes], data: bytes) -> None:
-    """Write until the player has ended; its pipe is full nearly always, and the write waits."""
     assert process.stdin is not None
     with suppress(OSError, ValueError):
         while True:
@@ -162,14 +152,10 @@ def _feed(process: subprocess.Popen[bytes], data: bytes) -> None:
 
 
 def samplerate_of(source: str, environment: Mapping[str, str]) -> int:
-    """Return the samplerate of a source in Hz, so that nothing is resampled for the recording.
+    """Return the sample rate of a source in Hz; a recording at this rate is not resampled.
 
-    Raises
-    ------
-    NotFoundError
-        There is no such source, or no pactl.
-    LostError
-        The server does not answer.
+    NotFoundError: there is no such source, or pactl is not installed.
+    LostError: the server does not answer.
     """
     for line in pactl(["list", "short", "sources"], environment).splitlines():
         cells = line.split("\t")
@@ -179,7 +165,7 @@ def samplerate_of(source: str, environment: Mapping[str, str]) -> int:
 
 
 def server_name(environment: Mapping[str, str]) -> str:
-    """Return the server's name and version, as in "PulseAudio 16.1" or "PipeWire 0.3.65"."""
+    """Return the server's name and version, such as "PulseAudio 16.1" or "PipeWire 0.3.65"."""
     lines = pactl(["info"], environment).splitlines()
     facts = dict(line.split(": ", 1) for line in lines if ": " in line)
     name = facts.get("Server Name", "")
@@ -189,7 +175,11 @@ def server_name(environment: Mapping[str, str]) -> str:
 
 
 def pactl(arguments: Sequence[str], environment: Mapping[str, str]) -> str:
-    """Return what pactl prints; raises as `samplerate_of`."""
+    """Run pactl and return its output.
+
+    NotFoundError: pactl is not installed.
+    LostError: the server does not answer.
+    """
     try:
         done = subprocess.run(
             ["pactl", *arguments],
@@ -216,12 +206,9 @@ def spawn(
     stdout: int = subprocess.DEVNULL,
     stderr: int = subprocess.DEVNULL,
 ) -> subprocess.Popen[bytes]:
-    """Return the program, started; it ends with this process, even if that is killed.
+    """Start a program. If setpriv is installed, the program ends when this process ends.
 
-    Raises
-    ------
-    NotFoundError
-        It is not installed.
+    NotFoundError: the program is not installed.
     """
     if shutil.which(command[0]) is None:
         raise NotFoundError(_not_installed(command[0]))
@@ -232,7 +219,7 @@ def spawn(
 
 
 def end(process: subprocess.Popen[bytes]) -> None:
-    """End a program, kindly first."""
+    """End a program with SIGTERM, or with SIGKILL if it does not end within 5 s."""
     if process.poll() is None:
         process.terminate()
         try:

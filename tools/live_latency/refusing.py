@@ -1,4 +1,7 @@
-"""A `pw-cli` that makes no link from the ports of streams, so that the sink's monitor is tapped."""
+"""A substitute for `pw-cli` that does not create links from the ports of players.
+
+The daemon then has to record the monitor of the sink.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,7 @@ done | exec {pw_cli} "$@"
 
 
 def refusing_pw_cli(folder: Path, environment: Mapping[str, str] = os.environ) -> dict[str, str]:
-    """Write the program into a new folder and return a PATH that finds it first.
+    """Write the substitute to a new folder, and return a variable PATH that begins with the folder.
 
     NotFoundError: pw-cli is not installed.
     """

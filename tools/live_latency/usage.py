@@ -1,4 +1,4 @@
-"""What a running daemon uses of the machine: processor time and memory, from /proc."""
+"""CPU time and memory of running processes, from /proc."""
 
 from __future__ import annotations
 
@@ -12,22 +12,18 @@ import numpy as np
 
 Use = TypeVar("Use")
 
-SHARE = 0.1
-"""Of a run, what is taken together at its beginning and its end: memory moves in steps."""
+SHARE = 0.1  # share of the samples, at the start and at the end, for a median of memory
 
 
 class ProcessUse:
-    """What one process used, by samples of it. Not for threads of the audio path.
-
-    One thread calls `sample` again and again; the attributes sum the samples up.
-    """
+    """CPU time and memory of one process, computed from the samples that `sample` takes."""
 
     def __init__(self) -> None:
         self._samples: list[tuple[float, float, float]] = []
         self._process_id: int | None = None
 
     def sample(self, process_id: int, now_s: float) -> None:
-        """Look at the process now; another one than before begins anew."""
+        """Take a sample. Earlier samples of another process are deleted."""
         if process_id != self._process_id:
             self._process_id = process_id
             self._samples.clear()
@@ -35,14 +31,14 @@ class ProcessUse:
         try:
             fields = (folder / "stat").read_text().rpartition(")")[2].split()
             pages = int((folder / "statm").read_text().split()[1])
-        except (OSError, IndexError, ValueError):  # it has ended
+        except (OSError, IndexError, ValueError):  # the process has ended
             return
         used_s = (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
         self._samples.append((now_s, used_s, pages * os.sysconf("SC_PAGE_SIZE") / 1_024))
 
     @property
     def cpu_percent(self) -> float | None:
-        """Of one core, all threads together, from the first sample to the last."""
+        """CPU time of all threads in % of one core, from the first to the last sample."""
         if len(self._samples) < 2:
             return None
         (first_s, used_before_s, _), (last_s, used_s, _) = self._samples[0], self._samples[-1]
@@ -50,7 +46,7 @@ class ProcessUse:
 
     @property
     def memory_growth_kb(self) -> float | None:
-        """How much more it holds in memory in the last tenth of the samples than in the first."""
+        """Median memory of the last tenth of the samples minus that of the first tenth, in kB."""
         if len(self._samples) < 2:
             return None
         held_kb = np.array([sample[2] for sample in self._samples])
@@ -59,16 +55,16 @@ class ProcessUse:
 
 
 def held_by_family(process_id: int) -> dict[int, tuple[str, float]]:
-    """Return name and memory in MB of a process and of each of its children, by number.
+    """Return name and memory in MB of a process and each of its children, by process ID.
 
-    A page that processes share counts by its share (PSS). But files of Python count whole: another
-    program of Python, such as the one that measures, must not make them smaller.
+    Memory that several processes share is divided among them (PSS). Memory mapped from files of
+    Python counts in full, because other Python programs would otherwise reduce the result.
     """
     return _of_family(process_id, lambda one: (_name(one), _held_mb(one)))
 
 
 def used_by_family(process_id: int) -> dict[int, float]:
-    """Return the seconds of a core that a process and each of its children have used so far."""
+    """Return the CPU time in s of a process and each of its children, by process ID."""
     return _of_family(process_id, _used_s)
 
 
@@ -80,13 +76,12 @@ def _of_family(process_id: int, measure: Callable[[int], Use]) -> dict[int, Use]
     ]
     found: dict[int, Use] = {}
     for one in (process_id, *children):
-        with suppress(FileNotFoundError, ProcessLookupError):  # one that has ended
+        with suppress(FileNotFoundError, ProcessLookupError):  # a child has ended
             found[one] = measure(one)
     return found
 
 
 def _used_s(process_id: int) -> float:
-    """Return what the scheduler counts, in nanoseconds, of all threads."""
     threads = Path(f"/proc/{process_id}/task").iterdir()
     return sum(1e-9 * int((one / "schedstat").read_text().split()[0]) for one in threads)
 
@@ -99,7 +94,7 @@ def _held_mb(process_id: int) -> float:
     held_kb, counts = 0, "Pss:"
     for line in Path(f"/proc/{process_id}/smaps").read_text().splitlines():
         key, _, rest = line.partition(" ")
-        if "-" in key and not key.endswith(":"):  # the first line of a mapping ends in its file
+        if "-" in key and not key.endswith(":"):  # the first line of a mapping
             counts = "Rss:" if "python" in rest else "Pss:"
         elif key == counts:
             held_kb += int(rest.split()[0])

@@ -1,9 +1,10 @@
-"""The paper's Figures 6, 7 and 8, from a synthetic recording and the simulated `paper` rig.
+"""Figures 6, 7 and 8 of the paper, from a synthetic recording and the simulated `paper` rig.
 
     response.py: a sweep through the rig --------------------------> Figure 6
-    recording.py: a made recording ---> units.py: one unit --------> Figure 7
-                                   `--> felt.py: vibration, twin --> Figure 8, with damping again
+    recording.py: synthetic recording -> units.py: one unit -------> Figure 7
+                                    `--> felt.py: vibration, rig --> Figure 8, also with damping
 
-table.py writes each figure's numbers; figure6.py, figure7.py and figure8.py draw them, with
-layout.py for what they share; everything.py makes all of it. Those need matplotlib: import late.
+table.py writes the numbers of each figure. figure6.py, figure7.py and figure8.py draw them, with
+shared parts in layout.py. everything.py runs all of this. The modules that draw need matplotlib, so
+import them only for drawing.
 """

@@ -1,7 +1,7 @@
-"""Draw the paper's Figures 6, 7 and 8 from the simulated rig: python -m tools.paper --out DIR
+"""Draw the paper's Figures 6, 7 and 8 from the simulated rig: `python -m tools.paper --out DIR`.
 
-Writes figure6, figure7, figure8 and figure8_damped, each as a picture (.png) and its numbers
-(.csv), into a folder. The folder is made if it does not exist.
+The command writes figure6, figure7, figure8 and figure8_damped, as pictures (.png) and numbers
+(.csv), to a folder. A missing folder is created.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from tools.bench.figures.pictures import need_matplotlib
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Write and name the files; return the exit code."""
+    """Write the files and print their names; return the exit code."""
     parser = argparse.ArgumentParser(
         prog="python -m tools.paper",
         description="Draw the paper's Figures 6, 7 and 8 from the simulated rig.",
         allow_abbrev=False,
     )
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="made if need be")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write to")
     out: Path = parser.parse_args(arguments).out
     try:
         need_matplotlib()

@@ -1,4 +1,4 @@
-"""All figures of the paper into one folder. Needs matplotlib."""
+"""Writes Figures 6, 7 and 8 of the paper to one folder."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from tools.paper.units import unit_sequence
 
 
 def write_figures(folder: Path) -> Iterator[Path]:
-    """Write each figure's CSV and PNG into a folder that exists, and yield its path.
+    """Write each figure's CSV and PNG to an existing folder, and yield their paths.
 
-    The same code gives the same bytes. Raises what `AtomicFile` does.
+    Repeated calls write the same bytes. Errors: as for `AtomicFile`.
     """
     yield from write_figure6(measure_response(PAPER), folder)
     mono = recording().mean(axis=1, dtype=np.float64)

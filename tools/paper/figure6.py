@@ -1,4 +1,4 @@
-"""Figure 6: the frequency response of the actuator, 0 to 300 Hz."""
+"""Figure 6: the frequency response of the actuator, 5 to 300 Hz."""
 
 from __future__ import annotations
 
@@ -15,8 +15,14 @@ from tools.paper.table import write_table
 def write_figure6(response: Response, folder: Path) -> list[Path]:
     """Write figure6.csv and figure6.png; return their paths.
 
-    magnitude is in m/s^2 per A; phase_deg, from -90 to 270, is its phase, 90 where force and
-    velocity are in step; magnitude_per_volt is in m/s^2 per V.
+    The table has these columns:
+
+    frequency_hz: frequencies at which the response was measured.
+    magnitude: acceleration in m/s^2 per A of current.
+    phase_deg: phase of the acceleration relative to the current, -90 to 270. At 90 degrees, force
+        and velocity are in phase.
+    magnitude_per_volt: acceleration in m/s^2 per V at the amplifier's output.
+    coherence: coherence of acceleration and sweep, 0 to 1.
     """
     table, picture = folder / "figure6.csv", folder / "figure6.png"
     write_table(

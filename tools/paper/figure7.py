@@ -1,4 +1,4 @@
-"""Figure 7: the signal, its short-time spectrum, and the principal frequencies of one unit."""
+"""Figure 7: a signal, its spectrogram, and principal frequencies of one unit (analysis window)."""
 
 from __future__ import annotations
 
@@ -20,8 +20,7 @@ LIMITS_HZ = (50.0, 12_000.0)
 COLUMNS, ROWS = 1_268, 200
 WINDOW_S = 0.04643
 RANGE_DB = 60.0
-CROWDED = 1.6
-"""Labels of frequencies whose ratio is less than this are written to either side."""
+CROWDED = 1.6  # labels of two frequencies with a smaller ratio are placed on opposite sides
 
 
 def write_figure7(
@@ -29,8 +28,9 @@ def write_figure7(
 ) -> list[Path]:
     """Write figure7.csv and figure7.png; return their paths.
 
-    The table is the unit's spectrum up to 12 kHz. A principal frequency has a row of its own,
-    between the bins, with principal 1, its half-power bandwidth, r and what it is felt as, in Hz.
+    The table has the unit's spectrum up to 12 kHz. Each principal frequency has an additional row
+    with principal = 1. This row also has the half-power bandwidth, r (docs/transform.md) and the
+    vibration frequency, in Hz.
     """
     table, picture = folder / "figure7.csv", folder / "figure7.png"
     write_table(table, _columns(unit))
@@ -103,7 +103,6 @@ def _draw_spectra(figure: Figure, axes: Axes, mono: FloatArray, samplerate: int)
 
 
 def _draw_spectrum(axes: Axes, unit: UnitSequence) -> None:
-    """The unit's amplitude spectrum, its principal frequencies marked and labelled."""
     axes.set_xscale("log")
     axes.set_xlim(*LIMITS_HZ)
     ticks = [50, 100, 200, 500, 1_000, 2_000, 5_000, 10_000]
@@ -114,7 +113,7 @@ def _draw_spectrum(axes: Axes, unit: UnitSequence) -> None:
     found = unit.principals
     axes.set_ylim(0.0, 1.42 * float(max(found.amplitude, default=unit.amplitude.max())))
     axes.plot(found.audio_hz, found.amplitude, "o", ms=6, color=palette.FELT, mec=palette.WHITE)
-    # A label stands aside of a neighbour that is close.
+    # A label next to a close neighbour is shifted sideways.
     crowded = (found.audio_hz[1:] / found.audio_hz[:-1] < CROWDED).tolist()
     after, before = [*crowded, False], [False, *crowded]
     for place, (hz, amplitude, felt_hz) in enumerate(

@@ -1,6 +1,6 @@
-"""What the paper's figures share: a sheet with a title and panels under one another, as a PNG.
+"""Shared parts of the paper's figures: a sheet with a title and stacked panels, and PNG output.
 
-Needs matplotlib and uses only its objects: no pyplot, and no setting that others would see.
+This module uses neither pyplot nor global settings of matplotlib.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ TITLE_PT = 14.0
 TOP_IN = 1.08
 LINE_IN = 0.18
 NARROW_IN, WIDE_IN, LAST_IN = 0.42, 0.85, 0.55
-"""Room below a panel without words, with words before another one, and with words at the end."""
+"""inches of space below a panel: no label, label, last panel"""
 
 
 def sheet(
     title: str, explanation: str, panels_in: Sequence[tuple[float, float]]
 ) -> tuple[Figure, list[Axes]]:
-    """A figure 10 inches wide with empty panels, the topmost first.
+    """Return a figure 10 inches wide with empty panels, from top to bottom.
 
-    explanation: of one line or two; panels_in: (height, room below it) of each, inches.
+    explanation: one or two lines. panels_in: height of each panel and space below it, in inches.
     """
     top_in = TOP_IN + LINE_IN * explanation.count("\n")
     height_in = top_in + sum(map(sum, panels_in))
@@ -58,14 +58,14 @@ def sheet(
 
 
 def label_horizontal(axes: Axes, label: str) -> None:
-    """Name the horizontal axis; `label` holds the unit."""
+    """Label the horizontal axis; `label` includes the unit."""
     axes.set_xlabel(
         label, fontsize=panels.LABEL_PT, fontfamily=panels.FONT, color=palette.INK, labelpad=3
     )
 
 
 def colour_bar(figure: Figure, axes: Axes, image: AxesImage, unit: str) -> Colorbar:
-    """A slim bar in the right margin, so that all panels keep the same width."""
+    """Add a narrow colour bar in the right margin, so that all panels have the same width."""
     bar_axes = axes.inset_axes((1.008, 0.0, 0.0075, 1.0))
     bar = figure.colorbar(image, cax=bar_axes)
     for line in bar_axes.spines.values():
@@ -79,7 +79,7 @@ def colour_bar(figure: Figure, axes: Axes, image: AxesImage, unit: str) -> Color
 
 
 def save(figure: Figure, path: Path) -> None:
-    """The file holds the picture, or is as it was; see `AtomicFile` for the errors."""
+    """Write the figure to a PNG atomically. Errors: as for `AtomicFile`."""
     content = io.BytesIO()
     figure.savefig(content, format="png", dpi=DPI)
     write_bytes_atomically(path, content.getvalue())

@@ -1,7 +1,8 @@
-"""A made recording: things struck in a room, one of them a body of the paper's five modes.
+"""A synthetic recording of objects struck in a room; one has the paper's five frequencies.
 
-Nothing of the paper's own sound is known but what its Figure 7 shows: that from 1.811 to 1.857 s
-100, 350, 950, 1350 and 4200 Hz are principal. Here a struck body rings with these five then.
+The paper describes its own sound only in Figure 7. There, the principal frequencies from 1.811 to
+1.857 s are 100, 350, 950, 1350 and 4200 Hz. In this recording, a struck object rings at these
+frequencies during the same time.
 """
 
 from __future__ import annotations
@@ -10,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from audioflinger_hook.scenes.shaping import Signal, band, curve, finished, pan, ring, room
+from audioflinger_hook.scenes.shaping import band, curve, finished, pan, ring, room
+from device.units import FloatArray
 
 SAMPLERATE = 48_000
 DURATION_S = 2.6
@@ -18,7 +20,6 @@ PEAK = 0.5
 SEED = 2_617
 
 FIVE_HZ = (100.0, 350.0, 950.0, 1_350.0, 4_200.0)
-"""The principal frequencies of the paper's unit sequence."""
 
 ROOM_NOISE = 6e-4
 _CONTACT_S = 0.004
@@ -27,9 +28,10 @@ _MUTING_S = 0.012
 
 @dataclass(frozen=True)
 class Strike:
-    """Something struck at `start_s`, `position` from -1 (left) to 1, at `contact` of noise.
+    """An object struck at `start_s`. position: -1 (left) to 1. contact: amplitude of contact noise.
 
-    modes: (Hz, amplitude, decay to -60 dB in s) each. muted_s: when a hand stops it, or None.
+    modes: resonances, (Hz, amplitude, time in s of a decay by 60 dB). muted_s: time at which the
+        object is muted, or None.
     """
 
     start_s: float
@@ -57,9 +59,9 @@ STRIKES = (
 
 
 def recording() -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
-    """Stereo sound of 2.6 s, (frames, 2) float32 at 48 kHz, peak 0.5; always the same bytes."""
+    """Return 2.6 s of stereo sound, (frames, 2) float32 at 48 kHz, peak 0.5, always the same."""
     rng = np.random.default_rng(SEED)
-    frames: Signal = np.zeros((round(DURATION_S * SAMPLERATE), 2))
+    frames: FloatArray = np.zeros((round(DURATION_S * SAMPLERATE), 2))
     for strike in STRIKES:
         first = round(strike.start_s * SAMPLERATE)
         sound = _struck(strike, len(frames) - first, rng)
@@ -70,8 +72,7 @@ def recording() -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
     return finished(frames, SAMPLERATE, peak=PEAK, fade_in_s=0.02, fade_out_s=0.1)
 
 
-def _struck(strike: Strike, frames: int, rng: np.random.Generator) -> Signal:
-    """The modes that ring on, and the short noise of the contact; (frames,)."""
+def _struck(strike: Strike, frames: int, rng: np.random.Generator) -> FloatArray:
     blow = np.zeros(frames)
     blow[0] = 1.0
     sound = np.zeros(frames)

@@ -1,9 +1,10 @@
-"""The rig's frequency response as a laboratory measures it, by exponential sweeps: Figure 6.
+"""Measures the rig's frequency response with exponential sweeps, as in a laboratory: Figure 6.
 
-The sweep goes through DAC and amplifier into the actuator, and comes back through accelerometer,
-conditioning amplifier and DAQ; a second input of the DAQ reads the coil's current from a probe.
-Acceleration per ampere is the response of mass, spring and friction, equation (8) of the paper,
-and peaks at their resonance. Per volt the motor brakes as well: that peak is flatter and higher.
+The sweep passes DAC, amplifier and actuator. Accelerometer, conditioning amplifier and DAQ measure
+the motion; a second input of the DAQ measures the coil's current with a probe. Acceleration per
+ampere is the response of mass, spring and friction, equation (8) of the paper, with a peak at their
+resonance. Acceleration per volt includes the actuator's electrical damping, so its peak is flatter
+and higher in frequency.
 """
 
 from __future__ import annotations
@@ -17,16 +18,12 @@ from audioflinger_hook.transform import FloatArray
 from device.errors import InternalError
 from device.rig import Rig
 from device.rig.adaptive_actuator import AdaptiveActuator
-from device.rig.electronics import Amplifier, Dac
-from device.rig.instruments import Daq, InstrumentChain
+from device.rig.electronics import Amplifier, Dac, Daq, InstrumentChain
 
 SAMPLERATE = 48_000
 SWEEP_HZ = (1.0, 500.0)
 SHOWN_HZ = (5.0, 300.0)
-LEVEL = 0.4
-"""Of full scale: the excursion stays under a tenth of Xmax, where the spring is still a straight
-one."""
-
+LEVEL = 0.4  # amplitude, full scale 1
 PROBE_V_PER_A = 1.0
 TAKES = 4
 SWEEP_S = 12.0
@@ -35,8 +32,9 @@ FADE_S = 0.25
 COHERENT = 0.95
 
 GATE_S = (0.1, 0.9)
-"""How much of the impulse response before its beginning and after it is kept. What the sweep's
-harmonics excite comes more than a second earlier, as they pass each frequency that much sooner."""
+"""Duration in s of the impulse response that is kept before and after its start. The sweep's
+harmonics arrive more than a second earlier, since they pass each frequency earlier.
+"""
 _GATE_EDGE_S = 0.05
 _EDGES_HZ = (1.5, 4.0, 400.0, 480.0)
 _TOLERANCE = 1e-4
@@ -50,9 +48,10 @@ Spectrum = np.ndarray[tuple[int, ...], np.dtype[np.complex128]]
 class Response:
     """A measured response, (bins,) each, at ascending frequencies.
 
-    per_ampere: complex, m/s^2 per A; per_volt: complex, m/s^2 per V at the amplifier's output;
-    coherence: 0 to 1, of the acceleration with the sweep. excursion_share: the largest excursion
-    while it was measured, as a share of Xmax.
+    per_ampere: complex, m/s^2 per A.
+    per_volt: complex, m/s^2 per V at the amplifier's output.
+    coherence: 0 to 1, between acceleration and sweep.
+    excursion_share: peak excursion during the measurement, relative to Xmax, the excursion limit.
     """
 
     frequency_hz: FloatArray
@@ -63,19 +62,15 @@ class Response:
 
     @property
     def resonance_hz(self) -> float:
-        """Where the acceleration per ampere is largest."""
+        """The frequency of the largest acceleration per ampere."""
         return float(self.frequency_hz[np.argmax(np.abs(self.per_ampere))])
 
 
 def measure_response(rig: Rig) -> Response:
-    """The response from 5 to 300 Hz; only what is coherent with the sweep is in it.
+    """Return the response at frequencies from 5 to 300 Hz with a coherence of 0.95 or more.
 
-    Raises
-    ------
-    UsageError
-        The rig describes no instruments.
-    InternalError
-        Something clipped.
+    UsageError: the rig describes no instruments.
+    InternalError: the rig has no DAQ, or a converter or amplifier clipped.
     """
     dac, amplifier = Dac(rig.dac), Amplifier(rig.amplifier, SAMPLERATE)
     actuator = AdaptiveActuator(rig, SAMPLERATE, _TOLERANCE)
@@ -114,10 +109,11 @@ def measure_response(rig: Rig) -> Response:
 
 
 def _gated(read: Spectrum, drive: Spectrum, frequency_hz: FloatArray) -> Spectrum:
-    """The ratio of two spectra, (bins,), without the harmonics of what was driven.
+    """Return the ratio of two spectra, (bins,), without harmonics of the drive signal.
 
     A. Farina, "Simultaneous measurement of impulse response and distortion with a swept-sine
-    technique", 2000: as an impulse response the distortion stands before the beginning.
+    technique", 2000. In the impulse response, the products of distortion precede the linear
+    response, and are removed.
     """
     swept = np.interp(frequency_hz, _EDGES_HZ, (0.0, 1.0, 1.0, 0.0))
     soft = np.sin(0.5 * np.pi * swept) ** 2
@@ -125,7 +121,7 @@ def _gated(read: Spectrum, drive: Spectrum, frequency_hz: FloatArray) -> Spectru
     np.divide(read * soft, drive, out=ratio, where=soft > 0.0)
     frames = 2 * (frequency_hz.size - 1)
     impulse = np.fft.irfft(ratio, frames)
-    time_s = np.fft.fftfreq(frames, 1.0 / frames) / SAMPLERATE  # the second half is before 0
+    time_s = np.fft.fftfreq(frames, 1.0 / frames) / SAMPLERATE  # the second half has negative times
     before_s, after_s = GATE_S
     room_s = np.minimum(time_s + before_s, after_s - time_s)
     return np.fft.rfft(
@@ -134,7 +130,7 @@ def _gated(read: Spectrum, drive: Spectrum, frequency_hz: FloatArray) -> Spectru
 
 
 def _sweep() -> FloatArray:
-    """One exponential sweep with soft ends, then rest, (frames,), full scale 1."""
+    """Return an exponential sweep with fades, then silence, (frames,), full scale 1."""
     time_s = np.arange(round(SWEEP_S * SAMPLERATE)) / SAMPLERATE
     low_hz, high_hz = SWEEP_HZ
     wave = chirp(time_s, low_hz, SWEEP_S, high_hz, method="logarithmic", phi=-90.0)

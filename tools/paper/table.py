@@ -1,4 +1,4 @@
-"""A figure's numbers as a CSV file: named columns of equal length."""
+"""Writes a figure's numbers as CSV: named columns of equal length."""
 
 from __future__ import annotations
 
@@ -11,17 +11,13 @@ import numpy as np
 from device.atomic_file import write_bytes_atomically
 from device.errors import InternalError
 
-DIGITS = 7
-"""A 48 kHz clock still tells its frames apart after some seconds."""
+DIGITS = 7  # significant digits: enough to distinguish frames at 48 kHz after some seconds
 
 
 def write_table(path: Path, columns: Mapping[str, Sequence[float] | np.ndarray]) -> None:
-    """The file holds a line of names and one a row; what is not a number is left empty.
+    """Write a header line and one line for each row; NaN is an empty field.
 
-    Raises
-    ------
-    InternalError
-        Columns differ in length. For files that cannot be written see `AtomicFile`.
+    InternalError: columns differ in length. For errors of writing see `AtomicFile`.
     """
     lengths = {name: len(column) for name, column in columns.items()}
     if len(set(lengths.values())) > 1:

@@ -1,4 +1,4 @@
-"""One unit sequence of the recording as the transform's reference form sees it: Figure 7."""
+"""Analysis of one unit (analysis window) by the transform's reference form: Figure 7."""
 
 from __future__ import annotations
 
@@ -8,20 +8,18 @@ import numpy as np
 
 from audioflinger_hook.transform import FloatArray, TransformParameters
 from audioflinger_hook.transform.mapping import vibration_hz
-from audioflinger_hook.transform.principal import Principals
-from audioflinger_hook.transform.reference.transform import ReferenceTransform
-from audioflinger_hook.transform.spectrum import Spectrum, magnitude
+from audioflinger_hook.transform.principal import Principals, Spectrum, magnitude
+from audioflinger_hook.transform.reference import ReferenceTransform
 
-PAPERS_UNIT = 39
-"""From 0: with 46.43 ms each it is the paper's, 1.811 to 1.857 s."""
+PAPERS_UNIT = 39  # number of the paper's unit, from 0, with units of 46.43 ms: 1.811 to 1.857 s
 
 
 @dataclass(frozen=True)
 class UnitSequence:
-    """A unit: its band-passed samples, its amplitude spectrum and what is principal in it.
+    """A unit: its band-passed samples, amplitude spectrum and principal frequencies.
 
-    start_s, end_s; samples: (N,); frequency_hz, amplitude: (bins,), a full-scale sine has 1;
-    principals: ascending in frequency; vibration_hz: (n,), what each one is felt as.
+    samples: (N,). frequency_hz, amplitude: (bins,), 1 for a full-scale sine. principals: ascending
+    in frequency. vibration_hz: (n,) vibration frequency of each principal.
     """
 
     start_s: float
@@ -34,7 +32,7 @@ class UnitSequence:
 
 
 def unit_sequence(mono: FloatArray, samplerate: int, unit: int = PAPERS_UNIT) -> UnitSequence:
-    """The unit with that number of sound (frames,), full scale 1; it must be complete."""
+    """Return the analysis of one unit of a sound, (frames,), which must contain the whole unit."""
     parameters = TransformParameters()
     transform = ReferenceTransform(parameters, samplerate)
     samples = transform.cut(mono)[unit]

@@ -1,18 +1,111 @@
-/* From vibration to the signal of one actuator. */
-
 #include "actuator.h"
-
 #include "../../transform/native/exact.h"
 
-#define FADE_S 0.01     /* of level, source and delay: too slow to click, too fast to notice */
+#define LEVEL_FADE_S 0.01 /* avoids a click when the level changes */
+#define TAP_FADE_S 0.02   /* cross-fade after a change of source or delay */
 #define AUDIBLE_S 0.04
 #define DAMPING_CHECK_S 0.05
-#define DOSE_MAX 1e30 /* of what is no part of a dose */
-#define DAMAGED 1e6 /* a larger sample is damage, as is one that is not finite */
+#define DOSE_MAX 1e30 /* replaces an invalid or larger integral, and exceeds every cap */
+#define DAY_S 28800.0
+#define FREE_SHARE 0.5 /* share of the allowed dose above which the cap lowers the gain */
+#define NEGLIGIBLE 1e-60
+#define DAMAGED 1e6 /* a non-finite sample or a larger magnitude counts as 0 */
 
-size_t drive_latency_frames(const DriveDesign *design)
+/* Return the allowed growth rate of the dose, as a share of the rate without a cap. used: dose as a share of
+ * the allowed dose. The result is 1 up to used = FREE_SHARE, then falls linearly to 0 at used = 1. */
+static double remaining(double used)
 {
-    return design->protection.models ? 2 * design->protection.frames : 0;
+    return smaller(1.0, larger(0.0, (1.0 - used) / (1.0 - FREE_SHARE)));
+}
+
+/* Compute the gain that keeps a day's dose within its caps. The integral of squares, for A(8), grows with the
+ * second power of the gain; the integral of fourth powers, for the vibration dose value, with the fourth. */
+static void update_gain(Exposure *e)
+{
+    const ExposureDesign *d = e->design;
+    e->gain = 1.0;
+    if (!(d->cap_a8_m_s2 > 0.0))
+        return;
+    const double a8 = sqrt(e->sums.squares / DAY_S) / d->cap_a8_m_s2;
+    const double vdv = sqrt(sqrt(e->sums.fourths)) / d->cap_vdv;
+    e->gain = smaller(sqrt(remaining(a8 * a8)), sqrt(sqrt(remaining(vdv * vdv * vdv * vdv))));
+}
+
+static void exposure_set_sums(Exposure *e, CoreDose sums)
+{
+    e->sums = sums;
+    e->frames = 0;
+    update_gain(e);
+}
+
+static void exposure_reset(Exposure *e, int doses_too)
+{
+    memset(e->past, 0, e->design->decimation_taps * sizeof(double));
+    *e = (Exposure){.design = e->design, .past = e->past, .sums = e->sums, .frames = e->frames,
+                    .gain = e->gain, .until_reading = e->design->reading_frames};
+    if (doses_too)
+        exposure_set_sums(e, (CoreDose){0.0, 0.0, 0.0, 0.0});
+}
+
+static CoreDose exposure_dose(const Exposure *e)
+{
+    CoreDose dose = e->sums;
+    dose.time_s += (double)e->frames * e->design->period_s;
+    return dose;
+}
+
+/* Return the newest sample of the drive after the low-pass `decimation`. */
+static double decimated(const Exposure *e)
+{
+    const size_t taps = e->design->decimation_taps, first = taps - e->next;
+    const double *weights = e->design->decimation;
+    double sum = 0.0;
+    for (size_t at = 0; at < first; at++)
+        sum += e->past[e->next + at] * weights[at];
+    for (size_t at = first; at < taps; at++)
+        sum += e->past[at - first] * weights[at];
+    return sum;
+}
+
+static void accumulate(Exposure *e)
+{
+    const ExposureDesign *d = e->design;
+    double moved = cascade_step(&e->motion, d->motion, decimated(e) * d->m_s2_per_full_scale);
+    if (d->motion_taps) {
+        memmove(e->recent + 1, e->recent, (d->motion_taps - 1) * sizeof(double));
+        e->recent[0] = moved;
+        moved = 0.0;
+        for (size_t tap = d->motion_taps; tap-- > 0;)
+            moved += e->recent[tap] * d->motion_fir[tap];
+    }
+    const double weighted = cascade_step(&e->weighting, d->weighting, moved);
+    const double above = cascade_step(&e->above, d->above, weighted);
+    const double square = weighted * weighted;
+    e->running += d->running_share * (square - e->running);
+    e->frames++;
+    e->sums.squares += d->period_s * square;
+    e->sums.fourths += d->period_s * (square * square);
+    e->sums.above += d->period_s * (above * above);
+}
+
+static void exposure_step(Exposure *e, double sample)
+{
+    const ExposureDesign *d = e->design;
+    e->past[e->next] = sample;
+    e->next = e->next + 1 == d->decimation_taps ? 0 : e->next + 1;
+    if (++e->phase == d->factor) {
+        e->phase = 0;
+        accumulate(e);
+    }
+    if (--e->until_reading == 0) {
+        e->until_reading = d->reading_frames;
+        drop_decayed(&e->motion, sizeof e->motion);
+        drop_decayed(&e->weighting, sizeof e->weighting);
+        drop_decayed(&e->above, sizeof e->above);
+        if (e->running < NEGLIGIBLE)
+            e->running = 0.0;
+        update_gain(e);
+    }
 }
 
 void history_add(History *history, const double *vibration, size_t frames)
@@ -24,7 +117,7 @@ void history_add(History *history, const double *vibration, size_t frames)
     }
 }
 
-/* A source's sample, so many frames before the newest. */
+/* Return the source's sample, tap.delay + `back` frames before the newest frame. */
 INLINED double history_at(const History *history, TapPoint tap, size_t back)
 {
     const size_t distance = back + tap.delay + 1;
@@ -37,11 +130,6 @@ static size_t frames_in(double seconds, double samplerate)
 {
     const double frames = floor(seconds * samplerate + 0.5);
     return frames > 1.0 ? (size_t)frames : 1;
-}
-
-static void ramp_reset(Ramp *ramp, double value, size_t frames)
-{
-    *ramp = (Ramp){value, value, frames, frames};
 }
 
 static double ramp_now(const Ramp *ramp)
@@ -73,11 +161,12 @@ void actuator_layout(Actuator *a, const DriveDesign *design, double samplerate, 
     target->design = design;
     target->samplerate = samplerate;
     target->protection = NULL;
-    if (design && design->protection.models) {
-        target->protection = protection_layout(&design->protection, arena);
-        exposure_layout(&target->exposure, &design->exposure, arena);
-        exposure_layout(&target->undamped, &design->exposure, arena);
-    }
+    if (!design || !design->protection.models)
+        return;
+    target->protection = protection_layout(&design->protection, arena);
+    target->exposure.design = target->undamped.design = &design->exposure;
+    target->exposure.past = arena_doubles(arena, design->exposure.decimation_taps);
+    target->undamped.past = arena_doubles(arena, design->exposure.decimation_taps);
 }
 
 void actuator_reset(Actuator *a, int doses_too)
@@ -93,23 +182,30 @@ void actuator_reset(Actuator *a, int doses_too)
         a->replaced = 0;
 }
 
-void actuator_begin(Actuator *a, TapPoint tap, double factor, int audible)
+void actuator_set(Actuator *a, TapPoint tap, double factor, int audible, int at_once)
 {
-    a->tap = a->next_tap = a->wanted_tap = tap;
-    a->tap_fade_frames = a->tap_faded = frames_in(FADE_S, a->samplerate);
-    ramp_reset(&a->level, factor, a->tap_fade_frames);
-    ramp_reset(&a->audible, audible ? 1.0 : 0.0, frames_in(AUDIBLE_S, a->samplerate));
-}
-
-void actuator_change(Actuator *a, TapPoint tap, double factor, int audible)
-{
+    const double open = audible ? 1.0 : 0.0;
     a->wanted_tap = tap;
     ramp_to(&a->level, factor);
-    ramp_to(&a->audible, audible ? 1.0 : 0.0);
+    ramp_to(&a->audible, open);
+    if (!at_once)
+        return;
+    const size_t level_frames = frames_in(LEVEL_FADE_S, a->samplerate);
+    const size_t open_frames = frames_in(AUDIBLE_S, a->samplerate);
+    a->tap = a->next_tap = tap;
+    a->tap_fade_frames = a->tap_faded = frames_in(TAP_FADE_S, a->samplerate);
+    a->level = (Ramp){factor, factor, level_frames, level_frames};
+    a->audible = (Ramp){open, open, open_frames, open_frames};
 }
 
-/* The delayed source times the level. A second change of source or delay begins when the first has
- * ended; of several that wait, the last counts. */
+/* Return a cubic that rises from 0 at x = 0 to 1 at x = 1, with a slope of 0 at both ends. */
+INLINED double smooth_step(double x)
+{
+    return x * x * (3.0 - 2.0 * x);
+}
+
+/* Return the delayed source times the level. A change of source or delay starts a cross-fade after the
+ * previous cross-fade has ended. A newer change replaces a waiting change. */
 INLINED double routed(Actuator *a, const History *history, size_t back)
 {
     if (a->tap_faded == a->tap_fade_frames &&
@@ -119,7 +215,7 @@ INLINED double routed(Actuator *a, const History *history, size_t back)
     }
     double sample = history_at(history, a->tap, back);
     if (a->tap_faded < a->tap_fade_frames) {
-        const double share = (double)++a->tap_faded / (double)a->tap_fade_frames;
+        const double share = smooth_step((double)++a->tap_faded / (double)a->tap_fade_frames);
         sample += share * (history_at(history, a->next_tap, back) - sample);
         if (a->tap_faded == a->tap_fade_frames)
             a->tap = a->next_tap;
@@ -138,7 +234,7 @@ INLINED double damped(Actuator *a, double sample)
     sample = cascade_step(&a->damping, d->damping, 0.0 + d->damping_gain * sample);
     if (--a->until_damping_check == 0) {
         a->until_damping_check = frames_in(DAMPING_CHECK_S, a->samplerate);
-        cascade_drop_decayed(&a->damping, d->damping);
+        drop_decayed(&a->damping, sizeof a->damping);
     }
     return sample;
 }
@@ -158,8 +254,8 @@ void actuator_process(Actuator *a, const History *history, float *out, size_t st
             exposure_step(&a->exposure, sample);
         }
         const double open = ramp_step(&a->audible);
-        if (open != 1.0) /* without a bend at either end */
-            sample *= open * open * (3.0 - 2.0 * open);
+        if (open != 1.0)
+            sample *= smooth_step(open);
         *out = (float)sample;
     }
 }
@@ -171,27 +267,13 @@ void actuator_report(const Actuator *a, ActuatorReadings *r)
     r->replaced = a->replaced;
     if (!a->protection)
         return;
-    const ProtectionReadings p = protection_readings(a->protection);
-    const DoseSums dose = exposure_dose(&a->exposure);
-    r->gain = p.gain;
-    r->least_gain = p.least_gain;
+    protection_report(a->protection, r);
     r->exposure_gain = a->exposure.gain;
-    r->excursion_m = p.excursion_m;
-    r->coil_c = a->design->protection.ambient_c + p.coil_k;
-    r->magnet_c = a->design->protection.ambient_c + p.magnet_k;
-    r->blocks = p.blocks;
-    r->limited_blocks = p.limited_blocks;
-    r->infeasible_blocks = p.infeasible_blocks;
-    r->limited_by = (uint64_t)p.limited_by;
-    r->time_s = dose.time_s;
-    r->squares = dose.squares;
-    r->fourths = dose.fourths;
-    r->above = dose.above;
+    r->dose = exposure_dose(&a->exposure);
     r->running_m_s2 = sqrt(larger(0.0, a->exposure.running));
     r->undamped_squares = a->undamped.sums.squares;
 }
 
-/* A part of a dose; what is none counts as more than any cap. */
 static double usable_sum(double sum) { return sum >= 0.0 && sum < DOSE_MAX ? sum : DOSE_MAX; }
 
 void actuator_set_safety(Actuator *a, const ActuatorSafety *safety)
@@ -201,16 +283,16 @@ void actuator_set_safety(Actuator *a, const ActuatorSafety *safety)
     const double ambient_c = a->design->protection.ambient_c;
     protection_set_temperatures(a->protection, safety->coil_c - ambient_c,
                                 safety->magnet_c - ambient_c);
-    const DoseSums sums = {usable_sum(safety->time_s), usable_sum(safety->squares),
-                           usable_sum(safety->fourths), usable_sum(safety->above)};
+    const CoreDose dose = safety->dose, sums = {usable_sum(dose.time_s), usable_sum(dose.squares),
+                                                usable_sum(dose.fourths), usable_sum(dose.above)};
     exposure_set_sums(&a->exposure, sums);
     if (a->design->damping_gain > 0.0)
-        exposure_set_sums(&a->undamped, sums); /* the ratio begins at 1 */
+        exposure_set_sums(&a->undamped, sums); /* doses with and without damping start equal */
 }
 
 void actuator_begin_day(Actuator *a)
 {
-    const DoseSums none = {0.0, 0.0, 0.0, 0.0};
+    const CoreDose none = {0.0, 0.0, 0.0, 0.0};
     if (!a->protection)
         return;
     exposure_set_sums(&a->exposure, none);

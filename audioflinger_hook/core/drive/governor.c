@@ -1,20 +1,13 @@
-/* The models of one actuator, block by block. */
+/* Predicts excursion, level and current of one actuator, and bounds its gain. */
 
 #include "governor.h"
 
-#define ROUNDING 1e-6 /* share of a limit that arithmetic may be off by */
-#define TOGETHER 1e-9 /* share of a limit below which motion counts as none */
-#define MECHANICAL 3  /* states of the actuator; then the amplifier's last output, then its sections */
+#define ROUNDING 1e-6 /* allowed rounding error, as a fraction of a limit */
+#define TOGETHER 1e-9 /* an excursion below this fraction of its limit counts as 0 */
+#define MECHANICAL 3  /* number of the actuator's states; the amplifier's (last output, filters) follow */
 
 enum { FALL, RISE };
 enum { FIXED, PER_GAIN, UNGOVERNED };
-
-/* ----------------------------------------------------------------------------------- the memory */
-
-static double *numbers(Arena *arena, size_t count)
-{
-    return arena_alloc(arena, count, sizeof(double));
-}
 
 void governor_layout(Governor *g, const ProtectionDesign *d, Arena *arena)
 {
@@ -24,29 +17,29 @@ void governor_layout(Governor *g, const ProtectionDesign *d, Arena *arena)
     const size_t longest = points > frames ? points : frames;
     const size_t quantities = moved + 2 * frames * (1 + d->currents);
     g->design = d;
-    g->state = numbers(arena, states);
-    g->ungoverned = numbers(arena, states);
+    g->state = arena_doubles(arena, states);
+    g->ungoverned = arena_doubles(arena, states);
     for (size_t part = 0; part < PARTS; part++) {
-        g->end[part] = numbers(arena, states);
-        g->ends[part] = numbers(arena, WHOLE_LANES(d->states));
+        g->end[part] = arena_doubles(arena, states);
+        g->ends[part] = arena_doubles(arena, WHOLE_LANES(d->states));
     }
-    g->column = numbers(arena, longest);
-    g->spare = numbers(arena, longest);
-    g->fixed = numbers(arena, quantities);
-    g->per_gain = numbers(arena, quantities);
+    g->column = arena_doubles(arena, longest);
+    g->spare = arena_doubles(arena, longest);
+    g->fixed = arena_doubles(arena, quantities);
+    g->per_gain = arena_doubles(arena, quantities);
     for (size_t which = 0; which < 2; which++) {
         Block *block = &g->blocks[which];
-        g->scaled[which] = numbers(arena, ROW_FRAMES(d->frames));
-        block->drive = numbers(arena, ROW_FRAMES(d->frames));
+        g->scaled[which] = arena_doubles(arena, ROW_FRAMES(d->frames));
+        block->drive = arena_doubles(arena, ROW_FRAMES(d->frames));
         for (size_t half = 0; half < 2; half++) {
-            block->excursion[half] = numbers(arena, d->models * watched);
-            block->state[half] = numbers(arena, states);
-            block->current[half] = numbers(arena, d->currents * frames);
+            block->excursion[half] = arena_doubles(arena, d->models * watched);
+            block->state[half] = arena_doubles(arena, states);
+            block->current[half] = arena_doubles(arena, d->currents * frames);
         }
     }
 }
 
-static void clear_states(Governor *g)
+void governor_rest(Governor *g)
 {
     const size_t states = g->design->models * WHOLE_LANES(g->design->states);
     memset(g->state, 0, states * sizeof(double));
@@ -58,7 +51,7 @@ static void clear_states(Governor *g)
 void governor_reset(Governor *g)
 {
     const size_t row_bytes = ROW_FRAMES(g->design->frames) * sizeof(double);
-    clear_states(g);
+    governor_rest(g);
     for (size_t which = 0; which < 2; which++) {
         memset(g->blocks[which].drive, 0, row_bytes);
         memset(g->scaled[which], 0, row_bytes);
@@ -74,12 +67,7 @@ void governor_take(Governor *g)
     coming_block(g)->has_responses = 0;
 }
 
-void governor_next(Governor *g)
-{
-    g->known = !g->known;
-}
-
-/* Compute what a block does on its way to 0, and on its way from 0. */
+/* Compute a block's responses to a gain that falls from 1 to 0 and to a gain that rises from 0 to 1. */
 SIMD_CLONES static void compute_responses(const ProtectionDesign *d, Block *block, double *fall,
                                           double *rise)
 {
@@ -113,10 +101,9 @@ SIMD_CLONES static void compute_responses(const ProtectionDesign *d, Block *bloc
     block->has_responses = 1;
 }
 
-/* ------------------------------------------------------------------------------------- decisions */
-
-/* A bound of the excursion, as a share of the limit: without drive, by the actuator's energy, the effect
- * of its last voltage and the amplifier's energy. What a drive of this size can add comes on top. */
+/* Return an upper bound on the excursion from now on, as a fraction of the limit. The bound adds the effects
+ * of actuator energy, last amplifier output, amplifier state and drive. minus: state to subtract, or NULL.
+ * drive: largest |drive| from now on. */
 static double free_excursion(const ProtectionDesign *d, const double *state, const double *minus,
                              double drive)
 {
@@ -146,7 +133,7 @@ static double free_excursion(const ProtectionDesign *d, const double *state, con
     return most;
 }
 
-/* Room for the fixed part and the part per gain of so many more limited quantities. */
+/* Add `count` limited quantities; set the pointers to the places for their a and b (see governor.h). */
 INLINED void next_quantities(Governor *g, size_t count, double **fixed, double **per_gain)
 {
     *fixed = g->fixed + g->quantities;
@@ -154,7 +141,20 @@ INLINED void next_quantities(Governor *g, size_t count, double **fixed, double *
     g->quantities += count;
 }
 
-/* Excursion during the known block, during the next one's fall, and in the free swing after it. */
+/* Compute a model's response to the known block. FIXED: the gain falls from g->gain to 0. UNGOVERNED: the gain
+ * is 1. */
+INLINED void pass_block(const Governor *g, const double *by_state, size_t rows, const double *state,
+                        const double *ungoverned, const double *fall, const double *rise, double *const *out)
+{
+    apply(by_state, rows, g->design->states, state, out[FIXED]);
+    apply(by_state, rows, g->design->states, ungoverned, out[UNGOVERNED]);
+    add(out[FIXED], fall, g->gain, rows);
+    add(out[UNGOVERNED], fall, 1.0, rows);
+    add(out[UNGOVERNED], rise, 1.0, rows);
+}
+
+/* Append the excursion to the limited quantities: in the known block, in the coming block, and in the free
+ * oscillation after both. */
 INLINED void limit_excursion(Governor *g, const double *ungoverned, double *demand)
 {
     const ProtectionDesign *d = g->design;
@@ -165,31 +165,25 @@ INLINED void limit_excursion(Governor *g, const double *ungoverned, double *dema
         const double *by_state = d->excursion_by_state + model * states * watched;
         const double *advance = d->state_by_state + model * states * state_rows;
         const double *tail = d->tail_by_state + model * states * points;
-        const double *fall = known_block(g)->excursion[FALL] + row, *rise = known_block(g)->excursion[RISE] + row;
+        const Block *known = known_block(g);
+        const double *fall = known->excursion[FALL] + row, *rise = known->excursion[RISE] + row;
         double *out[PARTS] = {NULL, NULL, g->column};
         double *const end[PARTS] = {g->end[0] + first, g->end[1] + first, g->end[2] + first};
         const double *const from[PARTS] = {end[0], end[1], end[2]};
         const double *const last[PARTS] = {g->ends[0], g->ends[1], g->ends[2]};
 
         next_quantities(g, watched, &out[FIXED], &out[PER_GAIN]);
-        apply(by_state, watched, states, g->state + first, out[FIXED]);
-        apply(by_state, watched, states, ungoverned + first, out[UNGOVERNED]);
-        add(out[FIXED], fall, g->gain, watched);
+        pass_block(g, by_state, watched, g->state + first, ungoverned + first, fall, rise, out);
         memcpy(out[PER_GAIN], rise, watched * sizeof(double));
-        add(out[UNGOVERNED], fall, 1.0, watched);
-        add(out[UNGOVERNED], rise, 1.0, watched);
         *demand = larger(largest(out[UNGOVERNED], watched), *demand);
 
-        apply(advance, state_rows, states, g->state + first, end[FIXED]);
-        apply(advance, state_rows, states, ungoverned + first, end[UNGOVERNED]);
-        add(end[FIXED], known_block(g)->state[FALL] + first, g->gain, state_rows);
-        memcpy(end[PER_GAIN], known_block(g)->state[RISE] + first, state_rows * sizeof(double));
-        add(end[UNGOVERNED], known_block(g)->state[FALL] + first, 1.0, state_rows);
-        add(end[UNGOVERNED], known_block(g)->state[RISE] + first, 1.0, state_rows);
+        const double *to_0 = known->state[FALL] + first, *from_0 = known->state[RISE] + first;
+        pass_block(g, advance, state_rows, g->state + first, ungoverned + first, to_0, from_0, end);
+        memcpy(end[PER_GAIN], from_0, state_rows * sizeof(double));
 
         next_quantities(g, watched, &out[FIXED], &out[PER_GAIN]);
-        apply_to_parts(by_state, watched, states, from, out);
-        apply_to_parts(advance, state_rows, states, from, g->ends);
+        apply_to(PARTS, by_state, watched, states, from, out);
+        apply_to(PARTS, advance, state_rows, states, from, g->ends);
         for (size_t part = PER_GAIN; part <= UNGOVERNED; part++) {
             add(out[part], coming_block(g)->excursion[FALL] + row, 1.0, watched);
             add(g->ends[part], coming_block(g)->state[FALL] + first, 1.0, state_rows);
@@ -197,12 +191,12 @@ INLINED void limit_excursion(Governor *g, const double *ungoverned, double *dema
         *demand = larger(largest(out[UNGOVERNED], watched), *demand);
 
         next_quantities(g, points, &out[FIXED], &out[PER_GAIN]);
-        apply_to_parts(tail, points, states, last, out);
+        apply_to(PARTS, tail, points, states, last, out);
         *demand = larger(largest(out[UNGOVERNED], points), *demand);
     }
 }
 
-/* The drive itself. */
+/* Append the level of the drive in the known and the coming block to the limited quantities. */
 INLINED void limit_level(Governor *g, double *demand)
 {
     const ProtectionDesign *d = g->design;
@@ -222,24 +216,21 @@ INLINED void limit_level(Governor *g, double *demand)
     }
 }
 
-/* The most that can heat the coil, and the current. */
+/* Set decision->power from the predicted current that heats the coil. If current_a > 0, append the current of
+ * each model to the limited quantities, and raise decision->demand where needed. */
 INLINED void limit_current(Governor *g, const double *ungoverned, GainDecision *decision)
 {
     const ProtectionDesign *d = g->design;
     const size_t states = d->states, frames = WHOLE_LANES(d->frames), state_rows = WHOLE_LANES(states);
     const double per_limit = d->current_a > 0.0 ? 1.0 / d->current_a : 0.0;
     for (size_t model = 0; model < d->currents; model++) {
-        const size_t first = (model ? model - 1 : 0) * state_rows; /* row 0: what heats the coil */
+        const size_t first = (model ? model - 1 : 0) * state_rows; /* the first current heats the coil */
         const double *by_state = d->current_by_state + model * states * frames;
         const double *fall = known_block(g)->current[FALL] + model * frames;
         const double *rise = known_block(g)->current[RISE] + model * frames;
         const double *const from[PARTS] = {g->end[0] + first, g->end[1] + first, g->end[2] + first};
         double *out[PARTS] = {g->spare, NULL, g->column}, *fixed, *per_gain;
-        apply(by_state, frames, states, g->state + first, out[FIXED]);
-        apply(by_state, frames, states, ungoverned + first, out[UNGOVERNED]);
-        add(out[FIXED], fall, g->gain, frames);
-        add(out[UNGOVERNED], fall, 1.0, frames);
-        add(out[UNGOVERNED], rise, 1.0, frames);
+        pass_block(g, by_state, frames, g->state + first, ungoverned + first, fall, rise, out);
         if (model == 0) {
             const double share = 1.0 / (double)d->frames;
             decision->power[0] = share * product(out[FIXED], out[FIXED], frames);
@@ -256,7 +247,7 @@ INLINED void limit_current(Governor *g, const double *ungoverned, GainDecision *
         decision->demand = larger(per_limit * largest(out[UNGOVERNED], frames), decision->demand);
         next_quantities(g, frames, &fixed, &per_gain);
         out[PER_GAIN] = per_gain;
-        apply_to_parts(by_state, frames, states, from, out);
+        apply_to(PARTS, by_state, frames, states, from, out);
         for (size_t part = PER_GAIN; part <= UNGOVERNED; part++)
             add(out[part], coming_block(g)->current[FALL] + model * frames, 1.0, frames);
         for (size_t frame = 0; frame < frames; frame++) {
@@ -267,7 +258,7 @@ INLINED void limit_current(Governor *g, const double *ungoverned, GainDecision *
     }
 }
 
-/* The largest |a + g b| of all quantities. */
+/* Return the largest |a + g b| of all limited quantities at g = `gain`. */
 INLINED double worst_at(const Governor *g, double gain)
 {
     Lanes most = {0.0};
@@ -282,7 +273,7 @@ INLINED double worst_at(const Governor *g, double gain)
     return found;
 }
 
-/* The largest g with |a + g b| <= 1 for all quantities, if 0 is possible. */
+/* Return the largest g with |a + g b| <= 1 for all limited quantities. Valid only if every |a| <= 1. */
 INLINED double highest_gain(const Governor *g)
 {
     const Lanes full = {1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0}, none = {0.0};
@@ -292,7 +283,7 @@ INLINED double highest_gain(const Governor *g)
         const Lanes a = CONST_LANES_AT(g->fixed + at), b = CONST_LANES_AT(g->per_gain + at);
         const Lanes towards = (Lanes)(((Bits)a & ~SIGN) | ((Bits)(a * b) & SIGN));
         const Lanes room = full - towards, size = MAGNITUDES(b), smallest = full * 1e-300;
-        /* What does not depend on the gain allows any. */
+        /* A quantity with b = 0 allows every gain. */
         const Lanes gain = LARGER(room, none) / LARGER(size, smallest);
         least = SMALLER(gain, least);
     }
@@ -301,20 +292,22 @@ INLINED double highest_gain(const Governor *g)
     return found;
 }
 
-/* Return the largest gain up to the requested one with which everything can still be stopped. */
-SIMD_CLONES static GainDecision decide(Governor *g, double requested)
+SIMD_CLONES GainDecision governor_decide(Governor *g, double requested_gain)
 {
     const ProtectionDesign *d = g->design;
     const double *ungoverned = g->is_ungoverned_equal ? g->state : g->ungoverned;
-    GainDecision found = {.gain = requested};
+    GainDecision found = {.gain = requested_gain};
+    for (size_t block = 0; block < 2; block++)
+        if (!g->blocks[block].has_responses)
+            compute_responses(d, &g->blocks[block], g->scaled[FALL], g->scaled[RISE]);
     g->quantities = 0;
     limit_excursion(g, ungoverned, &found.demand);
     if (larger(known_block(g)->loudest, coming_block(g)->loudest) > d->level)
         limit_level(g, &found.demand);
     limit_current(g, ungoverned, &found);
-    if (worst_at(g, requested) <= 1.0)
+    if (worst_at(g, requested_gain) <= 1.0)
         return found;
-    const double highest = smaller(highest_gain(g), requested);
+    const double highest = smaller(highest_gain(g), requested_gain);
     found.gain = highest;
     if (!(worst_at(g, highest) <= 1.0 + ROUNDING)) {
         found.gain = 0.0;
@@ -323,9 +316,7 @@ SIMD_CLONES static GainDecision decide(Governor *g, double requested)
     return found;
 }
 
-/* --------------------------------------------------------------------------------------- advances */
-
-SIMD_CLONES static int advance_unlimited(Governor *g, double *mean_a2)
+SIMD_CLONES int governor_advance_unlimited(Governor *g, double *mean_a2)
 {
     const ProtectionDesign *d = g->design;
     const size_t states = d->states, frames = d->frames, last = frames - 1;
@@ -351,17 +342,6 @@ SIMD_CLONES static int advance_unlimited(Governor *g, double *mean_a2)
     return 1;
 }
 
-int governor_advance_unlimited(Governor *g, double *mean_a2) { return advance_unlimited(g, mean_a2); }
-
-GainDecision governor_decide(Governor *g, double requested)
-{
-    if (!known_block(g)->has_responses)
-        compute_responses(g->design, known_block(g), g->scaled[FALL], g->scaled[RISE]);
-    if (!coming_block(g)->has_responses)
-        compute_responses(g->design, coming_block(g), g->scaled[FALL], g->scaled[RISE]);
-    return decide(g, requested);
-}
-
 void governor_advance(Governor *g, double gain)
 {
     const size_t states = g->design->models * WHOLE_LANES(g->design->states);
@@ -382,8 +362,6 @@ int governor_is_at_rest(const Governor *g)
            free_excursion(d, g->state, NULL, 0.0) <= TOGETHER &&
            (g->is_ungoverned_equal || free_excursion(d, g->ungoverned, NULL, 0.0) <= TOGETHER);
 }
-
-void governor_rest(Governor *g) { clear_states(g); }
 
 double governor_excursion_m(const Governor *g)
 {

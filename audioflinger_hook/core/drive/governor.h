@@ -1,39 +1,35 @@
-/* The models of one actuator, block by block: with the gains that leave, and ungoverned, without any.
- *
- * A scalar reference governor (Gilbert, Kolmanovsky and Tan 1995) on several linear models. The drive of
- * block k is u (g' (1 - r) + g r): r rises from 0 to 1, g' is the last gain, g the new one. Every model must
- * stay within the limits during block k, during block k + 1 while the gain falls to 0, and in the free swing
- * after that. All of this is a + g b, so every frame bounds g. What the ungoverned models exceed the limits
- * by is the demand. */
+/* Computes the gain of each block of one actuator with a scalar reference governor (Gilbert, Kolmanovsky and
+ * Tan 1995). The output of block k is u (g' (1 - r) + g r): u is the drive, g' the previous gain, g the gain
+ * of block k. The ramp r rises from 0 to 1. In every linear model of the actuator, the limits must hold
+ * during block k. They must also hold if the gain falls to 0 during block k + 1, and in the free oscillation
+ * afterwards. At each frame, each limited quantity, such as the excursion, is a + g b; its limit bounds g.
+ * The ungoverned models run with a constant gain of 1. The demand is the largest limited quantity of the
+ * ungoverned models, as a fraction of the quantity's limit. */
 
-#ifndef CUSHION_GOVERNOR_H
-#define CUSHION_GOVERNOR_H
+#pragma once
 
-#include "lanes.h"
-#include "protection_design.h"
+#include "protection.h"
 
-/* A state of every model, or what lies at some frames of all of them. */
-typedef double *Column;
-
-/* A block of drive, and what it does to the models while its gain falls to 0, and while it rises. */
+/* A block of drive, and the models' responses to the drive times a gain. [0]: the gain falls from 1 to 0.
+ * [1]: the gain rises from 0 to 1. */
 typedef struct {
-    double *drive, loudest;
+    double *drive, loudest; /* loudest: largest |drive| */
     int has_responses;
-    Column excursion[2], state[2], current[2];
+    double *excursion[2], *state[2], *current[2]; /* of all models; currents in A */
 } Block;
 
 typedef struct {
     const ProtectionDesign *design;
-    double gain;                    /* of the last frame that left */
-    Column state, ungoverned;       /* (models, states) */
-    int is_ungoverned_equal;        /* both are the same: the second is not in use */
-    Column end[PARTS], ends[PARTS]; /* states after the known block, and after the next one's fall */
-    Column column, spare;           /* scratch: of one model's frames */
-    double *fixed, *per_gain;       /* scratch: of all limited quantities, a and b */
-    size_t quantities;
-    double *scaled[2];              /* scratch: a row each */
+    double gain;                    /* at the end of the previous block */
+    double *state, *ungoverned;     /* states: (models, states) */
+    int is_ungoverned_equal;        /* 1: `ungoverned` is equal to `state`, and only `state` is updated */
+    double *end[PARTS], *ends[PARTS]; /* states after the known block; one model's after the coming block */
+    double *column, *spare;         /* work space for the frames of one model */
+    double *fixed, *per_gain;       /* work space: a and b of all limited quantities */
+    size_t quantities;              /* number of pairs a, b */
+    double *scaled[2];              /* work space: drive with a falling gain, drive with a rising gain */
     Block blocks[2];
-    int known; /* index of the known block; the other one is coming */
+    int known; /* index of the known block, k; the other block, k + 1, is the coming block */
 } Governor;
 
 INLINED Block *known_block(const Governor *g) { return (Block *)&g->blocks[g->known]; }
@@ -41,39 +37,38 @@ INLINED Block *known_block(const Governor *g) { return (Block *)&g->blocks[g->kn
 INLINED Block *coming_block(const Governor *g) { return (Block *)&g->blocks[!g->known]; }
 
 typedef struct {
-    double gain, demand; /* demand: the largest share of a limit, ungoverned */
-    double power[4];     /* mean square of the current in A²: of 1, g and g², and ungoverned */
+    double gain, demand; /* demand: see the start of this file */
+    double power[4];     /* mean square current, A²: coefficients of 1, g, g²; then the ungoverned value */
     int infeasible;      /* no gain keeps all limits */
 } GainDecision;
 
-/* Lay out the governor's memory; without memory, only count it. */
 void governor_layout(Governor *governor, const ProtectionDesign *design, Arena *arena);
 
-/* Come to rest, with a gain of 1. */
+/* Reset models and blocks; set the gain to 1. */
 void governor_reset(Governor *governor);
 
-/* Take the coming block as complete. */
+/* Set `loudest` of the coming block, whose drive is complete. */
 void governor_take(Governor *governor);
 
-/* Whether nothing moves and nothing comes, and the exact rest. */
+/* Return whether the known and the coming block are silent, and the remaining motion is negligible. */
 int governor_is_at_rest(const Governor *governor);
+/* Set all states to 0 and the gain to 1. */
 void governor_rest(Governor *governor);
 
-/* Advance all models by the known block, unchanged, if no limit is in reach; write its current's mean
- * square. Return whether it did. */
+/* If a quick bound shows that no limit can be reached, advance all models by the known block with a gain of
+ * 1, write the mean square of the coil's current, A², and return 1. Otherwise return 0. */
 int governor_advance_unlimited(Governor *governor, double *mean_a2);
 
-/* Return the largest gain of the known block up to the requested one with which everything can still be
- * stopped. */
-GainDecision governor_decide(Governor *governor, double requested);
+/* Find the largest gain of the known block, up to requested_gain, for which all limits hold. They must also hold
+ * if the gain falls to 0 in the coming block. If no gain is allowed, set gain to 0 and `infeasible` to 1. */
+GainDecision governor_decide(Governor *governor, double requested_gain);
 
-/* Advance by the known block with a gain, at most the decided one. */
+/* After governor_decide, advance all models by the known block, in which the gain moves to `gain`. `gain`
+ * must not exceed the decided gain. */
 void governor_advance(Governor *governor, double gain);
 
-/* Let the coming block become the known one. */
-void governor_next(Governor *governor);
+INLINED void governor_next(Governor *g) { g->known = !g->known; }
 
-/* The amplitude in metres for which the energy of the rig as identified is enough. */
+/* Return the excursion amplitude, m, of a free oscillation with the identified model's present mechanical
+ * energy. */
 double governor_excursion_m(const Governor *governor);
-
-#endif

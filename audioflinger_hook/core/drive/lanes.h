@@ -1,17 +1,15 @@
-/* Sums over several numbers side by side, with the same bits on every processor. */
+/* Vector arithmetic with bit-identical results on every processor. */
 
-#ifndef CUSHION_LANES_H
-#define CUSHION_LANES_H
+#pragma once
 
 #include "../../transform/native/common.h"
 
-/* Numbers that one instruction computes on many processors. */
-enum { LANES = 8 };
+enum { LANES = 8 }; /* doubles in a vector */
 
-/* Numbers in a column: zeros behind the last one fill whole groups of LANES. */
+/* `count` rounded up to a multiple of LANES. Rows and columns are filled up with zeros to this length. */
 #define WHOLE_LANES(count) (((count) + LANES - 1) / LANES * LANES)
 
-/* Several numbers side by side, at any place; every processor does the same operations on each. */
+/* Vectors of doubles and of the bit patterns of doubles, with the alignment of a single double. */
 typedef double Lanes __attribute__((vector_size(LANES * sizeof(double)), aligned(8), may_alias));
 typedef int64_t Bits __attribute__((vector_size(LANES * sizeof(double)), aligned(8), may_alias));
 
@@ -19,21 +17,21 @@ typedef int64_t Bits __attribute__((vector_size(LANES * sizeof(double)), aligned
 #define CONST_LANES_AT(place) (*(const Lanes *)(const void *)(place))
 #define SIGN INT64_MIN
 
-/* Of each lane, without a function: vectors as arguments would depend on the processor. */
+/* Element-wise operations. Macros avoid vector arguments, whose calling convention varies by processor. */
 #define MAGNITUDES(lanes) ((Lanes)((Bits)(lanes) & ~SIGN))
 #define SELECT(mask, one, other) ((Lanes)(((mask) & (Bits)(one)) | (~(mask) & (Bits)(other))))
 #define LARGER(one, other) SELECT((one) > (other), one, other)
 #define SMALLER(one, other) SELECT((one) < (other), one, other)
 
-/* The sum of lanes, in an order that does not depend on the compiler. */
+/* Return the sum of a vector's elements, added in a fixed order. */
 INLINED double sum_of(const Lanes *lanes)
 {
     const Lanes l = *lanes;
     return ((l[0] + l[4]) + (l[2] + l[6])) + ((l[1] + l[5]) + (l[3] + l[7]));
 }
 
-/* Write the sums of products of an impulse response with two rows of drive. What lies behind the frames is
- * 0 in the response. */
+/* Write the inner product of an impulse response with each of two rows. The response must be 0 from `frames`
+ * to the next multiple of LANES. */
 INLINED void two_products(const double *response, const double *one, const double *other, size_t frames,
                           double *with_one, double *with_other)
 {
@@ -47,7 +45,7 @@ INLINED void two_products(const double *response, const double *one, const doubl
     *with_other = sum_of(&second);
 }
 
-/* The sum of products of two rows or columns, whose lengths are multiples of LANES or which end in zeros. */
+/* Return the inner product of two rows. At least one must be 0 from `count` to the next multiple of LANES. */
 INLINED double product(const double *one, const double *other, size_t count)
 {
     Lanes sums = {0.0};
@@ -58,41 +56,35 @@ INLINED double product(const double *one, const double *other, size_t count)
 
 enum { PARTS = 3 };
 
-/* out = the matrix (rows, states), stored by columns, times the state of each part. */
-INLINED void apply_to_parts(const double *matrix, size_t rows, size_t states,
-                            const double *const *state, double *const *out)
+/* Multiply a matrix (rows, states), stored column by column, by `parts` state vectors. rows: a multiple of
+ * LANES. parts: at most PARTS. */
+INLINED void apply_to(size_t parts, const double *matrix, size_t rows, size_t states,
+                      const double *const *state, double *const *out)
 {
     for (size_t row = 0; row < rows; row += LANES) {
         Lanes sums[PARTS] = {{0.0}};
         for (size_t one = 0; one < states; one++) {
             const Lanes weights = CONST_LANES_AT(matrix + one * rows + row);
-            for (size_t part = 0; part < PARTS; part++)
+            for (size_t part = 0; part < parts; part++)
                 sums[part] += weights * state[part][one];
         }
-        for (size_t part = 0; part < PARTS; part++)
+        for (size_t part = 0; part < parts; part++)
             LANES_AT(out[part] + row) = sums[part];
     }
 }
 
-/* The same of one state. */
 INLINED void apply(const double *matrix, size_t rows, size_t states, const double *state, double *out)
 {
-    for (size_t row = 0; row < rows; row += LANES) {
-        Lanes sums = {0.0};
-        for (size_t one = 0; one < states; one++)
-            sums += CONST_LANES_AT(matrix + one * rows + row) * state[one];
-        LANES_AT(out + row) = sums;
-    }
+    apply_to(1, matrix, rows, states, &state, &out);
 }
 
-/* out += factor * more */
 INLINED void add(double *out, const double *more, double factor, size_t count)
 {
     for (size_t at = 0; at < count; at += LANES)
         LANES_AT(out + at) += factor * CONST_LANES_AT(more + at);
 }
 
-/* The largest magnitude. */
+/* Return the largest magnitude of `count` numbers. count: a multiple of LANES. */
 INLINED double largest(const double *numbers, size_t count)
 {
     Lanes most = {0.0};
@@ -105,5 +97,3 @@ INLINED double largest(const double *numbers, size_t count)
         found = larger(most[lane], found);
     return found;
 }
-
-#endif

@@ -1,18 +1,16 @@
-/* Protection of one actuator: what its models allow, what is remembered of their demand, and the coil's
- * temperature. */
-
-#include "protection.h"
+/* Chooses each block's gain from the governor's prediction, the recent demand, the coil's temperature and a
+ * gain ceiling. The known block is the next block to output. The coming block is still being received. */
 
 #include "governor.h"
 
 #define CAUTION_MAX 2.0
-#define HALVINGS_MAX 10 /* of a gain within a block: -60 dB */
+#define HALVINGS_MAX 10 /* the gain of a block is halved at most 10 times */
 
 struct Protection {
     const ProtectionDesign *design;
     Governor governor;
-    double *leaving; /* the block that leaves */
-    size_t filled;   /* frames of the block that comes */
+    double *leaving; /* the block that is being output */
+    size_t filled;   /* received frames of the coming block */
     double demands[2], demand, caution, recent_w, wanted_w, coil_k, magnet_k;
     double least_gain;
     int at_ease, is_silent;
@@ -46,14 +44,13 @@ void protection_reset(Protection *p, int as_new)
     p->coil_k = p->magnet_k = 0.0;
 }
 
-/* ---------------------------------------------------------------------------------------- warmth */
-
 static double resistance_ohm(const Protection *p)
 {
     return p->design->resistance_ohm * (1.0 + p->design->resistance_per_k * p->coil_k);
 }
 
-/* Warm coil and magnet by a block; note the power that would flow without any gain. */
+/* Advance the temperatures and the wanted power by a block. The wanted power is the average power at a gain
+ * of 1; its maximum is held and decays. */
 static void warm(Protection *p, double power_w, double ungoverned_w)
 {
     const ProtectionDesign *d = p->design;
@@ -68,26 +65,24 @@ static void warm(Protection *p, double power_w, double ungoverned_w)
 
 static int limits_heat(const ProtectionDesign *d) { return d->thermal && d->hottest_k > 0.0; }
 
-/* The mean power that approaches the coil's limit without passing it: what flows on to the magnet, and
- * what the coil still takes up. */
+/* Return the allowed power, W: heat flow to the magnet, plus power to reach the limit in approach_s. */
 static double power_allowed_w(const Protection *p)
 {
     const ProtectionDesign *d = p->design;
     const double onward_w = (p->coil_k - p->magnet_k) / d->coil_k_per_w;
-    const double left_j = d->coil_j_per_k * (d->hottest_k - p->coil_k);
-    return larger(0.0, onward_w + left_j / d->approach_s);
+    return larger(0.0, onward_w + d->coil_j_per_k * (d->hottest_k - p->coil_k) / d->approach_s);
 }
 
-/* The mean power that takes the coil to its limit within a block. */
+/* Return the mean power, W, that heats the coil to its limit in a block; 0 if the coil exceeds its limit even
+ * without power. */
 static double power_to_limit_w(const Protection *p)
 {
     const double *by = p->design->thermal;
-    const double left_k = p->design->hottest_k - by[0] * p->coil_k - by[1] * p->magnet_k;
-    return larger(0.0, left_k / by[2]);
+    return larger(0.0, (p->design->hottest_k - by[0] * p->coil_k - by[1] * p->magnet_k) / by[2]);
 }
 
-/* Lower a gain that would overheat the coil within this block, and warm the coil. The current is that
- * of the cold coil; a warm one has less. Return whether it was lowered. */
+/* Halve the gain while this block would overheat the coil, then advance the temperatures. The predicted
+ * current is an upper bound, since it assumes a cold coil. Return whether the gain was lowered. */
 static int keep_within_heat(Protection *p, const GainDecision *decision, double *gain)
 {
     if (!p->design->thermal)
@@ -104,21 +99,20 @@ static int keep_within_heat(Protection *p, const GainDecision *decision, double 
     return is_lowered;
 }
 
-/* Whether the coil allows more than is wanted, so that its limit needs no gain. */
+/* Return whether the coil's temperature allows the wanted power. */
 static int heat_is_far(const Protection *p)
 {
     return !limits_heat(p->design) || p->wanted_w <= power_allowed_w(p);
 }
 
-/* Whether a block could take the coil to its limit, so that each one is looked at. */
+/* Return whether the coil is so warm that the heat of every block must be checked. */
 static int is_warm(const Protection *p)
 {
     return limits_heat(p->design) && p->coil_k > 0.5 * p->design->hottest_k;
 }
 
-/* ---------------------------------------------------------------------------------------- blocks */
-
-/* Hold the largest demand for one to two hold times, then let it decay. */
+/* Hold the peak of the demand for one to two hold times, then let it decay. Let the safety factor, `caution`,
+ * decay to 1. */
 static void remember(Protection *p, double demand)
 {
     const ProtectionDesign *d = p->design;
@@ -141,7 +135,7 @@ static void rest(Protection *p)
     p->at_ease = p->at_ease && heat_is_far(p);
 }
 
-/* Let the known block leave unchanged if no limit is in reach; return whether it did. */
+/* Output the known block unchanged if no limit can be reached; return whether it was output. */
 static int advance_unlimited(Protection *p)
 {
     const double *drive = known_block(&p->governor)->drive;
@@ -156,7 +150,7 @@ static int advance_unlimited(Protection *p)
     return 1;
 }
 
-/* Let the known block leave with the largest gain that the limits allow. */
+/* Output the known block with the largest gain that the limits allow. */
 static void advance_limited(Protection *p, double gain_ceiling)
 {
     const ProtectionDesign *d = p->design;
@@ -164,14 +158,14 @@ static void advance_limited(Protection *p, double gain_ceiling)
     const double ceiling = gain_ceiling >= 0.0 ? smaller(gain_ceiling, 1.0) : 0.0;
     const double allowed_w = limits_heat(d) ? power_allowed_w(p) : INFINITY;
     const double thermal = p->wanted_w > allowed_w ? sqrt(allowed_w / p->wanted_w) : 1.0;
-    double requested = smaller(1.0, before + d->recovery);
-    requested = smaller(requested, 1.0 / larger(1.0, p->caution * p->demand));
-    requested = smaller(requested, smaller(ceiling, thermal));
-    const GainDecision found = governor_decide(&p->governor, requested);
+    double requested_gain = smaller(1.0, before + d->recovery);
+    requested_gain = smaller(requested_gain, 1.0 / larger(1.0, p->caution * p->demand));
+    requested_gain = smaller(requested_gain, smaller(ceiling, thermal));
+    const GainDecision found = governor_decide(&p->governor, requested_gain);
     remember(p, found.demand);
-    if (found.gain < requested)
+    if (found.gain < requested_gain)
         p->caution = smaller(CAUTION_MAX, d->caution * p->caution);
-    /* The ceiling lowers what the limits allow: of a drive beyond them, it would lower nothing. */
+    /* For a demand above 1, the limits allow a gain of about 1 / demand. The ceiling scales this gain. */
     const double capped = ceiling / larger(1.0, p->demand);
     double gain = smaller(found.gain, capped);
     const int is_hot = keep_within_heat(p, &found, &gain);
@@ -180,7 +174,7 @@ static void advance_limited(Protection *p, double gain_ceiling)
         const double share = (double)(frame + 1) / (double)d->frames;
         p->leaving[frame] = drive[frame] * (before * (1.0 - share) + gain * share);
     }
-    if (smaller(gain, before) >= 1.0) /* exactly */
+    if (smaller(gain, before) >= 1.0) /* at a gain of 1, a copy avoids rounding errors */
         memcpy(p->leaving, drive, d->frames * sizeof(double));
     p->least_gain = smaller(gain, p->least_gain);
     p->infeasible_blocks += (uint64_t)found.infeasible;
@@ -190,13 +184,13 @@ static void advance_limited(Protection *p, double gain_ceiling)
         p->limited_by = is_hot || thermal <= gain ? BY_TEMPERATURE
                         : ceiling < 1.0 && capped <= gain ? BY_EXPOSURE
                                                           : BY_MOTION;
-    /* Nothing that is remembered limits the gain. */
+    /* At ease: this block ends at a gain of 1, and neither demand nor wanted power is above its limit. */
     p->at_ease = gain >= 1.0 && p->caution * p->demand <= 1.0 && thermal >= 1.0;
     if (p->at_ease)
         p->caution = 1.0;
 }
 
-/* Decide on the known block now that the next one has come. */
+/* Output the known block when the coming block is complete. */
 static void end_block(Protection *p, double gain_ceiling)
 {
     p->count++;
@@ -221,19 +215,17 @@ double protection_step(Protection *p, double sample, double gain_ceiling)
     return leaves;
 }
 
-ProtectionReadings protection_readings(const Protection *p)
+void protection_report(const Protection *p, ActuatorReadings *readings)
 {
-    return (ProtectionReadings){
-        .gain = p->governor.gain,
-        .least_gain = p->least_gain,
-        .excursion_m = governor_excursion_m(&p->governor),
-        .coil_k = p->coil_k,
-        .magnet_k = p->magnet_k,
-        .blocks = p->count,
-        .limited_blocks = p->limited_blocks,
-        .infeasible_blocks = p->infeasible_blocks,
-        .limited_by = p->limited_by,
-    };
+    readings->gain = p->governor.gain;
+    readings->least_gain = p->least_gain;
+    readings->excursion_m = governor_excursion_m(&p->governor);
+    readings->coil_c = p->design->ambient_c + p->coil_k;
+    readings->magnet_c = p->design->ambient_c + p->magnet_k;
+    readings->blocks = p->count;
+    readings->limited_blocks = p->limited_blocks;
+    readings->infeasible_blocks = p->infeasible_blocks;
+    readings->limited_by = (uint64_t)p->limited_by;
 }
 
 void protection_set_temperatures(Protection *p, double coil_k, double magnet_k)

@@ -1,1 +1,1 @@
-"""Where sound comes from: the monitor of a sink, single applications, or a file in real time."""
+"""Inputs of sound: the monitor of a sink, single applications, or a file in real time."""

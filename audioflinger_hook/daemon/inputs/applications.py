@@ -1,4 +1,4 @@
-"""An input that captures applications before the server mixes them, each on its own track."""
+"""An input that captures the stream of each application before the server mixes the streams."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from functools import partial
 from audioflinger_hook.daemon.capture_queue import SoundGain
 from audioflinger_hook.daemon.engine import Engine
 from audioflinger_hook.daemon.inputs.base import NOTHING, Input
-from audioflinger_hook.daemon.reconnecting_stream import LONGEST_WAIT_S
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.daemon.timing import Backoff
 from audioflinger_hook.service.state import Cause, StateKeeper
@@ -20,56 +19,48 @@ from device.server import AppCaptures, PulseConnection, ServerSnapshot
 from device.server.app_capture import AppCapture, EndReason
 from device.server.app_rules import app_name
 from device.server.identity import default_monitor
-from device.server.snapshot import Stream
+from device.server.snapshot import Sink, Stream
 from device.server.tap_volume import TapVolume, muted_sink
 from device.stream import AudioPriority
 from device.units import Float32Array
 
-CAPTURES_MAX = 32
-"""Largest number of captured applications, to limit the CPU load; more rarely play at once."""
+CAPTURES_MAX = 32  # largest number of captured streams, which limits the CPU load
 
 NO_APPLICATION = "no application plays"
 NONE_SUCH = "no application that the tap names plays; `cushion devices` lists those that do"
 
-DEFAULT_SAMPLERATE = 48_000
-DEFAULT_CHANNELS = 2
-
 
 @dataclass(frozen=True)
 class Applications:
-    """The captured applications, and the format of their mix.
+    """The streams to capture, and the format of their mix. samplerate: Hz.
 
-    left_out: count of applications beyond CAPTURES_MAX. channel_map: positions of the channels.
-    sink: the sink that they play to; "" if they may play to any.
+    left_out: number of selected streams after the first CAPTURES_MAX. sink: only streams to this
+    sink are captured, "" for all sinks.
     """
 
-    streams: tuple[Stream, ...]
-    samplerate: int
-    channels: int
+    streams: tuple[Stream, ...] = ()
+    samplerate: int = 48_000
+    channels: int = 2
     left_out: int = 0
-    channel_map: str = ""
+    channel_map: str = "front-left,front-right"
     sink: str = ""
 
     @property
     def name(self) -> str:
-        """Names of the applications."""
+        """Names of the applications, separated by commas."""
         names = dict.fromkeys(app_name(stream) for stream in self.streams)
         return ", ".join(names) or NO_APPLICATION
 
     @property
     def why_silent(self) -> str:
-        """Why no sound arrives while the daemon is idle, for the user."""
+        """Message for the user: why no sound arrives while the daemon is idle."""
         return NOTHING if self.streams else NONE_SUCH
 
 
 class ApplicationsFeed:
-    """Passes buffers of several applications to one engine, which mixes them.
+    """Passes buffers of several applications to an engine, which mixes them. See `Feed`."""
 
-    The supervising thread calls `client` and `serve` before the first buffer. A recording gets the
-    mix instead of the buffers. priority: of the thread that captures. gain: of all frames.
-    """
-
-    records_mix = True
+    records_mix = True  # a recording stores the mix, not the buffers
 
     def __init__(self, priority: AudioPriority | None = None) -> None:
         self._priority = priority
@@ -79,19 +70,19 @@ class ApplicationsFeed:
         self.gain = SoundGain()
 
     def client(self, samplerate: int, channels: int) -> VoicesClient:
-        """Return the client that plays into a mix of this format."""
+        """Return the mixer's source of buffers. samplerate (Hz), channels: of the mix."""
         self.voices = VoicesClient(samplerate, channels)
         return self.voices
 
     def serve(self, engine: Engine) -> None:
-        """Pass the buffers to this engine, which was made with the client."""
+        """Pass later buffers to this engine, whose client must be the result of `client`."""
         self.engine = engine
 
     def push(self, voice: Voice, frames: Float32Array, now_s: float) -> None:
-        """Take frames of one application; on the thread that captures."""
+        """Process samples (frames, channels) of one stream. The capture thread calls it."""
         if self._priority is not None:
             claim = threading.get_ident(), self._priority.round
-            if claim != self._claimed:  # every connection captures on a new thread
+            if claim != self._claimed:  # each `AppCaptures` has its own capture thread
                 self._claimed = claim
                 self._priority.claim()
         voices, engine = self.voices, self.engine
@@ -103,52 +94,45 @@ class ApplicationsFeed:
 
 
 class ApplicationsInput(Input):
-    """Sound of the applications that the config's rules select; there may be none.
-
-    feed: takes their buffers on the thread that captures. The others methods are for the
-    supervising thread.
-    """
+    """Captures the applications that the config's rules select."""
 
     needs_server = True
 
     def __init__(self, config: RunConfig, states: StateKeeper, feed: ApplicationsFeed) -> None:
         super().__init__(_address(config))
-        rules = config.rules
-        assert rules is not None
-        self._rules = rules
-        self._of_default_sink = config.tap.kind == "default"
+        self.retarget(config)
         self._states = states
         self._feed = feed
         self._captures: AppCaptures | None = None
         self._open: dict[int, tuple[AppCapture, Voice]] = {}
-        self._backoff = Backoff(longest_s=LONGEST_WAIT_S)
-        self._found = Applications((), DEFAULT_SAMPLERATE, DEFAULT_CHANNELS)
+        self._backoff = Backoff()
+        self._found = Applications()
         self._volume = TapVolume()
         self._xruns_before = 0
 
     @property
     def may_rest(self) -> bool:
-        """Whether all applications are paused; a silent one that plays may sound at any moment."""
+        """Whether all streams to capture are paused."""
         return all(stream.corked for stream in self._found.streams)
 
     @property
     def why_silent(self) -> str:
-        """Why no sound arrives while the daemon is idle, for the user."""
+        """See `Input`."""
         return self._found.why_silent
 
     @property
     def name(self) -> str | None:
-        """Names of the captured applications."""
+        """Names of the captured applications, None while closed."""
         return self._found.name if self._captures else None
 
     @property
     def xruns(self) -> int:
-        """Count of gaps in the captured sound."""
+        """Number of gaps in the captured sound."""
         return self._xruns_before + sum(capture.xruns for capture, _ in self._open.values())
 
     @property
     def warnings(self) -> list[str]:
-        """One line if there are too many applications."""
+        """One warning if more than CAPTURES_MAX streams are selected."""
         if not self._found.left_out:
             return []
         return [
@@ -157,7 +141,7 @@ class ApplicationsInput(Input):
         ]
 
     def retarget(self, config: RunConfig) -> bool:
-        """Capture other applications, if the config still selects applications."""
+        """Capture the applications of another config; return False if it has no rules for them."""
         if config.rules is None:
             return False
         self._rules, self.address = config.rules, _address(config)
@@ -165,10 +149,10 @@ class ApplicationsInput(Input):
         return True
 
     def locate(self, snapshot: ServerSnapshot | None, device: str | None) -> Applications:
-        """Return the applications to capture; device: the vibration's sink, never captured.
+        """Return the streams to capture. device: sink of the vibration; streams to it are left out.
 
-        The mix has the default sink's format, so that the server converts little. With the tap
-        `default` only what plays to that sink counts, as without rules.
+        The mix has the format of the default sink. With the tap `default`, only streams to the
+        default sink are captured. NotFoundError: no default sink can be captured.
         """
         assert snapshot is not None
         streams = self._rules.select(snapshot, device)
@@ -176,34 +160,32 @@ class ApplicationsInput(Input):
         if self._of_default_sink:
             sink = default_monitor(snapshot, device).monitor_of or ""
             streams = tuple(stream for stream in streams if stream.device_name == sink)
-        default = next((s for s in snapshot.sinks if s.name == snapshot.default_sink), None)
+        sinks = (one for one in snapshot.sinks if one.name == snapshot.default_sink)
+        form: Sink | Applications = next(sinks, Applications())
         self._found = Applications(
             streams[:CAPTURES_MAX],
-            default.samplerate if default else DEFAULT_SAMPLERATE,
-            default.channels if default else DEFAULT_CHANNELS,
+            form.samplerate,
+            form.channels,
             max(0, len(streams) - CAPTURES_MAX),
-            default.channel_map if default else "front-left,front-right",
+            form.channel_map,
             sink,
         )
         return self._found
 
     def players(self, snapshot: ServerSnapshot | None) -> frozenset[int]:
-        """Return the streams that may play."""
+        """See `Input`."""
         return frozenset(stream.index for stream in self._found.streams if not stream.corked)
 
     def volume_db(self, snapshot: ServerSnapshot) -> float:
-        """Return the volume of the application that has played longest."""
+        """Return the volume in dB of the captured streams; see `TapVolume`."""
         return self._volume.follow(snapshot, self.players(snapshot))
 
     def is_muted(self, snapshot: ServerSnapshot) -> bool:
-        """Whether the sink that they must play to is muted or at 0 %."""
+        """Whether only streams to one sink are captured, and the sink is muted or at 0 %."""
         return bool(muted_sink(snapshot, self._found.sink))
 
     def maintain(self, connection: PulseConnection | None, now_s: float) -> None:
-        """Capture exactly the located applications.
-
-        LostError, NotFoundError: libpulse provides no second connection.
-        """
+        """Capture the streams that `locate` found. LostError, NotFoundError: see `AppCaptures`."""
         captures = self._captures
         if captures is not None and captures.lost is not None:
             self._states.recover(Cause.TAP_LOST, now_s, str(captures.lost))
@@ -221,7 +203,7 @@ class ApplicationsInput(Input):
         self._backoff.succeeded()
 
     def close(self) -> None:
-        """End all captures. May be repeated; raises nothing."""
+        """End all captures. Repeated calls do nothing."""
         for index in tuple(self._open):
             self._end(index)
         captures, self._captures = self._captures, None
@@ -247,7 +229,7 @@ class ApplicationsInput(Input):
             capture = captures.open(
                 stream.index, voices.samplerate, voices.channels, partial(self._feed.push, voice)
             )
-        except NotFoundError:  # it ended in the meantime
+        except NotFoundError:  # the stream has ended meanwhile
             voices.remove(voice)
             return
         except LostError:
@@ -264,7 +246,6 @@ class ApplicationsInput(Input):
 
 
 def _address(config: RunConfig) -> str:
-    """Return the selection of applications as text for messages."""
     live = config.live
     if config.tap.kind == "app":
         return ", ".join(live.tap)

@@ -1,4 +1,4 @@
-"""The supervisor's interface of all inputs, and the base of inputs and outputs."""
+"""Interface of all inputs, and the base class of inputs and outputs."""
 
 from __future__ import annotations
 
@@ -9,27 +9,23 @@ from typing import Protocol
 from audioflinger_hook.daemon.run_config import RunConfig
 from device.server import PulseConnection, ServerSnapshot
 
-NOTHING = "nothing plays"
-"""Why no sound arrives while nothing is wrong."""
+NOTHING = "nothing plays"  # message for the user while the daemon is idle
 
 
 class AudioNode(Protocol):
-    """Something that sound comes from or vibration goes to: a monitor, a sink, a card, a file."""
+    """A source of sound or destination of vibration: a monitor, a sink, a card, a file."""
 
     @property
     def name(self) -> str:
         """The node's name in messages."""
-        ...
 
     @property
     def samplerate(self) -> int:
-        """Hz; 0 if it takes the rate of the mix."""
-        ...
+        """Sample rate in Hz; 0 stands for the rate of the mix."""
 
     @property
     def channels(self) -> int:
-        """Count; 0 if it takes the channels of the vibration."""
-        ...
+        """Number of channels; 0 stands for the channels of the vibration."""
 
 
 @dataclass(frozen=True)
@@ -42,13 +38,9 @@ class FixedNode:
 
 
 class Endpoint(ABC):
-    """An input or an output. For the supervising thread alone.
+    """An input or an output, with its address."""
 
-    address: the address as the user wrote it.
-    """
-
-    needs_server = False
-    """Whether the endpoint belongs to the sound server."""
+    needs_server = False  # whether the endpoint uses the sound server
 
     def __init__(self, address: object) -> None:
         self.address = address
@@ -58,7 +50,7 @@ class Endpoint(ABC):
 
     @property
     def may_rest(self) -> bool:
-        """Whether closing it while nothing plays loses no sound."""
+        """Whether the endpoint may be closed while nothing plays."""
         return False
 
     @property
@@ -68,78 +60,72 @@ class Endpoint(ABC):
 
     @property
     def xruns(self) -> int:
-        """Count of late or lost buffers that PortAudio reported."""
+        """Number of late or lost buffers since the start."""
         return 0
 
     @property
     def warnings(self) -> list[str]:
-        """Problems to tell the user, one line each."""
+        """Problems to show the user, one line each."""
         return []
 
     def configure(self, config: RunConfig) -> None:  # noqa: B027
-        """Store settings for streams that are opened later; by default none."""
+        """Store settings for streams that are opened later."""
 
     def retarget(self, config: RunConfig) -> bool:
-        """Change to another tap or device; return False if that needs another object."""
+        """Change to the config's tap or device; return False if this needs another `Endpoint`."""
         return False
 
     @abstractmethod
     def close(self) -> None:
-        """Close the endpoint until the next `maintain`. May be repeated; raises nothing."""
+        """Close the endpoint until the next `maintain`. Repeated calls do nothing."""
 
 
 class Input(Endpoint):
-    """Where sound comes from."""
+    """A source of sound."""
 
     address: str
 
     @property
     def ended(self) -> bool:
-        """Whether all sound was played, and its vibration as well."""
+        """Whether all sound and its vibration have been played; live sound never ends."""
         return False
 
     @abstractmethod
     def locate(self, snapshot: ServerSnapshot | None, device: str | None) -> AudioNode:
-        """Find the node to capture. device: the sink that vibration goes to, which is never tapped.
+        """Return the node to capture. NotFoundError: no node can be captured without feedback.
 
-        NotFoundError: the node is not available, or must not be tapped.
+        device: sink of the vibration, or None.
         """
 
     def players(self, snapshot: ServerSnapshot | None) -> frozenset[int]:
-        """Return the streams that may play into the located node."""
+        """Return the server's indexes of the streams that play to the located node."""
         return frozenset()
 
     @property
     def why_silent(self) -> str:
-        """Why no sound arrives while the daemon is idle, for the user."""
+        """Message for the user: why no sound arrives while the daemon is idle."""
         return NOTHING
 
     def volume_db(self, snapshot: ServerSnapshot) -> float:
-        """Return the volume that its sound carries, as far as it is known; 0 dB for 100 %."""
+        """Return the volume in dB that the server applied to the captured sound, 0 if unknown."""
         return 0.0
 
     def monitor_db(self, snapshot: ServerSnapshot) -> float:
-        """Return the part of `volume_db` that its monitor adds to the streams' own volumes."""
+        """Return the part of `volume_db` in dB that sink and monitor apply."""
         return 0.0
 
     def is_muted(self, snapshot: ServerSnapshot) -> bool:
-        """Whether the listener has muted what is tapped, so that nothing is to be felt."""
+        """Whether the listener has muted the sound; the vibration must then be muted."""
         return False
 
     def listen(self, connection: PulseConnection | None, now_s: float) -> bool:
-        """Return whether sound arrived while the input is closed; raises nothing.
-
-        The supervisor calls it regularly while nothing plays.
-        """
+        """Return whether sound has arrived while the input is closed. The call raises nothing."""
         return False
 
     @abstractmethod
     def maintain(self, connection: PulseConnection | None, now_s: float) -> None:
-        """Open, check or reopen the stream from the located node.
-
-        LostError, NotFoundError: the next call tries again; other errors are final.
-        """
+        """Open, check or reopen the stream. After LostError or NotFoundError, call it again."""
 
     def end(self) -> None:
-        """Close for good. May be repeated."""
+        """Close the input for the rest of the run. Repeated calls do nothing."""
         self.close()

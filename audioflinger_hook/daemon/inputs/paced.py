@@ -1,4 +1,4 @@
-"""An input that plays a file, a capture or a scene into the mix in real time."""
+"""An input that plays a file, a capture or a scene in real time."""
 
 from __future__ import annotations
 
@@ -15,56 +15,39 @@ from device.clock import DelayState
 from device.server import PulseConnection, ServerSnapshot
 from device.units import Float32Array
 
-BLOCK_FRAMES = 256
-"""Buffer length for a file; a capture keeps its own buffers."""
-
-LEAD_IN_S = 0.2
-"""Silence before the sound until the delay line plays, so that the beginning is not lost."""
-
-LEAD_IN_MAX_S = 5.0
-"""Longest silence before the sound, even if nothing reads the delay line."""
-
-RUN_OUT_S = 0.3
-"""Silence after the last vibration, until a sound server has played its buffers."""
+BLOCK_FRAMES = 256  # buffer length for a file; a capture keeps its own buffers
+LEAD_IN_S = 0.2  # shortest silence before the sound, in which the delay line starts
+LEAD_IN_MAX_S = 5.0  # longest silence before the sound, while no output reads the delay line
+RUN_OUT_S = 0.3  # silence after the vibration, in which the server plays its buffers
 
 PLAYING = (DelayState.SETTLING, DelayState.LOCKED)
 
 
 class PacedInput(Input):
-    """Sound of a file, capture or scene, delivered buffer by buffer at its playing time.
-
-    A buffer is due when its last frame has been played. `close` pauses the sound. The pacer's
-    thread delivers; all methods are for the supervising thread.
-
-    UsageError, NotFoundError: the sound cannot be used; see `open_tap`.
-    """
+    """Sound of a file, capture or scene. UsageError, NotFoundError: see `open_tap`."""
 
     def __init__(self, address: TapAddress, pacer: Pacer, feed: Feed) -> None:
         super().__init__(str(address))
-        self._pacer = pacer
-        self._feed = feed
+        self._pacer, self._feed = pacer, feed
         self._player: _Player | None = None
-        self._tap = (
-            FileTap(Path(address.name), BLOCK_FRAMES)
-            if address.kind == "file"
-            else open_tap(address)
-        )
+        is_file = address.kind == "file"
+        self._tap = FileTap(Path(address.name), BLOCK_FRAMES) if is_file else open_tap(address)
         self._node = FixedNode(str(address), self._tap.samplerate, self._tap.channels)
 
     @property
     def ended(self) -> bool:
-        """Whether all sound was played, and its vibration as well."""
+        """See `Input`."""
         return self._player is not None and self._player.ended
 
     @property
     def name(self) -> str | None:
-        """The address, while it plays."""
+        """The address while the sound is played, else None."""
         playing = self._player is not None and self._pacer.is_doing(self._player)
         return self.address if playing else None
 
     @property
     def warnings(self) -> list[str]:
-        """Problems of the source."""
+        """Warnings of the file, capture or scene, one line each."""
         return list(getattr(self._tap, "warnings", ()))
 
     def locate(self, snapshot: ServerSnapshot | None, device: str | None) -> FixedNode:
@@ -72,7 +55,7 @@ class PacedInput(Input):
         return self._node
 
     def maintain(self, connection: PulseConnection | None, now_s: float) -> None:
-        """Start or continue to play. Raises the error that ended the sound, which is final."""
+        """Start or continue the sound; raise the error that ended the sound, if any."""
         player, engine = self._player, self._feed.engine
         if player is None:
             assert engine is not None
@@ -84,7 +67,7 @@ class PacedInput(Input):
             self._pacer.begin(player, now_s)
 
     def close(self) -> None:
-        """Pause."""
+        """Pause the sound until the next `maintain`."""
         if self._player is not None:
             self._pacer.end(self._player)
 
@@ -95,36 +78,31 @@ class PacedInput(Input):
 
 
 class _Player:
-    """The pacer's job: silence until the delay line plays, sound, last vibration, silence."""
+    """Job of the pacer's thread: play silence, the sound, the remaining vibration, and silence."""
 
     def __init__(self, tap: Tap, feed: Feed, engine: Engine) -> None:
         self.error: Exception | None = None
         self.ended = False
-        self._tap = tap
-        self._feed = feed
-        self._engine = engine
+        self._tap, self._feed, self._engine = tap, feed, engine
         self._played = FrameTime(engine.samplerate)
         self._silence = np.zeros((BLOCK_FRAMES, engine.drive.outputs), np.float32)
         self._tail: Float32Array | None = None
-        self._led_in_s = 0.0
         self._in_lead_in = True
-        self._run_out_s = 0.0
+        self._led_in_s = self._run_out_s = 0.0
         self._next = tap.read()
 
     @property
     def due_s(self) -> float:
-        """End of the next block, in seconds from the start."""
         if self._in_lead_in or self._next is None:
             return self._played.after(BLOCK_FRAMES, self._engine.samplerate)
         return self._played.after(len(self._next), self._tap.samplerate)
 
     def lead_in(self) -> None:
-        """Start again with silence; call it while the job does not run."""
+        """Let the job begin with silence. Call it only while the job does not run."""
         self._in_lead_in = True
         self._led_in_s = 0.0
 
     def run(self, now_s: float) -> bool:
-        """Deliver the next block."""
         if self._in_lead_in:
             self._send(self._silence, now_s)
             self._led_in_s += BLOCK_FRAMES / self._engine.samplerate
@@ -148,12 +126,10 @@ class _Player:
         self._next = tap.read()
 
     def _send_tail(self, now_s: float) -> None:
-        """Send one block of the vibration that is left after the sound."""
         tail = self._feed.finish(now_s) if self._tail is None else self._tail
+        part, self._tail = tail[:BLOCK_FRAMES], tail[BLOCK_FRAMES:]
         block = self._silence.copy()
-        part = tail[:BLOCK_FRAMES]
         block[: len(part)] = part
-        self._tail = tail[BLOCK_FRAMES:]
         self._run_out_s = self._engine.delay_line.status.delay_s + RUN_OUT_S
         self._send(block, now_s)
 

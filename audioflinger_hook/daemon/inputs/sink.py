@@ -1,4 +1,4 @@
-"""An input that captures the monitor of one sink, or of the present default sink."""
+"""An input that captures the monitor of a named sink or of the default sink."""
 
 from __future__ import annotations
 
@@ -23,18 +23,17 @@ from device.stream.pcms import Pcm, ServerDevice
 from device.stream.portaudio import BLOCK_FRAMES
 from device.units import Float32Array
 
-LISTENING_FRAMES = 4_096
-"""Block length while only listening: at 48 kHz, sound is noticed within 85 ms."""
+LISTENING_FRAMES = 4_096  # block length while idle: 85 ms at 48 kHz
 
 
 class SinkInput(Input):
-    """Sound of one sink of the server: the default sink or a named sink.
+    """Captures the sound of one sink of the server.
 
-    receiver: takes its buffers, on PortAudio's thread. block_frames, priority: of streams that are
-    opened later. on_heard: called by PortAudio's thread if the listening input gets sound.
+    A PortAudio thread calls `receiver.push`. While the daemon is idle, such a thread calls
+    `on_heard` for each buffer that is not silent.
     """
 
-    needs_server = True
+    needs_server = may_rest = True  # while idle, `listen` detects sound
 
     def __init__(
         self,
@@ -49,54 +48,44 @@ class SinkInput(Input):
     ) -> None:
         super().__init__(str(address))
         self.block_frames = block_frames
-        self._on_heard = on_heard
-        self._heard = False
-        self._priority = priority
-        self._retargeted = False
-        self._tap = address
-        self._pcm = pcm
-        self._states = states
-        self._receiver = receiver
+        self._tap, self._pcm, self._states, self._receiver = address, pcm, states, receiver
+        self._priority, self._on_heard = priority, on_heard
+        self._heard = self._retargeted = False
         self._capture, self._listener = (
             ReconnectingStream[CaptureStream]("the tap", states, Cause.TAP_LOST, Cause.TAP_MOVED)
             for _ in range(2)
         )
         self._volume = TapVolume()
         self._found: Source | None = None
-        self._muted = ""
         self._source: Source | None = None
-
-    @property
-    def may_rest(self) -> bool:
-        """Always True: while closed, the input listens."""
-        return True
+        self._muted = ""
 
     @property
     def name(self) -> str | None:
-        """Name of the captured monitor."""
+        """Name of the captured monitor, None while closed."""
         return self._source.name if self._source and self._capture.stream else None
 
     @property
     def xruns(self) -> int:
-        """Count of late or lost buffers that PortAudio reported."""
+        """See `Endpoint`."""
         return self._capture.xruns
 
     @property
     def warnings(self) -> list[str]:
-        """One line if the sink is muted, as nothing of it is felt then."""
+        """One warning if the sink is muted or at 0 %, so that its sound causes no vibration."""
         if not self._muted:
             return []
         return [
-            f"{self._muted} is muted or at 0 %, so its sound cannot be felt; unmute it, and set a "
-            "low volume instead, which does not change the vibration"
+            f"{self._muted} is muted or at 0 %, so its sound causes no vibration; unmute it, and "
+            "set a low volume instead, which does not change the vibration"
         ]
 
     def configure(self, config: RunConfig) -> None:
-        """Take the block length of streams that are opened later."""
+        """Store the block length for streams that are opened later."""
         self.block_frames = config.live.block_frames
 
     def retarget(self, config: RunConfig) -> bool:
-        """Capture another sink, with the present stream if possible."""
+        """Capture another sink from the next `maintain` on. See `Endpoint`."""
         if config.rules is not None:
             return False
         self._tap, self.address = config.tap, str(config.tap)
@@ -104,7 +93,7 @@ class SinkInput(Input):
         return True
 
     def locate(self, snapshot: ServerSnapshot | None, device: str | None) -> Source:
-        """Find the monitor. device: the vibration's sink; a sink that it forwards to is refused."""
+        """Return the monitor. NotFoundError: it is missing, or its capture would cause feedback."""
         assert snapshot is not None
         if self._tap.kind != "sink":
             source = default_monitor(snapshot, device)
@@ -125,7 +114,7 @@ class SinkInput(Input):
         return source
 
     def players(self, snapshot: ServerSnapshot | None) -> frozenset[int]:
-        """Return the applications' streams that may play into this monitor."""
+        """Return the indexes of other programs' streams that play to the sink."""
         if snapshot is None or self._found is None:
             return frozenset()
         sink = self._found.monitor_of
@@ -136,11 +125,11 @@ class SinkInput(Input):
         )
 
     def volume_db(self, snapshot: ServerSnapshot) -> float:
-        """Return the volumes of sink, monitor and stream that the monitor carries."""
+        """Return the volume in dB that stream, sink and monitor apply to the captured sound."""
         return self._volume.follow(snapshot, self.players(snapshot), self._found)
 
     def monitor_db(self, snapshot: ServerSnapshot) -> float:
-        """Return the volumes of sink and monitor that the monitor carries."""
+        """Return the volume in dB that sink and monitor apply to the captured sound."""
         return monitor_volume_db(snapshot, self._found) if self._found else 0.0
 
     def is_muted(self, snapshot: ServerSnapshot) -> bool:
@@ -148,19 +137,15 @@ class SinkInput(Input):
         return bool(self._found and muted_sink(snapshot, self._found.monitor_of))
 
     def listen(self, connection: PulseConnection | None, now_s: float) -> bool:
-        """Return whether sound arrived; listens while applications may play.
-
-        The long blocks cost almost no CPU time.
-        """
+        """Listen while a stream plays; return whether sound has arrived since the last call."""
         source = self._found
         if connection is None or source is None or not self.players(connection.latest):
             self._listener.close()
             return False
         heard, self._heard = self._heard, False
-        if self._listener.stream is not None and self._source is not source:
-            moved = self._source is None or self._source.index != source.index
-            if moved:
-                self._listener.close()
+        before = self._source
+        if self._listener.stream is not None and (before is None or before.index != source.index):
+            self._listener.close()
         self._listener.check(now_s)
         with suppress(LostError, NotFoundError):  # the next snapshot shows what happened
             self._pcm.target = ServerDevice(source.name)
@@ -174,7 +159,7 @@ class SinkInput(Input):
         return heard
 
     def maintain(self, connection: PulseConnection | None, now_s: float) -> None:
-        """Open, check, move or reopen the capture."""
+        """Open, check, move or reopen the capture. For errors, see `Input.maintain`."""
         capture, source = self._capture, self._found
         assert connection is not None
         assert source is not None
@@ -193,7 +178,7 @@ class SinkInput(Input):
                     f"{source.name} has {source.samplerate} Hz, channels: {source.channels}",
                 )
             capture.open(
-                # PortAudio's thread calls the receiver itself.
+                # PortAudio's thread calls the receiver directly.
                 lambda: self._stream(
                     source, self._receiver.push, self.block_frames, self._priority
                 ),
@@ -204,7 +189,7 @@ class SinkInput(Input):
             self._source = source
 
     def close(self) -> None:
-        """End the capture. May be repeated; raises nothing."""
+        """Close the capture. Repeated calls do nothing."""
         self._capture.close()
         self._listener.close()
 
@@ -227,13 +212,11 @@ class SinkInput(Input):
         )
 
     def _notice(self, frames: Float32Array, now_s: float) -> None:
-        """Notice sound while listening; on PortAudio's thread."""
         if frames.any():
             self._heard = True
             self._on_heard()
 
     def _move(self, connection: PulseConnection, source: Source) -> None:
-        """Move the stream to another monitor; close it if the format differs."""
         stream, guard = self._capture.stream, self._capture.guard
         assert stream is not None
         assert guard is not None

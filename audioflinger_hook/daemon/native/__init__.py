@@ -1,1 +1,1 @@
-"""The engine inside PipeWire: the plugin runs in the graph, and the daemon only watches it."""
+"""The native engine: runs a plugin in PipeWire's graph, and supervises the plugin's process."""

@@ -1,29 +1,46 @@
-"""What the native engine can do, and why it cannot do the rest."""
+"""Checks whether the native engine can run a config on this machine."""
 
 from __future__ import annotations
 
 import re
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 
+from audioflinger_hook.core import library_path as plugin_path
 from audioflinger_hook.core.structures import CHANNELS
 from audioflinger_hook.daemon.native.layout import ACTUATORS
 from audioflinger_hook.daemon.run_config import RunConfig
-from audioflinger_hook.plugin import plugin_path
+from device.errors import NotFoundError
 from device.server import ServerSnapshot
 from device.server.graph_watch import EDITOR, READER
+from device.stream.pcms import missing_plugin
 
-SERVER = "PipeWire"
-VERSION_MIN = (0, 3, 50)
-"""Older versions of filter-chain read another syntax."""
+VERSION_MIN = (0, 3, 50)  # older versions of filter-chain have another syntax
 
 FILTER_CHAIN = "libpipewire-module-filter-chain.so"
 MODULE_FOLDERS = ("/usr/lib/*/pipewire-*", "/usr/lib/pipewire-*", "/usr/lib64/pipewire-*")
 
 
+def check_engine(config: RunConfig, snapshot: ServerSnapshot | None) -> None:
+    """Raise NotFoundError if the config's engine cannot run on this machine."""
+    reason = why_python(config, snapshot)
+    if reason and config.live.engine == "native":
+        raise NotFoundError(f"engine = 'native' is impossible: {reason}; allowed: auto, python")
+    if reason and config.needs_plugin and (missing := missing_plugin()):
+        raise NotFoundError(f"the Python engine ({reason}) cannot play: {missing}")
+
+
+def why_python(config: RunConfig, snapshot: ServerSnapshot | None) -> str:
+    """Return why the native engine cannot run or is not chosen, or ""."""
+    if config.live.engine == "python":
+        return "engine = 'python'"
+    if (reason := _refusal(config)) or snapshot is None:
+        return reason or "there is no sound server"
+    return missing_parts() or why_not_server(snapshot)
+
+
 def missing_parts() -> str:
-    """Return what this machine lacks for the native engine, and how to get it; "" for nothing."""
+    """Return what the native engine lacks on this machine and how to get it, or ""."""
     if plugin_path() is None:
         return "the plugin is not built; run `make run` with a C compiler"
     for program in ("pipewire", READER, EDITOR):
@@ -35,14 +52,9 @@ def missing_parts() -> str:
     return ""
 
 
-def why_not_config(config: RunConfig) -> str:
-    """Return why the native engine cannot do what a config asks for, "" if it can."""
-    return next(_refusals(config), "")
-
-
 def why_not_server(snapshot: ServerSnapshot) -> str:
-    """Return why the native engine cannot work on a server, "" if it can."""
-    if snapshot.kind != SERVER:
+    """Return why the native engine cannot use this server, or ""."""
+    if snapshot.kind != "PipeWire":
         return f"the sound server is {snapshot.kind}"
     found = re.match(r"(\d+)\.(\d+)\.(\d+)", snapshot.version)
     if found and tuple(map(int, found.groups())) < VERSION_MIN:
@@ -51,26 +63,20 @@ def why_not_server(snapshot: ServerSnapshot) -> str:
     return ""
 
 
-def _refusals(config: RunConfig) -> Iterator[str]:
-    settings, live = config.settings, config.live
-    if not config.tap_is_live:
-        yield f"the tap {config.tap} is not on the sound server"
-    if not config.device_is_live or config.device_is_a_card:
-        yield f"the device {config.device} is not on the sound server"
-    if live.drop_in:
-        yield "drop_in is on"
-    if config.recording:
-        yield "the run is recorded"
-    if settings.form != "live":
-        yield f"transform = {settings.form!r}"
-    if settings.effects_file is not None:
-        yield "effects_file is set"
-    if len(settings.actuators) > ACTUATORS:
-        yield f"there are more than {ACTUATORS} actuators"
+def _refusal(config: RunConfig) -> str:
+    settings, is_server = config.settings, config.device_is_live and not config.device_is_a_card
+    reasons = (
+        (not config.tap_is_live, f"the tap {config.tap} is not on the sound server"),
+        (not is_server, f"the device {config.device} is not on the sound server"),
+        (config.live.drop_in, "drop_in is on"),
+        (config.recording is not None, "the run is recorded"),
+        (settings.form != "live", f"transform = {settings.form!r}"),
+        (settings.effects_file is not None, "effects_file is set"),
+        (len(settings.actuators) > ACTUATORS, f"there are more than {ACTUATORS} actuators"),
+    )
+    return next((text for applies, text in reasons if applies), "")
 
 
 def why_not_tap(channels: int) -> str:
-    """Return why the native engine cannot tap so many channels, "" if it can."""
-    if channels <= CHANNELS:
-        return ""
-    return f"the tap has {channels} channels, more than {CHANNELS}"
+    """Return why the native engine cannot tap this number of channels, or ""."""
+    return "" if channels <= CHANNELS else f"the tap has {channels} channels, more than {CHANNELS}"

@@ -1,4 +1,4 @@
-"""One chain in PipeWire's graph: the plugin in a separate process, and its files."""
+"""Runs the plugin in PipeWire's graph, in a separate process."""
 
 from __future__ import annotations
 
@@ -10,31 +10,21 @@ from contextlib import suppress
 from itertools import count
 from pathlib import Path
 
-from audioflinger_hook.core.structures import CHANNELS
+from audioflinger_hook.core import library_path as plugin_path
 from audioflinger_hook.daemon.native.page import Page
 from audioflinger_hook.daemon.native.plan import ChainPlan
-from audioflinger_hook.daemon.native.taps import OUT
-from audioflinger_hook.daemon.native.wiring import ChainEnds
-from audioflinger_hook.plugin import plugin_path
+from audioflinger_hook.daemon.native.taps import OUT, ChainEnds
+from audioflinger_hook.drive.drive import driven_rigs
 from device.drive.design import DriveDesign
 from device.errors import InternalError, LostError, NotFoundError
 from device.process import ends_with_us
 from device.server.graph import Graph
 
-NAME = "haptic-cushion"
-"""Beginning of the names of all nodes and files."""
-
-END_S = 0.2
-"""Longest wait for the end of the process before it is killed."""
-
-POLICY_FIELD = 38
-"""Of /proc/PID/task/TID/stat after the program's name, see proc(5)."""
-
-PLUGIN = "haptic_cushion: "
-"""Beginning of the plugin's own messages."""
-
-LOG_BYTES = 2_000
-"""How much of the process's last messages is read."""
+NAME = "haptic-cushion"  # prefix of the names of nodes and files
+END_S = 0.2  # longest wait for the end of the process; then the process is killed
+POLICY_FIELD = 38  # index in /proc/PID/task/TID/stat after the program's name; see proc(5)
+PLUGIN = "haptic_cushion: "  # prefix of the plugin's messages
+LOG_BYTES = 2_000  # number of bytes that are read from the end of the log
 
 _numbers = count(1)
 
@@ -86,15 +76,11 @@ _REALTIME = (
 
 
 class Chain:
-    """A running chain, which nothing is linked to yet.
+    """Runs the plugin in a new process `pipewire`. The plugin's nodes have no links at first.
 
-    The supervising thread calls the methods.
-
-    plan: what it does. drives: the designs of its `drive_plans`. folder: private, for its files.
-    prepare: called before the process starts, to set what it begins with. realtime: whether to ask
-    for real-time priority. tap, vibration: names of its nodes. page: shared with the plugin. rigs:
-    what is known of each driven rig.
-    InternalError: a file cannot be written. NotFoundError: PipeWire cannot be started.
+    prepare: sets gains and the rigs' states before the process starts. page: memory shared with the
+    plugin. tap, vibration: names of the input and output node. NotFoundError: the program pipewire
+    is missing. InternalError: a file cannot be written, or the process cannot be started.
     """
 
     def __init__(
@@ -109,14 +95,15 @@ class Chain:
         self.plan = plan
         self.name = f"{NAME}-{os.getpid()}-{next(_numbers)}"
         self.tap, self.vibration = f"{self.name}.tap", f"{self.name}.vibration"
-        files = {end: folder / f"{self.name}.{end}" for end in ("conf", "design", "page", "log")}
-        self._files = files
+        ends = ("conf", "design", "page", "log")
+        self._files = files = {end: folder / f"{self.name}.{end}" for end in ends}
         self._process: subprocess.Popen[bytes] | None = None
         try:
             files["design"].write_bytes(plan.design(drives))
             files["conf"].write_text(self._config(realtime), "utf-8")
             self.page = Page(files["page"], plan.tap_channels, plan.outputs, plan.actuators)
-            self.rigs = self.page.rigs(drives, plan.columns)
+            controls, readings = self.page.controls, self.page.readings
+            self.rigs = driven_rigs(drives, controls, readings, plan.columns)
             prepare(self)
             with files["log"].open("wb") as log:
                 self._process = subprocess.Popen(
@@ -130,7 +117,7 @@ class Chain:
                     stdout=log,
                     stderr=log,
                     preexec_fn=ends_with_us,
-                    process_group=0,  # signals of the terminal are the daemon's
+                    process_group=0,  # so that only the daemon gets signals from the terminal
                 )
         except FileNotFoundError as error:
             self.close()
@@ -143,38 +130,38 @@ class Chain:
 
     @property
     def process_id(self) -> int:
-        """The process's number."""
+        """ID of the process, 0 after `close`."""
         return self._process.pid if self._process else 0
 
     def check(self) -> None:
-        """Raise LostError with the process's last words if it has ended."""
+        """If the process has ended, raise LostError with the last message."""
         code = self._process.poll() if self._process else None
         if code is not None:
             raise LostError(f"the native engine ended ({code}){self.last_words()}")
 
     @property
     def is_stopped(self) -> bool:
-        """Whether somebody has stopped the process (SIGSTOP), so that it cannot play."""
+        """Whether a signal (SIGSTOP) has suspended the process."""
         with suppress(OSError, IndexError):
             facts = Path(f"/proc/{self.process_id}/stat").read_text("ascii", "replace")
             return facts.rpartition(")")[2].split()[0] in ("T", "t")
         return False
 
     def is_in(self, graph: Graph) -> bool:
-        """Whether all of its ports are in the graph."""
+        """Whether the graph has all ports of the chain."""
         vibration = graph.node_named(self.vibration)
         outputs = graph.ports_of(vibration.id, OUT) if vibration else {}
         return bool(self.ends().tap_ports(graph)) and len(outputs) >= len(self.plan.actuators)
 
     def ends(self, played: tuple[int | None, ...] = (), *, linked: bool = False) -> ChainEnds:
-        """Return its nodes and how they are to be linked, as `ChainEnds` takes them."""
+        """Return the chain's nodes and how to link them. played, linked: see `ChainEnds`."""
         return ChainEnds(self.tap, self.vibration, self.plan.tap_channels, played, linked)
 
     def close(self) -> None:
-        """End the process and remove its files. May be repeated; raises nothing."""
+        """End the process and remove its files. Repeated calls do nothing."""
         process, self._process = self._process, None
         if process is not None:
-            process.terminate()  # its nodes then leave the graph between two cycles
+            process.terminate()  # the nodes then leave the graph between two cycles
             try:
                 process.wait(END_S)
             except subprocess.TimeoutExpired:
@@ -185,13 +172,13 @@ class Chain:
                 path.unlink(missing_ok=True)
 
     def last_words(self) -> str:
-        """Return ": " and what the plugin, or else the process, said last; "" for nothing."""
+        """Return ": " and the last message of the plugin, else of the process; "" for none."""
         said = self.complaint or next(reversed(self._said()), "")
         return f": {said}" if said else ""
 
     @property
     def complaint(self) -> str:
-        """What the plugin itself said last, "" for nothing."""
+        """The last message of the plugin, "" without a message."""
         return next((line for line in reversed(self._said()) if line.startswith(PLUGIN)), "")
 
     def _said(self) -> list[str]:
@@ -203,11 +190,9 @@ class Chain:
 
     def _config(self, realtime: bool) -> str:
         plan, plugin = self.plan, json.dumps(str(plugin_path()))
-        node = f"{{ type = ladspa plugin = {plugin} name = core label = haptic_cushion_daemon }}"
-        assert plan.tap_channels <= CHANNELS
         return _CONFIG.format(
             realtime=_REALTIME if realtime else "",
-            node=node,
+            node=f"{{ type = ladspa plugin = {plugin} name = core label = haptic_cushion_daemon }}",
             inputs=" ".join(f'"core:In {n + 1}"' for n in range(plan.tap_channels)),
             outputs=" ".join(f'"core:Out {n + 1}"' for n in range(len(plan.actuators))),
             tap=json.dumps(self.tap),
@@ -220,7 +205,7 @@ class Chain:
 
 
 def has_realtime(process_id: int) -> bool:
-    """Return whether one of a process's threads has real-time priority."""
+    """Return whether a thread of the process has real-time priority."""
     for file in Path(f"/proc/{process_id}/task").glob("*/stat"):
         with suppress(OSError, IndexError):
             facts = file.read_text("ascii", "replace").rpartition(")")[2].split()

@@ -1,100 +1,163 @@
-"""The chain that plays, the next one while it settles, and those that leave the graph."""
+"""Starts, replaces and ends chains; a chain is a process with the plugin in PipeWire's graph."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
-from audioflinger_hook.daemon.native.chain import NAME, Chain
-from audioflinger_hook.daemon.native.designs import DriveDesigns
-from audioflinger_hook.daemon.native.plan import ChainPlan
-from audioflinger_hook.daemon.native.running import RunningChain
+from audioflinger_hook.daemon.native.chain import NAME, Chain, has_realtime
+from audioflinger_hook.daemon.native.plan import ChainPlan, DriveDesigns
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.daemon.timing import Backoff
-from audioflinger_hook.drive.driven_rig import DrivenRig
+from audioflinger_hook.drive.drive import DrivenRig
 from device.drive.design import DriveDesign
 from device.errors import LostError
 from device.server.graph import Graph
 from device.units import db_to_amplitude
 
-FADE_S = 0.4
-"""Longest wait for a chain to fade out. Its fade takes 40 ms; a graph that stands still, longer."""
+FADE_S = 0.4  # longest wait for a fade, which never ends while the graph is idle
+STUCK_S = 1.0  # time without progress, after which a chain is replaced if a stream plays
+START_S = 5.0  # longest time from the start of a process until its ports exist
+RESTART_S = 1.5  # PipeWire 0.3 leaves 2 of 100 new clients waiting, so one more is started once
+START_WAIT_S = 1.0  # longest wait between two attempts to start a process
+SETTLED_FRAMES = 9_600  # number of frames that a new chain processes before it plays
+SETTLED_S = 0.3  # longest wait for these frames, in case nothing plays
+PRIORITY_S = 1.0  # time from linking a chain until the priority of its process is checked
+LEAVE_S = 0.5  # longest wait for a chain's links to vanish before its process ends
 
-STUCK_S = 1.0
-"""A chain that processes nothing for so long although a stream plays is replaced."""
-
-START_S = 5.0
-"""Longest time from the start of a process to its ports."""
-
-LONGEST_WAIT_S = 1.0
-"""Longest time between two starts."""
-
+# Sets the initial state of rigs. The second argument is True in the first call for these rigs.
 Restore = Callable[[Sequence[DrivenRig | None], bool], None]
-"""Sets what rigs begin with; the second argument tells the first call for them."""
+
+
+@dataclass
+class RunningChain:
+    """A chain and its times in seconds.
+
+    began_s: start of the process. linked_s: time since which all links exist. frames: number of
+    processed frames. moved_s: latest time when `frames` changed or was not expected to change.
+    left_s: time of the first call of `has_left`. has_realtime: None before the check.
+    has_settled: whether `is_settled` was ever true.
+    """
+
+    chain: Chain
+    began_s: float
+    linked_s: float = math.inf
+    frames: int = 0
+    moved_s: float = 0.0
+    left_s: float = math.inf
+    has_realtime: bool | None = None
+    has_settled: bool = False
+    _linked_frames: int = 0
+
+    @property
+    def is_silent(self) -> bool:
+        """Whether the chain has faded out."""
+        return self.chain.page.faded_out(len(self.chain.plan.actuators))
+
+    def look_for_priority(self, now_s: float) -> None:
+        """Check once, after PRIORITY_S, whether the process has real-time priority."""
+        if self.has_realtime is None and now_s - self.linked_s > PRIORITY_S:
+            self.has_realtime = has_realtime(self.chain.process_id)
+
+    @property
+    def is_linked(self) -> bool:
+        """Whether all links of the chain exist."""
+        return self.linked_s < math.inf
+
+    def note_frames(self, now_s: float, *, is_fed: bool) -> None:
+        """Update `frames` and `moved_s`. is_fed: whether `frames` should increase."""
+        frames = self.chain.page.frames
+        if frames != self.frames or not is_fed or not self.is_linked:
+            self.frames, self.moved_s = frames, now_s
+
+    def stands_s(self, now_s: float) -> float:
+        """Return the seconds since `moved_s`."""
+        return now_s - self.moved_s
+
+    def note_links(self, now_s: float, *, exist: bool) -> None:
+        """Update `linked_s`. exist: whether all links exist."""
+        if not exist:
+            self.linked_s = math.inf
+        elif not self.is_linked:
+            self.linked_s = self.moved_s = now_s
+            self._linked_frames = self.chain.page.frames
+
+    def is_settled(self, now_s: float) -> bool:
+        """Whether the chain is linked, and has once been linked for SETTLED_FRAMES or SETTLED_S.
+
+        A sound that already plays begins abruptly for a new chain, which would be felt as a knock.
+        """
+        heard = self.chain.page.frames - self._linked_frames >= SETTLED_FRAMES
+        if self.is_linked and (heard or now_s - self.linked_s > SETTLED_S):
+            self.has_settled = True
+        return self.is_linked and self.has_settled
+
+    def has_left(self, graph: Graph, now_s: float) -> bool:
+        """Whether the chain's links are gone, or LEAVE_S have passed since the first call."""
+        self.left_s = min(self.left_s, now_s)
+        nodes = [graph.node_named(name) for name in (self.chain.tap, self.chain.vibration)]
+        linked = any(node and any(graph.links_of(node.id)) for node in nodes)
+        return not linked or now_s - self.left_s > LEAVE_S
 
 
 class Chains:
-    """All chains of one engine. For the supervising thread alone; attributes are for any thread.
+    """All chains of one engine. Any thread may read the attributes.
 
-    folder: private, for files. restore: sets what the rigs of a new chain begin with. designs: of
-    drives. current: the chain that plays, or would. following: the one that is to replace it.
-    leaving: those that are being unlinked. backoff: delays starts after failures. problem: why no
-    chain follows although the settings have changed, "" for nothing.
+    current: the chain that plays. following: the chain that will replace `current`. leaving: chains
+    that are being unlinked. problem: why changed settings are not applied, or "".
     """
 
     def __init__(
         self, config: RunConfig, folder: Path, restore: Restore, designs: DriveDesigns
     ) -> None:
-        self._config = config
-        self._restore = restore
-        self._designs = designs
-        self.problem = ""
-        self._folder = folder
+        self._config, self._folder = config, folder
+        self._restore, self._designs = restore, designs
         self._sound_gain = 1.0
-        self.backoff = Backoff(longest_s=LONGEST_WAIT_S)
+        self._has_restarted = False
+        self.problem = ""
+        self.backoff = Backoff(longest_s=START_WAIT_S)
         self.current: RunningChain | None = None
         self.following: RunningChain | None = None
         self.leaving: list[RunningChain] = []
-        for left_over in folder.glob(f"{NAME}-*"):  # of a daemon that was killed
+        for left_over in folder.glob(f"{NAME}-*"):  # left by a killed daemon
             left_over.unlink(missing_ok=True)
 
     @property
     def running(self) -> list[RunningChain]:
-        """Return the current and the following chain, as far as there are any."""
+        """The current and the following chain, if they exist."""
         return [one for one in (self.current, self.following) if one is not None]
 
     def follow(self, config: RunConfig) -> None:
-        """Use another config for levels and delays."""
+        """Apply another config's gains and delays to the running chains."""
         self._config = config
         for running in self.running:
             set_actuators(running.chain, config)
 
     def set_sound_gain(self, gain: float) -> None:
-        """Set the factor on the tapped sound."""
+        """Set the gain of the tapped sound."""
         self._sound_gain = gain
         for running in self.running:
             running.chain.page.set_sound_gain(gain)
 
     def check(self, graph: Graph, now_s: float, *, is_fed: bool) -> None:
-        """Drop chains that have ended or hang, and raise LostError for them.
-
-        is_fed: whether a stream plays that is tapped, so that frames must be processed.
-        """
-        for running in (self.following, self.current):
-            if running is None:
-                continue
+        """If a chain has failed, close it and raise LostError. is_fed: see `note_frames`."""
+        for running in reversed(self.running):
             try:
                 running.chain.check()
                 if running.chain.is_stopped:
                     raise LostError("the native engine's process was stopped")
-                if (
-                    not running.is_linked
-                    and now_s - running.began_s > START_S
-                    and not running.chain.is_in(graph)
-                ):
-                    raise LostError("the native engine did not appear in PipeWire's graph")
+                if not running.is_linked and not running.chain.is_in(graph):
+                    age_s = now_s - running.began_s
+                    if age_s > START_S:
+                        raise LostError("the native engine did not appear in PipeWire's graph")
+                    if age_s > RESTART_S and running is self.following and not self._has_restarted:
+                        self._has_restarted, self.following = True, None
+                        running.chain.close()
+                        continue
                 running.note_frames(now_s, is_fed=is_fed)
-                # a device may be slow to begin, and a chain that has played is replaced
+                # A current chain that has played is not closed here; `make` replaces this chain.
                 is_refused = not running.frames and running.chain.complaint
                 has_failed = running is self.following or is_refused
                 if has_failed and running.stands_s(now_s) > STUCK_S:
@@ -112,24 +175,25 @@ class Chains:
                 raise
 
     def make(self, plan: ChainPlan, now_s: float) -> None:
-        """Begin another chain where the present one is for something else, or is stuck.
+        """Start a new chain if the current chain has another plan, hangs or does not exist.
 
-        LostError: its design cannot be made, and no chain plays. UsageError: there is no such rig.
+        LostError: a design cannot be computed, and no chain plays. UsageError: a rig is unknown.
+        For other errors, see `Chain`.
         """
         current, following = self.current, self.following
         if following is not None and not following.chain.page.frames:
-            self._restore(following.chain.rigs, False)  # what plays goes on warming until then
+            self._restore(following.chain.rigs, False)  # coil temperatures have changed meanwhile
         if current is None or current.chain.plan != plan or current.stands_s(now_s) > STUCK_S:
             self._begin(plan, now_s)
             return
         self._designs.end()
         self.problem = ""
         if following is not None and not following.is_linked:
-            following.chain.close()  # the present one has gone on by itself
+            following.chain.close()  # the current chain has recovered
             self.following = None
 
     def samplerate(self, graph: Graph) -> int:
-        """Return the rate at which the host runs the plugin; before it does, the server's."""
+        """Return the plugin's sample rate in Hz, or the expected rate before the plugin runs."""
         for running in reversed(self.running):
             if running.chain.page.samplerate:
                 return running.chain.page.samplerate
@@ -138,10 +202,11 @@ class Chains:
         return graph.clock_hz or 48_000
 
     def adopt(self, now_s: float) -> None:
-        """Let the following chain take the place of one that has faded out."""
+        """If the current chain is silent or hangs, replace it by the settled following chain."""
         old, new = self.current, self.following
         if new is None or not new.is_linked:
             return
+        self._has_restarted = False
         if old is None:
             self.current, self.following = new, None
         elif new.is_settled(now_s) and (old.is_silent or old.stands_s(now_s) >= FADE_S):
@@ -149,32 +214,31 @@ class Chains:
             self.current, self.following = new, None
 
     def let_play(self, now_s: float) -> bool:
-        """Fade the chains in or out, and return whether one plays.
+        """Fade the chosen chain in and the other out; return whether a chain is audible.
 
-        The following one takes over when it has settled.
+        The chosen chain is the following chain if it is settled, else the current chain.
         """
-        takes_over = self.following is not None and self.following.is_settled(now_s)
-        chosen = self.following if takes_over else self.current
+        settled = [running for running in self.running if running.is_settled(now_s)]
         for running in self.running:
-            running.chain.page.set_audible(running is chosen and running.is_linked)
-        return chosen is not None and chosen.is_linked
+            running.chain.page.set_audible(running in settled[-1:])
+        return bool(settled)
 
     def silence(self) -> bool:
-        """Let all chains fade out; return whether they have."""
+        """Fade all chains out; return whether the fades have ended."""
         running = self.running
         for one in running:
             one.chain.page.set_audible(False)
         return all(one.is_silent for one in running)
 
     def end_leaving(self, graph: Graph, now_s: float) -> None:
-        """End the chains that have left the graph."""
+        """End the chains in `leaving` for which `has_left` is true."""
         for running in tuple(self.leaving):
             if running.has_left(graph, now_s):
                 self.leaving.remove(running)
                 running.chain.close()
 
     def close(self) -> None:
-        """End all chains at once. May be repeated; raises nothing."""
+        """End all chains immediately. Repeated calls do nothing."""
         for running in (*self.running, *self.leaving):
             running.chain.close()
         self.current = self.following = None
@@ -196,7 +260,6 @@ class Chains:
         self.following = RunningChain(chain, now_s, moved_s=now_s)
 
     def _designed(self, plan: ChainPlan, now_s: float) -> list[DriveDesign | None] | None:
-        """Return the designs of a plan's drives, None while the present chain plays on."""
         drives: list[DriveDesign | None] | None = None
         try:
             drives = self._designs.of(plan.drive_plans(), now_s)
@@ -214,7 +277,7 @@ class Chains:
 
 
 def set_actuators(chain: Chain, config: RunConfig) -> None:
-    """Set the levels and delays of a chain's actuators as a config has them."""
+    """Set gains and delays of a chain's actuators from the config."""
     settings, offset_s = config.settings, max(0.0, config.live.offset_s)
     level = 0.0 if config.muted else db_to_amplitude(settings.gain_db)
     if not settings.actuators:

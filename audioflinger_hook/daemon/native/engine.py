@@ -1,8 +1,4 @@
-"""The native engine: keeps a chain of the plugin running and linked from the tap to the device.
-
-Only this engine links the chain. When the tap or the device vanishes, the links vanish with it, and
-the vibration goes nowhere until both are back.
-"""
+"""The native engine: keeps the plugin running, and links it between tap and device."""
 
 from __future__ import annotations
 
@@ -12,44 +8,40 @@ from collections.abc import Callable
 from pathlib import Path
 
 from audioflinger_hook.daemon.inputs.applications import Applications
-from audioflinger_hook.daemon.native.chain import NAME
-from audioflinger_hook.daemon.native.chains import FADE_S, Chains, Restore
-from audioflinger_hook.daemon.native.designs import DriveDesigns
-from audioflinger_hook.daemon.native.page import Page, TransformReadings
-from audioflinger_hook.daemon.native.plan import ChainPlan, device_map
-from audioflinger_hook.daemon.native.ports import port_names
-from audioflinger_hook.daemon.native.running import RunningChain
-from audioflinger_hook.daemon.native.taps import Tap, tap_of
-from audioflinger_hook.daemon.native.wiring import ChainEnds, ChainWiring, why_unlinkable
+from audioflinger_hook.daemon.native.chain import NAME, Chain
+from audioflinger_hook.daemon.native.chains import FADE_S, Chains, Restore, RunningChain
+from audioflinger_hook.daemon.native.plan import ChainPlan, DriveDesigns
+from audioflinger_hook.daemon.native.taps import (
+    ChainEnds,
+    ChainWiring,
+    Tap,
+    port_names,
+    tap_of,
+    why_unlinkable,
+)
 from audioflinger_hook.daemon.run_config import RunConfig
-from audioflinger_hook.drive.driven_rig import DrivenRig
-from audioflinger_hook.service.meters import Level
 from audioflinger_hook.service.state import Cause, StateKeeper
+from device.drive.channel_positions import actuators_of_channels
 from device.errors import LostError, NotFoundError, UsageError
 from device.server.graph_watch import GraphWatch
 from device.server.node_errors import NodeErrors
 from device.server.snapshot import Sink, Source
 
-REFUSED_S = 0.5
-"""A link that is missing for so long is refused. If it is from a stream, the monitor is tapped."""
+REFUSED_S = 0.5  # a link that is missing for this time counts as refused
 
+# A missing link may merely be late, so links from streams are tried again after growing waits.
 REFUSED_WAIT_S, REFUSED_WAIT_MAX_S = 5.0, 600.0
-"""Links from streams are tried again after so long, twice as long each time; a busy machine may
-have been late."""
 
 
 class NativeEngine:
-    """The chain that plays, and the next one while it settles.
+    """Runs one chain, and a second chain during a change of settings.
 
-    The supervising thread calls the methods; any thread may read the attributes.
+    The supervising thread calls the methods. Any thread may read the attributes.
 
-    folder: private, for files. states: counts what was lost and came back. on_change: called by
-    another thread when the graph changes. restore: sets what the rigs of a new chain begin with.
-    designs: makes those of drives. monitor_reason: why the sink's monitor is tapped instead of the
-    streams that play to it; "" for the streams. audible: whether the chain is linked and
-    plays. is_fed: whether a stream plays that is tapped. errors: the server's counts of its nodes.
-    waits_for: what must come back before it can play, "" for nothing.
-    NotFoundError: a program of PipeWire is missing.
+    folder, on_change, restore: see `NativeRun`. errors: xruns of the chains' nodes.
+    monitor_reason: why the sink's monitor is tapped instead of the streams, or "".
+    audible: whether a linked chain plays. is_fed: whether a tapped stream plays.
+    waits_for: why the engine cannot play yet, or "". NotFoundError: a PipeWire program is missing.
     """
 
     def __init__(
@@ -64,122 +56,73 @@ class NativeEngine:
     ) -> None:
         self._config = config
         self._states = states
-        self._watch = GraphWatch(on_change)
+        self.watch = GraphWatch(on_change)
         self.errors = NodeErrors()
-        self._chains = Chains(config, folder, restore, designs)
-        self._designs = designs
+        self.chains = Chains(config, folder, restore, designs)
+        self.designs = designs
         self._tap: Tap | None = None
         self._wiring = ChainWiring()
         self._has_played = False
         self._faded_s = math.inf
-        self._must_use_monitor = bool(monitor_reason)
+        self.monitor_reason, self._must_use_monitor = monitor_reason, bool(monitor_reason)
         self._refused_until_s, self._refused_wait_s = -math.inf, REFUSED_WAIT_S
         self._session_manager: int | None = None
         self.waits_for = ""
-        self.monitor_reason = monitor_reason
         self.audible = self.is_fed = False
 
     @property
-    def plan(self) -> ChainPlan | None:
-        """What the chain does, None before the first one."""
-        current = self._chains.current  # another thread may ask
-        return current.chain.plan if current else None
-
-    @property
-    def process_id(self) -> int:
-        """Number of the chain's process, 0 for none."""
-        current = self._chains.current
-        return current.chain.process_id if current else 0
+    def chain(self) -> Chain | None:
+        """The current chain, or None."""
+        current = self.chains.current  # another thread may change `current`
+        return current.chain if current else None
 
     @property
     def is_steady(self) -> bool:
-        """Whether it plays, and no other chain is about to."""
-        chains = self._chains
+        """Whether a chain plays and is not being replaced."""
+        chains = self.chains
         return self.audible and chains.following is None and not chains.leaving
 
-    @property
-    def is_designing(self) -> bool:
-        """Whether the next chain waits for its design."""
-        return self._designs.are_under_way
-
-    @property
-    def problem(self) -> str:
-        """Why changed settings are not played, "" for nothing."""
-        return self._chains.problem
-
-    @property
-    def is_lost(self) -> bool:
-        """Whether the graph is gone, so that another engine must be made."""
-        return self._watch.lost
-
     def unseen(self, tap: Tap, device: Sink) -> str:
-        """Return why tap or device cannot be linked in the graph, "" if both can."""
-        with self._watch.lock:
-            return why_unlinkable(self._watch.graph, tap, device.name)
-
-    def readings(self) -> TransformReadings | None:
-        """Return what the transform reports, None before the first chain."""
-        current = self._chains.current
-        return current.chain.page.readings() if current else None
+        """Return why tap or device cannot be linked, "" if both can be linked."""
+        with self.watch.lock:
+            return why_unlinkable(self.watch.graph, tap, device.name)
 
     @property
     def lacks_realtime(self) -> bool:
-        """Whether it was to have real-time priority and has none."""
-        current = self._chains.current
+        """Whether the chain lacks the real-time priority that the config wants."""
+        current = self.chains.current
         return self._config.live.realtime and current is not None and current.has_realtime is False
 
-    @property
-    def server(self) -> str:
-        """The server's name and version, such as "PipeWire 1.4.2"."""
-        return f"PipeWire {self._watch.graph.version}".rstrip()
-
-    @property
-    def rigs(self) -> tuple[DrivenRig | None, ...]:
-        """What is known of each rig that the chain drives; () before the first one."""
-        current = self._chains.current
-        return current.chain.rigs if current else ()
-
-    @property
-    def page(self) -> Page | None:
-        """The page of the chain that plays, None before the first one."""
-        current = self._chains.current
-        return current.chain.page if current else None
-
-    def level(self, slot: int) -> Level:
-        """Return the level of an actuator."""
-        current = self._chains.current
-        return current.chain.page.level(slot) if current else Level()
-
     def follow(self, config: RunConfig) -> None:
-        """Use another config; what the plugin cannot change itself needs a new chain."""
+        """Apply another config. The next `maintain` starts a new chain if necessary."""
         self._config = config
-        self._chains.follow(config)
+        self.chains.follow(config)
 
     def set_sound_gains(self, *, streams: float, monitor: float) -> None:
-        """Set the factors on the sound of streams and of a monitor; the tap's is used."""
-        self._chains.set_sound_gain(monitor if self.monitor_reason else streams)
+        """Set the gain of the sound: `monitor` if the monitor is tapped, otherwise `streams`."""
+        self.chains.set_sound_gain(monitor if self.monitor_reason else streams)
 
     def use_monitor(self, reason: str) -> None:
-        """Tap the sink's monitor from now on, for this reason."""
+        """Tap the sink's monitor from now on."""
         self._must_use_monitor, self.monitor_reason = True, reason
 
     def maintain(self, found: Source | Applications, device: Sink, now_s: float) -> bool:
-        """Start, link and check the chain; return whether it plays.
+        """Start, link and check the chain; return whether the chain plays.
 
-        LostError: the chain or the graph is gone; the next call starts again.
-        NotFoundError: the server refuses links from the applications that are to be tapped.
-        UsageError: the device lacks a channel.
+        LostError: a chain or the connection was lost; the next call tries again. NotFoundError:
+        streams cannot be linked. UsageError: the device lacks a channel, or a rig is unknown. For
+        other errors, see `Chain`.
         """
         self._faded_s = math.inf
         tap = tap_of(found, self._config.rules)
         self._note_moves(tap)
-        if self._watch.lost:
+        if self.watch.lost:
             raise LostError("the connection to PipeWire's graph was lost")
-        with self._watch.lock:
-            graph, chains = self._watch.graph, self._chains
+        with self.watch.lock:
+            graph, chains = self.watch.graph, self.chains
             chains.end_leaving(graph, now_s)
             if not self._has_session(now_s):
-                self._designs.end()
+                self.designs.end()
                 return False
             try:
                 chains.check(graph, now_s, is_fed=self.is_fed)
@@ -201,44 +144,44 @@ class NativeEngine:
         return self.audible
 
     def lose_links(self, now_s: float) -> bool:
-        """Remove all links, as tap or device is away; return whether the engine had played."""
+        """Remove all links because tap or device is missing.
+
+        Return whether the engine has played since the previous call.
+        """
         played, self._has_played = self._has_played, False
-        self._chains.silence()
-        self._designs.end()
-        for running in self._chains.running:
+        self.chains.silence()
+        self.designs.end()
+        for running in self.chains.running:
             running.linked_s = math.inf
         self.audible = False
-        with self._watch.lock:
+        with self.watch.lock:
             self._has_session(now_s)
-            self._chains.end_leaving(self._watch.graph, now_s)
+            self.chains.end_leaving(self.watch.graph, now_s)
             self._wire(None, None, now_s)
         return played
 
     def fade_out(self, now_s: float) -> bool:
-        """Let the vibration end softly; return whether it has ended. Repeat it until then."""
+        """Fade the vibration out; return whether the fade has ended. Repeat the call until then."""
         self.audible = False
         self._faded_s = min(self._faded_s, now_s)
-        return self._chains.silence() or now_s - self._faded_s > FADE_S
+        return self.chains.silence() or now_s - self._faded_s > FADE_S
 
     def leave(self, now_s: float) -> bool:
-        """Take the chains out of the graph; return whether they are out. Repeat it until then.
-
-        Only after `fade_out`.
-        """
-        chains, graph = self._chains, self._watch.graph
+        """Remove the chains' links; return whether all are gone. Repeat the call until then."""
+        chains, graph = self.chains, self.watch.graph
         chains.leaving += chains.running
         chains.current = chains.following = None
-        with self._watch.lock:
+        with self.watch.lock:
             self._wire(None, None, now_s)
             have_left = [one.has_left(graph, now_s) for one in chains.leaving]
         return all(have_left)
 
     def close(self) -> None:
-        """End everything. May be repeated; raises nothing."""
-        self._chains.close()
+        """End all chains and disconnect from the graph. Repeated calls do nothing."""
+        self.chains.close()
         self.audible = False
         self.errors.close()
-        self._watch.close()
+        self.watch.close()
 
     def _note_moves(self, tap: Tap) -> None:
         before, self._tap = self._tap, tap
@@ -252,15 +195,14 @@ class NativeEngine:
             self._states.count(Cause.DEFAULT_CHANGED, f"the tap is now: {tap.name}")
 
     def _has_session(self, now_s: float) -> bool:
-        """Whether the session manager runs; end the chains of before when it has gone.
+        """Return whether the session manager runs; end all chains after its end or restart.
 
-        WirePlumber 0.4 never stops waiting for nodes that played before it started. Until then it
-        links no program.
+        A restarted WirePlumber 0.4 would wait for nodes of earlier chains, and link no program.
         """
-        known, seen = self._session_manager, self._watch.graph.session_manager
+        known, seen = self._session_manager, self.watch.graph.session_manager
         if known is not None and seen != known and not self.waits_for:
             self._states.count(Cause.SERVER_LOST, "PipeWire's session manager has ended")
-            self._chains.close()
+            self.chains.close()
             self._wire(None, None, now_s)
             self.audible = self.is_fed = False
         self._session_manager = seen if seen is not None else known
@@ -269,9 +211,9 @@ class NativeEngine:
         return not gone
 
     def _wire(self, tap: Tap | None, device: Sink | None, now_s: float) -> None:
-        """Have the chains linked to tap and device, or to nothing without a device."""
-        ends = [one.chain.ends() for one in self._chains.leaving]
-        ends += [self._ends(running, tap, device) for running in self._chains.running]
+        """Link the chains to tap and device; without a device, remove all links."""
+        ends = [one.chain.ends() for one in self.chains.leaving]
+        ends += [self._ends(running, tap, device) for running in self.chains.running]
         self._wiring = ChainWiring(
             chains=tuple(ends),
             tap=tap,
@@ -280,59 +222,60 @@ class NativeEngine:
             by_monitor=bool(self.monitor_reason),
             silence=f"{NAME}-{os.getpid()}-silence",
         )
-        self._watch.keeper.wiring = self._wiring
-        self._watch.keeper.update(now_s)
-        self.is_fed = self._wiring.is_fed(self._watch.graph)
+        self.watch.keeper.wiring = self._wiring
+        self.watch.keeper.update(now_s)
+        self.is_fed = self._wiring.is_fed(self.watch.graph)
 
     def _ends(self, running: RunningChain, tap: Tap | None, device: Sink | None) -> ChainEnds:
         plan = running.chain.plan
         if tap is None or device is None or plan.tap_channels != tap.channels:
             return running.chain.ends()
         try:
-            played = device_map(self._config.settings, plan, device).sources
+            actuators = self._config.settings.actuators
+            played = actuators_of_channels(device, actuators, plan.outputs).sources
         except UsageError:
-            if running is self._chains.following or self._chains.following is None:
+            if running is self.chains.following or self.chains.following is None:
                 raise
             return running.chain.ends()
         return running.chain.ends(played, linked=True)
 
     def _note_links(self, now_s: float) -> None:
-        """Note since when each chain is linked. Streams come and go; the device must be there."""
-        graph, keeper = self._watch.graph, self._watch.keeper
+        """For each chain, store the time since which all its necessary links exist."""
+        graph, keeper = self.watch.graph, self.watch.keeper
         ends = {chain.tap: chain for chain in self._wiring.chains}
-        for running in self._chains.running:
+        for running in self.chains.running:
             chain = ends[running.chain.tap]
             wanted = self._wiring.device_links(graph, chain) if chain.linked else set()
             if len(wanted) < sum(actuator is not None for actuator in chain.played):
-                wanted = set()  # the device's ports are not all there yet
+                wanted = set()  # some ports of the device do not exist yet
             if self._wiring.by_monitor and chain.linked:
                 from_tap = self._wiring.tap_links(graph, chain)
                 wanted = wanted | from_tap if from_tap else set()
             elif wanted and not running.is_linked:
-                silent = self._wiring.silent_links(graph, chain)
-                if keeper.missing_for_s(silent, now_s) <= REFUSED_S:
-                    wanted = wanted | silent
-            if wanted and chain.tap_ports(graph) and keeper.are_there(wanted):
-                if not running.is_linked:
-                    running.linked_s = running.moved_s = now_s
-                    self._chains.backoff.succeeded()
-            else:
-                running.linked_s = math.inf
+                first = self._wiring.silent_links(graph, chain)
+                first |= self._wiring.tap_links(graph, chain)
+                if keeper.missing_for_s(first, now_s) <= REFUSED_S:
+                    wanted = wanted | first
+            exist = bool(wanted and chain.tap_ports(graph)) and keeper.are_there(wanted)
+            if exist and not running.is_linked:
+                self.chains.backoff.succeeded()
+            running.note_links(now_s, exist=exist)
 
     def _choose_way(self, now_s: float) -> None:
-        """Tap the monitor where links from streams are refused, until nothing plays."""
-        tap, graph = self._wiring.tap, self._watch.graph
+        """Tap the monitor if links from streams are refused; try links from streams again later.
+
+        NotFoundError: links are refused, and a monitor cannot replace the selected streams.
+        """
+        tap, graph = self._wiring.tap, self.watch.graph
         assert tap is not None
         if self.monitor_reason:
             may_try = not self._must_use_monitor and now_s > self._refused_until_s
             if may_try and not any(tap.tapped_links(graph, self._wiring.device)):
                 self.monitor_reason = ""
             return
-        wanted: set[tuple[int, int]] = set()
-        for chain in self._wiring.chains:
-            if chain.linked:
-                wanted |= self._wiring.tap_links(graph, chain)
-        if self._watch.keeper.missing_for_s(wanted, now_s) <= REFUSED_S:
+        chains = [chain for chain in self._wiring.chains if chain.linked]
+        wanted = {link for chain in chains for link in self._wiring.tap_links(graph, chain)}
+        if self.watch.keeper.missing_for_s(wanted, now_s) <= REFUSED_S:
             return
         refused = "PipeWire does not make the links from the streams that play"
         if not tap.has_monitor:

@@ -1,8 +1,4 @@
-"""What lies where in the page of memory that the plugin shares; plugin/native/page.h says the same.
-
-Each value has one writer and is written at once, so no side waits for another. The daemon reads and
-writes the page, a live page only reads it.
-"""
+"""Layout of shared memory, as in plugin/native/parts.h. No value is written by two processes."""
 
 from __future__ import annotations
 
@@ -20,15 +16,12 @@ from audioflinger_hook.core.structures import (
 )
 
 MAGIC = 0x3545474150485543
-ACTUATORS = 32
-"""Largest number of actuators of the plugin."""
-
-READ_TRIES = 4
-"""Attempts to read the partials while the plugin writes; writing takes less than 1 µs."""
+ACTUATORS = 32  # largest number of actuators of the plugin
+READ_TRIES = 4  # largest number of attempts to read partials between two writes of the plugin
 
 
 class Layout(ctypes.Structure):
-    """The whole page."""
+    """Layout of the shared memory."""
 
     _fields_ = (
         ("magic", ctypes.c_uint64),
@@ -50,21 +43,18 @@ _LEVEL_BYTES = ctypes.sizeof(Level)
 _AFTER_LEVEL = ctypes.sizeof(ActuatorReadings) - _LEVEL_BYTES
 
 
+# Numbers of channels, actuators and partials, then values. A channel or actuator has peak and mean
+# square. A partial has frequency in the sound in Hz, frequency in the vibration in Hz, amplitude.
 Shown = tuple[tuple[int, int, int], tuple[float, ...]]
-"""Counts of channels, actuators and partials, and their numbers: peak and mean square of each
-channel and each actuator; Hz of the sound, Hz of vibration and amplitude of each partial."""
 
 
 class ShownReader:
-    """Reads what a live page shows; any thread may call it.
-
-    memory: the shared page. channels: of the tap, 1 to CHANNELS. actuators: 1 to ACTUATORS.
-    """
+    """Reads levels and partials from shared memory for the live page. Any thread may use it."""
 
     def __init__(self, memory: mmap.mmap, channels: int, actuators: int) -> None:
         self._memory = memory
         self.channels, self.actuators = channels, actuators
-        # Read with one call, as a page asks many times a second.
+        # One call reads all values, because pages read them many times per second.
         self._shown = struct.Struct(
             f"={2 * channels}d{_LEVEL_BYTES * (2 * CHANNELS - channels)}x2Q{3 * PARTIALS}d"
             + f"2d{_AFTER_LEVEL}x" * actuators
@@ -72,21 +62,21 @@ class ShownReader:
 
     @property
     def is_known(self) -> bool:
-        """Whether the memory is a page of this layout."""
+        """Whether the memory has the layout `Layout`."""
         return len(self._memory) == SIZE and _HEADER.unpack_from(self._memory) == (MAGIC, SIZE)
 
     @property
     def frames(self) -> int:
-        """Frames of sound that were processed; it stands still while nothing plays."""
+        """Number of processed frames of sound, constant while the engine does not run."""
         return int(_COUNT.unpack_from(self._memory, _FRAMES_AT)[0])
 
     @property
     def sequence(self) -> int:
-        """A count that changes when partials are written."""
+        """Counter that changes at each write of partials; odd during a write."""
         return int(_COUNT.unpack_from(self._memory, _SEQUENCE_AT)[0])
 
     def shown(self) -> Shown:
-        """Return what a page shows; no partials where the plugin writes at every attempt."""
+        """Return levels and partials; no partials if each attempt coincides with a write."""
         first = 2 * self.channels
         partials = first + 2
         for _ in range(READ_TRIES):
@@ -97,9 +87,5 @@ class ShownReader:
                 break
         else:
             count = 0
-        numbers = (
-            *found[:first],
-            *found[partials + 3 * PARTIALS :],
-            *found[partials : partials + 3 * count],
-        )
-        return (self.channels, self.actuators, count), numbers
+        actuators, shown = found[partials + 3 * PARTIALS :], found[partials : partials + 3 * count]
+        return (self.channels, self.actuators, count), (*found[:first], *actuators, *shown)

@@ -1,46 +1,25 @@
-"""The page of memory that the daemon and the plugin share."""
+"""Memory that the daemon shares with the plugin and the live page."""
 
 from __future__ import annotations
 
 import mmap
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from audioflinger_hook.core import structures
 from audioflinger_hook.core.structures import PARTIALS
 from audioflinger_hook.daemon.native.layout import ACTUATORS, MAGIC, SIZE, Layout, ShownReader
-from audioflinger_hook.drive.driven_rig import DrivenRig, driven_rigs
 from audioflinger_hook.service.meters import Level, Reading, level_of
-from device.drive.design import DriveDesign
 
 DELAY_MAX_S = 2.0
 
 
-@dataclass(frozen=True)
-class TransformReadings:
-    """What the transform reports: frames so far, counts of samples, the graph's cycle, levels.
-
-    samplerate: of the host in Hz; 0 before there is a transform. cycle_frames: of the latest cycle.
-    """
-
-    frames: int
-    replaced_samples: int
-    limited_samples: int
-    samplerate: int
-    cycle_frames: int
-    sound: Level
-    vibration: Level
-
-
 class Page:
-    """The shared page in a separate file, which `close` removes.
+    """Shared memory in a new file at `path`, which `close` removes.
 
-    The supervising thread calls the methods; any thread may call `readings` and `level`.
-
-    path: of the file; it must not exist. channels: of the tap. vibrations: of the transform.
-    sources: for each actuator, the number of its vibration. reader: of what a live page shows.
+    Any thread may read levels and counts. channels: of the sound. vibrations: number of vibrations.
+    sources: index of the vibration that each actuator plays. reader: for the live page.
     """
 
     def __init__(self, path: Path, channels: int, vibrations: int, sources: Sequence[int]) -> None:
@@ -55,6 +34,7 @@ class Page:
         finally:
             os.close(file)
         self._page = page = Layout.from_buffer(memory)
+        self.controls, self.readings = page.controls, page.readings
         self.reader = ShownReader(memory, channels, len(sources))
         page.controls.sound_gain = 1.0
         for controls, source in zip(page.controls.actuators, sources, strict=False):
@@ -68,17 +48,13 @@ class Page:
         actuators: Sequence[Reading],
         partials: Sequence[tuple[float, float, float]],
     ) -> None:
-        """Write what a live page shows, as the plugin does; for an engine without a plugin.
-
-        frames: processed so far. channels, actuators: their peaks and mean squares. partials: at
-        most PARTIALS of them count.
-        """
-        readings = self._page.readings
+        """Write readings for the live page. channels, actuators: peak and mean square of each."""
+        readings = self.readings
         for place, reading in zip(readings.sound, channels[: self._channels], strict=False):
             place.peak, place.mean_square = reading
         for place, reading in zip(readings.actuators, actuators[:ACTUATORS], strict=False):
             place.level.peak, place.level.mean_square = reading
-        readings.sequence += 1  # odd: a reader tries again
+        readings.sequence += 1  # an odd number makes readers try again
         readings.partials_count = min(len(partials), PARTIALS)
         for slot, partial in enumerate(partials[:PARTIALS]):
             readings.partials[slot][:] = partial
@@ -86,74 +62,66 @@ class Page:
         readings.frames = frames
 
     def set_sound_gain(self, gain: float) -> None:
-        """Set the factor on the tap's samples, 0 to 100; it changes over one buffer."""
-        self._page.controls.sound_gain = gain
+        """Set the gain of the tap's samples, 0 or more. The change extends over one buffer."""
+        self.controls.sound_gain = gain
 
     def set_actuator(self, slot: int, gain: float, delay_frames: float) -> None:
-        """Set an actuator's factor, -1 to 1, and its delay."""
-        controls = self._page.controls.actuators[slot]
+        """Set the gain, -1 to 1, and the delay in frames of the actuator with index `slot`."""
+        controls = self.controls.actuators[slot]
         controls.gain, controls.delay_frames = gain, max(0.0, delay_frames)
 
     def set_audible(self, audible: bool) -> None:
-        """Fade all actuators in or out, within 40 ms."""
-        for controls in self._page.controls.actuators:
+        """Fade the vibration of all actuators in or out within 40 ms."""
+        for controls in self.controls.actuators:
             controls.audible = int(audible)
-
-    def rigs(
-        self, designs: Sequence[DriveDesign | None], columns: int
-    ) -> tuple[DrivenRig | None, ...]:
-        """Return what drives each rig; see `driven_rigs`."""
-        return driven_rigs(designs, self._page.controls, self._page.readings, columns)
 
     @property
     def frames(self) -> int:
-        """Frames that the transform has processed."""
-        return int(self._page.readings.frames)
+        """Number of frames that the transform has processed."""
+        return int(self.readings.frames)
 
     @property
     def samplerate(self) -> int:
-        """Hz of the host, 0 before there is a transform."""
+        """Sample rate of the plugin in Hz, 0 before the plugin runs."""
         return int(self._page.samplerate)
 
     def faded_out(self, actuators: int) -> bool:
-        """Whether the first actuators are all silent."""
-        return all(one.audible == 0.0 for one in self._page.readings.actuators[:actuators])
+        """Whether the first `actuators` actuators are silent."""
+        return all(one.audible == 0.0 for one in self.readings.actuators[:actuators])
 
-    def readings(self) -> TransformReadings:
-        """Return what the transform reports."""
-        found = self._page.readings
-        return TransformReadings(
-            int(found.frames),
-            int(found.replaced),
-            int(found.limited),
-            int(self._page.samplerate),
-            int(self._page.cycle_frames),
-            _loudest(found.sound[: self._channels]),
-            _loudest(found.vibration[: self._vibrations]),
-        )
+    @property
+    def cycle_frames(self) -> int:
+        """Length of the graph's latest cycle in frames, 0 before the first cycle."""
+        return int(self._page.cycle_frames)
+
+    @property
+    def levels(self) -> tuple[Level, Level]:
+        """Levels of the sound and of the vibration."""
+        found = self.readings
+        sound, vibration = found.sound[: self._channels], found.vibration[: self._vibrations]
+        return _loudest(sound), _loudest(vibration)
 
     def level(self, slot: int) -> Level:
-        """Return the level of an actuator."""
-        found = self._page.readings.actuators[slot].level
+        """Return the level of the actuator with index `slot`."""
+        found = self.readings.actuators[slot].level
         return level_of(found.peak, found.mean_square)
 
     def channel_readings(self) -> list[Reading]:
         """Return peak and mean square of each channel of the tap."""
-        found = self._page.readings.sound[: self._channels]
+        found = self.readings.sound[: self._channels]
         return [(level.peak, level.mean_square) for level in found]
 
     def principal(self) -> list[tuple[float, float, float]]:
-        """Return what the latest hop vibrates, as `HapticTransform.principal` does."""
+        """Return the latest partials. See `HapticTransform.principal`."""
         (_, _, count), numbers = self.reader.shown()
         found = numbers[len(numbers) - 3 * count :]
         return [*zip(found[::3], found[1::3], found[2::3], strict=True)]
 
     def close(self) -> None:
-        """Remove the file; readings stay. May be repeated."""
+        """Remove the file; the values remain readable. Repeated calls do nothing."""
         self.path.unlink(missing_ok=True)
 
 
 def _loudest(levels: Sequence[structures.Level]) -> Level:
-    """Return the largest peak of some channels, and the level of their mean power."""
     square = sum(level.mean_square for level in levels) / max(1, len(levels))
     return level_of(max((level.peak for level in levels), default=0.0), square)

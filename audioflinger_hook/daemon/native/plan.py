@@ -1,43 +1,32 @@
-"""What one chain in PipeWire's graph is to do: from the config, the tap and the device."""
+"""The configuration of a chain, and the designs of damping and protection for its rigs."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.core.design import core_design
 from audioflinger_hook.daemon.native.page import DELAY_MAX_S
 from audioflinger_hook.daemon.native.taps import Tap
+from audioflinger_hook.daemon.timing import Backoff
 from audioflinger_hook.mixer.layouts import source_weights
 from audioflinger_hook.transform import TransformParameters
 from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.downmix import source_mixes
-from device.drive import ChannelMap
-from device.drive.channel_positions import actuators_of_channels
-from device.drive.design import DriveDesign, DrivePlan
-from device.server.snapshot import Sink
+from device.drive.design import DriveDesign, DrivePlan, designs_of
+from device.errors import CushionError
+from device.process import Call
 from device.units import FloatArray
-
-
-class DriveChoice(NamedTuple):
-    """What is chosen for an actuator's rig, as in the config."""
-
-    rig: str = "paper"
-    damping: str = "off"
-    protection: str = "off"
-    exposure_cap: str = "off"
 
 
 @dataclass(frozen=True)
 class ChainPlan:
-    """The fixed part of a chain; another plan needs another chain.
+    """Settings that a chain cannot change while it runs.
 
-    samplerate: of the graph in Hz. tap_channels: of the tap. sources: of vibrations, empty for one
-    of the mono mix, or one for each channel. outputs: vibrations. actuators: for each, the number
-    of its vibration. parameters: of the transform. drives: of each named actuator, or one for all:
-    its rig, damping, protection and exposure cap.
+    samplerate: Hz. sources: name of each vibration's source; () if the only source is "mix".
+    outputs: number of vibrations. actuators: index of the vibration that each actuator plays.
+    drives: (rig, damping, protection, exposure cap) of each configured actuator, or one for all.
     """
 
     samplerate: int
@@ -46,14 +35,13 @@ class ChainPlan:
     outputs: int
     actuators: tuple[int, ...]
     parameters: TransformParameters
-    drives: tuple[DriveChoice, ...] = (DriveChoice(),)
+    drives: tuple[tuple[str, str, str, str], ...]
 
     @classmethod
     def of(cls, settings: Settings, tap: Tap, samplerate: int) -> ChainPlan:
-        """Return the plan for the settings, a tap and the graph's rate."""
+        """Return the plan for settings, a tap and the graph's sample rate in Hz."""
         sources = settings.sources
-        each = settings.channels == "each"
-        outputs = len(sources) or (tap.channels if each else 1)
+        outputs = len(sources) or (tap.channels if settings.channels == "each" else 1)
         if settings.actuators:
             routed = tuple(sources.index(actuator.source) for actuator in settings.actuators)
         else:
@@ -61,7 +49,7 @@ class ChainPlan:
         # As in the Python engine, the mix alone needs no weights.
         mixed = () if sources in ((), ("mix",)) else sources
         drives = tuple(
-            DriveChoice(
+            (
                 one.rig or settings.rig,
                 one.damping or settings.damping,
                 one.protection or settings.protection,
@@ -74,28 +62,28 @@ class ChainPlan:
 
     @property
     def weights(self) -> FloatArray | None:
-        """Return the weights of each channel in the sources' halves, None without sources."""
+        """Weights of channels in each source; see `source_weights`. None without sources."""
         return source_weights(self.tap_channels, self.sources) if self.sources else None
 
     @property
     def transform(self) -> LiveDesign:
-        """Return the design of the transform."""
+        """The design of the transform."""
         return LiveDesign.of(self.parameters, self.samplerate)
 
     @property
     def columns(self) -> int:
-        """Actuators for each of `drives`."""
+        """Number of actuators for each entry of `drives`."""
         return len(self.actuators) // len(self.drives)
 
     def drive_plans(self) -> list[DrivePlan | None]:
-        """Return the plan of each of `drives`. UsageError: there is no such rig."""
+        """Return a plan for each entry of `drives`. UsageError: a rig is unknown."""
         return [
-            DrivePlan.of(one.rig, self.samplerate, one.damping, one.protection, one.exposure_cap)
-            for one in self.drives
+            DrivePlan.of(rig, self.samplerate, damping, protection, exposure_cap)
+            for rig, damping, protection, exposure_cap in self.drives
         ]
 
     def design(self, drives: Sequence[DriveDesign | None]) -> bytes:
-        """Return the design of the whole core, with those of `drive_plans`."""
+        """Return the design of the C core as bytes. drives: designs for `drive_plans`."""
         return core_design(
             self.samplerate,
             self.tap_channels,
@@ -107,9 +95,64 @@ class ChainPlan:
         )
 
 
-def device_map(settings: Settings, plan: ChainPlan, sink: Sink) -> ChannelMap:
-    """Return which actuator each channel of the device plays.
+LONGEST_WAIT_S = 60.0  # longest wait for the next attempt after a failure
+KEPT = 64  # above this number of stored designs, designs that are not needed are dropped
 
-    UsageError: an actuator wants a channel that the device does not have.
-    """
-    return actuators_of_channels(sink, settings.actuators, plan.outputs)
+
+class DriveDesigns:
+    """Stores `DriveDesign`s, which another process computes. failure: the latest error, or ""."""
+
+    def __init__(self) -> None:
+        self._known: dict[DrivePlan, DriveDesign] = {}
+        self._call: Call[list[DriveDesign]] | None = None
+        self._asked: list[DrivePlan] = []
+        self._backoff = Backoff(longest_s=LONGEST_WAIT_S)
+        self.failure = ""
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether a process is computing designs."""
+        return self._call is not None
+
+    def of(
+        self, plans: Sequence[DrivePlan | None], now_s: float
+    ) -> list[DriveDesign | None] | None:
+        """Return the designs of `plans`, with None for None. Return None until all designs exist.
+
+        LostError: an attempt failed; later calls try again. UsageError: the sample rate is too low.
+        """
+        asked = [plan for plan in dict.fromkeys(plans) if plan is not None]
+        missing = [plan for plan in asked if plan not in self._known]
+        if missing and not self._has_made(missing, now_s):
+            return None
+        if len(self._known) > KEPT:
+            self._known = {plan: self._known[plan] for plan in asked}
+        return [None if plan is None else self._known[plan] for plan in plans]
+
+    def end(self) -> None:
+        """End the process that computes designs. Repeated calls do nothing."""
+        if self._call is not None:
+            self._call.close()
+        self._call = None
+
+    def _has_made(self, missing: list[DrivePlan], now_s: float) -> bool:
+        if missing != self._asked:
+            self.end()
+            self._asked, self.failure = missing, ""
+            self._backoff.succeeded()
+        try:
+            if self._call is None:
+                if self._backoff.wait_s(now_s) > 0.0:
+                    return False
+                self._call = Call("damping and protection", now_s, designs_of, missing)
+            if not self._call.is_over(now_s):
+                return False
+            call, self._call = self._call, None
+            made = call.result()
+        except CushionError as error:
+            self.failure = str(error)
+            self._backoff.failed(now_s)
+            raise
+        self.failure = ""
+        self._known |= zip(missing, made, strict=True)
+        return True

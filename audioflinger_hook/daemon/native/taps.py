@@ -1,40 +1,35 @@
-"""What a chain taps, as links of the graph: the streams that play to a sink, or its monitor.
+"""Links in PipeWire's graph: from the tap to chains, and from chains to the device.
 
-Streams are tapped by mirroring: for each link from X to the sink there is one from X to the tap. So
-what is mixed at the sink is mixed at the tap, whoever linked it. The monitor of a sink that drives
-the graph is read one cycle later, and cannot leave applications out.
+A chain taps a stream by parallel links: for each link from the stream to the sink, a second link
+leads to the chain. Alternatively, a chain taps the sink's monitor, which contains the sound of all
+applications. The monitor is one cycle late if the sink drives the graph.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Set
 from dataclasses import dataclass
 from functools import lru_cache
 
 from audioflinger_hook.daemon.inputs.applications import Applications
-from audioflinger_hook.daemon.native.ports import in_mixing_order, port_names
+from device.layouts import layout
 from device.server import AppRules
 from device.server.graph import Graph, Link, LinkPair, Node
 from device.server.snapshot import Source, Stream
 
+# Prefixes of port names.
 OUT, IN, PLAYBACK, MONITOR = "output_", "input_", "playback_", "monitor_"
-"""Beginnings of the names of ports."""
+
+_REAR = {"BL": "RL", "BR": "RR", "BC": "RC"}  # PipeWire's names of Android's rear positions
+_SIDE = {"BL": "SL", "BR": "SR", "BC": "RC"}  # if surround channels exist only at the sides
 
 
 @dataclass(frozen=True)
 class Tap:
-    """A tap.
+    """The sound that chains tap. name: for messages. rules: select streams, None for all.
 
-    Attributes
-    ----------
-    name : str
-        For messages.
-    positions : tuple[str, ...]
-        Its channels in the mixer's order, such as ("FL", "FR").
-    sink : str
-        Node that the tapped streams play to; "" for any sink but the device's.
-    rules : AppRules or None
-        Which streams are tapped; None for all.
+    positions: channels in the mixer's order, such as ("FL", "FR"). sink: node to which tapped
+    streams play, "" for all sinks except the device.
     """
 
     name: str
@@ -44,25 +39,22 @@ class Tap:
 
     @property
     def channels(self) -> int:
-        """How many channels it has."""
+        """Number of channels."""
         return len(self.positions)
 
     @property
     def has_monitor(self) -> bool:
-        """Whether the monitor of one sink has the same sound."""
+        """Whether the monitor of one sink contains exactly the tapped streams."""
         return bool(self.sink) and self.rules is None
 
     def mirrored(self, graph: Graph, device: str, inputs: tuple[int, ...]) -> Iterator[LinkPair]:
-        """Return the links that mirror those to the sink.
-
-        device: node of the sink that the vibration goes to. inputs: ids of the tap's ports.
-        """
+        """Yield the links that lead to a chain's ports `inputs`, parallel to `tapped_links`."""
         for link in self.tapped_links(graph, device):
             for channel in channels_of(graph.ports[link.input_id].channel, self.positions):
                 yield link.output_id, inputs[channel]
 
     def tapped_links(self, graph: Graph, device: str) -> Iterator[Link]:
-        """Return the links to the sink whose sound is tapped."""
+        """Yield the links from tapped streams to sinks. device: sink to leave out."""
         haptic = graph.sink(device)
         avoided = haptic.id if haptic else None
         for sink in graph.nodes_named(self.sink) if self.sink else graph.sinks():
@@ -73,7 +65,7 @@ class Tap:
                     yield link
 
     def monitored(self, graph: Graph, inputs: tuple[int, ...]) -> Iterator[LinkPair]:
-        """Return the links from the sink's monitor. inputs: ids of the tap's ports."""
+        """Yield the links from the sink's monitor to a chain's ports `inputs`."""
         sink = graph.sink(self.sink)
         ports = graph.ports_of(sink.id, MONITOR) if sink else {}
         for position, port in zip(self.positions, inputs, strict=True):
@@ -81,11 +73,10 @@ class Tap:
                 yield ports[position], port
 
     def _takes(self, graph: Graph, link: Link, avoided: int | None) -> bool:
-        """Whether a link to the sink is mirrored."""
         output, node = graph.ports.get(link.output_id), graph.nodes.get(link.output_node_id)
         if output is None or node is None or link.input_id not in graph.ports:
             return False
-        if output.is_monitor and node.id == avoided:  # it would feed back
+        if output.is_monitor and node.id == avoided:  # the monitor would cause feedback
             return False
         if self.rules is None:
             return True
@@ -93,7 +84,7 @@ class Tap:
 
 
 def tap_of(found: Source | Applications, rules: AppRules | None) -> Tap:
-    """Return the tap of a located source. rules: which applications are tapped, None for all."""
+    """Return the tap for a source from `Input.locate`. rules: select applications, None for all."""
     positions = in_mixing_order(port_names(found.channel_map, found.channels))
     if isinstance(found, Source):
         return Tap(found.name, positions, found.monitor_of or "")
@@ -101,7 +92,7 @@ def tap_of(found: Source | Applications, rules: AppRules | None) -> Tap:
 
 
 def stream_of(graph: Graph, node: Node) -> Stream:
-    """Return a node as a stream, for the rules that choose applications."""
+    """Return the `Stream` of a node, by which rules select applications."""
     known = graph.properties_of(node)
     process_id = known.get("application.process.id", "")
     return Stream(
@@ -121,16 +112,147 @@ def stream_of(graph: Graph, node: Node) -> Stream:
 
 @lru_cache(maxsize=256)
 def channels_of(position: str, positions: tuple[str, ...]) -> tuple[int, ...]:
-    """Return the channels of the tap that a port of the sink goes to.
-
-    A position that the tap lacks goes to its side, one without a side to all channels.
-    """
+    """Return the channels at this position, else on the same side, else all channels."""
     if position in positions:
         return (positions.index(position),)
     side = position[-1:]
-    same = tuple(
-        channel
-        for channel, name in enumerate(positions)
-        if name[-1:] == side and side in ("L", "R")
-    )
-    return same or tuple(range(len(positions)))
+    same = [n for n, name in enumerate(positions) if side in ("L", "R") and name[-1:] == side]
+    return tuple(same or range(len(positions)))
+
+
+def port_names(channel_map: str, channels: int) -> tuple[str, ...]:
+    """Return endings of port names, such as FL for "front-left"; AUX0, AUX1, ... if unknown."""
+    positions = channel_map.split(",") if channel_map else []
+    names = tuple(map(_port_name, positions))
+    if len(names) == channels and len(set(names)) == channels:
+        return names
+    return tuple(f"AUX{channel}" for channel in range(channels))
+
+
+def _port_name(position: str) -> str:
+    words = position.upper().split("-")
+    return words[0] if len(words) == 1 else "".join(word[:1] for word in words if word != "OF")
+
+
+def in_mixing_order(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Return names from `port_names` in the mixer's order; keep the order of unknown layouts."""
+    for known in (_REAR, _SIDE):
+        wanted = tuple(known.get(name, name) for name in layout(len(names)))
+        if sorted(wanted) == sorted(names):
+            return wanted
+    return names
+
+
+SILENT_NODE = (  # without a media class, so that no program plays to it
+    "create-node adapter {{ factory.name=support.null-audio-sink node.name={name} "
+    'node.description="Haptic Cushion (silence)" audio.position=[MONO] node.passive=true '
+    "object.linger=false }}"
+)
+
+
+@dataclass(frozen=True)
+class ChainEnds:
+    """The nodes of one chain. tap, vibration: names of the nodes.
+
+    channels: number of the tap's channels. played: index of the actuator for each channel of the
+    device, or None. linked: whether to link `tap` to its sources, and `vibration` to the device.
+    """
+
+    tap: str
+    vibration: str
+    channels: int
+    played: tuple[int | None, ...] = ()
+    linked: bool = False
+
+    def tap_ports(self, graph: Graph) -> tuple[int, ...]:
+        """Return the ids of the tap's ports in order; () until all ports exist."""
+        node = graph.node_named(self.tap)
+        ports = graph.ports_of(node.id, IN) if node else {}
+        names = [f"AUX{channel}" for channel in range(self.channels)]
+        return tuple(ports[name] for name in names) if ports.keys() >= set(names) else ()
+
+
+@dataclass(frozen=True)
+class ChainWiring:
+    """The wanted links of all chains.
+
+    device: sink of the vibration. device_positions: channels of the sink, such as ("FL", "FR").
+    by_monitor: whether the sink's monitor is tapped, instead of streams.
+    silence: node that sends zeros to chains that tap streams. A link of this node sets the format
+        of a chain's port, so that a new stream is linked faster.
+    """
+
+    chains: tuple[ChainEnds, ...] = ()
+    tap: Tap | None = None
+    device: str = ""
+    device_positions: tuple[str, ...] = ()
+    by_monitor: bool = False
+    silence: str = ""
+
+    def nodes(self, graph: Graph) -> Set[int]:
+        """Return the ids of the chains' nodes."""
+        names = (name for chain in self.chains for name in (chain.tap, chain.vibration))
+        return {node.id for name in names for node in graph.nodes_named(name)}
+
+    def made_nodes(self) -> Mapping[str, str]:
+        """Return {silent node's name: command that creates the node}; empty without chains."""
+        used = self.silence and self.chains
+        return {self.silence: SILENT_NODE.format(name=self.silence)} if used else {}
+
+    def links(self, graph: Graph) -> Set[LinkPair]:
+        """Return the wanted links of all chains."""
+        found: set[LinkPair] = set()
+        for chain in self.chains:
+            if chain.linked:
+                found |= self.tap_links(graph, chain) | self.device_links(graph, chain)
+                found |= self.silent_links(graph, chain)
+        return found
+
+    def tap_links(self, graph: Graph, chain: ChainEnds) -> set[LinkPair]:
+        """Return the wanted links to a chain's tap."""
+        inputs = chain.tap_ports(graph)
+        if self.tap is None or not inputs or chain.channels != self.tap.channels:
+            return set()
+        if self.by_monitor:
+            return set(self.tap.monitored(graph, inputs))
+        return set(self.tap.mirrored(graph, self.device, inputs))
+
+    def silent_links(self, graph: Graph, chain: ChainEnds) -> set[LinkPair]:
+        """Return the wanted links from the silent node to a chain's tap."""
+        node = graph.node_named(self.silence)
+        if node is None or self.by_monitor:
+            return set()
+        outputs = graph.ports_of(node.id, MONITOR).values()
+        return {(output, port) for output in outputs for port in chain.tap_ports(graph)}
+
+    def device_links(self, graph: Graph, chain: ChainEnds) -> set[LinkPair]:
+        """Return the wanted links from a chain to the device."""
+        node, sink = graph.node_named(chain.vibration), graph.sink(self.device)
+        if node is None or sink is None:
+            return set()
+        outputs, inputs = graph.ports_of(node.id, OUT), graph.ports_of(sink.id, PLAYBACK)
+        return {
+            (outputs[f"AUX{actuator}"], inputs[position])
+            for position, actuator in zip(self.device_positions, chain.played, strict=True)
+            if actuator is not None and f"AUX{actuator}" in outputs and position in inputs
+        }
+
+    def is_fed(self, graph: Graph) -> bool:
+        """Whether the graph shows that a tapped stream plays."""
+        tap = self.tap
+        return tap is not None and any(
+            link.state == "active" for link in tap.tapped_links(graph, self.device)
+        )
+
+
+def why_unlinkable(graph: Graph, tap: Tap, device: str) -> str:
+    """Return why tap or device cannot be linked, "" if both can be linked."""
+    if not graph.ports:
+        return ""  # the graph is still being read
+    for name, prefixes in ((tap.sink, (PLAYBACK, MONITOR)), (device, (PLAYBACK,))):
+        sink = graph.sink(name) if name else None
+        if name and sink is None:
+            return f"PipeWire's graph has no node {name!r}: it is of another server"
+        if sink is not None and not any(graph.ports_of(sink.id, prefix) for prefix in prefixes):
+            return f"the sink {name!r} has no ports; choose a profile of its card that has some"
+    return ""

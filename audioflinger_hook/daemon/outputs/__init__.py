@@ -1,1 +1,1 @@
-"""Where vibration goes: a sink of the sound server, a sound card, or a file in real time."""
+"""Outputs of vibration: a sink of the sound server, a sound card, a file, or a simulated rig."""

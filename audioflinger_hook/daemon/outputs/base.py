@@ -1,10 +1,11 @@
-"""The supervisor's interface of all outputs, and the base of outputs with a PortAudio stream."""
+"""Interface of all outputs, and the base class of outputs with a PortAudio stream."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from functools import partial
 from typing import Generic, TypeVar
 
 from audioflinger_hook.daemon.inputs.base import AudioNode, Endpoint
@@ -13,7 +14,7 @@ from audioflinger_hook.daemon.recording import RunRecording
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.service.state import Cause, DaemonState, StateKeeper
 from device.address import DeviceAddress
-from device.alsa.usb_stream import MeasuredRate
+from device.alsa.offers import MeasuredRate
 from device.drive import ActuatorSettings, ChannelMap
 from device.drive.channel_router import ChannelRouter
 from device.errors import CushionError, LostError, NotFoundError, UsageError
@@ -25,87 +26,76 @@ from device.stream.portaudio import BLOCK_FRAMES
 from device.stream.sample_format import SampleFormat
 from device.units import Float32Array
 
+# Called with (out, now_s); writes the frames to play next into `out`.
 Fill = Callable[[Float32Array, float], None]
-"""Called with (out, now_s); writes the frames to play next into `out`."""
-
+# Sets a device's volume in dB and unmutes the device. CushionError: the volume cannot be set.
 SetVolume = Callable[[float], object]
-"""Sets a device to a level in dB and unmutes it; raises CushionError, still muted, if not."""
-
 NodeT = TypeVar("NodeT", bound=AudioNode)
 
 
 class Output(Endpoint):
-    """Where vibration goes."""
+    """A destination of the vibration."""
 
     address: DeviceAddress
+    may_rest = True
 
     @property
-    def may_rest(self) -> bool:
-        """Whether the output may be closed while nothing plays."""
-        return True
-
-    @property
-    @abstractmethod
     def is_open(self) -> bool:
-        """Whether the output plays, or did until a moment ago."""
+        """Whether the output's stream is open."""
+        return self.name is not None
 
     @property
     def summary(self) -> str:
-        """One line about the whole run, usually empty."""
+        """Text for the user about the whole run, usually empty."""
         return ""
 
     def delay_s(self, snapshot: ServerSnapshot | None) -> float:
-        """Return the delay of a frame after it was written, 0 if unknown."""
+        """Return the seconds from writing to playing a frame, 0 if unknown."""
         return 0.0
 
     def measure_rate(self) -> MeasuredRate | None:
-        """Return the rate of the device's own clock; None if unknown. Any thread may call it."""
+        """Return the device's measured sample rate, None if unknown. Any thread may call it."""
         return None
 
     def configure(self, config: RunConfig) -> None:
-        """Use the config's actuators now, and its stream settings for streams opened later."""
+        """Apply the config's actuators now, and its stream settings to streams opened later."""
         self.set_actuators(config.settings.actuators)
 
     @abstractmethod
     def locate(self, snapshot: ServerSnapshot | None) -> AudioNode:
-        """Find the device. NotFoundError: it is not available. No other device is used instead."""
+        """Return the configured device and no other. NotFoundError: the device is not available."""
 
     def set_volume(self, connection: PulseConnection | None) -> None:
-        """Set the located device's volume if the config has one. NotFoundError: it cannot be."""
+        """Set the device's volume, if configured. NotFoundError, LostError: it cannot be set."""
 
     @abstractmethod
     def set_format(self, samplerate: int, channels: int) -> None:
-        """Set the rate of the mix in Hz and the channels of the vibration, before `maintain`."""
+        """Set the rate of the mix in Hz and the vibration's number of channels."""
 
     @abstractmethod
     def check_actuators(self, actuators: Sequence[ActuatorSettings]) -> None:
-        """Raise UsageError if the device lacks channels for these actuators."""
+        """Raise UsageError if the output cannot change to these actuators."""
 
     @abstractmethod
     def set_actuators(self, actuators: Sequence[ActuatorSettings]) -> None:
-        """Take actuators that `check_actuators` accepted.
-
-        Playing continues if their number and the open channels stay the same; otherwise it stops
-        until the next `maintain`.
-        """
+        """Use actuators that passed `check_actuators`. Close the output if it must be reopened."""
 
     @abstractmethod
     def maintain(self, connection: PulseConnection | None, fill: Fill, now_s: float) -> None:
-        """Open, check or reopen the stream to the located device.
-
-        LostError, NotFoundError: the next call tries again; other errors are final.
-        """
+        """Open, check or reopen the stream. After LostError or NotFoundError, call it again."""
 
     def end(self, *, keep: bool) -> None:
-        """Close for good; keep: whether a written file stays. WriteError: it cannot be kept."""
+        """Close the output for the rest of the run.
+
+        keep: whether to keep an output file. WriteError: writing it failed.
+        """
         self.close()
 
 
 class StreamOutput(Output, Generic[NodeT]):
-    """An output with a PortAudio stream, on a sink or a card.
+    """An output with a PortAudio stream on a sink or card. recording: stores the sent frames."""
 
-    block_frames, priority: of streams that are opened later. recording: receives the frames played.
-    """
+    is_card = False
 
     def __init__(
         self,
@@ -121,10 +111,8 @@ class StreamOutput(Output, Generic[NodeT]):
         super().__init__(address)
         self.block_frames = block_frames
         self.volume = DeviceVolume()
-        self._priority = priority
-        self._pcm = pcm
-        self._states = states
-        self._recording = recording
+        self._pcm, self._priority = pcm, priority
+        self._states, self._recording = states, recording
         self._router = ChannelRouter(actuators)
         self._stream = ReconnectingStream[PlaybackStream](
             "the output", states, Cause.DEVICE_LOST, Cause.DEVICE_MOVED
@@ -135,59 +123,61 @@ class StreamOutput(Output, Generic[NodeT]):
 
     @property
     def name(self) -> str | None:
-        """Name of the open device."""
+        """Name of the open device, None while closed."""
         return self._playing.name if self._playing and self._stream.stream else None
 
     @property
-    def is_open(self) -> bool:
-        """Whether the output plays, or did until a moment ago."""
-        return self._stream.stream is not None
-
-    @property
     def xruns(self) -> int:
-        """Count of late buffers that PortAudio reported."""
+        """See `Endpoint`."""
         return self._stream.xruns
 
     @property
     def warnings(self) -> list[str]:
-        """Why the volume differs from the configured one."""
+        """One warning if the rigs' limit makes the volume lower than the configured volume."""
         return [self.volume.warning] if self.volume.warning else []
 
     def configure(self, config: RunConfig) -> None:
-        """Take block length, volume and actuators."""
+        """Store the config's block length and volume for later, and apply its actuators."""
         self.block_frames = config.live.block_frames
         self.volume.request(config)
         super().configure(config)
 
+    def retarget(self, config: RunConfig) -> bool:
+        """Close the stream and change from sink to sink or from card to card; else return False."""
+        if config.device_is_a_card != self.is_card:
+            return False
+        self.close()
+        self.address = config.device
+        return True
+
     def set_format(self, samplerate: int, channels: int) -> None:
-        """Set the channels of the vibration; a device has its own rate."""
+        """Set the vibration's number of channels; the device determines the sample rate."""
         self._haptic_channels = channels
 
     def set_actuators(self, actuators: Sequence[ActuatorSettings]) -> None:
-        """Take these actuators; see `Output`."""
+        """See `Output`."""
         channel_map = None
         if self._playing is not None:
-            with suppress(UsageError):  # another device follows
+            with suppress(UsageError):  # another device will be opened
                 channel_map = self._channel_map(self._playing, actuators)
         if not self._router.change(actuators, channel_map):
             self.close()
 
     def close(self) -> None:
-        """Stop. May be repeated; raises nothing."""
+        """Close the stream. Repeated calls do nothing."""
         self._stream.close()
 
     def set_volume(self, connection: PulseConnection | None) -> None:
-        """Set the located device's volume if the config has one. NotFoundError: it cannot be."""
+        """See `Output`."""
         assert self._found is not None
         self.volume.set(self._volume_setter(self._found, connection))
 
     @abstractmethod
     def _volume_setter(self, node: NodeT, connection: PulseConnection | None) -> SetVolume:
-        """Return what sets this device's volume."""
+        """Return a function that sets the device's volume."""
 
     @contextmanager
     def _waiting(self, now_s: float) -> Iterator[None]:
-        """Close, and wait for the device, if it is missing or its volume cannot be set."""
         try:
             yield
         except NotFoundError as error:
@@ -197,7 +187,7 @@ class StreamOutput(Output, Generic[NodeT]):
 
     @abstractmethod
     def _channel_map(self, node: NodeT, actuators: Sequence[ActuatorSettings]) -> ChannelMap:
-        """Return which actuator each channel of this device plays; raises UsageError."""
+        """Return the actuator of each channel. UsageError: the device lacks channels."""
 
     def _playback(
         self,
@@ -206,20 +196,15 @@ class StreamOutput(Output, Generic[NodeT]):
         set_volume: SetVolume,
         sample_format: SampleFormat = SampleFormat.FLOAT32,
     ) -> PlaybackStream:
-        """Return a new stream to this device; the device's volume is set first."""
         self.volume.set(set_volume)
-        recording, samplerate = self._recording, node.samplerate
-        sent = None
-        if recording is not None:
-            recording.reopened()
-
-            def sent(frames: Float32Array, now_s: float) -> None:
-                recording.sent(frames, samplerate, now_s)
-
+        sent: Callable[[Float32Array, float], None] | None = None
+        if self._recording is not None:
+            self._recording.reopened()
+            sent = partial(self._recording.sent, samplerate=node.samplerate)
         channel_map = self._channel_map(node, self._router.actuators)
         return PlaybackStream(
             self._pcm,
-            samplerate,
+            node.samplerate,
             node.channels,
             self._router.connect(fill, channel_map, self.block_frames),
             sent,
@@ -230,44 +215,37 @@ class StreamOutput(Output, Generic[NodeT]):
 
 
 class DeviceVolume:
-    """The device's own volume, set when the device is opened. For the supervising thread alone.
+    """Sets a device's volume when the device is opened or the config changes.
 
-    wanted_db: 0 or less, None to leave the volume unchanged. limit_db: the rig's limit, which
-    replaces a higher volume. warning: why the volume is below `wanted_db`, else "".
+    wanted_db: volume in dB, 0 or less; None changes nothing. limit_db: highest volume that all
+    rigs allow. warning: why the volume is lower than `wanted_db`, or "".
     """
 
     def __init__(self, wanted_db: float | None = None, limit_db: float = 0.0) -> None:
-        self.wanted_db = wanted_db
-        self.limit_db = limit_db
+        self.wanted_db, self.limit_db = wanted_db, limit_db
         self.warning = ""
         self._last: tuple[float | None, float] | None = None, limit_db
 
     def request(self, config: RunConfig) -> None:
-        """Store the config's volume; `update` sets it."""
+        """Store the config's volume; the next `set` or `update` sets the volume."""
         settings = config.settings
         rigs = {actuator.rig or settings.rig for actuator in settings.actuators} or {settings.rig}
         self.wanted_db = config.live.device_volume_db
-        # All channels have one volume, so the most sensitive rig sets the limit.
+        # All channels share one volume, so the lowest limit of all rigs applies.
         self.limit_db = min(rig_by_name(rig).dac.volume_limit_db for rig in rigs)
 
     def set(self, set_volume: SetVolume) -> None:
-        """Set the volume before the device plays.
-
-        NotFoundError: it cannot be set, so the device must not play. LostError: the server is lost.
-        """
+        """Set the volume before the device plays. NotFoundError, LostError: it cannot be set."""
         self._last, self.warning = None, ""
-        if self.wanted_db is not None:
-            self._set(self.wanted_db, set_volume)
-        self._last = (self.wanted_db, self.limit_db)
-
-    def _set(self, wanted_db: float, set_volume: SetVolume) -> None:
-        if wanted_db > self.limit_db:
+        wanted_db = self.wanted_db
+        if wanted_db is not None and wanted_db > self.limit_db:
             self.warning = (
                 f"device_volume_db = {wanted_db:g}: the rig allows at most "
                 f"{self.limit_db:g} dB, which is set instead"
             )
         try:
-            set_volume(min(wanted_db, self.limit_db))
+            if wanted_db is not None:
+                set_volume(min(wanted_db, self.limit_db))
         except LostError:
             raise
         except CushionError as error:
@@ -276,8 +254,9 @@ class DeviceVolume:
                 f"mute stays: {error}; choose another level, or --device-volume-db off, which "
                 "plays with the device's own level and mute"
             ) from None
+        self._last = (wanted_db, self.limit_db)
 
     def update(self, set_volume: SetVolume) -> None:
-        """Set the volume if the config changed; changes made elsewhere stay. Raises as `set`."""
+        """Set the volume if it or its limit has changed since the last `set`. Errors: see `set`."""
         if (self.wanted_db, self.limit_db) != self._last:
             self.set(set_volume)

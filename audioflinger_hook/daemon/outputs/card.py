@@ -1,4 +1,4 @@
-"""Vibration to one sound card, without a sound server."""
+"""Plays vibration on a sound card, without a sound server."""
 
 from __future__ import annotations
 
@@ -12,25 +12,23 @@ from audioflinger_hook.daemon.outputs.base import Fill, SetVolume, StreamOutput
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.service.state import DaemonState
 from device.alsa import choose_setup, find_playback, set_card_volume
-from device.alsa.cards import PROC, PlaybackDevice
-from device.alsa.negotiation import CardSetup, list_offers
-from device.alsa.usb_stream import MeasuredRate, measure_rate, read_usb_stream
-from device.alsa.use import read_hw_params, why_blocked
+from device.alsa.cards import PROC, AlsaDevice, read_hw_params, why_blocked
+from device.alsa.offers import CardSetup, MeasuredRate, list_offers, measure_rate
 from device.drive import ActuatorSettings, ChannelMap, channels_needed, wiring_of
 from device.errors import CushionError, LostError, NotFoundError, UsageError
 from device.server import PulseConnection, ServerSnapshot
 from device.stream.pcms import CardDevice, Target
 from device.stream.sample_format import SampleFormat
 from device.usb import UsbIdentity, find_devices, find_one
-from device.usb.coils import coil_channels
+from device.usb.identity import coil_channels
 from device.usb.sysfs import ROOT
 
 
 @dataclass(frozen=True)
 class CardNode:
-    """A card and the setup to open it with; setup: None until the format of the mix is known."""
+    """A sound card. setup: settings for opening; None until the format of the mix is known."""
 
-    playback: PlaybackDevice
+    playback: AlsaDevice
     setup: CardSetup | None
 
     @property
@@ -40,21 +38,23 @@ class CardNode:
 
     @property
     def samplerate(self) -> int:
-        """Hz; 0 until the setup is known."""
+        """Sample rate in Hz; 0 until the setup is known."""
         return self.setup.samplerate if self.setup else 0
 
     @property
     def channels(self) -> int:
-        """Count; 0 until the setup is known."""
+        """Number of channels; 0 until the setup is known."""
         return self.setup.channels if self.setup else 0
 
 
 class CardOutput(StreamOutput[CardNode]):
-    """A sound card as the haptic device, opened exclusively. For the supervising thread alone.
+    """A sound card as the haptic device, opened exclusively.
 
-    The stream needs no guard, as no server can move it. root, usb_root: folders that list cards
-    and USB devices; target: makes the PCM's target from card and device numbers.
+    root, usb_root: the system's folders of sound cards and of USB devices. target: returns the PCM
+    target for the numbers of a card and a device.
     """
+
+    is_card = True
 
     def __init__(
         self,
@@ -65,21 +65,15 @@ class CardOutput(StreamOutput[CardNode]):
         **options: Any,
     ) -> None:
         super().__init__(*arguments, **options)
-        self._root = root
-        self._usb_root = usb_root
-        self._target = target
+        self._root, self._usb_root, self._target = root, usb_root, target
         self._mix: tuple[int, int] | None = None
         self._delay_s = 0.0
         self._failed_formats: set[SampleFormat] = set()
 
     def retarget(self, config: RunConfig) -> bool:
-        """Play to another card."""
-        if not config.device_is_a_card:
-            return False
-        self.close()
-        self.address = config.device
+        """Change to another card; return False for a sink."""
         self._failed_formats.clear()
-        return True
+        return super().retarget(config)
 
     def check_actuators(self, actuators: Sequence[ActuatorSettings]) -> None:
         """Raise UsageError if the card lacks channels for these actuators."""
@@ -91,24 +85,21 @@ class CardOutput(StreamOutput[CardNode]):
             raise UsageError(str(error)) from None
 
     def set_format(self, samplerate: int, channels: int) -> None:
-        """Set the rate of the mix in Hz and the channels of the vibration, before `maintain`."""
+        """See `Output`."""
         super().set_format(samplerate, channels)
         self._mix = samplerate, channels
 
     def delay_s(self, snapshot: ServerSnapshot | None) -> float:
-        """Return the time that a frame waits in the card's buffer, 0 while it is closed."""
+        """Return the seconds that a frame waits in the card's buffer, 0 while closed."""
         return self._delay_s if self.is_open else 0.0
 
     def measure_rate(self) -> MeasuredRate | None:
-        """Return the rate of the card's own clock; None if unknown. Any thread may call it."""
+        """See `Output`."""
         playing = self._playing
         return measure_rate(playing.playback) if playing else None
 
     def locate(self, snapshot: ServerSnapshot | None) -> CardNode:
-        """Find the card and a setup to open it with.
-
-        NotFoundError: it is missing, in use, or offers no suitable format.
-        """
+        """Return the card. NotFoundError: it is missing or in use, or has no suitable setup."""
         playback = self._find()
         playing = self._playing
         if self.is_open and playing is not None and playing.playback == playback:
@@ -122,7 +113,7 @@ class CardOutput(StreamOutput[CardNode]):
         return self._found
 
     def maintain(self, connection: PulseConnection | None, fill: Fill, now_s: float) -> None:
-        """Open, check or reopen the playback."""
+        """See `Output`."""
         stream, node = self._stream, self._found
         assert node is not None
         if stream.stream is not None:
@@ -137,7 +128,7 @@ class CardOutput(StreamOutput[CardNode]):
             return
         setup = node.setup
         if setup is None:
-            return  # the next `locate` knows the mix
+            return  # the next `locate` finds a setup
         self._pcm.target = self._target(node.playback.card.number, node.playback.device)
         try:
             if stream.open(
@@ -153,14 +144,14 @@ class CardOutput(StreamOutput[CardNode]):
             raise
 
     def close(self) -> None:
-        """Stop. May be repeated; raises nothing."""
+        """Close the stream. Repeated calls do nothing."""
         super().close()
         self._playing = None
 
     def _volume_setter(self, node: CardNode, connection: PulseConnection | None) -> SetVolume:
         return partial(set_card_volume, node.playback.card.number)
 
-    def _find(self) -> PlaybackDevice:
+    def _find(self) -> AlsaDevice:
         if self.address.kind != "usb":
             return find_playback(self.address.name, self._root)
         device = find_one(UsbIdentity.parse(str(self.address)), find_devices(self._usb_root))
@@ -172,18 +163,15 @@ class CardOutput(StreamOutput[CardNode]):
             "interfaces"
         )
 
-    def _setup(self, playback: PlaybackDevice, actuators: Sequence[ActuatorSettings]) -> CardSetup:
-        """Return the setup to open the card with; raises NotFoundError if none is suitable.
-
-        Until the mix is known, this checks only whether any mix would be playable.
-        """
+    def _setup(self, playback: AlsaDevice, actuators: Sequence[ActuatorSettings]) -> CardSetup:
+        """Return the card's setup for the mix's format, or for 48 kHz if this format is unknown."""
         samplerate, channels = self._mix or (48_000, 1)
         channels = max(channels, *(1 + coil for coil in _coils(playback)), 1)
         if actuators:
             wiring = wiring_of(actuators)
             channels = max(len(actuators), channels_needed(wiring))
         try:
-            offers = list_offers(read_usb_stream(playback))
+            offers = list_offers(playback)
             setup = choose_setup(offers, samplerate, channels, without=self._failed_formats)
             if actuators:
                 ChannelMap.of(wiring, setup.channels, device=str(playback))
@@ -201,8 +189,8 @@ class CardOutput(StreamOutput[CardNode]):
         coils = _coils(node.playback)
         return ChannelMap.on_coils(self._haptic_channels, node.channels, coils, node.name)
 
-    def _verify(self, playback: PlaybackDevice, setup: CardSetup) -> None:
-        """Check the format that the kernel reports, as PortAudio converts silently."""
+    def _verify(self, playback: AlsaDevice, setup: CardSetup) -> None:
+        """Raise LostError unless ALSA uses the wanted format; PortAudio does not report this."""
         opened = read_hw_params(playback)
         wanted = setup.sample_format.value
         if opened and all(one.format != wanted for one in opened):
@@ -214,5 +202,5 @@ class CardOutput(StreamOutput[CardNode]):
         self._delay_s = opened[0].delay_s if opened else 0.0
 
 
-def _coils(playback: PlaybackDevice) -> tuple[int, ...]:
+def _coils(playback: AlsaDevice) -> tuple[int, ...]:
     return coil_channels(*playback.card.usb_id)

@@ -1,4 +1,4 @@
-"""A file, or the simulated rig, that takes vibration in real time instead of a device."""
+"""Writes vibration to a file or to the simulated rig, in real time."""
 
 from __future__ import annotations
 
@@ -26,18 +26,11 @@ from device.rig.simulated_rig import SimulatedRig
 from device.server import PulseConnection, ServerSnapshot
 from device.wav_output import WavOutput
 
-BLOCK_FRAMES = 256
-"""Block length that a sound server would request."""
+BLOCK_FRAMES = 256  # frames of one write
 
 
 class PacedOutput(Output):
-    """A WAV file or the simulated rig; the pacer's thread writes each block when it is due.
-
-    `end(keep=True)` completes the file, which contains silences at full length. `close` pauses. All
-    methods are for the supervising thread.
-
-    UsageError: the file cannot be written, or there is no such rig.
-    """
+    """A WAV file or the simulated rig. UsageError: the file or the rig cannot be used."""
 
     def __init__(
         self,
@@ -47,8 +40,8 @@ class PacedOutput(Output):
         recording: RunRecording | None = None,
     ) -> None:
         super().__init__(address)
-        self._pacer = pacer
-        self._recording = recording
+        self.may_rest = address.kind != "wav"  # a file includes all silence of the run
+        self._pacer, self._recording = pacer, recording
         self._job: _Writer | None = None
         self._settings = settings or Settings()
         self._router = ChannelRouter(self._settings.actuators)
@@ -56,23 +49,14 @@ class PacedOutput(Output):
         self._format: tuple[int, int] | None = None
 
     @property
-    def may_rest(self) -> bool:
-        """Always False for a file, since the file is as long as the run."""
-        return self.address.kind != "wav"
-
-    @property
     def name(self) -> str | None:
-        """The address, while the output runs."""
-        return str(self) if self.is_open else None
-
-    @property
-    def is_open(self) -> bool:
-        """Whether it takes vibration."""
-        return self._job is not None and self._pacer.is_doing(self._job)
+        """The address while vibration is written, else None."""
+        runs = self._job is not None and self._pacer.is_doing(self._job)
+        return str(self) if runs else None
 
     @property
     def summary(self) -> str:
-        """Peaks and models of the simulated rig; empty for a file, and before the first block."""
+        """Text with peak values of the simulated rig and the models it used; empty for a file."""
         output = self._job.output if self._job else None
         if not isinstance(output, SimulatedRig):
             return ""
@@ -83,11 +67,11 @@ class PacedOutput(Output):
         ) + "".join(f"\n  {line}" for line in in_words(output.seconds))
 
     def set_format(self, samplerate: int, channels: int) -> None:
-        """Set the rate of the mix in Hz and the channels of the vibration, before `maintain`."""
+        """See `Output`."""
         self._format = (samplerate, channel_map_of(self._settings, channels).channels)
 
     def check_actuators(self, actuators: Sequence[ActuatorSettings]) -> None:
-        """Raise UsageError if the actuators do not fit the file's channels or simulated rigs."""
+        """Raise UsageError if the number of channels or the simulated rigs would change."""
         before, after = self._settings, replace(self._settings, actuators=tuple(actuators))
         if before.numbered_channels.channels != after.numbered_channels.channels:
             raise UsageError(
@@ -100,7 +84,7 @@ class PacedOutput(Output):
             )
 
     def set_actuators(self, actuators: Sequence[ActuatorSettings]) -> None:
-        """Use these actuators, without a gap."""
+        """Use these actuators without an interruption."""
         self._settings = replace(self._settings, actuators=tuple(actuators))
         if actuators or self._router.actuators:
             self._router.change(self._settings.actuators, self._settings.numbered_channels)
@@ -110,7 +94,7 @@ class PacedOutput(Output):
         return FixedNode(str(self), *(self._format or (0, 0)))
 
     def maintain(self, connection: PulseConnection | None, fill: Fill, now_s: float) -> None:
-        """Start or continue to take vibration. Raises the final error (WriteError: disk full)."""
+        """Start or continue the output; raise the error that ended the output, if any."""
         job = self._job
         if job is None:
             assert self._format is not None
@@ -126,22 +110,21 @@ class PacedOutput(Output):
             self._pacer.begin(job, now_s)
 
     def close(self) -> None:
-        """Pause."""
+        """Pause the output until the next `maintain`."""
         if self._job is not None:
             self._pacer.end(self._job)
 
     def end(self, *, keep: bool) -> None:
-        """Complete the file, or discard it."""
+        """Complete the file, or discard the file if `keep` is False or after an error."""
         self.close()
-        if self._job is not None:
-            if keep and self._job.error is None:
-                self._job.output.close()
-            else:
-                self._job.output.abort()
+        if self._job is not None and keep and self._job.error is None:
+            self._job.output.close()
+        elif self._job is not None:
+            self._job.output.abort()
 
 
 class _Writer:
-    """The pacer's job: write a block when its first frame is due. fill: set before it begins."""
+    """Job of the pacer's thread: write a block when its first frame is due."""
 
     def __init__(self, output: VibrationOutput, recording: RunRecording | None) -> None:
         self.error: Exception | None = None
@@ -153,22 +136,19 @@ class _Writer:
 
     @property
     def due_s(self) -> float:
-        """End of what was written, in seconds from the start."""
         return self._written.after(0, self.output.samplerate)
 
     def run(self, now_s: float) -> bool:
-        """Write the next block."""
         block, output = self._block, self.output
         self.fill(block, now_s)
         output.write(block)
         self._written.add(len(block), output.samplerate)
         if self._recording:
-            self._recording.sent(block, output.samplerate, now_s)
+            self._recording.sent(block, now_s, output.samplerate)
         return True
 
 
 def _rigs(settings: Settings) -> list[str | None]:
-    """Return the rig of each channel, None for none."""
     return [
         None if index is None else settings.actuators[index].rig or settings.rig
         for index in settings.numbered_channels.sources
@@ -176,7 +156,7 @@ def _rigs(settings: Settings) -> list[str | None]:
 
 
 def _maker(address: DeviceAddress, settings: Settings) -> Callable[[int, int], VibrationOutput]:
-    """Return a function of rate in Hz and channels that opens the output; errors are raised now."""
+    """Return a function that opens the output for a sample rate in Hz and a number of channels."""
     if settings.actuators:
         _ = settings.numbered_channels  # raises if an actuator gives its channel by name
     if address.kind == "wav":

@@ -1,4 +1,4 @@
-"""Vibration to one sink of the sound server, and to no other."""
+"""Plays vibration on one sink of the sound server."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ from contextlib import suppress
 from functools import partial
 
 from audioflinger_hook.daemon.outputs.base import Fill, SetVolume, StreamOutput
-from audioflinger_hook.daemon.run_config import RunConfig
 from device.alsa import find_playback
-from device.alsa.usb_stream import MeasuredRate, measure_rate
+from device.alsa.offers import MeasuredRate, measure_rate
 from device.drive import ActuatorSettings, ChannelMap
 from device.drive.channel_positions import sink_channel_map
 from device.errors import NotFoundError, UsageError
@@ -31,23 +30,15 @@ def muted(name: str) -> str:
 
 
 class SinkOutput(StreamOutput[Sink]):
-    """A sink of the server as the haptic device. For the supervising thread alone."""
+    """A sink of the server as the haptic device."""
 
     needs_server = True
 
     @property
     def warnings(self) -> list[str]:
-        """Why the volume differs from the configured one, and whether the sink is muted."""
+        """One warning if the rigs limit the volume, and one if the sink is muted."""
         found = self._found
         return super().warnings + ([muted(found.name)] if found and found.mute else [])
-
-    def retarget(self, config: RunConfig) -> bool:
-        """Play to another sink."""
-        if config.device_is_a_card:
-            return False
-        self.close()
-        self.address = config.device
-        return True
 
     def check_actuators(self, actuators: Sequence[ActuatorSettings]) -> None:
         """Raise UsageError if the sink lacks channels for these actuators."""
@@ -55,29 +46,26 @@ class SinkOutput(StreamOutput[Sink]):
             sink_channel_map(self._found, actuators)
 
     def delay_s(self, snapshot: ServerSnapshot | None) -> float:
-        """Return the latency of the server."""
+        """Return the server's output latency in seconds, 0 if unknown."""
         if snapshot is None or self._found is None:
             return 0.0
         return output_latency_s(snapshot, self.block_frames, self._found.samplerate)
 
     def measure_rate(self) -> MeasuredRate | None:
-        """Return the rate of the device behind the sink; None if unknown. Any thread may call it.
-
-        Takes some ms.
-        """
+        """Return the measured sample rate of the sink's USB device; see `Output`."""
         sink = self._found
         if sink is None or identity_of(sink).bus != "usb":
             return None
         device = device_of_sink(sink, find_devices().devices)
         for name in hw_names(device) if device else ():
-            with suppress(NotFoundError):  # it was unplugged meanwhile
+            with suppress(NotFoundError):  # the device was unplugged meanwhile
                 found = measure_rate(find_playback(name.removeprefix("hw:")))
                 if found is not None:
                     return found
         return None
 
     def locate(self, snapshot: ServerSnapshot | None) -> Sink:
-        """Find the sink. NotFoundError: it is not available, or lacks channels for actuators."""
+        """Return the sink. NotFoundError: the sink is missing or lacks channels for actuators."""
         assert snapshot is not None
         found = self.address.sink(snapshot)
         try:
@@ -88,7 +76,7 @@ class SinkOutput(StreamOutput[Sink]):
         return found
 
     def maintain(self, connection: PulseConnection | None, fill: Fill, now_s: float) -> None:
-        """Open, check or reopen the playback."""
+        """See `Output`."""
         stream, sink = self._stream, self._found
         assert connection is not None
         assert sink is not None
@@ -103,9 +91,8 @@ class SinkOutput(StreamOutput[Sink]):
                 self.volume.update(set_volume)
                 return
             self._pcm.target = ServerDevice(sink.name)
-            stream.open(
-                lambda: self._playback(sink, fill, set_volume), connection, sink.name, now_s
-            )
+            make = partial(self._playback, sink, fill, set_volume)
+            stream.open(make, connection, sink.name, now_s)
         self._playing = sink
 
     def _volume_setter(self, node: Sink, connection: PulseConnection | None) -> SetVolume:

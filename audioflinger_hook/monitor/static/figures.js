@@ -1,7 +1,5 @@
-// Figures of the status: delay, health, rig and applications.
+// Figures of the status: the delay, panels of rows, and applications.
 
-const PARTS = [["tap", "Tap"], ["transform", "Transform"], ["driving", "Damping and protection"], ["delay_line", "Delay line"],
-  ["output", "Output"], ["delay", "Actuator"], ["offset", "Offset"]];
 const PERCEIVED_MS = 24;
 
 const element = (kind, text = "", attributes = {}) => {
@@ -12,9 +10,12 @@ const element = (kind, text = "", attributes = {}) => {
 };
 const find = (id) => document.getElementById(id);
 
-export function showDelay(latency) {
-  const total = latency.total_ms, scale = Math.max(32, 1.08 * total, 1.08 * PERCEIVED_MS);
-  const parts = PARTS.map(([key, name], index) => ({ name, ms: latency[`${key}_ms`], colour: `var(--part${index + 1})` }))
+const titled = (name) => name[0].toUpperCase() + name.slice(1);
+
+/** figures: [[name, ms, meaning], ...] */
+export function showDelay(figures) {
+  const total = figures.reduce((sum, [, ms]) => sum + ms, 0), scale = Math.max(32, 1.08 * total, 1.08 * PERCEIVED_MS);
+  const parts = figures.map(([name, ms, meaning], index) => ({ name: titled(name), ms, meaning, colour: `var(--part${index + 1})` }))
     .filter((part) => Math.abs(part.ms) >= 0.05);
   const felt = total <= PERCEIVED_MS ? "not perceived" : "may be perceived";
   find("delay").textContent = parts.length ? `${total.toFixed(1)} ms` : "–";
@@ -30,54 +31,20 @@ export function showDelay(latency) {
   const words = parts.map((part) => `${part.name} ${part.ms.toFixed(1)} ms`).join(", ");
   find("budget").setAttribute("aria-label", parts.length ? `Delay ${total.toFixed(1)} ms, ${felt}: ${words}` : "No delay is known");
   find("parts").replaceChildren(...parts.map((part) => {
-    const row = element("li"), mark = element("i");
+    const row = element("li", "", { title: part.meaning }), mark = element("i");
     mark.style.background = part.colour;
     row.append(mark, element("span", part.name), element("span", `${part.ms.toFixed(1)} ms`));
     return row;
   }));
 }
 
-function rows(place, figures) {
-  place.replaceChildren(...figures.map(([name, value, tone = ""]) => {
-    const row = element("div");
-    row.append(element("dt", name), element("dd", value, { "data-tone": tone }));
+/** rows: [[label, text, tone, meaning], ...] */
+export function showRows(place, rows) {
+  place.replaceChildren(...rows.map(([label, text, tone, meaning]) => {
+    const row = element("div", "", { title: meaning });
+    row.append(element("dt", titled(label)), element("dd", text, { "data-tone": tone }));
     return row;
   }));
-}
-
-export function showHealth(status) {
-  const line = status.delay_line, native = status.engine === "native";
-  const drops = status.xruns.tap + status.xruns.output + line.underflows;
-  const causes = Object.entries(status.recoveries).filter(([, count]) => count);
-  const load = native ? "inside PipeWire" : `${status.buffer_times.share_percent.toFixed(1)} % of a core`;
-  rows(find("health"), [
-    ["Dropouts", status.xruns.tap === null ? "not reported" : String(drops), drops ? "wait" : "good"],
-    ["Recoveries", causes.map(([cause, count]) => `${cause} ${count}`).join(", ") || "none", causes.length ? "wait" : "good"],
-    ["Load", load],
-    ...(native ? [] : [["Clocks", `${line.ratio_ppm >= 0 ? "+" : ""}${line.ratio_ppm.toFixed(0)} ppm`]]),
-    ["Limited samples", status.limited_samples.toLocaleString("en"), status.limited_samples ? "wait" : ""],
-    ...status.warnings.slice(-3).map((warning) => ["Warning", warning, "wait"]),
-    ...status.effects_bypassed.map((name) => ["Bypassed", name, "bad"]),
-  ]);
-}
-
-export function showRig(status) {
-  const { protection, exposure, actuators } = status, figures = [];
-  if (protection) {
-    figures.push(["Protection", `${(100 * protection.gain).toFixed(0)} % of the drive${protection.limited_by ? `, for ${protection.limited_by}` : ""}`,
-      protection.gain < 1 ? "wait" : "good"]);
-    if (protection.coil_c !== null) figures.push(["Coil, predicted", `${protection.coil_c.toFixed(0)} °C`]);
-    figures.push(["Excursion, predicted", `${protection.excursion_mm.toFixed(2)} mm`]);
-  }
-  if (exposure) {
-    const tone = exposure.above_limit ? "bad" : exposure.above_action ? "wait" : "good";
-    const above = exposure.above_limit ? "above the limit, " : exposure.above_action ? "above the action value, " : "";
-    figures.push(["Exposure A(8), predicted", `${above}${exposure.a8_m_s2.toPrecision(2)} m/s²`, tone]);
-  }
-  actuators.forEach((one, index) => figures.push([`Actuator ${index + 1}`,
-    `${one.source} on ${one.channels.join(", ")}, ${one.rig}, ${one.gain_db.toFixed(1)} dB`]));
-  find("rig").hidden = !figures.length;
-  rows(find("rig-figures"), figures);
 }
 
 let shownApplications = "";

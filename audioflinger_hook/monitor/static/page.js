@@ -2,7 +2,7 @@
 
 import { Connection } from "/connection.js";
 import { Controls } from "/controls.js";
-import { showApplications, showDelay, showHealth, showRig } from "/figures.js";
+import { showApplications, showDelay, showRows } from "/figures.js";
 import { Mapping } from "/mapping.js";
 import { Meters } from "/meters.js";
 import { still } from "/drawing.js";
@@ -44,6 +44,8 @@ function listen(kind, content) {
     traffic = content;
   } else if (kind === "status") {
     showStatus(content);
+  } else if (kind === "figures") {
+    showFigures(content);
   } else if (kind === "settings") {
     showSettings(content);
   } else if (kind === "link") {
@@ -78,12 +80,16 @@ function showStatus(content) {
   if (content.error) return;
   status = content;
   showState();
-  showDelay(status.latency);
-  showHealth(status);
-  showRig(status);
   showApplications(status.applications, (application, felt) => act({ application, felt }));
   const why = status.engine_reason ? `: ${status.engine_reason}` : "";
   find("engine").textContent = status.engine ? `The ${status.engine} engine plays${why}. ${place(status)}Profile ${status.profile}. Version ${status.version}.` : "No engine plays yet.";
+}
+
+function showFigures({ panels, parts }) {
+  showDelay(parts);
+  showRows(find("health"), panels.health);
+  showRows(find("rig-figures"), panels.rig);
+  find("rig").hidden = !panels.rig.length;
 }
 
 function place({ graph, server }) {

@@ -1,26 +1,51 @@
-/* The daemon's core. */
+/* The plugin that the daemon controls through a page of shared memory. */
 
-#include "daemon_core.h"
+#include "parts.h"
 
+#include <fcntl.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-
-#include "design_file.h"
+#include <sys/mman.h>
+#include <sys/stat.h>
+#include <unistd.h>
 
 #define PIECE_FRAMES 1024
 
 struct DaemonCore {
     Page *page;
     LoadedCore loaded;
-    CoreControls controls; /* without a page: all actuators play */
-    int is_silent; /* the design cannot be used, or is for another samplerate: the daemon acts */
+    CoreControls controls; /* defaults for use without a page: all actuators are audible */
+    int is_silent; /* the design is unusable, or its sample rate differs from the host's */
     float sound[PIECE_FRAMES * DAEMON_INPUTS], signals[PIECE_FRAMES * CORE_ACTUATORS];
 };
 
-/* Read the daemon's design. A host that runs at another rate than the daemon expected says so in the
- * page, and gets silence until the daemon has made a chain for its rate. With a design that cannot be
- * used it gets silence, too: PipeWire 1.4 crashes where a plugin refuses. */
+/* Map the file that HAPTIC_CUSHION_PAGE names. Return NULL if it names none, or if the file is unusable. */
+static Page *page_open(void)
+{
+    const char *path = getenv("HAPTIC_CUSHION_PAGE");
+    struct stat facts;
+    if (!path || !*path)
+        return NULL;
+    const int file = open(path, O_RDWR | O_CLOEXEC);
+    if (file < 0)
+        return NULL;
+    Page *page = NULL;
+    if (!fstat(file, &facts) && facts.st_size == sizeof(Page)) {
+        void *place = mmap(NULL, sizeof(Page), PROT_READ | PROT_WRITE, MAP_SHARED, file, 0);
+        page = place == MAP_FAILED ? NULL : place;
+    }
+    close(file);
+    if (page && (page->magic != PAGE_MAGIC || page->size != sizeof(Page))) {
+        munmap(page, sizeof(Page));
+        return NULL;
+    }
+    return page;
+}
+
+/* Write the host's sample rate into the page. With a page, load the design that HAPTIC_CUSHION_DESIGN names.
+ * Without a page or this variable, use core_find, and return 0 if no core is found. If the design is unusable
+ * or has another rate, output silence. */
 static int load(DaemonCore *daemon, unsigned long samplerate)
 {
     const char *path = daemon->page ? getenv("HAPTIC_CUSHION_DESIGN") : NULL;
@@ -47,17 +72,15 @@ DaemonCore *daemon_core_open(unsigned long samplerate)
     if (!daemon)
         return NULL;
     daemon->page = page_open();
-    if (!daemon->page && getenv("HAPTIC_CUSHION_PAGE")) {
+    const int is_refused = !daemon->page && getenv("HAPTIC_CUSHION_PAGE");
+    if (is_refused)
         fprintf(stderr, "haptic_cushion: the daemon's page cannot be used: it is of another version\n");
-        daemon_core_close(daemon);
-        return NULL;
-    }
     daemon->controls.sound_gain = 1.0;
     for (size_t which = 0; which < CORE_ACTUATORS; which++) {
         daemon->controls.actuators[which].gain = 1.0;
         daemon->controls.actuators[which].audible = 1;
     }
-    if (!load(daemon, samplerate)) {
+    if (is_refused || !load(daemon, samplerate)) {
         daemon_core_close(daemon);
         return NULL;
     }
@@ -69,7 +92,8 @@ void daemon_core_close(DaemonCore *daemon)
     if (!daemon)
         return;
     core_unload(&daemon->loaded);
-    page_close(daemon->page);
+    if (daemon->page)
+        munmap(daemon->page, sizeof(Page));
     free(daemon);
 }
 
@@ -79,7 +103,6 @@ void daemon_core_reset(DaemonCore *daemon)
         core_reset(daemon->loaded.core, 0);
 }
 
-/* Process frames that the buffers have room for, from `first` on. */
 static void process_piece(DaemonCore *daemon, float *const *inputs, float *const *outputs, size_t first,
                           size_t frames)
 {

@@ -1,7 +1,6 @@
-/* The binary interface of LADSPA 1.1, as hosts expect it (www.ladspa.org). */
+/* The parts of LADSPA 1.1's binary interface (www.ladspa.org) that the plugins use. */
 
-#ifndef CUSHION_LADSPA_ABI_H
-#define CUSHION_LADSPA_ABI_H
+#pragma once
 
 enum { LADSPA_INPUT = 1, LADSPA_OUTPUT = 2, LADSPA_CONTROL = 4, LADSPA_AUDIO = 8 };
 
@@ -11,8 +10,6 @@ enum {
     LADSPA_BOUNDED_BELOW = 0x1,
     LADSPA_BOUNDED_ABOVE = 0x2,
     LADSPA_TOGGLED = 0x4,
-    LADSPA_INTEGER = 0x20,
-    LADSPA_DEFAULT_MINIMUM = 0x40,
     LADSPA_DEFAULT_0 = 0x200,
 };
 
@@ -40,5 +37,3 @@ typedef struct LadspaDescriptor {
     void (*deactivate)(void *instance);
     void (*cleanup)(void *instance);
 } LadspaDescriptor;
-
-#endif

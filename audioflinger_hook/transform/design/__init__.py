@@ -1,18 +1,10 @@
-"""The design of the live form: all numbers and tables for one set of parameters and one samplerate.
-
-| module | what it designs |
-| --- | --- |
-| `analysis` | input stage, analysis of windows, search for onsets |
-| `loudness` | loudness, felt strength, programme level |
-| `speech` | speech suppression |
-| `synthesis` | time grid, tracking of partials, oscillators, low-pass, limiter |
-"""
+"""The design of the live form: its constants and tables for given parameters and samplerate."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
-from typing import Any
+from typing import Any, get_type_hints
 
 import numpy as np
 
@@ -21,6 +13,7 @@ from audioflinger_hook.core.rounding import round_section
 from audioflinger_hook.transform.design.analysis import AnalysisDesign, InputDesign, OnsetDesign
 from audioflinger_hook.transform.design.loudness import LoudnessDesign
 from audioflinger_hook.transform.design.speech import SpeechDesign
+from audioflinger_hook.transform.design.strength import StrengthDesign
 from audioflinger_hook.transform.design.synthesis import (
     ATTACK_HOPS,
     LiveGrid,
@@ -29,57 +22,32 @@ from audioflinger_hook.transform.design.synthesis import (
 )
 from audioflinger_hook.transform.mapping import VibrationMapping
 from audioflinger_hook.transform.parameters import TransformParameters
-from audioflinger_hook.transform.spectrum import Spectrum
+from audioflinger_hook.transform.principal import Spectrum
 from device.errors import UsageError
-from device.records import Records
+from device.units import Records
 
 __all__ = ["LiveDesign"]
 
 BAND_MARGIN_HZ = 1_000.0
-"""Bins up to this far above the band are kept, to find the half-power width of its last peaks."""
+"""Margin of the analysis above the band, to measure the half-power widths of the highest peaks."""
 
 STRAIGHT_LINES = 10 ** (-0.17 / 20)
-"""The reference form measures half-power bandwidths on straight lines between bins, the live form
-on bells. The former are 0.07 to 0.27 dB narrower, by the place of a tone between two bins. With r
-so much smaller a tone has the same level within 0.1 dB."""
+"""Factor on r that gives a tone the same level in live form and reference form, within 0.1 dB.
 
-LATENCY_AT_HZ = 60.0
-"""Vibration frequency whose delay is reported: 78 to 95 % of the energy is at 20 to 80 Hz."""
+The reference form interpolates linearly between bins. This makes bandwidths 0.07 to 0.27 dB smaller
+than in the live form."""
+
+LATENCY_AT_HZ = 60.0  # reported latencies are for this vibration frequency
 
 
 @dataclass(frozen=True, eq=False)
 class LiveDesign:
-    """All numbers and tables of the live form for one set of parameters and one samplerate.
+    """Constants and tables of the live form, which are read-only.
 
-    The core, and its oracle in the tests, are made from it. It is immutable: its arrays cannot
-    be written. Two designs are equal where all their bits are.
-
-    Attributes
-    ----------
-    samplerate : int
-        Frames a second.
-    latency_frames : int
-        Frames by which the vibration of an onset follows its sound.
-    tonal_latency_frames : int
-        Frames by which sustained levels and endings follow.
-    grid : LiveGrid
-        How time is divided.
-    input : InputDesign
-        How samples are made usable and band-passed.
-    analysis : AnalysisDesign
-        How principal frequencies are found.
-    mapping : VibrationMapping
-        Which frequency and amplitude of vibration they get.
-    onsets : OnsetDesign
-        How onsets are found.
-    tracking : TrackingDesign
-        How partials are followed from hop to hop.
-    synthesis : SynthesisDesign
-        How partials become samples.
-    loudness : LoudnessDesign
-        How vibration follows loudness.
-    speech : SpeechDesign
-        How speech is lowered.
+    samplerate: Hz. grid: time grid. mapping: mapping of frequencies and amplitudes.
+    input, analysis, onsets, tracking, synthesis, loudness, strength, speech: design of each step.
+    latency_frames: delay in frames from an onset of the sound to the vibration.
+    tonal_latency_frames: the same delay for a change or end of a steady sound.
     """
 
     samplerate: int
@@ -93,6 +61,7 @@ class LiveDesign:
     tracking: TrackingDesign
     synthesis: SynthesisDesign
     loudness: LoudnessDesign
+    strength: StrengthDesign
     speech: SpeechDesign
 
     def __post_init__(self) -> None:
@@ -104,44 +73,34 @@ class LiveDesign:
     def of(
         cls, parameters: TransformParameters, samplerate: int, *, find_onsets: bool = True
     ) -> LiveDesign:
-        """Return the design for parameters at a samplerate. It is read-only and may be shared.
+        """Return the design for parameters and a samplerate in Hz. The last 8 designs are cached.
 
-        parameters: what shapes the vibration.
-        samplerate: frames a second.
-        find_onsets: false for the analysis of long windows alone, whose latency is that of
-            sustained sound.
-        UsageError: the band cannot be filtered at this samplerate.
+        find_onsets: whether onsets are detected; if not, both latencies are equal.
+        UsageError: `band_low_hz` is too high for the samplerate.
         """
         return _designed(parameters, samplerate, find_onsets)
 
     def settings(self) -> Records:
-        """Return the numbers and tables of all sections, by name."""
+        """Return all constants and tables by name, except `samplerate` and the latencies."""
         found: Records = {}
         for section in (getattr(self, name) for name in SECTIONS):
             for item in fields(section):
                 value = getattr(section, item.name)
-                # Parameters may hold a whole number where a float is meant.
+                # The value of a float parameter may be an integer.
                 found[item.name] = float(value) if item.type == "float" else value
         return found
 
     def to_bytes(self) -> bytes:
-        """Return the design as bytes, in the layout that `core/blob.py` documents.
-
-        The bytes hold `samplerate`, `latency_frames`, `tonal_latency_frames` and `settings()`.
-        """
+        """Return `records()` as bytes in the format of `core/blob.py`."""
         return blob.pack(self.records())
 
     def records(self) -> Records:
-        """Return all that `to_bytes` holds, by name."""
+        """Return `samplerate`, both latencies and `settings()` by name."""
         return {**{name: getattr(self, name) for name in TOP}, **self.settings()}
 
     @classmethod
     def from_bytes(cls, data: bytes) -> LiveDesign:
-        """Return the design from bytes of `to_bytes`.
-
-        data: all of it.
-        UsageError: the bytes are cut, damaged, of another version, or hold something else.
-        """
+        """Return the design from the bytes of `to_bytes`. UsageError: the bytes are invalid."""
         values = blob.unpack(bytes(data))
         sections = {name: _section(kind, values) for name, kind in SECTIONS.items()}
         top = {name: _taken(values, name, int) for name in TOP}
@@ -159,20 +118,12 @@ class LiveDesign:
         return LiveDesign.from_bytes, (self.to_bytes(),)
 
 
-EXACT = ("band_b", "band_a", "low_b", "low_a", "mix_weights")
-"""Tables that need no rounding: filters of rounded poles and zeros, and square roots."""
+EXACT = ("band_b", "band_a", "low_b", "low_a", "low_sections", "low_smooth", "mix_weights")
+"""`round_section` does not round these tables, which are identical on all machines."""
 
 TOP = ("samplerate", "latency_frames", "tonal_latency_frames")
 SECTIONS: dict[str, Any] = {
-    "grid": LiveGrid,
-    "input": InputDesign,
-    "analysis": AnalysisDesign,
-    "mapping": VibrationMapping,
-    "onsets": OnsetDesign,
-    "tracking": TrackingDesign,
-    "synthesis": SynthesisDesign,
-    "loudness": LoudnessDesign,
-    "speech": SpeechDesign,
+    name: kind for name, kind in get_type_hints(LiveDesign).items() if name not in TOP
 }
 
 
@@ -182,34 +133,37 @@ def _section(kind: Any, values: Records) -> Any:
 
 
 def _taken(values: Records, name: str, kind: type) -> Any:
-    """Take a value of a type from the values that are left."""
     value = values.pop(name, None)
     if not isinstance(value, kind):
         raise UsageError(f"the design lacks {name}, or holds it as something else")
     return value
 
 
-@lru_cache(maxsize=8)  # 15 ms, which many short files would pay one by one
+@lru_cache(maxsize=8)  # a new design for each of many short files would be slow
 def _designed(parameters: TransformParameters, samplerate: int, find_onsets: bool) -> LiveDesign:
     grid = LiveGrid.at(parameters, samplerate)
     spectrum = Spectrum.of(parameters, samplerate)
-    bins = int((parameters.band_high_hz + BAND_MARGIN_HZ) / spectrum.bin_hz)
-    bins = min(spectrum.bins, bins)
+    top_bin = int((parameters.band_high_hz + BAND_MARGIN_HZ) / spectrum.bin_hz)
+    bins = min(spectrum.bins, top_bin)
     live = replace(parameters, threshold_hz=parameters.live_threshold_hz)
     full_scale_r = parameters.unit_strength_hz(samplerate) / STRAIGHT_LINES
     mapping = VibrationMapping.of(parameters, full_scale_r)
     onsets = OnsetDesign.of(parameters, grid, mapping, samplerate, find_onsets)
     synthesis = SynthesisDesign.of(parameters, grid, samplerate)
     smoothing_frames = synthesis.delay_s(LATENCY_AT_HZ, samplerate) * samplerate
-    # A measured amplitude is that of the window's centre. It follows half a hop later, at the
-    # end of a glide that takes half its own length on average.
+    # A measured amplitude belongs to the window's centre. The glide to this amplitude adds a mean
+    # delay of half a hop, plus half of the mean duration of rising and of other glides.
     glide_hops = 0.5 + (ATTACK_HOPS + 1.0) / 4.0
     tonal_frames = grid.window_frames / 2 + glide_hops * grid.hop_frames + smoothing_frames
-    onset_frames = (1.0 + onsets.delay_ticks) * grid.tick_frames + smoothing_frames
+    followed = parameters.loudness_db > 0.0
+    loudness = LoudnessDesign.of(followed, grid, onsets, samplerate)
+    delay_ticks = loudness.delay_ticks if followed else onsets.delay_ticks
+    onset_frames = (1.0 + delay_ticks) * grid.tick_frames + smoothing_frames
+    latency_frames = round(onset_frames if find_onsets else tonal_frames)
     suppression_db = parameters.speech_suppression_db
     design = LiveDesign(
         samplerate=samplerate,
-        latency_frames=round(onset_frames if find_onsets else tonal_frames),
+        latency_frames=latency_frames,
         tonal_latency_frames=round(tonal_frames),
         grid=grid,
         input=InputDesign.of(parameters, samplerate),
@@ -217,16 +171,10 @@ def _designed(parameters: TransformParameters, samplerate: int, find_onsets: boo
         mapping=mapping,
         onsets=onsets,
         tracking=TrackingDesign.of(parameters, grid.hop_s),
-        synthesis=synthesis,
-        loudness=LoudnessDesign.of(
-            parameters,
-            grid.hop_s,
-            spectrum,
-            bins,
-            samplerate / onsets.short_length,
-            onsets.short_hz,
-        ),
-        # Without suppression these numbers are not used.
+        synthesis=replace(synthesis, begin_frames=latency_frames),
+        loudness=loudness,
+        strength=StrengthDesign.of(parameters, grid),
+        # Without suppression, these constants are not used.
         speech=SpeechDesign.of(
             suppression_db, spectrum.bin_hz, bins, grid.hop_s if suppression_db else 1.0
         ),

@@ -1,4 +1,4 @@
-"""Design of the listening parts: input stage, analysis of windows and search for onsets."""
+"""Constants and tables of the input stage, the analysis of windows and the detection of onsets."""
 
 from __future__ import annotations
 
@@ -13,81 +13,62 @@ from audioflinger_hook.transform.downmix import (
     CANCELS_FROM,
     CANCELS_UP_TO,
     POWER_GUARD,
-    CancellationRules,
+    cancellation_shares,
     downmix_table,
 )
 from audioflinger_hook.transform.filters import fast_length, lowest_bins
-from audioflinger_hook.transform.input_stage import (
-    DENORMAL_GUARD,
-    MAGNITUDE_MAX,
-    band_pass_roots,
-)
+from audioflinger_hook.transform.input_stage import DENORMAL_GUARD, MAGNITUDE_MAX, band_pass_roots
 from audioflinger_hook.transform.mapping import VibrationMapping
 from audioflinger_hook.transform.parameters import TransformParameters
-from audioflinger_hook.transform.principal import bins_in_band, peak_span_min
-from audioflinger_hook.transform.spectrum import Spectrum
+from audioflinger_hook.transform.principal import Spectrum, bins_in_band, peak_span_min
 
 IMAGE_REACH_WINDOWS = 75.0
-"""Peaks below this many times 1/T (1.6 kHz) are cleared; from there the image is about -70 dB."""
+"""Images of tones are removed below this multiple of 1/T, by default 1.6 kHz.
 
-NEIGHBOURS = 7
-"""Bins to either side of a peak that are cleared: its main lobe, and the half-power walk on it."""
+A tone's image is the component at negative frequency. The image's side lobes disturb low bins. At
+the frequency of a higher tone, these side lobes are under -70 dB relative to the tone."""
 
-TABLE_BINS_A_BIN = 32
-"""Entries of the window's table per bin; linear interpolation errs by 0.2 % of a side lobe."""
+NEIGHBOURS = 7  # a peak's image is removed from this number of bins on each side
+TABLE_BINS_A_BIN = 32  # entries per bin in the table of the window's spectrum
 
-SIDE_LOBE = 10 ** (-40 / 20)
-"""Side lobes of a Hamming window are 42.7 dB below their peak."""
+SIDE_LOBE, SIDE_LOBE_FOLLOWED = 10 ** (-40 / 20), 10 ** (-34 / 20)
+"""Peaks up to these shares of the highest amplitude are ignored, without and with loudness control.
 
-SIDE_LOBE_FOLLOWED = 10 ** (-34 / 20)
-"""The same with the loudness follower. Its C_th is lower: side lobes of a low tone and of its image
-add up to 36.7 dB under the tone."""
+A Hamming window has side lobes of -42.7 dB. For a low tone, the side lobes of the tone and of its
+image add up to -36.7 dB. With the lower C_th of loudness control, side lobes could be principal."""
 
-OLD_SIDE_S, NEW_SIDE_S = 0.004, 0.001
-"""Rise and fall times of the onset window: the newest sound counts at once."""
+OLD_SIDE_S, NEW_SIDE_S = 0.004, 0.001  # rise and fall time of the onset window
 
 EDGES_HZ = (200, 400, 600, 800, 1_200, 1_800, 2_600, 3_800, 5_600, 8_200, 12_000)
-"""Edges of the onset bands. Under the first, a swing looks like a shift of the mean."""
+"""Edges of the onset bands. The onset window is too short to measure oscillations below 200 Hz."""
 
 FORGOTTEN_DB_A_S = 300.0
-"""Rate at which a band's highest power is forgotten. A level that swells from nothing ten times a
-second is no onset; a sound that begins after 30 ms of rest is."""
+"""Decay rate of a band's recent maximum, dB/s.
 
-LOWEST_HZ = 70.0
-"""What the onset window's lowest bin stands for: it holds half a period of 70 Hz at most."""
+In 30 ms of silence, the recent maximum falls by 9 dB."""
+
+LOWEST_HZ = 70.0  # frequency assigned to the onset window's lowest bin
 
 QUIETEST, WEAKEST = 0.02, 0.5
-"""Shares of the weakest steady tone that is principal. Below the first no onset is searched;
-below the second none is played."""
-
-GROUPS_MAX = 4
+"""Lowest amplitudes of detected and of played onsets, relative to the weakest principal tone."""
 
 WORTH, MERGED_WORTH = 0.25, 0.1
-"""Share of its amplitude that a partial must add to start. Where partials are merged it is in phase
-with what sounds, so less is worth it."""
-EMPHASIS = (1.75, 1.3, 1.3, 1.3, 1.2, 1.1, 1.0)
-"""Where loudness is followed, an impact's first 8 ms are 2 dB stronger: partials that beat would
-otherwise have their peak later."""
+"""Smallest amplitude that an onset partial adds to existing ones, as a share of its estimate.
+
+The second value is for merged partials, which are in phase with existing partials."""
 
 
 @dataclass(frozen=True, eq=False)
 class InputDesign:
-    """How samples are made usable and band-passed."""
+    """Constants and tables of the input stage."""
 
-    silence: float
-    """A window whose peak is below this has no principal frequency."""
-    band_b: FloatArray
-    """Band-pass: the numerator."""
-    band_a: FloatArray
-    """Band-pass: the denominator."""
-    mix_slow: float
-    """Share of a new sample in the powers that show whether the mono mix cancels, ..."""
+    silence: float  # a window whose samples all have smaller magnitudes has no principal frequency
+    band_b: FloatArray  # numerator of the band-pass
+    band_a: FloatArray  # denominator of the band-pass
+    mix_slow: float  # for this and the next two fields, see `cancellation_shares`
     mix_newest: float
-    """... in the newest power, ..."""
     mix_evidence: float
-    """... and of that in the power of the mean."""
     mix_weights: FloatArray = field(default_factory=downmix_table)
-    """The down-mixes of all layouts, see `downmix_table`."""
     mix_cancels_from: float = CANCELS_FROM
     mix_cancels_up_to: float = CANCELS_UP_TO
     mix_power_guard: float = POWER_GUARD
@@ -97,47 +78,35 @@ class InputDesign:
     @classmethod
     def of(cls, parameters: TransformParameters, samplerate: int) -> InputDesign:
         """Return the design for one samplerate in Hz."""
-        # By Parseval r <= max|x| fs sqrt(2.73/N) < max|x| fs: under this level nothing passes.
+        # By Parseval's theorem, r <= max|x| fs sqrt(2.73/N) < max|x| fs.
         silence = parameters.live_threshold_hz / samplerate
-        rules = CancellationRules(samplerate)
         band = round_filter(*band_pass_roots(parameters, samplerate))
-        return cls(silence, *band, rules.slow, rules.newest, rules.evidence)
+        return cls(silence, *band, *cancellation_shares(samplerate))
 
 
 @dataclass(frozen=True, eq=False)
 class AnalysisDesign:
-    """How principal frequencies are found in a window's spectrum."""
+    """Constants and tables for the search for principal frequencies in a window's spectrum."""
 
     fft_length: int
-    bins: int
-    """Bins that are looked at."""
-    first_bin: int
-    """First bin on which a peak counts."""
-    last_bin: int
-    """Last bin on which a peak counts; below `first` if there is none."""
+    bins: int  # number of analysed bins
+    first_bin: int  # first bin in the band
+    last_bin: int  # last bin in the band; less than `first_bin` if no bin is in the band
     partials_max: int
     bin_hz: float
-    threshold_hz: float
-    """C_th: r of a principal frequency is above it."""
-    peak_span_min: float
-    """Amplitude times bins between valleys under which no peak can be principal."""
-    weakest_image: float
-    """Peaks up to this amplitude keep their image."""
-    weakest_share: float
-    """Peaks up to this share of the highest low amplitude keep their image, too."""
-    image_first: float
-    """The window's first sample as a share of the sum of the others."""
-    side_lobe: float
-    """Peaks up to this share of the highest amplitude are left out."""
+    threshold_hz: float  # C_th, the threshold of r
+    peak_span_min: float  # see `peak_span_min`
+    weakest_image: float  # images of peaks up to this amplitude are not removed
+    weakest_share: float  # the same for peaks up to this share of the highest low bin
+    image_first: float  # first sample of the window divided by the sum of all other samples
+    side_lobe: float  # peaks up to this share of the highest amplitude are ignored
     window: FloatArray
-    image_table: FloatArray
-    """The window's spectrum, see `window_tables`."""
-    image_turn: FloatArray
-    """Cosines, then sines, of each low bin's turn to the window's centre, (2, bins)."""
+    image_table: FloatArray  # window's spectrum, see `window_tables`
+    image_turn: FloatArray  # phase rotations, see `window_tables`
 
     @classmethod
     def of(cls, parameters: TransformParameters, spectrum: Spectrum, bins: int) -> AnalysisDesign:
-        """Return the design for the first bins of spectra, with the parameters' own C_th."""
+        """Return the design for the first `bins` bins. `threshold_hz`: C_th of the live form."""
         first_bin, last_bin = bins_in_band(parameters, spectrum.bin_hz, bins)
         image_turn, image_table = window_tables(spectrum, bins)
         followed = parameters.loudness_db > 0.0
@@ -151,9 +120,9 @@ class AnalysisDesign:
             bin_hz=spectrum.bin_hz,
             threshold_hz=parameters.threshold_hz,
             peak_span_min=peak_span_min(parameters, spectrum.bin_hz),
-            # A steady tone is principal from here up; a weaker peak is no tone that could wobble.
+            # A weaker steady tone is not principal, so its image has no effect.
             weakest_image=parameters.threshold_hz / full_scale_r,
-            # A weaker peak may be a side lobe, whose image is not its own.
+            # A weaker peak may be a side lobe, which has no image of its own.
             weakest_share=SIDE_LOBE_FOLLOWED if followed else 0.0,
             image_first=float(spectrum.window[0] / spectrum.window[1:].sum()),
             side_lobe=SIDE_LOBE_FOLLOWED if followed else SIDE_LOBE,
@@ -165,68 +134,42 @@ class AnalysisDesign:
 
 @dataclass(frozen=True, eq=False)
 class OnsetDesign:
-    """How onsets are found in short windows, and which partials they start."""
+    """Constants and tables of onset detection, and of the partials that an onset starts."""
 
-    find_onsets: int
-    """0 if there is only the analysis, without onsets."""
-    short_frames: int
-    """Frames in the onset window."""
-    short_length: int
-    """Length of the window's spectrum."""
-    short_bins: int
-    """Bins that are looked at."""
-    short_ticks: int
-    """Ticks that the window touches."""
-    newest_frames: int
-    """Last frames of a tick that count by themselves."""
-    short_scale: float
-    """Factor from squared bins to mean squares."""
-    quietest: float
-    """Power below which there are no onsets."""
-    weakest: float
-    """Amplitude below which no partial starts."""
-    fading: float
-    """Factor on the highest recent power, applied each tick."""
+    find_onsets: int  # 0 disables onsets
+    short_frames: int  # frames in the onset window
+    short_length: int  # FFT length
+    short_bins: int  # number of analysed bins
+    short_ticks: int  # number of ticks that the window overlaps
+    newest_frames: int  # number of last frames of a tick whose level is measured separately
+    short_scale: float  # factor from squared bins to mean squares
+    quietest: float  # lowest power of an onset
+    weakest: float  # lowest amplitude of an onset partial
+    fading: float  # decay of a band's recent maximum of power, factor per tick
     short_window: FloatArray
-    short_hz: FloatArray
-    """Vibration frequency of each bin."""
-    worth: float
-    """No partial starts if less than this share of its amplitude is missing."""
-    band_edges: FloatArray
-    """Bins: the first of each band, and past the last."""
-    rise: float = 4.0
-    """A band rises where its power is this many times its recent maximum (6 dB) ..."""
-    minor: float = 0.01
-    """... and more than this share of all power: side lobes of the window are less."""
-    risen_share: float = 0.5
-    """Share of all power that rising bands must exceed at an onset."""
-    back_ticks: int = 3
-    """A band rises over its power this many ticks ago."""
+    short_hz: FloatArray  # vibration frequency of each bin
+    min_gain_share: float  # see `WORTH`
+    band_edges: FloatArray  # first bin of each band, then the end of the last band
+    rise: float = 4.0  # a rising band has more than this times its recent maximum of power (6 dB)
+    minor: float = 0.01  # a rising band must exceed this share of the total power
+    risen_share: float = 0.5  # at an onset, rising bands contain more than this share of the power
+    back_ticks: int = 3  # number of latest ticks that the recent maximum excludes
+    # The interval between onsets is at least rest_ticks. A shorter interval requires that the power
+    # rises by the factor `rearmed` in 3 ticks (in 2 ticks for less than rearmed_ticks).
     rest_ticks: int = 5
-    """Ticks from one onset to the next, ..."""
     rearmed_ticks: int = 3
-    """... or so many to one that is `rearmed` times as strong: then the last one was only the very
-    first of a sound, or a faint one before it."""
     rearmed: float = 10.0
-    heard_ticks: int = 4
-    """Ticks over which an onset's sound is measured, each better than the last."""
-    groups_max: int = GROUPS_MAX
-    """Largest number of groups of bands in which one onset starts partials."""
-    fresh_max: int = 2 * GROUPS_MAX
-    """Largest number of onset partials at a time."""
-    forgotten: float = 1e-30
-    """Power that counts as zero."""
-    apart_from: float = 1.0 + 1e-9
-    """Ratio from which on two bands differ, so that rounding decides nothing between equals."""
-    birth_phase: float = 0.75
-    """Phase at birth in cycles: a sine, whose first swing is felt at once."""
+    heard_ticks: int = 4  # an onset's sound is measured for this number of ticks
+    groups_max: int = 4  # largest number of groups of bands in which one onset starts partials
+    onset_partials_max: int = 8  # largest number of simultaneous onset partials
+    forgotten: float = 1e-30  # smaller powers are set to 0
+    apart_from: float = 1.0 + 1e-9  # powers with a smaller ratio count as equal
+    start_phase: float = 0.75  # initial phase in cycles: a cosine then starts as a sine
+    # Values of sum p^2 / (sum p)^2 for a pure tone with the bin powers p, one for each tick after
+    # an onset. Noise has lower values.
     one_tone: FloatArray = field(default_factory=lambda: np.array((0.12, 0.28, 0.34, 0.36)))
-    """Sum p^2 / (sum p)^2 over the bins' powers p of a tone, in each tick after an onset. In noise
-    it is a tenth of it: there is so much in a group of bands."""
+    # Shares of the final amplitude of an onset partial at the ends of its first ticks.
     rise_shares: FloatArray = field(default_factory=lambda: np.array((0.4, 1.0)))
-    """Share of its amplitude that an onset partial reaches in its first tick, and in its second."""
-    emphasis: FloatArray = field(default_factory=lambda: np.ones(1))
-    """Factor on an onset partial's amplitude after each tick."""
 
     @classmethod
     def of(
@@ -237,9 +180,9 @@ class OnsetDesign:
         samplerate: int,
         find_onsets: bool,
     ) -> OnsetDesign:
-        """Return the design for one grid and samplerate in Hz."""
+        """Return the design for a time grid and a samplerate in Hz."""
         old, new = (max(1, round(side * samplerate)) for side in (OLD_SIDE_S, NEW_SIDE_S))
-        length = _even_fast_length(old + new)
+        length = 2 * fast_length(max(2, -(-(old + new) // 2)))
         window = np.concatenate(
             (
                 0.5 - 0.5 * np.cos(np.pi * (np.arange(old) + 0.5) / old),
@@ -260,7 +203,7 @@ class OnsetDesign:
             short_bins=bins,
             short_ticks=-(-(old + new) // grid.tick_frames),
             newest_frames=max(1, grid.tick_frames // 2),
-            # From bins to mean squares, by Parseval; a real spectrum has each bin twice.
+            # By Parseval's theorem. The factor 2 stands for the bins at negative frequencies.
             short_scale=2.0 / (length * float(window @ window)),
             quietest=0.5 * (QUIETEST * weakest) ** 2,
             weakest=WEAKEST * weakest,
@@ -269,14 +212,13 @@ class OnsetDesign:
             short_hz=mapping.vibration_hz(
                 np.clip(hz, parameters.band_low_hz, parameters.band_high_hz)
             ),
-            worth=MERGED_WORTH if parameters.merge_ratio else WORTH,
-            emphasis=np.array(EMPHASIS if parameters.loudness_db > 0.0 else (1.0,)),
+            min_gain_share=MERGED_WORTH if parameters.merge_ratio else WORTH,
             band_edges=np.array(sorted(edges), dtype=np.float64),
         )
 
     @property
     def delay_ticks(self) -> float:
-        """Ticks by which an amplitude follows on average: each glides from share to share."""
+        """Mean delay, in ticks, due to the gradual rise of an onset partial's amplitude."""
         shares: list[float] = self.rise_shares.tolist()
         return len(shares) - sum(shares) + 0.5 * shares[-1]
 
@@ -284,20 +226,19 @@ class OnsetDesign:
 def window_tables(
     spectrum: Spectrum, bins: int, reach_windows: float = IMAGE_REACH_WINDOWS
 ) -> tuple[FloatArray, FloatArray]:
-    """Return what images are computed from: the turn of each low bin, the window's spectrum.
+    """Return tables for the removal of images: phase rotations, and the window's spectrum.
 
-    Phases counted from the window's centre make the window's spectrum real; bins turn by a cosine
-    and a sine each, (2, low bins + `NEIGHBOURS`). The spectrum, 1 at 0, has `TABLE_BINS_A_BIN`
-    entries a bin. reach_windows: bins under this many times 1/T are low.
+    An image is a tone's component at negative frequency. The rotations are cosines and sines, (2,
+    low bins + `NEIGHBOURS`). They move the time origin to the window's centre, so that the window's
+    spectrum is real. The spectrum is 1 at 0 Hz and has `TABLE_BINS_A_BIN` entries per bin.
+    reach_windows: images are removed in the low bins, below this multiple of 1/T.
     """
     frames, length = spectrum.window_frames, spectrum.fft_length
-    # An image is looked up at the sum of two frequencies, which the table must reach, and
-    # neighbours must lie within the spectra.
+    # The window's table must reach the sum of the frequencies of any two low bins.
     room = min(spectrum.bins // 2, bins) - 1 - NEIGHBOURS
     low_bins = max(0, min(int(reach_windows * length / frames), room))
     turned_bins = np.arange(low_bins + NEIGHBOURS if low_bins else 0)
     turn = 2.0 * np.pi * turned_bins * (frames / 2) / length
-    # Only the lowest part of the window's spectrum, on a grid that much finer than a bin.
     entries = TABLE_BINS_A_BIN * 2 * turn.shape[-1] + 2
     fine_length = TABLE_BINS_A_BIN * length
     partnered = spectrum.window.copy()
@@ -305,10 +246,3 @@ def window_tables(
     fine = lowest_bins(partnered, entries, fine_length)
     turned = fine * np.exp(2j * np.pi * np.arange(entries) * (frames / 2) / fine_length)
     return np.stack((np.cos(turn), np.sin(turn))), turned.real / turned[0].real
-
-
-def _even_fast_length(frames: int) -> int:
-    length = max(4, frames)
-    while fast_length(length) != length or length % 2:
-        length += 1
-    return length

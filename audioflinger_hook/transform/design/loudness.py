@@ -1,4 +1,4 @@
-"""Design of the loudness follower: ISO 532-1, felt strength, the programme's level."""
+"""Constants and tables for the measurement of loudness in each tick, in the bands of ISO 532-1."""
 
 from __future__ import annotations
 
@@ -7,32 +7,36 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from audioflinger_hook.core.rounding import round_sections
 from audioflinger_hook.transform.arrays import FloatArray
-from audioflinger_hook.transform.design.synthesis import SynthesisDesign
-from audioflinger_hook.transform.parameters import TransformParameters
-from audioflinger_hook.transform.spectrum import Spectrum
+from audioflinger_hook.transform.design.analysis import OnsetDesign
+from audioflinger_hook.transform.design.synthesis import LiveGrid
+from audioflinger_hook.transform.filters import BUTTERWORTH_5, low_pass
 
-FULL_SCALE_DB = 94.0
-"""Sound pressure level that a full-scale tone stands for; loudness in phon counts from here."""
+FULL_SCALE_DB = 94.0  # assumed sound pressure level of a full-scale tone, dB re 20 uPa
 
 BANDS_HZ = (
     *(90.0, 180.0, 280.0, 355.0, 450.0, 560.0, 710.0, 900.0, 1_120.0, 1_400.0),
-    *(1_800.0, 2_240.0, 2_800.0, 3_550.0, 4_500.0, 5_600.0, 7_100.0, 9_000.0, 11_200.0),
+    *(1_800.0, 2_240.0, 2_800.0, 3_550.0, 4_500.0, 5_600.0, 7_100.0, 9_000.0, 11_200.0, 12_000.0),
 )
-"""Upper edges of the 20 bands of ISO 532-1 but the last: thirds of an octave from 280 Hz up."""
+"""Upper edges of the 20 bands of ISO 532-1, third-octave bands from 280 Hz up.
+
+The last band ends at 12 kHz, the default end of the band-pass, instead of 15.5 kHz."""
 
 BARKS = (
     *(0.9, 1.8, 2.8, 3.5, 4.4, 5.4, 6.6, 7.9, 9.2, 10.6),
     *(12.3, 13.8, 15.2, 16.7, 18.1, 19.3, 20.6, 21.8, 22.7, 23.6),
 )
-"""The same edges as critical-band rates, table 3 of ISO 532-1."""
+"""Upper edges of the bands as critical-band rates in Bark (ISO 532-1)."""
 
 QUIET_DB = np.array((30.0, 18.0, 12.0, 8.0, 7.0, 6.0, 5.0, 4.0) + 12 * (3.0,)) - 15.0
-"""Threshold in quiet, band by band, 15 dB under that of ISO 532-1. The listener's volume is not
-known: a lower volume should change all loudness alike."""
+"""Threshold in quiet of each band, 15 dB lower than in ISO 532-1.
+
+The listener's volume is unknown. With a lower threshold, a change of volume changes the loudness of
+all sounds by more similar factors."""
 
 OUTER_EAR_DB = np.array(10 * (0.0,) + (-0.5, -1.6, -3.2, -5.4, -5.6, -4.0, -1.5, 2.0, 5.0, 12.0))
-"""Attenuation by the outer ear."""
+"""Attenuation by the outer ear in each band."""
 
 BANDWIDTH_DB = np.array(
     (
@@ -40,225 +44,138 @@ BANDWIDTH_DB = np.array(
         *(1.8, 1.8, 1.7, 1.6, 1.4, 1.2, 0.8, 0.5, 0.0, -0.5),
     )
 )
-"""From the level in a third of an octave to the level in a critical band."""
+"""Difference between the level in a third-octave band and the level in a critical band."""
+
+OVER_QUIET_DB = FULL_SCALE_DB - OUTER_EAR_DB - BANDWIDTH_DB - QUIET_DB
+"""Excitation of a full-scale tone in each band, in dB above the threshold in quiet."""
 
 DEEP_HZ, DEEP_DB = (25.0, 65.0, 90.0), (7.0, -6.0, -6.0)
-"""Deep sound is felt more than heard: bins under 90 Hz count so many dB more, by frequency. Where
-less, it is as the ear weighs them in ISO 532-1."""
+"""Correction in dB of the excitation below 90 Hz, interpolated by frequency.
 
-FELT_AT_HZ = 40.0
-"""Vibration of this frequency has weight 1. Above 12.5 Hz, the sensitivity of a seated body to
-vertical acceleration falls with the inverse of frequency: W_k of ISO 2631-1 without its limit at
-100 Hz, and contours of equal comfort (Griffin, Whitham and Parsons, Ergonomics 25, 1982)."""
+Positive values stand for bass that the body feels."""
 
-FELT_FROM_HZ = 30.0
-"""Vibration under this counts as if it had this frequency: few actuators reach lower."""
+LOW_EDGES_HZ = (20.0, 45.0, 90.0, 180.0, 280.0, 355.0, 450.0, 560.0)
+"""Edges of the low bands, which have their own filters. Other bands use the onset window."""
 
-RIG_RATIO_MAX = 2.0
-"""A resonance is levelled by 6 dB at most: more under it would be excursion, not vibration."""
+LOW_BAND_OF = (0, 0, 1, 2, 3, 4, 5)  # band of ISO 532-1 that contains each low band
+LOW_DB = -1.0  # correction of the low bands, dB
+POLE_WIDTH = 1.3  # -3 dB bandwidth of a pole / band's width; the noise bandwidth of two poles is 1
+LOW_TOP_HZ = 850.0  # end of the pass band of the low-pass before decimation
 
-PROGRAMME_TOP_DB = -10.0
-"""Loudness of the loudest programmes; programmes down to `loudness_db` below it are lifted."""
+QUADRATURE = (
+    (0.6923878, 0.9360654322959, 0.9882295226860, 0.9987488452737),
+    (0.4021921162426, 0.8561710882420, 0.9722909545651, 0.9952884791278),
+)
+"""Coefficients of two all-pass chains for an analytic signal with an image of -44 dB.
 
-PROGRAMME_START_DB = -20.0
-"""Level of the programme before any sound."""
+With one chain delayed by a sample, the phases differ by 90 degrees. Source: Olli Niemitalo,
+"Hilbert transform"."""
 
-RELEASE_DB_A_S = 10.0
-"""Rate at which loudness falls; it rises at once. With 20 an explosion stands half a dB less above
-speech, and level goes less with level (0.63 for 0.67)."""
+GROUPS = (0, 1, 3, 6, 9, 12, 14, 16, 20)
+"""First band of each group, then the end of the last group.
 
-PROGRAMME_DB_A_S = 0.1
-"""The programme's level goes to the loudness by this, so that half of the time is over it ..."""
-
-RISE_S, FALL_S = 240.0, 120.0
-"""... and by what is missing, in so many seconds: a crescendo is felt as one."""
-
-JUMP_UP_S, JUMP_DOWN_S = 0.5, 10.0
-"""A level that is far above or below the programme for so long is that of another volume. Loud
-scenes may be far below for some seconds; too strong a vibration may not last."""
-
-JUMP_UP_DB_A_S, JUMP_DOWN_DB_A_S = 20.0, 2.0
-"""Rates at which the programme's level then goes there."""
-
-FLOOR_RISE_DB_A_S = 2.0
-"""The noise floor is the least recent loudness: it falls at once and rises at this rate."""
+The edges between groups are 90, 280, 560, 1120, 2240, 3550 and 5600 Hz."""
 
 
 @dataclass(frozen=True, eq=False)
 class LoudnessDesign:
-    """How vibration follows loudness; levels in dB, rates in dB per hop."""
+    """Constants and tables of the loudness measurement; empty tables without loudness control."""
 
-    programme_start: float
-    """Level of the programme before any sound."""
-    programme_min: float
-    programme_step: float
-    """The programme's level moves by this, ..."""
-    programme_rise: float
-    """... and by this share of what is missing upwards, ..."""
-    programme_fall: float
-    """... or downwards."""
-    jump_up_hops: float
-    """Hops after which the programme's level goes fast to one far above, ..."""
-    jump_down_hops: float
-    """... or far below."""
-    jump_up_step: float
-    jump_down_step: float
-    release: float
-    """Rate at which loudness falls."""
-    floor_min: float
-    """Loudness up to which there is no vibration."""
-    floor_rise: float
-    """Rate at which the noise floor rises."""
-    gate: float
-    """Width of the soft gate over the noise floor."""
-    target: float
-    """Vibration at the programme's level."""
-    slope: float
-    """Vibration for each dB of loudness."""
-    gain_max: float
-    """Largest factor on amplitudes."""
-    loudness_weights: FloatArray
-    """Of each bin's squared magnitude: its share of its band's excitation over the threshold in
-    quiet. Empty if loudness is not followed."""
-    loudness_edges: FloatArray
-    """Bins: the first of each band, and past the last."""
-    loudness_scale: FloatArray
-    """Of each band: sone per Bark at its threshold."""
-    loudness_widths: FloatArray
-    """Of each band: Bark."""
-    onset_loudness_weights: FloatArray
-    """The same four tables for the short windows in which onsets are found."""
-    onset_loudness_edges: FloatArray
-    onset_loudness_scale: FloatArray
-    onset_loudness_widths: FloatArray
-    onset_felt_squares: FloatArray
-    """Squared sensitivity at the vibration frequency of each short bin."""
-    felt_weights: FloatArray
-    """Sensitivity by vibration frequency, in steps of `gain_step_hz`."""
-    programme_top: float = PROGRAMME_TOP_DB
-    far: float = 20.0
-    """More than this is not missing: the level rises by 4 dB a second at most and falls by 6."""
-    jump: float = 30.0
-    """Distance that is far, and ..."""
-    near: float = 10.0
-    """... one that is near again."""
-    floor_under: float = 55.0
-    """The noise floor stays this far below the programme's level: a steady sound is no noise."""
-    jitter: float = 1.0
-    """Smaller changes of loudness from hop to hop are jitter, of which ..."""
-    jitter_followed: float = 0.05
-    """... this share is followed."""
-    onset_under: float = 3.0
-    """A sound of 5 ms is heard softer than a long one. An onset does not know which it will be."""
-    concentrated: float = 4.0
-    """What would be limited takes on the sensitivity of a seated body to this power at most."""
+    low_smooth: FloatArray  # low-pass before decimation, see `_smoothing`
+    quadrature: FloatArray  # squares of the all-pass coefficients, (2, 4)
+    low_poles: FloatArray  # real part, imaginary part and gain of the pole of each low band, (n, 3)
+    low_weights: FloatArray  # factor from the sum of squares in a tick to excitation, per low band
+    low_band_of: FloatArray  # number of the loudness band that contains each low band
+    high_edges: FloatArray  # first bin of each high band in the onset window, then the end
+    high_weights: FloatArray  # factor from mean square to excitation, per high band
+    loudness_scale: FloatArray  # sone per Bark at the threshold, per band
+    loudness_widths: FloatArray  # width in Bark, per band
+    loudness_groups: FloatArray  # first band of each group, then the end of the last group
+    # The powers of high bands are averaged over three ticks, because the power in one onset window
+    # of 5 ms depends on a tone's phase.
+    average_ticks: int = 3
+    # Above a band, the specific loudness N' decreases by slope_a_bark N'^0.75 per Bark. This
+    # approximates the slopes of ISO 532-1.
     slope_a_bark: float = 0.45
-    """Above a band its specific loudness N' falls by this / N'^0.25 of itself for each Bark: nearly
-    what the table of slopes in ISO 532-1 says."""
-    gate_margin: float = 0.01
-    """Share of the gate's width that is still silent. At the floor itself, where the quietest
-    recent hop stands exactly, rounding would decide."""
-    nothing: float = 1e-20
-    """Energy below which a window counts as -200 dB, to avoid the logarithm of 0."""
+
+    @property
+    def delay_ticks(self) -> float:
+        """Mean delay, in ticks, of the rise of loudness (power^0.3) at an onset."""
+        shares = np.arange(1, self.average_ticks) / self.average_ticks
+        return 0.5 + float((1.0 - shares**0.3).sum())
 
     @classmethod
     def of(
-        cls,
-        parameters: TransformParameters,
-        hop_s: float,
-        spectrum: Spectrum,
-        bins: int,
-        onset_bin_hz: float,
-        onset_hz: FloatArray,
+        cls, followed: bool, grid: LiveGrid, onsets: OnsetDesign, samplerate: int
     ) -> LoudnessDesign:
-        """Return the design for hops of this many seconds.
-
-        bins: that are looked at in spectra of long windows. onset_hz: vibration frequencies of the
-        bins of short windows, which are onset_bin_hz apart.
-        """
-        if parameters.loudness_db > 0.0:
-            long = loudness_tables(spectrum.bin_hz, bins, tone_spread(spectrum))
-            short = loudness_tables(onset_bin_hz, onset_hz.size, 1.0)
-        else:
-            long = short = (np.zeros(0),) * 4
-        steps = np.arange(1.01 * parameters.vibration_top_hz / SynthesisDesign.gain_step_hz)
-        programme_min = PROGRAMME_TOP_DB - parameters.loudness_db
+        """Return the design for a time grid and a samplerate in Hz."""
+        if not followed:
+            return cls(*10 * (np.zeros(0),))
+        low_rate_hz = samplerate / grid.decimation
+        lows = [low for low, top in enumerate(LOW_EDGES_HZ[1:]) if top < low_rate_hz / 2]
+        edges, highs = _high_bands(onsets, samplerate / onsets.short_length)
+        bands = [*dict.fromkeys(LOW_BAND_OF[low] for low in lows), *highs]
+        quiet_db, groups = QUIET_DB[bands], np.searchsorted(bands, GROUPS)
+        widths = np.diff((0.0, *BARKS))[bands]
         return cls(
-            programme_start=max(programme_min, PROGRAMME_START_DB),
-            programme_min=programme_min,
-            programme_step=PROGRAMME_DB_A_S * hop_s,
-            programme_rise=hop_s / RISE_S,
-            programme_fall=hop_s / FALL_S,
-            jump_up_hops=float(round(JUMP_UP_S / hop_s)),
-            jump_down_hops=float(round(JUMP_DOWN_S / hop_s)),
-            jump_up_step=JUMP_UP_DB_A_S * hop_s,
-            jump_down_step=JUMP_DOWN_DB_A_S * hop_s,
-            release=RELEASE_DB_A_S * hop_s,
-            floor_min=parameters.loudness_floor_db,
-            floor_rise=FLOOR_RISE_DB_A_S * hop_s,
-            gate=parameters.loudness_gate_db,
-            target=parameters.loudness_target_db,
-            slope=parameters.dynamics,
-            gain_max=math.pow(10.0, parameters.loudness_db / 20.0),
-            loudness_weights=long[0],
-            loudness_edges=long[1],
-            loudness_scale=long[2],
-            loudness_widths=long[3],
-            onset_loudness_weights=short[0],
-            onset_loudness_edges=short[1],
-            onset_loudness_scale=short[2],
-            onset_loudness_widths=short[3],
-            onset_felt_squares=felt_weight(parameters, onset_hz) ** 2,
-            felt_weights=felt_weight(parameters, SynthesisDesign.gain_step_hz * steps),
+            low_smooth=_smoothing(grid.decimation, samplerate),
+            quadrature=np.array(QUADRATURE) ** 2,
+            low_poles=np.array([_pole(low, low_rate_hz) for low in lows]),
+            low_weights=np.array([_low_weight(low) for low in lows]) / grid.tick_steps,
+            low_band_of=np.array([LOW_BAND_OF[low] for low in lows], dtype=np.float64),
+            high_edges=np.array(edges, dtype=np.float64),
+            # The factor 2 is the inverse of the mean square of a full-scale tone.
+            high_weights=2.0 * 10.0 ** (0.1 * OVER_QUIET_DB[highs]),
+            loudness_scale=0.0635 * 10.0 ** (0.025 * quiet_db),
+            loudness_widths=widths,
+            loudness_groups=np.unique(groups).astype(np.float64),
         )
 
 
-def felt_weight(parameters: TransformParameters, vibration_hz: FloatArray) -> FloatArray:
-    """Return how strongly a seated body feels a drive at frequencies in Hz.
+def _smoothing(decimation: int, samplerate: int) -> FloatArray:
+    """Return the low-pass as a matrix for one step of the low rate, (decimation + 6, 8).
 
-    It is always 1 for strength "flat", and for "felt" the sensitivity to acceleration, 1 at 40 Hz.
-    For "rig" it contains the acceleration for each volt of a resonant actuator, 1 far above its
-    resonance, as far as `RIG_RATIO_MAX`.
+    Rows stand for the frames of a step and the 6 states before the step. Columns stand for the 6
+    states after the step, the output sample and a 0.
     """
-    if parameters.strength == "flat":
-        return np.ones_like(vibration_hz)
-    hz = np.maximum(vibration_hz, FELT_FROM_HZ)
-    felt: FloatArray = FELT_AT_HZ / hz
-    if parameters.strength == "rig" and parameters.resonance_hz > 0.0:
-        ratio = parameters.resonance_hz / hz
-        response = 1.0 / np.hypot(1.0 - ratio**2, ratio / parameters.resonance_q)
-        felt *= np.clip(response, 1.0 / RIG_RATIO_MAX, RIG_RATIO_MAX)
-    return felt
+    rows = np.zeros((decimation + 6, 8))
+    states, frames = np.eye(6, decimation + 6, decimation), np.eye(decimation, decimation + 6)
+    sections = np.zeros((0, 6))
+    if 0.4 * samplerate / decimation > LOW_TOP_HZ and decimation > 1:
+        sections = round_sections(*low_pass(BUTTERWORTH_5, LOW_TOP_HZ, samplerate))
+    for sample in frames:  # a loop, since library functions round differently on other machines
+        for (b0, b1, b2, _, a1, a2), state in zip(
+            sections, states.reshape(-1, 2, decimation + 6), strict=False
+        ):
+            heard = b0 * sample + state[0]
+            state[0] = b1 * sample - a1 * heard + state[1]
+            state[1] = b2 * sample - a2 * heard
+            sample = heard
+    rows[:, :6], rows[:, 6] = states.T, sample
+    return rows
 
 
-def loudness_tables(bin_hz: float, bins: int, spread: float) -> tuple[FloatArray, ...]:
-    """Return the tables for loudness after ISO 532-1 from a spectrum's first bins.
+def _pole(low: int, low_rate_hz: float) -> tuple[float, float, float]:
+    below_hz, above_hz = LOW_EDGES_HZ[low : low + 2]
+    radius = math.exp(-math.pi * POLE_WIDTH * (above_hz - below_hz) / low_rate_hz)
+    turn = math.pi * (below_hz + above_hz) / low_rate_hz
+    return radius * math.cos(turn), radius * math.sin(turn), 1.0 - radius
 
-    spread: the sum of squared magnitudes over the bins of a full-scale tone. Returned are weights
-    of the bins, the bands' edges in bins, then for each band the sone per Bark at its threshold,
-    and its width in Bark. A band without a bin joins the next.
-    """
-    over_db = FULL_SCALE_DB - OUTER_EAR_DB - BANDWIDTH_DB - QUIET_DB
-    edges, barks, bands = [0], [0.0], []
-    for band, (edge_hz, bark) in enumerate(zip((*BANDS_HZ, np.inf), BARKS, strict=True)):
-        edge = round(min(edge_hz / bin_hz, bins))
-        if edge > edges[-1]:
-            edges.append(edge)
-            barks.append(bark)
+
+def _low_weight(low: int) -> float:
+    """Return the ratio of a low band's excitation (threshold in quiet: 1) to its mean square."""
+    over_db = float(OVER_QUIET_DB[LOW_BAND_OF[low]]) + LOW_DB
+    if LOW_BAND_OF[low] == 0:
+        over_db += float(np.interp(sum(LOW_EDGES_HZ[low : low + 2]) / 2, DEEP_HZ, DEEP_DB))
+    return math.pow(10.0, 0.1 * over_db)
+
+
+def _high_bands(onsets: OnsetDesign, bin_hz: float) -> tuple[list[int], list[int]]:
+    """Return edges (bins of the onset window) and numbers of the loudness bands above 560 Hz."""
+    edges, bands = [round(LOW_EDGES_HZ[-1] / bin_hz)], list[int]()
+    for band in range(LOW_BAND_OF[-1] + 1, len(BANDS_HZ)):
+        edge = max(edges[-1] + 1, round(BANDS_HZ[band] / bin_hz))
+        if edges[-1] < onsets.short_bins:
+            edges.append(min(edge, onsets.short_bins))
             bands.append(band)
-    weights = np.repeat(10.0 ** (0.1 * over_db[bands]), np.diff(edges)) / spread
-    hz = bin_hz * np.arange(weights.size)
-    deep = hz < BANDS_HZ[0]
-    weights[deep] *= 10.0 ** (0.1 * np.interp(hz[deep], DEEP_HZ, DEEP_DB))
-    return (
-        weights,
-        np.array(edges, dtype=np.float64),
-        0.0635 * 10.0 ** (0.025 * QUIET_DB[bands]),
-        np.diff(barks),
-    )
-
-
-def tone_spread(spectrum: Spectrum) -> float:
-    """Return the sum of squared magnitudes over the bins of a full-scale tone, by Parseval."""
-    window = spectrum.window
-    return float(spectrum.fft_length * (window * window).sum() / window.sum() ** 2)
+    return (edges if bands else []), bands

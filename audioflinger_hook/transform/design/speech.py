@@ -1,4 +1,4 @@
-"""Design of speech detection: how speech is known in the sound, and how it is lowered."""
+"""Constants and tables of the detection and attenuation of speech."""
 
 from __future__ import annotations
 
@@ -10,61 +10,43 @@ import numpy as np
 from audioflinger_hook.transform.arrays import FloatArray
 
 OCTAVES_HZ = (100.0, 200.0, 400.0, 800.0, 1_600.0, 3_200.0, 8_000.0)
-"""Edges of the six speech bands; the last band has the hissing sounds."""
+"""Edges of the six speech bands. The last band contains the fricative consonants."""
 
-PITCH_HZ = 70.0, 320.0
-"""Pitches from men with deep voices to children."""
-PITCHES = 44
-"""Number of combs tried, evenly spaced in logarithm: 3.6 % apart."""
-COMB_TOP_HZ, COMB_TEETH = 1_600.0, 10
-"""A comb's highest tooth in Hz, and its largest number of teeth."""
+PITCH_HZ = 70.0, 320.0  # lowest and highest pitch of voices
+PITCHES = 44  # number of candidate pitches, 3.6 % apart; each is tested by a comb of harmonics
+COMB_TOP_HZ, COMB_TEETH = 1_600.0, 10  # highest frequency and largest number of harmonics of a comb
 
-MEMORY_S = 0.3
-"""Time constant of all averages."""
-FAST_S, SLOW_S = 0.02, 0.15
-"""A level's swing is the difference of its averages over these times."""
-PEAK_DB_A_SECOND = 6.0
-"""Rate at which the loudest level is forgotten."""
-ATTACK_S, RELEASE_S = 0.1, 0.5
-"""Time in which belief in speech goes from 0 to 1, and back."""
-REST_S = 1.5
-"""After this much silence everything is forgotten."""
-VOICE_LEARNT_S = 0.15
-"""Time constant of learning the level of the voice, octave by octave."""
-VOICE_DB_A_SECOND = 6.0
-"""Rate at which the level of the voice is forgotten."""
-BACKGROUND_S, BACKGROUND_DB_A_SECOND = 0.05, 8.0
-"""An octave's background falls in this time constant, and rises at this rate."""
+MEMORY_S = 0.3  # time constant of the averages of voicing, pitch steadiness and modulation
+FAST_S, SLOW_S = 0.02, 0.15  # modulation: difference of a level's averages over these times
+PEAK_DB_A_SECOND = 6.0  # decay rate of the recent maximum of the total power
+ATTACK_S, RELEASE_S = 0.1, 0.5  # shortest rise and fall time of the probability of speech
+REST_S = 1.5  # silence of this duration resets the speech detection
+VOICE_LEARNT_S = 0.15  # time constant of a rise of the voice's level in each band
+VOICE_DB_A_SECOND = 6.0  # decay rate of the voice's level in each band
+BACKGROUND_S = 0.05  # time constant of a fall of the background's level in each band
+BACKGROUND_DB_A_SECOND = 8.0  # rate of a rise of the background's level in each band
 
+# A linear ramp maps each measure to a number from 0 (at the first value) to 1 (at the second).
+# native/speech.c uses the same order.
 RAMPS: dict[str, tuple[float, float]] = {
-    "voiced": (0.10, 0.30),
-    "quiet_db": (-30.0, -15.0),
-    "voicing": (0.12, 0.30),
-    "swing_db": (2.5, 4.5),
-    "balance_db": (2.2, 3.4),
-    "resting": (0.5, 0.8),
-    "spared_hz": (80.0, 120.0),
-    "excess_db": (3.0, 9.0),
-    "background_db": (2.0, 8.0),
-    "between": (0.25, 0.40),
+    "voiced": (0.10, 0.30),  # contrast of the best comb
+    "quiet_db": (-30.0, -15.0),  # total level relative to the recent maximum
+    "voicing": (0.12, 0.30),  # average of `voiced`
+    "swing_db": (2.5, 4.5),  # RMS modulation of the level of vowels
+    "balance_db": (2.2, 3.4),  # RMS modulation of bands relative to their mean
+    "resting": (0.5, 0.8),  # share of voiced hops with a constant pitch, a sign of music
+    "spared_hz": (80.0, 120.0),  # audio frequency of a partial; low partials are not attenuated
+    "excess_db": (3.0, 9.0),  # a band's level relative to the voice's level in this band
+    "background_db": (2.0, 8.0),  # a band's level relative to the background's level in this band
+    "between": (0.25, 0.40),  # distance from the nearest harmonic, in multiples of the pitch
 }
-"""Where each measure begins to count, and where it counts in full; between them on a line, so that
-rounding decides nothing. In the order in which native/speech.c takes them.
-
-voiced: the best comb's contrast. quiet_db: level against the loudest; quieter hops are no
-evidence. voicing: average of the first. swing_db, balance_db: root mean squares. resting: share of
-the voiced hops with a pitch at rest, which speaks against speech. spared_hz: partials under it are
-not lowered. excess_db: of an octave over the voice's level. background_db: of an octave over its
-background. between: distance from the nearest harmonic, in pitches.
-"""
 
 
 @dataclass(frozen=True, eq=False)
 class SpeechDesign:
-    """How speech is detected and lowered. A share is what an average takes on in one hop."""
+    """Constants of speech detection and attenuation. Rates and weights apply to one hop."""
 
-    speech_db: float
-    """Reduction of speech; 0 for off."""
+    speech_db: float  # attenuation of the vibration of speech in dB; 0 for off
     speech_average: float
     speech_fast: float
     speech_slow: float
@@ -72,51 +54,35 @@ class SpeechDesign:
     speech_background_fall: float
     speech_background_rise_db: float
     speech_voice_fall_db: float
-    speech_peak_fall: float
-    """Factor on the loudest power, each hop."""
+    speech_peak_fall: float  # factor on the recent maximum of the total power
     speech_attack: float
     speech_release: float
     speech_rest_hops: float
-    speech_edges: FloatArray
-    """Bins: the first of each octave, and past the last."""
-    speech_centres_hz: FloatArray
-    """Centres of the octaves."""
+    speech_edges: FloatArray  # first bin of each band, then the end of the last band
+    speech_centres_hz: FloatArray  # centres of the bands
     speech_log_pitches: FloatArray
-    speech_teeth: FloatArray
-    """Bins, 0 for unused: of all combs on harmonics, then between them, (2, pitches x teeth)."""
-    speech_quiet_share: float = 0.3
-    """Quiet hops tell nothing of pitch, and count this share where swings are averaged: else a
-    pause would be enough to forget who spoke."""
-    speech_swing_max_db: float = 12.0
-    """Swings are limited to this, so that a start of sound counts only briefly as a syllable."""
-    speech_silent_power: float = 1e-9
-    """All levels are in dB above this power, 50 dB under that of the weakest tone that can be
-    principal in silence."""
-    speech_unheard: float = 1e-5
-    """An octave's level stays above this share of the loudest power."""
-    speech_even: float = 1e-14
-    """Share of the highest power that every bin has at least: less is rounding beside a line."""
-    speech_equal: float = 1e-9
-    """Combs this near to the best count as equal; the lowest of them is used."""
-    speech_flat: float = 1e-6
-    """The three combs around the best are curved at least by this."""
-    speech_steady_pitch: float = 0.004
-    """A pitch rests if its logarithm changes by less than this per hop: a 15th of a semitone."""
+    speech_teeth: FloatArray  # see `_teeth`
+    speech_quiet_share: float = 0.3  # relative weight of a quiet hop in averages of modulation
+    speech_swing_max_db: float = 12.0  # largest modulation of one band
+    speech_silent_power: float = 1e-9  # reference power of all levels in dB
+    speech_unheard: float = 1e-5  # floor of a band's power, relative to the recent maximum
+    speech_even: float = 1e-14  # added to each bin's power, as a share of the highest bin's power
+    speech_equal: float = 1e-9  # contrasts of combs that differ by less count as equal
+    speech_flat: float = 1e-6  # least curvature for the interpolation of the best comb's pitch
+    speech_steady_pitch: float = 0.004  # largest change of a constant log pitch per hop
+    # The probability of speech rises while the product of four measures exceeds a threshold. The
+    # threshold is speech_likely at probability 0 and speech_likely_still at probability 1. The rate
+    # of change is proportional to the excess, up to speech_sure.
     speech_likely: float = 0.5
-    """Belief rises where the four cues say more than this, ..."""
     speech_likely_still: float = 0.25
-    """... or than this once there is belief, ..."""
     speech_sure: float = 0.15
-    """... at full speed where they say so by this."""
-    speech_clear_db: float = 12.0
-    """A voice may be louder than before by this while its pitch is clear."""
-    speech_apart: float = 0.01
-    """Share of its distance by which each further harmonic may be off a multiple of the pitch."""
+    speech_clear_db: float = 12.0  # with a clear pitch, a voice's band may exceed its level by this
+    speech_apart: float = 0.01  # tolerance of a harmonic's frequency, as a share of the frequency
     speech_ramps: FloatArray = field(default_factory=lambda: np.array(list(RAMPS.values())))
 
     @classmethod
     def of(cls, suppression_db: float, bin_hz: float, bins: int, hop_s: float) -> SpeechDesign:
-        """Return the design for spectra with this many bins, one spectrum per hop."""
+        """Return the design for spectra with `bins` bins, one spectrum per hop."""
         octaves_hz = np.array(OCTAVES_HZ)
         edges = [min(bins, max(1, round(hz / bin_hz))) for hz in OCTAVES_HZ]
         log_pitches = np.linspace(math.log(PITCH_HZ[0]), math.log(PITCH_HZ[1]), PITCHES)
@@ -141,7 +107,10 @@ class SpeechDesign:
 
 
 def _teeth(pitches_hz: FloatArray, bin_hz: float, bins: int) -> FloatArray:
-    """Return where combs have teeth, and where none, in bins: (2, pitches x teeth)."""
+    """Return, in bins, each pitch's harmonics, and each harmonic minus half the pitch.
+
+    The shape is (2, pitches x `COMB_TEETH`). Unused entries are 0.
+    """
     on = pitches_hz[:, None] * np.arange(1, COMB_TEETH + 1)
     between = on - 0.5 * pitches_hz[:, None]
     used = on <= min(COMB_TOP_HZ, (bins - 2) * bin_hz)
@@ -150,5 +119,5 @@ def _teeth(pitches_hz: FloatArray, bin_hz: float, bins: int) -> FloatArray:
 
 
 def _share(hop_s: float, time_s: float) -> float:
-    """Return the share of a difference that an average over a time takes on in a hop."""
+    """Return the weight of a new value in an exponential average with time constant `time_s`."""
     return 1.0 - math.exp(-hop_s / time_s)

@@ -1,4 +1,4 @@
-"""Design of the playing parts: time grid, tracking of partials, oscillators and low-pass."""
+"""Constants and tables of the time grid, the tracking of partials, and the synthesis."""
 
 from __future__ import annotations
 
@@ -6,94 +6,73 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from audioflinger_hook.core.rounding import round_filter
-from audioflinger_hook.transform.arrays import FloatArray
+from audioflinger_hook.core.rounding import round_filter, round_sections
+from audioflinger_hook.transform.arrays import ComplexArray, FloatArray
 from audioflinger_hook.transform.filters import (
-    ELLIPTIC_3,
+    BUTTERWORTH_1,
     ELLIPTIC_6,
     high_pass,
     low_pass,
     response,
+    response_of_sections,
 )
-from audioflinger_hook.transform.mapping import VibrationMapping
 from audioflinger_hook.transform.parameters import TransformParameters
 
-LOW_RATE_HZ = 3_000.0
-"""Rate of the oscillators, or a little more: over six times the highest vibration frequency."""
-
-HOPS_A_WINDOW = 2.55
-"""The hop is about 18 ms. Onsets do not wait for it, and a shorter one costs more."""
-
-TICK_S = 0.002
-"""Interval at which onsets are searched and vibration is computed."""
+LOW_RATE_HZ = 3_000.0  # approximate samplerate of the oscillators (low rate)
+HOPS_A_WINDOW = 2.55  # hops per window, for a hop of about 18 ms
+TICK_S = 0.002  # interval at which onsets are searched and vibration is computed
 
 ATTACK_HOPS = 0.35
-"""Share of a hop in which amplitudes glide where their sum rises: an onset is felt 5 ms earlier
-than with a whole one. The low-pass still keeps what leaks above 250 Hz under -58 dB. Where the sum
-falls, amplitudes take the whole hop."""
+"""Duration of an amplitude glide, in hops, if the sum of all amplitudes rises.
 
+Other glides take 1 hop."""
+
+# Duration of the low-pass's impulse response, down to 1e-8, in cycles of `vibration_top_hz`.
 RING_OUT_CYCLES = 92.0
-"""After the last partial the low-pass rings. After so many cycles of the top vibration frequency
-(0.42 s at 220 Hz) it is under 1e-8 and is cut off."""
 
-MATCH_HZ_A_WINDOW = 2.0
-"""A partial may move by half the width of the window's main lobe, 2/T in audio Hz, in one hop."""
+# The phase shift of a steeper high-pass would smear impacts.
+LOW_PASS, HIGH_PASS = ELLIPTIC_6, BUTTERWORTH_1
 
-STEADY_RATIO, MERGED_STEADY_RATIO = 0.03, 0.12
-"""Changes of a partial's amplitude up to this share are averaged. Merged partials waver more: they
-hold several tones, or noise."""
+HIGH_PASS_HZ = (42.0, 18.0)
+"""Edges of two high-passes, which reduce excursion below the lowest vibration frequency.
 
-LOW_PASS, HIGH_PASS = ELLIPTIC_6, ELLIPTIC_3
-"""Of the samples at the low rate; the second one is for strength "felt"."""
+`gain_table` compensates the gain down to `GAIN_FLOOR`. The second high-pass adds a delay of 0.7 ms
+at 60 Hz."""
 
-BOTTOM_MARGIN = 0.98
-"""For strength "felt", a high-pass removes swings of the envelope below the lowest vibration
-frequency, where an actuator moves far for a weak sensation. Its pass band begins at this share of
-that frequency."""
+GAIN_FLOOR = 0.45  # `gain_table` compensates filter gains down to this value
 
-GAIN_FLOOR = 0.5
-"""Amplitudes undo at most a fall to this: under the lowest vibration frequency none is played."""
+FOLLOWED_CEILING = 0.93
+"""Largest sum of amplitudes with loudness control.
 
-EDGE_MARGIN = 1.01
-"""The pass band ends at the top vibration frequency times this."""
+This value leaves 7 % of full scale for the overshoot of the low-pass."""
 
-TAPS = 4
-"""Interpolation by four samples adds less than -83 dB to any partial up to 220 Hz, for 0.7 ms of
-delay."""
-
-FITTED_AT = 200
-"""Frequencies at which the interpolation is fitted."""
+BEGIN_S = 0.005  # fade-in at the start of a stream
+EDGE_MARGIN = 1.01  # ratio of the pass band's end to the top vibration frequency
+LEAST_EDGE_HZ = (
+    220.0  # lowest end of the pass band with loudness control, or if strength is not "flat"
+)
+TAPS = 4  # coefficients per interpolated frame; the delay is two steps, 0.7 ms
+FITTED_AT = 200  # number of frequencies for the least-squares fit of the interpolation
 
 
 @dataclass(frozen=True, eq=False)
 class LiveGrid:
-    """How the live form divides time at one samplerate.
+    """Time grid of the live form. A hop consists of ticks, and a tick of steps."""
 
-    Everything is a whole number of frames, so that no split of the input can shift it.
-    """
-
-    window_frames: int
-    """Frames in one analysis."""
-    decimation: int
-    """Frames in one step of the low rate."""
-    tick_steps: int
-    """Steps from one search for onsets to the next."""
-    ticks: int
-    """Ticks in one hop."""
-    steps: int
-    """Steps of the low rate in one hop."""
-    tick_frames: int
-    """Frames in one tick."""
-    hop_frames: int
-    """Frames from one analysis to the next."""
-    hops_in_window: int
-    """Hops that together cover one window."""
+    window_frames: int  # frames per analysis window
+    decimation: int  # frames per step; a step is one sample at the low rate
+    tick_steps: int  # steps per tick
+    ticks: int  # ticks per hop
+    steps: int  # steps per hop
+    tick_frames: int  # frames per tick
+    hop_frames: int  # frames per hop, the interval between two analyses
+    hops_in_window: int  # smallest number of hops that cover a window
     hop_s: float
     tick_s: float
 
     @classmethod
     def at(cls, parameters: TransformParameters, samplerate: int) -> LiveGrid:
-        """Return the grid for a samplerate in Hz."""
+        """Return the time grid for a samplerate in Hz."""
         window_frames = parameters.window_frames(samplerate)
         decimation = max(1, int(samplerate / LOW_RATE_HZ))
         tick_steps = max(2, round(TICK_S * samplerate / decimation))
@@ -116,119 +95,84 @@ class LiveGrid:
 
 @dataclass(frozen=True, eq=False)
 class TrackingDesign:
-    """How partials are matched, averaged and held from hop to hop."""
+    """Constants for matching partials with those of the last hop, and averaging their values."""
 
-    hold_hops: int
-    """Hops for which a partial from an onset is held."""
-    match_audio_hz: float
-    """A partial may move by this in one hop, in Hz of audio, ..."""
-    steady_ratio: float
-    """Smaller changes of amplitude are averaged, as a ratio."""
-    merge_ratio: float
-    """Partials closer than this share of their frequency are one; 0: none are."""
-    merge_hz: float = 12.0
-    """... or closer than this: their beats would be felt as a warble."""
-    merge_again: float = 0.8
-    """Share of the same distance below which two groups become one."""
-    match_ratio: float = 0.12
-    """... or by two semitones, whichever is more: a chirp of three octaves a second is followed."""
-    split_hz: float = 2.0
-    """A partial born this near to another, in Hz of vibration, is one that has split in two."""
-    steady_hz: float = 0.05
-    """Smaller changes of vibration frequency are averaged, larger ones are followed at once."""
-    steady_gain: float = 0.15
-    """Share of the smallest changes that is followed in one hop."""
-    first_hz: float = 1e-9
-    """Added to the distance of each further slot, in Hz of vibration, so that the first of equally
-    near slots wins: two onsets of the same sound give birth at the same frequency."""
-    fresh_reach: float = 2.0
-    """Factor on the reach of a partial that is held, of which little is known yet."""
-    worth_holding: float = 0.05
-    """Share of its amplitude below which a partial is no longer held."""
-    stronger: float = 1.0 + 1e-9
-    """Ratio from which on one amplitude is larger than another."""
-    joined_from: float = 1e-4
-    """Amplitude up to which a partial is as good as none to join: rounding may leave some."""
-    struck_share: float = 0.85
-    """While it is held, vibration has at most this share of its strength at the onset, ..."""
-    struck_grown: float = 0.8
-    """... or this share of its unlimited strength, whichever is more. A rise by a few % in the long
-    window was struck at once; a larger one goes on."""
+    hold_hops: int  # hold time of an onset partial in hops
+    match_audio_hz: float  # largest change of audio frequency per hop, Hz; see `match_ratio`
+    steady_ratio: float  # smaller relative changes of amplitude are averaged
+    merge_ratio: float  # partials with a smaller relative distance are merged; 0: off
+    merge_hz: float = 12.0  # if merging is on, partials with a smaller distance are merged, too
+    merge_again: float = 0.8  # groups closer than this share of the merge distance are merged
+    match_ratio: float = 0.12  # the same relative to the frequency; the larger limit applies
+    split_hz: float = 2.0  # a new partial this close to an old partial starts with the same phase
+    steady_hz: float = 0.05  # smaller changes of vibration frequency are averaged
+    steady_gain: float = 0.15  # weight of the smallest changes in the average
+    first_hz: float = 1e-9  # added per slot to distances, so that of equals the first is nearest
+    onset_reach: float = 2.0  # factor on both limits of change, for onset partials
+    min_held_share: float = 0.05  # lowest amplitude in the hold time, as a share of the first one
+    stronger: float = 1.0 + 1e-9  # amplitudes with a smaller ratio count as equal
+    joined_from: float = 1e-4  # onset partials merge only with partials above this amplitude
 
     @classmethod
     def of(cls, parameters: TransformParameters, hop_s: float) -> TrackingDesign:
-        """Return the design for hops of this many seconds."""
+        """Return the design for hops of `hop_s` seconds."""
         return cls(
             hold_hops=max(1, round(parameters.window_s / hop_s)),
-            match_audio_hz=MATCH_HZ_A_WINDOW / parameters.window_s,
+            # The main lobe of the window is twice as wide.
+            match_audio_hz=2.0 / parameters.window_s,
             merge_ratio=parameters.merge_ratio,
-            steady_ratio=MERGED_STEADY_RATIO if parameters.merge_ratio else STEADY_RATIO,
+            # Merged partials fluctuate more, because a merged partial contains several tones.
+            steady_ratio=0.12 if parameters.merge_ratio else 0.03,
         )
-
-    def near_hz(self, hz: float, mapping: VibrationMapping) -> float:
-        """Return how far from a new partial its true frequency may be, in Hz of vibration."""
-        ratio = max(self.match_ratio, self.match_audio_hz / mapping.audio_hz(hz))
-        near_hz = self.fresh_reach * (mapping.scale_hz + mapping.scale_ratio * hz) * ratio
-        if self.merge_ratio:
-            near_hz = max(near_hz, float(self.merging_hz(hz)))
-        return near_hz
-
-    def merging_hz(self, hz: FloatArray | float) -> FloatArray:
-        """Return how close a partial must be to one at these Hz of vibration to be part of it."""
-        return np.maximum(self.merge_hz, self.merge_ratio * np.asarray(hz))
 
 
 @dataclass(frozen=True, eq=False)
 class SynthesisDesign:
-    """How partials become samples: glides, low-pass, interpolation and limiter."""
+    """Constants and tables of the synthesis: changes of amplitude, filters, and limiter."""
 
-    ring_hops: int
-    """Hops that the low-pass rings after the last partial."""
-    attack: FloatArray
-    """Shape of a rise over one hop, 0 to 1, one entry a step."""
-    glide: FloatArray
-    """Shape of a fall: half a cosine period."""
-    seconds: FloatArray
-    """Time from the hop's start, one entry a step."""
-    glide_s: FloatArray
-    """Integral of a glide of frequency, in seconds."""
-    tick_glide: FloatArray
-    """`glide` over one tick."""
-    tick_glide_s: FloatArray
-    """`glide_s` over one tick."""
-    low_b: FloatArray
-    """Low-pass at the low rate: the numerator."""
-    low_a: FloatArray
-    """Low-pass at the low rate: the denominator."""
-    phases: FloatArray
-    """Interpolation to the samplerate, (taps, decimation): each column yields one new frame."""
-    gain_table: FloatArray
-    """Amplitude factors that undo the low-pass's ripple, by vibration frequency."""
-    gain_step_hz: float = 0.25
-    """Hz between entries of `gain_table`."""
-    still: float = 1e-9
-    """A sum of amplitudes rises from here on: rounding must not choose between the shapes."""
-    ceiling: float = 0.98
-    """Largest sum of a hop's amplitudes; a full-scale tone keeps its level within 0.2 dB."""
-    knee: float = 0.985
-    """Samples up to here pass unchanged. Above, they approach full scale and never reach it."""
+    ring_hops: int  # duration of the low-pass's impulse response in hops
+    attack: FloatArray  # shape of an amplitude rise over one hop, from 0 to 1, (steps,)
+    glide: FloatArray  # shape of an amplitude fall, half a cosine period, (steps,)
+    seconds: FloatArray  # time since the start of the hop, (steps,)
+    glide_s: FloatArray  # integral of `glide` in seconds, (steps,)
+    tick_glide: FloatArray  # `glide` over one tick
+    tick_glide_s: FloatArray  # `glide_s` over one tick
+    low_b: FloatArray  # numerator of the low-pass at the low rate; empty with `low_sections`
+    low_a: FloatArray  # denominator
+    low_sections: FloatArray  # low-pass and high-passes as second-order sections, or empty
+    begin_fade: FloatArray  # fade-in after `begin_frames`; empty without loudness control
+    phases: FloatArray  # interpolation to the samplerate, (taps, decimation)
+    gain_table: FloatArray  # factor per vibration frequency that compensates the filters' gain
+    begin_frames: int = 0  # silent frames at the start of a stream
+    gain_step_hz: float = 0.25  # interval of entries of `gain_table`
+    still: float = 1e-9  # smallest rise of the sum of amplitudes that selects `attack`
+    ceiling: float = 0.98  # largest sum of amplitudes, only 0.2 dB below full scale
+    knee: float = 0.985  # larger samples are compressed to less than full scale
 
     @classmethod
     def of(
         cls, parameters: TransformParameters, grid: LiveGrid, samplerate: int
     ) -> SynthesisDesign:
-        """Return the design for one grid and samplerate."""
+        """Return the design for a time grid and a samplerate in Hz."""
         top_hz = EDGE_MARGIN * parameters.vibration_top_hz
         low_rate_hz = samplerate / grid.decimation
-        zeros, poles, gain = low_pass(LOW_PASS, top_hz, low_rate_hz)
-        if parameters.strength != "flat":
-            edge_hz = BOTTOM_MARGIN * parameters.vibration_bottom_hz
-            high = high_pass(HIGH_PASS, edge_hz, low_rate_hz)
-            zeros = np.concatenate((zeros, high.zeros))
-            poles = np.concatenate((poles, high.poles))
-            gain *= high.gain
-        low_b, low_a = round_filter(zeros, poles, gain)
-        passed = response(low_b, low_a, np.arange(0.0, top_hz, cls.gain_step_hz), low_rate_hz)
+        followed = parameters.loudness_db > 0.0
+        plain = not followed and parameters.strength == "flat"
+        edge_hz = top_hz if plain else max(top_hz, EDGE_MARGIN * LEAST_EDGE_HZ)
+        zeros, poles, gain = low_pass(LOW_PASS, edge_hz, low_rate_hz)
+        low_b = low_a = sections = np.zeros(0)
+        if plain:
+            low_b, low_a = round_filter(zeros, poles, gain)
+        else:
+            for hz in HIGH_PASS_HZ:
+                high = high_pass(HIGH_PASS, hz, low_rate_hz)
+                zeros = np.concatenate((zeros, high.zeros))
+                poles = np.concatenate((poles, high.poles))
+                gain *= high.gain
+            sections = round_sections(zeros, poles, gain)
+        played_hz = np.arange(0.0, top_hz, cls.gain_step_hz)
+        passed = _passed(low_b, low_a, sections, played_hz, low_rate_hz)
+        fade_frames = round(BEGIN_S * samplerate) if followed else 0
         time = np.arange(1, grid.steps + 1) / grid.steps
         turn, turn_glide = glide_turns(grid.steps, grid.hop_s)
         _, tick_turn_glide = glide_turns(grid.tick_steps, grid.tick_s)
@@ -243,49 +187,54 @@ class SynthesisDesign:
             tick_glide_s=tick_turn_glide / (2.0 * np.pi),
             low_b=low_b,
             low_a=low_a,
+            low_sections=sections,
+            begin_fade=glide_shape(fade_frames),
+            ceiling=FOLLOWED_CEILING if followed else cls.ceiling,
             phases=interpolation_phases(grid.decimation, top_hz, low_rate_hz),
             gain_table=1.0 / np.maximum(np.abs(passed), GAIN_FLOOR),
         )
 
     def delay_s(self, hz: float, samplerate: int) -> float:
-        """Return how late the envelope of a steady partial leaves, in seconds."""
+        """Return the total group delay, in seconds, of filters and interpolation at `hz`."""
         step_hz = 0.01
         low_rate_hz = samplerate / self.phases.shape[1]
         either_side = np.array([hz - step_hz, hz + step_hz])
-        passed = response(self.low_b, self.low_a, either_side, low_rate_hz)
+        passed = _passed(self.low_b, self.low_a, self.low_sections, either_side, low_rate_hz)
         turn = np.angle(passed[0] / passed[1])
         low_pass_s = turn / (2.0 * np.pi * 2.0 * step_hz)
         interpolation_s = (self.phases.size - 1) / 2 / samplerate
         return float(low_pass_s + interpolation_s)
 
 
+def _passed(
+    b: FloatArray, a: FloatArray, sections: FloatArray, hz: FloatArray, rate_hz: float
+) -> ComplexArray:
+    """Return the frequency response of `sections`; if they are empty, that of the filter b, a."""
+    if sections.size:
+        return response_of_sections(sections, hz, rate_hz)
+    return response(b, a, hz, rate_hz)
+
+
 def glide_shape(steps: int) -> FloatArray:
-    """Return half a cosine period from 0 to 1, (steps,): it has no kink at either end."""
-    shape: FloatArray = 0.5 - 0.5 * np.cos(np.pi * (np.arange(1, steps + 1) / steps))
-    return shape
+    """Return a rise from 0 to 1 in the shape of half a cosine period, (steps,)."""
+    return np.asarray(0.5 - 0.5 * np.cos(np.pi * (np.arange(1, steps + 1) / steps)))
 
 
 def glide_turns(steps: int, seconds: float) -> tuple[FloatArray, FloatArray]:
-    """Return the phase in radians for each Hz at the start and each Hz of the glide, (steps,)."""
+    """Return phases in radians, (steps,), of a sine at 1 Hz and of one rising from 0 to 1 Hz."""
     time = np.arange(1, steps + 1) / steps
     turns = 2.0 * np.pi * seconds
     return turns * time, turns * (0.5 * time - np.sin(np.pi * time) / (2.0 * np.pi))
 
 
 def interpolation_phases(decimation: int, top_hz: float, low_rate_hz: float) -> FloatArray:
-    """Return the interpolation kernel, (taps, decimation).
-
-    It is nearest to a delay, by least squares, at all frequencies that are played. A cubic is
-    better at the lowest ones, where it leaves nothing at all, and 13 dB worse at the top.
-    """
+    """Return interpolation coefficients, (taps, decimation): a least-squares fit up to `top_hz`."""
     if decimation == 1:
         return np.ones((1, 1))
-    # Between the two samples in the middle.
     between = (np.arange(decimation) + 0.5) / decimation
     turn = 2.0 * np.pi * np.linspace(0.0, top_hz, FITTED_AT)[:, None] / low_rate_hz
     taps = turn * (np.arange(TAPS) - (TAPS // 2 - 1))
     wanted = turn * between
-    # Cosines and sines of both: a fit in real numbers.
     phases, *_ = np.linalg.lstsq(
         np.concatenate((np.cos(taps), np.sin(taps))),
         np.concatenate((np.cos(wanted), np.sin(wanted))),

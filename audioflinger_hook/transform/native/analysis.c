@@ -1,79 +1,53 @@
-/* The live form's analysis of one window.
- *
- * Everything goes in one order and depends on the window alone. Any bytes are fit for a spectrum:
- * every loop is bounded by indices, and no number that came out of the arithmetic becomes an index
- * unchecked. What is not a number compares false and is lost.
- *
- * Noise has some hundreds of peaks, of which a few are kept. So what costs much, the half-power
- * bandwidth by logarithms, is measured only where a bound that costs little does not rule a peak
- * out. That changes no result.
- */
+/* Finds the principal frequencies of one window. A spectrum may contain any numbers, even NaN: integer
+ * limits end all loops, and every computed number is checked before it becomes an index. */
 
 #include "analysis.h"
-
-#include "common.h"
 #include "exact.h"
-#include "peaks.h"
-#include "arena.h"
 
-/* Bins before the first and after the last that may be read: the first steps of a walk. */
+/* Number of bins with amplitude 0 on each side of the spectrum. The half-power search may read these bins. */
 #define EDGE 3
 
-/* Of two peaks with the same r the lower one is the stronger: a bin up takes this share of r. */
+/* In the ranking, r is reduced by this share per bin, so that the lowest of peaks with equal r ranks first. */
 #define LOWER_FIRST 1e-10
 
-/* Bounds are raised by this, far more than the rounding in them. */
-#define SLACK (1.0 + 1e-9)
-
-/* Some of the peaks, by their place among them, ascending. */
 typedef struct {
-    int32_t *place, count;
-} Chosen;
-
-typedef struct {
-    double *edges; /* amplitudes, with EDGE zeros to either side */
-    Turns turns;
-    double *sorted, *sorting;
+    double *edges; /* amplitudes, with EDGE zeros on each side */
+    int32_t *turns;
+    double *ranks, *sorted;
     Peaks peaks;
-    Chosen chosen;
+    int32_t *chosen; /* indices of the chosen peaks, ascending */
 } Work;
 
-/* Give every part its place in the memory, or count how much that is where there is none. */
-static size_t lay_out(void *memory, size_t bins, Work *work)
+/* Lay out the work space in `memory`, or only count its bytes if `memory` is NULL. Return the number of
+ * bytes. */
+static size_t layout_work(void *memory, size_t bins, Work *work)
 {
     const size_t most = bins / 2 + 1;
     Peaks *peaks = &work->peaks;
-    double **numbers[] = {
-        &peaks->before,       &peaks->top,        &peaks->after,      &peaks->offset,
-        &peaks->height,       &peaks->level,      &peaks->down.near,  &peaks->down.far,
-        &peaks->down.above,   &peaks->down.under, &peaks->down.bound, &peaks->up.near,
-        &peaks->up.far,       &peaks->up.above,   &peaks->up.under,   &peaks->up.bound,
-        &peaks->bandwidth_hz, &peaks->r,          &peaks->rank,       &peaks->bound,
-        &work->sorted,        &work->sorting,
-    };
-    int32_t **places[] = {&peaks->left, &peaks->bin, &peaks->right, &work->chosen.place};
+    double **numbers[] = {&peaks->before, &peaks->top, &peaks->after,        &peaks->offset, &peaks->height,
+                          &peaks->level,  &peaks->r,   &peaks->bandwidth_hz, &work->ranks,   &work->sorted};
+    int32_t **places[] = {&peaks->left, &peaks->bin, &peaks->right, &work->chosen};
     Arena arena = {memory, 0};
-    work->edges = arena_alloc(&arena, bins + 2 * EDGE, sizeof(double));
+    work->edges = arena_doubles(&arena, bins + 2 * EDGE);
+    arena_arrays(&arena, ARRAYS(peaks->down), most);
+    arena_arrays(&arena, ARRAYS(peaks->up), most);
     for (size_t which = 0; which < sizeof numbers / sizeof *numbers; which++)
-        *numbers[which] = arena_alloc(&arena, most, sizeof(double));
+        *numbers[which] = arena_doubles(&arena, most);
     for (size_t which = 0; which < sizeof places / sizeof *places; which++)
         *places[which] = arena_alloc(&arena, most, sizeof(int32_t));
-    work->turns.bin = arena_alloc(&arena, bins + 1, sizeof(int32_t));
-    work->turns.rising = arena_alloc(&arena, bins, sizeof(uint8_t));
+    work->turns = arena_alloc(&arena, bins + 1, sizeof(int32_t));
     return arena.used;
 }
 
 size_t analysis_work(size_t bins)
 {
     Work work;
-    return lay_out(NULL, bins, &work);
+    return layout_work(NULL, bins, &work);
 }
 
-/* ------------------------------------------------------------------------ half-power bandwidth */
-
-/* Find the step at which the walk from a peak to a valley falls under half power. Where there is
- * none, as the valley itself stands higher, it is the valley's. Between the two no amplitude is
- * above the one before. */
+/* Find the two adjacent bins that bracket half power between a peak and the minimum beside it. From peak to
+ * minimum, amplitudes do not rise, except by rounding errors. If the minimum is not below half power, both
+ * bins are the minimum. */
 INLINED void step_under(const double *amplitude, const Peaks *peaks, int32_t one, int32_t valley,
                         int32_t direction, Side side)
 {
@@ -98,97 +72,33 @@ static void find_steps(const double *amplitude, Peaks *peaks)
     for (int32_t one = 0; one < peaks->count; one++) {
         step_under(amplitude, peaks, one, peaks->left[one], -1, peaks->down);
         step_under(amplitude, peaks, one, peaks->right[one], 1, peaks->up);
-        peaks->r[one] = -1.0;
     }
 }
 
-/* Bins from a peak's top to half power.
- *
- * A window's main lobe is nearly a Gaussian, ln A linear in the squared distance from its top: the
- * edge between two bins is placed on that bell, so that a tone's bandwidth does not depend on
- * where between two bins it stands.
- */
-static double side_on_bell(Side side, int32_t one, double level)
+/* Return the distance from a peak to half power, in bins. Interpolate ln A linearly in the squared distance,
+ * as in a Gaussian curve. A tone's bandwidth then hardly depends on its position between two bins. */
+INLINED double side_on_bell(Side side, int32_t one, double level)
 {
     const double near = side.near[one] * side.near[one], far = side.far[one] * side.far[one];
-    const double above = exact_log(side.above[one] / level);
-    const double under = exact_log(side.under[one] / level);
+    const double above = log_of_normal(side.above[one] / level);
+    const double under = log_of_normal(side.under[one] / level);
     return sqrt(near + above / larger(above - under, TINY) * (far - near));
 }
 
-/* The same on a straight line, which gives no less. */
-INLINED void bound_side(Side side, const double *restrict level, int32_t count)
+SIMD_CLONES static void measure_peaks(const Settings *s, Peaks *peaks)
 {
-    const double *restrict near = side.near, *restrict far = side.far;
-    const double *restrict above = side.above, *restrict under = side.under;
-    double *restrict bound = side.bound;
-    for (int32_t one = 0; one < count; one++) {
-        const double part = (above[one] - level[one]) / larger(above[one] - under[one], TINY);
-        const double inner = near[one] * near[one], outer = far[one] * far[one];
-        bound[one] = sqrt(inner + part * (outer - inner));
-    }
-}
-
-/* Bound the r of all peaks from above; the bound is a number even where the amplitudes are none. */
-SIMD_CLONES static void bound(const Rule *rule, Peaks *peaks)
-{
-    bound_side(peaks->down, peaks->level, peaks->count);
-    bound_side(peaks->up, peaks->level, peaks->count);
-    const double *restrict height = peaks->height;
-    const double *restrict down = peaks->down.bound, *restrict up = peaks->up.bound;
-    double *restrict bounds = peaks->bound;
+    const Side down = peaks->down, up = peaks->up;
+    const double *restrict level = peaks->level, *restrict height = peaks->height;
+    double *restrict bandwidth_hz = peaks->bandwidth_hz, *restrict all_r = peaks->r;
+    NO_ALIAS
     for (int32_t one = 0; one < peaks->count; one++) {
-        const double r = height[one] * ((down[one] + up[one]) * rule->bin_hz) * SLACK;
-        bounds[one] = r > 0.0 ? r : 0.0;
+        const double bins = side_on_bell(down, one, level[one]) + side_on_bell(up, one, level[one]);
+        bandwidth_hz[one] = bins * s->bin_hz;
+        all_r[one] = height[one] * bandwidth_hz[one];
     }
 }
 
-/* Measure a peak's r, unless that is done; return whether it is principal. */
-static int measure_peak(const Rule *rule, Peaks *peaks, int32_t one)
-{
-    if (peaks->r[one] < 0.0) {
-        const double level = peaks->level[one];
-        const double bins =
-            side_on_bell(peaks->down, one, level) + side_on_bell(peaks->up, one, level);
-        peaks->bandwidth_hz[one] = bins * rule->bin_hz;
-        const double r = peaks->height[one] * peaks->bandwidth_hz[one];
-        peaks->r[one] = r;
-        peaks->rank[one] = r - r * (LOWER_FIRST * (double)peaks->bin[one]);
-    }
-    return peaks->r[one] > rule->threshold_hz;
-}
-
-/* ------------------------------------------------------------------------------------ selection */
-
-/* Choose those above a share of the highest principal one: the others may be its side lobes. */
-static void choose_no_side_lobes(const Rule *rule, Peaks *peaks, Chosen *chosen)
-{
-    double highest = 0.0;
-    while (highest == 0.0) {
-        int32_t which = -1;
-        double height = 0.0;
-        for (int32_t one = 0; one < peaks->count; one++)
-            if (peaks->height[one] > height && peaks->r[one] < 0.0) {
-                which = one;
-                height = peaks->height[one];
-            }
-        if (which < 0)
-            break;
-        if (measure_peak(rule, peaks, which))
-            highest = height;
-        else
-            peaks->r[which] = 0.0;
-    }
-    const double under = highest > 0.0 ? rule->side_lobe * highest : INFINITY;
-    int32_t count = 0;
-    for (int32_t one = 0; one < peaks->count; one++) {
-        chosen->place[count] = one;
-        count += peaks->height[one] > under;
-    }
-    chosen->count = count;
-}
-
-/* The n-th largest of the numbers; n at most as many as they are. sorted: the n largest. */
+/* Return the n-th largest number, n <= count. sorted: receives the n largest numbers. */
 static double nth_largest(const double *numbers, int32_t count, int32_t n, double *sorted)
 {
     int32_t filled = 0;
@@ -204,107 +114,57 @@ static double nth_largest(const double *numbers, int32_t count, int32_t n, doubl
     return sorted[n - 1];
 }
 
-/* Leave out, of more than n numbers, most of those under the n-th largest; return how many are
- * left. The least of the maxima of n groups is no larger than that. maxima: room for n. */
-SIMD_CLONES static int32_t few_largest(double *restrict numbers, int32_t count, int32_t n,
-                                double *restrict maxima)
+/* Choose the peaks with r above threshold_hz that exceed the side lobes of the highest such peak. If these
+ * are more than partials_max, keep the peaks with the largest r. Write the indices of the chosen peaks to
+ * `place`, which has room for all peaks; return their number. */
+static int32_t choose(const Settings *s, const Peaks *peaks, int32_t *place, double *ranks, double *sorted)
 {
-    memcpy(maxima, numbers, (size_t)n * sizeof(double));
-    for (int32_t first = n; first + n <= count; first += n)
-        for (int32_t one = 0; one < n; one++)
-            maxima[one] = larger(numbers[first + one], maxima[one]);
-    double least = maxima[0];
-    for (int32_t one = 1; one < n; one++)
-        least = smaller(maxima[one], least);
-    int32_t left = 0;
-    for (int32_t one = 0; one < count; one++) {
-        const double number = numbers[one];
-        numbers[left] = number;
-        left += number >= least;
-    }
-    return left;
-}
-
-/* Of more than `most` rule out what cannot be among those with the largest r: first those that have
- * the largest bounds are measured, then it is known what the others must exceed. */
-static void rule_out(const Rule *rule, Work *work)
-{
-    Peaks *peaks = &work->peaks;
-    Chosen *chosen = &work->chosen;
-    bound(rule, peaks);
-    for (int32_t one = 0; one < chosen->count; one++)
-        work->sorting[one] = peaks->bound[chosen->place[one]];
-    const int32_t few = few_largest(work->sorting, chosen->count, rule->most, work->sorted);
-    const double likely = nth_largest(work->sorting, few, rule->most, work->sorted);
-    int32_t known = 0;
-    for (int32_t one = 0; one < chosen->count; one++) {
-        const int32_t place = chosen->place[one];
-        if (peaks->bound[place] >= likely && measure_peak(rule, peaks, place))
-            work->sorting[known++] = peaks->rank[place];
-    }
-    /* What is not principal may stay for now. */
-    const double least =
-        known < rule->most ? 0.0 : nth_largest(work->sorting, known, rule->most, work->sorted);
+    const int32_t most = (int32_t)s->partials_max;
+    double highest = 0.0;
+    for (int32_t one = 0; one < peaks->count; one++)
+        if (peaks->r[one] > s->threshold_hz)
+            highest = larger(peaks->height[one], highest);
     int32_t count = 0;
-    for (int32_t one = 0; one < chosen->count; one++) {
-        const int32_t place = chosen->place[one];
-        chosen->place[count] = place;
-        count += peaks->bound[place] >= least;
+    for (int32_t one = 0; one < peaks->count; one++) {
+        const double r = peaks->r[one];
+        place[count] = one;
+        ranks[count] = r - r * (LOWER_FIRST * (double)peaks->bin[one]);
+        count += (r > s->threshold_hz) & (peaks->height[one] > s->side_lobe * highest);
     }
-    chosen->count = count;
-}
-
-/* Choose what is principal of the chosen, the `most` with the largest r. */
-static void choose_strongest(const Rule *rule, Work *work)
-{
-    Peaks *peaks = &work->peaks;
-    Chosen *chosen = &work->chosen;
-    if (chosen->count > rule->most)
-        rule_out(rule, work);
-    int32_t count = 0;
-    for (int32_t one = 0; one < chosen->count; one++)
-        if (measure_peak(rule, peaks, chosen->place[one])) {
-            work->sorting[count] = peaks->rank[chosen->place[one]];
-            chosen->place[count++] = chosen->place[one];
-        }
-    chosen->count = count;
-    if (count <= rule->most)
-        return;
-    const double least = nth_largest(work->sorting, count, rule->most, work->sorted);
-    int32_t equals = 0;
-    while (equals < rule->most && work->sorted[rule->most - 1 - equals] == least)
+    if (count <= most)
+        return count;
+    const double least = nth_largest(ranks, count, most, sorted);
+    int32_t equals = 0, kept = 0;
+    while (equals < most && sorted[most - 1 - equals] == least)
         equals++;
-    int32_t kept = 0;
-    for (int32_t one = 0; one < count; one++) {
-        const double rank = work->sorting[one];
-        if (rank > least || (rank == least && equals-- > 0))
-            chosen->place[kept++] = chosen->place[one];
-    }
-    chosen->count = kept;
+    for (int32_t one = 0; one < count; one++)
+        if (ranks[one] > least || (ranks[one] == least && equals-- > 0))
+            place[kept++] = place[one];
+    return kept;
 }
 
-int32_t principal(const Rule *rule, const Window *window, Spectrum spectrum, Principals found,
-                  void *memory)
+int32_t find_principal(const Settings *s, Spectrum spectrum, Principals found, void *memory)
 {
+    const int32_t bins = (int32_t)s->bins;
     Work work;
-    lay_out(memory, (size_t)rule->bins, &work);
+    layout_work(memory, s->bins, &work);
     double *amplitude = work.edges + EDGE;
     for (int32_t edge = 1; edge <= EDGE; edge++)
-        amplitude[-edge] = amplitude[rule->bins - 1 + edge] = 0.0;
+        amplitude[-edge] = amplitude[bins - 1 + edge] = 0.0;
     Peaks *peaks = &work.peaks;
-    peaks_amplitudes(spectrum, amplitude, rule->bins);
-    peaks_clear_images(window, spectrum, amplitude, peaks);
-    peaks_list(rule, amplitude, work.turns, peaks);
+    peaks_amplitudes(spectrum, amplitude, bins);
+    peaks_clear_images(s, spectrum, amplitude, peaks);
+    peaks_list(s, amplitude, work.turns, peaks);
     peaks_refine(amplitude, peaks);
     find_steps(amplitude, peaks);
-    choose_no_side_lobes(rule, peaks, &work.chosen);
-    choose_strongest(rule, &work);
-    for (int32_t one = 0; one < work.chosen.count; one++) {
-        const int32_t place = work.chosen.place[one];
-        found.audio_hz[one] = ((double)peaks->bin[place] + peaks->offset[place]) * rule->bin_hz;
+    measure_peaks(s, peaks);
+    const int32_t count = choose(s, peaks, work.chosen, work.ranks, work.sorted);
+    for (int32_t one = 0; one < count; one++) {
+        const int32_t place = work.chosen[one];
+        found.audio_hz[one] = ((double)peaks->bin[place] + peaks->offset[place]) * s->bin_hz;
         found.amplitude[one] = peaks->height[place];
         found.bandwidth_hz[one] = peaks->bandwidth_hz[place];
         found.r[one] = peaks->r[place];
     }
-    return work.chosen.count;
+    return count;
 }

@@ -1,60 +1,54 @@
-/* The live form's analysis of one window: its spectrum in, principal frequencies out. */
+/* Finds principal frequencies: spectral peaks whose amplitude times bandwidth exceeds a threshold. */
 
-#ifndef CUSHION_ANALYSIS_H
-#define CUSHION_ANALYSIS_H
+#pragma once
 
-#include <stddef.h>
-#include <stdint.h>
+#include "settings.h"
 
-/* Bins to either side of a peak that are cleared of its image: its main lobe, and the half-power
- * walk on it. */
-#define NEIGHBOURS 7
-
-/* Peaks under this bin are cleared twice: the first time their images are looked up in a place that
- * those very images have moved. */
-#define TWICE_BELOW 20
-
-/* Entries of the window's table a bin: between them a straight line is within 0.2 % of a side
- * lobe. */
-#define TABLE_BINS_A_BIN 32
-
-/* The window's own spectrum, by which images are known. */
-typedef struct {
-    const double *table; /* real, 1 at 0, TABLE_BINS_A_BIN entries a bin; without the first sample, */
-    double first_sample; /* which is this share of the others' sum */
-    int32_t entries;
-    const double *cosine, *sine; /* of the turn of a bin's phase to the window's centre */
-    int32_t low_bins;            /* peaks under this bin are cleared */
-    double weakest;              /* peaks up to this amplitude are left alone, */
-    double weakest_share;        /* and those up to this share of the highest */
-} Window;
-
-/* What makes a peak principal, and which of them are kept. */
-typedef struct {
-    int32_t bins, first, last; /* bins looked at; the first and last on which a peak counts */
-    double bin_hz, threshold_hz;
-    double peak_span_min; /* amplitude times bins between valleys from which r can pass */
-    double side_lobe;     /* share of the highest amplitude that the others must exceed */
-    int32_t most;         /* of more than these the ones with the largest r stay */
-} Rule;
-
-/* Bins, real and imaginary parts, each `step` after the last. */
 typedef struct {
     const double *real, *imaginary;
-    int32_t step;
 } Spectrum;
 
-/* Principal frequencies, parallel arrays ascending in frequency. */
+/* Principal frequencies as parallel arrays, ascending in frequency. r: amplitude times bandwidth, in Hz. */
 typedef struct {
     double *audio_hz, *amplitude, *bandwidth_hz, *r;
 } Principals;
 
-/* Bytes of work space for so many bins. */
+/* Return the size of the work space of `find_principal`, in bytes. */
 size_t analysis_work(size_t bins);
 
-/* Find what is principal in a spectrum; return how many, at most `rule->most` or bins / 2.
- * found: room for as many. work: aligned as malloc does. */
-int32_t principal(const Rule *rule, const Window *window, Spectrum spectrum, Principals found,
-                  void *work);
+/* Find the principal frequencies; return their number, at most partials_max. work: `analysis_work` bytes,
+ * 16-byte aligned. */
+int32_t find_principal(const Settings *s, Spectrum spectrum, Principals found, void *work);
 
-#endif
+/* Amplitudes beside a peak are raised to at least this share of the peak's amplitude or of its half-power
+ * amplitude. At zeros of the spectrum, A^0.2 and ln A would magnify rounding errors. */
+#define FLOOR 1e-6
+
+/* The two adjacent bins that bracket half power on one side of each peak, as parallel arrays. */
+typedef struct {
+    double *near, *far;    /* offsets of both bins from the interpolated peak, in bins */
+    double *above, *under; /* amplitudes of both bins, clamped so that above >= level >= under */
+} Side;
+
+/* Peaks as parallel arrays, ascending in frequency. */
+typedef struct {
+    int32_t count;
+    int32_t *left, *bin, *right;  /* bins of the minimum below, the peak, the minimum above */
+    double *before, *top, *after; /* amplitudes of the bin below, the peak's bin, the bin above */
+    double *offset, *height;      /* interpolated peak: offset from the peak's bin in bins, and amplitude */
+    double *level;                /* amplitude at half power */
+    Side down, up;
+    double *bandwidth_hz, *r;
+} Peaks;
+
+void peaks_amplitudes(Spectrum spectrum, double *amplitude, int32_t bins);
+
+/* Around each strong peak at a low frequency, subtract the peak's mirror image at the negative frequency.
+ * peaks: work space. */
+void peaks_clear_images(const Settings *s, Spectrum spectrum, double *amplitude, Peaks *peaks);
+
+/* Set count, left, bin, right of all peaks that may be principal. turns: work space of bins + 1 numbers. */
+void peaks_list(const Settings *s, const double *amplitude, int32_t *turns, Peaks *peaks);
+
+/* Interpolate all peaks: set before, top, after, offset, height and level. */
+void peaks_refine(const double *amplitude, Peaks *peaks);

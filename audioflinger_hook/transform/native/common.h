@@ -1,7 +1,6 @@
-/* What all parts of the live form's kernel share. */
+/* Constants, small functions and a memory arena, which transform and drive share. */
 
-#ifndef CUSHION_COMMON_H
-#define CUSHION_COMMON_H
+#pragma once
 
 #include <math.h>
 #include <stddef.h>
@@ -10,14 +9,13 @@
 
 #define PI 3.14159265358979323846
 
-/* The smallest normal number: keeps a divisor and a logarithm's argument off 0. */
+/* Smallest normal double. Divisors that may be 0 are raised to TINY. Samples with |x| < TINY count as 0. */
 #define TINY 2.2250738585072014e-308
 
-/* A function of plain loops over arrays, compiled once for every processor and once each for those
- * with registers of 32 and of 64 bytes; the right one is chosen when the module is loaded. All do the
- * same operations on each number, so all give the same bits. */
+/* On x86-64 with GCC and glibc, compile a function for baseline, AVX2 and AVX-512 processors; the dynamic
+ * loader selects one version. All versions do the same operations on each number, for identical bits. */
 #if !defined(__x86_64__) || !defined(__GLIBC__) || !defined(__GNUC__) || defined(__clang__) || \
-    defined(ONE_MACHINE) /* clang's versions of one function do not link */
+    defined(ONE_MACHINE) /* clang cannot link function clones */
 #define SIMD_CLONES
 #define SIMD_CLONES_NARROW
 #elif defined(TWO_MACHINES)
@@ -25,24 +23,88 @@
 #define SIMD_CLONES_NARROW SIMD_CLONES
 #else
 #define SIMD_CLONES __attribute__((target_clones("avx512f", "avx2", "default")))
-/* For loops over a dozen numbers, where half of a register of 64 bytes would stay empty. */
+/* For short loops, which would leave AVX-512 registers partly empty. */
 #define SIMD_CLONES_NARROW __attribute__((target_clones("avx2", "default")))
 #endif
 
-/* Before a loop: what it writes is not what it reads a step later. */
+/* Promise the compiler that no iteration of the next loop reads what another iteration writes. */
 #if defined(__clang__)
 #define NO_ALIAS _Pragma("clang loop vectorize(assume_safety)")
-#elif defined(__GNUC__)
-#define NO_ALIAS _Pragma("GCC ivdep")
 #else
-#define NO_ALIAS
+#define NO_ALIAS _Pragma("GCC ivdep")
 #endif
 
-/* Part of the function that calls it, and compiled for that function's processor. */
+/* Always inline a function, so that it uses the instruction set of its caller. */
 #define INLINED static inline __attribute__((always_inline))
 
 INLINED double larger(double one, double other) { return one > other ? one : other; }
 
 INLINED double smaller(double one, double other) { return one < other ? one : other; }
 
+INLINED double clip(double number, double low, double high) { return larger(low, smaller(high, number)); }
+
+/* Return the sum. The fixed order of additions gives the same bits on every machine. */
+INLINED double sum(const double *numbers, size_t count)
+{
+    double total = 0.0;
+    for (size_t one = 0; one < count; one++)
+        total += numbers[one];
+    return total;
+}
+
+/* Return the largest number, or 0 if no number is above 0. */
+INLINED double maximum(const double *numbers, size_t count)
+{
+    double most = 0.0;
+    for (size_t one = 0; one < count; one++)
+        most = larger(numbers[one], most);
+    return most;
+}
+
+#ifdef __SANITIZE_ADDRESS__
+#include <sanitizer/asan_interface.h>
+#define GAP 32
+#else
+#define GAP 0
+#define ASAN_POISON_MEMORY_REGION(place, bytes) ((void)0)
+#define ASAN_UNPOISON_MEMORY_REGION(place, bytes) ((void)(bytes))
 #endif
+
+/* Bump allocator; `used` counts the allocated bytes. With base == NULL, the allocator only counts. */
+typedef struct {
+    char *base;
+    size_t used;
+} Arena;
+
+/* Return memory for `count` elements of `bytes` bytes, or NULL if base is NULL. The memory is 16-byte aligned
+ * if base is. Under AddressSanitizer a poisoned gap follows the memory. */
+INLINED void *arena_alloc(Arena *arena, size_t count, size_t bytes)
+{
+    const size_t size = (count * bytes + 15) / 16 * 16;
+    char *here = arena->base ? arena->base + arena->used : NULL;
+    if (here)
+        ASAN_POISON_MEMORY_REGION(here + size, GAP);
+    arena->used += size + GAP;
+    return here;
+}
+
+/* Unpoison the next `bytes` bytes of the arena, and return their address. `used` does not change. */
+INLINED void *arena_whole(Arena arena, size_t bytes)
+{
+    ASAN_UNPOISON_MEMORY_REGION(arena.base + arena.used, bytes);
+    return arena.base + arena.used;
+}
+
+INLINED double *arena_doubles(Arena *arena, size_t count)
+{
+    return arena_alloc(arena, count, sizeof(double));
+}
+
+/* Expand to the arguments `arrays` and `count` of arena_arrays for a structure of pointers to double. */
+#define ARRAYS(structure) ((double **)&(structure)), sizeof(structure) / sizeof(double *)
+
+INLINED void arena_arrays(Arena *arena, double **arrays, size_t count, size_t length)
+{
+    for (size_t which = 0; which < count; which++)
+        arrays[which] = arena_doubles(arena, length);
+}

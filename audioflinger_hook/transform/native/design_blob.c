@@ -1,16 +1,10 @@
-/* Reads the bytes of a design. Every offset and length is checked before it is used. */
-
 #include "design_blob.h"
-
-#include "common.h"
 
 #define MAGIC "CUSHLIVE"
 #define FORMAT_VERSION 4
 #define HEADER_BYTES 24
 #define CHECKSUM_BYTES 8
-#define NAME_BYTES RECORD_NAME_BYTES
 #define RECORD_BYTES 48
-#define HIGHEST_RATE 768000
 
 enum { KIND_COUNT, KIND_NUMBER, KIND_ARRAY };
 
@@ -21,7 +15,7 @@ static uint32_t u32_at(const char *place)
     return value;
 }
 
-/* CRC-32 of ISO 3309, as zlib computes it, by four bits at a time. */
+/* Return the CRC-32 of ISO 3309, which zlib's crc32 also returns. Each table look-up processes four bits. */
 static uint32_t crc32_of(const char *bytes, size_t length)
 {
     uint32_t table[16];
@@ -39,19 +33,20 @@ static uint32_t crc32_of(const char *bytes, size_t length)
     return ~crc;
 }
 
-/* A record's values, NULL if there is no such record of this kind. */
+/* Return the address of a record's values, and set *count to their number. Return NULL if no record has this
+ * name and kind, or if this record or an earlier record extends beyond the design. */
 static char *values_of(Records records, const char *name, uint32_t kind, size_t *count)
 {
     size_t at = 0;
     while (records.bytes - at >= RECORD_BYTES) {
         char *record = records.at + at;
-        const uint64_t rows = u32_at(record + NAME_BYTES + 4);
-        const uint64_t columns = u32_at(record + NAME_BYTES + 8);
+        const uint64_t rows = u32_at(record + RECORD_NAME_BYTES + 4);
+        const uint64_t columns = u32_at(record + RECORD_NAME_BYTES + 8);
         const uint64_t numbers = (rows ? rows : 1) * columns;
         at += RECORD_BYTES;
         if (numbers > (records.bytes - at) / 8)
             return NULL;
-        if (!strncmp(record, name, NAME_BYTES) && u32_at(record + NAME_BYTES) == kind) {
+        if (!strncmp(record, name, RECORD_NAME_BYTES) && u32_at(record + RECORD_NAME_BYTES) == kind) {
             *count = (size_t)numbers;
             return record + RECORD_BYTES;
         }
@@ -86,38 +81,10 @@ int record_table(Records records, const char *name, Table *table)
     return table->at != NULL;
 }
 
-static const char *read_settings(Records records, Settings *settings)
-{
-#define ENTRY(name)                                                                                \
-    if (!record_count(records, #name, &settings->name))                                                \
-        return "it lacks the count " #name;
-    COUNTS(ENTRY)
-#undef ENTRY
-#define ENTRY(name)                                                                                \
-    if (!record_number(records, #name, &settings->name))                                               \
-        return "it lacks the number " #name;
-    NUMBERS(ENTRY)
-#undef ENTRY
-#define ENTRY(name)                                                                                \
-    if (!record_table(records, #name, &settings->name))                                                \
-        return "it lacks the table " #name;
-    TABLES(ENTRY)
-#undef ENTRY
-    return settings_misfit(settings);
-}
-
-static int is_big_endian(void)
-{
-    const uint32_t one = 1;
-    char first;
-    memcpy(&first, &one, 1);
-    return first == 0;
-}
-
 const char *records_open(Records *records, void *bytes, size_t size)
 {
     const char *at = bytes;
-    if (is_big_endian())
+    if (__BYTE_ORDER__ != __ORDER_LITTLE_ENDIAN__)
         return "this processor is big-endian";
     if (size < HEADER_BYTES + CHECKSUM_BYTES || memcmp(at, MAGIC, 8))
         return "it is not a design";
@@ -134,13 +101,3 @@ const char *records_open(Records *records, void *bytes, size_t size)
     return NULL;
 }
 
-const char *design_open(Design *design, Records records)
-{
-    memset(design, 0, sizeof *design);
-    if (!record_count(records, "samplerate", &design->samplerate) || design->samplerate < 1 ||
-        design->samplerate > HIGHEST_RATE ||
-        !record_count(records, "latency_frames", &design->latency_frames) ||
-        !record_count(records, "tonal_latency_frames", &design->tonal_latency_frames))
-        return "it lacks samplerate, latency_frames or tonal_latency_frames";
-    return read_settings(records, &design->settings);
-}

@@ -1,38 +1,44 @@
-/* A design, read from the bytes that Python made (core/blob.py). */
+/* Reads the records of a design in the binary format of core/blob.py: named counts, numbers and tables. */
 
-#ifndef CUSHION_DESIGN_BLOB_H
-#define CUSHION_DESIGN_BLOB_H
+#pragma once
 
-#include <stddef.h>
-
-#include "settings.h"
+#include "common.h"
 
 enum { RECORD_NAME_BYTES = 36 };
 
-/* The records of a design, without header and checksum. */
+typedef struct {
+    double *at;
+    size_t length;
+} Table;
+
+INLINED int table_is_finite(Table table)
+{
+    size_t at = 0;
+    while (at < table.length && isfinite(table.at[at]))
+        at++;
+    return at == table.length;
+}
+
+/* The bytes of a design between its header and its checksum. */
 typedef struct {
     char *at;
     size_t bytes;
 } Records;
 
-/* Find the records in the bytes of a design; return NULL, or what is wrong with the bytes. They must lie
- * at a multiple of 8, and stay unchanged as long as the design is used. Offsets and lengths are checked:
- * whatever the bytes are, nothing beyond them is read. */
+/* Check alignment, header and checksum, and find the records; return NULL or an error message. The bytes must
+ * be 8-byte aligned, and stay unchanged while the records are used. */
 const char *records_open(Records *records, void *bytes, size_t size);
 
-/* Read a count, a number or a table; return 0 if there is no such record of this kind. */
+INLINED int is_within(size_t count, size_t least, size_t most) { return count >= least && count <= most; }
+
+/* Make the function that contains this macro return `fault` unless `holds` is true. */
+#define REQUIRE(holds, fault)                                                                      \
+    do {                                                                                           \
+        if (!(holds))                                                                              \
+            return fault;                                                                          \
+    } while (0)
+
+/* Read the count, number or table `name`; return 1, or 0 if no valid record has this name and kind. */
 int record_count(Records records, const char *name, size_t *count);
 int record_number(Records records, const char *name, double *number);
 int record_table(Records records, const char *name, Table *table);
-
-/* The transform of a design. */
-typedef struct {
-    Settings settings; /* its tables lie in the bytes that were read */
-    size_t samplerate; /* Hz */
-    size_t latency_frames, tonal_latency_frames;
-} Design;
-
-/* Read a transform; return NULL, or what is wrong with it. All values are checked. */
-const char *design_open(Design *design, Records records);
-
-#endif

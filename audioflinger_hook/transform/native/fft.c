@@ -1,29 +1,20 @@
-/* A fast Fourier transform of real samples, in double precision, for lengths of 2, 3 and 5.
+/* FFT of real samples in double precision, for lengths that are products of 2, 3 and 5.
  *
- * Half of the samples are zeros, as the window is padded to twice its length. So:
- *
- * - Pairs of samples are taken for complex numbers, half as many, and their spectrum is taken apart
- *   again at the end.
- * - The upper half of those is 0 too: the first division by two costs one turn for each, and leaves
- *   two transforms of the same length, for even and for odd bins. They run side by side.
- *
- * Each of these is written as a grid. Columns are transformed (all at once, so that every loop is
- * long and over neighbours in memory), turned, exchanged with rows and transformed again. What
- * comes out is in its natural order.
- */
+ * - At an even length, pairs of samples form complex numbers, so the complex FFT has half the length.
+ * - With zero padding, a decimation-in-frequency step splits the FFT into two lanes, for even and odd bins.
+ *   The step multiplies each number of the odd-bin lane by one twiddle factor.
+ * - Each lane is a four-step FFT: column FFTs, twiddle factors, transpose, row FFTs. */
 
 #include "fft.h"
 
-#include "common.h"
+/* --------------------------------------------------------------------------------------- stages */
 
-/* --------------------------------------------------------------------------------------- passes */
-
-/* Turned back by an angle: (real, imaginary) times (cosine, -sine). */
+/* Store output `which` of a butterfly. If `turned`, multiply it by its twiddle factor, cosine - i sine. */
 #define TURNED(out, which, re, im)                                                                 \
     do {                                                                                           \
         const double one_re = (re), one_im = (im);                                                 \
         if (turned) {                                                                              \
-            const double c = turn[2 * (which) - 2], s = turn[2 * (which) - 1];                     \
+            const double c = twiddle[2 * (which) - 2], s = twiddle[2 * (which) - 1];                     \
             out_re[(which) * (out) + at] = one_re * c + one_im * s;                                \
             out_im[(which) * (out) + at] = one_im * c - one_re * s;                                \
         } else {                                                                                   \
@@ -32,13 +23,13 @@
         }                                                                                          \
     } while (0)
 
-/* Where one butterfly's numbers stand: inputs `in` apart, outputs `out` apart, `run` of each. */
+/* Strides of a butterfly's inputs and outputs, and the number of interleaved FFTs. */
 typedef struct {
     size_t in, out, run;
 } Places;
 
 INLINED void by_two(const double *restrict re, const double *restrict im, double *restrict out_re,
-                    double *restrict out_im, Places places, const double *turn, int turned)
+                    double *restrict out_im, Places places, const double *twiddle, int turned)
 {
     const size_t in = places.in;
     NO_ALIAS
@@ -51,7 +42,7 @@ INLINED void by_two(const double *restrict re, const double *restrict im, double
 }
 
 INLINED void by_three(const double *restrict re, const double *restrict im, double *restrict out_re,
-                      double *restrict out_im, Places places, const double *turn, int turned)
+                      double *restrict out_im, Places places, const double *twiddle, int turned)
 {
     static const double SIN = 0.86602540378443864676;
     const size_t in = places.in;
@@ -69,7 +60,7 @@ INLINED void by_three(const double *restrict re, const double *restrict im, doub
 }
 
 INLINED void by_four(const double *restrict re, const double *restrict im, double *restrict out_re,
-                     double *restrict out_im, Places places, const double *turn, int turned)
+                     double *restrict out_im, Places places, const double *twiddle, int turned)
 {
     const size_t in = places.in;
     NO_ALIAS
@@ -87,7 +78,7 @@ INLINED void by_four(const double *restrict re, const double *restrict im, doubl
 }
 
 INLINED void by_five(const double *restrict re, const double *restrict im, double *restrict out_re,
-                     double *restrict out_im, Places places, const double *turn, int turned)
+                     double *restrict out_im, Places places, const double *twiddle, int turned)
 {
     static const double C1 = 0.30901699437494742410, S1 = 0.95105651629515357212;
     static const double C2 = -0.80901699437494742410, S2 = 0.58778525229247312917;
@@ -115,112 +106,66 @@ INLINED void by_five(const double *restrict re, const double *restrict im, doubl
 }
 
 INLINED void butterfly(size_t factor, const double *re, const double *im, double *out_re,
-                       double *out_im, Places places, const double *turn, int turned)
+                       double *out_im, Places places, const double *twiddle, int turned)
 {
     switch (factor) {
-    case 2: by_two(re, im, out_re, out_im, places, turn, turned); break;
-    case 3: by_three(re, im, out_re, out_im, places, turn, turned); break;
-    case 4: by_four(re, im, out_re, out_im, places, turn, turned); break;
-    default: by_five(re, im, out_re, out_im, places, turn, turned); break;
+    case 2: by_two(re, im, out_re, out_im, places, twiddle, turned); break;
+    case 3: by_three(re, im, out_re, out_im, places, twiddle, turned); break;
+    case 4: by_four(re, im, out_re, out_im, places, twiddle, turned); break;
+    default: by_five(re, im, out_re, out_im, places, twiddle, turned); break;
     }
 }
 
-/* A transform of complex numbers: after each pass they are in the other one of the two places. */
 typedef struct {
     double *re, *im;
 } Complexes;
 
-/* Do one pass, of one factor; return its end in the table of turns. */
-INLINED const double *pass_once(size_t factor, size_t size, size_t run, const double *turn,
+/* Run one stage of radix `factor`; `from` becomes the result. Return the next stage's twiddle factors. */
+INLINED const double *pass_once(size_t factor, size_t size, size_t run, const double *twiddle,
                                 Complexes *from, Complexes *to)
 {
     const size_t rest = size / factor;
     const Places places = {rest * run, run, run};
-    butterfly(factor, from->re, from->im, to->re, to->im, places, turn, 0);
-    turn += 2 * (factor - 1);
-    for (size_t place = 1; place < rest; place++, turn += 2 * (factor - 1))
+    butterfly(factor, from->re, from->im, to->re, to->im, places, twiddle, 0);
+    twiddle += 2 * (factor - 1);
+    for (size_t place = 1; place < rest; place++, twiddle += 2 * (factor - 1))
         butterfly(factor, from->re + run * place, from->im + run * place,
-                  to->re + run * factor * place, to->im + run * factor * place, places, turn, 1);
+                  to->re + run * factor * place, to->im + run * factor * place, places, twiddle, 1);
     const Complexes done = *to;
     *to = *from;
     *from = done;
-    return turn;
+    return twiddle;
 }
 
-/* Do all passes of one transform (Stockham's: nothing has to be put in order afterwards). */
-SIMD_CLONES static void pass_through(const Passes *passes, Complexes *from, Complexes *to)
+/* Run all stages of a Stockham FFT, whose output is in natural order. `from` becomes the result. */
+SIMD_CLONES static void pass_through(const FftStages *stages, Complexes *from, Complexes *to)
 {
-    const double *turn = passes->turns;
-    size_t size = passes->size, run = passes->run;
-    for (size_t which = 0; which < passes->count; which++) {
-        const size_t factor = passes->factors[which];
-        turn = pass_once(factor, size, run, turn, from, to);
+    const double *twiddle = stages->twiddles;
+    size_t size = stages->size, run = stages->run;
+    for (size_t which = 0; which < stages->count; which++) {
+        const size_t factor = stages->factors[which];
+        twiddle = pass_once(factor, size, run, twiddle, from, to);
         size /= factor;
         run *= factor;
     }
 }
 
-/* The same for 120 complex numbers, those of the short window at 44.1 and 48 kHz. There loops are so
- * short that a quarter is won where the compiler knows how long they are and what is how far away. */
-SIMD_CLONES_NARROW static void pass_through_columns_of_10(const Passes *passes, Complexes *from,
-                                                    Complexes *to)
+/* Multiply `lanes` interleaved grids by twiddle factors and transpose them. */
+INLINED void exchanged(size_t lanes, const double *twiddle, size_t rows, size_t columns, Complexes from,
+                       Complexes to)
 {
-    const double *turn = pass_once(3, 12, 10, passes->turns, from, to);
-    pass_once(4, 4, 30, turn, from, to);
-}
-
-SIMD_CLONES_NARROW static void pass_through_rows_of_12(const Passes *passes, Complexes *from,
-                                                 Complexes *to)
-{
-    const double *turn = pass_once(5, 10, 12, passes->turns, from, to);
-    pass_once(2, 2, 60, turn, from, to);
-}
-
-/* Two numbers in one register. */
-typedef double Pair __attribute__((vector_size(2 * sizeof(double))));
-
-INLINED Pair pair_of(double number) { return (Pair){number, number}; }
-
-INLINED Pair pair_at(const double *at)
-{
-    Pair pair;
-    memcpy(&pair, at, sizeof pair);
-    return pair;
-}
-
-INLINED void pair_to(double *at, Pair pair) { memcpy(at, &pair, sizeof pair); }
-
-/* Turn each number of the grid and write rows as columns. */
-INLINED void exchanged_one(const double *turn, size_t rows, size_t columns, Complexes from,
-                           Complexes to)
-{
-    for (size_t column = 0; column < columns; column++, turn += 2 * rows) {
-        const double *restrict re = from.re + column, *restrict im = from.im + column;
-        double *restrict to_re = to.re + column * rows, *restrict to_im = to.im + column * rows;
+    for (size_t column = 0; column < columns; column++, twiddle += 2 * rows) {
+        const double *restrict re = from.re + lanes * column, *restrict im = from.im + lanes * column;
+        double *restrict to_re = to.re + lanes * column * rows;
+        double *restrict to_im = to.im + lanes * column * rows;
         NO_ALIAS
         for (size_t row = 0; row < rows; row++) {
-            const double c = turn[2 * row], s = turn[2 * row + 1];
-            const double x = re[row * columns], y = im[row * columns];
-            to_re[row] = x * c + y * s;
-            to_im[row] = y * c - x * s;
-        }
-    }
-}
-
-/* The same for two numbers that lie side by side, in one register. */
-INLINED void exchanged_two(const Fft *fft, Complexes from, Complexes to)
-{
-    const size_t rows = fft->columns.size, columns = fft->rows.size;
-    const double *turn = fft->grid_turn;
-    for (size_t column = 0; column < columns; column++, turn += 2 * rows) {
-        const double *restrict re = from.re + 2 * column, *restrict im = from.im + 2 * column;
-        double *restrict to_re = to.re + 2 * column * rows;
-        double *restrict to_im = to.im + 2 * column * rows;
-        for (size_t row = 0; row < rows; row++) {
-            const Pair c = pair_of(turn[2 * row]), s = pair_of(turn[2 * row + 1]);
-            const Pair x = pair_at(re + 2 * row * columns), y = pair_at(im + 2 * row * columns);
-            pair_to(to_re + 2 * row, x * c + y * s);
-            pair_to(to_im + 2 * row, y * c - x * s);
+            const double c = twiddle[2 * row], s = twiddle[2 * row + 1];
+            for (size_t lane = 0; lane < lanes; lane++) {
+                const double x = re[lanes * row * columns + lane], y = im[lanes * row * columns + lane];
+                to_re[lanes * row + lane] = x * c + y * s;
+                to_im[lanes * row + lane] = y * c - x * s;
+            }
         }
     }
 }
@@ -228,20 +173,25 @@ INLINED void exchanged_two(const Fft *fft, Complexes from, Complexes to)
 SIMD_CLONES static void exchange(const Fft *fft, Complexes from, Complexes to)
 {
     if (fft->lanes == 2)
-        exchanged_two(fft, from, to);
+        exchanged(2, fft->grid_turn, fft->columns.size, fft->rows.size, from, to);
     else
-        exchanged_one(fft->grid_turn, fft->columns.size, fft->rows.size, from, to);
+        exchanged(1, fft->grid_turn, fft->columns.size, fft->rows.size, from, to);
 }
 
-/* The same of 12 rows and 10 columns. */
-SIMD_CLONES_NARROW static void exchanged_12_10(const Fft *fft, Complexes from, Complexes to)
+/* Run the FFT of 120 complex numbers, which the onset window needs at 44.1 and 48 kHz; `to` is the result.
+ * Constant lengths make these loops faster. */
+SIMD_CLONES_NARROW static void transform_120(const Fft *fft, Complexes *from, Complexes *to)
 {
-    exchanged_one(fft->grid_turn, 12, 10, from, to);
+    const double *twiddle = pass_once(3, 12, 10, fft->columns.twiddles, from, to);
+    pass_once(4, 4, 30, twiddle, from, to);
+    exchanged(1, fft->grid_turn, 12, 10, *from, *to);
+    twiddle = pass_once(5, 10, 12, fft->rows.twiddles, to, from);
+    pass_once(2, 2, 60, twiddle, to, from);
 }
 
 /* ------------------------------------------------------------------------------ real to complex */
 
-/* Take samples for complex numbers, those of the second lane turned. */
+/* Pack samples into complex numbers. With two lanes, multiply the odd-bin lane by twiddle factors. */
 SIMD_CLONES static void pair_samples(const Fft *fft, const double *restrict samples, Complexes to)
 {
     double *restrict re = to.re, *restrict im = to.im;
@@ -252,11 +202,11 @@ SIMD_CLONES static void pair_samples(const Fft *fft, const double *restrict samp
         }
         return;
     }
-    const double *restrict turn = fft->lane_turn;
+    const double *restrict twiddle = fft->lane_turn;
     NO_ALIAS
     for (size_t at = 0; at < fft->points; at++) {
         const double x = samples[2 * at], y = samples[2 * at + 1];
-        const double c = turn[2 * at], s = turn[2 * at + 1];
+        const double c = twiddle[2 * at], s = twiddle[2 * at + 1];
         re[2 * at] = x;
         re[2 * at + 1] = x * c + y * s;
         im[2 * at] = y;
@@ -264,7 +214,7 @@ SIMD_CLONES static void pair_samples(const Fft *fft, const double *restrict samp
     }
 }
 
-/* Take the spectrum of pairs apart into that of the even and of the odd samples, and join them. */
+/* Separate the spectra of even and odd samples, and combine them into the spectrum of all samples. */
 SIMD_CLONES static void join_halves(const Fft *fft, Complexes from, size_t bins, double *restrict real,
                         double *restrict imaginary)
 {
@@ -292,25 +242,25 @@ void fft_spectrum(const Fft *fft, const double *samples, size_t bins, double *re
 {
     const size_t size = fft->points * fft->lanes + FREE;
     Complexes one = {work, work + size}, other = {work + 2 * size, work + 3 * size};
-    const int few = fft->points == 120 && fft->lanes == 1;
     pair_samples(fft, samples, one);
-    if (few)
-        pass_through_columns_of_10(&fft->columns, &one, &other);
-    else
+    if (fft->points == 120 && fft->lanes == 1) {
+        transform_120(fft, &one, &other);
+    } else {
         pass_through(&fft->columns, &one, &other);
-    if (few)
-        exchanged_12_10(fft, one, other);
-    else
         exchange(fft, one, other);
-    if (few)
-        pass_through_rows_of_12(&fft->rows, &other, &one);
-    else
         pass_through(&fft->rows, &other, &one);
-    if (fft->halved)
+    }
+    if (fft->halved) {
         join_halves(fft, other, bins, real, imaginary);
-    else
-        for (size_t bin = 0; bin < bins; bin++) {
-            real[bin] = other.re[bin];
-            imaginary[bin] = other.im[bin];
-        }
+    } else {
+        memcpy(real, other.re, bins * sizeof(double));
+        memcpy(imaginary, other.im, bins * sizeof(double));
+    }
+}
+
+SIMD_CLONES void apply_window(const double *restrict samples, const double *restrict window,
+                              size_t count, double *restrict out)
+{
+    for (size_t one = 0; one < count; one++)
+        out[one] = samples[one] * window[one];
 }

@@ -1,49 +1,45 @@
-/* The spectrum of a window of real samples, which may be padded with as many zeros or more. */
+/* FFT of real samples. The second half of the input may be zero padding. */
 
-#ifndef CUSHION_FFT_H
-#define CUSHION_FFT_H
+#pragma once
 
-#include <stddef.h>
-
-#include "arena.h"
+#include "common.h"
 
 #define FACTORS_MAX 24
 
-/* Doubles that are left free between the parts of the work space. Of lengths that are powers of 2 all
- * parts would else share the same lines of the cache. */
+/* Gap between the arrays of the work space, in doubles. It reduces cache conflicts. */
 #define FREE 72
 
-/* A transform of `size` complex numbers that stand `run` apart, for `run` of them side by side. */
+/* `run` interleaved FFTs of `size` complex numbers each. */
 typedef struct {
     size_t size, run;
     size_t factors[FACTORS_MAX], count;
-    const double *turns; /* for each factor what its outputs are turned by, cosine and sine */
-} Passes;
+    const double *twiddles; /* twiddle factors of all stages, each a cosine and a sine */
+} FftStages;
 
-/* How spectra of one length are made. Its tables lie in the arena. */
+/* Plan for spectra of one length. */
 typedef struct {
-    size_t length; /* of the spectrum's grid: bins are samplerate / length apart */
-    size_t frames; /* samples that are read; those past the window are 0 */
-    size_t points; /* complex numbers in one small transform */
-    size_t lanes;  /* small transforms side by side */
-    size_t halved; /* complex numbers that hold the samples in pairs; 0 where they are not paired */
-    Passes columns, rows;
-    const double *lane_turn; /* of each number on its way to the odd bins; cosine and sine */
-    const double *grid_turn; /* of each number between columns and rows */
-    const double *bin_cos;   /* of each bin, by which the odd samples' spectrum is turned */
+    size_t length; /* FFT length; bins are samplerate / length apart */
+    size_t frames; /* number of samples that fft_spectrum reads; callers pad shorter windows with zeros */
+    size_t points; /* number of complex numbers in each lane */
+    size_t lanes;  /* parallel FFTs: 2 (even and odd bins) if padded and length is a multiple of 4, else 1 */
+    size_t halved; /* length / 2 if length is even (pairs of samples form complex numbers), else 0 */
+    FftStages columns, rows;
+    const double *lane_turn; /* twiddle factors of the odd-bin lane, each a cosine and a sine */
+    const double *grid_turn; /* twiddle factors between columns and rows, each a cosine and a sine */
+    const double *bin_cos;   /* twiddle factors by bin; they combine the spectra of even and odd samples */
     const double *bin_sin;
 } Fft;
 
-/* Make a plan, with tables in the arena; without memory, only count it. Return 0 if the length has
- * other factors than 2, 3 and 5. */
+/* Create a plan and its tables; if arena->base is NULL, only count their bytes. Return 0 if length is 0 or
+ * has a prime factor above 5. padded: 1 if the second half of the samples is 0. */
 int fft_open(Fft *fft, size_t length, int padded, Arena *arena);
 
-/* Doubles of work space that `fft_spectrum` needs. */
-size_t fft_work(const Fft *fft);
+/* Return the size of the work space of `fft_spectrum`, in doubles. */
+INLINED size_t fft_work(const Fft *fft) { return 4 * (fft->points * fft->lanes + FREE); }
 
-/* Write the first `bins` bins, real and imaginary parts. samples: `frames` of them, no more than
- * length / 2 other than 0 where it was said to be padded. bins: length / 2 + 1 at most. */
+/* Write the first `bins` bins of a spectrum; bins: at most length / 2 + 1. samples: `fft->frames` numbers.
+ * work: `fft_work` numbers. */
 void fft_spectrum(const Fft *fft, const double *samples, size_t bins, double *real,
                   double *imaginary, double *work);
 
-#endif
+void apply_window(const double *samples, const double *window, size_t count, double *out);

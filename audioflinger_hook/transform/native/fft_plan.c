@@ -1,15 +1,14 @@
-/* How a spectrum of one length is made: its division into factors, and the tables of turns. */
+/* FFT plans: factorisation and twiddle factors. */
 
-#include "common.h"
 #include "exact.h"
 #include "fft.h"
 
-/* The cosine and the sine of part/whole of a turn; exact where one of them is 0 or 1. */
+/* Write cosine and sine of 2 pi part / whole. Both are exact if the angle is a multiple of pi/2. */
 static void turn_of(size_t part, size_t whole, double *cosine, double *sine)
 {
     const size_t eighths = 8 * (part % whole);
     const size_t octant = eighths / whole;
-    /* Within an eighth of a turn of the nearest quarter. */
+    /* Split the angle into the nearest multiple of pi/2 and a rest between -pi/4 and pi/4. */
     const size_t quarter = (octant + 1) / 2;
     const double rest = ((double)eighths - 2.0 * (double)quarter * (double)whole) / (double)whole;
     const double c = exact_cos(PI / 4 * rest), s = exact_sin(PI / 4 * rest);
@@ -21,7 +20,7 @@ static void turn_of(size_t part, size_t whole, double *cosine, double *sine)
     }
 }
 
-/* Write count pairs: turns of 0, 1, 2 ... times step/whole. */
+/* Write cosine and sine of 2 pi k step / whole for k < count; return the address after the last sine. */
 static double *write_turns(double *table, size_t count, size_t step, size_t whole)
 {
     for (size_t one = 0; one < count; one++, table += 2)
@@ -29,35 +28,24 @@ static double *write_turns(double *table, size_t count, size_t step, size_t whol
     return table;
 }
 
-/* Divide size into factors of 5, 3, 4 and 2; return whether that leaves nothing. */
-static int factorise(Passes *passes, size_t size)
+/* Factorise `size` into 5, 3, 4 and 2; return whether no other factor remains. */
+static int factorise(FftStages *stages, size_t size)
 {
     static const size_t PRIMES[] = {5, 3, 4, 2};
-    passes->size = size;
-    passes->count = 0;
+    stages->size = size;
+    stages->count = 0;
     for (size_t which = 0; which < sizeof PRIMES / sizeof *PRIMES; which++)
         for (; size % PRIMES[which] == 0; size /= PRIMES[which])
-            passes->factors[passes->count++] = PRIMES[which];
+            stages->factors[stages->count++] = PRIMES[which];
     return size == 1;
 }
 
-/* Doubles in the table of turns of one transform. */
-static size_t turns_of(const Passes *passes)
+static double *write_passes(FftStages *stages, double *table)
 {
-    size_t total = 0, size = passes->size;
-    for (size_t which = 0; which < passes->count; which++) {
-        total += 2 * (size - size / passes->factors[which]);
-        size /= passes->factors[which];
-    }
-    return total;
-}
-
-static double *write_passes(Passes *passes, double *table)
-{
-    passes->turns = table;
-    size_t size = passes->size;
-    for (size_t which = 0; which < passes->count; which++) {
-        const size_t factor = passes->factors[which], rest = size / factor;
+    stages->twiddles = table;
+    size_t size = stages->size;
+    for (size_t which = 0; which < stages->count; which++) {
+        const size_t factor = stages->factors[which], rest = size / factor;
         for (size_t place = 0; place < rest; place++)
             for (size_t output = 1; output < factor; output++, table += 2)
                 turn_of(place * output, size, table, table + 1);
@@ -66,10 +54,10 @@ static double *write_passes(Passes *passes, double *table)
     return table;
 }
 
-/* Divide so many points into a grid that is as square as can be; return whether it can be done. */
+/* Arrange all points in the most nearly square grid; return 0 if their number has a prime factor above 5. */
 static int make_grid(Fft *fft)
 {
-    Passes all;
+    FftStages all;
     if (!factorise(&all, fft->points))
         return 0;
     size_t best = 1;
@@ -95,8 +83,9 @@ int fft_open(Fft *fft, size_t length, int padded, Arena *arena)
         return 0;
     const size_t lane_turns = fft->lanes == 2 ? 2 * fft->points : 0;
     const size_t bins = fft->halved ? fft->halved + 1 : 0;
-    const size_t total =
-        turns_of(&fft->columns) + turns_of(&fft->rows) + lane_turns + 2 * fft->points + 2 * bins;
+    /* The table of an FFT of `size` numbers has size - 1 twiddle factors. */
+    const size_t twiddles = 2 * (fft->columns.size + fft->rows.size - 2);
+    const size_t total = twiddles + lane_turns + 2 * fft->points + 2 * bins;
     double *table = arena_alloc(arena, total, sizeof(double));
     if (!table)
         return 1;
@@ -114,4 +103,3 @@ int fft_open(Fft *fft, size_t length, int padded, Arena *arena)
     return 1;
 }
 
-size_t fft_work(const Fft *fft) { return 4 * (fft->points * fft->lanes + FREE); }

@@ -1,67 +1,76 @@
-/* How strong each partial of a hop is: the law of level, loudness, speech and the ceiling. */
+/* Sets the amplitudes of a hop's partials: amplitude mapping, speech suppression, ceiling. */
 
-#include "levels.h"
-
-#include "common.h"
+#include "live.h"
 #include "scaling.h"
 
-/* Set the amplitudes of what was found by the level law: P_k r_k over a full-scale tone's r, or by
- * the energy of each. */
+/* Set each amplitude to P_k r_k / b or, if energy_mapping is set, to sqrt(A_k r_k / b); "Amplitude" in
+ * docs/transform.md defines the symbols. If the strength follows loudness, multiply the amplitudes by `tilt`. */
 static void strengthen(Live *live, size_t count)
 {
     const Settings *s = &live->settings;
-    double sum_r = 0.0;
-    for (size_t one = 0; one < count; one++)
-        sum_r += live->found.r[one];
+    const double sum_r = sum(live->found.r, count);
     for (size_t one = 0; one < count; one++) {
         const double r = live->found.r[one];
-        live->amplitude[one] = s->by_energy ? sqrt(live->found.amplitude[one] * r / s->full_scale_r)
+        live->amplitude[one] = s->energy_mapping ? sqrt(live->found.amplitude[one] * r / s->full_scale_r)
                                             : r * r / (sum_r * s->full_scale_r);
-        /* What is felt well takes less of the room under full scale. */
         if (loudness_is_on(s))
-            live->amplitude[one] *= sqrt(table_at(s->felt_weights, s->gain_step_hz, live->hz[one]));
+            live->amplitude[one] *= tilt(s, live->hz[one]);
     }
 }
 
-static void lower_speech(Live *live, const Voice *voice, size_t count)
+static void lower_speech(Live *live, const Channel *channel, size_t count)
 {
     for (size_t one = 0; one < count; one++) {
         const double left =
-            speech_gain(&live->settings, voice->speech, live->found.audio_hz[one]);
+            speech_gain(&live->settings, &channel->speech, live->found.audio_hz[one]);
         live->found.amplitude[one] *= left;
         live->found.r[one] *= left;
     }
 }
 
-int levels_set(Live *live, Voice *voice, double strength, size_t count)
+static double felt_power(const Live *live, size_t count)
 {
     const Settings *s = &live->settings;
-    double total = 0.0;
-    strengthen(live, count);
-    double gain = 1.0;
-    if (loudness_is_on(s) && count)
-        gain = loudness_gain(s, &voice->follower, strength, live->hz, live->amplitude, count);
-    /* Before the law of level, so that what speech loses is not missing from the rest; after the
-     * follower, which would turn the rest up. */
-    if (s->speech_db > 0.0) {
-        lower_speech(live, voice, count);
-        strengthen(live, count);
+    double power = 0.0;
+    for (size_t one = 0; one < count; one++) {
+        const double felt = live->amplitude[one] * table_at(s->felt_weights, s->gain_step_hz, live->hz[one]);
+        power += felt * felt;
     }
-    for (size_t one = 0; one < count; one++)
-        total += live->amplitude[one] *= gain;
-    if (loudness_is_on(s))
-        total = loudness_concentrate(s, live->hz, live->amplitude, count, total);
-    const int limited = !(total <= s->ceiling);
+    return power;
+}
+
+int levels_set(Live *live, Channel *channel, size_t count)
+{
+    const Settings *s = &live->settings;
+    const int followed = loudness_is_on(s), lowered = s->speech_db > 0.0;
+    strengthen(live, count);
+    /* Speech is lowered before the amplitude mapping, so that the shares P_k of other partials rise. */
+    if (lowered) {
+        const double before = felt_power(live, count);
+        lower_speech(live, channel, count);
+        strengthen(live, count);
+        if (followed && before > 0.0)
+            channel->strength.speech_left = smaller(1.0, sqrt(felt_power(live, count) / before));
+    }
+    const double total = sum(live->amplitude, count);
+    const int limited = !followed && !(total <= s->ceiling);
     if (limited)
         for (size_t one = 0; one < count; one++)
             live->amplitude[one] *= s->ceiling / total;
     return limited;
 }
 
+double levels_gain(const Live *live, double wanted, size_t count)
+{
+    const Settings *s = &live->settings;
+    const double power = felt_power(live, count), total = sum(live->amplitude, count);
+    return power > 0.0 ? smaller(smaller(s->gain_max, wanted / sqrt(power)), s->ceiling / total) : 0.0;
+}
+
 double levels_left_by_law(const Live *live, size_t count)
 {
     double sum_r = 0.0, fourths = 0.0, energy = 0.0;
-    if (live->settings.by_energy || !count)
+    if (live->settings.energy_mapping || !count)
         return 1.0;
     for (size_t one = 0; one < count; one++) {
         const double r = live->found.r[one];

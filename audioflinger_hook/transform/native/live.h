@@ -1,90 +1,98 @@
-/* The live form of one stream: sound in, vibration out, a tick behind. */
+/* Real-time transform: at the end of each tick (about 2 ms), computes the next tick of vibration. */
 
-#ifndef CUSHION_LIVE_H
-#define CUSHION_LIVE_H
-
-#include <stddef.h>
-#include <stdint.h>
+#pragma once
 
 #include "analysis.h"
-#include "arena.h"
-#include "downmix.h"
-#include "fft.h"
-#include "glide_log.h"
-#include "loudness.h"
-#include "onset_partials.h"
 #include "input_stage.h"
-#include "onsets.h"
-#include "settings.h"
-#include "speech.h"
+#include "loudness.h"
 #include "synthesis.h"
-#include "tracking.h"
 
-/* One channel of vibration. Everything in it is state, and lies in Live's `state`. */
+/* State of one channel of vibration. */
 typedef struct {
-    double *band;   /* of the band-pass */
-    double *past;   /* the last window_frames, a ring that begins at Live's `oldest` */
-    double *peaks;  /* of the last hops_in_window, the one under way the last */
-    double *played; /* the tick that is being delivered */
-    double *hop;    /* of the partials, at the low rate, of which that is a part */
+    double *band;   /* state of the band-pass */
+    double *past;   /* ring buffer of the newest window_frames band-passed frames, from LiveState.oldest on */
+    double *peaks;  /* largest band-passed magnitude in each of hops_in_window hops, the current hop last */
+    double *output_tick; /* the tick of vibration that is being delivered */
+    double *hop_low_rate; /* one hop of vibration at the low rate; NULL if the strength follows loudness */
     Onsets onsets;
-    OnsetPartial *fresh;
+    OnsetPartial *onset_partials;
     Slots slots;
-    Loudness follower;
+    BandPowers powers;
+    Strength strength;
+    Oscillators oscillators;
+    double begun; /* delivered frames, counted up to the end of the fade-in at the stream's start */
     Smoothing smoothing;
-    double *ringing; /* hops that the low-pass still rings */
-    Speech *speech;
-} Voice;
+    double tail; /* remaining hops until the output filters have decayed */
+    Speech speech;
+} Channel;
 
-#define TOLD_MAX 16
-
-/* What the latest hop of all voices vibrates, the first found first. For showing it: no state. */
+/* The strongest partials of all channels in the latest hop, for display only. */
 typedef struct {
-    uint64_t hops; /* so far */
+    uint64_t hops; /* hops since live_open */
     size_t count;
-    double audio_hz[TOLD_MAX], hz[TOLD_MAX], amplitude[TOLD_MAX];
-} Told;
+    double rows[CORE_PARTIALS][3]; /* audio frequency in Hz, vibration frequency in Hz, amplitude */
+} DisplayPartials;
 
-/* A kernel: settings, work space, and the state of every voice. Nothing is allocated after
- * `live_open`. */
+/* Stream state that all channels share. */
+typedef struct {
+    DownmixState downmix;
+    size_t filled; /* received frames of the current tick */
+    size_t tick;   /* complete ticks in the current hop */
+    size_t oldest; /* index of the oldest frame in the ring buffers */
+    size_t silent; /* number of trailing frames that are exactly 0, at most window_frames */
+    uint64_t replaced, limited; /* replaced samples of sound, limited samples of vibration */
+} LiveState;
+
+/* Settings, work space and state. Nothing is allocated after `live_open` and `live_layout_state`. */
 typedef struct {
     Settings settings;
-    size_t channels, voices_count;
-    int each; /* one voice a channel, else one for their mono mix */
+    size_t channels_count;
+    int per_channel; /* 1: one vibration per channel of sound; 0: one vibration of the mono mix */
     Fft fft, short_fft;
-    Voice *voices;
-    const double *mix_weights; /* of the mono mix, NULL for a plain mean; in the settings */
-    MixPowers *mix_powers;     /* part of `state` */
-    double *state;
-    size_t state_length; /* doubles */
-    size_t filled;       /* frames of the tick under way */
-    size_t tick;         /* whole ticks of the hop under way */
-    size_t oldest;       /* of the ring */
-    size_t silent;       /* frames that were exactly 0 of late, up to window_frames */
-    uint64_t replaced, limited, delivered;
-    Told told;
-    GlideLog log; /* no state: off until Python switches it on */
+    LiveState *state;
+    Channel *channels;
+    Arena memory; /* start of the state's memory */
+    size_t memory_bytes;
+    const double *mix_weights; /* weights of the mono mix, in the settings; or NULL: plain mean */
+    DisplayPartials display;
+    GlideLog log; /* recording of glides; off until core_record starts it */
 
     double *mono, *side, *windowed, *real, *imaginary, *fft_space, *synthesis_space, *onset_space;
-    double *speech_space;
-    double *newest; /* the last short_frames, in order */
-    void *analysis_space, *tracking_space;
+    double *speech_space, *oscillator_space, *low_rate; /* low_rate: a tick of vibration at the low rate */
+    double *newest; /* newest band-passed frames of a channel, the oldest first */
+    void *analysis_space;
+    TrackingWork tracking;
     Principals found;
     double *hz, *amplitude;
-    Glides glides, fresh_glides;
+    Glides glides, onset_glides;
 } Live;
 
-/* Make a kernel of settings that fit, with memory of the arena; without memory, only count it. Return
- * 0 if fft_length has other factors than 2, 3 and 5. */
-int live_open(Live *live, const Settings *settings, size_t channels, int each, Arena *arena);
+/* Create a transform from valid settings, but not its state; take its memory from the arena. If arena->base
+ * is NULL, only count bytes. Return 0 if an FFT length has prime factors above 5. */
+int live_open(Live *live, const Settings *settings, size_t channels, int per_channel, Arena *arena);
 
-/* Return to the state of a new stream; the counters go on. */
+/* Reserve the state's memory in the arena and set the pointers into it; do not initialise its values. If
+ * arena->base is NULL, only count bytes. */
+void live_layout_state(Live *live, Arena *arena);
+
+/* Reset to the state of a new stream; keep the counts of replaced and limited samples. */
 void live_reset(Live *live);
 
-/* Take so many frames of sound and write as many of vibration, (frames, voices). */
-void live_process(Live *live, Sound sound, size_t frames, double *vibration);
+/* If loudness is on, reset a channel's band powers, strength and drive; keep programme and sound_ticks. */
+void live_rest(Live *live, Channel *channel);
 
-/* Whether what stands in `state`, `filled`, `tick`, `oldest` and `silent` can be gone on with. */
-int live_state_is_valid(const Live *live);
+/* Transform sound into vibration. vibration: receives frames x channels_count numbers, frame by frame. */
+void live_process(Live *live, CoreSound sound, size_t channels, size_t frames, double *vibration);
 
-#endif
+/* Set the amplitudes of the principal frequencies; return whether the ceiling limited them. If the strength
+ * follows loudness, only the ratios of amplitudes matter; speech suppression then sets
+ * strength.speech_left. */
+int levels_set(Live *live, Channel *channel, size_t count);
+
+/* Return the factor on amplitudes that gives the strength `wanted`, limited by gain_max and the ceiling; 0 if
+ * the perceived power is 0. */
+double levels_gain(const Live *live, double wanted, size_t count);
+
+/* Return the r.m.s. level that the tonal amplitude mapping gives, divided by the level that the energy
+ * mapping gives. Return 1 if the energy mapping is used or `count` is 0. */
+double levels_left_by_law(const Live *live, size_t count);

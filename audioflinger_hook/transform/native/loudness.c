@@ -1,234 +1,289 @@
-/* The loudness follower of one voice; tests/oracle/loudness.py has it to read. */
+/* Loudness by ISO 532-1 at the end of each tick, and the vibration strength that follows from it.
+ *
+ * From 560 Hz up, band powers come from the spectra of the onset window. Below 560 Hz, where the bins of
+ * these spectra are wider than the bands, filters process the analytic signal at the low (decimated) rate. The
+ * magnitude of a tone's analytic signal is constant. */
 
 #include "loudness.h"
-
-#include "common.h"
 #include "exact.h"
-#include "scaling.h"
+#include "filter.h"
 
-/* Sums of the bins that go on side by side, for registers of any width. */
-#define LANES 8
-
-int loudness_is_on(const Settings *settings) { return settings->loudness_weights.length != 0; }
-
-void loudness_reset(const Settings *settings, Loudness *follower)
+void band_powers_reset(const Settings *s, BandPowers *powers)
 {
-    *follower->programme = settings->programme_start;
-    *follower->gain = 1.0;
-    *follower->far_hops = 0.0;
-    loudness_rest(settings, follower);
+    memset(&powers->low, 0, sizeof powers->low);
+    memset(powers->recent, 0, (s->average_ticks - 1) * s->high_weights.length * sizeof(double));
 }
 
-void loudness_rest(const Settings *settings, Loudness *follower)
+/* Apply the low-pass before decimation to the frames of one step; return the low-pass's last output. */
+INLINED double smoothed(const double *row, double *states, const double *samples, size_t frames)
 {
-    *follower->floor = *follower->loud = *follower->steady = settings->floor_min;
+    double next[SMOOTH_ROW] = {0.0};
+    for (size_t frame = 0; frame < frames; frame++, row += SMOOTH_ROW)
+        for (size_t one = 0; one < SMOOTH_ROW; one++)
+            next[one] += row[one] * samples[frame];
+    for (size_t state = 0; state < SMOOTH_STATES; state++, row += SMOOTH_ROW)
+        for (size_t one = 0; one < SMOOTH_ROW; one++)
+            next[one] += row[one] * states[state];
+    memcpy(states, next, SMOOTH_STATES * sizeof *states);
+    return next[SMOOTH_STATES];
 }
 
-/* What measures loudness after ISO 532-1 in spectra of one kind. */
+/* Filter one sample by a chain of all-passes (a^2 - z^-2) / (1 - a^2 z^-2). */
+INLINED double through(const double *squares, double state[CHAIN][2], double x)
+{
+    for (size_t one = 0; one < CHAIN; one++) {
+        const double y = squares[one] * x + state[one][0];
+        state[one][0] = state[one][1];
+        state[one][1] = squares[one] * y - x;
+        x = y;
+    }
+    return x;
+}
+
+/* Complex pole and input gain of each low band. */
 typedef struct {
-    Table weights, edges, scale, widths;
-    double slope_a_bark;
-} Meter;
+    double real[LOW_MAX], imaginary[LOW_MAX], feed[LOW_MAX];
+} Poles;
 
-/* Threshold factor of ISO 532-1. */
-#define THRESHOLD 0.25
-
-/* Loudness in phon of a full-scale tone of 1 kHz. */
-#define FULL_SCALE_PHON 94.0
-
-/* Sum of the bins' weighted squares. imaginary: NULL where `real` holds squares. */
-SIMD_CLONES static double weigh(const double *restrict weights, const double *restrict real,
-                         const double *restrict imaginary, size_t bins)
+/* Filter one sample of the analytic signal by each band's two poles; add |output|^2 to `squares`. */
+INLINED void resonate(const Poles *poles, LowBands *low, double real, double imaginary,
+                      double *restrict squares)
 {
-    double lanes[LANES] = {0.0};
-    const size_t whole = bins - bins % LANES;
-    for (size_t bin = 0; bin < whole; bin += LANES)
-        for (size_t lane = 0; lane < LANES; lane++) {
-            const double re = real[bin + lane], im = imaginary[bin + lane];
-            lanes[lane] += weights[bin + lane] * (re * re + im * im);
+    for (size_t band = 0; band < LOW_MAX; band++) {
+        double x = real, y = imaginary;
+        for (size_t pole = 0; pole < 2; pole++) {
+            const double re = low->real[pole][band], im = low->imaginary[pole][band];
+            const double a = poles->real[band], b = poles->imaginary[band], feed = poles->feed[band];
+            const double next = feed * x + (a * re - b * im);
+            y = feed * y + (a * im + b * re);
+            x = next;
+            low->real[pole][band] = x;
+            low->imaginary[pole][band] = y;
         }
-    double total = 0.0;
-    for (size_t bin = whole; bin < bins; bin++)
-        total += weights[bin] * (real[bin] * real[bin] + imaginary[bin] * imaginary[bin]);
-    for (size_t lane = 0; lane < LANES; lane++)
-        total += lanes[lane];
-    return total;
+        squares[band] += x * x + y * y;
+    }
 }
 
-static double weigh_squares(const double *weights, const double *squares, size_t bins)
+SIMD_CLONES_NARROW static void update_low(const Settings *s, LowBands *low, const double *samples,
+                                          double *restrict squares)
 {
-    double total = 0.0;
-    for (size_t bin = 0; bin < bins; bin++)
-        total += weights[bin] * squares[bin];
-    return total;
+    const double *chain = s->quadrature.at;
+    Poles poles = {{0.0}, {0.0}, {0.0}};
+    for (size_t band = 0; band < s->low_weights.length; band++) {
+        const double *row = s->low_poles.at + LOW_NUMBERS * band;
+        poles.real[band] = row[0];
+        poles.imaginary[band] = row[1];
+        poles.feed[band] = row[2];
+    }
+    for (size_t step = 0; step < s->tick_steps; step++) {
+        const double x =
+            smoothed(s->low_smooth.at, low->smooth, samples + step * s->decimation, s->decimation);
+        const double imaginary = through(chain, low->chains[0], x);
+        const double real = through(chain + CHAIN, low->chains[1], low->before);
+        low->before = x;
+        resonate(&poles, low, real, imaginary, squares);
+    }
+    drop_decayed(low, sizeof *low);
 }
+
+/* Write each band's excitation relative to the threshold in quiet. short_power: bin powers of the onset
+ * window. */
+static void band_powers_update(const Settings *s, BandPowers *powers, const double *samples,
+                      const double *short_power, double *excitation)
+{
+    const size_t low = s->low_weights.length, high = s->high_weights.length, older = s->average_ticks - 1;
+    double squares[LOW_MAX] = {0.0}, now[BANDS_MAX];
+    memset(excitation, 0, s->loudness_scale.length * sizeof(double));
+    update_low(s, &powers->low, samples, squares);
+    for (size_t band = 0; band < low; band++)
+        excitation[(size_t)s->low_band_of.at[band]] += s->low_weights.at[band] * squares[band];
+    double *above = excitation + (s->loudness_scale.length - high);
+    for (size_t band = 0; band < high; band++) {
+        const size_t first = (size_t)s->high_edges.at[band], end = (size_t)s->high_edges.at[band + 1];
+        now[band] = s->high_weights.at[band] * sum(short_power + first, end - first);
+        double total = now[band];
+        for (size_t tick = 0; tick < older; tick++)
+            total += powers->recent[tick * high + band];
+        above[band] = total / (double)s->average_ticks;
+    }
+    if (older) {
+        memmove(powers->recent, powers->recent + high, (older - 1) * high * sizeof(double));
+        memcpy(powers->recent + (older - 1) * high, now, high * sizeof(double));
+    }
+}
+
+/* ------------------------------------------------------------------------------------ loudness */
+
+typedef struct {
+    double db;   /* loudness level in phon, minus FULL_SCALE_PHON */
+    double sone; /* total loudness in sone */
+    double groups[GROUPS_OF_BANDS_MAX]; /* sone of each group of bands, without masking between bands */
+} Loudness;
+
+#define THRESHOLD 0.25       /* threshold factor of ISO 532-1 */
+#define FULL_SCALE_PHON 94.0 /* assumed loudness level of a full-scale tone of 1 kHz */
 
 static double fourth_root(double number) { return sqrt(sqrt(number)); }
 
-/* The loudness in dB of bins, times a factor; 0 dB for a full-scale tone of 1 kHz. imaginary: NULL
- * where `real` holds squares. */
-static double measure(Meter meter, const double *real, const double *imaginary, double factor)
+/* Write each band's specific loudness in sone per Bark, without masking between bands. */
+SIMD_CLONES_NARROW static void specific_loudness(const double *restrict scale,
+                                                 const double *restrict excitation, size_t bands,
+                                                 double *restrict cores)
 {
-    double sone = 0.0, above = 0.0;
-    for (size_t band = 0; band + 1 < meter.edges.length; band++) {
-        const size_t first = (size_t)meter.edges.at[band];
-        const size_t bins = (size_t)meter.edges.at[band + 1] - first;
-        const double *weights = meter.weights.at + first;
-        const double excitation =
-            factor * (imaginary ? weigh(weights, real + first, imaginary + first, bins)
-                                : weigh_squares(weights, real + first, bins));
-        const double root = fourth_root(1.0 - THRESHOLD + THRESHOLD * excitation);
-        const double core = larger(0.0, meter.scale.at[band] * (root - 1.0));
-        const double width = meter.widths.at[band];
+    for (size_t band = 0; band < bands; band++)
+        cores[band] = larger(
+            0.0, scale[band] * (fourth_root(1.0 - THRESHOLD + THRESHOLD * excitation[band]) - 1.0));
+}
+
+static Loudness loudness_of(const Settings *s, const double *excitation)
+{
+    Loudness now = {0.0, 0.0, {0.0}};
+    double above = 0.0, cores[BANDS_MAX];
+    size_t group = 0;
+    specific_loudness(s->loudness_scale.at, excitation, s->loudness_scale.length, cores);
+    for (size_t band = 0; band < s->loudness_scale.length; band++) {
+        const double core = cores[band], width = s->loudness_widths.at[band];
         double tail = 0.0, left = 0.0;
         if (above > core) {
-            const double slope = meter.slope_a_bark / fourth_root(above);
+            const double slope = s->slope_a_bark / fourth_root(above);
             left = above * exact_exp(-slope * width);
             tail = (above - left) / slope;
         }
-        sone += larger(core * width, tail);
+        now.sone += larger(core * width, tail);
         above = larger(core, left);
+        if ((double)band >= s->loudness_groups.at[group + 1])
+            group++;
+        now.groups[group] += core * width;
     }
-    const double phon = sone >= 1.0 ? 40.0 + 10.0 * exact_log2(sone)
-                                    : 40.0 * exact_pow(sone + 5e-4, 0.35);
-    return phon - FULL_SCALE_PHON;
+    const double phon = now.sone >= 1.0 ? 40.0 + 10.0 * exact_log2(now.sone)
+                                          : 40.0 * exact_pow(now.sone + 5e-4, 0.35);
+    now.db = phon - FULL_SCALE_PHON;
+    return now;
 }
 
-double loudness_loudness_db(const Settings *s, const double *real, const double *imaginary)
+/* ------------------------------------------------------------------------------------ strength */
+
+#define DB_A_DECADE 33.219280948873624 /* dB for a factor of 10 in sone, which is 10 dB for a factor of 2 */
+#define STILL 1e-30 /* smaller values are set to 0, because arithmetic with denormal numbers is slow */
+
+void strength_reset(const Settings *s, Strength *strength)
 {
-    const Meter meter = {s->loudness_weights, s->loudness_edges, s->loudness_scale,
-                         s->loudness_widths, s->slope_a_bark};
-    return measure(meter, real, imaginary, 1.0);
+    strength->programme = s->programme_start;
+    strength->sound_ticks = 0.0;
+    strength_rest(s, strength);
 }
 
-static double onset_loudness_db(const Settings *s, const double *power, double total, double level)
+void strength_rest(const Settings *s, Strength *strength)
 {
-    const Meter meter = {s->onset_loudness_weights, s->onset_loudness_edges,
-                         s->onset_loudness_scale, s->onset_loudness_widths, s->slope_a_bark};
-    const double factor = level * level / larger(TINY, total);
-    return measure(meter, power, NULL, factor) - s->onset_under;
+    const double programme = strength->programme, sound_ticks = strength->sound_ticks;
+    memset(strength, 0, sizeof *strength);
+    strength->programme = programme;
+    strength->sound_ticks = sound_ticks;
+    strength->floor = strength->loud = strength->steady = strength->slow = s->floor_min;
+    strength->speech_left = 1.0;
+    strength->usual = s->silence_db;
+    for (size_t group = 0; group < GROUPS_OF_BANDS_MAX; group++) {
+        strength->usual_of[group] = s->silence_db;
+        strength->deviation[group] = s->deviation_start;
+    }
 }
 
-static double within(double number, double low, double high)
+/* Return how far the noise gate is open, 0 to 1. */
+static double open_gate(const Settings *s, const Strength *strength)
 {
-    return larger(low, smaller(high, number));
-}
-
-/* How far the soft gate is open, 0 to 1. */
-static double open_gate(const Settings *s, const Loudness *follower, double loudness_db)
-{
-    const double under = smaller(*follower->floor, *follower->programme - s->floor_under);
-    const double over = smaller(1.0, (loudness_db - larger(s->floor_min, under)) / s->gate);
+    const double under = smaller(strength->floor, strength->programme - s->floor_under);
+    const double over = smaller(1.0, (strength->steady - larger(s->floor_min, under)) / s->gate);
     return over >= s->gate_margin ? over * over * (3.0 - 2.0 * over) : 0.0;
 }
 
-/* Return the strength of a hop by its level above the programme and the gain that lowers it, in dB. */
-static double felt(const Settings *s, double above, double turned_down)
+/* Move the programme level towards strength->loud. At the start of a stream, it falls faster. */
+static void move_programme(const Settings *s, Strength *strength, double gate)
 {
-    return exact_amplitude(s->target + s->slope * above + turned_down);
+    const double above = strength->loud - strength->programme;
+    const double missing = clip(above, -s->far, s->far);
+    double move = clip(above, -1.0, 1.0) * s->programme_step +
+                  missing * (missing > 0.0 ? s->programme_rise : s->programme_fall);
+    if (strength->sound_ticks < s->start_ticks) {
+        strength->sound_ticks += 1.0;
+        move += clip(above + s->start_near, -s->far, 0.0) / (s->start_weight + strength->sound_ticks);
+    }
+    strength->programme = clip(strength->programme + gate * move, s->programme_min, s->programme_top);
 }
 
-/* How far the programme's level goes after a jump that only a volume control makes: to a level that
- * is far away for long, until it is near. Above, only hops count that are far above themselves. */
-static double jump(const Settings *s, Loudness *follower, double above, double now_above)
+/* Average the loudness of each group over time. Write each average plus group_sone as a level: 0 dB at 1 sone,
+ * 10 dB more for each factor of 2. */
+SIMD_CLONES_NARROW static void smooth_groups(const Settings *s, double *restrict smooth,
+                                             const double *restrict sone, double *restrict level)
 {
-    double *far_hops = follower->far_hops;
-    const int up = *far_hops > s->jump_up_hops, down = -*far_hops > s->jump_down_hops;
-    if (above > (up ? s->near : s->jump))
-        *far_hops = smaller(s->jump_up_hops, larger(0.0, *far_hops)) +
-                    (now_above > s->near ? 1.0 : 0.0);
-    else if (above < -(down ? s->near : s->jump))
-        *far_hops = larger(-s->jump_down_hops, smaller(0.0, *far_hops)) - 1.0;
-    else
-        *far_hops = 0.0;
-    if (*far_hops > s->jump_up_hops)
-        return s->jump_up_step;
-    return -*far_hops > s->jump_down_hops ? -s->jump_down_step : 0.0;
+    for (size_t group = 0; group < GROUPS_OF_BANDS_MAX; group++) {
+        const double now = smooth[group] + s->group_smooth * (sone[group] - smooth[group]);
+        smooth[group] = now < STILL ? 0.0 : now;
+        level[group] = DB_A_DECADE * LOG10_E * log_of_normal(smooth[group] + s->group_sone);
+    }
 }
 
-/* Loudness that follows clear changes at once and jitter hardly. */
-static double steadied(const Settings *s, const Loudness *follower, double loudness_db)
+/* Update all groups of bands; return the largest boost, in dB, that follows from the rise of a single group.
+ * The function `boost` then subtracts the rise of the total loudness. */
+static double wanted_rise(const Settings *s, Strength *strength, const Loudness *loudness)
 {
-    const double change = loudness_db - *follower->steady;
-    const double small = within(change, -s->jitter, s->jitter);
-    return *follower->steady += (change - small) + s->jitter_followed * small;
+    double wanted = 0.0, level[GROUPS_OF_BANDS_MAX];
+    smooth_groups(s, strength->smooth, loudness->groups, level);
+    for (size_t group = 0; group + 1 < s->loudness_groups.length; group++) {
+        double *deviation = &strength->deviation[group];
+        const double rise = level[group] - strength->usual_of[group];
+        const double over = rise - s->boost_deviations * *deviation;
+        if (over > 0.0) {
+            const double share = loudness->groups[group] / (loudness->sone + s->nothing);
+            const double counts = clip((share - s->boost_share_from) / s->boost_share_width, 0.0, 1.0);
+            wanted = larger(wanted, smaller(s->boost_max, s->boost_slope * counts * over));
+        }
+        *deviation += s->group_deviates * (smaller(s->deviation_max, fabs(rise)) - *deviation);
+        if (*deviation < STILL)
+            *deviation = 0.0;
+        strength->usual_of[group] += rise * (rise > 0.0 ? s->group_up : s->group_down);
+    }
+    return wanted;
 }
 
-double loudness_strength(const Settings *s, Loudness *follower, double measured_db)
+/* Update the boost. A rise in a few bands that hardly changes the total loudness raises the boost at once. */
+static void boost(const Settings *s, Strength *strength, double wanted)
 {
-    const double loudness_db = steadied(s, follower, measured_db);
-    const double floor = smaller(*follower->floor + s->floor_rise, loudness_db);
-    *follower->floor = larger(s->floor_min, floor);
-    const double loud = larger(*follower->loud - s->release, loudness_db);
-    *follower->loud = larger(s->floor_min, loud);
-    const double programme = *follower->programme;
-    const double gate = open_gate(s, follower, loudness_db);
+    const double above = strength->steady - strength->usual;
+    const double natural = s->slope * above;
+    const double extra = larger(0.0, wanted - larger(0.0, natural) - s->boost_natural);
+    strength->usual += above * (above > 0.0 ? s->group_up : s->group_down);
+    if (extra >= strength->boost) {
+        strength->boost = extra;
+        strength->held_ticks = s->boost_hold_ticks;
+        return;
+    }
+    strength->held_ticks = larger(0.0, strength->held_ticks - 1.0);
+    if (strength->held_ticks == 0.0)
+        strength->boost = larger(extra, strength->boost - s->boost_fall);
+}
+
+double strength_of_tick(const Settings *s, BandPowers *powers, Strength *strength, const double *samples,
+                        const double *short_power)
+{
+    double excitation[BANDS_MAX];
+    band_powers_update(s, powers, samples, short_power, excitation);
+    const Loudness loudness = loudness_of(s, excitation);
+    const double change = loudness.db - strength->steady;
+    if (change > s->jump)
+        strength->attack_ticks = s->attack_ticks;
+    const double jitter = strength->attack_ticks > 0.0 ? 0.0 : s->jitter;
+    const double small = clip(change, -jitter, jitter);
+    strength->attack_ticks = larger(0.0, strength->attack_ticks - 1.0);
+    strength->steady += (change - small) + s->jitter_followed * small;
+    strength->slow += s->slow_followed * (strength->steady - strength->slow);
+    strength->floor = larger(s->floor_min, smaller(strength->floor + s->floor_rise, strength->steady));
+    strength->loud = larger(larger(s->floor_min, strength->loud - s->release), strength->slow);
+    const double gate = open_gate(s, strength);
+    if (gate > 0.0)
+        move_programme(s, strength, gate);
+    boost(s, strength, wanted_rise(s, strength, &loudness));
     if (!(gate > 0.0))
         return 0.0;
-    const double above = *follower->loud - programme;
-    const double missing = within(above, -s->far, s->far);
-    const double faster = missing * (missing > 0.0 ? s->programme_rise : s->programme_fall);
-    const double towards = within(above, -1.0, 1.0);
-    const double moved = programme + gate * (towards * s->programme_step + faster);
-    *follower->programme = within(moved + jump(s, follower, above, loudness_db - programme), s->programme_min, s->programme_top);
-    return gate * felt(s, above, loudness_db - *follower->loud);
-}
-
-double loudness_onset_strength(const Settings *s, const Loudness *follower, const double *power,
-                               double level)
-{
-    if (!(level > 0.0))
-        return 0.0;
-    double total = 0.0;
-    for (size_t bin = 0; bin < s->short_bins; bin++)
-        total += power[bin];
-    const double loudness_db = onset_loudness_db(s, power, total, level);
-    const double squares = weigh_squares(s->onset_felt_squares.at, power, s->short_bins);
-    const double sensitivity = sqrt(squares / larger(TINY, total));
-    const double loud = larger(*follower->loud, loudness_db);
-    const double strength = felt(s, loud - *follower->programme, loudness_db - loud);
-    const double wanted = open_gate(s, follower, loudness_db) * strength / sensitivity;
-    return smaller(s->gain_max * level, wanted);
-}
-
-double loudness_gain(const Settings *s, Loudness *follower, double strength, const double *hz,
-                     const double *amplitude, size_t count)
-{
-    double power = 0.0;
-    for (size_t one = 0; one < count; one++) {
-        const double weighted = amplitude[one] * table_at(s->felt_weights, s->gain_step_hz, hz[one]);
-        power += weighted * weighted;
-    }
-    *follower->gain = smaller(s->gain_max, strength / sqrt(power));
-    return *follower->gain;
-}
-
-double loudness_concentrate(const Settings *s, const double *hz, double *amplitude, size_t count,
-                            double total)
-{
-    const double over = total / s->ceiling - 1.0;
-    if (!(over > 0.0))
-        return total;
-    const double exponent = smaller(s->concentrated, s->concentrated * over);
-    double before = 0.0, after = 0.0;
-    for (size_t one = 0; one < count; one++) {
-        const double felt = table_at(s->felt_weights, s->gain_step_hz, hz[one]);
-        const double old = amplitude[one] * felt;
-        before += old * old;
-        amplitude[one] *= exact_pow(felt, exponent);
-        after += amplitude[one] * felt * (amplitude[one] * felt);
-    }
-    const double factor = sqrt(before / after);
-    total = 0.0;
-    for (size_t one = 0; one < count; one++)
-        total += amplitude[one] *= factor;
-    return total;
-}
-
-int loudness_is_possible(const Settings *s, const Loudness *follower)
-{
-    return *follower->programme >= s->programme_min && *follower->programme <= s->programme_top &&
-           isfinite(*follower->steady) && *follower->floor >= s->floor_min && *follower->loud >= s->floor_min &&
-           *follower->far_hops <= s->jump_up_hops + 1.0 &&
-           -*follower->far_hops <= s->jump_down_hops + 1.0 && *follower->gain >= 0.0 && *follower->gain <= larger(1.0, s->gain_max);
+    const double level = s->target + s->slope * (strength->steady - strength->programme);
+    return gate * strength->speech_left * exact_amplitude(level + strength->boost * strength->speech_left);
 }

@@ -1,50 +1,61 @@
-/* The loudness follower of one voice: a loudness each hop in, the strength of its vibration out. */
+/* Loudness by ISO 532-1, and the vibration strength that follows from it. */
 
-#ifndef CUSHION_LOUDNESS_H
-#define CUSHION_LOUDNESS_H
+#pragma once
 
 #include "settings.h"
 
-/* State, in dB of loudness. But gain is the factor on the last amplitudes. far_hops counts the hops
- * with loudness far above the programme; negative: far below. */
+#define GROUPS_OF_BANDS_MAX 8 /* largest number of groups of loudness bands */
+
+/* Return whether the vibration strength follows loudness. */
+INLINED int loudness_is_on(const Settings *s) { return s->loudness_scale.length != 0; }
+
+#define BANDS_MAX 20  /* largest number of loudness bands */
+#define LOW_MAX 8     /* largest number of low bands, which have filters of their own */
+#define LOW_NUMBERS 3 /* numbers in a row of low_poles */
+#define SMOOTH_STATES 6 /* states of the low-pass before decimation */
+#define SMOOTH_ROW 8    /* numbers in a row of low_smooth */
+#define CHAIN 4       /* all-passes in each of the two chains that form an analytic signal */
+
+/* Filter states of one channel. All members are doubles. */
 typedef struct {
-    double *programme, *floor, *loud, *steady, *gain, *far_hops;
-} Loudness;
+    double smooth[SMOOTH_STATES];               /* low-pass before decimation */
+    double chains[2][CHAIN][2];                 /* all-passes */
+    double before;                              /* last sample at the low rate */
+    double real[2][LOW_MAX], imaginary[2][LOW_MAX]; /* outputs of both one-pole filters of each low band */
+} LowBands;
 
-/* Numbers in it. */
-#define FOLLOWER_NUMBERS 6
+typedef struct {
+    LowBands low;
+    double *recent; /* excitation of the high bands: average_ticks - 1 rows, the oldest tick first */
+} BandPowers;
 
-/* Whether loudness is followed at all. */
-int loudness_is_on(const Settings *settings);
+void band_powers_reset(const Settings *s, BandPowers *powers);
 
-/* Return to what is taken for granted before a stream. */
-void loudness_reset(const Settings *settings, Loudness *follower);
+/* State of one channel's strength. All members are doubles. Levels are loudness levels in phon, minus
+ * FULL_SCALE_PHON of loudness.c. Levels of groups: 0 dB at 1 sone, 10 dB more for each factor of 2. */
+typedef struct {
+    double programme; /* level that follows `loud` very slowly */
+    double sound_ticks; /* ticks with open noise gate since the stream's start, up to start_ticks */
+    double floor;     /* level of the background noise */
+    double loud;      /* `slow` with a limited rate of fall */
+    double steady;    /* loudness level with less jitter */
+    double attack_ticks; /* remaining ticks in which jitter is not reduced */
+    double slow;      /* average of `steady`; time constant: 30 ms */
+    double usual;     /* slow average of `steady`; reference for rises */
+    double boost, held_ticks; /* boost after a rise, in dB; remaining ticks of its hold time */
+    double speech_left;       /* factor by which speech suppression lowers the strength */
+    double smooth[GROUPS_OF_BANDS_MAX];    /* loudness of each group of bands in sone, averaged */
+    double usual_of[GROUPS_OF_BANDS_MAX];  /* slow average of each group's level; a rise is relative to it */
+    double deviation[GROUPS_OF_BANDS_MAX]; /* mean of |group's level - usual_of|, in dB */
+} Strength;
 
-/* Take note of a hop without any sound. */
-void loudness_rest(const Settings *settings, Loudness *follower);
+void strength_reset(const Settings *s, Strength *strength);
 
-/* The loudness in dB of a spectrum of `bins`. */
-double loudness_loudness_db(const Settings *settings, const double *real, const double *imaginary);
+/* Reset after a long silence; keep programme and sound_ticks. */
+void strength_rest(const Settings *s, Strength *strength);
 
-/* Return how strong the next hop vibrates, the root of its partials' sum of squares; 0 where the
- * gate is closed. */
-double loudness_strength(const Settings *settings, Loudness *follower, double measured_db);
-
-/* How strong an onset of this level vibrates. power: of the short window's bins. */
-double loudness_onset_strength(const Settings *settings, const Loudness *follower,
-                               const double *power, double level);
-
-/* Return, and keep, the factor that gives the amplitudes of a hop, 1 or more, their strength. hz: of
- * vibration. */
-double loudness_gain(const Settings *settings, Loudness *follower, double strength,
-                     const double *hz, const double *amplitude, size_t count);
-
-/* Move amplitudes to where a body feels them best, at the same strength, where their sum `total` is
- * over the ceiling; the more, the more it is over. Return their sum. */
-double loudness_concentrate(const Settings *settings, const double *hz, double *amplitude,
-                            size_t count, double total);
-
-/* Whether the numbers are such as a follower can have. */
-int loudness_is_possible(const Settings *settings, const Loudness *follower);
-
-#endif
+/* Process one tick. Return the vibration's target strength, the square root of its perceived power; 0 if the
+ * noise gate is closed. samples: tick_frames frames of band-passed sound. short_power: powers of the onset
+ * window's bins. */
+double strength_of_tick(const Settings *s, BandPowers *powers, Strength *strength,
+                        const double *samples, const double *short_power);

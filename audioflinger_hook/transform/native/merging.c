@@ -1,7 +1,6 @@
-/* Partials that a body cannot tell apart become one. */
+/* Merges partials whose vibration frequencies are too close. */
 
-#include "merging.h"
-
+#include "tracking.h"
 #include "scaling.h"
 
 static double group_hz(const PartialGroup *group) { return group->weighted_hz / group->power; }
@@ -13,7 +12,8 @@ static void add(PartialGroup *group, PartialGroup other)
     group->strongest = larger(other.strongest, group->strongest);
 }
 
-/* Add each partial to the nearest centre, or to one of its own; return the number of centres. */
+/* Add each partial to the group with the nearest centre. If that centre is farther than merging_hz, start a
+ * new group instead. Return the number of centres. */
 static size_t gather(const Settings *s, Merging *merging, size_t centres, Partials partials)
 {
     memset(merging->gathered, 0, (centres + partials.count) * sizeof(PartialGroup));
@@ -37,7 +37,7 @@ static size_t gather(const Settings *s, Merging *merging, size_t centres, Partia
     return centres;
 }
 
-/* Leave out groups without power and sort the rest by frequency; return how many there are. */
+/* Remove groups without power, and sort the others by frequency; return their number. */
 static size_t sort(PartialGroup *groups, size_t count)
 {
     size_t kept = 0;
@@ -53,7 +53,8 @@ static size_t sort(PartialGroup *groups, size_t count)
     return kept;
 }
 
-/* Join the closest two groups until none are close; return how many are left. */
+/* Merge the two closest groups while their gap is below merge_again times merging_hz; return the number of
+ * remaining groups. */
 static size_t join(const Settings *s, PartialGroup *groups, size_t count)
 {
     while (count > 1) {
@@ -83,10 +84,10 @@ Partials merging_merge(const Settings *s, Merging *merging, size_t sounding, Par
     const size_t centres = gather(s, merging, sounding, partials);
     const size_t count = join(s, groups, sort(groups, centres));
     for (size_t one = 0; one < count; one++) {
-        merging->hz[one] = group_hz(&groups[one]);
-        merging->audio_hz[one] = heard_hz(s, merging->hz[one]);
-        merging->amplitude[one] = sqrt(groups[one].power);
-        merging->dominance[one] = groups[one].strongest / groups[one].power;
+        merging->merged.hz[one] = group_hz(&groups[one]);
+        merging->merged.audio_hz[one] = audio_hz(s, merging->merged.hz[one]);
+        merging->merged.amplitude[one] = sqrt(groups[one].power);
+        merging->merged.dominance[one] = groups[one].strongest / groups[one].power;
     }
-    return (Partials){merging->audio_hz, merging->hz, merging->amplitude, count};
+    return (Partials){merging->merged.audio_hz, merging->merged.hz, merging->merged.amplitude, count};
 }

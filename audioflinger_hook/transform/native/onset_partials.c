@@ -1,157 +1,124 @@
-/* Onset partials: they are born of an onset and play until the analysis knows what has begun. */
+/* Partials that start at an onset and play until they are handed over to the tracker at the end of a hop. */
 
-#include "onset_partials.h"
-
-#include "common.h"
+#include "loudness.h"
 #include "scaling.h"
 #include "synthesis.h"
+#include "tracking.h"
 
-int onset_partials_sounds(const Settings *settings, const OnsetPartial *fresh)
+int onset_partials_sounds(const Settings *s, const OnsetPartial *partials)
 {
-    for (size_t slot = 0; slot < settings->fresh_max; slot++)
-        if (fresh[slot].sounds != 0.0)
+    for (size_t slot = 0; slot < s->onset_partials_max; slot++)
+        if (partials[slot].sounds != 0.0)
             return 1;
     return 0;
 }
 
-static Group group_of(const OnsetPartial *one)
+static OnsetTone estimate(const Settings *s, OnsetSources sources, Group group)
 {
-    const Group group = {(size_t)one->first_band, (size_t)one->last_band};
-    return group;
-}
-
-/* Frequency, weight and amplitude of an onset. */
-typedef struct {
-    double hz, weight, amplitude;
-} Estimate;
-
-static Estimate estimate(const Settings *s, OnsetSources sources, Group group)
-{
-    const OnsetTone told = onsets_estimate(s, sources.onsets, group);
-    const double level = onsets_level(sources.onsets);
-    double amplitude = told.weight * level;
+    OnsetTone tone = onsets_estimate(s, sources.onsets, group);
     if (loudness_is_on(s))
-        amplitude = told.weight *
-                    loudness_onset_strength(s, sources.follower, sources.onsets->power, level);
+        tone.amplitude *= tilt(s, tone.hz);
     if (s->speech_db > 0.0)
-        amplitude *= speech_coarse_gain(s, sources.speech, heard_hz(s, told.hz));
-    return (Estimate){told.hz, told.weight, amplitude * smoothing_gain(s, told.hz)};
+        tone.amplitude *= speech_coarse_gain(s, sources.speech, audio_hz(s, tone.hz));
+    tone.amplitude *= smoothing_gain(s, tone.hz);
+    return tone;
 }
 
-/* What all sums of amplitudes leave under the ceiling. */
-static double room(const Settings *settings, const OnsetPartial *fresh, const Slots *slots)
+/* Return the sum of goal amplitudes of onset partials within reach_hz of a frequency. */
+static double goals_near(const Settings *s, const OnsetPartial *partials, double hz, double reach_hz)
 {
-    double taken = 0.0;
-    for (size_t slot = 0; slot < settings->fresh_max; slot++)
-        taken += fresh[slot].sounds != 0.0 ? fresh[slot].goal : 0.0;
-    return larger(0.0, settings->ceiling - (tracking_loudest_sum(settings, slots) + taken));
+    double goals = 0.0;
+    for (size_t slot = 0; slot < s->onset_partials_max; slot++)
+        if (partials[slot].sounds != 0.0 && fabs(partials[slot].hz - hz) < reach_hz)
+            goals += partials[slot].goal;
+    return goals;
 }
 
-static double sounding_near(const Settings *settings, const OnsetPartial *fresh, double hz)
+/* Return the amplitude that is left under the ceiling. If the strength follows loudness, the oscillators
+ * enforce the ceiling, and the result is infinite. */
+static double room(const Settings *s, const OnsetPartial *partials, const Slots *slots)
 {
-    const double near_hz = tracking_near_hz(settings, hz);
-    double base = 0.0;
-    for (size_t slot = 0; slot < settings->fresh_max; slot++)
-        if (fresh[slot].sounds != 0.0 && fabs(fresh[slot].hz - hz) < near_hz)
-            base += fresh[slot].goal;
-    return base;
+    if (loudness_is_on(s))
+        return INFINITY;
+    const double goals = goals_near(s, partials, 0.0, INFINITY);
+    return larger(0.0, s->ceiling - (tracking_loudest_sum(s, slots) + goals));
 }
 
-/* Return the first slot of a young one, or the count where there is none. */
-static size_t young_one(const Settings *s, const OnsetPartial *fresh, const int *young)
-{
-    size_t slot = 0;
-    while (slot < s->fresh_max && !(fresh[slot].sounds != 0.0 && young[slot]))
-        slot++;
-    return slot;
-}
-
-static size_t free_one(const Settings *s, const OnsetPartial *fresh)
-{
-    size_t slot = 0;
-    while (slot < s->fresh_max && fresh[slot].sounds != 0.0)
-        slot++;
-    return slot;
-}
-
-void onset_partials_bear(const Settings *s, OnsetPartial *fresh, OnsetSources sources,
+void onset_partials_start(const Settings *s, OnsetPartial *partials, OnsetSources sources,
                          const Slots *slots, size_t ticks_left)
 {
     Group groups[FRESH_MAX];
     int young[FRESH_MAX];
     const size_t count = onsets_groups(s, sources.onsets, groups);
-    for (size_t slot = 0; slot < s->fresh_max; slot++) {
-        young[slot] = fresh[slot].sounds != 0.0 && fresh[slot].age < (double)s->heard_ticks;
+    for (size_t slot = 0; slot < s->onset_partials_max; slot++) {
+        young[slot] = partials[slot].sounds != 0.0 && partials[slot].age < (double)s->heard_ticks;
         if (young[slot])
-            fresh[slot].goal = 0.0;
+            partials[slot].goal = 0.0;
     }
     for (size_t which = 0; which < count; which++) {
-        const Estimate found = estimate(s, sources, groups[which]);
+        const OnsetTone found = estimate(s, sources, groups[which]);
         const double base = tracking_sounding_near(s, slots, found.hz) +
-                            sounding_near(s, fresh, found.hz);
-        const double lacking = smaller(found.amplitude - base, room(s, fresh, slots));
-        if (!(lacking > s->worth * found.amplitude))
+                            goals_near(s, partials, found.hz, tracking_near_hz(s, found.hz));
+        const double lacking = smaller(found.amplitude - base, room(s, partials, slots));
+        if (!(lacking > s->min_gain_share * found.amplitude))
             continue;
-        size_t slot = young_one(s, fresh, young);
-        if (slot < s->fresh_max) {
+        size_t slot = 0;
+        while (slot < s->onset_partials_max && !young[slot])
+            slot++;
+        if (slot < s->onset_partials_max) {
             young[slot] = 0;
-            fresh[slot].age = 1.0;
+            partials[slot].age = 1.0;
         } else {
-            slot = free_one(s, fresh);
-            if (slot == s->fresh_max)
+            for (slot = 0; slot < s->onset_partials_max && partials[slot].sounds != 0.0;)
+                slot++;
+            if (slot == s->onset_partials_max)
                 break;
-            fresh[slot] = (OnsetPartial){.sounds = 1.0, .hz = found.hz, .phase = s->birth_phase};
-            fresh[slot].joins = tracking_join(s, slots, (double)ticks_left * s->tick_s,
-                                              &fresh[slot].hz, &fresh[slot].phase);
+            partials[slot] = (OnsetPartial){.sounds = 1.0, .hz = found.hz, .phase = s->start_phase};
+            partials[slot].joins = tracking_join(s, slots, (double)ticks_left * s->tick_s,
+                                              &partials[slot].hz, &partials[slot].phase);
         }
-        fresh[slot].first_band = (double)groups[which].first;
-        fresh[slot].last_band = (double)groups[which].last;
-        fresh[slot].base = base;
-        fresh[slot].weight = found.weight;
-        fresh[slot].goal = lacking;
+        partials[slot].bands = groups[which];
+        partials[slot].base = base;
+        partials[slot].weight = found.weight;
+        partials[slot].goal = lacking;
     }
-    for (size_t slot = 0; slot < s->fresh_max; slot++)
+    for (size_t slot = 0; slot < s->onset_partials_max; slot++)
         if (young[slot])
-            fresh[slot].age = (double)s->heard_ticks;
+            partials[slot].age = (double)s->heard_ticks;
 }
 
-/* Let a partial's goal follow what has been measured of its onset; return its new frequency. */
-static double follow(const Settings *s, OnsetPartial *fresh, OnsetPartial *one, OnsetSources sources,
+/* Update a partial's goal and weight from the latest estimate; return the partial's new frequency in Hz. */
+static double follow(const Settings *s, OnsetPartial *partials, OnsetPartial *one, OnsetSources sources,
                      const Slots *slots)
 {
     const int is_young = one->age > 0.0 && one->age < (double)s->heard_ticks;
     if (!is_young || !onsets_are_measured(s, sources.onsets))
         return one->hz;
-    const Estimate found = estimate(s, sources, group_of(one));
-    /* Of a sound that is there already rounding leaves nothing, or next to nothing. */
+    const OnsetTone found = estimate(s, sources, one->bands);
+    /* If other partials already have nearly this amplitude, the small difference may be a rounding error. */
     const double lacking = found.amplitude - one->base;
-    const int little = lacking < s->worth_holding * found.amplitude || lacking < 0.0;
+    const int little = lacking < s->min_held_share * found.amplitude || lacking < 0.0;
     const double wanted = little ? 0.0 : lacking;
     one->weight = found.weight;
-    one->goal += smaller(wanted - one->goal, room(s, fresh, slots));
+    one->goal += smaller(wanted - one->goal, room(s, partials, slots));
     return one->joins == 0.0 ? found.hz : one->hz;
 }
 
-void onset_partials_play(const Settings *s, OnsetPartial *fresh, OnsetSources sources, const Slots *slots,
+void onset_partials_play(const Settings *s, OnsetPartial *partials, OnsetSources sources, const Slots *slots,
                 Glides *glides)
 {
-    for (size_t slot = 0; slot < s->fresh_max; slot++)
-        if (fresh[slot].sounds != 0.0)
-            glides->end_hz[slot] = follow(s, fresh, &fresh[slot], sources, slots);
-    const double left = room(s, fresh, slots);
-    for (size_t slot = 0; slot < s->fresh_max; slot++) {
-        OnsetPartial *one = &fresh[slot];
+    for (size_t slot = 0; slot < s->onset_partials_max; slot++)
+        if (partials[slot].sounds != 0.0)
+            glides->end_hz[slot] = follow(s, partials, &partials[slot], sources, slots);
+    for (size_t slot = 0; slot < s->onset_partials_max; slot++) {
+        OnsetPartial *one = &partials[slot];
         if (one->sounds == 0.0) {
             glides->start_amplitude[slot] = glides->end_amplitude[slot] = 0.0;
             continue;
         }
         const double hz = glides->end_hz[slot];
         const size_t share = (size_t)smaller(one->age, (double)(s->rise_shares.length - 1));
-        double goal = one->goal * s->rise_shares.at[share];
-        const double emphasis = s->emphasis.at[(size_t)smaller(one->age, (double)(s->emphasis.length - 1))];
-        if (emphasis > 1.0 && goal > 0.0)
-            /* All of an onset by the same factor. */
-            goal *= smaller(emphasis, s->ceiling / (s->ceiling - left));
+        const double goal = one->goal * s->rise_shares.at[share];
         glides->start_hz[slot] = one->hz;
         glides->start_amplitude[slot] = one->amplitude;
         glides->end_amplitude[slot] = goal;
@@ -166,14 +133,14 @@ void onset_partials_play(const Settings *s, OnsetPartial *fresh, OnsetSources so
     }
 }
 
-void onset_partials_hand_over(const Settings *s, OnsetPartial *fresh, const Onsets *onsets, Slots *slots)
+void onset_partials_hand_over(const Settings *s, OnsetPartial *partials, const Onsets *onsets, Slots *slots)
 {
-    for (size_t slot = 0; slot < s->fresh_max; slot++) {
-        OnsetPartial *one = &fresh[slot];
+    for (size_t slot = 0; slot < s->onset_partials_max; slot++) {
+        OnsetPartial *one = &partials[slot];
         if (one->sounds == 0.0 || one->age < (double)s->heard_ticks)
             continue;
-        const Held held = {one->goal + one->base, one->weight,
-                           onsets_loudness(s, onsets, group_of(one)), group_of(one)};
+        const double power = onsets_power(s, onsets, one->bands);
+        const Held held = {one->goal + one->base, one->weight, power, one->bands, 0.0};
         tracking_adopt(s, slots, one->hz, one->phase, one->amplitude, held);
         memset(one, 0, sizeof *one);
     }

@@ -1,52 +1,34 @@
-/* Onsets, found with a short window in every tick; docs/transform.md has the rules. */
+/* Finds onsets with a short window in every tick; docs/transform.md has the rules. */
 
 #include "onsets.h"
+#include "loudness.h"
 
-#include "common.h"
+static size_t edge(const Settings *s, size_t band) { return (size_t)s->band_edges.at[band]; }
 
-size_t onsets_bands(const Settings *settings) { return settings->band_edges.length - 1; }
-
-static size_t edge(const Settings *settings, size_t band)
+size_t onsets_work(const Settings *s, const Fft *fft)
 {
-    return (size_t)settings->band_edges.at[band];
+    return fft->frames + 3 * s->short_bins + fft_work(fft) + onsets_bands(s);
 }
 
-size_t onsets_work(const Settings *settings, const Fft *fft)
+void onsets_reset(const Settings *s, Onsets *onsets)
 {
-    return fft->frames + 2 * settings->short_bins + settings->short_bins + fft_work(fft) +
-           onsets_bands(settings);
-}
-
-void onsets_reset(const Settings *settings, const Onsets *onsets)
-{
-    const size_t bands = onsets_bands(settings);
-    memset(onsets->peaks, 0, settings->short_ticks * sizeof(double));
-    memset(onsets->past, 0, settings->back_ticks * bands * sizeof(double));
+    const size_t bands = onsets_bands(s);
+    memset(onsets->peaks, 0, s->short_ticks * sizeof(double));
+    memset(onsets->past, 0, s->back_ticks * bands * sizeof(double));
     memset(onsets->highest, 0, bands * sizeof(double));
-    memset(onsets->power, 0, settings->short_bins * sizeof(double));
+    memset(onsets->power, 0, s->short_bins * sizeof(double));
     memset(onsets->rising, 0, bands * sizeof(double));
-    *onsets->since = (double)settings->rest_ticks;
-    *onsets->newest = *onsets->peak = 0.0;
+    onsets->since = (double)s->rest_ticks;
+    onsets->newest = onsets->peak = 0.0;
 }
 
-/* ------------------------------------------------------------------------------------- one tick */
-
-/* Return the largest magnitude in the window, or more, and make room for the next tick's. */
+/* Return an upper bound on |sample| in the onset window, and shift `peaks` by one tick. */
 static double loudest_of(const Settings *s, const Onsets *onsets)
 {
-    double loudest = 0.0;
-    for (size_t tick = 0; tick < s->short_ticks; tick++)
-        loudest = larger(onsets->peaks[tick], loudest);
+    const double loudest = maximum(onsets->peaks, s->short_ticks);
     memmove(onsets->peaks, onsets->peaks + 1, (s->short_ticks - 1) * sizeof(double));
     onsets->peaks[s->short_ticks - 1] = 0.0;
     return loudest;
-}
-
-SIMD_CLONES static void apply_window(const double *restrict samples, const double *restrict window,
-                          size_t count, double *restrict out)
-{
-    for (size_t one = 0; one < count; one++)
-        out[one] = samples[one] * window[one];
 }
 
 SIMD_CLONES static void powers(const double *restrict real, const double *restrict imaginary, double scale,
@@ -56,16 +38,8 @@ SIMD_CLONES static void powers(const double *restrict real, const double *restri
         power[bin] = (real[bin] * real[bin] + imaginary[bin] * imaginary[bin]) * scale;
 }
 
-static double sum(const double *values, size_t count)
-{
-    double total = 0.0;
-    for (size_t one = 0; one < count; one++)
-        total += values[one];
-    return total;
-}
-
-/* Write the powers of bins and bands; what stays under the quietest onset is taken for silence. */
-static void see(const Settings *s, const Fft *fft, double loudest, const double *samples,
+/* Write the powers of bins and bands. All powers are 0 if the square of `loudest` is below `quietest`. */
+static void power_of_bands(const Settings *s, const Fft *fft, double loudest, const double *samples,
                 double *power, double *bands, double *work)
 {
     const size_t count = onsets_bands(s);
@@ -102,8 +76,8 @@ static void remember(const Settings *s, const Onsets *onsets, const double *band
     memcpy(onsets->past + older, bands, count * sizeof(double));
 }
 
-/* Note which bands rise; return whether that is an onset. */
-static int rises(const Settings *s, const Onsets *onsets, const double *bands, double *rising)
+/* Set rising[band] to 1 for each band that rises, and to 0 for others; return whether this is an onset. */
+static int detect(const Settings *s, const Onsets *onsets, const double *bands, double *rising)
 {
     const size_t count = onsets_bands(s);
     const double total = sum(bands, count);
@@ -114,26 +88,25 @@ static int rises(const Settings *s, const Onsets *onsets, const double *bands, d
         rising[band] = rose;
         risen += rose ? bands[band] : 0.0;
     }
-    const size_t back = *onsets->since >= (double)s->rearmed_ticks ? 3 : 2;
+    const size_t back = onsets->since >= (double)s->rearmed_ticks ? 3 : 2;
     const double *before = onsets->past + (s->back_ticks - back) * count;
     const int armed =
-        *onsets->since >= (double)s->rest_ticks || risen > s->rearmed * sum(before, count);
+        onsets->since >= (double)s->rest_ticks || risen > s->rearmed * sum(before, count);
     return armed && risen > s->quietest && risen > s->risen_share * total;
 }
 
-int onsets_hear(const Settings *s, const Fft *fft, const Onsets *onsets, const double *samples,
-                double *work)
+int onsets_detect(const Settings *s, const Fft *fft, Onsets *onsets, const double *samples, double *work)
 {
     const size_t count = onsets_bands(s);
     double *power = work, *bands = power + s->short_bins;
     const double peak = onsets->peaks[s->short_ticks - 1];
-    see(s, fft, loudest_of(s, onsets), samples, power, bands, bands + count);
+    power_of_bands(s, fft, loudest_of(s, onsets), samples, power, bands, bands + count);
     remember(s, onsets, bands);
-    *onsets->since = smaller(*onsets->since + 1.0, (double)(s->rest_ticks + s->heard_ticks));
+    onsets->since = smaller(onsets->since + 1.0, (double)(s->rest_ticks + s->heard_ticks));
     double *rising = bands + count;
-    const int onset = rises(s, onsets, bands, rising);
+    const int onset = detect(s, onsets, bands, rising);
     if (onset) {
-        *onsets->since = *onsets->newest = *onsets->peak = 0.0;
+        onsets->since = onsets->newest = onsets->peak = 0.0;
         for (size_t band = 0; band < count; band++)
             onsets->highest[band] = larger(onsets->highest[band], bands[band]);
         memset(onsets->power, 0, s->short_bins * sizeof(double));
@@ -146,20 +119,13 @@ int onsets_hear(const Settings *s, const Fft *fft, const Onsets *onsets, const d
             onsets->power[bin] += power[bin];
         const double newest =
             larger(mean_square(tick, s->tick_frames), mean_square(half, s->newest_frames));
-        *onsets->newest = larger(newest, *onsets->newest);
-        *onsets->peak = larger(peak, *onsets->peak);
+        onsets->newest = larger(newest, onsets->newest);
+        onsets->peak = larger(peak, onsets->peak);
     }
     return onset;
 }
 
-int onsets_are_measured(const Settings *settings, const Onsets *onsets)
-{
-    return *onsets->since < (double)settings->heard_ticks;
-}
-
-/* --------------------------------------------------------------------------------- what begins */
-
-/* The power since the onset of a band that rose. */
+/* Return the sum of onsets->power over a band's bins, or 0 if the band did not rise. */
 static double risen(const Settings *s, const Onsets *onsets, size_t band)
 {
     const size_t first = edge(s, band);
@@ -176,7 +142,7 @@ size_t onsets_groups(const Settings *s, const Onsets *onsets, Group *groups)
     double total = 0.0, before = 0.0, here = risen(s, onsets, 0);
     for (size_t band = 0; band < count; band++) {
         const double after = band + 1 < count ? risen(s, onsets, band + 1) : 0.0;
-        /* A valley belongs to what is under it. */
+        /* A band at a local minimum of power belongs to the lower group. */
         const int valley = band >= 1 && band + 1 < count && s->apart_from * here < before &&
                            !(s->apart_from * after < here);
         total += here;
@@ -190,7 +156,7 @@ size_t onsets_groups(const Settings *s, const Onsets *onsets, Group *groups)
         total = 0.0;
         if (!(power > 0.0))
             continue;
-        /* The weakest makes room; of equals the upper one. */
+        /* Keep at most groups_max groups: drop the weakest; of equally weak groups, drop the upper one. */
         if (kept == most) {
             size_t weakest = 0;
             for (size_t one = 1; one < kept; one++)
@@ -210,18 +176,13 @@ size_t onsets_groups(const Settings *s, const Onsets *onsets, Group *groups)
     return kept;
 }
 
-double onsets_level(const Onsets *onsets)
-{
-    return smaller(sqrt(2.0 * *onsets->newest), *onsets->peak);
-}
-
 OnsetTone onsets_estimate(const Settings *s, const Onsets *onsets, Group group)
 {
     double weighted = 0.0, squares = 0.0, power = 0.0;
     for (size_t band = group.first; band < group.last; band++) {
         if (onsets->rising[band] == 0.0)
             continue;
-        /* The lowest band includes the bins under it. */
+        /* The lowest band includes all bins below its lower edge. */
         for (size_t bin = band ? edge(s, band) : 0; bin < edge(s, band + 1); bin++) {
             const double one = onsets->power[bin];
             weighted += one * one * s->short_hz.at[bin];
@@ -230,19 +191,18 @@ OnsetTone onsets_estimate(const Settings *s, const Onsets *onsets, Group group)
         }
     }
     const double share = smaller(1.0, power / larger(sum(onsets->power, s->short_bins), TINY));
-    const size_t told = (size_t)smaller(*onsets->since, (double)(s->heard_ticks - 1));
+    const size_t told = (size_t)smaller(onsets->since, (double)(s->heard_ticks - 1));
     double purity = smaller(1.0, squares / larger(power * power * s->one_tone.at[told], TINY));
-    /* Where loudness is followed, noise is as strong as it is loud. */
-    if (s->loudness_weights.length)
+    /* If the strength follows loudness, noise counts as much as a tone of the same power. */
+    if (loudness_is_on(s))
         purity = 1.0;
-    const double level = onsets_level(onsets), by_energy = sqrt(share * purity);
-    const double weight = s->by_energy ? by_energy : share * sqrt(share) * purity;
-    const int weak = by_energy * level < s->weakest;
-    const OnsetTone found = {weighted / larger(squares, TINY), weak ? 0.0 : weight};
-    return found;
+    const double level = onsets_level(onsets), by_power = sqrt(share * purity);
+    const double weight = s->energy_mapping ? by_power : share * sqrt(share) * purity;
+    const double left = by_power * level < s->weakest ? 0.0 : weight;
+    return (OnsetTone){weighted / larger(squares, TINY), left, left * level};
 }
 
-double onsets_loudness(const Settings *s, const Onsets *onsets, Group group)
+double onsets_power(const Settings *s, const Onsets *onsets, Group group)
 {
     const size_t count = onsets_bands(s);
     double total = 0.0;

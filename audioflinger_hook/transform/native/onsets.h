@@ -1,61 +1,62 @@
-/* Onsets: what begins, by a short window every tick. */
+/* In every tick (about 2 ms), searches a window of about 5 ms for an onset. */
 
-#ifndef CUSHION_ONSETS_H
-#define CUSHION_ONSETS_H
-
-#include <stddef.h>
+#pragma once
 
 #include "fft.h"
 #include "settings.h"
 
-/* What one voice has heard of late. All of it is state. */
+/* State of one channel's onset search. */
 typedef struct {
-    double *peaks;   /* largest magnitude of the ticks that the window touches, the last the newest */
-    double *past;    /* the bands' powers in the last back_ticks, the oldest first */
-    double *highest; /* of each band, forgotten bit by bit */
-    double *power;   /* of each bin since the last onset */
+    double *peaks;   /* largest magnitude in each tick of the onset window, the newest last */
+    double *past;    /* powers of the bands in the last back_ticks ticks, the oldest first */
+    double *highest; /* decaying maximum of each band's power, at onsets and in ticks back_ticks or more ago */
+    double *power;   /* power of each bin, summed over the first heard_ticks ticks of the last onset */
     double *rising;  /* 1 for each band that rose at the last onset, else 0 */
-    double *since;   /* ticks since then */
-    double *newest;  /* mean square of what was newest, the largest since then */
-    double *peak;    /* largest magnitude since then */
+    double since;    /* ticks since the last onset, at most rest_ticks + heard_ticks */
+    double newest;   /* largest mean square of a tick of `power`, or of its last newest_frames frames */
+    double peak;     /* largest magnitude in the ticks of `power` */
 } Onsets;
 
-/* Bands of something that begins, and past the last. */
+/* Adjacent bands of one onset, from `first` to `last` - 1. */
 typedef struct {
     size_t first, last;
 } Group;
 
-/* Vibration frequency in Hz, and what the law would leave of the level. */
+/* A new tone. hz: vibration frequency. weight: share of the onset's level. amplitude: 1 is full scale. */
 typedef struct {
-    double hz, weight;
+    double hz, weight, amplitude;
 } OnsetTone;
 
-size_t onsets_bands(const Settings *settings);
+INLINED size_t onsets_bands(const Settings *s) { return s->band_edges.length - 1; }
 
-/* Doubles of work space that `onsets_hear` needs. */
-size_t onsets_work(const Settings *settings, const Fft *fft);
+/* Return the size of the work space of `onsets_detect`, in doubles. */
+size_t onsets_work(const Settings *s, const Fft *fft);
 
-/* Return to the state of a new stream. */
-void onsets_reset(const Settings *settings, const Onsets *onsets);
+void onsets_reset(const Settings *s, Onsets *onsets);
 
-/* Take one tick and return whether there is an onset in it. samples: the last short_frames of
- * band-passed sound, of which the last tick_frames are new; the peak of those is noted already. */
-int onsets_hear(const Settings *settings, const Fft *fft, const Onsets *onsets,
-                const double *samples, double *work);
+/* Return whether the newest tick contains an onset; onsets->peaks must contain this tick. samples: the last
+ * short_frames band-passed frames. work: its first short_bins numbers receive the bin powers. */
+int onsets_detect(const Settings *s, const Fft *fft, Onsets *onsets, const double *samples, double *work);
 
-/* Whether the last onset's sound is told better by this tick than by the one before. */
-int onsets_are_measured(const Settings *settings, const Onsets *onsets);
+/* Return whether this tick still improves the estimate of the last onset. */
+INLINED int onsets_are_measured(const Settings *s, const Onsets *onsets)
+{
+    return onsets->since < (double)s->heard_ticks;
+}
 
-/* Write the bands of each thing that begins, by frequency; return how many, `groups_max` at most. */
-size_t onsets_groups(const Settings *settings, const Onsets *onsets, Group *groups);
+/* Group the bands that rose. Write up to groups_max of the strongest groups, in ascending order of frequency,
+ * and return their number. */
+size_t onsets_groups(const Settings *s, const Onsets *onsets, Group *groups);
 
-/* Amplitude of the sound that begins, as that of one tone. */
-double onsets_level(const Onsets *onsets);
+/* Return the onset's amplitude, as if the onset were one tone. */
+INLINED double onsets_level(const Onsets *onsets)
+{
+    return smaller(sqrt(2.0 * onsets->newest), onsets->peak);
+}
 
-/* Tell what begins in a group of bands; with weight 0 what is too weak to be principal. */
-OnsetTone onsets_estimate(const Settings *settings, const Onsets *onsets, Group group);
+/* Estimate the tone that starts in a group of bands. Weight and amplitude are both 0 if onsets_level times
+ * sqrt(x p) is below the setting `weakest`. docs/transform.md defines x and p. */
+OnsetTone onsets_estimate(const Settings *s, const Onsets *onsets, Group group);
 
-/* Return the power that a group of bands has had of late. */
-double onsets_loudness(const Settings *settings, const Onsets *onsets, Group group);
-
-#endif
+/* Return the sum, over a group of bands, of each band's largest power in the last back_ticks ticks. */
+double onsets_power(const Settings *s, const Onsets *onsets, Group group);

@@ -1,29 +1,25 @@
-/* Audio frequency to vibration frequency and back; mapping.py has the equations. */
+/* Converts between audio and vibration frequencies by the equations of mapping.py. */
 
-#ifndef CUSHION_SCALING_H
-#define CUSHION_SCALING_H
+#pragma once
 
-#include "common.h"
 #include "exact.h"
 #include "settings.h"
 
-/* Where in the vibration's range a frequency of sound is felt, Hz. */
-INLINED double felt_hz(const Settings *s, double audio_hz)
+INLINED double vibration_hz(const Settings *s, double audio_hz)
 {
     const double octaves = exact_log(audio_hz / s->band_low_hz);
     return s->scale_ratio != 0.0 ? s->bottom_hz * exact_exp(s->scale_ratio * octaves)
                                  : s->scale_hz * octaves + s->bottom_hz;
 }
 
-/* The frequency of sound that is felt there, Hz. */
-INLINED double heard_hz(const Settings *s, double hz)
+INLINED double audio_hz(const Settings *s, double hz)
 {
     const double octaves = s->scale_ratio != 0.0 ? exact_log(hz / s->bottom_hz) / s->scale_ratio
                                                  : (hz - s->bottom_hz) / s->scale_hz;
     return s->band_low_hz * exact_exp(octaves);
 }
 
-/* An entry of a table between its entries, which are `step` apart; its ends beyond them. */
+/* Interpolate linearly in a table; entry k belongs to k x step. Beyond the table, its end values apply. */
 INLINED double table_at(Table table, double step, double at)
 {
     const size_t last = table.length - 1;
@@ -37,4 +33,8 @@ INLINED double table_at(Table table, double step, double at)
     return slope * (at - (double)below * step) + table.at[below];
 }
 
-#endif
+/* Return the weight of amplitudes at a vibration frequency: the square root of the body's sensitivity. */
+INLINED double tilt(const Settings *s, double hz)
+{
+    return sqrt(table_at(s->felt_weights, s->gain_step_hz, hz));
+}

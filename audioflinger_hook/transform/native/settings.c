@@ -1,157 +1,163 @@
-/* Whether settings fit one another: whatever they are, nothing behind them is read or written. */
-
 #include "settings.h"
-
-#include <math.h>
-
 #include "analysis.h"
-#include "downmix.h"
+#include "filter.h"
+#include "loudness.h"
 #include "speech.h"
 
-/* Three times the longest spectrum that there is: no sum or product of such sizes overflows. */
-#define COUNT_MAX ((size_t)1 << 20)
-
-static int finite_table(Table table)
-{
-    for (size_t entry = 0; entry < table.length; entry++)
-        if (!isfinite(table.at[entry]))
-            return 0;
-    return 1;
-}
+#define COUNT_MAX ((size_t)1 << 20) /* largest allowed count; prevents overflow of sums and products */
+#define AVERAGE_MAX 64              /* largest allowed average_ticks */
 
 static int is_recursion(Table b, Table a)
 {
-    return b.length == a.length && b.length >= 2 && b.length <= ORDER_MAX + 1 && a.at[0] == 1.0;
+    return b.length == a.length && is_within(b.length, 2, ORDER_MAX + 1) && a.at[0] == 1.0;
+}
+
+static int are_sections(Table table)
+{
+    return table.length % SECTION_NUMBERS == 0 && table.length / SECTION_NUMBERS <= SECTIONS_MAX;
 }
 
 static int is_share(double number) { return number >= 0.0 && number <= 1.0; }
 
-/* Whole numbers from 1 to the count of bins, each more than the last; at least two. */
-static int are_edges(Table edges, size_t bins)
+static int are_within(Table table, double least, double most)
+{
+    for (size_t one = 0; one < table.length; one++)
+        if (!(table.at[one] >= least && table.at[one] <= most))
+            return 0;
+    return 1;
+}
+
+/* Return whether edges are strictly ascending integers from `least` to `most`. */
+static int ascend(Table edges, double least, size_t most)
 {
     for (size_t one = 0; one < edges.length; one++) {
-        const double edge = edges.at[one], least = one ? edges.at[one - 1] + 1.0 : 1.0;
-        if (!(edge >= least && edge <= (double)bins && edge == floor(edge)))
+        const double edge = edges.at[one];
+        if (!(edge >= least && edge <= (double)most && edge == floor(edge)))
             return 0;
+        least = edge + 1.0;
     }
-    return edges.length >= 2;
+    return 1;
 }
 
-/* Whether tables are those of a loudness meter for so many bins. */
-static int is_meter(Table weights, Table edges, Table scale, Table widths, size_t bins)
+/* Return whether a table consists of channel layouts, each a number of channels and two rows of weights. */
+static int are_layouts(Table table)
 {
-    if (weights.length != bins || edges.length < 2 || edges.at[0] != 0.0)
-        return 0;
-    for (size_t one = 1; one < edges.length; one++)
-        if (!(edges.at[one] > edges.at[one - 1] && edges.at[one] == floor(edges.at[one])))
+    for (size_t at = 0; at < table.length;) {
+        const double count = table.at[at], room = (double)(table.length - at - 1) / 2.0;
+        if (!(count >= 1.0 && count <= room && count == floor(count)))
             return 0;
-    return edges.at[edges.length - 1] <= (double)bins && scale.length == edges.length - 1 &&
-           widths.length == edges.length - 1;
+        at += 1 + 2 * (size_t)count;
+    }
+    return 1;
 }
 
-const char *settings_misfit(const Settings *s)
+static const char *loudness_misfit(const Settings *s)
 {
-#define ENTRY(name)                                                                                \
-    if (s->name > COUNT_MAX)                                                                       \
-        return #name ": too large";
-    COUNTS(ENTRY)
-#undef ENTRY
-#define ENTRY(name)                                                                                \
-    if (isnan(s->name))                                                                            \
-        return #name ": not a number";
-    NUMBERS(ENTRY)
-#undef ENTRY
-#define ENTRY(name)                                                                                \
-    if (s->name.length > COUNT_MAX || !finite_table(s->name))                                      \
-        return #name ": too long, or not finite";
-    TABLES(ENTRY)
-#undef ENTRY
-    if (!downmix_is_table(s->mix_weights))
-        return "mix_weights: not one layout after another";
-    if (!is_share(s->mix_slow) || !is_share(s->mix_newest) || !is_share(s->mix_evidence))
-        return "mix_slow, mix_newest, mix_evidence: not from 0 to 1";
-    if (!(0.0 <= s->mix_cancels_up_to && s->mix_cancels_up_to < s->mix_cancels_from &&
-          s->mix_cancels_from <= 1.0))
-        return "mix_cancels_up_to, mix_cancels_from: not ascending from 0 to 1";
-    if (!isfinite(s->mix_power_guard))
-        return "mix_power_guard: not finite";
-    if (s->window_frames < 1 || s->window.length != s->window_frames)
-        return "window: not one entry a frame";
-    if (s->decimation < 1 || s->steps < 1 || s->hop_frames != s->decimation * s->steps)
-        return "hop_frames: not decimation x steps";
-    if (s->ticks < 1 || s->tick_steps < 1 || s->steps != s->ticks * s->tick_steps ||
-        s->tick_frames != s->decimation * s->tick_steps || s->tick_frames > s->window_frames)
-        return "tick_frames: not decimation x tick_steps, steps not ticks x tick_steps, or too long";
-    if (s->hops_in_window < 1)
-        return "hops_in_window: under 1";
-    if (s->fft_length / 2 < s->window_frames)
-        return "fft_length: under two windows";
-    if (s->bins < 2 || s->bins > s->fft_length / 2 + 1)
-        return "bins: not within the spectrum";
-    if (s->first_bin < 1 || (s->last_bin >= s->first_bin && s->last_bin > s->bins - 2))
-        return "first_bin, last_bin: without a bin to either side";
-    if (s->partials_max < 1)
-        return "partials_max: under 1";
-    if (!is_recursion(s->band_b, s->band_a) || !is_recursion(s->low_b, s->low_a))
-        return "band_b, band_a, low_b, low_a: not as long as one another, or not to 1";
-    if (s->tick_glide.length != s->tick_steps || s->tick_glide_s.length != s->tick_steps)
-        return "tick_glide, tick_glide_s: not one entry a step";
-    if (s->short_frames < s->tick_frames || s->short_frames > s->window_frames ||
-        s->short_window.length != s->short_frames)
-        return "short_window: not one entry a frame, under a tick, or longer than the window";
-    if (s->short_length < s->short_frames || s->short_length % 2)
-        return "short_length: odd, or under short_frames";
-    if (s->short_bins < 1 || s->short_bins > s->short_length / 2 + 1 ||
-        s->short_hz.length != s->short_bins)
-        return "short_hz: not one entry a bin within the spectrum";
-    if (!are_edges(s->band_edges, s->short_bins))
-        return "band_edges: not ascending within the bins";
-    if (s->newest_frames < 1 || s->newest_frames > s->tick_frames)
-        return "newest_frames: not within a tick";
-    if (s->short_ticks != (s->short_frames + s->tick_frames - 1) / s->tick_frames)
-        return "short_ticks: not those that short_frames touch";
-    /* An onset is compared with up to three ticks ago; see `rises` in onsets.c. */
-    if (s->back_ticks < 3 || s->back_ticks > BACK_MAX)
-        return "back_ticks: under 3, or too many";
-    if (s->rearmed_ticks < 1 || s->rest_ticks < s->rearmed_ticks)
-        return "rearmed_ticks: not from 1 to rest_ticks";
-    if (s->heard_ticks < 1 || s->one_tone.length != s->heard_ticks)
-        return "one_tone: not one entry for each of heard_ticks";
-    if (s->groups_max < 1 || s->groups_max > s->fresh_max || s->fresh_max > FRESH_MAX)
-        return "groups_max, fresh_max: none, too many, or more groups than partials";
-    if (s->rise_shares.length < 1)
-        return "rise_shares: empty";
-    if (s->emphasis.length < 1)
-        return "emphasis: empty";
-    if (s->find_onsets > 1 || s->by_energy > 1)
-        return "find_onsets, by_energy: neither 0 nor 1";
-    if (s->image_table.length < 1)
-        return "image_table: empty";
-    if (s->image_turn.length % 2 || s->image_turn.length / 2 > s->bins)
-        return "image_turn: not two rows within the bins";
-    if (s->attack.length != s->steps || s->glide.length != s->steps ||
-        s->seconds.length != s->steps || s->glide_s.length != s->steps)
-        return "attack, glide, seconds, glide_s: not one entry a step";
-    if (s->phases.length < s->decimation || s->phases.length % s->decimation)
-        return "phases: not rows of decimation";
-    if (s->gain_table.length < 2 || !(s->gain_step_hz > 0.0))
-        return "gain_table: under two entries, or gain_step_hz not above 0";
-    if (s->loudness_weights.length &&
-        (!is_meter(s->loudness_weights, s->loudness_edges, s->loudness_scale, s->loudness_widths,
-                   s->bins) ||
-         !is_meter(s->onset_loudness_weights, s->onset_loudness_edges, s->onset_loudness_scale,
-                   s->onset_loudness_widths, s->short_bins)))
-        return "loudness_weights: neither none nor one a bin, or their bands do not fit";
-    if (s->felt_weights.length < 2 || s->onset_felt_squares.length != s->short_bins)
-        return "felt_weights: under two entries, or onset_felt_squares not one a short bin";
-#define ENTRY(name)                                                                                \
-    if (!isfinite(s->name))                                                                        \
-        return #name ": not finite";
-    FOLLOWER(ENTRY)
-#undef ENTRY
-    if (!(s->nothing > 0.0))
-        return "nothing: not above 0";
-    if (!(s->programme_min <= s->programme_start && s->programme_start <= s->programme_top))
-        return "programme_start: not from programme_min to programme_top";
-    return speech_misfit(s);
+    const size_t bands = s->loudness_scale.length, groups = s->loudness_groups.length;
+    REQUIRE(bands <= BANDS_MAX && s->high_weights.length <= bands && s->low_weights.length <= LOW_MAX,
+            "loudness_scale, low_weights, high_weights: too many bands");
+    REQUIRE(are_within(s->low_band_of, 0.0, (double)bands - 1.0), "low_band_of: a band that is not there");
+    REQUIRE(ascend(s->high_edges, 0.0, s->short_bins), "high_edges: not ascending within the bins");
+    REQUIRE(s->low_smooth.length == (s->decimation + SMOOTH_STATES) * SMOOTH_ROW,
+            "low_smooth: not a row for each frame and state");
+    REQUIRE(is_within(groups, 2, GROUPS_OF_BANDS_MAX + 1) && s->loudness_groups.at[0] == 0.0 &&
+                ascend(s->loudness_groups, 0.0, bands) && s->loudness_groups.at[groups - 1] == (double)bands,
+            "loudness_groups: not ascending from the first band to the last");
+    REQUIRE(is_within(s->average_ticks, 1, AVERAGE_MAX), "average_ticks: none, or too many");
+    REQUIRE(s->boost_max >= 0.0 && s->concentrated >= 0.0 && s->beat_least > 0.0 && s->beat_width_hz > 0.0 &&
+                s->weakest_step > 0.0 && s->gain_max >= 0.0 && s->start_weight > 0.0 && s->group_sone > 0.0,
+            "boost_max, concentrated, beat_least, weakest_step, gain_max, group_sone: negative, or 0");
+    return NULL;
+}
+
+static const char *speech_misfit(const Settings *s)
+{
+    const size_t pitches = s->speech_log_pitches.length, teeth = s->speech_teeth.length;
+    const double *edges = s->speech_edges.at, *centres_hz = s->speech_centres_hz.at;
+    for (size_t octave = 0; octave < OCTAVES; octave++)
+        REQUIRE(edges[octave + 1] >= edges[octave], "speech_edges: not ascending");
+    for (size_t octave = 1; octave < OCTAVES; octave++)
+        REQUIRE(centres_hz[octave] > centres_hz[octave - 1], "speech_centres_hz: not ascending");
+    REQUIRE(pitches >= 2 && teeth && teeth % (2 * pitches) == 0,
+            "speech_log_pitches, speech_teeth: not two combs a pitch");
+    REQUIRE(are_within(s->speech_edges, 0.0, (double)s->bins) &&
+                are_within(s->speech_teeth, 0.0, (double)s->bins - 2.0),
+            "speech_edges, speech_teeth: not within the bins");
+    return NULL;
+}
+
+static const char *misfit_of(const Settings *s)
+{
+    REQUIRE(are_layouts(s->mix_weights), "mix_weights: not one layout after another");
+    REQUIRE(is_share(s->mix_slow) && is_share(s->mix_newest) && is_share(s->mix_evidence),
+            "mix_slow, mix_newest, mix_evidence: not from 0 to 1");
+    REQUIRE(0.0 <= s->mix_cancels_up_to && s->mix_cancels_up_to < s->mix_cancels_from &&
+                s->mix_cancels_from <= 1.0,
+            "mix_cancels_up_to, mix_cancels_from: not ascending from 0 to 1");
+    REQUIRE(isfinite(s->mix_power_guard), "mix_power_guard: not finite");
+    REQUIRE(s->window_frames && s->hops_in_window && s->partials_max && s->rise_shares.length &&
+                s->image_table.length,
+            "window_frames, hops_in_window, partials_max, rise_shares, image_table: under 1");
+    REQUIRE(s->decimation && s->steps && s->hop_frames == s->decimation * s->steps,
+            "hop_frames: not decimation x steps");
+    REQUIRE(s->ticks && s->tick_steps && s->steps == s->ticks * s->tick_steps &&
+                s->tick_frames == s->decimation * s->tick_steps && s->tick_frames <= s->window_frames,
+            "tick_frames: not decimation x tick_steps, steps not ticks x tick_steps, or too long");
+    REQUIRE(s->fft_length / 2 >= s->window_frames, "fft_length: under two windows");
+    REQUIRE(is_within(s->bins, 2, s->fft_length / 2 + 1), "bins: not within the spectrum");
+    REQUIRE(s->first_bin && (s->last_bin < s->first_bin || s->last_bin <= s->bins - 2),
+            "first_bin, last_bin: without a bin to either side");
+    REQUIRE(is_recursion(s->band_b, s->band_a) && (s->low_sections.length || is_recursion(s->low_b, s->low_a)),
+            "band_b, band_a, low_b, low_a: not as long as one another, or not to 1");
+    REQUIRE(are_sections(s->low_sections), "low_sections: not sections, or too many");
+    REQUIRE(is_within(s->short_frames, s->tick_frames, s->window_frames),
+            "short_frames: under a tick, or longer than the window");
+    REQUIRE(s->short_length >= s->short_frames && s->short_length % 2 == 0,
+            "short_length: odd, or under short_frames");
+    REQUIRE(is_within(s->short_bins, 1, s->short_length / 2 + 1), "short_bins: not within the spectrum");
+    REQUIRE(s->band_edges.length >= 2 && ascend(s->band_edges, 1.0, s->short_bins),
+            "band_edges: not ascending within the bins");
+    REQUIRE(is_within(s->newest_frames, 1, s->tick_frames), "newest_frames: not within a tick");
+    REQUIRE(s->short_ticks == (s->short_frames + s->tick_frames - 1) / s->tick_frames,
+            "short_ticks: not those that short_frames touch");
+    /* `detect` in onsets.c reads the second or third newest row of Onsets.past. */
+    REQUIRE(is_within(s->back_ticks, 3, BACK_MAX), "back_ticks: under 3, or too many");
+    REQUIRE(s->heard_ticks && is_within(s->rearmed_ticks, 1, s->rest_ticks),
+            "heard_ticks: none, or rearmed_ticks: not from 1 to rest_ticks");
+    REQUIRE(is_within(s->groups_max, 1, s->onset_partials_max) && s->onset_partials_max <= FRESH_MAX,
+            "groups_max, onset_partials_max: none, too many, or more groups than partials");
+    REQUIRE(s->find_onsets <= 1 && s->energy_mapping <= 1, "find_onsets, energy_mapping: neither 0 nor 1");
+    REQUIRE(s->image_turn.length % 2 == 0 && s->image_turn.length / 2 <= s->bins,
+            "image_turn: not two rows within the bins");
+    REQUIRE(s->phases.length >= s->decimation && s->phases.length % s->decimation == 0,
+            "phases: not rows of decimation");
+    REQUIRE(s->gain_table.length >= 2 && s->felt_weights.length >= 2 && s->gain_step_hz > 0.0,
+            "gain_table, felt_weights: under two entries, or gain_step_hz not above 0");
+    REQUIRE(s->nothing > 0.0, "nothing: not above 0");
+    REQUIRE(s->programme_min <= s->programme_start && s->programme_start <= s->programme_top,
+            "programme_start: not from programme_min to programme_top");
+    const char *misfit = s->loudness_scale.length ? loudness_misfit(s) : NULL;
+    return misfit ? misfit : speech_misfit(s);
+}
+
+#define CHECK(name, is_right, wrong) REQUIRE(is_right, #name ": " wrong);
+#define READ(kind, name)                                                                           \
+    REQUIRE(record_##kind(records, #name, &s->name), "it lacks the " #kind " " #name);
+#define READ_COUNT(name) READ(count, name) CHECK(name, s->name <= COUNT_MAX, "too large")
+#define READ_NUMBER(name) READ(number, name) CHECK(name, !isnan(s->name), "not a number")
+#define READ_TABLE(name, ...)                                                                      \
+    READ(table, name)                                                                              \
+    CHECK(name, s->name.length <= COUNT_MAX && table_is_finite(s->name), "too long, or not finite")
+#define CHECK_LENGTH(name, size) CHECK(name, s->name.length == (size), "too short or too long")
+#define CHECK_FINITE(name) CHECK(name, isfinite(s->name), "not finite")
+
+const char *settings_read(Settings *s, Records records)
+{
+    COUNTS(READ_COUNT)
+    NUMBERS(READ_NUMBER)
+    FREE_TABLES(READ_TABLE)
+    SIZED_TABLES(READ_TABLE)
+    SIZED_TABLES(CHECK_LENGTH)
+    STRENGTH_NUMBERS(CHECK_FINITE)
+    return misfit_of(s);
 }

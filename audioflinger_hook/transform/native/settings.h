@@ -1,230 +1,104 @@
-/* What one kernel is made for: numbers and tables, all of them made in Python. */
+/* Settings of one transform: counts, numbers and tables, which LiveDesign in transform/design/ computes. */
 
-#ifndef CUSHION_SETTINGS_H
-#define CUSHION_SETTINGS_H
+#pragma once
 
-#include <stddef.h>
+#include "design_blob.h"
 
-/* Whole numbers: frames, bins, hops and other counts. */
+#define ORDER_MAX 12 /* highest allowed order of band_b and low_b */
+#define FRESH_MAX 16 /* largest allowed onset_partials_max */
+#define BACK_MAX 64  /* largest allowed back_ticks */
+
+/* Integer settings. The classes in transform/design/ and VibrationMapping describe all settings. */
 #define COUNTS(ENTRY)                                                                              \
-    ENTRY(window_frames)  /* in one analysis */                                                    \
-    ENTRY(hop_frames)     /* from one to the next: decimation x steps */                           \
-    ENTRY(decimation)     /* frames in a step of the low rate */                                   \
-    ENTRY(steps)          /* of the low rate in a hop */                                           \
-    ENTRY(ticks)          /* in a hop */                                                           \
-    ENTRY(tick_steps)     /* of the low rate in a tick */                                          \
-    ENTRY(tick_frames)                                                                             \
-    ENTRY(hops_in_window) /* hops that together cover one window */                                \
-    ENTRY(fft_length)                                                                              \
-    ENTRY(bins)         /* that are looked at */                                                   \
-    ENTRY(first_bin)    /* on which a peak counts, */                                              \
-    ENTRY(last_bin)     /* and the last; under the first for none */                               \
-    ENTRY(partials_max) /* at a time */                                                            \
-    ENTRY(ring_hops)    /* that the low-pass rings after the last partial */                       \
-    ENTRY(find_onsets)  /* 0 where there is only the analysis */                                   \
-    ENTRY(short_frames) /* in the window in which onsets are looked for */                         \
-    ENTRY(short_length) /* of its spectrum */                                                      \
-    ENTRY(short_bins)   /* that are looked at */                                                   \
-    ENTRY(short_ticks) /* that it touches */                                                       \
-    ENTRY(newest_frames) /* of a tick that count by themselves */                                  \
-    ENTRY(back_ticks)   /* so many ticks ago is the past that a band rises over */                 \
-    ENTRY(rest_ticks)   /* from one onset to the next, */                                          \
-    ENTRY(rearmed_ticks) /* or so many to one that is `rearmed` times as strong */                 \
-    ENTRY(heard_ticks)  /* from which an onset's sound is told */                                  \
-    ENTRY(groups_max)   /* of bands in which an onset gives birth */                               \
-    ENTRY(fresh_max)    /* partials at a time that the analysis does not know yet */               \
-    ENTRY(hold_hops)    /* for which those are held then */                                        \
-    ENTRY(by_energy)    /* the level law: 1 by energy, 0 the paper's */
+    /* grid */ ENTRY(window_frames) ENTRY(decimation) ENTRY(tick_steps) ENTRY(ticks) ENTRY(steps)  \
+    ENTRY(tick_frames) ENTRY(hop_frames) ENTRY(hops_in_window)                                     \
+    /* analysis */ ENTRY(fft_length) ENTRY(bins) ENTRY(first_bin) ENTRY(last_bin)                  \
+    ENTRY(partials_max)                                                                            \
+    /* mapping */ ENTRY(energy_mapping)                                                            \
+    /* onset */ ENTRY(find_onsets) ENTRY(short_frames) ENTRY(short_length) ENTRY(short_bins)       \
+    ENTRY(short_ticks) ENTRY(newest_frames) ENTRY(back_ticks) ENTRY(rest_ticks)                    \
+    ENTRY(rearmed_ticks) ENTRY(heard_ticks) ENTRY(groups_max) ENTRY(onset_partials_max)            \
+    /* tracking */ ENTRY(hold_hops)                                                                \
+    /* synthesis */ ENTRY(ring_hops) ENTRY(begin_frames)                                           \
+    /* loudness */ ENTRY(average_ticks)
 
 #define NUMBERS(ENTRY)                                                                             \
-    ENTRY(magnitude_max)  /* of a sample; above it is damage */                                    \
-    ENTRY(denormal_guard) /* added to every sample */                                              \
-    ENTRY(mix_slow)    /* share of a sample in the powers that tell where the mono mix cancels, */ \
-    ENTRY(mix_newest)  /* in the power of late, */                                                 \
-    ENTRY(mix_evidence) /* and of that in the power of the mean; */                                \
-    ENTRY(mix_cancels_from)  /* the mean's share of power from which down it begins to cancel, */  \
-    ENTRY(mix_cancels_up_to) /* and up to which all of it does */                                  \
-    ENTRY(mix_power_guard)   /* added to what is squared */                                        \
-    ENTRY(silence)        /* a window whose peak is under this holds nothing */                    \
-    ENTRY(bin_hz)         /* from bin to bin */                                                    \
-    ENTRY(threshold_hz)   /* principal tones have a larger r */                                    \
-    ENTRY(peak_span_min)  /* amplitude times bins between valleys from which it can be */          \
-    ENTRY(weakest_image)  /* amplitude up to which a peak keeps its image */                       \
-    ENTRY(image_first)    /* the window's first sample as a share of the others' sum */            \
-    ENTRY(weakest_share)  /* or this share of the highest low amplitude */                         \
-    ENTRY(side_lobe)      /* share of the highest amplitude up to which a peak is left out */      \
-    ENTRY(full_scale_r)   /* r of a tone at full scale, Hz */                                      \
-    ENTRY(scale_hz)       /* equation (4): Hz of vibration for each factor e, */                   \
-    ENTRY(scale_ratio)    /* or, where it is not 0, that factor's power of the vibration, */       \
-    ENTRY(band_low_hz)    /* from this frequency of audio, */                                      \
-    ENTRY(bottom_hz)      /* which is felt at this one */                                          \
-    ENTRY(ceiling)        /* of a hop's sum of amplitudes */                                       \
-    ENTRY(knee)           /* of samples */                                                         \
-    ENTRY(hop_s)                                                                                   \
-    ENTRY(match_audio_hz) /* by which a partial may move in a hop, */                              \
-    ENTRY(match_ratio)    /* or by this share */                                                   \
-    ENTRY(merge_ratio) /* partials closer than this share of their frequency are one; 0: none */    \
-    ENTRY(merge_hz)    /* or closer than this */                                                   \
-    ENTRY(merge_again) /* groups closer than this share of that become one */                      \
-    ENTRY(first_hz)  /* of slots as near the first is nearer by this */                            \
-    ENTRY(split_hz)       /* a birth this near to a partial is in phase with it */                 \
-    ENTRY(steady_hz)      /* changes well under these are averaged */                              \
-    ENTRY(steady_ratio)                                                                            \
-    ENTRY(steady_gain)  /* share of the smallest changes that is followed */                       \
-    ENTRY(still)        /* up to which a sum of amplitudes does not rise */                        \
-    ENTRY(gain_step_hz) /* between entries of gain_table */                                        \
-    ENTRY(tick_s)                                                                                  \
-    ENTRY(short_scale)  /* from squared bins to mean squares */                                    \
-    ENTRY(quietest)     /* power under which there are no onsets */                                \
-    ENTRY(weakest)      /* amplitude under which nothing is born */                                \
-    ENTRY(fading)       /* of the highest power of late, each tick */                              \
-    ENTRY(forgotten)    /* power that is as good as none */                                        \
-    ENTRY(rise)         /* a band rises where its power is so many times that */                   \
-    ENTRY(minor)        /* and more than this share of all, */                                     \
-    ENTRY(rearmed)                                                                                 \
-    ENTRY(risen_share)  /* of which what rose is more than this share at an onset */               \
-    ENTRY(apart_from)   /* ratio from which on two bands are told apart */                         \
-    ENTRY(worth)        /* what is born adds what lacks, if that is more than this share */        \
-    ENTRY(birth_phase)  /* cycles */                                                               \
-    ENTRY(fresh_reach)  /* a partial that is held is matched so much further away */               \
-    ENTRY(worth_holding) /* share of its amplitude up to which it is not held */                   \
-    ENTRY(stronger)      /* ratio from which on one amplitude is larger than another */            \
-    ENTRY(joined_from)   /* amplitude up to which a partial is as good as none to join */          \
-    ENTRY(struck_share)  /* of the strength at an onset that is left while it is held, */          \
-    ENTRY(struck_grown)  /* or this share of the strength that would be */                         \
-    FOLLOWER(ENTRY)                                                                                \
-    SPEECH_NUMBERS(ENTRY)
+    /* grid */ ENTRY(hop_s) ENTRY(tick_s)                                                          \
+    /* input */ ENTRY(silence) ENTRY(mix_slow) ENTRY(mix_newest) ENTRY(mix_evidence)               \
+    ENTRY(mix_cancels_from) ENTRY(mix_cancels_up_to) ENTRY(mix_power_guard) ENTRY(magnitude_max)   \
+    ENTRY(denormal_guard)                                                                          \
+    /* analysis */ ENTRY(bin_hz) ENTRY(threshold_hz) ENTRY(peak_span_min) ENTRY(weakest_image)     \
+    ENTRY(weakest_share) ENTRY(image_first) ENTRY(side_lobe)                                       \
+    /* mapping */ ENTRY(band_low_hz) ENTRY(bottom_hz) ENTRY(scale_hz) ENTRY(scale_ratio)           \
+    ENTRY(full_scale_r)                                                                            \
+    /* onset */ ENTRY(short_scale) ENTRY(quietest) ENTRY(weakest) ENTRY(fading)                    \
+    ENTRY(min_gain_share) ENTRY(rise) ENTRY(minor) ENTRY(risen_share) ENTRY(rearmed)               \
+    ENTRY(forgotten) ENTRY(apart_from) ENTRY(start_phase)                                          \
+    /* tracking */ ENTRY(match_audio_hz) ENTRY(steady_ratio) ENTRY(merge_ratio) ENTRY(merge_hz)    \
+    ENTRY(merge_again) ENTRY(match_ratio) ENTRY(split_hz) ENTRY(steady_hz) ENTRY(steady_gain)      \
+    ENTRY(first_hz) ENTRY(onset_reach) ENTRY(min_held_share) ENTRY(stronger) ENTRY(joined_from)    \
+    /* synthesis */ ENTRY(gain_step_hz) ENTRY(still) ENTRY(ceiling) ENTRY(knee)                    \
+    /* speech */ ENTRY(speech_db) ENTRY(speech_average) ENTRY(speech_fast) ENTRY(speech_slow)      \
+    ENTRY(speech_learnt) ENTRY(speech_background_fall) ENTRY(speech_background_rise_db)            \
+    ENTRY(speech_voice_fall_db) ENTRY(speech_peak_fall) ENTRY(speech_attack) ENTRY(speech_release) \
+    ENTRY(speech_rest_hops) ENTRY(speech_quiet_share) ENTRY(speech_swing_max_db)                   \
+    ENTRY(speech_silent_power) ENTRY(speech_unheard) ENTRY(speech_even) ENTRY(speech_equal)        \
+    ENTRY(speech_flat) ENTRY(speech_steady_pitch) ENTRY(speech_likely) ENTRY(speech_likely_still)  \
+    ENTRY(speech_sure) ENTRY(speech_clear_db) ENTRY(speech_apart)                                  \
+    /* strength */ STRENGTH_NUMBERS(ENTRY)
 
-/* Numbers of the loudness follower, dB and dB a hop but for factors; see design/loudness.py. */
-#define FOLLOWER(ENTRY)                                                                            \
-    ENTRY(nothing)         /* energy that counts as none */                                        \
-    ENTRY(programme_start) /* level of the programme before anything is heard, */                  \
-    ENTRY(programme_min)                                                                           \
-    ENTRY(programme_top)                                                                           \
-    ENTRY(programme_step) /* how it moves, */                                                      \
-    ENTRY(programme_rise) /* and the share of its distance */                              \
-    ENTRY(programme_fall)                                                                          \
-    ENTRY(jump)           /* distance that is far: after these hops another volume is taken on */   \
-    ENTRY(near)           /* distance that is near again */                                        \
-    ENTRY(jump_up_hops)                                                                            \
-    ENTRY(jump_down_hops)                                                                          \
-    ENTRY(jump_up_step)                                                                            \
-    ENTRY(jump_down_step)                                                                          \
-    ENTRY(far)         /* longest distance that counts */                                         \
-    ENTRY(release)     /* of the loud level */                                                      \
-    ENTRY(floor_min)   /* loudness up to which nothing is felt */                                  \
-    ENTRY(floor_rise)  /* of the noise floor */                                                    \
-    ENTRY(floor_under) /* it stays under the programme's level */                                  \
-    ENTRY(gate)        /* from the floor to where all is felt, */                                  \
-    ENTRY(gate_margin) /* of which this share is still silent */                                   \
-    ENTRY(jitter)          /* smaller changes of loudness are jitter, */                           \
-    ENTRY(jitter_followed) /* of which this share is followed */                                   \
-    ENTRY(onset_under)  /* loudness of onsets counts so much less: short sounds are heard softer */ \
-    ENTRY(concentrated) /* power of the sensitivity that moves what would be limited, at most */   \
-    ENTRY(slope_a_bark) /* share by which specific loudness falls, times its fourth root */        \
-    ENTRY(target)      /* vibration at the programme's level */                                    \
-    ENTRY(slope)       /* of vibration for each dB of loudness */                                  \
-    ENTRY(gain_max)    /* of amplitudes, a factor */
+/* Numbers for the vibration strength that follows loudness. These numbers must be finite. */
+#define STRENGTH_NUMBERS(ENTRY)                                                                    \
+    /* loudness */ ENTRY(slope_a_bark)                                                             \
+    /* strength */ ENTRY(programme_start) ENTRY(programme_min) ENTRY(programme_step)               \
+    ENTRY(programme_rise) ENTRY(programme_fall) ENTRY(start_ticks) ENTRY(start_weight)             \
+    ENTRY(release) ENTRY(slow_followed) ENTRY(floor_min) ENTRY(floor_rise) ENTRY(gate)             \
+    ENTRY(jitter) ENTRY(jitter_followed) ENTRY(attack_ticks) ENTRY(group_smooth) ENTRY(group_up)   \
+    ENTRY(group_down) ENTRY(group_deviates) ENTRY(boost_hold_ticks) ENTRY(boost_fall)              \
+    ENTRY(boost_max) ENTRY(target) ENTRY(slope) ENTRY(gain_max) ENTRY(programme_top)               \
+    ENTRY(start_near) ENTRY(far) ENTRY(floor_under) ENTRY(gate_margin) ENTRY(jump)                 \
+    ENTRY(group_sone) ENTRY(silence_db) ENTRY(deviation_start) ENTRY(deviation_max)                \
+    ENTRY(boost_deviations) ENTRY(boost_slope) ENTRY(boost_share_from) ENTRY(boost_share_width)    \
+    ENTRY(boost_natural) ENTRY(beat_hz) ENTRY(beat_width_hz) ENTRY(beat_least) ENTRY(weakest_step) \
+    ENTRY(concentrated) ENTRY(nothing)
 
-/* Tables, each with its length. */
-#define TABLES(ENTRY)                                                                              \
-    ENTRY(mix_weights) /* of all layouts, see downmix.c */                                         \
-    ENTRY(window) /* of the analysis */                                                            \
-    ENTRY(band_b) /* the band-pass as one recursion */                                             \
-    ENTRY(band_a)                                                                                  \
-    ENTRY(image_table) /* the window's spectrum */                                                 \
-    ENTRY(image_turn)  /* cosines, then sines, of each bin's turn to the window's centre */        \
-    ENTRY(attack)      /* shape of a rise, one entry a step */                                     \
-    ENTRY(glide)       /* shape of a fall */                                                       \
-    ENTRY(seconds)     /* from the hop's start */                                                  \
-    ENTRY(glide_s)     /* the integral of a glide of frequency */                                  \
-    ENTRY(low_b)       /* the low-pass as one recursion */                                         \
-    ENTRY(low_a)                                                                                   \
-    ENTRY(phases)     /* of the interpolation: taps rows of decimation */                          \
-    ENTRY(gain_table) /* that undoes the low-pass's ripple, by vibration frequency */              \
-    ENTRY(tick_glide) /* shape of a glide within a tick */                                         \
-    ENTRY(tick_glide_s)                                                                            \
-    ENTRY(short_window)                                                                            \
-    ENTRY(short_hz)    /* vibration frequency of each bin */                                       \
-    ENTRY(band_edges)  /* bins: the first of each band, and past the last */                       \
-    ENTRY(one_tone)    /* purity of a tone, by ticks since its onset */                            \
-    ENTRY(rise_shares) /* of its amplitude that a fresh partial has after each tick */             \
-    ENTRY(emphasis)    /* factor on it after each tick */                                          \
-    ENTRY(loudness_weights) /* of bins; empty where loudness is not followed */                    \
-    ENTRY(loudness_edges)   /* bins: the first of each band, and past the last */                  \
-    ENTRY(loudness_scale)   /* of bands: sone per Bark at the threshold */                         \
-    ENTRY(loudness_widths)  /* of bands: Bark */                                                   \
-    ENTRY(onset_loudness_weights) /* the same for the short window */                              \
-    ENTRY(onset_loudness_edges)                                                                    \
-    ENTRY(onset_loudness_scale)                                                                    \
-    ENTRY(onset_loudness_widths)                                                                   \
-    ENTRY(onset_felt_squares) /* squared sensitivity at the vibration of each short bin */         \
-    ENTRY(felt_weights)       /* sensitivity by vibration frequency */                             \
-    SPEECH_TABLES(ENTRY)
+/* Tables of free length. Other settings determine the lengths of SIZED_TABLES. */
+#define FREE_TABLES(ENTRY)                                                                         \
+    /* input */ ENTRY(band_b) ENTRY(band_a) ENTRY(mix_weights)                                     \
+    /* analysis */ ENTRY(image_table) ENTRY(image_turn)                                            \
+    /* onset */ ENTRY(band_edges) ENTRY(rise_shares)                                               \
+    /* synthesis */ ENTRY(low_b) ENTRY(low_a) ENTRY(low_sections) ENTRY(begin_fade) ENTRY(phases)  \
+    ENTRY(gain_table)                                                                              \
+    /* loudness */ ENTRY(low_smooth) ENTRY(low_weights) ENTRY(high_weights) ENTRY(loudness_scale)  \
+    ENTRY(loudness_groups)                                                                         \
+    /* strength */ ENTRY(felt_weights)                                                             \
+    /* speech */ ENTRY(speech_log_pitches) ENTRY(speech_teeth)
 
-/* What speech.c works by; design/speech.py says what each is. Shares are those that an average takes on in
- * a hop, other changes are those of a hop. */
-#define SPEECH_NUMBERS(ENTRY)                                                                      \
-    ENTRY(speech_db) /* by how much speech is lowered; 0 for off */                                \
-    ENTRY(speech_average)                                                                          \
-    ENTRY(speech_fast)                                                                             \
-    ENTRY(speech_slow)                                                                             \
-    ENTRY(speech_learnt)                                                                           \
-    ENTRY(speech_background_fall)                                                                  \
-    ENTRY(speech_background_rise_db)                                                               \
-    ENTRY(speech_voice_fall_db)                                                                    \
-    ENTRY(speech_peak_fall)                                                                        \
-    ENTRY(speech_attack)                                                                           \
-    ENTRY(speech_release)                                                                          \
-    ENTRY(speech_rest_hops)                                                                        \
-    ENTRY(speech_quiet_share)                                                                      \
-    ENTRY(speech_swing_max_db)                                                                     \
-    ENTRY(speech_silent_power)                                                                     \
-    ENTRY(speech_unheard)                                                                          \
-    ENTRY(speech_even)                                                                             \
-    ENTRY(speech_equal)                                                                            \
-    ENTRY(speech_flat)                                                                             \
-    ENTRY(speech_steady_pitch)                                                                     \
-    ENTRY(speech_likely)                                                                           \
-    ENTRY(speech_likely_still)                                                                     \
-    ENTRY(speech_sure)                                                                             \
-    ENTRY(speech_clear_db)                                                                         \
-    ENTRY(speech_apart)
+#define SIZED_TABLES(ENTRY)                                                                        \
+    /* analysis */ ENTRY(window, s->window_frames)                                                 \
+    /* onset */ ENTRY(short_window, s->short_frames) ENTRY(short_hz, s->short_bins)                \
+    ENTRY(one_tone, s->heard_ticks)                                                                \
+    /* synthesis */ ENTRY(attack, s->steps) ENTRY(glide, s->steps) ENTRY(seconds, s->steps)        \
+    ENTRY(glide_s, s->steps) ENTRY(tick_glide, s->tick_steps) ENTRY(tick_glide_s, s->tick_steps)   \
+    /* loudness */ ENTRY(quadrature, s->loudness_scale.length ? 2 * CHAIN : 0)                     \
+    ENTRY(low_poles, LOW_NUMBERS * s->low_weights.length)                                          \
+    ENTRY(low_band_of, s->low_weights.length)                                                      \
+    ENTRY(high_edges, s->high_weights.length ? s->high_weights.length + 1 : 0)                     \
+    ENTRY(loudness_widths, s->loudness_scale.length)                                               \
+    /* speech */ ENTRY(speech_edges, OCTAVES + 1) ENTRY(speech_centres_hz, OCTAVES)                \
+    ENTRY(speech_ramps, 2 * RAMPS)
 
-#define SPEECH_TABLES(ENTRY)                                                                       \
-    ENTRY(speech_edges)       /* bins at which octaves begin, and the last ends */                 \
-    ENTRY(speech_centres_hz)  /* of the octaves */                                                 \
-    ENTRY(speech_log_pitches) /* evenly spaced */                                                  \
-    ENTRY(speech_teeth)       /* in bins: of all combs on harmonics, then between; 0 for unused */ \
-    ENTRY(speech_ramps)       /* two numbers each, in the order of speech.c */
+#define COUNT_FIELD(name) size_t name;
+#define NUMBER_FIELD(name) double name;
+#define TABLE_FIELD(name, ...) Table name;
 
 typedef struct {
-    double *at;
-    size_t length;
-} Table;
-
-typedef struct {
-#define ENTRY(name) size_t name;
-    COUNTS(ENTRY)
-#undef ENTRY
-#define ENTRY(name) double name;
-    NUMBERS(ENTRY)
-#undef ENTRY
-#define ENTRY(name) Table name;
-    TABLES(ENTRY)
-#undef ENTRY
+    COUNTS(COUNT_FIELD)
+    NUMBERS(NUMBER_FIELD)
+    FREE_TABLES(TABLE_FIELD)
+    SIZED_TABLES(TABLE_FIELD)
 } Settings;
 
-/* The longest recursion of a filter. */
-#define ORDER_MAX 12
-
-/* The largest fresh_max. */
-#define FRESH_MAX 16
-
-/* The largest back_ticks. */
-#define BACK_MAX 64
-
-/* Return what of the settings does not fit the rest; NULL where all of it does. */
-const char *settings_misfit(const Settings *settings);
-
-#endif
+/* Read and check all settings; return NULL or an error message. Tables stay in the memory of the design. The
+ * checks keep all later accesses within the tables. */
+const char *settings_read(Settings *settings, Records records);

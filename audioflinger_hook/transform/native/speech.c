@@ -1,32 +1,13 @@
-/* Speech heard in the sound: the cues, the belief and the gain. docs/transform.md says what each is
- * for. */
+/* Speech detection: signs of speech, probability of speech and gain. docs/transform.md describes them. */
 
 #include "speech.h"
-
-#include "common.h"
 #include "exact.h"
-#include "functions.h"
 
-/* The vowels' octaves, of which the level is taken. */
-#define VOWELS_FIRST 1
-#define VOWELS_END 5
-
-/* Consonants hiss in these. */
-#define HISS_FIRST (OCTAVES - 2)
-
-/* Keeps the share of voiced hops that have a steady pitch off 0 / 0. */
-#define HARDLY_VOICED 1e-3
-
-/* The least number of which `fifth_root` is one. */
-#define ROOT_MIN 1e-300
-
-/* In the order in which speech_ramps has them. */
-enum { VOICED, QUIET, VOICING, SWING, BALANCE, RESTING, SPARED, EXCESS, BACKGROUND, BETWEEN, RAMPS };
-
-static double clip(double value, double low, double high)
-{
-    return larger(low, smaller(high, value));
-}
+#define VOWELS_FIRST 1 /* index of the first octave of vowels */
+#define VOWELS 4
+#define HISS_FIRST (OCTAVES - 2) /* index of the first octave of fricative consonants */
+#define HARDLY_VOICED 1e-3       /* avoids 0 / 0 in the share of voiced hops with a steady pitch */
+#define ROOT_MIN 1e-300          /* smallest argument of `fifth_root` */
 
 static double ramp(const Settings *s, int which, double value)
 {
@@ -38,34 +19,9 @@ static size_t pitches(const Settings *s) { return s->speech_log_pitches.length; 
 
 static size_t teeth(const Settings *s) { return s->speech_teeth.length / 2 / pitches(s); }
 
-const char *speech_misfit(const Settings *s)
-{
-    if (s->speech_edges.length != OCTAVES + 1 || s->speech_centres_hz.length != OCTAVES)
-        return "speech_edges, speech_centres_hz: not of so many octaves";
-    for (size_t edge = 0; edge <= OCTAVES; edge++) {
-        const double bin = s->speech_edges.at[edge];
-        if (!(bin >= (edge ? s->speech_edges.at[edge - 1] : 0.0) && bin <= (double)s->bins))
-            return "speech_edges: not ascending within the bins";
-    }
-    for (size_t octave = 1; octave < OCTAVES; octave++)
-        if (!(s->speech_centres_hz.at[octave] > s->speech_centres_hz.at[octave - 1]))
-            return "speech_centres_hz: not ascending";
-    if (pitches(s) < 2 || !s->speech_teeth.length || s->speech_teeth.length % (2 * pitches(s)))
-        return "speech_log_pitches, speech_teeth: not two combs a pitch";
-    for (size_t tooth = 0; tooth < s->speech_teeth.length; tooth++)
-        if (!(s->speech_teeth.at[tooth] >= 0.0 &&
-              s->speech_teeth.at[tooth] <= (double)s->bins - 2.0))
-            return "speech_teeth: not within the bins";
-    if (s->speech_ramps.length != 2 * RAMPS)
-        return "speech_ramps: not so many";
-    return NULL;
-}
-
-size_t speech_work(const Settings *s) { return s->bins + pitches(s); }
-
 /* ----------------------------------------------------------------------------------------- pitch */
 
-/* What stands at a comb's teeth, on lines between bins. */
+/* Return the sum of `roots`, interpolated at the bin positions `tooth`. A position of 0 is skipped. */
 static double sum_comb(const double *roots, const double *tooth, size_t count)
 {
     double sum = 0.0;
@@ -78,7 +34,8 @@ static double sum_comb(const double *roots, const double *tooth, size_t count)
     return sum;
 }
 
-/* How far a pitch's harmonics stand out of the valleys between. */
+/* Return a pitch's contrast, -1 to 1: (a - b) / (a + b), where a and b are the sums of `roots` at the
+ * harmonics and halfway between them. roots: fifth root of the power of each bin. */
 static double contrast(const Settings *s, const double *roots, size_t pitch)
 {
     const size_t count = teeth(s);
@@ -88,17 +45,14 @@ static double contrast(const Settings *s, const double *roots, size_t pitch)
     return (on - between) / (on + between + s->speech_silent_power);
 }
 
-/* Find the pitch; its contrast is returned. power: overwritten. contrasts: room for one a pitch. */
+/* Find the pitch of highest contrast (of equals, the lowest); return its contrast. power: overwritten.
+ * contrasts: work space, one number per pitch. */
 static double found_pitch(const Settings *s, double *power, double *contrasts, double *log_pitch)
 {
-    double last = 0.0, highest = -1.0;
-    for (size_t tooth = 0; tooth < s->speech_teeth.length; tooth++)
-        last = larger(s->speech_teeth.at[tooth], last);
-    double even = 0.0;
-    for (size_t bin = 0; bin < (size_t)last + 2; bin++)
-        even = larger(power[bin], even);
-    even *= s->speech_even;
-    for (size_t bin = 0; bin < (size_t)last + 2; bin++)
+    const size_t bins = (size_t)maximum(s->speech_teeth.at, s->speech_teeth.length) + 2;
+    const double even = s->speech_even * maximum(power, bins);
+    double highest = -1.0;
+    for (size_t bin = 0; bin < bins; bin++)
         power[bin] = fifth_root(larger(power[bin] + even, ROOT_MIN));
     for (size_t pitch = 0; pitch < pitches(s); pitch++) {
         contrasts[pitch] = contrast(s, power, pitch);
@@ -117,7 +71,7 @@ static double found_pitch(const Settings *s, double *power, double *contrasts, d
     return top;
 }
 
-/* ------------------------------------------------------------------------------------------ cues */
+/* ------------------------------------------------------------------------------------------ signs */
 
 static void note_swing(const Settings *s, Speech *speech, const double *levels, double weight)
 {
@@ -146,20 +100,20 @@ static void note_pitch(const Settings *s, Speech *speech, double log_pitch, doub
     speech->steady += weight * (steady - speech->steady);
 }
 
-static void believe(const Settings *s, Speech *speech)
+static void update_probability(const Settings *s, Speech *speech)
 {
     const double resting = speech->steady / (speech->voicing + HARDLY_VOICED);
     const double likely =
         ramp(s, VOICING, speech->voicing) * ramp(s, SWING, sqrt(speech->swing)) *
         ramp(s, BALANCE, sqrt(speech->balance)) * (1.0 - ramp(s, RESTING, resting));
     const double threshold =
-        s->speech_likely + (s->speech_likely_still - s->speech_likely) * speech->belief;
+        s->speech_likely + (s->speech_likely_still - s->speech_likely) * speech->probability;
     const double speed = clip((likely - threshold) / s->speech_sure, -1.0, 1.0);
     const double step = speed * (speed > 0.0 ? s->speech_attack : s->speech_release);
-    speech->belief = clip(speech->belief + step, 0.0, 1.0);
+    speech->probability = clip(speech->probability + step, 0.0, 1.0);
 }
 
-/* Learn how loud the voice and what is behind it are. */
+/* Update the levels of the voice and of the background. */
 static void learn(const Settings *s, Speech *speech)
 {
     for (size_t octave = 0; octave < OCTAVES; octave++) {
@@ -172,51 +126,38 @@ static void learn(const Settings *s, Speech *speech)
     }
 }
 
-/* Begin as if there had been silence before, so far down that the volume does not matter. */
-static void start(Speech *speech, double least_db)
+static void follow(const Settings *s, Speech *speech, const double *octaves, double log_pitch, int starts)
 {
-    for (size_t octave = 0; octave < OCTAVES; octave++) {
-        speech->fast[octave] = speech->slow[octave] = least_db;
-        speech->loudness[octave] = speech->background[octave] = least_db;
-    }
-}
-
-static void follow(const Settings *s, Speech *speech, const double *octaves, double log_pitch,
-                   int starts)
-{
-    double total = 0.0, vowels = 0.0, levels[OCTAVES];
-    for (size_t octave = 0; octave < OCTAVES; octave++)
-        total += octaves[octave];
-    for (size_t octave = VOWELS_FIRST; octave < VOWELS_END; octave++)
-        vowels += octaves[octave];
+    const double total = sum(octaves, OCTAVES), vowels = sum(octaves + VOWELS_FIRST, VOWELS);
+    double levels[OCTAVES];
     speech->peak = larger(total, s->speech_peak_fall * speech->peak);
     const double least = s->speech_unheard * speech->peak + s->speech_silent_power;
-    if (starts)
-        start(speech, 10.0 * exact_log10(least / s->speech_silent_power));
-    for (size_t octave = 0; octave < OCTAVES; octave++)
-        speech->level[octave] =
-            10.0 * exact_log10((octaves[octave] + least) / s->speech_silent_power);
+    const double least_db = 10.0 * exact_log10(least / s->speech_silent_power);
+    for (size_t octave = 0; octave < OCTAVES; octave++) {
+        if (starts) /* averages, voice and background start at the lowest level, as after silence */
+            speech->fast[octave] = speech->slow[octave] = speech->loudness[octave] =
+                speech->background[octave] = least_db;
+        speech->level[octave] = 10.0 * exact_log10((octaves[octave] + least) / s->speech_silent_power);
+    }
     memcpy(levels, speech->level + 1, (OCTAVES - 1) * sizeof(double));
     levels[OCTAVES - 1] = 10.0 * exact_log10((vowels + least) / s->speech_silent_power);
     const double loudness = 10.0 * exact_log10((total + least) / (speech->peak + least));
     const double weight = ramp(s, QUIET, loudness);
     note_swing(s, speech, levels, s->speech_average * larger(weight, s->speech_quiet_share));
     note_pitch(s, speech, log_pitch, s->speech_average * weight);
-    believe(s, speech);
+    update_probability(s, speech);
     learn(s, speech);
 }
 
-void speech_hear(const Settings *s, Speech *speech, const double *real, const double *imaginary,
+void speech_update(const Settings *s, Speech *speech, const double *real, const double *imaginary,
                  double *work)
 {
     double octaves[OCTAVES], log_pitch;
     for (size_t bin = 0; bin < s->bins; bin++)
         work[bin] = real[bin] * real[bin] + imaginary[bin] * imaginary[bin];
     for (size_t octave = 0; octave < OCTAVES; octave++) {
-        octaves[octave] = 0.0;
-        const size_t end = (size_t)s->speech_edges.at[octave + 1];
-        for (size_t bin = (size_t)s->speech_edges.at[octave]; bin < end; bin++)
-            octaves[octave] += work[bin];
+        const size_t first = (size_t)s->speech_edges.at[octave], end = (size_t)s->speech_edges.at[octave + 1];
+        octaves[octave] = sum(work + first, end - first);
     }
     speech->voiced = ramp(s, VOICED, found_pitch(s, work, work + s->bins, &log_pitch));
     const int starts = speech_is_at_rest(speech);
@@ -238,11 +179,9 @@ void speech_pause(const Settings *s, Speech *speech)
     follow(s, speech, NOTHING, speech->log_pitch, 0);
 }
 
-int speech_is_at_rest(const Speech *speech) { return !(speech->hops_to_rest > 0.0); }
-
 /* ------------------------------------------------------------------------------------------ gain */
 
-/* How much of a partial can be the voice's, by where it stands alone. */
+/* Return the share of a partial that can be voice, 0 to 1, interpolated between the two nearest octaves. */
 static double spoken_share(const Settings *s, const Speech *speech, double audio_hz)
 {
     double spoken[OCTAVES], over_db[OCTAVES], loudest = speech->loudness[0], most = -INFINITY;
@@ -274,7 +213,7 @@ static double spoken_share(const Settings *s, const Speech *speech, double audio
 
 static double lower_gain(const Settings *s, const Speech *speech, double share)
 {
-    return exact_amplitude(-s->speech_db * speech->belief * share);
+    return exact_amplitude(-s->speech_db * speech->probability * share);
 }
 
 double speech_coarse_gain(const Settings *s, const Speech *speech, double audio_hz)

@@ -1,44 +1,39 @@
-/* Speech heard in the sound, and what is left of each partial while it is. */
+/* Detects speech, and computes the gain of each partial during speech. */
 
-#ifndef CUSHION_SPEECH_H
-#define CUSHION_SPEECH_H
+#pragma once
 
 #include "settings.h"
 
 #define OCTAVES 6
 
-/* What is remembered of one voice, doubles alone; all 0 at rest, and any numbers do no harm. Levels in dB over
- * speech_silent_power. */
+/* Indices of linear ramps in speech_ramps, which holds the start and the end of each ramp. */
+enum { VOICED, QUIET, VOICING, SWING, BALANCE, RESTING, SPARED, EXCESS, BACKGROUND, BETWEEN, RAMPS };
+
+/* State of one channel. All members are doubles, and 0 at rest. Arrays are levels in dB relative to
+ * speech_silent_power. level, loudness, background: each octave's level of sound, voice and background. */
 typedef struct {
-    double belief, hops_to_rest;
+    double probability, hops_to_rest;
     double voiced, voicing, steady, log_pitch;
     double swing, balance, peak;
-    double fast[OCTAVES], slow[OCTAVES]; /* of the octaves but the first, then of the vowels */
+    double fast[OCTAVES], slow[OCTAVES]; /* average levels of the upper five octaves, then of all vowels */
     double level[OCTAVES], loudness[OCTAVES], background[OCTAVES];
 } Speech;
 
-#define SPEECH_STATES (sizeof(Speech) / sizeof(double))
+/* Return the size of the work space of `speech_update`, in doubles. */
+INLINED size_t speech_work(const Settings *s) { return s->bins + s->speech_log_pitches.length; }
 
-/* Return what of speech's settings does not fit the rest; NULL where all of it does. */
-const char *speech_misfit(const Settings *settings);
-
-/* Doubles of work space that `speech_hear` needs. */
-size_t speech_work(const Settings *settings);
-
-/* Take the next hop's spectrum, `bins` real and imaginary parts. */
-void speech_hear(const Settings *settings, Speech *speech, const double *real,
+/* Update the detection with the spectrum of a hop: `bins` real and imaginary parts. */
+void speech_update(const Settings *s, Speech *speech, const double *real,
                  const double *imaginary, double *work);
 
-/* Take a hop in which nothing is heard. */
-void speech_pause(const Settings *settings, Speech *speech);
+/* Update the detection with a silent hop. */
+void speech_pause(const Settings *s, Speech *speech);
 
-/* The factor on a partial of this audio frequency in this hop, 0 to 1. */
-double speech_gain(const Settings *settings, const Speech *speech, double audio_hz);
+/* Return the gain of a partial at an audio frequency in this hop, 0 to 1. */
+double speech_gain(const Settings *s, const Speech *speech, double audio_hz);
 
-/* The same where the frequency is not known well enough to tell whether it is a harmonic's. */
-double speech_coarse_gain(const Settings *settings, const Speech *speech, double audio_hz);
+/* Return the gain, 0 to 1, for a frequency that is too uncertain to compare with the pitch's harmonics. */
+double speech_coarse_gain(const Settings *s, const Speech *speech, double audio_hz);
 
-/* Whether its memory is empty. */
-int speech_is_at_rest(const Speech *speech);
-
-#endif
+/* Return whether the state is cleared. */
+INLINED int speech_is_at_rest(const Speech *speech) { return !(speech->hops_to_rest > 0.0); }

@@ -1,98 +1,51 @@
-/* Oscillators at the low rate, the low-pass behind them, and interpolation to the stream's rate. */
+/* Oscillators at the low rate, filters, and interpolation to the stream's sample rate. */
 
 #include "synthesis.h"
 
-#include "common.h"
-#include "exact.h"
-#include "scaling.h"
-#include "filter.h"
-#include "functions.h"
-
-size_t smoothing_states(const Settings *settings) { return settings->low_b.length - 1; }
-
-size_t smoothing_tail(const Settings *settings)
+void smoothing_reset(const Settings *s, Smoothing *smoothing)
 {
-    return settings->phases.length / settings->decimation - 1;
+    memset(smoothing->state, 0, smoothing_states(s) * sizeof(double));
+    memset(smoothing->tail, 0, smoothing_tail(s) * sizeof(double));
 }
 
-void smoothing_reset(const Settings *settings, Smoothing *smoothing)
-{
-    memset(smoothing->state, 0, smoothing_states(settings) * sizeof(double));
-    memset(smoothing->tail, 0, smoothing_tail(settings) * sizeof(double));
-}
-
-double smoothing_gain(const Settings *settings, double hz)
-{
-    return table_at(settings->gain_table, settings->gain_step_hz, hz);
-}
-
-size_t synthesis_work(const Settings *settings)
-{
-    return smoothing_tail(settings) + settings->tick_steps;
-}
-
-/* ---------------------------------------------------------------------------------- oscillators */
-
-/* A partial in one hop: frequency and amplitude glide, phase is the integral of frequency. */
-typedef struct {
-    double hz, rise_hz, amplitude, rise, phase;
-} Glide;
-
-SIMD_CLONES static void add_partial(Glide glide, const double *restrict seconds,
-                             const double *restrict glide_s, const double *restrict shape,
-                             size_t steps, double *restrict low_rate)
-{
-    for (size_t step = 0; step < steps; step++) {
-        const double turns = glide.hz * seconds[step] + glide.rise_hz * glide_s[step] + glide.phase;
-        low_rate[step] += cosine_of_turns(turns) * (glide.rise * shape[step] + glide.amplitude);
-    }
-}
-
-/* Shapes of a glide, one entry a step. */
-typedef struct {
-    const double *shape, *seconds, *glide_s;
-    size_t steps;
-} Shapes;
-
-/* Slots are added in their order; those at amplitude 0 add nothing. */
-static void add_partials(const Glides *glides, size_t count, Shapes shapes, double *low_rate)
+/* Add partials with gliding frequency and amplitude. seconds, shape, glide_s: one entry per step. */
+SIMD_CLONES static void add_partials(const Glides *glides, size_t count, const double *restrict seconds,
+                                     const double *restrict shape, const double *restrict glide_s,
+                                     size_t steps, double *restrict low_rate)
 {
     for (size_t slot = 0; slot < count; slot++) {
-        const double start = glides->start_amplitude[slot], end = glides->end_amplitude[slot];
-        if (start == 0.0 && end == 0.0)
+        const double start = glides->start_amplitude[slot], rise = glides->end_amplitude[slot] - start;
+        const double hz = glides->start_hz[slot], rise_hz = glides->end_hz[slot] - hz;
+        const double phase = glides->start_phase[slot];
+        if (start == 0.0 && glides->end_amplitude[slot] == 0.0)
             continue;
-        const double hz = glides->start_hz[slot];
-        const Glide glide = {hz, glides->end_hz[slot] - hz, start, end - start,
-                             glides->start_phase[slot]};
-        add_partial(glide, shapes.seconds, shapes.glide_s, shapes.shape, shapes.steps, low_rate);
+        for (size_t step = 0; step < steps; step++) {
+            const double turns = hz * seconds[step] + rise_hz * glide_s[step] + phase;
+            low_rate[step] += cosine_of_turns(turns) * (rise * shape[step] + start);
+        }
     }
 }
 
-/* One shape for all slots: then their sum never exceeds both its ends, which is what keeps the wave
- * under full scale. */
-void synthesis_hop(const Settings *settings, const Glides *glides, double *low_rate)
+/* All slots share one amplitude shape, so the sum of amplitudes is largest at the start or the end of the
+ * hop. The ceiling limits both sums, and therefore the wave. */
+void synthesis_hop(const Settings *s, const Glides *glides, double *low_rate)
 {
-    const size_t count = tracking_slots(settings);
+    const size_t count = tracking_slots(s);
     double rise = 0.0;
     for (size_t slot = 0; slot < count; slot++)
         rise += glides->end_amplitude[slot] - glides->start_amplitude[slot];
-    const Table shape = rise > settings->still ? settings->attack : settings->glide;
-    const Shapes shapes = {shape.at, settings->seconds.at, settings->glide_s.at, settings->steps};
-    memset(low_rate, 0, settings->steps * sizeof(double));
-    add_partials(glides, count, shapes, low_rate);
+    const Table shape = rise > s->still ? s->attack : s->glide;
+    memset(low_rate, 0, s->steps * sizeof(double));
+    add_partials(glides, count, s->seconds.at, shape.at, s->glide_s.at, s->steps, low_rate);
 }
 
-static void add_fresh(const Settings *settings, const Glides *glides, double *low_rate)
+void synthesis_add_onsets(const Settings *s, const Glides *onset_partials, double *low_rate)
 {
-    const Shapes shapes = {settings->tick_glide.at, settings->seconds.at,
-                           settings->tick_glide_s.at, settings->tick_steps};
-    add_partials(glides, settings->fresh_max, shapes, low_rate);
+    add_partials(onset_partials, s->onset_partials_max, s->seconds.at, s->tick_glide.at,
+                 s->tick_glide_s.at, s->tick_steps, low_rate);
 }
 
-/* ------------------------------------------------------------------------------------ smoothing */
-
-INLINED void filter_low(Table b, Table a, double *state, size_t order, double *samples,
-                        size_t count)
+INLINED void filter_low(Table b, Table a, double *state, size_t order, double *samples, size_t count)
 {
     double held[ORDER_MAX];
     memcpy(held, state, order * sizeof(double));
@@ -101,8 +54,7 @@ INLINED void filter_low(Table b, Table a, double *state, size_t order, double *s
     memcpy(state, held, order * sizeof(double));
 }
 
-/* Each step of the low rate becomes `decimation` frames: a matrix, by which the last `taps` samples
- * are multiplied. */
+/* Polyphase interpolation: compute `decimation` frames per step of the low rate, each from `taps` samples. */
 INLINED void multiply(const double *restrict low_rate, size_t steps, const double *restrict phases,
                         size_t taps, size_t decimation, double *restrict vibration)
 {
@@ -125,27 +77,29 @@ SIMD_CLONES static void interpolate(const double *low_rate, size_t steps, Table 
         multiply(low_rate, steps, phases.at, taps, decimation, vibration);
 }
 
-void synthesis_play(const Settings *settings, const double *hop, const Glides *fresh,
-                    Smoothing *smoothing, double *vibration, double *work)
+static void filter_sections(const Settings *s, double *state, double *samples, size_t count)
 {
-    const size_t tail = smoothing_tail(settings), order = smoothing_states(settings);
-    const size_t steps = settings->tick_steps;
-    double *low_rate = work + tail;
-    memset(low_rate, 0, steps * sizeof(double));
-    if (fresh)
-        add_fresh(settings, fresh, low_rate);
-    for (size_t step = 0; step < steps; step++)
-        low_rate[step] += hop[step];
-    if (order == 6)
-        filter_low(settings->low_b, settings->low_a, smoothing->state, 6, low_rate, steps);
-    else
-        filter_low(settings->low_b, settings->low_a, smoothing->state, order, low_rate, steps);
-    memcpy(work, smoothing->tail, tail * sizeof(double));
-    interpolate(work, steps, settings->phases, settings->decimation, vibration);
-    memcpy(smoothing->tail, work + steps, tail * sizeof(double));
+    const CascadeDesign design = {s->low_sections.at, s->low_sections.length / SECTION_NUMBERS};
+    for (size_t one = 0; one < count; one++)
+        samples[one] = cascade_step((Cascade *)(void *)state, design, samples[one]);
 }
 
-/* ----------------------------------------------------------------------------------------- knee */
+void synthesis_play(const Settings *s, double *low_rate, Smoothing *smoothing, double *vibration,
+                    double *work)
+{
+    const size_t tail = smoothing_tail(s), order = smoothing_states(s);
+    const size_t steps = s->tick_steps;
+    if (s->low_sections.length)
+        filter_sections(s, smoothing->state, low_rate, steps);
+    else if (order == 6)
+        filter_low(s->low_b, s->low_a, smoothing->state, 6, low_rate, steps);
+    else
+        filter_low(s->low_b, s->low_a, smoothing->state, order, low_rate, steps);
+    memcpy(work, smoothing->tail, tail * sizeof(double));
+    memcpy(work + tail, low_rate, steps * sizeof(double));
+    interpolate(work, steps, s->phases, s->decimation, vibration);
+    memcpy(smoothing->tail, work + steps, tail * sizeof(double));
+}
 
 SIMD_CLONES static int64_t beyond(const double *restrict samples, size_t count, double limit)
 {
@@ -155,17 +109,31 @@ SIMD_CLONES static int64_t beyond(const double *restrict samples, size_t count, 
     return total;
 }
 
-size_t synthesis_keep_below_full_scale(const Settings *settings, double *vibration)
+size_t synthesis_keep_below_full_scale(const Settings *s, double *vibration)
 {
-    const double knee = settings->knee, room = 1.0 - knee;
-    const int64_t rounded = beyond(vibration, settings->tick_frames, knee);
+    const double knee = s->knee, room = 1.0 - knee;
+    const int64_t rounded = beyond(vibration, s->tick_frames, knee);
     if (!rounded)
         return 0;
-    for (size_t frame = 0; frame < settings->tick_frames; frame++) {
+    for (size_t frame = 0; frame < s->tick_frames; frame++) {
         const double size = fabs(vibration[frame]);
         const double lower = knee + room * exact_tanh((size - knee) / room) * (1.0 - 1e-6);
         if (size > knee)
             vibration[frame] = copysign(lower, vibration[frame]);
     }
     return (size_t)rounded;
+}
+
+void glide_log_add_all(GlideLog *log, const Glides *glides, size_t channel, size_t first_slot, size_t slots,
+                       size_t frames)
+{
+    for (size_t slot = 0; log->rows && slot < slots; slot++) {
+        if (glides->start_amplitude[slot] == 0.0 && glides->end_amplitude[slot] == 0.0)
+            continue;
+        glide_log_add(log, (CoreGlide){
+            (double)log->frame, (double)frames, (double)channel, (double)(first_slot + slot),
+            glides->start_hz[slot], glides->end_hz[slot],
+            glides->start_amplitude[slot], glides->end_amplitude[slot], glides->start_phase[slot],
+        });
+    }
 }

@@ -1,127 +1,75 @@
-/* Partials followed from hop to hop: matching, births, deaths, and small changes averaged.
- *
- * A slot is a partial's own where they are nearest to one another and within reach.
- */
+/* Tracks partials from hop to hop: matching, start, end, and smoothing of small changes. A slot continues a
+ * partial if the two are nearest to each other in frequency, within a maximum distance. */
 
 #include "tracking.h"
-
-#include "common.h"
-#include "loudness.h"
-#include "merging.h"
 #include "scaling.h"
-#include "arena.h"
 
-/* Where a partial goes. */
-typedef struct {
-    size_t nearest; /* slot that sounds; any where none does */
-    size_t slot;    /* its own, or the number of slots where it has none yet */
-    double gap_hz;  /* to the nearest; infinite where none sounds */
-} Match;
+static size_t most_alive(const Settings *s) { return s->partials_max + s->onset_partials_max; }
 
-/* To each of some what of others is nearest, by its place among them, and how near. */
-typedef struct {
-    uint64_t *nearest;
-    double *gap_hz;
-} Neighbours;
-
-/* The slots that sound, by their place among them. */
-typedef struct {
-    size_t *slot;
-    double *hz;
-    Neighbours of_slots, of_partials;
-} Alive;
-
-static size_t most_alive(const Settings *settings)
+TrackingWork tracking_layout(const Settings *s, Arena *arena)
 {
-    return settings->partials_max + settings->fresh_max;
+    const size_t partials_max = s->partials_max, living = most_alive(s);
+    TrackingWork work = {
+        .matches = arena_alloc(arena, partials_max, sizeof(Match)),
+        .alive.slot = arena_alloc(arena, living, sizeof(size_t)),
+        .alive.hz = arena_doubles(arena, living),
+        .alive.of_slots = {arena_alloc(arena, living, sizeof(uint64_t)), arena_doubles(arena, living)},
+        .alive.of_partials = {arena_alloc(arena, partials_max, sizeof(uint64_t)),
+                              arena_doubles(arena, partials_max)},
+        .merging.centres = arena_doubles(arena, living + partials_max),
+        .merging.gathered = arena_alloc(arena, living + partials_max, sizeof(PartialGroup)),
+    };
+    arena_arrays(arena, ARRAYS(work.merging.merged), partials_max);
+    return work;
 }
 
-size_t tracking_slots(const Settings *settings) { return 2 * most_alive(settings); }
-
-/* Give every part its place in the memory, or count how much that is where there is none. */
-static size_t lay_out(void *memory, const Settings *settings, Match **matches, Alive *alive,
-                      Merging *merging)
-{
-    Arena arena = {memory, 0};
-    const size_t partials_max = settings->partials_max, living = most_alive(settings);
-    *matches = arena_alloc(&arena, partials_max, sizeof(Match));
-    alive->slot = arena_alloc(&arena, living, sizeof(size_t));
-    alive->hz = arena_alloc(&arena, living, sizeof(double));
-    alive->of_slots.nearest = arena_alloc(&arena, living, sizeof(uint64_t));
-    alive->of_slots.gap_hz = arena_alloc(&arena, living, sizeof(double));
-    alive->of_partials.nearest = arena_alloc(&arena, partials_max, sizeof(uint64_t));
-    alive->of_partials.gap_hz = arena_alloc(&arena, partials_max, sizeof(double));
-    merging->centres = arena_alloc(&arena, living + partials_max, sizeof(double));
-    merging->gathered = arena_alloc(&arena, living + partials_max, sizeof(PartialGroup));
-    merging->audio_hz = arena_alloc(&arena, partials_max, sizeof(double));
-    merging->hz = arena_alloc(&arena, partials_max, sizeof(double));
-    merging->amplitude = arena_alloc(&arena, partials_max, sizeof(double));
-    merging->dominance = arena_alloc(&arena, partials_max, sizeof(double));
-    return arena.used;
-}
-
-size_t tracking_work(const Settings *settings)
-{
-    Match *matches;
-    Alive alive;
-    Merging merging;
-    return lay_out(NULL, settings, &matches, &alive, &merging);
-}
-
-int tracking_sounds(const Settings *settings, const Slots *slots)
-{
-    for (size_t slot = 0; slot < tracking_slots(settings); slot++)
-        if (slots->alive[slot] != 0.0)
-            return 1;
-    return 0;
-}
-
-static size_t living(const Settings *settings, const Slots *slots)
+static size_t count_alive(const Settings *s, const Slots *slots)
 {
     size_t count = 0;
-    for (size_t slot = 0; slot < tracking_slots(settings); slot++)
+    for (size_t slot = 0; slot < tracking_slots(s); slot++)
         count += slots->alive[slot] != 0.0;
     return count;
 }
 
-int tracking_holds(const Settings *settings, const Slots *slots)
+int tracking_sounds(const Settings *s, const Slots *slots) { return count_alive(s, slots) != 0; }
+
+int tracking_holds(const Settings *s, const Slots *slots)
 {
-    for (size_t slot = 0; slot < tracking_slots(settings); slot++)
-        if (slots->held_hops[slot] != 0.0)
+    for (size_t slot = 0; slot < tracking_slots(s); slot++)
+        if (slots->held[slot].hops != 0.0)
             return 1;
     return 0;
 }
 
-double tracking_near_hz(const Settings *settings, double hz)
+double tracking_near_hz(const Settings *s, double hz)
 {
-    const double ratio = settings->match_audio_hz / heard_hz(settings, hz);
-    const double slope_hz = settings->scale_hz + settings->scale_ratio * hz;
-    const double near_hz = settings->fresh_reach * slope_hz * larger(settings->match_ratio, ratio);
-    return settings->merge_ratio > 0.0 ? larger(near_hz, merging_hz(settings, hz)) : near_hz;
+    const double ratio = s->match_audio_hz / audio_hz(s, hz);
+    const double slope_hz = s->scale_hz + s->scale_ratio * hz;
+    const double near_hz = s->onset_reach * slope_hz * larger(s->match_ratio, ratio);
+    return s->merge_ratio > 0.0 ? larger(near_hz, merging_hz(s, hz)) : near_hz;
 }
 
-double tracking_sounding_near(const Settings *settings, const Slots *slots, double hz)
+double tracking_sounding_near(const Settings *s, const Slots *slots, double hz)
 {
-    const double near_hz = tracking_near_hz(settings, hz);
+    const double near_hz = tracking_near_hz(s, hz);
     double total = 0.0;
-    for (size_t slot = 0; slot < tracking_slots(settings); slot++)
+    for (size_t slot = 0; slot < tracking_slots(s); slot++)
         if (slots->alive[slot] != 0.0 && fabs(slots->hz[slot] - hz) < near_hz)
             total += slots->amplitude[slot];
     return total;
 }
 
-double tracking_join(const Settings *settings, const Slots *slots, double before_end_s, double *hz,
-                     double *phase)
+double tracking_join(const Settings *s, const Slots *slots, double before_end_s, double *hz, double *phase)
 {
-    if (!(settings->merge_ratio > 0.0))
+    if (!(s->merge_ratio > 0.0))
         return 0.0;
-    const size_t none = tracking_slots(settings);
-    const double near_hz = tracking_near_hz(settings, *hz);
+    const size_t none = tracking_slots(s);
+    const double near_hz = tracking_near_hz(s, *hz);
     size_t found = none;
-    double most = settings->joined_from;
+    double most = s->joined_from;
     for (size_t slot = 0; slot < none; slot++)
         if (slots->alive[slot] != 0.0 && fabs(slots->hz[slot] - *hz) < near_hz &&
-            slots->amplitude[slot] > settings->stronger * most) {
+            slots->amplitude[slot] > s->stronger * most) {
             found = slot;
             most = slots->amplitude[slot];
         }
@@ -133,36 +81,9 @@ double tracking_join(const Settings *settings, const Slots *slots, double before
     return 1.0;
 }
 
-/* The strength of all that sounds at the end of the hop. */
-static double felt(const Settings *settings, const Slots *slots)
+void tracking_adopt(const Settings *s, Slots *slots, double hz, double phase, double amplitude, Held held)
 {
-    double power = 0.0;
-    for (size_t slot = 0; slot < tracking_slots(settings); slot++)
-        if (slots->alive[slot] != 0.0) {
-            const double weight =
-                table_at(settings->felt_weights, settings->gain_step_hz, slots->hz[slot]);
-            power += slots->amplitude[slot] * weight * (slots->amplitude[slot] * weight);
-        }
-    return sqrt(power);
-}
-
-/* Let vibration be strongest at the onset: the long window goes on hearing it for long. */
-static void stay_under_onset(const Settings *s, Slots *slots)
-{
-    if (!loudness_is_on(s) || *slots->struck_hops == 0.0)
-        return;
-    *slots->struck_hops -= 1.0;
-    const double over = felt(s, slots) / larger(TINY, *slots->struck);
-    const double kept = larger(s->struck_share, s->struck_grown * over);
-    if (kept < over)
-        for (size_t slot = 0; slot < tracking_slots(s); slot++)
-            slots->amplitude[slot] *= kept / over;
-}
-
-void tracking_adopt(const Settings *settings, Slots *slots, double hz, double phase,
-                    double amplitude, Held held)
-{
-    if (living(settings, slots) >= most_alive(settings))
+    if (count_alive(s, slots) >= most_alive(s))
         return;
     size_t slot = 0;
     while (slots->alive[slot] != 0.0)
@@ -171,27 +92,18 @@ void tracking_adopt(const Settings *settings, Slots *slots, double hz, double ph
     slots->phase[slot] = phase;
     slots->amplitude[slot] = amplitude;
     slots->alive[slot] = 1.0;
-    slots->held_amplitude[slot] = held.amplitude;
-    slots->held_weight[slot] = held.weight;
-    slots->held_loudness[slot] = held.loudness;
-    slots->held_first[slot] = (double)held.group.first;
-    slots->held_last[slot] = (double)held.group.last;
-    slots->held_hops[slot] = (double)settings->hold_hops + 1.0;
-    if (loudness_is_on(settings)) {
-        *slots->struck = felt(settings, slots);
-        *slots->struck_hops = (double)settings->hold_hops;
-    }
+    held.hops = (double)s->hold_hops + 1.0;
+    slots->held[slot] = held;
 }
 
-/* The share of a change that is followed: all of a clear one, little of a jitter. */
-static double weigh_change(const Settings *settings, double relative_change)
+/* Return the share of a change that a slot follows: 1 for large changes, steady_gain for the smallest. */
+static double weigh_change(const Settings *s, double relative_change)
 {
-    return smaller(1.0, settings->steady_gain + relative_change * relative_change);
+    return smaller(1.0, s->steady_gain + relative_change * relative_change);
 }
 
-/* Find the nearest of others to each of some; of equals the first. Between a partial and the slot
- * with that place among those alive lies `first_hz` times the place more. Nothing branches: in noise
- * nobody could foresee which way. */
+/* Find the nearest of other_hz for each frequency in hz. `first_hz` and `others_first_hz`, tiny distances per
+ * index, break ties. In noise, branches would be unpredictable, so the inner loop has no branches. */
 INLINED void nearest_of(const double *restrict hz, size_t count, const double *restrict other_hz,
                         size_t others, double first_hz, double others_first_hz, Neighbours found)
 {
@@ -217,87 +129,71 @@ SIMD_CLONES static void find_neighbours(Partials partials, Alive alive, size_t c
     nearest_of(alive.hz, count, partials.hz, partials.count, first_hz, 0.0, alive.of_slots);
 }
 
-/* Find the slot nearest to each partial, and whether it is its own. */
-static void match(const Settings *settings, const Slots *slots, Partials partials, Match *matches,
-                  Alive alive)
+/* Find each partial's nearest sounding slot, and whether that slot continues the partial. */
+static void match(const Settings *s, const Slots *slots, Partials partials, Match *matches,
+                  Alive alive, size_t count)
 {
-    const size_t none = tracking_slots(settings);
-    size_t count = 0;
-    for (size_t slot = 0; slot < none && count < most_alive(settings); slot++)
-        if (slots->alive[slot] != 0.0) {
-            alive.slot[count] = slot;
-            alive.hz[count++] = slots->hz[slot];
-        }
-    find_neighbours(partials, alive, count, settings->first_hz);
+    const size_t none = tracking_slots(s);
+    find_neighbours(partials, alive, count, s->first_hz);
     for (size_t one = 0; one < partials.count; one++) {
-        const double ratio = settings->match_audio_hz / partials.audio_hz[one];
+        const double ratio = s->match_audio_hz / partials.audio_hz[one];
         const size_t nearest = alive.of_partials.nearest[one];
         const int mutual = count && alive.of_slots.nearest[nearest] == one;
         matches[one].nearest = count ? alive.slot[nearest] : 0;
         matches[one].gap_hz = alive.of_partials.gap_hz[one];
-        const int held = count && slots->held_hops[matches[one].nearest] > 0.0;
-        const double slope_hz = settings->scale_hz + settings->scale_ratio * partials.hz[one];
-        double reach_hz = slope_hz * larger(settings->match_ratio, ratio);
-        if (settings->merge_ratio > 0.0)
-            reach_hz = larger(reach_hz, merging_hz(settings, partials.hz[one]));
+        const int held = count && slots->held[matches[one].nearest].hops > 0.0;
+        const double slope_hz = s->scale_hz + s->scale_ratio * partials.hz[one];
+        double reach_hz = slope_hz * larger(s->match_ratio, ratio);
+        if (s->merge_ratio > 0.0)
+            reach_hz = larger(reach_hz, merging_hz(s, partials.hz[one]));
         if (held)
-            reach_hz *= settings->fresh_reach;
+            reach_hz *= s->onset_reach;
         matches[one].slot = mutual && matches[one].gap_hz <= reach_hz ? matches[one].nearest : none;
     }
 }
 
-/* Give those without a slot the lowest free ones.
- *
- * A partial that splits off another one begins at its phase. The peak of a fast chirp wavers between one
- * and two, and would be out of step with itself.
- */
-static void bear(const Settings *settings, Slots *slots, Partials partials, Match *matches)
+/* Give new partials the lowest free slots. A new partial less than split_hz from a sounding slot copies this
+ * slot's phase. Without this, the two partials of a fast chirp, whose peak splits at times, could cancel
+ * each other. */
+static void bear(const Settings *s, Slots *slots, Partials partials, Match *matches)
 {
-    const size_t none = tracking_slots(settings);
+    const size_t none = tracking_slots(s);
     size_t free_slot = 0;
     for (size_t one = 0; one < partials.count; one++) {
         if (matches[one].slot < none)
             continue;
         while (slots->alive[free_slot] != 0.0)
             free_slot++;
-        const int split = matches[one].gap_hz < settings->split_hz;
+        const int split = matches[one].gap_hz < s->split_hz;
         slots->phase[free_slot] = split ? slots->phase[matches[one].nearest] : 0.0;
         slots->hz[free_slot] = partials.hz[one];
         matches[one].slot = free_slot++;
     }
 }
 
-static double amplitudes(const Settings *settings, const Slots *slots)
+double tracking_loudest_sum(const Settings *s, const Slots *slots)
 {
-    double total = 0.0;
-    for (size_t slot = 0; slot < tracking_slots(settings); slot++)
-        total += slots->amplitude[slot];
-    return total;
+    return larger(slots->start_sum, sum(slots->amplitude, tracking_slots(s)));
 }
 
-double tracking_loudest_sum(const Settings *settings, const Slots *slots)
+static void start_hop(const Settings *s, Slots *slots, Glides *glides)
 {
-    return larger(*slots->start_sum, amplitudes(settings, slots));
-}
-
-static void start_hop(const Settings *settings, const Slots *slots, Glides *glides)
-{
-    const size_t bytes = tracking_slots(settings) * sizeof(double);
+    const size_t bytes = tracking_slots(s) * sizeof(double);
     memcpy(glides->start_hz, slots->hz, bytes);
     memcpy(glides->start_amplitude, slots->amplitude, bytes);
     memcpy(glides->start_phase, slots->phase, bytes);
-    *slots->start_sum = amplitudes(settings, slots);
+    slots->start_sum = sum(slots->amplitude, tracking_slots(s));
     memset(slots->amplitude, 0, bytes);
     memset(slots->alive, 0, bytes);
 }
 
-SIMD_CLONES static void finish_hop(const Settings *settings, Slots *slots, Glides *glides)
+SIMD_CLONES static void finish_hop(const Settings *s, Slots *slots, Glides *glides)
 {
-    const size_t count = tracking_slots(settings);
+    const size_t count = tracking_slots(s);
     memcpy(glides->end_hz, slots->hz, count * sizeof(double));
     memcpy(glides->end_amplitude, slots->amplitude, count * sizeof(double));
-    /* The mean frequency of a symmetric glide is that of its ends. */
-    const double half_hop_s = 0.5 * settings->hop_s;
+    /* The mean frequency of a symmetric glide is the mean of the frequencies at both ends. */
+    const double half_hop_s = 0.5 * s->hop_s;
     for (size_t slot = 0; slot < count; slot++) {
         const double phase =
             slots->phase[slot] + half_hop_s * (glides->start_hz[slot] + slots->hz[slot]);
@@ -305,42 +201,39 @@ SIMD_CLONES static void finish_hop(const Settings *settings, Slots *slots, Glide
     }
 }
 
-/* What a partial that is held is to have now, by what its bands have of late. */
-static double hold_amplitude(const Settings *settings, const Slots *slots, size_t slot,
-                          const Onsets *onsets)
+/* Return a held partial's amplitude, which falls with the square root of the recent power of its bands. */
+static double hold_amplitude(const Settings *s, const Held *held, const Onsets *onsets)
 {
-    if (!(slots->held_loudness[slot] > 0.0))
+    if (!(held->power > 0.0))
         return 0.0;
-    const Group group = {(size_t)slots->held_first[slot], (size_t)slots->held_last[slot]};
-    const double share = onsets_loudness(settings, onsets, group) / slots->held_loudness[slot];
-    return slots->held_amplitude[slot] * sqrt(smaller(1.0, share));
+    return held->amplitude * sqrt(smaller(1.0, onsets_power(s, onsets, held->bands) / held->power));
 }
 
-/* What is held of its amplitude now that a window shows what it consists of. */
+/* Return the factor, at most 1, that limits the Euclidean norm of the held partials' weights to `left`. */
 static double known(const Settings *s, const Slots *slots, double left)
 {
     double squares = 0.0;
     for (size_t slot = 0; slot < tracking_slots(s); slot++)
-        if (slots->held_hops[slot] != 0.0)
-            squares += slots->held_weight[slot] * slots->held_weight[slot];
+        if (slots->held[slot].hops != 0.0)
+            squares += slots->held[slot].weight * slots->held[slot].weight;
     return squares <= left * left ? 1.0 : left / sqrt(squares);
 }
 
-/* Keep what is held at its amplitude, as far as there is room and the law leaves it. */
+/* Raise the amplitudes of held partials, as far as `room` and `left` (see `tracking_follow`) allow. */
 static void hold(const Settings *s, Slots *slots, double room, double left, const Onsets *onsets)
 {
     const double share_known = known(s, slots, left);
     double total = 0.0;
     for (size_t slot = 0; slot < tracking_slots(s); slot++) {
+        Held *held = &slots->held[slot];
         slots->lacking[slot] = 0.0;
-        if (slots->held_hops[slot] == 0.0)
+        if (held->hops == 0.0)
             continue;
-        const double wanted = hold_amplitude(s, slots, slot, onsets);
-        const int full = slots->alive[slot] == 0.0 && living(s, slots) >= most_alive(s);
-        slots->held_hops[slot] -= 1.0;
-        if (full || slots->held_hops[slot] == 0.0 ||
-            wanted < s->worth_holding * slots->held_amplitude[slot]) {
-            slots->held_hops[slot] = 0.0;
+        const double wanted = hold_amplitude(s, held, onsets);
+        const int full = slots->alive[slot] == 0.0 && count_alive(s, slots) >= most_alive(s);
+        held->hops -= 1.0;
+        if (full || held->hops == 0.0 || wanted < s->min_held_share * held->amplitude) {
+            held->hops = 0.0;
             continue;
         }
         slots->alive[slot] = 1.0;
@@ -353,51 +246,50 @@ static void hold(const Settings *s, Slots *slots, double room, double left, cons
         slots->amplitude[slot] += share * slots->lacking[slot];
 }
 
-void tracking_follow(const Settings *settings, Slots *slots, Glides *glides, Partials partials,
-                     double room, double left, const Onsets *onsets, void *work)
+void tracking_follow(const Settings *s, Slots *slots, Glides *glides, Partials partials,
+                     double room, double left, const Onsets *onsets, TrackingWork *work)
 {
-    Match *matches;
-    Alive alive;
-    Merging merging;
-    lay_out(work, settings, &matches, &alive, &merging);
-    const int merges = settings->merge_ratio > 0.0 && partials.count;
+    Match *matches = work->matches;
+    Merging *merging = &work->merging;
+    const int merges = s->merge_ratio > 0.0 && partials.count;
+    size_t sounding = 0;
+    for (size_t slot = 0; slot < tracking_slots(s) && sounding < most_alive(s); slot++)
+        if (slots->alive[slot] != 0.0) {
+            work->alive.slot[sounding] = slot;
+            work->alive.hz[sounding++] = slots->hz[slot];
+        }
     if (merges) {
-        size_t sounding = 0;
-        for (size_t slot = 0; slot < tracking_slots(settings); slot++)
-            if (slots->alive[slot] != 0.0 && sounding < most_alive(settings))
-                merging.centres[sounding++] = slots->hz[slot];
-        partials = merging_merge(settings, &merging, sounding, partials);
+        memcpy(merging->centres, work->alive.hz, sounding * sizeof(double));
+        partials = merging_merge(s, merging, sounding, partials);
     }
-    match(settings, slots, partials, matches, alive);
-    bear(settings, slots, partials, matches);
-    start_hop(settings, slots, glides);
+    match(s, slots, partials, matches, work->alive, sounding);
+    bear(s, slots, partials, matches);
+    start_hop(s, slots, glides);
     for (size_t one = 0; one < partials.count; one++) {
         const size_t slot = matches[one].slot;
         const double hz = slots->hz[slot], change_hz = partials.hz[one] - hz;
-        const double share = weigh_change(settings, change_hz / settings->steady_hz);
-        slots->hz[slot] = hz + change_hz * share * (merges ? merging.dominance[one] : 1.0);
+        const double share = weigh_change(s, change_hz / s->steady_hz);
+        slots->hz[slot] = hz + change_hz * share * (merges ? merging->merged.dominance[one] : 1.0);
         const double level = glides->start_amplitude[slot];
         const double change = partials.amplitude[one] - level;
-        const double steady = settings->steady_ratio * partials.amplitude[one];
-        slots->amplitude[slot] = level + change * weigh_change(settings, change / steady);
+        const double steady = s->steady_ratio * partials.amplitude[one];
+        slots->amplitude[slot] = level + change * weigh_change(s, change / steady);
         slots->alive[slot] = 1.0;
     }
-    hold(settings, slots, room, left, onsets);
-    stay_under_onset(settings, slots);
-    finish_hop(settings, slots, glides);
+    hold(s, slots, room, left, onsets);
+    finish_hop(s, slots, glides);
 }
 
-void tracking_fade(const Settings *settings, Slots *slots, Glides *glides)
+void tracking_fade(const Settings *s, Slots *slots, Glides *glides)
 {
-    start_hop(settings, slots, glides);
-    memset(slots->held_hops, 0, tracking_slots(settings) * sizeof(double));
-    *slots->struck_hops = 0.0;
-    finish_hop(settings, slots, glides);
+    start_hop(s, slots, glides);
+    memset(slots->held, 0, tracking_slots(s) * sizeof(Held));
+    finish_hop(s, slots, glides);
 }
 
-void tracking_rest(const Settings *settings, Glides *glides)
+void tracking_rest(const Settings *s, Glides *glides)
 {
-    const size_t bytes = tracking_slots(settings) * sizeof(double);
+    const size_t bytes = tracking_slots(s) * sizeof(double);
     memset(glides->start_amplitude, 0, bytes);
     memset(glides->end_amplitude, 0, bytes);
 }

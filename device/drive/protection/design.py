@@ -1,50 +1,31 @@
-"""Protection of a rig as numbers and tables: what the core's protection (protection.c) works by."""
-
-from __future__ import annotations
+"""The parameters of a rig's protection as numbers and tables for the core (protection.c)."""
 
 import math
 
 import numpy as np
 
-from device.drive.protection.bounding_models import RESERVE, bounding_models
-from device.drive.protection.drive_model import amplifier_sections
-from device.drive.protection.limits import Limits, limits_of
-from device.drive.protection.prediction import Prediction, most_current_a
-from device.drive.protection.thermal import APPROACH_S
+from device.drive.protection.limits import APPROACH_S, RESERVE, Limits, bounding_models, limits_of
+from device.drive.protection.prediction import (
+    LANES,
+    DriveModel,
+    amplifier_sections,
+    prediction_records,
+)
 from device.errors import UsageError
-from device.records import Records
 from device.rig import Rig
 from device.rig.thermal import COPPER_PER_K, Temperatures
-from device.units import FloatArray
+from device.units import Records
 
 BLOCK_S = 0.002
-BLOCKS_AHEAD = 2
-"""A block leaves when the next block is known: two block lengths after its start."""
-
-RECOVERY_S = 0.02
-"""Time in which the gain recovers from 0 to what the demand allows."""
-HOLD_S = 0.06
-"""Demand is held at least this long: more than a period of 20 Hz, so that the gain is steady."""
+BLOCKS_AHEAD = 2  # a block leaves when the next block is known, two block lengths after its start
+RECOVERY_S = 0.02  # time in which the gain recovers from 0 to the allowed gain
+HOLD_S = 0.06  # hold time of the demand: more than a period of 20 Hz, for a steady gain
+# Factor on the demand (ratio of predicted motion to its limit) after each limited block. Otherwise
+# the oscillation after a limited block would reach the limit again in every period.
 CAUTION = 1.03
-"""Factor on the demand after each block in which the bound limited the gain. That limit makes the
-actuator swing, and the bound would act again in every period."""
-RELEASE_S = 0.5
-"""Time constant of the demand's decay after that."""
-WANTED_RISE_S, WANTED_FALL_S = 0.03, 2.0
-"""Time constants of the wanted power's rise, over a few periods of vibration, and decay."""
-
-NUMBERS = ("reach", "swing", "last_kick", "ring")
-MATRICES = ("excursion_by_state", "state_by_state", "current_by_state", "tail_by_state")
-RESPONSES = ("excursion_by_drive", "state_by_drive", "current_by_drive")
-
-LANES = 8
-"""Of the core: it reads whole groups of so many frames."""
-
-_FINE_HZ = 32_000
-"""From here on a block has whole groups."""
-
-_UNREACHABLE = 1e30
-"""In place of infinity, for a reach that nobody computed."""
+RELEASE_S = 0.5  # time constant with which the demand decays after the hold time
+WANTED_RISE_S, WANTED_FALL_S = 0.03, 2.0  # time constants of the wanted power's rise and decay
+_FINE_HZ = 32_000  # from this sample rate on, a block consists of whole groups of `LANES` frames
 
 
 def latency_frames(samplerate: int) -> int:
@@ -53,13 +34,11 @@ def latency_frames(samplerate: int) -> int:
 
 
 def protection_records(rig: Rig, samplerate: int, limits: Limits | None = None) -> Records:
-    """Return the design of the protection of a rig, by name; see `ProtectionDesign` of the core.
+    """Return numbers and tables of the protection, named as in `ProtectionDesign` of the core.
 
-    The result keeps the rig inside its limits by gain alone, ahead of time. While no limit is near,
-    every sample leaves unchanged, `latency_frames` later.
-
-    rig: what is driven. samplerate: Hz, 1000 or more. limits: None for the limits of the rig.
-    UsageError: the coil's temperature is limited and the rig does not describe how it warms up.
+    While no limit is near, every sample is output unchanged after `latency_frames`.
+    samplerate: Hz, 1000 or more. limits: None for the limits of the rig.
+    UsageError: the coil's temperature is limited, but the rig has no [thermal].
     """
     limits = limits or limits_of(rig)
     thermal, hottest_c = rig.thermal, limits.coil_temperature_c
@@ -70,22 +49,12 @@ def protection_records(rig: Rig, samplerate: int, limits: Limits | None = None) 
         )
     frames = _block_frames(samplerate)
     period_s = frames / samplerate
-    prediction, current_a = _predict(rig, samplerate, frames, limits)
+    prediction, current_a = _predict(rig, samplerate, limits)
     ambient_c = thermal.ambient_c if thermal else 20.0
-    heating = Temperatures(thermal).step(period_s) if thermal else ()
+    heating = Temperatures(thermal).step(period_s) if thermal else []
     return {
-        "models": len(prediction.models),
-        "states": prediction.states,
-        "frames": frames,
-        "watched": prediction.watched,
-        "stride": prediction.stride,
-        "tail_points": prediction.tail_points,
-        "currents": len(prediction.current_by_drive),
+        **prediction,
         "hold_blocks": math.ceil(HOLD_S / period_s),
-        **{name: np.minimum(getattr(prediction, name), _UNREACHABLE) for name in NUMBERS},
-        **{name: _padded(getattr(prediction, name), 0) for name in MATRICES},
-        **{name: _padded(getattr(prediction, name), LANES) for name in RESPONSES},
-        "swing_m": prediction.swing_m,
         "level": limits.level,
         "current_a": current_a or 0.0,
         "recovery": period_s / RECOVERY_S,
@@ -104,40 +73,24 @@ def protection_records(rig: Rig, samplerate: int, limits: Limits | None = None) 
     }
 
 
-def _padded(table: FloatArray, least: int) -> FloatArray:
-    """Return a table whose rows end in `least` zeros, and more until they fill whole groups."""
-    numbers = table.shape[-1]
-    zeros = -(-(numbers + least) // LANES) * LANES - numbers
-    return np.pad(table, [(0, 0)] * (table.ndim - 1) + [(0, zeros)])
-
-
 def _block_frames(samplerate: int) -> int:
-    """Return the length of a block; a long one has divisors, for few points of a free swing."""
+    """Return a block's length in frames: from 32 kHz on, a multiple of `LANES`."""
     multiple = 1 if samplerate < _FINE_HZ else LANES
     return multiple * round(BLOCK_S * samplerate / multiple)
 
 
-def _predict(
-    rig: Rig, samplerate: int, frames: int, limits: Limits
-) -> tuple[Prediction, float | None]:
-    """Return the prediction, and the limit of the current in A; None if no drive can reach it."""
+def _predict(rig: Rig, samplerate: int, limits: Limits) -> tuple[Records, float | None]:
+    """Return the prediction's tables, and the current limit in A, None if absent or unreachable."""
     volts = rig.dac.full_scale_v * rig.amplifier.gain
     source = rig.amplifier.source_impedance_ohm
     models = bounding_models(rig.actuator, limits, source)
     sections = amplifier_sections(rig.amplifier, models, samplerate)
+    drives = [DriveModel(model, samplerate, source, sections, volts) for model in models]
     current_a = limits.current_a
     if current_a is not None:
-        most_a = most_current_a(models, samplerate, source, sections) * limits.level * volts
+        most_a = max(drive.reach("current_a") for drive in drives) * limits.level * volts
         current_a *= 1.0 - RESERVE
         current_a = current_a if most_a > current_a else None
-    prediction = Prediction(
-        models,
-        samplerate,
-        frames,
-        volts=volts,
-        source_impedance_ohm=source,
-        sections=sections,
-        excursion_m=(1.0 - RESERVE) * limits.excursion_m,
-        current_models=0 if current_a is None else len(models),
-    )
-    return prediction, current_a
+    limited = 0 if current_a is None else len(drives)
+    excursion_m = (1.0 - RESERVE) * limits.excursion_m
+    return prediction_records(drives, _block_frames(samplerate), excursion_m, limited), current_a

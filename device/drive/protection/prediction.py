@@ -1,240 +1,290 @@
-"""What a block of drive does to several linear models of one actuator, as tables.
+"""Tables that predict how a block of vibration moves several linear models of one actuator.
 
-Half the square of the first three states is the actuator's stored energy.
+A model consists of the amplifier's filters and one actuator, with one linear step per sample. Half
+the squared norm of the first three states is the stored energy of the actuator.
 """
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 import scipy
 
-from device.drive.protection.drive_model import LAST, DriveModel, rings
 from device.rig import ActuatorParameters
-from device.rig.actuator import LinearActuator, Quantity
-from device.units import FloatArray
+from device.rig.actuator import LinearActuator, Quantity, first_order_hold, state_space
+from device.rig.electronics import Band
+from device.rig.parameters import AmplifierParameters
+from device.units import FloatArray, Records
 
-_WATCHED_HZ = 6_000.0
-"""Excursion is computed at least this often; `_slacks_m` bounds it in between."""
-_TAIL_POINTS = 32
-_TAIL_PERIODS = 1.25
+ACTUATOR_STATES = 3
+LAST = ACTUATOR_STATES
+"""Index in a state. Order: x sqrt(k), x' sqrt(m), i sqrt(L), the amplifier's previous output as a
+share of full scale, then two values for each amplifier section."""
+
+_FAR_ABOVE = 20.0  # a low-pass this far above the resonance is omitted: its effect is 3e-6
 _DECAYED = 25.0
 _HORIZON_FRAMES = 1 << 20
+LANES = 8  # the core processes groups of this many frames
+_WATCHED_HZ = 6_000.0  # least rate at which excursion is computed; see `_slacks_m`
+_TAIL_POINTS = 32
+_TAIL_PERIODS = 1.25
+_UNREACHABLE = 1e30  # in place of infinity, for an excursion bound that is not computed
 
 
-class Prediction:
-    """What a block of drive does to the models, for one length of block. Immutable; for any thread.
+def amplifier_sections(
+    amplifier: AmplifierParameters, models: Sequence[ActuatorParameters], samplerate: float
+) -> FloatArray:
+    """Return the amplifier's filters, except a low-pass far above all resonances, (n, 6)."""
+    highest_hz = max(model.resonance_hz for model in models)
+    far = amplifier.high_cut_hz > _FAR_ABOVE * highest_hz
+    high_cut_hz = np.inf if far else amplifier.high_cut_hz
+    return Band(amplifier.low_cut_hz, high_cut_hz, samplerate).sections
 
-    Excursion is a share of the limit, less what it may rise between two frames; current is in A.
-    Impulse responses are stored last frame first, and matrices by their columns, as the core uses
-    them: a state times a matrix is a sum of columns.
 
-    models: rigs that the actuator may be; the believed one first.
-    samplerate: rate in Hz.
-    block_frames: length of a block, 1 or more.
-    volts: at the actuator for full scale.
-    source_impedance_ohm: of the amplifier.
-    sections: of the amplifier's band, (n, 6).
-    current_models: number of models whose current is limited.
-    states: of one model. stride: frames between two whose excursion is computed, the last of a
-        block among them; watched: their number. tail_points: of the free swing after a block.
-    excursion_by_drive: (models, block_frames). excursion_by_state: (models, states, watched).
-    state_by_drive: (models, states, block_frames). state_by_state: (models, states, states).
-    current_by_drive: (1 + current_models, block_frames); the first is the current of a coil that
-        nothing but its resistance holds back. Whatever the actuator is, its coil gets no warmer.
-    current_by_state: (1 + current_models, states, block_frames).
-    tail_by_state: (models, states, tail_points): excursion after a state without drive.
-    reach: (models,): largest excursion from rest that a drive within ±1 can cause.
-    swing: (models,), swing_m: amplitude of a swing over the root of twice its energy, as a share of
-        the limit, and of the believed model in m.
-    last_kick: (models,): such a root for a last output of 1.
-    ring: (models,): largest excursion that a state of length 1 of the amplifier can cause.
+class DriveModel:
+    """One actuator model behind the amplifier: S[n] = step S[n-1] + drive u[n]. Immutable.
+
+    The model is exact if the voltage is linear between samples. Any thread may use it.
+    sections: from `amplifier_sections`. volts: voltage at the actuator for full scale.
+    step, drive: (states, states) and (states,). u: vibration, full scale 1.
+    x_row, i_row: (states,): rows that give excursion in m and current in A from a state.
+    last_kick: norm of the actuator's state that an amplifier output of 1 in the last frame causes.
     """
 
     def __init__(
         self,
-        models: Sequence[ActuatorParameters],
+        model: ActuatorParameters,
         samplerate: float,
-        block_frames: int,
-        *,
-        volts: float,
         source_impedance_ohm: float,
         sections: FloatArray,
-        excursion_m: float,
-        current_models: int = 0,
+        volts: float,
     ) -> None:
-        self.models = tuple(models)
-        self.stride = max(1, int(samplerate // _WATCHED_HZ))
-        slack_m, tail_slack_m = _slacks_m(self.models, excursion_m, volts, samplerate, self.stride)
-        share = 1.0 / (excursion_m - slack_m)
-        tail_share = 1.0 / (excursion_m - slack_m - tail_slack_m)
-        drives = [
-            DriveModel(model, samplerate, source_impedance_ohm, sections, volts)
-            for model in self.models
-        ]
-        self.states = drives[0].states
-        # Counted back from the last frame of the block.
-        frames = np.arange(block_frames - 1, -1, -self.stride)[::-1]
-        self.watched = len(frames)
-        excursion, by_state, state, advance, responses, tail = ([] for _ in range(6))
-        for model, drive in zip(self.models, drives, strict=True):
-            powers = _powers(drive.step, block_frames)
-            impulse = np.array([power @ drive.drive for power in powers[:-1]])[::-1]
-            after = np.array(powers[1:])
-            excursion.append(impulse @ drive.x_row * share)
-            by_state.append((drive.x_row @ after[frames] * share).T)
-            state.append(impulse.T)
-            advance.append(powers[-1].T)
-            responses.append((impulse, after))
-            tail.append(_tail(model, drive, samplerate, block_frames).T * tail_share)
-        self.excursion_by_drive: FloatArray = np.array(excursion)
-        self.excursion_by_state: FloatArray = np.array(by_state)
-        self.state_by_drive: FloatArray = np.array(state)
-        self.state_by_state: FloatArray = np.array(advance)
-        unmoved_ohm = models[0].resistance_ohm + source_impedance_ohm
-        heating = (*responses[0], volts / unmoved_ohm * np.eye(self.states)[LAST])
-        limited = [
-            (*response, drive.i_row)
-            for response, drive in zip(responses[:current_models], drives, strict=False)
-        ]
-        rows = [heating, *limited]
-        self.current_by_drive: FloatArray = np.array([impulse @ row for impulse, _, row in rows])
-        self.current_by_state: FloatArray = np.array([(row @ after).T for _, after, row in rows])
-        # Zeros where one model has fewer points than another.
-        self.tail_points = max(rows.shape[1] for rows in tail)
-        self.tail_by_state: FloatArray = np.array(
-            [np.pad(rows, ((0, 0), (0, self.tail_points - rows.shape[1]))) for rows in tail]
-        )
-        self.swing_m = 1.0 / math.sqrt(models[0].stiffness_n_per_m)
-        self.swing = share / np.sqrt([model.stiffness_n_per_m for model in models])
-        self.last_kick: FloatArray = np.array([drive.last_kick for drive in drives])
-        self.reach: FloatArray = (share * volts) * np.array(
-            [
-                _reach(model, samplerate, source_impedance_ohm, sections, "displacement_m")
-                for model in models
-            ]
-        )
-        self.ring: FloatArray = (share * volts) * np.array(
-            [_ring(model, samplerate, source_impedance_ohm, sections) for model in models]
-        )
+        self.model, self.samplerate, self.volts = model, samplerate, volts
+        self.source_impedance_ohm, self._sections = source_impedance_ohm, sections
+        hold, from_last, from_new, x_row, i_row = _held(model, samplerate, source_impedance_ohm)
+        turn, enter, leave, through = _cascade(sections)
+        self.states = LAST + 1 + len(turn)
+        n = ACTUATOR_STATES
+        self.step: FloatArray = np.zeros((self.states, self.states))
+        self.step[:n, :n] = hold
+        self.step[:n, LAST] = volts * from_last
+        self.step[:n, LAST + 1 :] = volts * np.outer(from_new, leave)
+        self.step[LAST, LAST + 1 :] = leave
+        self.step[LAST + 1 :, LAST + 1 :] = turn
+        self.drive: FloatArray = np.concatenate([volts * through * from_new, [through], enter])
+        self.x_row: FloatArray = np.pad(x_row, (0, self.states - n))
+        self.i_row: FloatArray = np.pad(i_row, (0, self.states - n))
+        self.last_kick = float(np.linalg.norm(self.step[:n, LAST]))
+
+    def reach(self, quantity: Quantity) -> float:
+        """Return the largest |quantity| per volt of peak voltage: the sum of |impulse response|.
+
+        Infinity if the response decays too slowly; the core then predicts every block's motion.
+        """
+        frames = self._horizon()
+        if not frames:
+            return math.inf
+        impulse = np.zeros(frames)
+        impulse[0] = 1.0
+        if len(self._sections):
+            impulse = scipy.signal.sosfilt(self._sections, impulse)
+        # the factor covers the omitted rest of e^-25
+        return float(np.abs(self._moved(impulse, quantity)).sum()) * (1.0 + 1e-9)
+
+    def ring(self) -> float:
+        """Return the largest |x|, m per volt, after an amplifier state of norm 1 without input."""
+        if not len(self._sections):
+            return 0.0
+        frames = self._horizon()
+        if not frames:
+            return math.inf
+        squares = np.zeros(frames)
+        for at, section in enumerate(self._sections):
+            for column in _section(section)[4].T:
+                state = np.zeros((len(self._sections), 2))
+                state[at] = column
+                volts, _ = scipy.signal.sosfilt(self._sections, np.zeros(frames), zi=state)
+                squares += self._moved(volts, "displacement_m") ** 2
+        return math.sqrt(float(squares.max()))
+
+    def _moved(self, volts: FloatArray, quantity: Quantity) -> FloatArray:
+        actuator = LinearActuator(self.model, self.samplerate, self.source_impedance_ohm)
+        moved: FloatArray = getattr(actuator.move(volts, (quantity,)), quantity)
+        return moved
+
+    def _horizon(self) -> int:
+        """Return the number of frames until all oscillation has decayed to e^-25; 0 if too many."""
+        decay = math.pi * self.model.resonance_hz / self.model.q_total(self.source_impedance_ohm)
+        # The amplifier's slowest pair of poles decays by e^-slow per second.
+        radii = [math.sqrt(float(a2)) for a2 in self._sections[:, 5]]
+        slow = min((-math.log(radius) * self.samplerate for radius in radii), default=math.inf)
+        # The actuator decays after the amplifier, so both times add.
+        frames = math.ceil(_DECAYED * self.samplerate * (1.0 / decay + 1.0 / slow))
+        return frames if frames <= _HORIZON_FRAMES else 0
 
 
-def _slacks_m(
-    models: Sequence[ActuatorParameters],
-    limit_m: float,
-    volts: float,
-    samplerate: float,
-    stride: int,
-) -> tuple[float, float]:
-    """Return by how much excursion may rise between computed frames of a block, and of the tail, m.
+@lru_cache(maxsize=64)
+def _held(
+    p: ActuatorParameters, samplerate: float, source_impedance_ohm: float
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return the state matrix, input vectors of previous and new voltage, and rows of x and i."""
+    rate, drive, rows = state_space(p, source_impedance_ohm)
+    held = first_order_hold(rate, drive, 1.0 / samplerate)
+    return *held, rows["displacement_m"], rows["current_a"]
 
-    Half a step from a computed frame that is at most half the acceleration times the time squared.
-    The spring and the coil give the acceleration. Friction gives none in the tail, since the speed
-    is 0 at the largest excursion. Later blocks compute the tail again at smaller steps, so that it
-    needs both margins.
+
+def _cascade(sections: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, float]:
+    """Return the cascade of sections as q' = turn q + enter u, y = leave q + through u."""
+    turn, enter, leave, through = np.zeros((0, 0)), np.zeros(0), np.zeros(0), 1.0
+    for section in sections:
+        own, entered, left, direct, _ = _section(section)
+        corner = np.outer(entered, leave)
+        turn = np.block([[turn, np.zeros((len(turn), 2))], [corner, own]])
+        enter = np.concatenate([enter, entered * through])
+        leave = np.concatenate([leave * direct, left])
+        through *= direct
+    return turn, enter, leave, through
+
+
+def _section(
+    section: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray, float, FloatArray]:
+    """Return one section's matrices, in a basis where |state| bounds |output|, and the basis."""
+    b0, b1, b2, _, a1, a2 = section.tolist()
+    own = np.array([[-a1, 1.0], [-a2, 0.0]])
+    entered = np.array([b1 - a1 * b0, b2 - a2 * b0])
+    values, vectors = np.linalg.eig(own)
+    if abs(values[0].imag) > 0.0:
+        shape = np.column_stack([vectors[:, 0].real, vectors[:, 0].imag])
+    else:
+        shape = vectors.real
+    shape = shape / np.linalg.norm(shape[0])
+    back = np.linalg.inv(shape)
+    return back @ own @ shape, back @ entered, shape[0], b0, shape
+
+
+def prediction_records(
+    drives: Sequence[DriveModel], block_frames: int, excursion_m: float, current_models: int
+) -> Records:
+    """Return the models' response to a block, named as in `ProtectionDesign` of the core.
+
+    The unit of excursion is the limit minus the largest rises between computed frames; current is
+    in A. Impulse responses are stored last frame first, and matrices by their columns.
+    drives: models of the possible actuators, the identified model first. current_models: number of
+    models whose current is limited.
+    states: number of states of one model. stride: frames between two computed excursions. watched:
+        number of computed excursions in a block; the last is that of the last frame. tail_points:
+        number of computed excursions of the free oscillation after a block.
+    excursion_by_drive: (models, block_frames). excursion_by_state: (models, states, watched).
+    state_by_drive: (models, states, block_frames). state_by_state: (models, states, states).
+    current_by_drive: (currents, block_frames), currents = 1 + current_models. The first current
+        assumes a coil with resistance only, for an upper bound on the coil's temperature.
+    current_by_state: (currents, states, block_frames).
+    tail_by_state: (models, states, tail_points): excursion after a state, if the input is 0.
+    reach: (models,): largest excursion from rest for any input within ±1.
+    swing: (models,): amplitude of a free oscillation, as a share of the limit, divided by the norm
+        of its state. swing_m: the same for the identified model, with the amplitude in m.
+    last_kick: (models,): see `DriveModel`.
+    ring: (models,): largest excursion after an amplifier state of norm 1, if the input is 0.
+    """
+    believed, states, volts = drives[0].model, drives[0].states, drives[0].volts
+    stride = max(1, int(drives[0].samplerate // _WATCHED_HZ))
+    slack_m, tail_slack_m = _slacks_m(drives, excursion_m, stride)
+    share = 1.0 / (excursion_m - slack_m)
+    tail_share = 1.0 / (excursion_m - slack_m - tail_slack_m)
+    # counted back from the last frame of the block
+    watched = np.arange(block_frames - 1, -1, -stride)[::-1]
+    steps = [_responses(drive, block_frames) for drive in drives]
+    unmoved_ohm = believed.resistance_ohm + drives[0].source_impedance_ohm
+    rows = [volts / unmoved_ohm * np.eye(states)[LAST]]
+    rows += [drive.i_row for drive in drives[:current_models]]
+    currents = [(*step, row) for step, row in zip([steps[0], *steps], rows, strict=False)]
+    tails = [_tail(drive, block_frames).T * tail_share for drive in drives]
+    # zeros for models with fewer points
+    tail_points = max(tail.shape[1] for tail in tails)
+    pairs = list(zip(drives, steps, strict=True))
+    return {
+        "models": len(drives),
+        "states": states,
+        "frames": block_frames,
+        "watched": len(watched),
+        "stride": stride,
+        "tail_points": tail_points,
+        "currents": len(currents),
+        "excursion_by_drive": _padded([i @ drive.x_row * share for drive, (i, _) in pairs], LANES),
+        "excursion_by_state": _padded(
+            [(drive.x_row @ after[watched] * share).T for drive, (_, after) in pairs]
+        ),
+        "state_by_drive": _padded([impulse.T for impulse, _ in steps], LANES),
+        "state_by_state": _padded([after[-1].T for _, after in steps]),
+        "current_by_drive": _padded([impulse @ row for impulse, _, row in currents], LANES),
+        "current_by_state": _padded([(row @ after).T for _, after, row in currents]),
+        "tail_by_state": _padded(
+            [np.pad(tail, ((0, 0), (0, tail_points - tail.shape[1]))) for tail in tails]
+        ),
+        "reach": _reachable(share * volts, [drive.reach("displacement_m") for drive in drives]),
+        "swing": share / np.sqrt([drive.model.stiffness_n_per_m for drive in drives]),
+        "swing_m": 1.0 / math.sqrt(believed.stiffness_n_per_m),
+        "last_kick": np.array([drive.last_kick for drive in drives]),
+        "ring": _reachable(share * volts, [drive.ring() for drive in drives]),
+    }
+
+
+def _padded(rows: Sequence[FloatArray], least: int = 0) -> FloatArray:
+    """Append `least` or more zeros to each row, so that its length is a multiple of `LANES`."""
+    table = np.array(rows)
+    numbers = table.shape[-1]
+    zeros = -(-(numbers + least) // LANES) * LANES - numbers
+    return np.pad(table, [(0, 0)] * (table.ndim - 1) + [(0, zeros)])
+
+
+def _reachable(factor: float, reaches: Sequence[float]) -> FloatArray:
+    return np.minimum(factor * np.array(reaches), _UNREACHABLE)
+
+
+def _responses(drive: DriveModel, count: int) -> tuple[FloatArray, FloatArray]:
+    """Return the states after an impulse, last frame first, and powers 1 to `count` of `step`."""
+    powers = [np.eye(drive.states)]
+    for _ in range(count):
+        powers.append(drive.step @ powers[-1])
+    impulse = np.array([power @ drive.drive for power in powers[:-1]])[::-1]
+    return impulse, np.array(powers[1:])
+
+
+def _slacks_m(drives: Sequence[DriveModel], limit_m: float, stride: int) -> tuple[float, float]:
+    """Return the largest rises of excursion, m, between computed frames: in a block, in the tail.
+
+    Between a peak and the nearest computed frame, the excursion changes by at most half the
+    acceleration times the squared time. In the tail (the free oscillation), friction has no effect,
+    as the speed is 0 at a peak. The limit of the tail is reduced by both rises.
     """
     worst_m, tail_m = 0.0, 0.0
-    for model in models:
-        spring = model.resonance_rad_s**2 * limit_m * (1.0 + 1.0 / model.q_total())
-        coil = model.force_factor_n_per_a * volts / model.resistance_ohm / model.moving_mass_kg
-        within_s = stride / samplerate / 2.0
-        tail_s = max(1.0 / samplerate, 1.0 / model.resonance_hz / _TAIL_POINTS) / 2.0
-        worst_m = max(worst_m, (spring + coil) * within_s**2 / 2.0)
-        peak = model.resonance_rad_s**2 * limit_m + coil
-        tail_m = max(tail_m, peak * tail_s**2 / 2.0)
-    # This only happens at the lowest rates; half of the limit is left then.
+    for drive in drives:
+        model, rate = drive.model, drive.samplerate
+        spring = model.resonance_rad_s**2 * limit_m
+        coil = model.force_factor_n_per_a * drive.volts / model.resistance_ohm
+        coil /= model.moving_mass_kg
+        within_s = stride / rate / 2.0
+        tail_s = max(1.0 / rate, 1.0 / model.resonance_hz / _TAIL_POINTS) / 2.0
+        braked = spring * (1.0 + 1.0 / model.q_total())
+        worst_m = max(worst_m, (braked + coil) * within_s**2 / 2.0)
+        tail_m = max(tail_m, (spring + coil) * tail_s**2 / 2.0)
+    # Only the lowest sample rates need this upper bound; half of the limit then remains.
     return min(worst_m, limit_m / 4.0), min(tail_m, limit_m / 4.0)
 
 
-def _powers(step: FloatArray, count: int) -> list[FloatArray]:
-    """Return the powers 0 to `count` of a matrix."""
-    powers = [np.eye(len(step))]
-    for _ in range(count):
-        powers.append(step @ powers[-1])
-    return powers
+def _tail(drive: DriveModel, block_frames: int) -> FloatArray:
+    """Return rows that give x in m over 1.25 periods of free oscillation, (points, states).
 
-
-def _tail(
-    p: ActuatorParameters, drive: DriveModel, samplerate: float, block_frames: int
-) -> FloatArray:
-    """Return x over one period of a free swing in m, (points, states); later it is smaller.
-
-    The coil's current and the last output act only at its start. An amplifier swings back for
-    longer, but with a fifth of the effect. The distance of two points divides the length of a
-    block: the next block computes the same points and gets the same values if nothing new came.
+    The interval between two points divides the length of a block, so that the next block computes
+    the same points.
     """
-    wanted = max(1.0, samplerate / p.resonance_hz / _TAIL_POINTS)
+    rate, hz = drive.samplerate, drive.model.resonance_hz
+    wanted = max(1.0, rate / hz / _TAIL_POINTS)
     gap = max(d for d in range(1, block_frames + 1) if block_frames % d == 0 and d <= wanted)
     stride = np.linalg.matrix_power(drive.step, gap)
     rows = [drive.x_row]
-    for _ in range(math.ceil(_TAIL_PERIODS * samplerate / p.resonance_hz / gap)):
+    for _ in range(math.ceil(_TAIL_PERIODS * rate / hz / gap)):
         rows.append(rows[-1] @ stride)
     return np.array(rows)
-
-
-def most_current_a(
-    models: Sequence[ActuatorParameters],
-    samplerate: float,
-    source_impedance_ohm: float,
-    sections: FloatArray,
-) -> float:
-    """Return the largest current in A that a drive within ±1 V can cause in any of the models."""
-    return max(_reach(p, samplerate, source_impedance_ohm, sections, "current_a") for p in models)
-
-
-def _slowest_hz(sections: FloatArray, samplerate: float) -> float:
-    """Return the lowest corner of the sections in Hz; infinity if there is none."""
-    poles = [math.sqrt(float(a2)) for a2 in sections[:, 5]]
-    # A Butterworth pair shrinks by 1 / sqrt(2) of its corner, in rad/s.
-    return min((-math.log(r) * samplerate * math.sqrt(2.0) / math.tau for r in poles),
-               default=math.inf)  # fmt: skip
-
-
-def _horizon(
-    p: ActuatorParameters, samplerate: float, source_impedance_ohm: float, sections: FloatArray
-) -> int:
-    """Return the frames until all ringing has fallen to e^-25; 0 if that is too long to compute."""
-    decay = math.pi * p.resonance_hz / p.q_total(source_impedance_ohm)
-    slow = math.tau * _slowest_hz(sections, samplerate) / math.sqrt(2.0)
-    # The actuator rings after the amplifier.
-    frames = math.ceil(_DECAYED * samplerate * (1.0 / decay + 1.0 / slow))
-    return frames if frames <= _HORIZON_FRAMES else 0
-
-
-def _reach(
-    p: ActuatorParameters,
-    samplerate: float,
-    source_impedance_ohm: float,
-    sections: FloatArray,
-    quantity: Quantity,
-) -> float:
-    """Return the largest |quantity| per volt of peak drive: the sum of |impulse response|.
-
-    Infinity if it decays too slowly; then every block is computed.
-    """
-    frames = _horizon(p, samplerate, source_impedance_ohm, sections)
-    if not frames:
-        return math.inf
-    impulse = np.zeros(frames)
-    impulse[0] = 1.0
-    if len(sections):
-        impulse = scipy.signal.sosfilt(sections, impulse)
-    response = LinearActuator(p, samplerate, source_impedance_ohm).move(impulse, (quantity,))
-    # The remaining e^-25 is not in the sum.
-    return float(np.abs(getattr(response, quantity)).sum()) * (1.0 + 1e-9)
-
-
-def _ring(
-    p: ActuatorParameters, samplerate: float, source_impedance_ohm: float, sections: FloatArray
-) -> float:
-    """Return the largest |x| in m per volt after an amplifier's state of length 1 without drive."""
-    if not len(sections):
-        return 0.0
-    frames = _horizon(p, samplerate, source_impedance_ohm, sections)
-    if not frames:
-        return math.inf
-    squares = np.zeros(frames)
-    for volts in rings(sections, frames):
-        actuator = LinearActuator(p, samplerate, source_impedance_ohm)
-        squares += actuator.move(volts, ("displacement_m",)).displacement_m ** 2
-    return math.sqrt(float(squares.max()))

@@ -1,17 +1,15 @@
 """A laboratory of real devices: an output plays the sweep, an input records the rig."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from contextlib import suppress
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
 from device.errors import UsageError
 from device.identification.live.exchange import Exchange
-from device.identification.live.mains_hum import check_hum
 from device.identification.live.two_clocks import (
     Drift,
     DropoutError,
@@ -20,32 +18,32 @@ from device.identification.live.two_clocks import (
     find_drift,
     resample_to_played,
 )
-from device.identification.recording import PLAYED, IdentificationError, Recording
+from device.identification.recording import (
+    PLAYED,
+    Excitation,
+    IdentificationError,
+    Recording,
+    Sweep,
+)
 from device.identification.simulated_laboratory import through_amplifier
-from device.identification.sweep import Excitation, Sweep
 from device.rig.parameters import AmplifierParameters
 from device.units import FloatArray
 
 QUANTITIES = ("acceleration", "current", "voltage", "loopback")
 UNUSED = "-"
-SHUNT_OHM = 1e-3, 10.0
-"""A larger resistor would leave the coil too little voltage, a smaller one no signal."""
-DRIVE = "drive"
-"""The name of the played signal, and of its loop-back."""
-
+SHUNT_OHM = 1e-3, 10.0  # a larger shunt reduces the voltage too much; a smaller one gives no signal
+DRIVE = "drive"  # name of the loop-back if there is one, else of the played signal
 MOST_CHANNELS = 32
-
-Pair = tuple[str, str]
 
 
 @dataclass(frozen=True)
 class Inputs:
-    """The input's channels in order, each of QUANTITIES or "-", and their scales."""
+    """The input's channels in order, each one of QUANTITIES or "-", and their scales."""
 
     names: tuple[str, ...]
     full_scale_v: float | None = None  # peak volts at the input for a sample of 1.0
-    acceleration_v_per_m_s2: float | None = None  # accelerometer with its conditioning amplifier
-    shunt_ohm: float | None = None  # the current's channel is across it
+    acceleration_v_per_m_s2: float | None = None  # of accelerometer and conditioning amplifier
+    shunt_ohm: float | None = None  # resistor across which the current is measured
     voltage_ratio: float = 1.0  # volts at the coil per volt at the input
 
     def __post_init__(self) -> None:
@@ -53,10 +51,14 @@ class Inputs:
         unknown = [name for name in used if name not in QUANTITIES]
         twice = sorted({name for name in used if used.count(name) > 1})
         shown = ",".join(self.names)
-        if unknown or twice or not 1 <= len(self.names) <= MOST_CHANNELS:
+        what = ""
+        if unknown:
+            what = f"{unknown[0]!r} is unknown"
+        elif twice:
+            what = f"{', '.join(twice)} twice"
+        elif not 1 <= len(self.names) <= MOST_CHANNELS:
             what = f"1 to {MOST_CHANNELS} channels are possible"
-            if unknown or twice:
-                what = f"{unknown[0]!r} is unknown" if unknown else f"{', '.join(twice)} twice"
+        if what:
             raise UsageError(
                 f"channels={shown}: {what}; name each input in order, of "
                 f"{', '.join(QUANTITIES)}, and {UNUSED} for one that is not used"
@@ -66,12 +68,13 @@ class Inputs:
                 f"channels={shown}: nothing can be identified from that; name acceleration, or "
                 "voltage and current"
             )
-        for name, value in (
-            ("input full scale", self.full_scale_v),
-            ("acceleration sensitivity", self.acceleration_v_per_m_s2),
-            ("shunt", self.shunt_ohm),
-            ("voltage ratio", self.voltage_ratio),
-        ):
+        scales = {
+            "input full scale": self.full_scale_v,
+            "acceleration sensitivity": self.acceleration_v_per_m_s2,
+            "shunt": self.shunt_ohm,
+            "voltage ratio": self.voltage_ratio,
+        }
+        for name, value in scales.items():
             if value is not None and not 0.0 < value < 1e9:
                 raise UsageError(f"{name}={value!r} must be above 0; correct it")
         if self.shunt_ohm is not None and not SHUNT_OHM[0] <= self.shunt_ohm <= SHUNT_OHM[1]:
@@ -84,8 +87,7 @@ class Inputs:
         if physical and self.full_scale_v is None:
             raise UsageError(
                 f"channels={shown}: volts, amperes and an acceleration sensitivity need the "
-                "input's full scale; give --input-full-scale-v V, the peak volts of a sample of "
-                "1.0"
+                "input's full scale; give --input-full-scale-v V, the peak volts of a sample of 1.0"
             )
         if "current" in used and self.shunt_ohm is None:
             raise UsageError(
@@ -94,23 +96,18 @@ class Inputs:
             )
 
     @classmethod
-    def parse(cls, text: str, **known: float | None) -> Inputs:
-        """Parse "acceleration,current,-"; `known` are the other fields, None for unknown ones."""
+    def parse(cls, text: str, **known: float | None) -> "Inputs":
+        """Parse names like "acceleration,current,-". known: other fields; None keeps a default."""
         names = tuple(part.strip() for part in text.split(","))
         return cls(names, **{key: value for key, value in known.items() if value is not None})
 
     @property
-    def used(self) -> tuple[int, ...]:
-        """The channels that are used, from 0."""
-        return tuple(i for i, name in enumerate(self.names) if name != UNUSED)
-
-    @property
     def acceleration_scaled(self) -> bool:
-        """Whether acceleration is in m/s^2 rather than in shares of full scale."""
+        """Whether acceleration is in m/s^2; otherwise it is relative to full scale."""
         return self.acceleration_v_per_m_s2 is not None
 
     def scale(self, name: str) -> float:
-        """Return the physical value of a sample of 1.0: m/s^2, A, V at the coil; otherwise 1."""
+        """Return the value of a sample of 1.0 in m/s^2, A, or V at the coil; 1 if not scaled."""
         volts = self.full_scale_v or 1.0
         if name == "acceleration":
             return volts / self.acceleration_v_per_m_s2 if self.acceleration_v_per_m_s2 else 1.0
@@ -120,29 +117,22 @@ class Inputs:
         return volts * self.voltage_ratio if name == "voltage" else 1.0
 
     @property
-    def pairs(self) -> tuple[Pair, ...]:
-        """The available pairs (reference, response)."""
-        there, pairs = set(self.names), []
-        if {"current", "acceleration"} <= there:
-            pairs.append(("current", "acceleration"))
-        if {"voltage", "current"} <= there:
-            pairs.append(("voltage", "current"))
-        if "acceleration" in there:
-            pairs.append(("voltage" if "voltage" in there else DRIVE, "acceleration"))
-        if "voltage" in there:
-            pairs.append((PLAYED, "voltage"))
-        return tuple(pairs)
+    def pairs(self) -> tuple[tuple[str, str], ...]:
+        """The pairs (reference, response) that these channels can measure."""
+        driven = ("voltage" if "voltage" in self.names else DRIVE, "acceleration")
+        known = {*self.names, DRIVE, PLAYED}
+        possible = ("current", "acceleration"), ("voltage", "current"), driven, (PLAYED, "voltage")
+        return tuple(pair for pair in possible if known.issuperset(pair))
 
 
-MOST_CHANGE_PPM = 40.0
-"""Largest change of the drift between two sweeps. Crystals do not change more; lost frames do."""
+MOST_CHANGE_PPM = 40.0  # largest change of drift between two sweeps; more means lost frames
+MOST_TRIES = 3  # number of tries for each sweep; a busy machine loses some frames
+_MIN_SIGNAL, _MAX_AFTER, _REST_S = 1.5, 0.1, 0.2
 
-MOST_TRIES = 3
-"""Attempts per sweep; a busy machine loses some frames."""
-
-_MIN_SIGNAL = 1.5
-_MAX_AFTER = 0.1
-_REST_S = 0.2
+MAINS_HZ, HARMONICS = (50.0, 60.0), 8
+MOST_HUM = 0.05  # largest hum relative to the sweep, r.m.s.; louder hum hides the marks
+_CLEAR = 0.02  # least share of the silence's power that counts as hum; white noise has 0.1 %
+_MOST = 0.3  # at a smaller share, the silence is mainly noise, and hum is not refused
 
 
 class Transport(Protocol):
@@ -151,16 +141,13 @@ class Transport(Protocol):
     samplerate: int  # of both streams, Hz
 
     def run(self, exchange: Exchange) -> None:
-        """Call `exchange.begin` and its callbacks until it has ended; then both are silent.
-
-        Raises LostError or NotFoundError if a stream is missing or was lost.
-        """
+        """Run the exchange, then close both streams. Raises an error if a stream cannot open."""
         ...
 
 
 @dataclass(frozen=True)
 class Devices:
-    """The devices used, their delay, and the drift of the input's clock."""
+    """The used devices, their delay, and the drift between their clocks."""
 
     output: str
     input: str
@@ -169,10 +156,7 @@ class Devices:
 
 
 class LiveLaboratory:
-    """A `Laboratory` of real devices. One thread uses it.
-
-    The amplifier's band is divided out of a response to the played signal.
-    """
+    """A `Laboratory` of real devices, for one thread. amplifier: its response is divided out."""
 
     def __init__(
         self,
@@ -184,9 +168,9 @@ class LiveLaboratory:
         self._transport, self._inputs = transport, inputs
         self._output_channel, self._amplifier = output_channel, amplifier
         self._drifts: list[Drift] = []
-        self.delay_s = 0.0  # from a played frame until it is recorded, in the last sweep
-        self.current_turned = False  # because a coil takes power
-        self.repeated = 0  # sweeps in which frames were lost
+        self.delay_s = 0.0  # from the playing of a frame to its recording, in the last sweep
+        self.current_turned = False  # whether the current was inverted, since a coil absorbs power
+        self.repeated = 0  # number of sweeps that were repeated after frames were lost
 
     @property
     def drift(self) -> Drift | None:
@@ -194,82 +178,71 @@ class LiveLaboratory:
         return self._drifts[-1] if self._drifts else None
 
     def measure(self, sweep: Sweep, pairs: Sequence[tuple[str, str]]) -> list[Recording]:
-        """Return a recording per pair (reference, response) of one sweep, in physical units.
+        """Return one recording for each pair (reference, response), scaled by `Inputs.scale`.
 
-        "drive" is the loop-back or the played signal. In the latter case the unknown delay is
-        fitted as well (`Recording.delayed`).
+        "drive" is the loop-back if there is one, else the played signal with an unknown delay.
         """
         for _ in range(MOST_TRIES - 1):
-            try:
+            with suppress(DropoutError):
                 return self._measure_once(sweep, pairs)
-            except DropoutError:
-                self.repeated += 1
+            self.repeated += 1
         return self._measure_once(sweep, pairs)
 
     def _measure_once(self, sweep: Sweep, pairs: Sequence[tuple[str, str]]) -> list[Recording]:
-        excitation = Excitation(sweep)
-        exchange = Exchange(
-            excitation.samples, sweep.samplerate, self._inputs.names, self._output_channel
-        )
+        excitation, names = Excitation(sweep), self._inputs.names
+        exchange = Exchange(excitation.samples, sweep.samplerate, names, self._output_channel)
         self._transport.run(exchange)
-        recorded = exchange.recorded.astype(np.float64)
+        channels = dict(zip(names, exchange.recorded.T.astype(np.float64), strict=True))
+        channels.pop(UNUSED, None)
         if exchange.error is not None:
-            if not exchange.played:  # it was too loud before; hum has a remedy of its own
-                for channel in self._inputs.used:
-                    silence = recorded[:, channel]
-                    name = self._inputs.names[channel]
-                    check_hum(silence, float(np.std(silence)), sweep.samplerate, name)
+            if not exchange.played:  # the background was too loud: is it hum?
+                for name, silence in channels.items():
+                    _check_hum(silence, float(np.std(silence)), sweep.samplerate, name)
             raise exchange.error
         background = exchange.background_frames
-        hum_hz = {
-            self._inputs.names[channel]: self._check_signal(
-                recorded[:, channel], background, self._inputs.names[channel]
-            )
-            for channel in self._inputs.used
-        }
-        clearest, name = self._clearest()
-        after = recorded[background:, clearest]
-        check_latency(excitation, after, name)
-        for channel in self._inputs.used:
-            self._check_end(recorded[:, channel], background, self._inputs.names[channel])
-        delay = find_delay(excitation, after, name)
-        drift = find_drift(excitation, after, delay, name)
-        self._compare(drift, name)
+        hum_hz = {name: self._check_signal(s, background, name) for name, s in channels.items()}
+        # the channel in which the rig has the least effect on the playback
+        clearest = next(name for name in reversed(QUANTITIES) if name in channels)
+        after = channels[clearest][background:]
+        check_latency(excitation, after, clearest)
+        for name, samples in channels.items():
+            self._check_end(samples, background, name)
+        delay = find_delay(excitation, after, clearest)
+        drift = find_drift(excitation, after, delay, clearest)
+        self._compare(drift, clearest)
         self.delay_s = delay / sweep.samplerate
         first = background + delay + excitation.sweep_start * (1.0 + 1e-6 * drift.value)
-        read = {}
-        for index in self._inputs.used:
-            samples = resample_to_played(recorded[:, index], first, drift.value, sweep.frames)
-            what = self._inputs.names[index]
-            read[what] = samples * self._inputs.scale(what)
+        read = {
+            name: self._inputs.scale(name)
+            * resample_to_played(samples, first, drift.value, sweep.frames)
+            for name, samples in channels.items()
+        }
         if {"voltage", "current"} <= set(read):
             self.current_turned = float(np.mean(read["voltage"] * read["current"])) < 0.0
             if self.current_turned:
                 read["current"] = -read["current"]
         read[PLAYED] = sweep.samples()
         read[DRIVE] = read.get("loopback", read[PLAYED])
-        return [
-            replace(
-                self._recording(sweep, read, pair),
-                hum_hz=max(hum_hz.get(name, 0.0) for name in pair),
-            )
-            for pair in pairs
-        ]
+        return [self._recording(sweep, read, pair, hum_hz, drift) for pair in pairs]
 
     def _recording(
-        self, sweep: Sweep, read: dict[str, FloatArray], pair: tuple[str, str]
+        self,
+        sweep: Sweep,
+        read: dict[str, FloatArray],
+        pair: tuple[str, str],
+        hum_hz: dict[str, float],
+        drift: Drift,
     ) -> Recording:
         reference, response = pair
-        there = self._inputs.names
-        limits = tuple(self._inputs.scale(name) if name in there else math.inf for name in pair)
+        limits = {name: self._inputs.scale(name) for name in hum_hz}
         delayed = reference == PLAYED or (reference == DRIVE and "loopback" not in read)
-        drift = self._drifts[-1]
         found = Recording(
             sweep,
             read[reference],
             read[response],
             pair,
-            (limits[0], limits[1]),
+            (limits.get(reference, math.inf), limits.get(response, math.inf)),
+            hum_hz=max(hum_hz.get(name, 0.0) for name in pair),
             delayed=delayed,
             polarity_known=response != "acceleration",
             drift_reach=1e-6 * drift.reach if delayed else 0.0,
@@ -278,16 +251,10 @@ class LiveLaboratory:
             found = through_amplifier(found, self._amplifier)
         return found
 
-    def _clearest(self) -> tuple[int, str]:
-        """Return the channel that shows the playback with the least effect of the rig."""
-        names = self._inputs.names
-        name = next(n for n in ("loopback", "voltage", "current", "acceleration") if n in names)
-        return names.index(name), name
-
     def _check_signal(self, samples: FloatArray, background: int, name: str) -> float:
-        """Refuse a channel without a signal or with loud hum; return the frequency of its hum."""
+        """Return the frequency of hum in Hz, or 0. IdentificationError: no signal, or loud hum."""
         noise, whole = (float(np.std(s)) for s in (samples[:background], samples[background:]))
-        hum_hz = check_hum(samples[:background], whole, self._transport.samplerate, name)
+        hum_hz = _check_hum(samples[:background], whole, self._transport.samplerate, name)
         if whole <= _MIN_SIGNAL * noise or whole == 0.0:
             raise IdentificationError(
                 f"{name}: no signal, {whole:.3g} r.m.s. of full scale during the sweep and "
@@ -302,7 +269,7 @@ class LiveLaboratory:
         if after > max(3.0 * noise, _MAX_AFTER * whole):
             raise IdentificationError(
                 f"{name}: {after:.3g} r.m.s. of full scale after the sweep, {noise:.3g} before it: "
-                "something else began to play or to move the cushion; end that, and sweep again"
+                "something else began to play or to move the cushion; stop it, and sweep again"
             )
 
     def _compare(self, drift: Drift, name: str) -> None:
@@ -315,3 +282,27 @@ class LiveLaboratory:
                     "sweep again"
                 )
         self._drifts.append(drift)
+
+
+def _check_hum(silence: FloatArray, loud: float, samplerate: float, name: str) -> float:
+    """Return the frequency, Hz, of mains hum in silence, (frames,); 0 if there is no hum.
+
+    loud: r.m.s. during the sweep. IdentificationError: the hum is too large relative to `loud`.
+    """
+    time_s = np.arange(len(silence)) / samplerate
+    still = silence - silence.mean()
+    rms, hz = 0.0, 0.0
+    for mains_hz in MAINS_HZ:
+        turns = math.tau * mains_hz * np.outer(time_s, np.arange(1, HARMONICS + 1))
+        waves = np.concatenate([np.cos(turns), np.sin(turns)], axis=1)
+        hum = waves @ np.linalg.lstsq(waves, still)[0]
+        rms, hz = max((rms, hz), (float(np.sqrt(np.mean(hum**2))), mains_hz))
+    share = rms**2 / max(float(np.mean(still**2)), 1e-300)
+    if share > _MOST and rms > MOST_HUM * loud:
+        raise IdentificationError(
+            f"{name}: mains hum of {hz:g} Hz, {rms:.3g} r.m.s. of full scale, is "
+            f"{100 * rms / loud:.2g} % of the signal, at most {100 * MOST_HUM:g} % is allowed; "
+            "break the ground loop (a balanced input, a transformer, one socket for all), move "
+            "cables away from power supplies, or raise the level"
+        )
+    return hz if share > _CLEAR else 0.0

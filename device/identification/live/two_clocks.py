@@ -1,7 +1,7 @@
 """The delay of a recording, and the drift between the clocks of output and input.
 
-The delay is that of the deconvolved impulse response's peak (Farina 2000), within some ms of the
-true one. The drift comes from the distance of two equal marks, on which the rig's effect cancels.
+The delay is the time of the deconvolved impulse response's peak (Farina 2000), within some ms of
+the true delay. The time between the two marks of an `Excitation` gives the drift.
 """
 
 import math
@@ -11,60 +11,53 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
 from device.identification.live.exchange import MOST_LATENCY_S
-from device.identification.recording import IdentificationError
-from device.identification.sweep import Excitation
+from device.identification.recording import Excitation, IdentificationError
 from device.units import FloatArray
 
-MOST_DRIFT_PPM = 200.0
-"""Two crystals of ±100 ppm. A larger drift means lost or inserted frames."""
-
-MOST_UNSURE_PPM = 20.0
-"""Half the 95 % interval of the drift; after 5 s at 400 Hz it is less than a tenth of a turn."""
-
-CLEAREST = 8.0
-"""Smallest peak of an impulse response over its r.m.s. Noise of this length has 5."""
-
-_RING_S = 0.2
-_EARLY_S = 0.6
-_BELOW = 1e-2
+MOST_DRIFT_PPM = 200.0  # two crystals of ±100 ppm; a larger drift means lost or inserted frames
+MOST_UNSURE_PPM = 20.0  # largest half-width of a 95 % interval: 0.04 periods of 400 Hz in 5 s
+CLEAREST = 8.0  # least ratio of an impulse response's peak to its r.m.s.; noise has less
+_RING_S, _EARLY_S, _BELOW = 0.2, 0.6, 1e-2
 
 
 class DropoutError(IdentificationError):
-    """Frames were lost or added between the marks; the sweep can be repeated."""
+    """Frames were probably lost or added; the sweep can be repeated."""
 
 
 @dataclass(frozen=True)
 class Drift:
-    """How much faster the recording's clock runs than the output's, in ppm."""
+    """Relative deviation of the recording's clock from the output's clock, in ppm."""
 
     value: float
-    reach: float  # half its 95 % interval
+    reach: float  # half the 95 % interval
 
 
 def find_delay(excitation: Excitation, channel: FloatArray, name: str) -> int:
-    """Return the frame of a recorded channel, (frames,), at which the playback begins."""
+    """Return the frame of a recorded channel, (frames,), at which the playback begins.
+
+    IdentificationError: the channel does not follow the played signal.
+    """
     mark = excitation.samples[: excitation.sweep_start]
     early = channel[: excitation.sweep_start + round(_EARLY_S * excitation.sweep.samplerate)]
-    found = _peak(excitation, excitation.samples, channel)
-    if found[1] < CLEAREST:  # lost frames blur the whole, but not the first mark
-        found = max(found, _peak(excitation, mark, early), key=lambda one: one[1])
-    peak, clearness = found
+    peak, clearness = _peak(excitation, excitation.samples, channel)
+    if clearness < CLEAREST:  # lost frames blur the whole response, but not the first mark
+        by_mark = _peak(excitation, mark, early)
+        peak, clearness = max((peak, clearness), by_mark, key=lambda one: one[1])
     if clearness < CLEAREST:
         raise IdentificationError(
             f"{name} does not follow the sweep: its impulse response is {clearness:.1f} times "
             f"above the rest, it must be {CLEAREST:g} times; this is another channel, or noise: "
-            "check which input it is, and that nothing else plays"
+            "check the inputs, and that nothing else plays"
         )
     return peak
 
 
 def check_latency(excitation: Excitation, channel: FloatArray, name: str) -> None:
-    """Refuse a recorded channel, (frames,), in which the playback begins too late to be whole."""
+    """Raise IdentificationError if a channel, (frames,), ends before the delayed playback ends."""
     rate = excitation.sweep.samplerate
     room = len(channel) - excitation.frames
-    peak, clearness = _peak(
-        excitation, excitation.samples, channel, len(channel) - round(_EARLY_S * rate)
-    )
+    latest = len(channel) - round(_EARLY_S * rate)
+    peak, clearness = _peak(excitation, excitation.samples, channel, latest)
     if peak > room and clearness >= CLEAREST:
         raise IdentificationError(
             f"{name}: the sweep arrives {peak / rate:.2f} s after it was played, at most "
@@ -76,10 +69,7 @@ def check_latency(excitation: Excitation, channel: FloatArray, name: str) -> Non
 def _peak(
     excitation: Excitation, played: FloatArray, channel: FloatArray, latest: int | None = None
 ) -> tuple[int, float]:
-    """Return the delay of the impulse response's peak in frames, and its clearness.
-
-    latest: the largest delay; None for the one at which all of `played` is recorded.
-    """
+    """Return the impulse response's peak: its delay in frames, and its ratio to the r.m.s."""
     length = int(next_fast_len(len(channel) + len(played), real=True))
     reference, response = rfft(played, length), rfft(channel - channel.mean(), length)
     power = np.where(_inside(excitation, length), np.abs(reference) ** 2, 0.0)
@@ -92,7 +82,7 @@ def _peak(
 
 
 def find_drift(excitation: Excitation, channel: FloatArray, delay: int, name: str) -> Drift:
-    """Return the drift between the two marks in a recorded channel that begins at `delay`."""
+    """Return the drift from the two marks in a channel whose playback begins at frame `delay`."""
     rate = excitation.sweep.samplerate
     length = excitation.mark_frames + round(_RING_S * rate)
     window = np.ones(length)
@@ -107,14 +97,14 @@ def find_drift(excitation: Excitation, channel: FloatArray, delay: int, name: st
     shape = irfft(cross, size)
     coarse = int(np.argmax(shape))
     coarse -= size if coarse > size // 2 else 0
-    # fit the remaining phase by a straight line through 0
+    # fit a line through 0 to the remaining phase
     turn = math.tau * rfftfreq(size)[inside]
     cross = cross[inside] * np.exp(1j * turn * coarse)
     weight, phase = np.abs(cross), np.angle(cross)
     total = float(np.sum(weight * turn**2))
     fine = -float(np.sum(weight * turn * phase)) / max(total, 1e-300)
     left = phase + turn * fine
-    # neighbouring bins of a padded mark correlate: as many are independent as it has frames
+    # padding correlates neighbouring bins: size / length bins count as one
     together = size / length
     variance = together * float(np.sum((weight * turn * left) ** 2)) / max(total, 1e-300) ** 2
     ppm, frames = 1e6 / excitation.second_mark, coarse + fine
@@ -138,11 +128,7 @@ def find_drift(excitation: Excitation, channel: FloatArray, delay: int, name: st
 def resample_to_played(
     channel: FloatArray, first: float, drift_ppm: float, frames: int
 ) -> FloatArray:
-    """Resample a recorded channel to the instants of the played frames, (frames,).
-
-    The first one is at frame `first` of the recording. Between frames, a Lagrange cubic through
-    four of them has an error of -137 dB at 500 Hz and 48 kHz.
-    """
+    """Resample a channel to the played frames. first: the first played frame's position in it."""
     step = 1.0 + 1e-6 * drift_ppm
     position = first + step * np.arange(frames)
     whole = np.floor(position).astype(np.int64)
@@ -166,7 +152,7 @@ def _inside(excitation: Excitation, length: int) -> np.ndarray:
 
 
 def _cut(channel: FloatArray, start: int, frames: int) -> FloatArray:
-    """Return (frames,) from a start on, 0 outside the recording."""
+    """Return `frames` samples of a channel from `start` on; samples outside it are 0."""
     part = np.zeros(frames)
     low, high = max(0, start), min(len(channel), start + frames)
     if high > low:

@@ -1,70 +1,69 @@
-"""Raw bytes cut into descriptors, as long as each says it is (USB 2.0, 9.5).
+"""Splits bytes into descriptors, and collects the error texts about them.
 
-Every descriptor begins with bLength (itself included) and bDescriptorType. Numbers are
-little-endian. A bLength below 2 leads nowhere, so cutting ends there; one that points beyond the
-end gives what there is.
+A descriptor begins with its length and its type, bLength and bDescriptorType (USB 2.0, 9.5).
+Numbers are little-endian.
 """
 
-from __future__ import annotations
-
-import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import ClassVar
 
-from device.usb.descriptors.names import type_name
-from device.usb.descriptors.problems import Findings
+from device.errors import UsageError
+from device.values import counted
 
-LENGTH_MIN = 2
+PROBLEMS_MAX = 200  # number of kept error texts of one configuration, enough for a bug report
 
+DEVICE, CONFIGURATION, INTERFACE, ENDPOINT, ASSOCIATION = 0x01, 0x02, 0x04, 0x05, 0x0B
+CS_INTERFACE, CS_ENDPOINT = 0x24, 0x25
 
-@dataclass(frozen=True, slots=True)
-class Descriptor:
-    """Any descriptor: where it stood and its bytes, extra ones included.
-
-    offset: bytes from the first that were given; raw: all its bytes.
-    """
-
-    offset: int
-    raw: bytes
-
-    kind: ClassVar[str] = "descriptor"
-
-    def __init_subclass__(cls) -> None:
-        """Call the kind as the class, an `InputTerminal` "input terminal", unless it says more."""
-        if "kind" not in vars(cls):
-            cls.kind = re.sub("(?<=.)([A-Z])", r" \1", cls.__name__).lower()
-
-    @property
-    def title(self) -> str:
-        """What a person calls it."""
-        return self.kind
+_NAMES = {
+    DEVICE: "device",
+    CONFIGURATION: "configuration",
+    0x03: "string",
+    INTERFACE: "interface",
+    ENDPOINT: "endpoint",
+    ASSOCIATION: "interface association",
+    0x0F: "binary object store",
+    0x21: "class-specific device",
+    CS_INTERFACE: "class-specific interface",
+    CS_ENDPOINT: "class-specific endpoint",
+    0x30: "SuperSpeed endpoint companion",
+}
 
 
-@dataclass(frozen=True, slots=True)
-class OtherDescriptor(Descriptor):
-    """A descriptor that is named and kept, but not understood. name: as far as it is known."""
-
-    name: str
-
-    kind: ClassVar[str] = "descriptor"
-
-    @property
-    def title(self) -> str:
-        """What a person calls it."""
-        return self.name
+class DescriptorError(UsageError):
+    """The bytes contain no readable descriptor, or the dump is malformed."""
 
 
+class Findings:
+    """Collects the errors in a configuration. begins_at: its first byte's position in the dump."""
+
+    def __init__(self, begins_at: int = 0) -> None:
+        self._begins_at = begins_at
+        self._found: list[tuple[int, str]] = []
+        self._count = 0
+
+    def note(self, offset: int, name: str, problem: str) -> None:
+        """Add an error in the descriptor at `offset`, in bytes from the configuration's start."""
+        self._count += 1
+        if len(self._found) < PROBLEMS_MAX:
+            at = self._begins_at + offset
+            self._found.append((offset, f"at 0x{at:04x}, {name}: {problem}"))
+
+    def problems(self) -> tuple[str, ...]:
+        """Return the errors sorted by position, one line each; a last line counts omitted ones."""
+        found = [text for _, text in sorted(self._found, key=lambda problem: problem[0])]
+        more = self._count - len(found)
+        return (*found, counted(more, "more problems")) if more else tuple(found)
+
+
+@dataclass(slots=True)
 class Block:
-    """The bytes of one descriptor while it is read; `name` is its name in problems."""
+    """The bytes of one descriptor."""
 
-    __slots__ = ("findings", "name", "offset", "raw")
-
-    def __init__(self, offset: int, raw: bytes, name: str, findings: Findings) -> None:
-        self.offset = offset
-        self.raw = raw
-        self.name = name
-        self.findings = findings
+    offset: int  # bytes from the start of the configuration
+    raw: bytes  # 2 bytes or more; bytes beyond the standard length are ignored
+    name: str  # in error texts
+    findings: Findings
 
     @property
     def type(self) -> int:
@@ -76,53 +75,45 @@ class Block:
         """The bDescriptorSubtype of a class-specific descriptor, 0 (undefined) if missing."""
         return self.raw[2] if len(self.raw) > 2 else 0
 
-    def u16(self, at: int) -> int:
-        """The 2 bytes at a place that `holds` has vouched for, as a number."""
-        return self.raw[at] | self.raw[at + 1] << 8
+    def number(self, at: int, length: int) -> int:
+        """Return the unsigned integer of `length` bytes at position `at` of the descriptor."""
+        return int.from_bytes(self.raw[at : at + length], "little")
 
-    def u24(self, at: int) -> int:
-        """The 3 bytes there."""
-        return self.raw[at] | self.raw[at + 1] << 8 | self.raw[at + 2] << 16
-
-    def u32(self, at: int) -> int:
-        """The 4 bytes there."""
-        return int.from_bytes(self.raw[at : at + 4], "little")
-
-    def note(self, found: str, allowed: str) -> None:
-        """Take a problem of this descriptor; raises in strict mode."""
-        self.findings.note(self.offset, self.name, found, allowed)
+    def note(self, problem: str) -> None:
+        """Add an error in this descriptor."""
+        self.findings.note(self.offset, self.name, problem)
 
     def holds(self, length: int) -> bool:
-        """Whether the block has at least this many bytes; if not, a problem is noted."""
+        """Return whether the descriptor has at least `length` bytes; if not, add an error."""
         if len(self.raw) >= length:
             return True
-        self.note(f"it is {len(self.raw)} bytes long", f"{length} or more")
+        self.note(f"it has {len(self.raw)} bytes, but needs {length}; it is ignored")
         return False
 
-    def other(self) -> OtherDescriptor:
-        """The descriptor, named and kept."""
-        return OtherDescriptor(self.offset, self.raw, self.name)
 
-
-Reader = Callable[[Block], Descriptor | None]
-"""Makes a descriptor from a block; notes a problem and returns None if bytes are missing."""
+def _type_name(descriptor_type: int) -> str:
+    return _NAMES.get(descriptor_type) or f"descriptor of type 0x{descriptor_type:02x}"
 
 
 def blocks(raw: bytes, at: int, findings: Findings) -> Iterator[Block]:
-    """Every descriptor from a place on, of at least 2 bytes; ends before bytes that can be none."""
+    """Yield the descriptors from position `at` on; stop before an invalid bLength."""
     end = len(raw)
     while at < end:
         length, left = raw[at], end - at
-        if length < LENGTH_MIN:
-            findings.note(at, "descriptor", f"bLength is {length}", f"{LENGTH_MIN} to {left}")
+        if length < 2 or left < 2:
+            problem = f"bLength is {length}, so the last {counted(left, 'bytes')} cannot be read"
+            findings.note(at, "descriptor", problem)
             return
-        if left < LENGTH_MIN:
-            findings.note(at, "descriptor", "1 byte is left", "whole descriptors")
-            return
-        name = type_name(raw[at + 1])
         if length > left:
-            findings.note(
-                at, name, f"bLength is {length}", f"{LENGTH_MIN} to {left}, up to the end"
-            )
-        yield Block(at, raw[at : at + length], name, findings)
+            problem = f"bLength is {length}, but the dump ends after {left} bytes"
+            findings.note(at, _type_name(raw[at + 1]), problem)
+        yield Block(at, raw[at : at + length], _type_name(raw[at + 1]), findings)
         at += length
+
+
+def listed(numbers: Iterable[int], most: int = 16) -> str:
+    """Return the lowest `most` numbers as a text such as "1, 2 or 5"; "none" without numbers."""
+    words = [str(number) for number in sorted(numbers)]
+    if len(words) > most:
+        return f"{', '.join(words[:most])} ..."
+    return " or ".join(filter(None, (", ".join(words[:-1]), *words[-1:]))) or "none"

@@ -1,158 +1,129 @@
-"""A configuration as a tree: interfaces with their alternate settings, endpoints, descriptors."""
+"""Classes for a decoded device, its configurations, interfaces and endpoints (USB 2.0, 9.6)."""
 
-from __future__ import annotations
-
-from collections.abc import Iterator
 from dataclasses import dataclass
+from enum import IntEnum
 
-from device.usb.descriptors.blocks import Block, Descriptor
-from device.usb.descriptors.entities import ControlHeader, Entity
-from device.usb.descriptors.problems import Problem
-from device.usb.descriptors.standard import (
-    COMPANION,
-    INTERFACE_BYTES,
-    ConfigurationHeader,
-    Endpoint,
-    InterfaceAssociation,
-)
-from device.usb.descriptors.streaming import StreamFormat, StreamGeneral, StreamGeneral3
+from device.usb.descriptors.audio_class import Entity, StreamFormat, StreamGeneral
 
-AUDIO = 0x01
-CONTROL, STREAMING, MIDI = 0x01, 0x02, 0x03
+_AUDIO = 0x01
+_CONTROL, _STREAMING = 0x01, 0x02
 
-UAC_OF_PROTOCOL = {0x00: 1, 0x20: 2, 0x30: 3}
-"""The version of USB Audio; what is read as 1.0 by any other protocol is so in Linux too."""
+UAC_OF_PROTOCOL = {0x00: 1, 0x20: 2, 0x30: 3}  # by bInterfaceProtocol; other values count as 1
+
+
+class Transfer(IntEnum):
+    """The transfer type of an endpoint."""
+
+    CONTROL = 0
+    ISOCHRONOUS = 1
+    BULK = 2
+    INTERRUPT = 3
+
+
+class Synchronisation(IntEnum):
+    """The synchronisation type of an isochronous endpoint."""
+
+    NONE = 0
+    ASYNCHRONOUS = 1
+    ADAPTIVE = 2
+    SYNCHRONOUS = 3
+
+
+class Usage(IntEnum):
+    """The usage type of an isochronous endpoint."""
+
+    DATA = 0
+    FEEDBACK = 1
+    IMPLICIT_FEEDBACK = 2
+    RESERVED = 3
 
 
 @dataclass(frozen=True, slots=True)
-class Interface(Descriptor):
-    """One alternate setting of an interface.
+class DeviceDescriptor:
+    """A device. usb, release: versions of USB and of the device; 0x0210 means 2.10."""
 
-    endpoint_count: how many it says there are; descriptors: its class-specific and unknown ones,
-    as they came; endpoints: each with those that follow it.
-    """
+    usb: int
+    vendor_id: int
+    product_id: int
+    release: int
+    configurations: int
 
+
+@dataclass(frozen=True, slots=True)
+class Endpoint:
+    """An endpoint of an alternate setting."""
+
+    offset: int
+    address: int
+    transfer: Transfer
+    synchronisation: Synchronisation  # valid for isochronous endpoints only, like usage
+    usage: Usage
+    packet_bytes: int  # largest number of bytes per (micro)frame
+    interval: int
+    synch_address: int  # address of the feedback endpoint, 0 for none; 1.0 only
+
+    @property
+    def to_host(self) -> bool:
+        """Whether the endpoint sends data to the host (IN)."""
+        return bool(self.address & 0x80)
+
+
+@dataclass(frozen=True, slots=True)
+class Interface:
+    """One alternate setting of an interface, with its decoded audio descriptors."""
+
+    offset: int  # bytes from the start of the configuration
     number: int
     alternate: int
-    endpoint_count: int
+    endpoint_count: int  # bNumEndpoints
     interface_class: int
     subclass: int
     protocol: int
-    string_index: int
-    descriptors: tuple[Descriptor, ...] = ()
-    endpoints: tuple[Endpoint, ...] = ()
+    endpoints: tuple[Endpoint, ...] = ()  # endpoints that the device describes
+    entities: tuple[Entity, ...] = ()
+    listed: tuple[int, ...] | None = None  # interface numbers in the header; None without header
+    general: StreamGeneral | None = None
+    format: StreamFormat | None = None
 
     @property
     def title(self) -> str:
-        """What a person calls it."""
+        """The name of the alternate setting in error texts."""
         return f"interface {self.number}.{self.alternate}"
 
     @property
-    def uac(self) -> int | None:
-        """The version of USB Audio, 1 to 3, of control and streaming interfaces; else None."""
-        if self.interface_class != AUDIO or self.subclass not in (CONTROL, STREAMING):
-            return None
-        return UAC_OF_PROTOCOL.get(self.protocol, 1)
+    def uac(self) -> int:
+        """The version of USB Audio, 1 to 3, of an audio control or streaming interface; else 0."""
+        is_audio = self.is_control or self.is_streaming
+        return UAC_OF_PROTOCOL.get(self.protocol, 1) if is_audio else 0
 
     @property
     def is_control(self) -> bool:
-        """Whether it is the head of an audio function."""
-        return self.interface_class == AUDIO and self.subclass == CONTROL
+        """Whether this is an audio control interface."""
+        return (self.interface_class, self.subclass) == (_AUDIO, _CONTROL)
 
     @property
     def is_streaming(self) -> bool:
-        """Whether sound passes it."""
-        return self.interface_class == AUDIO and self.subclass == STREAMING
-
-    @property
-    def header(self) -> ControlHeader | None:
-        """The first audio control header."""
-        return next((d for d in self.descriptors if isinstance(d, ControlHeader)), None)
-
-    @property
-    def entities(self) -> tuple[Entity, ...]:
-        """Its terminals, units and clocks."""
-        return tuple(d for d in self.descriptors if isinstance(d, Entity))
-
-    @property
-    def general(self) -> StreamGeneral | None:
-        """The first descriptor of the format of the stream."""
-        return next((d for d in self.descriptors if isinstance(d, StreamGeneral)), None)
-
-    @property
-    def general_3(self) -> StreamGeneral3 | None:
-        """The first descriptor of the format of a stream of 3.0."""
-        return next((d for d in self.descriptors if isinstance(d, StreamGeneral3)), None)
-
-    @property
-    def format(self) -> StreamFormat | None:
-        """The first format of type I."""
-        return next((d for d in self.descriptors if isinstance(d, StreamFormat)), None)
+        """Whether this is an audio streaming interface."""
+        return (self.interface_class, self.subclass) == (_AUDIO, _STREAMING)
 
 
 @dataclass(frozen=True, slots=True)
 class Configuration:
     """A decoded configuration.
 
-    Attributes
-    ----------
-    header : ConfigurationHeader
-        Its first descriptor.
-    associations : tuple of InterfaceAssociation
-        Groups of interfaces.
-    interfaces : tuple of Interface
-        Every alternate setting, in the device's order.
-    others : tuple of Descriptor
-        Descriptors outside any interface.
-    rest : bytes
-        Bytes behind the last readable descriptor.
-    problems : tuple of Problem
-        Violations of the specifications; none in strict mode.
+    value: number that selects this configuration. interface_count: bNumInterfaces. associations:
+    ranges of interface numbers; each range is one function. interfaces: all alternate settings, in
+    the device's order. problems: errors and contradictions, one line each. raw: all bytes.
     """
 
-    header: ConfigurationHeader
-    associations: tuple[InterfaceAssociation, ...]
+    value: int
+    interface_count: int
+    associations: tuple[range, ...]
     interfaces: tuple[Interface, ...]
-    others: tuple[Descriptor, ...]
-    rest: bytes
-    problems: tuple[Problem, ...]
+    problems: tuple[str, ...]
+    raw: bytes
 
     @property
     def uac(self) -> int | None:
-        """The highest version of USB Audio of its interfaces; None without audio."""
-        return max((i.uac for i in self.interfaces if i.uac is not None), default=None)
-
-    @property
-    def is_super_speed(self) -> bool:
-        """Whether it is of a device that runs at SuperSpeed: every endpoint has a companion."""
-        endpoints = (endpoint for interface in self.interfaces for endpoint in interface.endpoints)
-        of_endpoints = (other for endpoint in endpoints for other in endpoint.descriptors)
-        return any(other.raw[1] == COMPANION for other in of_endpoints)
-
-    def raw(self) -> bytes:
-        """The bytes that it was read from."""
-        return b"".join(descriptor.raw for descriptor in self.descriptors()) + self.rest
-
-    def descriptors(self) -> Iterator[Descriptor]:
-        """Every descriptor, the header first, the others by offset."""
-        found: list[Descriptor] = [*self.associations, *self.others]
-        for interface in self.interfaces:
-            found += [interface, *interface.descriptors]
-            for endpoint in interface.endpoints:
-                found += [endpoint, *endpoint.descriptors]
-        yield self.header
-        yield from sorted(found, key=lambda descriptor: descriptor.offset)
-
-
-def read_interface(block: Block) -> Interface | None:
-    """The interface, without its endpoints and descriptors; None if it is too short."""
-    if not block.holds(INTERFACE_BYTES):
-        return None
-    interface = Interface(block.offset, block.raw, *block.raw[2:INTERFACE_BYTES])
-    block.name = interface.title
-    if interface.uac is not None and interface.protocol not in UAC_OF_PROTOCOL:
-        block.note(
-            f"bInterfaceProtocol is 0x{interface.protocol:02x}, read as USB Audio 1.0",
-            "0x00 (1.0), 0x20 (2.0) or 0x30 (3.0)",
-        )
-    return interface
+        """The highest version of USB Audio among the interfaces; None if none is for audio."""
+        return max((i.uac for i in self.interfaces if i.uac), default=None)

@@ -1,67 +1,47 @@
-"""Formats that can be played: one `PlaybackFormat` for each alternate setting that takes PCM."""
-
-from __future__ import annotations
+"""Playable formats, one for each alternate setting that receives samples."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
-from device.usb.descriptors.configuration import Configuration, Interface
-from device.usb.descriptors.entities import FeatureControl, InputTerminal
-from device.usb.descriptors.standard import Endpoint, Synchronisation, Transfer, Usage
-from device.usb.descriptors.streaming import RateRange, StreamFormat, StreamGeneral
+from device.usb.descriptors.audio_class import INPUT, FeatureControl, RateRange
+from device.usb.descriptors.configuration import (
+    Configuration,
+    Endpoint,
+    Interface,
+    Synchronisation,
+    Transfer,
+    Usage,
+)
 from device.usb.descriptors.topology import Topology, topologies
 
-_BASIC_FRAMES = 48
-"""Of 1 ms; asynchronous endpoints have room for one more."""
+_BASIC_FRAMES = 48  # frames in 1 ms at 48 kHz; asynchronous packets have room for one more
 
+# channels and bytes per sample, by bytes per frame
 _BASIC_FRAME_BYTES = {2: (1, 2), 3: (1, 3), 4: (2, 2), 6: (2, 3)}
-"""Channels and bytes of a sample, by the bytes of a frame."""
 
 
 @dataclass(frozen=True, slots=True)
 class PlaybackFormat:
-    """One way to play: choose `alternate` of `interface`, send frames to `endpoint_address`.
+    """One way to play: select `alternate` of `interface`, send frames to `endpoint_address`.
 
-    Volumes are in 1/256 dB (`VOLUME_UNITS_PER_DB`).
-
-    Attributes
-    ----------
-    interface, alternate, endpoint_address : int
-        Interface, its alternate setting, and the endpoint for the samples.
-    uac : int
-        Version of USB Audio, 1 to 3.
-    encodings : tuple of str
-        Encodings of a sample, usually "PCM".
-    channels, channel_config : int
-        Channels, 0 where only the device knows (3.0); one bit a loudspeaker position, 0 where
-        unknown (`position_names`).
-    subslot_bytes, bits : int
-        Bytes of a sample, and its significant upper bits.
-    samplerates : tuple of int, RateRange or None
-        Hz; None where the clock has to be asked (2.0, 3.0).
-    clock_id : int or None
-        Clock of the terminal, None in 1.0 and 3.0.
-    clock_sources : tuple of int
-        Clock sources that may drive it.
-    packet_bytes_max, interval : int
-        Bytes of one (micro)frame, and bInterval.
-    synchronisation : Synchronisation
-        The clock that the endpoint follows.
-    feedback_endpoint : int or None
-        Address of the endpoint that reports the device's rate.
-    implicit_feedback : bool
-        Whether that is a recording endpoint, whose packets give the rate.
-    control_interface : int or None
-        Interface for requests to the function's units.
-    path : tuple of int
-        Ids from the USB terminal to the output terminal; empty without a path.
-    feature_unit : int or None
-        Unit on the path for volume and mute: the first with a settable volume, else mute.
-    volume_channels, mute_channels : tuple of int
-        Channels of that unit that the host can set; 0 is the master.
+    interface, alternate, endpoint_address: numbers for the host's requests. uac: version of USB
+    Audio, 1 to 3. encodings: of a sample, usually "PCM". channels: count, 0 if only the device
+    knows it (3.0). channel_config: one bit for each loudspeaker position, 0 if unknown.
+    subslot_bytes, bits: bytes of a sample, and its number of significant upper bits. samplerates:
+    Hz; None if they must be queried from the clock (2.0, 3.0). packet_bytes_max: largest number of
+    bytes per (micro)frame. interval: bInterval. synchronisation: type of the endpoint.
+    feedback_endpoint: address of the endpoint that reports the device's rate, None if there is
+    none. implicit_feedback: whether it is a recording endpoint, whose packets give the rate.
+    clock_id: clock of the terminal, None in 1.0 and 3.0. clock_sources: possible sources of
+    clock_id. control_interface: number for requests to the units. path: ids from the USB terminal
+    to the output terminal; empty without a path. feature_unit: id of the unit on the path for
+    volume and mute. volume_channels, mute_channels: channels on which the host can set this unit's
+    volume or mute; 0 is the master.
     """
 
     interface: int
     alternate: int
+    endpoint_address: int
     uac: int
     encodings: tuple[str, ...]
     channels: int
@@ -69,199 +49,147 @@ class PlaybackFormat:
     subslot_bytes: int
     bits: int
     samplerates: tuple[int, ...] | RateRange | None
-    clock_id: int | None
-    clock_sources: tuple[int, ...]
-    endpoint_address: int
     packet_bytes_max: int
     interval: int
     synchronisation: Synchronisation
     feedback_endpoint: int | None
-    implicit_feedback: bool
-    control_interface: int | None
-    path: tuple[int, ...]
-    feature_unit: int | None
-    volume_channels: tuple[int, ...]
-    mute_channels: tuple[int, ...]
+    implicit_feedback: bool = False
+    clock_id: int | None = None
+    clock_sources: tuple[int, ...] = ()
+    control_interface: int | None = None
+    path: tuple[int, ...] = ()
+    feature_unit: int | None = None
+    volume_channels: tuple[int, ...] = ()
+    mute_channels: tuple[int, ...] = ()
 
 
 def playback_formats(configuration: Configuration) -> tuple[PlaybackFormat, ...]:
-    """Return every format of type I that the device plays, in the order of its interfaces.
+    """Return all formats of type I that the device can play, in the order of its interfaces.
 
-    Alternate settings without an isochronous output endpoint, channels or sample size are left out.
-    Of 3.0 the channels are known in a basic profile only, and the units never.
-
-    Parameters
-    ----------
-    configuration : Configuration
-        The decoded configuration.
+    Alternate settings are left out if they lack an isochronous output endpoint, the sample size or,
+    except in 3.0, the channel count. In 3.0 this count is known only for a basic profile, and the
+    units are never known. configuration: of the device.
     """
     functions = topologies(configuration)
     implicit = _implicit_endpoints(configuration, functions)
     found = []
     for interface in configuration.interfaces:
-        general, stream_format = interface.general, interface.format
-        endpoint = _data_endpoint(interface)
-        if interface.is_streaming and interface.uac == 3 and endpoint:
-            found += _playback_3(interface, endpoint)
+        endpoint = next((one for one in interface.endpoints if _takes_samples(one)), None)
+        if not interface.is_streaming or endpoint is None:
             continue
-        if not (interface.is_streaming and general and stream_format and endpoint):
-            continue
-        if not stream_format.subslot_bytes or not (general.channels or stream_format.channels):
-            continue
-        function = functions.get(interface.number)
-        feedback, is_implicit = _feedback(interface, endpoint), False
-        if feedback is None and endpoint.synchronisation is Synchronisation.ASYNCHRONOUS:
-            feedback = implicit.get(function.control.number) if function else None
-            is_implicit = feedback is not None
-        found.append(
-            _playback(interface, general, stream_format, endpoint, feedback, is_implicit, function)
-        )
+        samples = _samples(interface, endpoint)
+        if samples:
+            function = functions.get(interface.number) if interface.uac != 3 else None
+            found.append(_playback(interface, endpoint, samples, function, implicit))
     return tuple(found)
+
+
+class _Samples(NamedTuple):
+    """The sample format of an alternate setting, as in `PlaybackFormat`."""
+
+    encodings: tuple[str, ...]
+    channels: int
+    subslot_bytes: int
+    bits: int
+    samplerates: tuple[int, ...] | RateRange | None
+
+
+def _samples(interface: Interface, endpoint: Endpoint) -> _Samples | None:
+    """Return the sample format of an alternate setting; None if it is incomplete or not of type I.
+
+    A setting of 3.0 without a general descriptor has a basic profile: PCM at 48 kHz. Its channels
+    and bits follow from the packet size for 1 ms (Basic Audio Device 3.0, table 4-2).
+    """
+    general, stream_format = interface.general, interface.format
+    if interface.uac == 3:
+        if general:
+            samples = _Samples(general.encodings, 0, general.subslot_bytes, general.bits, None)
+        else:
+            frame_bytes = endpoint.packet_bytes // _BASIC_FRAMES
+            channels, size = _BASIC_FRAME_BYTES.get(frame_bytes, (0, 0))
+            samples = _Samples(("PCM",), channels, size, 8 * size, (1_000 * _BASIC_FRAMES,))
+        return samples if samples.subslot_bytes else None
+    if not general or not stream_format or not stream_format.subslot_bytes:
+        return None
+    channels = general.channels or stream_format.channels or 0
+    if not channels:
+        return None
+    size, bits = stream_format.subslot_bytes, stream_format.bits
+    return _Samples(general.encodings, channels, size, bits, stream_format.samplerates)
 
 
 def _playback(
     interface: Interface,
-    general: StreamGeneral,
-    stream_format: StreamFormat,
     endpoint: Endpoint,
-    feedback: int | None,
-    implicit: bool,
+    samples: _Samples,
     function: Topology | None,
+    implicit: dict[int, int],
 ) -> PlaybackFormat:
-    linked = function.entities.get(general.terminal_link) if function else None
-    terminal = linked if isinstance(linked, InputTerminal) else None
-    channels = general.channels or stream_format.channels or 0
-    channel_config = general.channel_config
+    general = interface.general
+    terminal = function.terminals.get(general.terminal_link) if function and general else None
+    terminal = terminal if terminal and terminal.kind == INPUT else None
+    channel_config = general.channel_config if general else None
     if channel_config is None:
-        same = terminal is not None and terminal.channels == channels
+        same = terminal is not None and terminal.channels == samples.channels
         channel_config = terminal.channel_config if terminal and same else 0
-    clock_id = terminal.clock_id if terminal else None
-    path = function.path(terminal.id) if function and terminal else ()
-    unit = function.feature_unit(terminal.id) if function and terminal else None
+    clock_id = next(iter(terminal.clock_ids), None) if terminal else None
+    path, unit = function.output(terminal.id) if function and terminal else ((), None)
+    feedback, is_implicit = _feedback(interface, endpoint), False
+    if function and feedback is None and endpoint.synchronisation is Synchronisation.ASYNCHRONOUS:
+        feedback = implicit.get(function.control.number)
+        is_implicit = feedback is not None
     return PlaybackFormat(
         interface=interface.number,
         alternate=interface.alternate,
-        uac=general.uac,
-        encodings=general.encodings,
-        channels=channels,
-        channel_config=channel_config,
-        subslot_bytes=stream_format.subslot_bytes,
-        bits=stream_format.bits,
-        samplerates=_playable(stream_format.samplerates),
-        clock_id=clock_id,
-        clock_sources=function.clock_sources(clock_id) if function and clock_id else (),
         endpoint_address=endpoint.address,
+        uac=interface.uac,
+        channel_config=channel_config,
         packet_bytes_max=endpoint.packet_bytes,
         interval=endpoint.interval,
         synchronisation=endpoint.synchronisation,
         feedback_endpoint=feedback,
-        implicit_feedback=implicit,
+        implicit_feedback=is_implicit,
+        clock_id=clock_id,
+        clock_sources=function.clock_sources(clock_id) if function and clock_id else (),
         control_interface=function.control.number if function else None,
         path=path,
         feature_unit=unit.id if unit else None,
         volume_channels=unit.settable(FeatureControl.VOLUME) if unit else (),
         mute_channels=unit.settable(FeatureControl.MUTE) if unit else (),
+        **samples._asdict(),
     )
 
 
-def _playback_3(interface: Interface, endpoint: Endpoint) -> list[PlaybackFormat]:
-    """The format of an alternate setting of 3.0, [] for none.
-
-    Without a streaming general it has a basic profile: PCM at 48 kHz, whose channels and bits
-    follow from the bytes of 1 ms (Basic Audio Device 3.0, table 4-2).
-    """
-    general, rates = interface.general_3, None
-    encodings: tuple[str, ...]
-    if general is not None:
-        encodings, channels = general.encodings, 0
-        subslot_bytes, bits = general.subslot_bytes, general.bits
-    else:
-        frame_bytes = endpoint.packet_bytes // _BASIC_FRAMES
-        channels, subslot_bytes = _BASIC_FRAME_BYTES.get(frame_bytes, (0, 0))
-        encodings, bits, rates = ("PCM",), 8 * subslot_bytes, (1_000 * _BASIC_FRAMES,)
-    if not subslot_bytes:
-        return []
-    return [
-        PlaybackFormat(
-            interface=interface.number,
-            alternate=interface.alternate,
-            uac=3,
-            encodings=encodings,
-            channels=channels,
-            channel_config=0,
-            subslot_bytes=subslot_bytes,
-            bits=bits,
-            samplerates=rates,
-            clock_id=None,
-            clock_sources=(),
-            endpoint_address=endpoint.address,
-            packet_bytes_max=endpoint.packet_bytes,
-            interval=endpoint.interval,
-            synchronisation=endpoint.synchronisation,
-            feedback_endpoint=_feedback(interface, endpoint),
-            implicit_feedback=False,
-            control_interface=None,
-            path=(),
-            feature_unit=None,
-            volume_channels=(),
-            mute_channels=(),
-        )
-    ]
-
-
-def _playable(
-    samplerates: tuple[int, ...] | RateRange | None,
-) -> tuple[int, ...] | RateRange | None:
-    """The samplerates without impossible values: 0 Hz, or a range from high to low."""
-    if isinstance(samplerates, RateRange):
-        lowest, highest = sorted((samplerates.lowest, samplerates.highest))
-        return RateRange(max(lowest, 1), highest) if highest else ()
-    return None if samplerates is None else tuple(rate for rate in samplerates if rate)
-
-
-def _data_endpoint(interface: Interface) -> Endpoint | None:
-    """The first isochronous endpoint to the device that carries samples."""
-    for endpoint in interface.endpoints:
-        isochronous = endpoint.transfer is Transfer.ISOCHRONOUS
-        if isochronous and not endpoint.to_host and endpoint.usage is not Usage.FEEDBACK:
-            return endpoint
-    return None
+def _takes_samples(endpoint: Endpoint) -> bool:
+    isochronous = endpoint.transfer is Transfer.ISOCHRONOUS
+    return isochronous and not endpoint.to_host and endpoint.usage is not Usage.FEEDBACK
 
 
 def _feedback(interface: Interface, endpoint: Endpoint) -> int | None:
-    """The address of the explicit feedback endpoint beside a data endpoint.
+    """Return the address of the explicit feedback endpoint for a data endpoint; None without one.
 
-    Devices of 1.0 do not mark it, but name it in bSynchAddress; of those that do not even that,
-    it is the one that goes the other way.
+    An endpoint that is marked as feedback has priority. Devices of 1.0 instead give the address in
+    bSynchAddress, sometimes without the direction bit. If there is neither, an asynchronous data
+    endpoint uses the first isochronous IN endpoint for data of the same setting.
     """
-    beside = [
-        other
-        for other in interface.endpoints
-        if other.transfer is Transfer.ISOCHRONOUS and other.to_host
-    ]
-    for other in beside:
-        if other.usage is Usage.FEEDBACK:
-            return other.address
+    isochronous = [one for one in interface.endpoints if one.transfer is Transfer.ISOCHRONOUS]
+    beside = [one for one in isochronous if one.to_host]
     synch = endpoint.synch_address
-    for other in beside:
-        # Devices exist that name its number without the direction; Linux takes it as well.
-        if synch and other.address == synch | 0x80:
-            return other.address
-    if endpoint.synchronisation is Synchronisation.ASYNCHRONOUS:
-        for other in beside:
-            if other.usage is Usage.DATA:
-                return other.address
-    return None
+    asynchronous = endpoint.synchronisation is Synchronisation.ASYNCHRONOUS
+    marked = [one.address for one in beside if one.usage is Usage.FEEDBACK]
+    named = [one.address for one in beside if synch and one.address == synch | 0x80]
+    others = [one.address for one in beside if asynchronous and one.usage is Usage.DATA]
+    return next(iter(marked + named + others), None)
 
 
 def _implicit_endpoints(
     configuration: Configuration, functions: dict[int, Topology]
 ) -> dict[int, int]:
-    """The first endpoint marked as implicit feedback, by control interface of its function."""
+    """Return each function's first implicit feedback endpoint, keyed by control interface."""
     found: dict[int, int] = {}
     for interface in configuration.interfaces:
         function = functions.get(interface.number) if interface.is_streaming else None
-        for endpoint in interface.endpoints if function else ():
+        for endpoint in interface.endpoints:
             marked = endpoint.usage is Usage.IMPLICIT_FEEDBACK and endpoint.to_host
             if function and marked and endpoint.transfer is Transfer.ISOCHRONOUS:
                 found.setdefault(function.control.number, endpoint.address)

@@ -1,307 +1,202 @@
-"""Bytes to a `Configuration` or a `WholeDevice`: which reader each descriptor gets."""
+"""Decodes bytes as a `Configuration` or a `WholeDevice`, and lists the errors in them."""
 
-from __future__ import annotations
-
+import struct
 from dataclasses import dataclass, replace
+from itertools import chain
 
-from device.usb.descriptors.blocks import Block, Descriptor, blocks
-from device.usb.descriptors.checks import check
-from device.usb.descriptors.configuration import (
-    AUDIO,
-    MIDI,
-    Configuration,
-    Interface,
-    read_interface,
+from device.usb.descriptors.audio_class import (
+    read_entity,
+    read_format,
+    read_general,
+    read_header,
 )
-from device.usb.descriptors.control import CONTROL_READERS
-from device.usb.descriptors.names import class_name, midi_name, uac3_name
-from device.usb.descriptors.playback import playback_formats
-from device.usb.descriptors.problems import DescriptorError, Findings
-from device.usb.descriptors.standard import (
+from device.usb.descriptors.blocks import (
     ASSOCIATION,
     CONFIGURATION,
+    CS_INTERFACE,
     DEVICE,
     ENDPOINT,
     INTERFACE,
-    ConfigurationHeader,
+    Block,
+    DescriptorError,
+    Findings,
+    blocks,
+)
+from device.usb.descriptors.checks import check
+from device.usb.descriptors.configuration import (
+    UAC_OF_PROTOCOL,
+    Configuration,
     DeviceDescriptor,
     Endpoint,
-    InterfaceAssociation,
-    parse_device,
-    read_association,
-    read_endpoint,
-    read_header,
+    Interface,
+    Synchronisation,
+    Transfer,
+    Usage,
 )
-from device.usb.descriptors.streaming import ENDPOINT_READERS, STREAMING_READERS
+from device.usb.descriptors.playback import playback_formats
+from device.values import counted
 
-CS_DEVICE, CS_INTERFACE, CS_ENDPOINT = 0x21, 0x24, 0x25
-_OF_ENDPOINTS = (CS_ENDPOINT, 0x30, 0x31)
+# USB 2.0, tables 9-8, 9-10, 9-12 and 9-13; associations: USB 2.0 ECN
+_DEVICE_BYTES, _CONFIGURATION_BYTES, _INTERFACE_BYTES, _ENDPOINT_BYTES = 18, 9, 9, 7
+_ASSOCIATION_BYTES = 8
 
-_HID = 0x03
-
-_MAX_POWER, _MA_PER_UNIT_SUPER_SPEED = 8, 8
-"""USB 3.2, 9.6.3: bMaxPower is in units of 8 mA where the device runs in Gen X mode."""
-
-BYTES_MAX = 0xFFFF
-"""Largest value of wTotalLength; longer bytes are no configuration."""
-
-
-def parse_configuration(raw: bytes, *, strict: bool = False) -> Configuration:
-    """Return the decoded bytes of one configuration.
-
-    Overlong and unknown descriptors are no problems; they keep their bytes. Time and memory grow
-    linearly with the number of bytes.
-
-    Parameters
-    ----------
-    raw : bytes
-        The configuration descriptor and all that follows it.
-    strict : bool
-        Whether a deviation from the specifications raises; else `problems` lists it.
-
-    Raises
-    ------
-    DescriptorError
-        The bytes do not begin with a configuration descriptor; in strict mode, any problem.
-    """
-    raw = bytes(raw)
-    findings = Findings(strict)
-    header = read_header(raw[:BYTES_MAX])
-    end = _end(raw, header, findings)
-    tree = _Tree()
-    at = len(header.raw)
-    for block in blocks(raw[:end], at, findings):
-        tree.take(block)
-        at = block.offset + len(block.raw)
-    tree.close()
-    configuration = Configuration(
-        header=header,
-        associations=tuple(tree.associations),
-        interfaces=tuple(tree.interfaces),
-        others=tuple(tree.others),
-        rest=raw[at:BYTES_MAX],
-        problems=(),
-    )
-    if configuration.is_super_speed:
-        units = header.raw[_MAX_POWER]
-        header = replace(header, max_power_ma=_MA_PER_UNIT_SUPER_SPEED * units)
-        configuration = replace(configuration, header=header)
-    check(configuration, findings)
-    return replace(configuration, problems=findings.problems())
-
-
-def _end(raw: bytes, header: ConfigurationHeader, findings: Findings) -> int:
-    """End of the configuration: all bytes, unless another one begins at wTotalLength."""
-    total, end = header.total_bytes, min(len(raw), BYTES_MAX)
-    if total == len(raw):
-        return end
-    if total >= len(header.raw) and raw[total : total + 2] == raw[:2]:
-        findings.note(
-            0,
-            "configuration",
-            f"wTotalLength is {total}, where the next configuration of {len(raw)} bytes begins",
-            "the bytes of one configuration",
-        )
-        return total
-    findings.note(
-        0, "configuration", f"wTotalLength is {total}", f"{len(raw)}, as many as there are"
-    )
-    return end
-
-
-class _Tree:
-    """Gathers descriptors as they come; knows the interface and the endpoint that are open."""
-
-    def __init__(self) -> None:
-        self.associations: list[InterfaceAssociation] = []
-        self.interfaces: list[Interface] = []
-        self.others: list[Descriptor] = []
-        self._interface: Interface | None = None
-        self._descriptors: list[Descriptor] = []
-        self._endpoints: list[Endpoint] = []
-        self._endpoint: Endpoint | None = None
-        self._of_endpoint: list[Descriptor] = []
-        self._endpoint_lost = False
-
-    def take(self, block: Block) -> None:
-        """Read one descriptor and add it to the object that it belongs to."""
-        kind = block.type
-        if kind == INTERFACE:
-            self.close()
-            self._interface = read_interface(block)
-            if not self._interface:
-                self.others.append(block.other())
-        elif kind == ENDPOINT:
-            self._take_endpoint(block)
-        elif kind == ASSOCIATION:
-            # It begins a function, so the interface before it has ended.
-            self.close()
-            association = read_association(block)
-            if association:
-                self.associations.append(association)
-            else:
-                self.others.append(block.other())
-        elif kind in _OF_ENDPOINTS and not self._endpoint_lost:
-            self._of_endpoint.append(self._endpoint_descriptor(block))
-        else:
-            if kind in (DEVICE, CONFIGURATION):
-                block.note("it stands within a configuration", "before all others only")
-            self._descriptors.append(self._interface_descriptor(block))
-
-    def close(self) -> None:
-        """End the interface that is open."""
-        self._close_endpoint()
-        if self._interface:
-            self.interfaces.append(
-                replace(
-                    self._interface,
-                    descriptors=tuple(self._descriptors),
-                    endpoints=tuple(self._endpoints),
-                )
-            )
-        else:
-            self.others += self._descriptors
-        self._interface = None
-        self._descriptors, self._endpoints = [], []
-        self._endpoint_lost = False
-
-    def _close_endpoint(self) -> None:
-        if self._endpoint:
-            self._endpoints.append(replace(self._endpoint, descriptors=tuple(self._of_endpoint)))
-        else:
-            self._descriptors += self._of_endpoint
-        self._endpoint, self._of_endpoint = None, []
-
-    def _take_endpoint(self, block: Block) -> None:
-        early: list[Descriptor] = []
-        if not self._endpoint:
-            early, self._of_endpoint = self._of_endpoint, early
-        self._close_endpoint()
-        endpoint = read_endpoint(block)
-        self._endpoint_lost = endpoint is None
-        if endpoint and self._interface:
-            self._endpoint, self._of_endpoint = endpoint, early
-            return
-        if endpoint:
-            block.note("it stands outside of any interface", "behind an interface")
-        self._descriptors += [*early, endpoint or block.other()]
-
-    def _endpoint_descriptor(self, block: Block) -> Descriptor:
-        interface = self._interface
-        if block.type != CS_ENDPOINT:
-            return block.other()
-        uac = interface.uac if interface else None
-        if interface and interface.interface_class == AUDIO and interface.subclass == MIDI:
-            block.name = "MIDI endpoint"
-        elif uac == 3:
-            block.name = "UAC3 endpoint"
-        elif interface and interface.is_streaming and uac and block.subtype == 1:
-            block.name = "audio endpoint"
-            if not self._endpoint:
-                block.note("it stands before any endpoint", "behind its endpoint")
-            return ENDPOINT_READERS[uac](block) or block.other()
-        return block.other()
-
-    def _interface_descriptor(self, block: Block) -> Descriptor:
-        interface = self._interface
-        if interface is None or block.type not in (CS_DEVICE, CS_INTERFACE):
-            return block.other()
-        if block.type == CS_DEVICE:
-            block.name = "HID" if interface.interface_class == _HID else block.name
-            return block.other()
-        if interface.interface_class == AUDIO:
-            return _audio(block, interface)
-        name = class_name(interface.interface_class, interface.subclass)
-        block.name = f"{name} subtype 0x{block.subtype:02x}"
-        return block.other()
-
-
-def _audio(block: Block, interface: Interface) -> Descriptor:
-    """A class-specific descriptor of an audio interface."""
-    uac = interface.uac
-    if uac is None:
-        name = class_name(interface.interface_class, interface.subclass)
-        midi = interface.subclass == MIDI
-        block.name = midi_name(block.subtype) if midi else f"{name} subtype 0x{block.subtype:02x}"
-        return block.other()
-    readers = STREAMING_READERS[uac] if interface.is_streaming else CONTROL_READERS.get(uac, {})
-    known = readers.get(block.subtype)
-    if known is None and uac == 3:
-        block.name = uac3_name(interface.is_streaming, block.subtype)
-        return block.other()
-    if known is None:
-        name = class_name(interface.interface_class, interface.subclass)
-        block.name = f"UAC{uac} {name} subtype 0x{block.subtype:02x}"
-        return block.other()
-    block.name, read = known
-    return read(block) or block.other()
-
-
-_DEVICE = 0x01
-CONFIGURATION_BYTES = 9
+_BYTES_MAX = 0xFFFF  # largest wTotalLength; later bytes are not read
 
 
 @dataclass(frozen=True, slots=True)
 class WholeDevice:
-    """A device with all its configurations.
+    """A device and its configurations, in the device's order.
 
-    Attributes
-    ----------
-    device : DeviceDescriptor or None
-        None where the bytes begin with a configuration.
-    configurations : tuple of Configuration
-        In the device's order.
-    rest : bytes
-        Undecoded bytes at the end.
+    device: its descriptor; None if the bytes begin with a configuration. configurations: all that
+    are readable. rest: undecoded bytes at the end. raw: all bytes.
     """
 
     device: DeviceDescriptor | None
     configurations: tuple[Configuration, ...]
     rest: bytes
+    raw: bytes
+
+    @property
+    def problem(self) -> str:
+        """One line on unreadable configurations and undecoded bytes; "" if there are none."""
+        found, wanted = len(self.configurations), self.device.configurations if self.device else 0
+        problems = []
+        if found < wanted:
+            problems.append(f"{found} of {counted(wanted, 'configurations')} can be read")
+        if self.rest:
+            at = len(self.raw) - len(self.rest)
+            left = counted(len(self.rest), "bytes")
+            problems.append(f"from 0x{at:04x} on, {left} cannot be read")
+        return "; ".join(problems)
 
     def active(self, value: int | None) -> Configuration | None:
-        """The configuration that a device is in, by its number; None without any configuration.
-
-        Where the number is unknown, it is the first that plays, or else the first.
-        """
-        for configuration in self.configurations:
-            if configuration.header.value == value:
-                return configuration
+        """Return the configuration of this value, else the first that can play, else the first."""
+        selected = (one for one in self.configurations if one.value == value)
         playing = (one for one in self.configurations if playback_formats(one))
-        return next(playing, self.configurations[0] if self.configurations else None)
+        return next(chain(selected, playing, self.configurations), None)
 
-    def raw(self) -> bytes:
-        """The bytes that it was read from."""
-        parts = [configuration.raw() for configuration in self.configurations]
-        return b"".join([self.device.raw if self.device else b"", *parts, self.rest])
+
+def parse_configuration(raw: bytes, begins_at: int = 0) -> Configuration:
+    """Return the configuration at the start of the bytes.
+
+    raw: the configuration descriptor and all descriptors that belong to it. begins_at: position of
+    the first byte in the dump, for error texts. Unknown descriptors are no errors, nor are more
+    bytes in a descriptor than the standard defines.
+    DescriptorError: the bytes do not begin with a configuration descriptor.
+    """
+    if len(raw) < _CONFIGURATION_BYTES or raw[0] < _CONFIGURATION_BYTES or raw[1] != CONFIGURATION:
+        raise DescriptorError(
+            f"no configuration at 0x{begins_at:04x}: {counted(len(raw), 'bytes')} there, "
+            f"{raw[:2].hex(' ') or 'none'} first; needed: {_CONFIGURATION_BYTES} or more, 09 02 "
+            "first, as in /sys/bus/usb/devices/PORT/descriptors"
+        )
+    findings = Findings(begins_at)
+    total = int.from_bytes(raw[2:4], "little")
+    if total != len(raw):
+        difference = f"{abs(total - len(raw))} {'missing' if total > len(raw) else 'too many'}"
+        problem = f"it has {len(raw)} bytes, but wTotalLength is {total}: {difference}"
+        findings.note(0, "configuration", problem)
+    associations: list[range] = []
+    interfaces: list[Interface] = []
+    group: list[Block] = []
+    for block in blocks(raw[:_BYTES_MAX], raw[0], findings):
+        if block.type in (INTERFACE, ASSOCIATION):
+            interfaces += _interface(group)
+            group = []
+        if block.type == ASSOCIATION and block.holds(_ASSOCIATION_BYTES):
+            associations.append(range(block.raw[2], block.raw[2] + block.raw[3]))
+        group.append(block)
+    interfaces += _interface(group)
+    found = Configuration(raw[5], raw[4], tuple(associations), tuple(interfaces), (), bytes(raw))
+    check(found, findings)
+    return replace(found, problems=findings.problems())
+
+
+def parse_device(raw: bytes) -> DeviceDescriptor:
+    """Return the device descriptor at the start of the bytes. DescriptorError: there is none."""
+    if len(raw) < _DEVICE_BYTES or raw[0] < _DEVICE_BYTES or raw[1] != DEVICE:
+        raise DescriptorError(
+            f"no device descriptor: {counted(len(raw), 'bytes')} there, "
+            f"{raw[:2].hex(' ') or 'none'} first; needed: {_DEVICE_BYTES} or more, 12 01 first"
+        )
+    return DeviceDescriptor(*struct.unpack_from("<2xH4xHHH3xB", raw))
+
+
+def _interface(group: list[Block]) -> list[Interface]:
+    """Return the alternate setting that a group of descriptors describes, in a list, or []."""
+    if not group or group[0].type != INTERFACE or not group[0].holds(_INTERFACE_BYTES):
+        for block in group:
+            if block.type == ENDPOINT:
+                block.note("it belongs to no interface; it is ignored")
+        return []
+    head, *others = group
+    interface = Interface(head.offset, *head.raw[2:8])
+    head.name = interface.title
+    uac = interface.uac
+    if uac and interface.protocol not in UAC_OF_PROTOCOL:
+        known = "0x00 (1.0), 0x20 (2.0) and 0x30 (3.0)"
+        head.note(f"bInterfaceProtocol is 0x{interface.protocol:02x}, read as 1.0; known: {known}")
+    endpoints = tuple(
+        _endpoint(block)
+        for block in others
+        if block.type == ENDPOINT and block.holds(_ENDPOINT_BYTES)
+    )
+    interface = replace(interface, endpoints=endpoints)
+    own = [block for block in others if block.type == CS_INTERFACE]
+    if interface.is_control and uac < 3:
+        return [_control(interface, own, uac)]
+    return [_streaming(interface, own, uac) if interface.is_streaming else interface]
+
+
+def _endpoint(block: Block) -> Endpoint:
+    raw, attributes, max_packet = block.raw, block.raw[3], block.number(4, 2)
+    return Endpoint(
+        block.offset,
+        address=raw[2],
+        transfer=Transfer(attributes & 3),
+        synchronisation=Synchronisation(attributes >> 2 & 3),
+        usage=Usage(attributes >> 4 & 3),
+        # packet size times transactions (USB 2.0, 9.6.6)
+        packet_bytes=(max_packet & 0x7FF) * (1 + (max_packet >> 11 & 3)),
+        interval=raw[6],
+        synch_address=raw[8] if len(raw) > 8 else 0,
+    )
+
+
+def _control(interface: Interface, own: list[Block], uac: int) -> Interface:
+    headers = [read_header(block, uac) for block in own if block.subtype == 1]
+    entities = (read_entity(block, uac) for block in own if block.subtype != 1)
+    listed = headers[0] if headers else None
+    return replace(interface, entities=tuple(filter(None, entities)), listed=listed)
+
+
+def _streaming(interface: Interface, own: list[Block], uac: int) -> Interface:
+    generals = [read_general(block, uac) for block in own if block.subtype == 1]
+    formats = [read_format(block, uac) for block in own if block.subtype == 2 and uac < 3]
+    general = next(filter(None, generals), None)
+    # the first format of type I, or else the first format
+    found = max(filter(None, formats), key=lambda each: each.subslot_bytes > 0, default=None)
+    return replace(interface, general=general, format=found)
 
 
 def parse_whole(raw: bytes) -> WholeDevice:
-    """Return the decoded bytes of a device, as forgiving as `parse_configuration`.
+    """Return the device that /sys/.../descriptors or a dump contains.
 
-    Parameters
-    ----------
-    raw : bytes
-        The content of /sys/.../descriptors, or a dump that begins with a configuration.
-
-    Raises
-    ------
-    DescriptorError
-        They begin neither with a device nor with a configuration descriptor.
+    raw: the bytes. DescriptorError: raw begins with neither a device nor a configuration.
     """
     raw = bytes(raw)
-    device = parse_device(raw) if raw[1:2] == bytes([_DEVICE]) else None
-    rest = raw[len(device.raw) :] if device else raw
+    device = parse_device(raw) if raw[1:2] == bytes([DEVICE]) else None
+    at = raw[0] if device else 0
     configurations: list[Configuration] = []
-    while rest:
-        total = int.from_bytes(rest[2:4], "little")
-        another = total >= CONFIGURATION_BYTES and rest[total : total + 2] == rest[:2]
-        part = rest[:total] if another else rest
+    while at < len(raw):
+        end = at + int.from_bytes(raw[at + 2 : at + 4], "little")
+        if end < at + _CONFIGURATION_BYTES or raw[end : end + 2] != raw[at : at + 2]:
+            end = len(raw)
         try:
-            configurations.append(parse_configuration(part))
+            configurations.append(parse_configuration(raw[at:end], at))
         except DescriptorError:
             if not configurations and device is None:
                 raise
             break
-        rest = rest[len(part) :]
-    return WholeDevice(device, tuple(configurations), rest)
+        at = end
+    return WholeDevice(device, tuple(configurations), raw[at:], raw)

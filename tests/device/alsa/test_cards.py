@@ -1,7 +1,5 @@
 """Which sound cards there are, what they offer, and who plays there."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 
@@ -9,15 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from device.alsa.cards import find_card, find_playback, list_cards, list_playbacks
-from device.alsa.usb_stream import (
-    Rates,
-    UsbFormat,
-    measure_rate,
-    parse_usb_stream,
-    read_usb_stream,
-)
-from device.alsa.use import HwParams, Owner, find_owner, read_hw_params, why_blocked
+from device.alsa import cards as alsa
+from device.alsa.offers import Rates, UsbFormat, measure_rate, parse_usb_stream, read_usb_stream
 from device.errors import NotFoundError, UsageError
 from tests.support.sound_cards import ADAPTIVE, ASYNC, HW_PARAMS, RUNNING, Cards
 
@@ -26,66 +17,73 @@ from tests.support.sound_cards import ADAPTIVE, ASYNC, HW_PARAMS, RUNNING, Cards
 def cards(tmp_path: Path) -> Cards:
     cards = Cards(tmp_path / "asound")
     cards.plug(0, "PCH", devices=(0, 3))
-    cards.plug(31, "DAC", stream=ASYNC, usb_id="1234:00aB")
+    cards.plug(31, "DAC", stream=ASYNC, usb_id="1234:00aB", captures=(0,))
     return cards
 
 
-def test_every_card_is_listed_with_what_it_is(cards: Cards) -> None:
-    first, second = list_cards(cards.root)
+def test_every_card_is_listed_with_what_it_is(cards):
+    first, second = alsa.list_cards(cards.root)
     assert (first.number, first.id, first.driver) == (0, "PCH", "HDA-Intel")
     assert (second.number, second.id) == (31, "DAC")
     assert second.name == "DAC card"
-    assert [str(one) for one in list_playbacks(first)] == ["hw:PCH,0", "hw:PCH,3"]
-    assert list_playbacks(first)[1].name == "output 3"
+    assert [str(one) for one in alsa.list_devices(first)] == ["hw:PCH,0", "hw:PCH,3"]
+    assert alsa.list_devices(first)[1].name == "output 3"
 
 
-def test_a_machine_without_cards_has_none(tmp_path: Path) -> None:
-    assert list_cards(tmp_path / "none") == list_cards(Cards(tmp_path / "empty").root) == ()
+def test_a_machine_without_cards_has_none(tmp_path):
+    for folder in (tmp_path / "none", Cards(tmp_path / "empty").root):
+        assert alsa.list_cards(folder) == ()
     with pytest.raises(NotFoundError, match="none was found; connect one"):
-        find_card("0", tmp_path)
+        alsa.find_card("0", tmp_path)
+
+
+NAMES = {"0": "PCH,0", "PCH": "PCH,0", "PCH,3": "PCH,3", "CARD=PCH,DEV=3": "PCH,3"}
+NAMES |= {"31,0": "DAC,0", "CARD=DAC": "DAC,0"}
+
+
+@pytest.mark.parametrize(("name", "found"), NAMES.items())
+def test_a_card_is_found_by_its_number_or_id(cards, name, found):
+    assert str(alsa.find_playback(name, cards.root)) == f"hw:{found}"
+
+
+PLAYBACK, CAPTURE = alsa.find_playback, alsa.find_capture
+NO_NAME = (UsageError, "is not hw:CARD or hw:CARD,DEVICE")
 
 
 @pytest.mark.parametrize(
-    ("name", "found"),
+    ("find", "name", "error", "words"),
     [
-        ("0", "hw:PCH,0"),
-        ("PCH", "hw:PCH,0"),
-        ("PCH,3", "hw:PCH,3"),
-        ("31,0", "hw:DAC,0"),
-        ("CARD=DAC", "hw:DAC,0"),
-        ("CARD=PCH,DEV=3", "hw:PCH,3"),
+        (PLAYBACK, "DAK", NotFoundError, "no sound card 'DAK'; did you mean 'DAC'"),
+        (PLAYBACK, "pch", NotFoundError, "no sound card 'pch'; there are 'DAC', 'Mic', 'PCH'"),
+        (PLAYBACK, "7", NotFoundError, r"there are '0 \(PCH\)', '2 \(Mic\)', '31 \(DAC\)'"),
+        (PLAYBACK, "PCH,1", NotFoundError, r"playback device 1; it has hw:PCH,0 \(output 0\), "),
+        (PLAYBACK, "Mic", NotFoundError, "hw:Mic has no playback device"),
+        *((PLAYBACK, name, *NO_NAME) for name in ("", "a,b", "0,1,2", "DEV=3")),
+        (CAPTURE, "PCH", NotFoundError, "has no capture device; name another card"),
+        (CAPTURE, "DAC,7", NotFoundError, "has no capture device 7; it has hw:DAC,0"),
+        (CAPTURE, "none", NotFoundError, "no sound card 'none'"),
+        (CAPTURE, "a b", *NO_NAME),
     ],
 )
-def test_a_card_is_found_by_its_number_or_id(cards: Cards, name: str, found: str) -> None:
-    assert str(find_playback(name, cards.root)) == found
-
-
-@pytest.mark.parametrize(
-    ("name", "words"),
-    [
-        ("DAK", "no sound card 'DAK'; did you mean 'DAC'"),
-        ("pch", "no sound card 'pch'; there are 'DAC', 'PCH'"),
-        ("7", r"no sound card '7'; there are '0 \(PCH\)', '31 \(DAC\)'"),
-        ("PCH,1", r"hw:PCH has no playback device 1; it has hw:PCH,0 \(output 0\), hw:PCH,3"),
-    ],
-)
-def test_what_is_not_there_is_an_error_that_offers_what_is(
-    cards: Cards, name: str, words: str
-) -> None:
-    with pytest.raises(NotFoundError, match=words):
-        find_playback(name, cards.root)
-
-
-def test_a_card_that_only_records_and_a_name_that_is_none_are_refused(cards: Cards) -> None:
+def test_what_is_not_there_is_an_error_that_offers_what_is(cards, find, name, error, words):
     cards.plug(2, "Mic", devices=())
-    with pytest.raises(NotFoundError, match="hw:Mic has no playback device"):
-        find_playback("Mic", cards.root)
-    for name in ("", "a,b", "0,1,2", "DEV=3"):
-        with pytest.raises(UsageError, match="is not hw:CARD or hw:CARD,DEVICE"):
-            find_playback(name, cards.root)
+    with pytest.raises(error, match=words):
+        find(name, cards.root)
 
 
-def test_a_usb_card_tells_its_formats_and_only_those_of_playback() -> None:
+def test_an_input_is_found_by_its_cards_name_and_offers_its_own_formats(cards, tmp_path):
+    capture = alsa.find_capture("DAC", cards.root)
+    assert (str(capture), capture.folder.name) == ("hw:DAC,0", "pcm0c")
+    assert alsa.why_blocked(capture, tmp_path) is None
+    stream = read_usb_stream(capture)
+    assert stream is not None
+    assert stream.formats == (UsbFormat(2, 1, ("S16_LE",), 1, Rates((8_000,)), 0, "SYNC"),)
+    cards.use(31, 77, "pcm0c")
+    assert "hw:DAC,0 is in use" in (alsa.why_blocked(capture, tmp_path, tmp_path) or "")
+    assert alsa.why_blocked(alsa.find_playback("DAC", cards.root), tmp_path) is None
+
+
+def test_a_usb_card_tells_its_formats_and_only_those_of_playback():
     stream = parse_usb_stream(ASYNC)
     rates = Rates((44_100, 48_000, 88_200, 96_000, 176_400, 192_000))
     assert stream.formats[:2] == (
@@ -94,19 +92,16 @@ def test_a_usb_card_tells_its_formats_and_only_those_of_playback() -> None:
     )
     assert stream.formats[2].formats == ("SPECIAL", "DSD_U32_BE")
     assert len(stream.formats) == 3
+    assert parse_usb_stream(RUNNING).formats == stream.formats
 
 
-def test_a_range_of_rates_is_one() -> None:
+def test_a_range_of_rates_is_one():
     (found,) = parse_usb_stream(ADAPTIVE).formats
     assert found == UsbFormat(
         1, 1, ("S24_3LE", "S16_LE"), 8, Rates(least=8000, most=96_000), 0, "ADAPTIVE"
     )
     assert 44_100 in found.rates
     assert 96_001 not in found.rates
-
-
-def test_a_card_that_plays_tells_the_same_formats() -> None:
-    assert parse_usb_stream(RUNNING).formats == parse_usb_stream(ASYNC).formats
 
 
 @pytest.mark.parametrize(
@@ -119,7 +114,7 @@ def test_a_card_that_plays_tells_the_same_formats() -> None:
         ("many Hz (0x6.0010)", None),
     ],
 )
-def test_the_rate_of_the_device_s_own_clock_is_that_of_its_feedback(now, measured_hz) -> None:
+def test_the_rate_of_the_device_s_own_clock_is_that_of_its_feedback(now, measured_hz):
     running = RUNNING.replace("48002 Hz (0x6.0010)", now)
     assert parse_usb_stream(running).measured_hz == measured_hz
     without = running.replace("    Feedback Format = 16.16\n", "")
@@ -127,9 +122,9 @@ def test_the_rate_of_the_device_s_own_clock_is_that_of_its_feedback(now, measure
     assert parse_usb_stream(ASYNC).measured_hz is None
 
 
-def test_it_is_compared_with_the_rate_that_the_card_was_opened_with(tmp_path: Path) -> None:
+def test_it_is_compared_with_the_rate_that_the_card_was_opened_with(tmp_path):
     folder = Cards(tmp_path).plug(1, "DAC", stream=RUNNING)
-    playback = find_playback("1", tmp_path)
+    playback = alsa.find_playback("1", tmp_path)
     assert measure_rate(playback) is None
     (folder / "pcm0p/sub0/hw_params").write_text(HW_PARAMS.format("S32_LE", 2, 48_000))
     found = measure_rate(playback)
@@ -137,76 +132,68 @@ def test_it_is_compared_with_the_rate_that_the_card_was_opened_with(tmp_path: Pa
     assert (found.nominal_hz, round(found.ppm, 2)) == (48_000, 40.69)
 
 
-def test_only_usb_cards_have_such_a_stream(cards: Cards) -> None:
-    assert read_usb_stream(find_playback("PCH", cards.root)) is None
-    found = read_usb_stream(find_playback("DAC", cards.root))
-    assert found is not None
-    assert len(found.formats) == 3
+def test_only_usb_cards_have_such_a_stream(cards):
+    assert read_usb_stream(alsa.find_playback("PCH", cards.root)) is None
+    assert read_usb_stream(alsa.find_playback("DAC", cards.root)) == parse_usb_stream(ASYNC)
 
 
-@given(
-    st.lists(
-        st.sampled_from(RUNNING.splitlines() + ADAPTIVE.splitlines())
-        | st.text("AIC:=(),- 0x19\u00b2", max_size=12)
-    )
-)
-def test_no_text_is_too_strange_to_be_read(lines: list[str]) -> None:
+known = st.sampled_from(RUNNING.splitlines() + ADAPTIVE.splitlines())
+
+
+@given(st.lists(known | st.text("AIC:=(),- 0x19\u00b2", max_size=12)))
+def test_no_text_is_too_strange_to_be_read(lines):
     for found in parse_usb_stream("\n".join(lines)).formats:
         assert found.channels > 0
         assert found.rates.single or 0 < found.rates.least <= found.rates.most
 
 
-def test_a_free_card_has_no_owner_and_a_taken_one_is_refused(cards: Cards, tmp_path: Path) -> None:
-    playback = find_playback("DAC", cards.root)
-    assert find_owner(playback) is None
-    assert why_blocked(playback, tmp_path) is None
+def test_a_free_card_has_no_owner_and_a_taken_one_is_refused(cards, tmp_path):
+    playback = alsa.find_playback("DAC", cards.root)
+    assert alsa.find_owner(playback) is None
+    assert alsa.why_blocked(playback, tmp_path) is None
     cards.use(31, os.getpid())
-    found = find_owner(playback)
+    found = alsa.find_owner(playback)
     assert found is not None
     assert found.process == os.getpid()
     assert found.name
-    assert f"hw:DAC,0 is in use by {found}" in (why_blocked(playback, tmp_path) or "")
+    assert f"hw:DAC,0 is in use by {found}" in (alsa.why_blocked(playback, tmp_path) or "")
 
 
-def test_the_owner_of_a_card_is_the_process_of_the_thread_that_opened_it(
-    cards: Cards, tmp_path: Path
-) -> None:
+def test_the_owner_of_a_card_is_the_process_of_the_thread_that_opened_it(cards, tmp_path):
     for number in ("41", "40"):
         (tmp_path / number).mkdir()
         (tmp_path / number / "status").write_text("Name:\tloop\nTgid:\t40\n")
     (tmp_path / "40" / "comm").write_text("player\n")
     cards.use(31, 41)
-    playback = find_playback("DAC", cards.root)
-    assert find_owner(playback, tmp_path) == Owner(40, "player")
+    playback = alsa.find_playback("DAC", cards.root)
+    assert alsa.find_owner(playback, tmp_path) == alsa.Owner(40, "player")
     cards.use(31, 42)  # a thread that has ended since
-    assert str(find_owner(playback, tmp_path)) == "another program (process 42)"
+    assert str(alsa.find_owner(playback, tmp_path)) == "another program (process 42)"
 
 
-def test_a_card_with_a_free_substream_is_free(cards: Cards) -> None:
+def test_a_card_with_a_free_substream_is_free(cards):
     other = cards.root / "card31/pcm0p/sub1"
     other.mkdir()
     (other / "status").write_text("closed\n")
     cards.use(31, 1)
-    assert find_owner(find_playback("DAC", cards.root)) is None
+    assert alsa.find_owner(alsa.find_playback("DAC", cards.root)) is None
 
 
-def test_a_device_file_that_may_not_be_opened_is_told(
-    cards: Cards, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_device_file_that_may_not_be_opened_is_told(cards, tmp_path, monkeypatch):
     (tmp_path / "pcmC31D0p").touch()
     monkeypatch.setattr(os, "access", lambda path, mode: False)
-    refused = why_blocked(find_playback("DAC", cards.root), tmp_path) or ""
+    refused = alsa.why_blocked(alsa.find_playback("DAC", cards.root), tmp_path) or ""
     assert "this user may not open hw:DAC,0" in refused
     assert "join the group audio" in refused
 
 
-def test_an_open_card_tells_how_it_was_opened(cards: Cards) -> None:
-    playback = find_playback("DAC", cards.root)
-    assert read_hw_params(playback) == ()
+def test_an_open_card_tells_how_it_was_opened(cards):
+    playback = alsa.find_playback("DAC", cards.root)
+    assert alsa.read_hw_params(playback) == ()
     path = cards.root / "card31/pcm0p/sub0/hw_params"
     path.write_text(HW_PARAMS.format("S32_LE", 2, 48_000))
-    (found,) = read_hw_params(playback)
-    assert found == HwParams("S32_LE", 48_000, 2, 256, 1024)
+    (found,) = alsa.read_hw_params(playback)
+    assert found == alsa.HwParams("S32_LE", 48_000, 2, 256, 1024)
     assert found.delay_s == pytest.approx(0.016)
     path.write_text("format: S32_LE\nrate:\n")
-    assert read_hw_params(playback) == ()
+    assert alsa.read_hw_params(playback) == ()

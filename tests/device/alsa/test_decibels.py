@@ -1,9 +1,7 @@
 """What a driver's table says of a volume's steps, and that no step is taken that is too loud."""
 
-from __future__ import annotations
-
+import functools
 import math
-from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -22,91 +20,71 @@ def table(kind: int, *words: int) -> list[int]:
     return [kind, 4 * len(words), *(word & 0xFFFFFFFF for word in words)]
 
 
-def known(words: list[int], lowest: int = 0, highest: int = 100) -> Decibels:
-    decibels = parse_decibels(words, lowest, highest)
+def known(words: list[int]) -> Decibels:
+    decibels = parse_decibels(words, 0, 100)
     assert decibels is not None
     return decibels
 
 
-def levels(words: list[int], *steps: int, highest: int = 100) -> list[float]:
-    return [round(known(words, 0, highest).level(step), 6) for step in steps]
+A_SCALE, SOME_BOUNDS = table(SCALE, -5_000, 50), table(BOUNDS, -6_400, 0)
+RANGES = table(RANGE, 0, 0, *table(SCALE, -9_000, 0), 1, 100, *A_SCALE)
+BEHIND = table(CONTAINER, *table(0x101, 1, 2, 3), *SOME_BOUNDS)
+"""Bounds in a container, behind what is no table of levels."""
 
 
-def test_a_scale_counts_steps_of_one_size_from_its_lowest() -> None:
-    assert levels(table(SCALE, -5_000, 50), 0, 1, 100) == [-50.0, -49.5, 0.0]
-
-
-def test_bounds_are_the_levels_of_the_lowest_and_the_highest_step() -> None:
-    assert levels(table(BOUNDS, -6_400, 0), 0, 50, 100) == [-64.0, -32.0, 0.0]
+@pytest.mark.parametrize(
+    ("words", "levels_db"),
+    [
+        (A_SCALE, {0: -50.0, 1: -49.5, 100: 0.0}),
+        (SOME_BOUNDS, {0: -64.0, 50: -32.0, 100: 0.0}),
+        (table(LINEAR, -9_999_999, 0), {0: -math.inf, 50: -6.0206, 100: 0.0}),  # of amplitude
+        (table(LINEAR, -2_000, 0), {0: -20.0, 100: 0.0}),
+        (table(LINEAR, 2_000_000_000, 2_100_000_000), {0: 1_000.0, 100: 1_000.0}),
+        (RANGES, {0: -90.0, 1: -50.0, 100: -0.5}),
+        (BEHIND, {0: -64.0, 100: 0.0}),
+    ],
+)
+def test_each_kind_of_table_gives_the_steps_their_levels(words, levels_db):
+    assert {step: round(known(words).level(step), 6) for step in levels_db} == levels_db
 
 
 @pytest.mark.parametrize(
     "words", [table(SCALE, -5_000, 50 | SILENT_WHEN_LOWEST), table(BOUNDS_MUTE, -6_400, 0)]
 )
-def test_the_lowest_step_is_silence_where_the_table_says_so(words: list[int]) -> None:
+def test_the_lowest_step_is_silence_where_the_table_says_so(words):
     assert known(words).level(0) == -math.inf
     assert known(words).level(1) > -70.0
 
 
-def test_linear_steps_are_steps_of_amplitude() -> None:
-    assert levels(table(LINEAR, -9_999_999, 0), 0, 50, 100) == [-math.inf, -6.0206, 0.0]
-    assert levels(table(LINEAR, -2_000, 0), 0, 100) == [-20.0, 0.0]
-    assert levels(table(LINEAR, 2_000_000_000, 2_100_000_000), 0, 100) == [1_000.0, 1_000.0]
-
-
-def test_ranges_have_a_table_each() -> None:
-    words = table(RANGE, 0, 0, *table(SCALE, -9_000, 0), 1, 100, *table(SCALE, -5_000, 50))
-    assert levels(words, 0, 1, 100) == [-90.0, -50.0, -0.5]
-
-
-def test_a_table_in_a_container_is_found_behind_what_is_none() -> None:
-    words = table(CONTAINER, *table(0x101, 1, 2, 3), *table(BOUNDS, -6_400, 0))
-    assert levels(words, 0, 100) == [-64.0, 0.0]
+NO_LEVELS = table(77, 1, 2)
+HOLDS_ITSELF = functools.reduce(lambda words, _: table(CONTAINER, *words), range(100), SOME_BOUNDS)
 
 
 @pytest.mark.parametrize(
-    ("words", "lowest", "highest"),
+    "words",
     [
-        ([], 0, 100),
-        ([BOUNDS], 0, 100),
-        ([BOUNDS, 8, 0], 0, 100),
-        (table(BOUNDS, -1), 0, 100),
-        (table(77, -6_400, 0), 0, 100),
-        (table(BOUNDS, 0, -6_400), 0, 100),
-        (table(BOUNDS, -6_400, 0), 5, 5),
-        (table(RANGE), 0, 100),
-        (table(RANGE, 0, 100, *table(77, 1, 2)), 0, 100),
-        (table(CONTAINER, *table(77, 1, 2)), 0, 100),
+        *([], [BOUNDS], [BOUNDS, 8, 0], table(BOUNDS, -1), table(77, -6_400, 0)),
+        *(table(BOUNDS, 0, -6_400), table(RANGE), table(RANGE, 0, 100, *NO_LEVELS)),
+        *(table(CONTAINER, *NO_LEVELS), HOLDS_ITSELF),
     ],
 )
-def test_what_is_no_table_or_contradicts_itself_says_nothing(
-    words: list[int], lowest: int, highest: int
-) -> None:
-    assert parse_decibels(words, lowest, highest) is None
-
-
-def test_a_table_that_holds_itself_ends() -> None:
-    words = table(BOUNDS, -6_400, 0)
-    for _ in range(100):
-        words = table(CONTAINER, *words)
+def test_what_is_no_table_or_contradicts_itself_says_nothing(words):
     assert parse_decibels(words, 0, 100) is None
+    assert parse_decibels(SOME_BOUNDS, 5, 5) is None
 
 
-@given(
-    st.lists(st.integers(0, (1 << 32) - 1) | st.integers(0, 40), max_size=24),
-    st.integers(-(1 << 31), 1 << 31),
-    st.integers(0, 1 << 20),
-)
-def test_any_words_give_levels_or_nothing(words: list[int], lowest: int, steps: int) -> None:
+words_of_a_driver = st.lists(st.integers(0, (1 << 32) - 1) | st.integers(0, 40), max_size=24)
+
+
+@given(words_of_a_driver, st.integers(-(1 << 31), 1 << 31), st.integers(0, 1 << 20))
+def test_any_words_give_levels_or_nothing(words, lowest, steps):
     decibels = parse_decibels(words, lowest, lowest + steps)
     if decibels is not None:
         assert decibels.lowest_db <= decibels.highest_db
 
 
 @given(st.floats(-120.0, 20.0), st.integers(-12_000, -1), st.integers(0, 1_000))
-def test_the_step_taken_is_the_highest_that_is_not_too_loud(
-    wanted_db: float, first: int, last: int
-) -> None:
+def test_the_step_taken_is_the_highest_that_is_not_too_loud(wanted_db, first, last):
     decibels = known(table(BOUNDS_MUTE, first, last))
     step = decibels.step_at_most(wanted_db)
     assert step is not None  # the lowest is silence
@@ -115,16 +93,13 @@ def test_the_step_taken_is_the_highest_that_is_not_too_loud(
         assert decibels.level(step + 1) > wanted_db
 
 
-def test_no_step_is_taken_where_all_are_too_loud() -> None:
+def test_no_step_is_taken_where_all_are_too_loud():
     assert known(table(BOUNDS, -600, 0)).step_at_most(-6.5) is None
 
 
-def test_a_card_that_is_not_there_has_no_mixer(tmp_path: Path) -> None:
+def test_a_card_that_is_not_there_or_does_not_answer_has_no_mixer(tmp_path):
     with pytest.raises(NotFoundError, match=r"sound card 3 .* is missing; plug the card in"):
         CardMixer(3, tmp_path)
-
-
-def test_a_file_that_is_no_card_is_told_as_one_that_does_not_answer(tmp_path: Path) -> None:
-    (tmp_path / "controlC0").write_bytes(b"")
+    (tmp_path / "controlC0").write_bytes(b"")  # a file that is no card
     with pytest.raises(NotFoundError, match="does not answer"):
         CardMixer(0, tmp_path)

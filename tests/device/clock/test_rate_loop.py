@@ -1,7 +1,5 @@
 """The loop that steers the delay, alone: an integrator of drift closes it."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -29,20 +27,20 @@ def closed(
 
 @pytest.mark.parametrize("block", [64, 256, 2_048])
 @pytest.mark.parametrize("ppm", [-300, 300])
-def test_any_drift_is_learned_and_leaves_no_error(ppm: int, block: int) -> None:
+def test_any_drift_is_learned_and_leaves_no_error(ppm, block):
     errors, loop = closed(ppm, 0.0, 120.0, block)
     assert abs(errors[-1]) < 0.01
     assert 1e6 * loop.z3 == pytest.approx(ppm, abs=0.1)
     assert np.abs(errors).max() < 0.0003 * SAMPLERATE
 
 
-def test_an_error_of_five_milliseconds_is_within_a_quarter_after_eight_seconds() -> None:
+def test_an_error_of_five_milliseconds_is_within_a_quarter_after_eight_seconds():
     errors, _ = closed(150.0, 240.0, 60.0)
     outside = np.flatnonzero(np.abs(errors) > 0.00025 * SAMPLERATE)
     assert outside[-1] * 256 / SAMPLERATE < 8.0
 
 
-def test_a_long_error_at_the_limit_does_not_wind_up() -> None:
+def test_a_long_error_at_the_limit_does_not_wind_up():
     loop = RateLoop(SAMPLERATE)
     for _ in range(10_000):
         loop.update(1e6, 0.005)
@@ -54,7 +52,7 @@ def test_a_long_error_at_the_limit_does_not_wind_up() -> None:
     assert lowest > -0.15 * 1_000
 
 
-def test_the_band_narrows_after_ten_seconds_and_a_restart_widens_it_and_keeps_the_drift() -> None:
+def test_the_band_narrows_after_ten_seconds_and_a_restart_widens_it_and_keeps_the_drift():
     _, loop = closed(200.0, 0.0, WIDE_FOR_S - 0.1)
     assert loop.wide
     _, loop = closed(200.0, 0.0, WIDE_FOR_S + 60)
@@ -65,9 +63,7 @@ def test_the_band_narrows_after_ten_seconds_and_a_restart_widens_it_and_keeps_th
 
 
 @given(st.lists(st.tuples(st.floats(), st.floats(1e-6, 10.0)), max_size=50))
-def test_the_ratio_stays_within_its_limits_whatever_the_error(
-    updates: list[tuple[float, float]],
-) -> None:
+def test_the_ratio_stays_within_its_limits_whatever_the_error(updates):
     loop = RateLoop(SAMPLERATE)
     for error, seconds in updates:
         ratio = loop.update(error, seconds)
@@ -75,8 +71,8 @@ def test_the_ratio_stays_within_its_limits_whatever_the_error(
         assert abs(ratio - 1.0) <= MAX_DEVIATION * (1 + 1e-9)
 
 
-def test_the_target_moves_slowly_unless_the_user_moves_it_or_frames_would_run_out() -> None:
-    target = TargetDelay(0.01, 0.2, jump_s=0.005)
+def test_the_target_moves_slowly_unless_the_user_moves_it_or_frames_would_run_out():
+    target = TargetDelay(0.01, 0.2 / 0.75, jump_s=0.005)
     target.set_goal(0.004, 0.0)
     assert target.move(1.0) == pytest.approx(SLEW)
     assert target.current_s == pytest.approx(0.01 + SLEW)
@@ -88,4 +84,4 @@ def test_the_target_moves_slowly_unless_the_user_moves_it_or_frames_would_run_ou
     target.set_goal(0.001, 0.05)
     assert target.current_s == pytest.approx(0.08 - SLEW / 2)
     target.set_goal(0.001, 9.0)
-    assert target.current_s == 0.2
+    assert target.current_s == pytest.approx(0.2)

@@ -5,19 +5,15 @@ from dataclasses import replace
 import pytest
 
 from device.drive import ActuatorSettings
-from device.drive.channel_positions import (
-    STREAM_POSITIONS,
-    actuators_of_channels,
-    sink_channel_map,
-)
+from device.drive.channel_positions import STREAM_POSITIONS, actuators_of_channels, sink_channel_map
 from device.errors import UsageError
 from device.server.snapshot import Sink
 
 SURROUND = "front-left,front-right,front-center,lfe,rear-left,rear-right"
 
 
-def sink(channel_map, channels=None):
-    count = channels or len(channel_map.split(","))
+def sink(channel_map):
+    count = len(channel_map.split(","))
     return Sink(1, "haptic", "", "haptic.monitor", 48_000, count, None, {}, channel_map)
 
 
@@ -32,27 +28,26 @@ def test_a_sink_in_the_stream_s_own_order_has_its_channels_where_they_are_counte
     assert sink_channel_map(sink(positions), wanted).sources == tuple(range(channels))
 
 
-def test_a_sink_in_another_order_gets_each_actuator_where_it_counts_it():
-    # The third of the sink's channels is the fifth of the stream's, and so on.
-    found = sink_channel_map(sink(SURROUND), actuators((2,), (3,), ("rear-left",)))
-    assert found.sources == (None, None, 2, None, 0, 1)
-    swapped = sink_channel_map(sink("front-right,front-left"), actuators((0,)))
-    assert swapped.sources == (None, 0)
-
-
-def test_names_and_numbers_mean_the_same_channels():
-    by_name = sink_channel_map(sink(SURROUND), actuators(("lfe", "front-left"), ("rear-right",)))
-    assert by_name == sink_channel_map(sink(SURROUND), actuators((3, 0), (5,)))
+@pytest.mark.parametrize(
+    ("channel_map", "channels", "sources"),
+    [
+        # The third of the sink's channels is the fifth of the stream's, and so on.
+        (SURROUND, [(2,), (3,), ("rear-left",)], (None, None, 2, None, 0, 1)),
+        (SURROUND, [("lfe", "front-left"), ("rear-right",)], (0, None, None, 1, None, 0)),
+        (SURROUND, [(3, 0), (5,)], (0, None, None, 1, None, 0)),
+        ("front-right,front-left", [(0,)], (None, 0)),
+        # Whatever the positions.
+        ("mono", [(0,)], (0,)),
+        ("aux0,aux1", [(0, 1)], (0, 0)),
+    ],
+)
+def test_sinks_in_another_order_get_actuators_where_they_count_them(channel_map, channels, sources):
+    assert sink_channel_map(sink(channel_map), actuators(*channels)).sources == sources
 
 
 def test_without_actuators_the_vibration_repeats_over_the_channels_of_any_sink():
     assert sink_channel_map(sink(SURROUND), (), 2).sources == (0, 1, 0, 1, 0, 1)
     assert sink_channel_map(sink("aux0,aux1"), ()).sources == (0, 0)
-
-
-def test_a_mono_sink_and_one_actuator_everywhere_work_whatever_the_positions():
-    assert sink_channel_map(sink("mono"), actuators((0,))).sources == (0,)
-    assert sink_channel_map(sink("aux0,aux1"), actuators((0, 1))).sources == (0, 0)
 
 
 @pytest.mark.parametrize(

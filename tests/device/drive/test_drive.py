@@ -6,16 +6,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from audioflinger_hook.drive.drive import Drive
-from audioflinger_hook.drive.rig_driver import RigDriver
 from device.drive import ActuatorSettings, ChannelMap, channels_needed, sources_of
 from device.drive.channel_router import ChannelRouter, RoutedFill
 from device.drive.outputs import AlignedOutput, DrivenOutput
 from device.errors import InternalError, UsageError
 from device.rig import CONSUMER, PAPER
 from device.rig.simulated_rig import SimulatedRig
+from tests.support.outputs import KeptOutput
+from tests.support.signals import tone
+from tools.rig_driver import RigDriver
 
 RATE = 8_000
-FADE_S = 0.01
+LEVEL_FADE_S, TAP_FADE_S = 0.01, 0.02
 LEFT = ActuatorSettings((0,), "left")
 RIGHT = ActuatorSettings((1,), "right")
 
@@ -25,10 +27,6 @@ def noise(frames, columns, seed=1):
     return values.astype(np.float32)
 
 
-def tone(hz, seconds, level=0.5):
-    return level * np.sin(2.0 * np.pi * hz * np.arange(round(seconds * RATE)) / RATE)
-
-
 def cut(signal, lengths):
     """The signal in blocks of these lengths, over and over."""
     start, turn = 0, 0
@@ -36,27 +34,6 @@ def cut(signal, lengths):
         stop = start + lengths[turn % len(lengths)]
         yield signal[start:stop]
         start, turn = stop, turn + 1
-
-
-class Kept:
-    """An output that keeps everything."""
-
-    def __init__(self, channels, samplerate=RATE):
-        self.channels, self.samplerate, self.blocks = channels, samplerate, []
-        self.closed = self.aborted = False
-
-    def write(self, vibration):
-        self.blocks.append(np.array(vibration))
-
-    def close(self):
-        self.closed = True
-
-    def abort(self):
-        self.aborted = True
-
-    @property
-    def whole(self):
-        return np.concatenate(self.blocks)
 
 
 def test_an_actuator_without_wishes_gets_its_source_bit_for_bit_and_at_once():
@@ -82,78 +59,60 @@ def test_level_polarity_and_delay_are_those_asked_for():
     lengths=st.lists(st.integers(1, 700), min_size=1, max_size=6),
     delays=st.tuples(st.floats(0.0, 500.0), st.floats(0.0, 500.0)),
     gain_db=st.floats(-60.0, 0.0),
-    protection=st.sampled_from(["off", "on"]),
-)
-def test_no_byte_depends_on_how_the_stream_is_cut(lengths, delays, gain_db, protection):
-    wanted = [
-        ActuatorSettings((0,), "left", delay_ms=delays[0], gain_db=gain_db, protection=protection),
-        ActuatorSettings((1,), "right", delay_ms=delays[1], polarity="inverted"),
-        ActuatorSettings((2,), "mix"),
-    ]
-    vibration = noise(5_000, 3)
-    whole = Drive(wanted, RATE).process(vibration)
-    drive = Drive(wanted, RATE)
-    parts = [drive.process(part) for part in cut(vibration, lengths)]
-    assert np.concatenate(parts).tobytes() == whole.tobytes()
-
-
-@settings(max_examples=40, deadline=None)
-@given(
-    lengths=st.lists(st.integers(1, 300), min_size=1, max_size=6),
-    delay_ms=st.floats(0.0, 100.0),
-    gain_db=st.floats(-60.0, 0.0),
     source=st.sampled_from(["left", "right"]),
+    protection=st.sampled_from(["off", "on"]),
     again_after=st.integers(1, 150),
 )
-def test_a_change_comes_out_the_same_however_the_stream_is_cut(
-    lengths, delay_ms, gain_db, source, again_after
+def test_no_byte_depends_on_how_the_stream_is_cut_with_changes_in_it(
+    lengths, delays, gain_db, source, protection, again_after
 ):
-    vibration = noise(2_000, 2)
-    first = [ActuatorSettings((0,), source, gain_db=gain_db, delay_ms=delay_ms), RIGHT]
-    second = [ActuatorSettings((0,), "left", polarity="inverted"), RIGHT]
+    care = {"protection": protection}
+    settings = [
+        [ActuatorSettings((0,), "left", delay_ms=delays[0], **care), RIGHT],
+        [ActuatorSettings((0,), source, gain_db=gain_db, delay_ms=delays[1], **care), RIGHT],
+        [ActuatorSettings((0,), "left", polarity="inverted", **care), RIGHT],
+    ]
+    parts = np.split(noise(5_000, 2), [1_500, 1_500 + again_after])
 
     def through(lengths):
-        drive = Drive([LEFT, RIGHT], RATE)
-        out = [drive.process(part) for part in cut(vibration[:500], lengths)]
-        drive.change(first)
-        middle = 500 + again_after
-        out += [drive.process(part) for part in cut(vibration[500:middle], lengths)]
-        drive.change(second)
-        out += [drive.process(part) for part in cut(vibration[middle:], lengths)]
+        drive, out = Drive(settings[0], RATE), []
+        for chosen, part in zip(settings, parts, strict=True):
+            drive.change(chosen)
+            out += [drive.process(block) for block in cut(part, lengths)]
         return np.concatenate(out)
 
     assert through(lengths).tobytes() == through([10_000]).tobytes()
 
 
 @pytest.mark.parametrize(
-    "changed",
+    ("changed", "fade_s"),
     [
-        ActuatorSettings((0,), "left", gain_db=-20.0),
-        ActuatorSettings((0,), "left", polarity="inverted"),
-        ActuatorSettings((0,), "left", delay_ms=7.3),
-        ActuatorSettings((0,), "right"),
+        (ActuatorSettings((0,), "left", gain_db=-20.0), LEVEL_FADE_S),
+        (ActuatorSettings((0,), "left", polarity="inverted"), LEVEL_FADE_S),
+        (ActuatorSettings((0,), "left", delay_ms=7.3), TAP_FADE_S),
+        (ActuatorSettings((0,), "right"), TAP_FADE_S),
     ],
     ids=["level", "polarity", "delay", "source"],
 )
-def test_a_change_makes_no_step_and_is_done_within_its_time(changed):
-    wave = tone(60.0, 1.0).astype(np.float32)
+def test_a_change_makes_no_step_and_is_done_within_its_time(changed, fade_s):
+    wave = tone(60.0, 1.0, RATE, 0.5).astype(np.float32)
     vibration = np.column_stack([wave, -wave])
     drive = Drive([LEFT, RIGHT, LEFT], RATE)
     before = drive.process(vibration[:4_001])
     drive.change([changed, RIGHT, LEFT])
     after = drive.process(vibration[4_001:])
     heard = np.concatenate([before, after])[:, 0].astype(float)
-    done = 4_001 + round(FADE_S * RATE)
+    done = 4_001 + round(fade_s * RATE)
     settled = Drive([changed, RIGHT, LEFT], RATE).process(vibration)[:, 0]
     np.testing.assert_allclose(heard[done:], settled[done:], atol=1e-7)
     steepest = np.abs(np.diff(wave.astype(float))).max()
-    # From one end of the wave to the other in a straight line over the fade, on top of the wave.
-    assert np.abs(np.diff(heard)).max() < steepest + 1.01 / (FADE_S * RATE)
+    # From one end of the wave to the other in a straight line over 10 ms, on top of the wave.
+    assert np.abs(np.diff(heard)).max() < steepest + 1.01 / (LEVEL_FADE_S * RATE)
     assert np.array_equal(heard[:4_001], vibration[:4_001, 0])
 
 
 def test_of_several_changes_within_a_fade_the_last_one_stays():
-    wave = tone(60.0, 1.0).astype(np.float32)[:, None]
+    wave = tone(60.0, 1.0, RATE, 0.5).astype(np.float32)[:, None]
     drive = Drive([ActuatorSettings((0,))], RATE)
     for delay_ms in (3.0, 90.0, 20.0):
         drive.process(wave[:10])
@@ -175,23 +134,11 @@ def test_who_needs_no_protection_waits_for_those_who_do():
     assert late == 2 * round(0.002 * RATE)
     assert drive.delays_frames == (0, 0, 80)
     vibration = 0.1 * noise(2_000, 1)
-    out = drive.process(vibration)
-    assert np.array_equal(out[late:, 0], vibration[:-late, 0])
+    out = np.concatenate([drive.process(vibration), drive.drain()])
+    assert len(out) == 2_000 + late + 80, "the longest delay is drained, too"
+    assert np.array_equal(out[late : late + 2_000, 0], vibration[:, 0])
     assert np.array_equal(out[:, 0], out[:, 1])
     assert np.array_equal(out[80:, 2], out[:-80, 0])
-
-
-def test_what_is_owed_is_everything_with_the_longest_delay():
-    wanted = [
-        ActuatorSettings((0,), "left", protection="on"),
-        ActuatorSettings((1,), "right", delay_ms=25.0),
-    ]
-    vibration = 0.1 * noise(1_000, 2)
-    drive = Drive(wanted, RATE)
-    whole = np.concatenate([drive.process(vibration), drive.drain()])
-    late = drive.latency_frames
-    assert np.array_equal(whole[late : late + 1_000, 0], vibration[:, 0])
-    assert np.array_equal(whole[late + 200 :, 1], vibration[:, 1])
 
 
 def test_each_has_the_rig_and_the_care_of_its_own():
@@ -201,7 +148,7 @@ def test_each_has_the_rig_and_the_care_of_its_own():
         ActuatorSettings((2,), "mix", protection="off", exposure_cap="off"),
     ]
     drive = Drive(wanted, RATE, rig="paper", protection="on", exposure_cap="action")
-    vibration = tone(45.0, 0.5, 1.0).astype(np.float32)[:, None]
+    vibration = tone(45.0, 0.5, RATE).astype(np.float32)[:, None]
     out = drive.process(vibration)
     consumer, damped, plain = drive.processors
     assert consumer is not None
@@ -214,19 +161,14 @@ def test_each_has_the_rig_and_the_care_of_its_own():
     assert consumer.protection().least_gain != damped.protection().least_gain
 
 
-def test_protection_sees_what_is_left_after_the_level():
-    loud = tone(45.0, 0.5, 1.0).astype(np.float32)[:, None]
-
-    def least_gain(gain_db):
-        one = ActuatorSettings((0,), rig="consumer", protection="on", gain_db=gain_db)
-        drive = Drive([one], RATE)
-        drive.process(loud)
-        processor = drive.processors[0]
-        assert processor is not None
-        return processor.protection().least_gain
-
-    assert least_gain(0.0) < 1.0
-    assert least_gain(-40.0) == 1.0
+@pytest.mark.parametrize(("gain_db", "is_limited"), [(0.0, True), (-40.0, False)])
+def test_protection_sees_what_is_left_after_the_level(gain_db, is_limited):
+    one = ActuatorSettings((0,), rig="consumer", protection="on", gain_db=gain_db)
+    drive = Drive([one], RATE)
+    drive.process(tone(45.0, 0.5, RATE).astype(np.float32)[:, None])
+    (processor,) = drive.processors
+    assert processor is not None
+    assert (processor.protection().least_gain < 1.0) == is_limited
 
 
 def test_what_is_flushed_never_comes_out():
@@ -237,12 +179,9 @@ def test_what_is_flushed_never_comes_out():
 
 
 def test_sources_are_named_once_in_their_order_and_all_is_the_mix():
-    assert ActuatorSettings((0,), "all").source == "mix"
-    assert sources_of([RIGHT, LEFT, RIGHT, ActuatorSettings((3,), "all")]) == (
-        "mix",
-        "left",
-        "right",
-    )
+    every = ActuatorSettings((3,), "all")
+    assert every.source == "mix"
+    assert sources_of([RIGHT, LEFT, RIGHT, every]) == ("mix", "left", "right")
 
 
 @pytest.mark.parametrize(
@@ -274,8 +213,6 @@ def test_other_actuators_and_blocks_of_another_shape_are_refused():
         drive.change([RIGHT])
     with pytest.raises(InternalError, match="shape"):
         drive.process(np.zeros((10, 2), np.float32))
-    with pytest.raises(UsageError, match="'loud'"):
-        Drive([ActuatorSettings((0,), rig="loud", protection="on")], RATE)
 
 
 def test_actuators_reach_the_channels_they_are_wired_to_and_others_stay_silent():
@@ -283,11 +220,8 @@ def test_actuators_reach_the_channels_they_are_wired_to_and_others_stay_silent()
     out = np.full((2, 5), 9.0, np.float32)
     ChannelMap.of([[3, 0], [1]], 5).write(vibration, out)
     assert out.tolist() == [[1.0, 2.0, 0.0, 1.0, 0.0], [3.0, 4.0, 0.0, 3.0, 0.0]]
-
-
-def test_without_wiring_actuators_repeat_over_all_channels():
+    # Without wiring they repeat.
     assert ChannelMap.repeated(2, 5) == ChannelMap(2, (0, 1, 0, 1, 0))
-    assert ChannelMap.repeated(1, 2).channels == 2
 
 
 def test_channels_go_by_the_names_that_the_device_has_for_them():
@@ -300,10 +234,7 @@ def test_channels_go_by_the_names_that_the_device_has_for_them():
 @pytest.mark.parametrize(
     ("wired", "words"),
     [
-        (
-            [[0], [2]],
-            "actuator 2 wants channel 2, but the card .* has 2, counted from 0: 0 to 1",
-        ),
+        ([[0], [2]], "actuator 2 wants channel 2, but the card .* has 2, counted from 0: 0 to 1"),
         ([[0], [-1]], "wants channel -1"),
         ([[0], []], "actuator 2 has no channel"),
         ([[0], [0]], "actuator 2 wants channel 0, which drives actuator 1"),
@@ -323,14 +254,14 @@ def test_another_wiring_fades_in_over_one_block():
     routed = RoutedFill(fill, ChannelMap.of([[0], [1]], 3), 64)
     out = np.zeros((64, 3), np.float32)
     routed.fill(out, 0.0)
-    assert np.array_equal(out, np.tile(np.array([0.5, -0.25, 0.0], np.float32), (64, 1)))
+    assert (out == [0.5, -0.25, 0.0]).all()
     routed.change(ChannelMap.of([[2], [0]], 3))
     routed.fill(out, 0.0)
     # 0.75 from one level to the other, in 64 steps
     assert np.abs(np.diff(out, axis=0)).max() == pytest.approx(0.75 / 64, rel=1e-3)
-    assert np.array_equal(out[-1], np.array([-0.25, 0.0, 0.5], np.float32))
+    assert (out[-1] == [-0.25, 0.0, 0.5]).all()
     routed.fill(out, 0.0)
-    assert np.array_equal(out, np.tile(np.array([-0.25, 0.0, 0.5], np.float32), (64, 1)))
+    assert (out == [-0.25, 0.0, 0.5]).all()
     with pytest.raises(InternalError, match="cannot replace"):
         routed.change(ChannelMap.of([[0], [1]], 2))
 
@@ -341,14 +272,17 @@ def test_files_have_what_each_channel_would_get_under_its_sound_and_as_long_as_i
         ActuatorSettings((0,), "right", polarity="inverted"),
     ]
     channel_map = ChannelMap.of([actuator.channels for actuator in wanted], 3)
-    kept = Kept(3)
+    kept = KeptOutput(RATE, 3)
     drive = Drive(wanted, RATE)
     output = DrivenOutput(AlignedOutput(kept, drive.latency_frames), drive, channel_map)
     vibration = 0.1 * noise(1_000, 2)
     for part in cut(vibration, [300, 77]):
+        before = part.copy()
         output.write(part)
+        assert np.array_equal(part, before)
+    assert (output.samplerate, output.channels) == (RATE, 2)
     output.close()
-    assert kept.closed
+    assert kept.ended == ["closed"]
     assert kept.whole.shape == (1_000, 3)
     assert np.array_equal(kept.whole[:, 0], -vibration[:, 1])
     assert not kept.whole[:, 1].any()
@@ -357,32 +291,36 @@ def test_files_have_what_each_channel_would_get_under_its_sound_and_as_long_as_i
         output.write(vibration)
 
 
+def test_an_aborted_output_takes_nothing_more_and_a_channel_map_must_fit():
+    kept, drive = KeptOutput(RATE, 2), Drive((), RATE, 2, protection="on")
+    output = DrivenOutput(kept, drive, ChannelMap.repeated(2, 2))
+    output.abort()
+    assert kept.ended == ["aborted"]
+    with pytest.raises(InternalError, match="closed"):
+        output.write(noise(100, 2))
+    output.close()
+    assert not kept.blocks
+    with pytest.raises(InternalError, match="2 channels, the channel map 3"):
+        DrivenOutput(kept, drive, ChannelMap.repeated(2, 3))
+
+
 def test_each_channel_moves_its_own_simulated_rig_or_none():
-    kept, alone = Kept(3), Kept(1)
-    rigs = SimulatedRig([PAPER, None, CONSUMER], RATE, recorder=kept)
-    one = SimulatedRig(PAPER, RATE, 1, recorder=alone)
-    vibration = noise(2_000, 3)
+    wired, vibration = [PAPER, None, CONSUMER, PAPER], 1.5 * noise(2_000, 4)
+    kept = KeptOutput(RATE, 4)
+    rigs = SimulatedRig(wired, RATE, recorder=kept)
     for part in cut(vibration, [256]):
         rigs.write(part)
-        one.write(part[:, :1])
     rigs.close()
-    assert kept.closed
-    assert np.array_equal(kept.whole[:, 0], alone.whole[:, 0])
+    assert kept.ended == ["closed"]
+    for channel, rig in enumerate(wired):
+        record = KeptOutput(RATE)
+        one = SimulatedRig([rig], RATE, recorder=record)
+        one.write(vibration[:, [channel]])
+        assert np.array_equal(kept.whole[:, channel], record.whole[:, 0])
+        assert rigs.peak_acceleration_m_s2 >= one.peak_acceleration_m_s2
+        assert rigs.peak_displacement_m >= one.peak_displacement_m
     assert not kept.whole[:, 1].any()
-    assert not np.array_equal(kept.whole[:, 2], kept.whole[:, 0])
-    assert rigs.peak_acceleration_m_s2 >= one.peak_acceleration_m_s2
-    assert rigs.peak_displacement_m >= one.peak_displacement_m
     assert SimulatedRig([None], RATE).peak_current_a == 0.0
-
-
-def test_channels_with_the_same_rig_move_as_each_would_alone():
-    vibration = 1.5 * noise(2_000, 3)
-    together = SimulatedRig([PAPER, CONSUMER, PAPER], RATE)
-    together.write(vibration)
-    for channel, rig in enumerate([PAPER, CONSUMER, PAPER]):
-        alone = SimulatedRig(rig, RATE, 1)
-        alone.write(vibration[:, [channel]])
-        assert np.array_equal(together.acceleration_m_s2[:, channel], alone.acceleration_m_s2[:, 0])
 
 
 @given(
@@ -391,9 +329,7 @@ def test_channels_with_the_same_rig_move_as_each_would_alone():
     lengths=st.lists(st.integers(1, 90), min_size=1, max_size=6),
     seed=st.integers(0, 2**32 - 1),
 )
-def test_with_nothing_asked_for_the_drive_is_the_identity_without_a_copy(
-    frames, channels, lengths, seed
-):
+def test_without_a_wish_the_drive_is_the_identity_without_a_copy(frames, channels, lengths, seed):
     drive = Drive((), RATE, channels)
     bits = np.random.default_rng(seed).integers(0, 2**32, (frames, channels), np.uint32)
     for part in cut(bits.view(np.float32), lengths):  # any bits: infinities and NaNs too
@@ -403,20 +339,6 @@ def test_with_nothing_asked_for_the_drive_is_the_identity_without_a_copy(
         assert out.tobytes() == before
     assert drive.latency_frames == 0
     assert drive.drain().shape == (0, channels)
-
-
-@pytest.mark.exhaustive
-@given(
-    channels=st.integers(1, 4),
-    lengths=st.lists(st.integers(1, 9_000), min_size=1, max_size=4),
-    seed=st.integers(0, 2**32 - 1),
-)
-def test_actuators_that_ask_for_nothing_are_the_identity_too(channels, lengths, seed):
-    sources = ("mix", "left", "right", "front")[:channels]
-    drive = Drive([ActuatorSettings((k,), name) for k, name in enumerate(sources)], RATE)
-    vibration = noise(10_000, channels, seed)
-    out = [drive.process(part) for part in cut(vibration, lengths)]
-    assert np.concatenate(out).tobytes() == vibration.tobytes()
 
 
 @pytest.mark.parametrize("asked", [{"protection": "on"}, {"damping": "auto"}])
@@ -438,25 +360,17 @@ def test_an_unnamed_actuator_has_one_protection_for_all_channels_of_the_vibratio
     late = drive.latency_frames
     assert np.array_equal(out[late:], vibration[:-late])
     assert np.array_equal(drive.drain(), vibration[-late:])
-    drive.process(vibration)
-    drive.flush()
-    assert not drive.process(np.zeros((100, 2), np.float32)).any()
 
 
-def test_a_direct_map_lets_the_device_be_filled_without_a_copy():
+@pytest.mark.parametrize(("sources", "is_shared"), [(1, True), (3, True), (2, False)])
+def test_a_direct_map_lets_the_device_be_filled_without_a_copy(sources, is_shared):
     filled = []
 
     def fill(out, now_s):
         filled.append(out)
         out[:] = 0.25
 
-    router = ChannelRouter(())
-    for channel_map in (ChannelMap.repeated(1, 3), ChannelMap.repeated(3, 3)):
-        out = np.zeros((64, 3), np.float32)
-        router.connect(fill, channel_map, 64)(out, 0.0)
-        assert np.shares_memory(filled.pop(), out)
-        assert (out == 0.25).all()
     out = np.zeros((64, 3), np.float32)
-    router.connect(fill, ChannelMap.repeated(2, 3), 64)(out, 0.0)
-    assert not np.shares_memory(filled.pop(), out)
+    ChannelRouter(()).connect(fill, ChannelMap.repeated(sources, 3), 64)(out, 0.0)
+    assert np.shares_memory(filled.pop(), out) == is_shared
     assert (out == 0.25).all()

@@ -2,47 +2,27 @@
 
 import math
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.integrate import solve_ivp
-from scipy.optimize import linprog
-from scipy.signal import sosfilt
 
-from audioflinger_hook.drive.rig_driver import RigDriver
-from device.drive.exposure.dose import ACTION_A8_M_S2, DAY_S, DoseSums
-from device.drive.protection.bounding_models import RESERVE, bounding_models
+from device.drive.damping import inverse_damping
+from device.drive.exposure import ACTION_A8_M_S2, DAY_S, DoseSums
 from device.drive.protection.limits import Limits, limits_of
-from device.drive.protection.thermal import CoilTemperature
 from device.drive.safety import SafetyState
 from device.errors import InternalError, UsageError
 from device.rig import CONSUMER, PAPER
 from device.rig.actuator import LinearActuator
-from device.rig.electronics import Amplifier, Band
 from device.rig.parameters import ThermalParameters, detune
 from device.rig.simulated_rig import SimulatedRig
-from device.rig.thermal import COPPER_PER_K
-from tests.support.possible_actuators import (
-    DRIVES,
-    FREE,
-    GROUND,
-    Possible,
-    excursion_sections,
-    linear_excursions,
-    non_linear_excursion,
-    possible_actuators,
-    search,
-    searched_drive,
-    strong,
-)
+from tests.support.possible_actuators import volts_of
+from tools.rig_driver import RigDriver
 
 ACTUATOR = PAPER.actuator
-assert PAPER.thermal
 assert PAPER.large_signal
-THERMAL, LARGE = PAPER.thermal, PAPER.large_signal
+LARGE = PAPER.large_signal
 RATE = 8_000
 # An amplifier that can drive the coil through its limits: 20 V where 13 V reach Xmax. Its current
 # is no limit here: that has tests of its own.
@@ -50,39 +30,44 @@ STRONG = replace(PAPER.amplifier, current_limit_a=math.inf)
 LOUD = replace(PAPER, amplifier=replace(STRONG, gain=20.0))
 # And one that cannot stop at ±1.5 Xmax, with a tighter limit of the level.
 LOUDER = replace(PAPER, amplifier=replace(STRONG, gain=40.0, output_limit_v=30.0))
+STANDARD = pytest.mark.parametrize("rig", [PAPER, CONSUMER], ids=["paper", "consumer"])
 DETUNINGS = (-0.1, -0.075, -0.05, -0.025, 0.0, 0.025, 0.05, 0.075, 0.1)
 
 
-def protect(rig, drive, samplerate=RATE, splits=(), **options):
+def protect(rig, drive, samplerate=RATE, **options):
     """The protector after a drive of (frames,) and enough silence, and what left it, (frames,)."""
     protector = RigDriver(rig, samplerate, 1, **options)
     silence = np.zeros(protector.latency_frames + samplerate // 10)
-    stream = np.concatenate([drive, silence])[:, None]
-    parts = np.split(stream, sorted(splits)) if len(splits) else [stream]
-    return protector, np.concatenate([protector.process(part)[:, 0] for part in parts]).astype(
-        float
-    )
+    out = protector.process(np.concatenate([drive, silence])[:, None])
+    return protector, out[:, 0].astype(float)
 
 
-def volts_of(rig, drive, samplerate=RATE):
-    """What the amplifier with its band, but without clipping, makes of a drive, in V."""
-    unlimited = replace(rig.amplifier, output_limit_v=1e9)
-    return Amplifier(unlimited, samplerate).drive(rig.dac.full_scale_v * drive)
+def is_untouched(rig, drive, **options):
+    """Whether a drive leaves as it is, only later."""
+    protector, out = protect(rig, drive, **options)
+    latency = protector.latency_frames
+    return np.array_equal(out[latency : latency + len(drive)], drive.astype(np.float32))
 
 
-def excursions(rig, drive, samplerate=RATE, detunings=DETUNINGS):
+def warmest_c(protector, blocks):
+    """The coil's largest temperature after any of some blocks, (blocks, frames)."""
+    warmest = []
+    for block in blocks:
+        protector.process(block[:, None])
+        warmest.append(protector.protection().coil_c or math.nan)
+    return max(warmest)
+
+
+def excursions(rig, drive, samplerate=RATE):
     """The largest |x| of each detuned rig behind the amplifier, as a share of Xmax."""
     volts = volts_of(rig, drive, samplerate)
     source = rig.amplifier.source_impedance_ohm
-    return [
-        np.abs(
-            LinearActuator(detune(rig.actuator, share), samplerate, source)
-            .move(volts, ("displacement_m",))
-            .displacement_m
-        ).max()
-        / rig.actuator.x_max_m
-        for share in detunings
-    ]
+    found = []
+    for share in DETUNINGS:
+        actuator = LinearActuator(detune(rig.actuator, share), samplerate, source)
+        moved = actuator.move(volts, ("displacement_m",)).displacement_m
+        found.append(np.abs(moved).max() / rig.actuator.x_max_m)
+    return found
 
 
 def tone(frequency_hz, seconds, samplerate=RATE, shape=np.sin):
@@ -93,241 +78,41 @@ def square(phase):
     return np.sign(np.sin(phase))
 
 
-# -------------------------------------------------------------------------------- excursion
-
-
 @pytest.mark.parametrize("samplerate", [6_000, 8_000, 44_100, 48_000, 196_000])
-def test_a_tone_at_resonance_that_would_exceed_the_excursion_comes_up_to_it_and_no_further(
-    samplerate,
-):
+def test_a_tone_at_resonance_beyond_the_excursion_comes_up_to_it_and_no_further(samplerate):
     drive = tone(90.0, 0.3, samplerate)
     assert max(excursions(LOUD, drive, samplerate)) > 1.4
     protector, out = protect(LOUD, drive, samplerate)
     largest = max(excursions(LOUD, out, samplerate))
     assert 0.85 < largest <= 1.0  # 9.1 % are held back for actuators between the models
-    assert protector.protection().infeasible_blocks == 0
     assert np.abs(out).max() <= 1.0
+    # Each edge swings the amplifier on, and peaks lie between the places that were looked at.
+    edged, _ = protect(LOUD, tone(30.0, 0.2, samplerate, shape=square), samplerate)
+    assert edged.protection().limited_blocks > 50
+    for one in (protector, edged):
+        assert one.protection().infeasible_blocks == 0
 
 
-genes = st.tuples(
-    st.floats(60.0, 110.0), st.floats(0.0, 1.0), st.floats(0.02, 0.2), st.floats(10.0, 300.0),
-    st.floats(-1.0, 1.0), st.floats(-1.5, 1.5), st.booleans(),
-)  # fmt: skip
+TIGHT = [
+    replace(rig, actuator=replace(rig.actuator, x_max_m=share * rig.actuator.x_max_m))
+    for rig, share in ((CONSUMER, 0.5), (CONSUMER, 0.3), (PAPER, 0.12))
+]
+"""Rigs with less room to move: what their amplifiers can drive them beyond."""
 
 
-def drive_of(frequency_hz, phase, until_s, other_hz, other, level, squared, seconds=0.25):
-    """A gated tone or square wave near the resonance and another tone, (frames,)."""
-    time_s = np.arange(round(seconds * RATE)) / RATE
-    wave = np.sin(math.tau * (frequency_hz * time_s + phase))
-    wave = np.where(time_s < until_s, np.sign(wave) if squared else wave, 0.0)
-    return level * (wave + other * np.sin(math.tau * other_hz * time_s))
-
-
-# --------------------------------------------------------------- every cause of a shifted f0
-
-STRONGER = (1.5, 2.5, 4.0)
-"""Amplifiers, by how far full scale at the resonance would swing, in Xmax."""
-SEARCHED = (1.5, pytest.param(2.5, marks=pytest.mark.soak), 4.0)
-STANDARD = pytest.mark.parametrize("rig", [PAPER, CONSUMER], ids=["paper", "consumer"])
-
-
-def governed(protector, waves):
-    """What leaves for drives of (frames, channels), with enough silence."""
-    protector.reset()
-    silence = np.zeros((protector.latency_frames + RATE // 20, waves.shape[1]))
-    return protector.process(np.concatenate([waves, silence])).astype(float)
-
-
-def worst_linear(rig, stronger, *, drives, generations, seed):
-    """The largest excursion of any possible actuator, for the worst drive that is found."""
-    loud = strong(rig, stronger)
-    protector, f0 = RigDriver(loud, RATE, drives), rig.actuator.resonance_hz
-    possible = possible_actuators(rig)
-
-    def reached(tries):
-        waves = np.column_stack([searched_drive(f0, RATE, numbers) for numbers in tries])
-        out = governed(protector, waves)
-        assert protector.protection().infeasible_blocks == 0
-        return np.max([linear_excursions(loud, one, out, RATE) for one in possible], axis=0)
-
-    return search(reached, DRIVES, drives=drives, generations=generations, seed=seed)
-
-
-ACTUATORS = ((0.9, 1.1), (0.81, 1.21), (0.9, 1.1), (0.0, 3.0 - 1e-6))
-"""Bounds of mass, stiffness and Bl, and which seat."""
-
-
-def worst_non_linear(rig, stronger, *, drives, generations, seed):
-    """The same of the non-linear model, whose actuator is searched as well."""
-    loud = strong(rig, stronger)
-    protector, f0 = RigDriver(loud, RATE, drives), rig.actuator.resonance_hz
-
-    def reached(tries):
-        waves = np.column_stack([searched_drive(f0, RATE, numbers[:7]) for numbers in tries])
-        out = governed(protector, waves)
-        found = []
-        for (mass, stiffness, bl, seat), column in zip(tries[:, 7:], out.T, strict=True):
-            possible = Possible(mass, stiffness, bl, (GROUND, rig.seat, FREE)[int(seat)])
-            found.append(non_linear_excursion(loud, possible, column, RATE))
-        return np.array(found)
-
-    bounds = DRIVES + ACTUATORS
-    return search(reached, bounds, drives=drives, generations=generations, seed=seed)
-
-
-@STANDARD
-def test_no_drive_of_some_takes_any_actuator_that_the_rig_may_have_beyond_xmax(rig):
-    worst, found, _ = worst_linear(rig, 2.5, drives=32, generations=2, seed=1)
-    assert 0.85 < worst <= 1.0, found
-
-
-@STANDARD
-def test_no_drive_of_some_takes_the_non_linear_model_a_tenth_beyond_xmax(rig):
-    worst, found, _ = worst_non_linear(rig, 4.0, drives=16, generations=1, seed=1)
-    assert 0.6 < worst <= 1.10, found
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("stronger", SEARCHED)
-@STANDARD
-def test_no_drive_that_an_optimiser_finds_takes_any_possible_actuator_beyond_xmax(rig, stronger):
-    worst, found, tries = worst_linear(rig, stronger, drives=48, generations=20, seed=2)
-    assert tries >= 1_000
-    assert worst <= 1.0, found
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("stronger", SEARCHED)
-@STANDARD
-def test_no_drive_that_an_optimiser_finds_takes_the_non_linear_model_a_tenth_beyond(rig, stronger):
-    worst, found, tries = worst_non_linear(rig, stronger, drives=48, generations=20, seed=3)
-    assert tries >= 1_000
-    assert worst <= 1.10, found
-
-
-@pytest.mark.soak
-@STANDARD
-def test_no_drive_of_thousands_takes_any_possible_actuator_beyond_its_limit(rig):
-    for stronger in STRONGER:
-        linear, found, tries = worst_linear(rig, stronger, drives=64, generations=80, seed=4)
-        print(f"{rig.name}, {stronger} Xmax: {tries} drives, linear {linear:.4f} by {found}")
-        assert linear <= 1.0
-        bent, found, tries = worst_non_linear(rig, stronger, drives=64, generations=80, seed=5)
-        print(f"{rig.name}, {stronger} Xmax: {tries} drives, non-linear {bent:.4f} by {found}")
-        assert bent <= 1.10
-
-
-def impulse_matrix(sections, frames):
-    """The lower triangular matrix from a drive to what sections make of it."""
-    impulse = sosfilt(sections, np.eye(1, frames)[0])
-    delay = np.arange(frames)[:, None] - np.arange(frames)
-    return np.where(delay >= 0, impulse[np.abs(delay)], 0.0)
-
-
-def largest_inside_the_models(loud, possible_ones, rate):
-    """Each possible actuator with its largest excursion over all drives, the largest first.
-
-    By linear programming: no optimiser can find more. The models stay inside what is allowed.
-    """
-    p = loud.actuator
-    models = bounding_models(p, limits_of(loud), loud.amplifier.source_impedance_ohm)
-    assert len(models) <= 10
-    frames = 5 * rate // round(p.resonance_hz)
-    volts = loud.dac.full_scale_v * loud.amplifier.gain
-    band = Band(loud.amplifier.low_cut_hz, math.inf, rate).sections
-
-    def matrix(possible):
-        sections = np.concatenate([band, excursion_sections(loud, possible, rate)])
-        return volts * impulse_matrix(sections, frames)
-
-    inside = np.vstack(
-        [
-            matrix(
-                Possible(
-                    model.moving_mass_kg / p.moving_mass_kg,
-                    model.stiffness_n_per_m / p.stiffness_n_per_m,
-                    model.force_factor_n_per_a / p.force_factor_n_per_a,
-                    GROUND,
-                )
-            )
-            for model in models
-        ]
-    )
-    limit = np.full(2 * len(inside), 1.0 - RESERVE)
-    both = np.vstack([inside, -inside])
-    found = [
-        (-linprog(-matrix(one)[-1], A_ub=both, b_ub=limit, bounds=(-1.0, 1.0)).fun, one)
-        for one in possible_ones
-    ]
-    return sorted(found, key=lambda each: -each[0])
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize(
-    ("rig", "rates"),
-    [(PAPER, (2_000, 6_000)), (CONSUMER, (1_000, 3_000))],
-    ids=["paper", "consumer"],
-)
-def test_no_drive_at_all_takes_a_possible_actuator_beyond_xmax_while_the_models_stay_inside(
-    rig, rates
-):
-    # The worst at the lower rate are looked at again with three times as many samples.
-    loud = strong(rig, 4.0)
-    found = largest_inside_the_models(loud, possible_actuators(rig), rates[0])
-    again = largest_inside_the_models(loud, [one for _, one in found[:3]], rates[1])
-    assert max(found[0][0], again[0][0]) <= 1.0
-
-
-def test_a_frame_that_moves_freely_makes_the_mass_lighter():
-    drive = tone(85.0, 0.3)[:, None]
-    mass = ACTUATOR.moving_mass_kg
-    lighter = Possible(mass=FREE.mass_kg / (FREE.mass_kg + mass))
-    free = linear_excursions(LOUD, Possible(seat=FREE), drive, RATE)
-    # The board's own 2 Hz are the difference.
-    assert free == pytest.approx(linear_excursions(LOUD, lighter, drive, RATE), rel=2e-3)
-
-
-@STANDARD
-def test_the_models_span_all_resonances_from_the_softest_to_a_stiffened_free_one(rig):
-    models = bounding_models(rig.actuator, limits_of(rig), rig.amplifier.source_impedance_ohm)
-    believed, *others = [model.resonance_hz / rig.actuator.resonance_hz for model in models]
-    assert believed == 1.0
-    assert others == sorted(others)
-    assert others[0] == pytest.approx(0.9 / math.sqrt(1.1))
-    lightest = 0.9 * 0.57 / (0.57 + 0.9 * rig.actuator.moving_mass_kg)
-    assert others[-1] == pytest.approx(1.1 * math.sqrt(1.375 / lightest))
-
-
-def test_a_rig_that_is_known_exactly_has_one_model():
-    known = replace(limits_of(PAPER), deviation=0.0, lightest_frame_kg=math.inf, stiffness_rise=0.0)
-    assert bounding_models(ACTUATOR, known, 0.0) == [ACTUATOR]
-
-
-# ------------------------------------------------------------------------- behind the amplifier
-
-
-def tight(rig, share):
-    """The rig with less room to move: what its amplifier can drive it beyond."""
-    return replace(rig, actuator=replace(rig.actuator, x_max_m=share * rig.actuator.x_max_m))
-
-
-TIGHT = [tight(CONSUMER, 0.5), tight(CONSUMER, 0.3), tight(PAPER, 0.12)]
-TIGHT_IDS = ["consumer, half of Xmax", "consumer, 0.3 Xmax", "paper, 0.12 Xmax"]
-
-
-def reached_on_the_twin(rig, out, detunings=DETUNINGS):
-    """The largest |x| over Xmax of the whole twin, from the DAC on, for each detuned actuator."""
+def reached_on_the_twin(rig, out):
+    """The largest |x| over Xmax of the whole twin, from the DAC on, of all detuned actuators."""
     shares = []
-    for share in detunings:
+    for share in DETUNINGS:
         twin = SimulatedRig(replace(rig, actuator=detune(rig.actuator, share)), RATE, 1)
         twin.write(out[:, None])
         assert twin.clipped_samples == 0
         shares.append(twin.peak_displacement_m / rig.actuator.x_max_m)
-    return shares
+    return max(shares)
 
 
 @pytest.mark.sweep
-@pytest.mark.parametrize("rig", TIGHT, ids=TIGHT_IDS)
+@pytest.mark.parametrize("rig", TIGHT, ids=["consumer, 0.5", "consumer, 0.3", "paper, 0.12"])
 @pytest.mark.parametrize("frequency_hz", [15.0, 30.0, 42.0, 45.0, 90.0])
 def test_the_whole_twin_stays_within_xmax_whatever_its_amplifier_adds(rig, frequency_hz):
     for shape in (np.sin, square):
@@ -335,24 +120,15 @@ def test_the_whole_twin_stays_within_xmax_whatever_its_amplifier_adds(rig, frequ
             drive = tone(frequency_hz, 0.3, shape=shape)
             drive[end:] = 0.0 if end else drive[end:]
             protector, out = protect(rig, drive)
-            assert max(reached_on_the_twin(rig, out)) <= 1.0
+            assert reached_on_the_twin(rig, out) <= 1.0
             assert protector.protection().infeasible_blocks == 0
 
 
-@pytest.mark.exhaustive
-@settings(max_examples=30)
-@given(genes, st.sampled_from(TIGHT))
-def test_no_tones_and_bursts_take_the_whole_twin_beyond_xmax(found, rig):
-    protector, out = protect(rig, np.clip(drive_of(*found), -1.0, 1.0))
-    assert max(reached_on_the_twin(rig, out, (-0.1, 0.0, 0.1))) <= 1.0
-    assert protector.protection().infeasible_blocks == 0
-
-
-@pytest.mark.parametrize(("rig", "frequency_hz"), [(TIGHT[0], 15.0), (TIGHT[2], 15.0)])
-def test_a_protection_that_did_not_know_the_amplifiers_band_would_let_it_through(rig, frequency_hz):
+@pytest.mark.parametrize("rig", [TIGHT[0], TIGHT[2]])
+def test_a_protection_that_did_not_know_the_amplifiers_band_would_let_it_through(rig):
     unaware = replace(rig, amplifier=replace(rig.amplifier, low_cut_hz=0.0))
-    _, out = protect(unaware, tone(frequency_hz, 0.3, shape=square))
-    assert max(reached_on_the_twin(rig, out)) > 1.05
+    _, out = protect(unaware, tone(15.0, 0.3, shape=square))
+    assert reached_on_the_twin(rig, out) > 1.05
 
 
 @pytest.mark.sweep
@@ -372,18 +148,6 @@ def test_what_an_amplifier_swings_back_long_after_a_stop_stays_within_xmax(frequ
     assert 0.8 < max(reached) <= 1.0
 
 
-@pytest.mark.parametrize("samplerate", [8_000, 44_100, 48_000])
-def test_what_once_had_an_answer_has_one_a_block_later(samplerate):
-    # Each edge swings the amplifier on, and peaks lie between the places that were looked at.
-    drive = tone(30.0, 0.2, samplerate, shape=square)
-    protector, _ = protect(LOUD, drive, samplerate)
-    assert protector.protection().limited_blocks > 50
-    assert protector.protection().infeasible_blocks == 0
-
-
-# ------------------------------------------------------------------------- the non-linear level
-
-
 @pytest.mark.sweep
 @pytest.mark.parametrize("frequency_hz", [30.0, 86.0, 90.0, 140.0])
 def test_a_steady_drive_keeps_as_much_as_the_fixed_gain_that_would_do(frequency_hz):
@@ -401,62 +165,9 @@ def test_what_follows_a_loud_part_is_not_turned_down_for_long():
     quiet = 0.2 * tone(60.0, 4.0)
     drive = np.concatenate([tone(85.0, 0.3), quiet])
     protector, out = protect(LOUD, drive)
-    latency = protector.latency_frames
-    end = len(drive) + latency
+    end = len(drive) + protector.latency_frames
     assert np.array_equal(out[end - RATE : end], drive[-RATE:].astype(np.float32))
     assert protector.protection().least_gain < 0.7
-
-
-def largest_non_linear(rig, drives, *, steps=6):
-    """The largest |x| over Xmax of each drive, (frames, drives), by Runge-Kutta of fourth order.
-
-    Stiffness +50 %, Bl -25 % and inductance -+23 % at Xmax, the force from the inductance too:
-    written from the equations, apart from the models under test.
-    """
-    p, x_max = rig.actuator, rig.actuator.x_max_m
-    volts = volts_of(rig, drives)
-
-    def slopes(state, e):
-        x, v, i = state
-        share = x / x_max
-        bl = p.force_factor_n_per_a / (1 + share**2 / 3)
-        bend = np.tanh(share)
-        inductance = p.inductance_h * (1 - 0.3 * bend)
-        gradient = -0.3 * p.inductance_h / x_max * (1 - bend**2)
-        force = bl * i + i * i * gradient / 2 - p.damping_n_s_per_m * v
-        force -= p.stiffness_n_per_m * (1 + share**2 / 2) * x
-        rest = e - p.resistance_ohm * i - (bl + i * gradient) * v
-        return np.array([v, force / p.moving_mass_kg, rest / inductance])
-
-    step = 1.0 / RATE / steps
-    state, largest = np.zeros((3, drives.shape[1])), np.zeros(drives.shape[1])
-    for start, end in pairwise(volts):
-        for part in range(steps):
-            e0, e1, e2 = (start + (end - start) * (part + at) / steps for at in (0, 0.5, 1))
-            k1 = slopes(state, e0)
-            k2 = slopes(state + step / 2 * k1, e1)
-            k3 = slopes(state + step / 2 * k2, e1)
-            k4 = slopes(state + step * k3, e2)
-            state = state + step / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-            largest = np.maximum(largest, np.abs(state[0]))
-    return largest / x_max
-
-
-@pytest.mark.exhaustive
-def test_a_rig_that_stiffens_stays_under_a_tenth_more_than_its_limit():
-    rng = np.random.default_rng(11)
-    frames = RATE // 4
-    tones = [tone(f, 0.25, shape=s) for f in range(70, 131, 6) for s in (np.sin, square)]
-    sweeps = [
-        np.sin(np.cumsum(np.linspace(start, 200 - start, frames)) * math.tau / RATE)
-        for start in (60, 75, 125, 140)
-    ]
-    steps = [np.repeat(rng.uniform(-2, 2, frames // 20), 20) for _ in range(6)]
-    outs = np.column_stack([protect(LOUD, drive)[1] for drive in tones + sweeps + steps])
-    assert largest_non_linear(LOUD, outs).max() <= 1.10
-
-
-# -------------------------------------------------------------------------------- untouched
 
 
 @settings(max_examples=25)
@@ -473,19 +184,15 @@ def test_music_at_normal_level_leaves_bit_for_bit(seed, dtype, rig):
     )
     music = np.asarray(music, dtype)[:, None]
     protector = RigDriver(rig, RATE, 1)
-    latency = protector.latency_frames
-    stream = np.concatenate([music, np.zeros((latency, 1), dtype)])
-    out = protector.process(stream.copy())
-    assert np.array_equal(out[latency:], music.astype(np.float32))
-    assert not out[:latency].any()
+    assert np.array_equal(protector.through(music), music.astype(np.float32))
     assert protector.protection().limited_blocks == 0
+    protector.reset()
+    assert not protector.process(music)[: protector.latency_frames].any()
 
 
 def test_full_scale_of_any_shape_is_untouched_where_the_amplifier_cannot_reach_the_limits():
     drive = np.concatenate([tone(90.0, 0.2), tone(90.0, 0.2, shape=square), np.ones(500)])
-    protector, out = protect(PAPER, drive)
-    latency = protector.latency_frames
-    assert np.array_equal(out[latency : latency + len(drive)], drive.astype(np.float32))
+    assert is_untouched(PAPER, drive)
 
 
 def test_the_delay_is_two_blocks_and_declared():
@@ -494,12 +201,10 @@ def test_the_delay_is_two_blocks_and_declared():
     assert protector.protection().latency_s == pytest.approx(0.004)
 
 
-# ------------------------------------------------------------------------- level, current, heat
-
-
-def test_what_is_over_full_scale_is_turned_down_without_a_corner():
+@pytest.mark.parametrize("damping", [None, inverse_damping(ACTUATOR, 0.5)], ids=["plain", "damped"])
+def test_what_is_over_full_scale_is_turned_down_without_a_corner(damping):
     drive = 4.0 * tone(50.0, 0.5)
-    protector, out = protect(PAPER, drive)
+    protector, out = protect(PAPER, drive, damping=damping)
     level = protector.limits.level
     assert 0.9 * level < np.abs(out).max() <= level * (1 + 1e-6)
     # Clipping would leave frames at the limit one beside the other.
@@ -516,50 +221,10 @@ def test_the_current_stays_under_its_limit(shape):
     protector, out = protect(LOUD, drive, limits=limits)
     for share in (-0.1, -0.05, 0.0, 0.05, 0.1):
         actuator = LinearActuator(detune(LOUD.actuator, share), RATE)
-        current_a = np.abs(actuator.move(volts_of(LOUD, out), ("current_a",)).current_a).max()
+        current_a = np.abs(actuator.move(volts_of(LOUD, out, RATE)).current_a).max()
         assert current_a <= 3.0 * (1 + 1e-6)
         assert current_a > 2.0 or share
     assert protector.protection().infeasible_blocks == 0
-
-
-def thermal_reference(parameters, power_w, seconds):
-    """Coil and magnet by a general solver, from the equations written again."""
-    p = parameters
-
-    def slope(_, warm):
-        onward = (warm[0] - warm[1]) / p.coil_k_per_w
-        return [
-            (power_w - onward) / p.coil_j_per_k,
-            (onward - warm[1] / p.magnet_k_per_w) / p.magnet_j_per_k,
-        ]
-
-    solved = solve_ivp(slope, (0.0, seconds), [0.0, 0.0], rtol=1e-10, atol=1e-10)
-    return solved.y[:, -1] + p.ambient_c
-
-
-def test_the_thermal_masses_follow_their_equations():
-    coil = CoilTemperature(THERMAL, 3.3, 0.002)
-    for _ in range(20_000):
-        coil.step(10.0)
-    expected = thermal_reference(THERMAL, 10.0, 40.0)
-    # Stepped exactly: rounding over 20 000 steps.
-    np.testing.assert_allclose([coil.coil_c, coil.magnet_c], expected, rtol=1e-8)
-
-
-def test_the_warm_coil_has_the_resistance_of_warm_copper():
-    coil = CoilTemperature(ThermalParameters(4, 8, 3, 400, ambient_c=20.0), 3.3, 0.002)
-    assert coil.resistance_ohm == pytest.approx(3.3)
-    coil.set_temperatures(120.0, 20.0)
-    assert coil.coil_c == pytest.approx(120.0)
-    assert coil.resistance_ohm == pytest.approx(3.3 * 1.393)
-    assert COPPER_PER_K == 0.00393
-
-
-def test_in_the_long_run_the_coil_is_as_warm_as_both_resistances_say():
-    coil = CoilTemperature(THERMAL, 3.3, 10.0)
-    for _ in range(10_000):
-        coil.step(5.0)
-    assert coil.coil_c == pytest.approx(20.0 + 5.0 * (4.0 + 3.0), rel=1e-9)
 
 
 @pytest.mark.exhaustive
@@ -568,30 +233,23 @@ def test_the_coil_comes_up_to_its_limit_and_stays_there():
     rig = replace(LOUDER, thermal=ThermalParameters(4.0, 0.4, 3.0, 400.0))
     limits = replace(limits_of(rig), coil_temperature_c=60.0)
     protector = RigDriver(rig, 6_000, 1, limits=limits)
-    drive = 0.7 * tone(160.0, 1.0, 6_000)[:, None]
-    warmest = []
-    for _ in range(12):
-        protector.process(drive.copy())
-        warmest.append(protector.protection().coil_c or math.nan)
+    drive = 0.7 * tone(160.0, 1.0, 6_000)
     # The last block may still heat by what it was promised: some hundredths of a kelvin.
-    assert max(warmest) <= 60.2
-    assert warmest[-1] > 58.0
-    assert protector.protection().limited_by == "temperature"
-    assert 0.0 < protector.protection().gain < 1.0
+    assert warmest_c(protector, [drive] * 12) <= 60.2
+    status = protector.protection()
+    assert (status.coil_c or math.nan) > 58.0
+    assert status.limited_by == "temperature"
+    assert 0.0 < status.gain < 1.0
 
 
 def test_a_drive_that_no_other_limit_touches_still_comes_up_to_the_temperature_only():
     rig = replace(LOUD, thermal=ThermalParameters(4.0, 0.05, 3.0, 400.0))
-    drive = 0.2 * tone(20.0, 4.0, 6_000)[:, None]
+    drive = 0.2 * tone(20.0, 4.0, 6_000)
     warmest = {}
     for limit_c in (27.0, 120.0):
         limits = replace(limits_of(rig), coil_temperature_c=limit_c)
         protector = RigDriver(rig, 6_000, 1, limits=limits)
-        readings = []
-        for part in np.split(drive, 100):
-            protector.process(part.copy())
-            readings.append(protector.protection().coil_c or math.nan)
-        warmest[limit_c] = max(readings)
+        warmest[limit_c] = warmest_c(protector, np.split(drive, 100))
     assert warmest[120.0] > 29.0
     assert warmest[27.0] < 27.1
 
@@ -613,17 +271,10 @@ def test_a_burst_after_a_long_pause_heats_a_hot_coil_no_further():
     rig = replace(LOUDER, thermal=ThermalParameters(1e6, 0.05, 3.0, 400.0))
     limits = replace(limits_of(rig), coil_temperature_c=60.0)
     protector = RigDriver(rig, 6_000, 1, limits=limits)
-    drive = tone(160.0, 12.0, 6_000)[:, None]
-    protector.process(drive.copy())
-    hot_c = protector.protection().coil_c
-    assert hot_c is not None
-    assert hot_c > 59.8
+    drive = tone(160.0, 12.0, 6_000)
+    assert warmest_c(protector, [drive]) > 59.8
     protector.process(np.zeros((240_000, 1)))
-    warmest = []
-    for part in np.split(drive[:1_200], 100):
-        protector.process(part.copy())
-        warmest.append(protector.protection().coil_c or math.nan)
-    assert 59.9 < max(warmest) <= 63.0
+    assert 59.9 < warmest_c(protector, np.split(drive[:1_200], 100)) <= 63.0
 
 
 def test_the_gain_of_the_exposure_cap_is_kept():
@@ -650,49 +301,33 @@ def test_the_cap_is_named_although_the_drive_is_beyond_other_limits_too():
         assert protector.protection().limited_by == limited_by
 
 
-# --------------------------------------------------------------------------------------- live
-
-
-@pytest.mark.exhaustive
-@settings(max_examples=20)
-@given(
-    st.lists(st.integers(0, 4_000), max_size=12),
-    st.integers(0, 2**32 - 1),
-    st.sampled_from([np.float32, np.float64]),
-)
-def test_any_split_into_blocks_gives_the_same_bytes(cuts, seed, dtype):
-    rng = np.random.default_rng(seed)
-    stream = rng.uniform(-1, 1, (4_000, 2)) + tone(85.0, 0.5)[:, None]
-    stream[2_000:3_000] = 0.0
-    stream[[50, 60]] = [[np.nan, 0.0], [np.inf, -np.inf]]
-    stream = stream.astype(dtype)
-    whole, split = RigDriver(LOUD, RATE, 2), RigDriver(LOUD, RATE, 2)
-    expected = whole.process(stream.copy())
-    blocks = [split.process(block.copy()) for block in np.split(stream, sorted(cuts))]
-    assert np.concatenate(blocks).tobytes() == expected.tobytes()
-    assert split.readings == whole.readings
-    assert split.protection().replaced_samples == 3
-
-
 def test_channels_are_held_by_their_own_gains():
     quiet, loud = 0.1 * tone(60.0, 0.5), tone(85.0, 0.5)
     protector = RigDriver(LOUD, RATE, 2)
-    out = protector.process(np.column_stack([quiet, loud]))
-    latency = protector.latency_frames
-    assert np.array_equal(out[latency:, 0], quiet[:-latency].astype(np.float32))
+    out = protector.through(np.column_stack([quiet, loud]))
+    assert np.array_equal(out[:, 0], quiet.astype(np.float32))
     assert protector.protection().least_gain < 1.0
 
 
 @pytest.mark.exhaustive
-@settings(max_examples=40)
-@given(st.lists(st.floats(width=32), max_size=300), st.sampled_from([LOUD, LOUDER]))
-def test_what_leaves_is_finite_and_within_full_scale_whatever_comes(samples, rig):
-    protector = RigDriver(rig, RATE, 1)
-    out = protector.process(np.array(samples, np.float32)[:, None])
-    rest = protector.process(np.zeros((200, 1)))
+@settings(max_examples=100)
+@given(
+    st.lists(st.floats(), max_size=300),
+    st.sampled_from([np.float32, np.float64]),
+    st.sampled_from([LOUD, LOUDER]),
+    st.sampled_from([None, inverse_damping(ACTUATOR, 0.5)]),
+)
+@pytest.mark.filterwarnings("ignore:overflow encountered in cast")
+def test_what_leaves_is_finite_and_within_full_scale_whatever_comes(samples, dtype, rig, damping):
+    protector = RigDriver(rig, RATE, 1, damping=damping)
+    out = protector.process(np.array(samples).astype(dtype)[:, None])
+    rest = protector.process(np.zeros((200, 1), dtype))
     level = protector.limits.level * (1 + 1e-6)
     assert (np.abs(out) <= level).all()
     assert (np.abs(rest) <= level).all()
+    exposure = protector.exposure()
+    readings = exposure.running_m_s2, exposure.a8_m_s2, exposure.vdv, exposure.extrapolated
+    assert np.isfinite(readings).all()
 
 
 def test_silence_comes_to_rest_and_stays_there():
@@ -705,19 +340,6 @@ def test_silence_comes_to_rest_and_stays_there():
     assert (status.excursion_m, status.gain, status.limited_by) == (0.0, 1.0, "")
 
 
-def test_after_reset_it_is_as_new():
-    protector = RigDriver(LOUD, RATE, 1)
-    drive = tone(85.0, 0.3)[:, None]
-    first = protector.process(drive.copy())
-    before = protector.protection()
-    protector.reset()
-    assert protector.process(drive.copy()).tobytes() == first.tobytes()
-    assert protector.protection() == before
-
-
-# ---------------------------------------------------------------------------------- bad input
-
-
 def test_what_is_out_of_range_is_refused_by_name():
     with pytest.raises(UsageError, match="samplerate="):
         RigDriver(PAPER, 500, 1)
@@ -727,13 +349,9 @@ def test_what_is_out_of_range_is_refused_by_name():
         ThermalParameters(4.0, 0, 3.0, 400.0)
 
 
-def test_the_limits_of_a_rig_end_where_its_amplifier_clips():
-    assert limits_of(LOUDER).level == 30.0 / 40.0
-    assert limits_of(PAPER).level == 1.0
-    assert limits_of(PAPER).excursion_m == 1.5e-3
-
-
 def test_the_limits_are_those_that_the_rig_describes():
+    assert limits_of(LOUDER).level == 30.0 / 40.0  # where its amplifier clips
+    assert limits_of(PAPER).level == 1.0
     limits = limits_of(CONSUMER)
     assert limits.excursion_m == CONSUMER.actuator.x_max_m
     assert limits.current_a == CONSUMER.amplifier.current_limit_a
@@ -755,17 +373,15 @@ def test_a_rig_that_does_not_say_how_it_warms_up_has_no_temperature_and_no_limit
     assert loud.protection().least_gain < 1.0
 
 
-@pytest.mark.parametrize("rig", [PAPER, CONSUMER], ids=["paper", "consumer"])
+@STANDARD
 def test_a_current_that_no_drive_reaches_is_no_limit_and_another_one_is(rig):
     drive = tone(rig.actuator.resonance_hz / 2, 0.2, shape=square)
     source = rig.amplifier.source_impedance_ohm
     actuator = LinearActuator(rig.actuator, RATE, source)
-    reached_a = np.abs(actuator.move(volts_of(rig, drive)).current_a).max()
+    reached_a = np.abs(actuator.move(volts_of(rig, drive, RATE)).current_a).max()
     assert reached_a < limits_of(rig).current_a  # that of the amplifier
     free = replace(limits_of(rig), excursion_m=1.0)
-    _, out = protect(rig, drive, limits=free)
-    latency = RigDriver(rig, RATE, 1).latency_frames
-    assert np.array_equal(out[latency : latency + len(drive)], drive.astype(np.float32))
+    assert is_untouched(rig, drive, limits=free)
     _, out = protect(rig, drive, limits=replace(free, current_a=reached_a / 2))
-    moved = LinearActuator(rig.actuator, RATE, source).move(volts_of(rig, out))
+    moved = LinearActuator(rig.actuator, RATE, source).move(volts_of(rig, out, RATE))
     assert np.abs(moved.current_a).max() <= reached_a / 2 * (1 + 1e-6)

@@ -3,11 +3,10 @@
 The devices come from a simulator of its own (tests/support/eddy_coils.py).
 """
 
-from __future__ import annotations
-
 import math
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from itertools import product
 from types import SimpleNamespace
 from typing import cast
 
@@ -16,50 +15,39 @@ import pytest
 
 from device.errors import UsageError
 from device.identification.calibration import Calibration, calibrate
-from device.identification.coil_laws import MIXED, PARALLEL, POWER, closest_parallel
 from device.identification.mechanics import format_rig
 from device.identification.output_error import fit
-from device.identification.recording import Recording
+from device.identification.recording import Recording, Sweep
+from device.identification.responses import MIXED, PARALLEL, POWER, closest_parallel
 from device.identification.simulated_laboratory import SimulatedLaboratory
-from device.identification.sweep import Sweep
 from device.rig import PAPER
-from device.rig.parameters import ActuatorParameters
-from device.rig.rig_file import parse_rig
+from device.rig.rig import parse_rig
 from tests.support.eddy_coils import CoilRig, random_coil_rig
 from tests.support.random_rigs import truth
 
 SWEEP = Sweep(low_hz=15.0, high_hz=400.0, duration_s=5.0)
+SHORT = replace(SWEEP, duration_s=2.5)
 SNR_DB = 20.0
 MECHANICS = "resistance_ohm", "force_factor_n_per_a", "moving_mass_kg"
-LAWS = {"plain": ("plain",), "parallel": ("parallel",), "leach": ("power",)}
+LAWS = {"plain": "plain", "parallel": "parallel", "leach": "power"}
 DEVICES = 100
 
 
-def calibrated(device: CoilRig, seed: int) -> Calibration:
+def calibrated(device: CoilRig, seed: int, sweep: Sweep) -> Calibration:
     """At 0.05 Xmax, with noise at -20 dB of every response."""
     bench = SimulatedLaboratory(
         device.rig, seat=device.seat, snr_db=SNR_DB, seed=seed, move=device.move
     )
-    return calibrate(bench, device.rig, bench.sweep_at_excursion(SWEEP))
+    return calibrate(bench, device.rig, bench.sweep_at_excursion(sweep))
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """By parameter: the error as a share, and whether the interval holds the true value."""
+def outcome(seed, kind=None, sweep=SWEEP):
+    """Of a random device, by parameter: errors as shares, and whether intervals hold the truth.
 
-    seed: int
-    kind: str
-    seat: bool
-    seat_found: bool
-    law: str
-    errors: dict[str, float]
-    held: dict[str, bool]
-
-
-def outcome(seed: int, kind: str | None = None) -> Outcome:
-    """Of a random device. A law of the coil that the file does not have has no true L."""
+    A law of the coil that the file does not have has no true L.
+    """
     device, kind = random_coil_rig(seed, kind)
-    found = calibrated(device, seed)
+    found = calibrated(device, seed, sweep)
     assert found.impedance
     moves = truth(device.rig, device.seat, coil_open=True)
     errors, held = {}, {}
@@ -72,26 +60,37 @@ def outcome(seed: int, kind: str | None = None) -> Outcome:
             true = moves.f0_hz if name == "resonance_hz" else moves.q
         errors[name] = estimate.value / true - 1.0 if true else math.inf
         held[name] = estimate.low <= true <= estimate.high
-    law = found.impedance.law.name
-    return Outcome(seed, kind, device.seat, found.on_seat, law, errors, held)
+    return SimpleNamespace(
+        seed=seed,
+        kind=kind,
+        seat=device.seat,
+        seat_found=found.on_seat,
+        law=found.impedance.law.name,
+        errors=errors,
+        held=held,
+    )
 
 
+# No law describes exactly tanh(u) / u, which has no end of sections, nor a ladder of three.
 @pytest.mark.parametrize(
-    ("seed", "kind"),
+    ("seed", "kind", "sweep"),
     [
-        (1, "parallel"),
-        (2, "leach"),
-        pytest.param(0, "plain", marks=pytest.mark.exhaustive),
-        pytest.param(17, "leach", marks=pytest.mark.exhaustive),
+        (1, "parallel", SHORT),
+        (2, "leach", SHORT),
+        *(
+            pytest.param(*one, SWEEP, marks=pytest.mark.exhaustive)
+            for one in [*enumerate(LAWS), (17, "leach"), *product((2, 18), ("diffusion", "ladder"))]
+        ),
     ],
 )
-def test_a_coil_with_eddy_currents_gives_r_bl_and_mass_within_two_per_cent(seed, kind):
-    found = outcome(seed, kind)
-    assert found.law in LAWS[kind]
-    assert not found.seat_found
+def test_a_coil_with_eddy_currents_gives_r_bl_and_mass_within_two_per_cent(seed, kind, sweep):
+    found = outcome(seed, kind, sweep)
     assert max(abs(found.errors[name]) for name in MECHANICS) < 0.02
-    assert abs(found.errors["resonance_hz"]) < 0.001
-    assert abs(found.errors["q_mechanical"]) < 0.01
+    if kind in LAWS:
+        assert found.law == LAWS[kind]
+        assert not found.seat_found
+        assert abs(found.errors["resonance_hz"]) < 0.001
+        assert abs(found.errors["q_mechanical"]) < 0.01
 
 
 @pytest.mark.exhaustive
@@ -153,15 +152,6 @@ def test_intervals_hold_for_a_hundred_random_devices():
     assert sum(one.law == "plain" for one in plain) >= 0.9 * len(plain)
 
 
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("kind", ["diffusion", "ladder"])
-@pytest.mark.parametrize("seed", [2, 18])
-def test_iron_that_no_law_describes_exactly_still_gives_r_bl_and_mass(seed, kind):
-    # tanh(u) / u has no end of sections, the ladder has three
-    found = outcome(seed, kind)
-    assert max(abs(found.errors[name]) for name in MECHANICS) < 0.02
-
-
 def test_the_files_form_of_a_power_law_is_close_to_it_in_the_band():
     f = np.geomspace(15.0, 400.0, 50)
     for law, logs in ((POWER, np.log([1.0, 0.7])), (MIXED, np.log([5e-4, 1.0, 0.6]))):
@@ -180,8 +170,6 @@ def test_eddy_currents_are_read_back_from_the_rigs_file_and_half_of_them_is_refu
     s = 2j * math.pi * 90.0
     z = 3.3 + s * 1e-3 + 1.0 / (1.0 / (s * 1e-3) + 1.0 / 2.0)
     assert rig.actuator.coil_ohm(s) == pytest.approx(z)
-    with pytest.raises(
-        UsageError, match=r"inductance_eddy_h=0\.001 needs resistance_eddy_ohm above 0"
-    ):
+    words = r"inductance_eddy_h=0\.001 needs resistance_eddy_ohm above 0"
+    with pytest.raises(UsageError, match=words):
         replace(PAPER.actuator, inductance_eddy_h=1e-3)
-    assert isinstance(eddy, ActuatorParameters)

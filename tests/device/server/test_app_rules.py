@@ -1,7 +1,5 @@
 """Rules select the applications that a user means, and never what must not be captured."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import replace
 
@@ -11,8 +9,9 @@ from hypothesis import strategies as st
 
 from device.errors import UsageError
 from device.server.app_rules import AppRules, app_name
-from device.server.snapshot import ServerSnapshot, Sink, Stream
+from device.server.snapshot import ServerSnapshot, Stream
 from device.stream.pcms import APPLICATION_ID, ROLE, TAG
+from tests.support.snapshots import sink, snapshot, stream
 
 NAMES = st.text(
     st.characters(codec="utf-8", exclude_characters="*?[]:", exclude_categories=("Cc", "Cs")),
@@ -21,23 +20,17 @@ NAMES = st.text(
 ).filter(lambda name: name == name.strip())
 
 
-RULES = st.lists(
-    st.sampled_from(["firefox", "m*", "role:game", "binary:doom", "*", "x"]), max_size=3
-)
+ONE_RULE = st.sampled_from(["firefox", "m*", "role:game", "binary:doom", "*", "x"])
+RULES = st.lists(ONE_RULE, max_size=3)
 
 
-def playing(
-    index: int,
-    application: str = "",
-    binary: str = "",
-    role: str = "",
-    place: str | None = "desktop",
-    **properties: str,
-) -> Stream:
-    where = None if place is None else {"desktop": 1, "haptic": 2}[place]
-    known = {name.replace("_", "."): value for name, value in properties.items()}
-    return Stream(
-        index, where, place or "", application, binary, role, "a song", 999_999, False, False, known
+def playing(index: int, *names: str, place: str | None = "desktop", **properties: str) -> Stream:
+    """names: application, binary and role."""
+    known = dict(zip(("application", "binary", "role"), names, strict=False))
+    where = {"desktop": 1, "haptic": 2, None: None}[place]
+    tags = {name.replace("_", "."): value for name, value in properties.items()}
+    return stream(
+        index, where, place or "", **known, media="a song", process_id=999_999, properties=tags
     )
 
 
@@ -48,50 +41,34 @@ CHIME = playing(4, "Mail", "thunderbird", "event")
 APPLICATIONS = (FIREFOX, MPV, GAME, CHIME)
 
 
-def snapshot(*streams: Stream) -> ServerSnapshot:
-    sinks = tuple(
-        Sink(index, name, name, f"{name}.monitor", 48_000, 2, None, {})
-        for index, name in ((1, "desktop"), (2, "haptic"))
-    )
-    return ServerSnapshot("PulseAudio", "16.1", "desktop", "", sinks, (), streams, (), 0)
+def playing_now(*streams: Stream) -> ServerSnapshot:
+    return snapshot(sinks=(sink(1, "desktop"), sink(2, "haptic")), sink_inputs=streams)
 
 
 def selected(include: tuple[str, ...], exclude: tuple[str, ...] = ()) -> tuple[int, ...]:
-    found = AppRules(include, exclude).select(snapshot(*APPLICATIONS), "haptic")
+    found = AppRules(include, exclude).select(playing_now(*APPLICATIONS), "haptic")
     return tuple(stream.index for stream in found)
 
 
+NAMED = ("Firefox", "FIREFOX", " firefox ", "firefox-esr", "org.mozilla.firefox", "fire*")
+RULES_OF = {
+    (1,): (*NAMED, "binary:firefox-esr", "application:firefox", "application:org.mozilla.firefox"),
+    (2,): ("m?v", "mpv Media Player", "role:video"),
+    (3,): ("Role:Game", "Doom [shareware]", "application:doom*"),
+    (2, 3, 4): ("role:*",),
+    (1, 2, 3, 4): ("*",),
+    (): ("binary:Firefox", "application:firefox-esr", "Fire", "video"),
+}
+
+
 @pytest.mark.parametrize(
-    ("rule", "indexes"),
-    [
-        ("Firefox", (1,)),
-        ("FIREFOX", (1,)),
-        (" firefox ", (1,)),
-        ("firefox-esr", (1,)),
-        ("org.mozilla.firefox", (1,)),
-        ("binary:firefox-esr", (1,)),
-        ("binary:Firefox", ()),
-        ("application:firefox", (1,)),
-        ("application:org.mozilla.firefox", (1,)),
-        ("application:firefox-esr", ()),
-        ("Fire", ()),
-        ("fire*", (1,)),
-        ("*", (1, 2, 3, 4)),
-        ("m?v", (2,)),
-        ("mpv Media Player", (2,)),
-        ("role:video", (2,)),
-        ("Role:Game", (3,)),
-        ("role:*", (2, 3, 4)),
-        ("video", ()),
-        ("Doom [shareware]", (3,)),
-        ("application:doom*", (3,)),
-    ],
+    ("rule", "indexes"), [(rule, found) for found in RULES_OF for rule in RULES_OF[found]]
 )
-def test_a_rule_matches_whole_names_of_any_case(rule: str, indexes: tuple[int, ...]) -> None:
+def test_a_rule_matches_whole_names_of_any_case(rule, indexes):
     assert selected((rule,)) == indexes
 
 
-def test_excluding_comes_before_including() -> None:
+def test_excluding_comes_before_including():
     assert selected(()) == (1, 2, 3, 4)
     assert selected((), ("role:event",)) == (1, 2, 3)
     assert selected(("mpv", "doom"), ("role:game",)) == (2,)
@@ -101,20 +78,20 @@ def test_excluding_comes_before_including() -> None:
 @pytest.mark.parametrize(
     "rule", ["", "  ", "binary:", "role: ", ":x", "name:mpv", "app:mpv", "a:b"]
 )
-def test_a_rule_that_is_empty_or_of_an_unknown_kind_is_refused(rule: str) -> None:
+def test_a_rule_that_is_empty_or_of_an_unknown_kind_is_refused(rule):
     for include, exclude in (((rule,), ()), ((), (rule,))):
         with pytest.raises(UsageError, match=r"rule .* for applications"):
             AppRules(include, exclude)
 
 
-def test_a_name_with_a_colon_can_be_said() -> None:
-    stream = playing(1, "Radio: live")
-    found = AppRules(("application:Radio: live",)).select(snapshot(stream))
-    assert found == (stream,)
+def test_a_name_with_a_colon_can_be_said():
+    one = playing(1, "Radio: live")
+    found = AppRules(("application:Radio: live",)).select(playing_now(one))
+    assert found == (one,)
 
 
 @pytest.mark.parametrize(
-    "stream",
+    "one",
     [
         playing(9, "mpv", "mpv", ROLE),
         playing(9, "mpv", "mpv", application_id=APPLICATION_ID),
@@ -128,38 +105,32 @@ def test_a_name_with_a_colon_can_be_said() -> None:
         playing(9, "mpv", "mpv", place=None),
     ],
 )
-def test_ours_the_servers_own_and_the_haptic_sinks_are_never_captured(stream: Stream) -> None:
-    streams = snapshot(MPV, stream)
+def test_ours_the_servers_own_and_the_haptic_sinks_are_never_captured(one):
+    streams = playing_now(MPV, one)
     for rules in (AppRules(), AppRules(("mpv",)), AppRules(("*", "role:*", "binary:*"))):
         assert rules.select(streams, "haptic") == (MPV,)
 
 
-def test_what_plays_on_the_haptic_sink_counts_where_no_sink_is_haptic() -> None:
-    stream = playing(9, "mpv", place="haptic")
-    assert AppRules().select(snapshot(stream)) == (stream,)
+def test_what_plays_on_the_haptic_sink_counts_where_no_sink_is_haptic():
+    one = playing(9, "mpv", place="haptic")
+    assert AppRules().select(playing_now(one)) == (one,)
 
 
-def test_a_paused_or_muted_application_stays_selected() -> None:
+def test_a_paused_or_muted_application_stays_selected():
     quiet = replace(MPV, corked=True, mute=True)
-    assert AppRules(("mpv",)).select(snapshot(quiet), "haptic") == (quiet,)
+    assert AppRules(("mpv",)).select(playing_now(quiet), "haptic") == (quiet,)
 
 
 @given(NAMES, NAMES)
-def test_a_name_without_wildcards_matches_that_name_alone(rule: str, name: str) -> None:
-    found = AppRules((f"application:{rule}",)).select(snapshot(playing(1, name)))
+def test_a_name_without_wildcards_matches_that_name_alone(rule, name):
+    found = AppRules((f"application:{rule}",)).select(playing_now(playing(1, name)))
     assert bool(found) == (rule.casefold() == name.casefold())
 
 
-@given(
-    st.lists(st.sampled_from(APPLICATIONS), unique_by=lambda stream: stream.index),
-    RULES,
-    RULES,
-)
-def test_a_selection_keeps_the_order_and_more_rules_only_narrow_or_widen_it(
-    streams: list[Stream], include: list[str], exclude: list[str]
-) -> None:
+@given(st.lists(st.sampled_from(APPLICATIONS), unique_by=lambda stream: stream.index), RULES, RULES)
+def test_a_selection_keeps_the_order_and_more_rules_narrow_or_widen_it(streams, include, exclude):
     def chosen(include: list[str], exclude: list[str]) -> list[int]:
-        found = AppRules(tuple(include), tuple(exclude)).select(snapshot(*streams))
+        found = AppRules(tuple(include), tuple(exclude)).select(playing_now(*streams))
         return [stream.index for stream in found]
 
     found = chosen(include, exclude)
@@ -170,6 +141,6 @@ def test_a_selection_keeps_the_order_and_more_rules_only_narrow_or_widen_it(
         assert set(found) <= set(chosen([], exclude))
 
 
-def test_a_stream_without_a_name_is_called_by_what_it_is() -> None:
+def test_a_stream_without_a_name_is_called_by_what_it_is():
     assert app_name(playing(1, "", "mpv")) == "mpv"
     assert app_name(playing(1)) == "a song"

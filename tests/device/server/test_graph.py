@@ -1,50 +1,35 @@
 """PipeWire's graph from what `pw-dump` prints, and the requests that keep our links in it."""
 
-from __future__ import annotations
-
 import os
-import threading
-from collections.abc import Mapping, Set
+from collections.abc import Mapping
+from types import SimpleNamespace
 from typing import Any
 
 from hypothesis import given
 from hypothesis import strategies as st
 
-from device.server.announcements import Announcements
 from device.server.graph import Graph, LinkPair
-from device.server.graph_watch import Documents
+from device.server.graph_watch import Announcements, Documents
 from device.server.link_keeper import HOLDS_S, PAUSED_S, RETRY_S, LinkKeeper
 from tests.support.graphs import Item, desktop, gone, link, node, play, port
 
 
-class OneLink:
+def one_link(*pairs: LinkPair, made: Mapping[str, str] | None = None) -> Any:
     """One link from a monitor of `desk` to the chain's tap."""
-
-    def __init__(self, *pairs: LinkPair, made: Mapping[str, str] | None = None) -> None:
-        self.pairs = frozenset(pairs or ((13, 41),))
-        self.made = made or {}
-
-    def nodes(self, graph: Graph) -> Set[int]:
-        return {40}
-
-    def links(self, graph: Graph) -> Set[LinkPair]:
-        return self.pairs
-
-    def made_nodes(self) -> Mapping[str, str]:
-        return self.made
+    links = frozenset(pairs or ((13, 41),))
+    return SimpleNamespace(
+        nodes=lambda _: {40}, links=lambda _: links, made_nodes=lambda: made or {}
+    )
 
 
-def keeper_of(graph: Graph, *pairs: LinkPair) -> tuple[LinkKeeper, list[str]]:
-    sent: list[str] = []
+def kept(*pairs: LinkPair) -> tuple[Graph, LinkKeeper, list[str]]:
+    graph, sent = desktop(), list[str]()
     keeper = LinkKeeper(graph, sent.append)
-    keeper.wiring = OneLink(*pairs)
-    return keeper, sent
+    keeper.wiring = one_link(*pairs)
+    return graph, keeper, sent
 
 
-# ---------------------------------------------------------------------------------------- the graph
-
-
-def test_an_object_that_has_gone_takes_its_ports_and_links_out_of_every_index() -> None:
+def test_an_object_that_has_gone_takes_its_ports_and_links_out_of_every_index():
     graph = desktop()
     play(graph, 60, "player", 10)
     assert {one.id for one in graph.links_of(10)} == {63, 64}
@@ -53,7 +38,7 @@ def test_an_object_that_has_gone_takes_its_ports_and_links_out_of_every_index() 
     assert graph.ports_of(60, "output_") == {"FR": 62}
 
 
-def test_an_id_that_is_used_again_is_only_the_new_object() -> None:
+def test_an_id_that_is_used_again_is_only_the_new_object():
     graph = desktop()
     play(graph, 60, "player", 10)
     graph.apply([node(63, "another", "Audio/Sink")])  # was a link
@@ -63,7 +48,7 @@ def test_an_id_that_is_used_again_is_only_the_new_object() -> None:
     assert graph.sink("another") is None
 
 
-def test_properties_of_the_client_count_where_the_node_has_none_of_that_name() -> None:
+def test_properties_of_the_client_count_where_the_node_has_none_of_that_name():
     graph = Graph()
     client = {"application.name": "Music", "media.role": "music"}
     graph.apply([{"id": 5, "type": "PipeWire:Interface:Client", "info": {"props": client}}])
@@ -73,48 +58,38 @@ def test_properties_of_the_client_count_where_the_node_has_none_of_that_name() -
     assert (known["application.name"], known["media.role"]) == ("Music", "game")
 
 
-def test_the_rate_is_the_forced_one_where_one_is_forced() -> None:
+def test_the_rate_is_the_forced_one_where_one_is_forced():
     graph = Graph()
+    settings = {"id": 9, "type": "PipeWire:Interface:Metadata"}
+    settings["props"] = {"metadata.name": "settings"}
     for forced, rate in ((0, 48_000), (44_100, 44_100)):
-        found = [
-            {"key": "clock.rate", "value": 48_000},
-            {"key": "clock.force-rate", "value": forced},
-        ]
-        props = {"metadata.name": "settings"}
-        graph.apply(
-            [{"id": 9, "type": "PipeWire:Interface:Metadata", "props": props, "metadata": found}]
-        )
+        pairs = (("clock.rate", 48_000), ("clock.force-rate", forced))
+        metadata = [{"key": key, "value": value} for key, value in pairs]
+        graph.apply([{**settings, "metadata": metadata}])
         assert graph.clock_hz == rate
 
 
 @given(st.lists(st.one_of(st.none(), st.integers(), st.dictionaries(st.text(), st.integers()))))
-def test_objects_of_unknown_form_change_nothing(items: list[object]) -> None:
+def test_objects_of_unknown_form_change_nothing(items):
     graph = desktop()
     graph.apply(item for item in items if not isinstance(item, dict) or "id" not in item)
     assert len(graph.ports) == 15
 
 
 @given(st.integers(1, 40))
-def test_documents_are_whole_however_the_pipe_cuts_them(piece: int) -> None:
+def test_documents_are_whole_however_the_pipe_cuts_them(piece):
     text = b'[\n  {\n    "id": 1,\n    "info": null\n  }\n]\n[\n]\n[\n  {\n    "id": 2\n  }\n]\n'
     ends = os.pipe()
-
-    def write() -> None:
-        for at in range(0, len(text), piece):
-            os.write(ends[1], text[at : at + piece])
-        os.close(ends[1])
-
-    writer = threading.Thread(target=write)
-    writer.start()
     documents, found = Documents(ends[0]), []
+    for at in range(0, len(text), piece):
+        os.write(ends[1], text[at : at + piece])
+        found += documents.read()
+    os.close(ends[1])
     while not documents.ended:
         found += documents.read()
-    writer.join()
     os.close(ends[0])
     assert found == [[{"id": 1, "info": None}], [], [{"id": 2}]]
 
-
-# ------------------------------------------------------------------------------- what is announced
 
 PRINTED = b"""remote 0 added global: \tid 70, type PipeWire:Interface:Node/3
  \t\tobject.serial = "700"
@@ -136,14 +111,15 @@ remote 0 added global: \tid 72, type PipeWire:Interface:Link/3
 """
 
 
-def announced(printed: bytes, graph: Graph, piece: int = 1 << 16) -> None:
-    ends = os.pipe()
+def announced(printed: bytes = PRINTED, graph: Graph | None = None, piece: int = 1 << 16) -> Graph:
+    graph, ends = graph or desktop(), os.pipe()
     announcements = Announcements(ends[0])
     for at in range(0, len(printed), piece):
         os.write(ends[1], printed[at : at + piece])
         graph.announce(announcements.read())
     for end in ends:
         os.close(end)
+    return graph
 
 
 def late_link(number: int, serial: int, graph: Graph) -> Item:
@@ -153,18 +129,16 @@ def late_link(number: int, serial: int, graph: Graph) -> Item:
 
 
 @given(st.integers(1, 80))
-def test_a_link_is_known_with_its_last_announced_line_however_the_pipe_cuts_it(piece: int) -> None:
-    graph = desktop()
-    announced(PRINTED, graph, piece)
+def test_a_link_is_known_with_its_last_announced_line_however_the_pipe_cuts_it(piece):
+    graph = announced(piece=piece)
     assert [one.pair for one in graph.links_of(10)] == [(71, 11)]
     assert graph.ports_of(70, "output_") == {"FL": 71}
     assert graph.nodes[70].name == 'a "name" = '
     assert not graph.is_described(70)
 
 
-def test_what_is_described_late_does_not_undo_what_was_announced() -> None:
-    graph = desktop()
-    announced(PRINTED, graph)
+def test_what_is_described_late_does_not_undo_what_was_announced():
+    graph = announced()
     graph.apply([late_link(72, 650, graph)])  # of an earlier link with this id
     graph.apply([gone(72)])  # the end of that one
     assert graph.links[72].state == ""
@@ -174,9 +148,8 @@ def test_what_is_described_late_does_not_undo_what_was_announced() -> None:
     assert 72 not in graph.links
 
 
-def test_an_announced_end_counts_at_once_and_old_news_are_ignored() -> None:
-    graph = desktop()
-    announced(PRINTED, graph)
+def test_an_announced_end_counts_at_once_and_old_news_are_ignored():
+    graph = announced()
     graph.apply([late_link(72, 702, graph)])
     announced(PRINTED, graph)
     assert graph.links[72].state == "active"
@@ -184,27 +157,21 @@ def test_an_announced_end_counts_at_once_and_old_news_are_ignored() -> None:
     assert 72 not in graph.links
 
 
-def test_another_pw_cli_announces_anew_so_ends_that_nobody_announced_are_believed() -> None:
-    graph = desktop()
-    announced(PRINTED, graph)
+def test_another_pw_cli_announces_anew_so_ends_that_nobody_announced_are_believed():
+    graph = announced()
     announced(b"remote 0 added global: \tid 0, type PipeWire:Interface:Core/4\nremote 0 x\n", graph)
     graph.apply([gone(72)])
     assert 72 not in graph.links
 
 
 @given(st.binary())
-def test_nothing_that_is_printed_breaks_the_graph(printed: bytes) -> None:
-    graph = desktop()
-    announced(PRINTED + printed + b"\n" + PRINTED, graph)
+def test_nothing_that_is_printed_breaks_the_graph(printed):
+    graph = announced(PRINTED + printed + b"\n" + PRINTED)
     assert (71, 11) in {one.pair for one in graph.links_of(10)}
 
 
-# ---------------------------------------------------------------------------------------- the links
-
-
-def test_a_missing_link_is_asked_for_again_until_it_comes() -> None:
-    graph = desktop()
-    keeper, sent = keeper_of(graph)
+def test_a_missing_link_is_asked_for_again_until_it_comes():
+    graph, keeper, sent = kept()
     for now_s in (1.0, 1.01, 1.0 + RETRY_S):
         keeper.update(now_s)
     assert sent == ["create-link -1 13 -1 41 { link.passive=true object.linger=false }"] * 2
@@ -215,33 +182,30 @@ def test_a_missing_link_is_asked_for_again_until_it_comes() -> None:
     assert keeper.are_there({(13, 41)})
 
 
-def test_any_other_link_of_our_nodes_is_removed() -> None:
-    graph = desktop()
-    keeper, sent = keeper_of(graph)
+def test_any_other_link_of_our_nodes_is_removed():
+    graph, keeper, sent = kept()
     graph.apply([link(70, 13, 41, graph), link(71, 14, 41, graph), link(72, 13, 21, graph)])
     keeper.update(1.0)
     assert sent == ["destroy 71"]
 
 
-def test_a_node_is_made_while_it_is_wanted_and_only_once() -> None:
-    graph = desktop()
-    keeper, sent = keeper_of(graph)
+def test_a_node_is_made_while_it_is_wanted_and_only_once():
+    graph, keeper, sent = kept()
     graph.apply([link(70, 13, 41, graph)])
-    keeper.wiring = OneLink(made={"quiet": "create-node adapter"})
+    keeper.wiring = one_link(made={"quiet": "create-node adapter"})
     keeper.update(1.0)
     keeper.update(1.05)
     assert sent == ["create-node adapter"]
     graph.apply([node(80, "quiet"), node(81, "quiet")])
     keeper.update(1.3)
     assert sent[1:] == ["destroy 81"]
-    keeper.wiring = OneLink()
+    keeper.wiring = one_link()
     keeper.update(1.6)
     assert sorted(sent[2:]) == ["destroy 80", "destroy 81"]
 
 
-def test_a_link_that_does_not_last_counts_as_missing() -> None:
-    graph = desktop()
-    keeper, _ = keeper_of(graph)
+def test_a_link_that_does_not_last_counts_as_missing():
+    graph, keeper, _ = kept()
     keeper.update(1.0)
     for at in range(1, 8):
         graph.apply([link(70, 13, 41, graph)])
@@ -255,9 +219,8 @@ def test_a_link_that_does_not_last_counts_as_missing() -> None:
     assert keeper.missing_for_s({(13, 41)}, 3.0) == 0.0
 
 
-def test_a_link_that_stays_paused_beside_an_active_one_is_made_again() -> None:
-    graph = desktop()
-    keeper, sent = keeper_of(graph, (13, 41), (14, 42))
+def test_a_link_that_stays_paused_beside_an_active_one_is_made_again():
+    graph, keeper, sent = kept((13, 41), (14, 42))
     graph.apply([link(70, 13, 41, graph), link(71, 14, 42, graph, "paused")])
     keeper.update(1.0)
     graph.apply([link(71, 14, 42, graph, "active")])
@@ -270,7 +233,7 @@ def test_a_link_that_stays_paused_beside_an_active_one_is_made_again() -> None:
     assert sent == ["destroy 71"]
 
 
-def test_another_session_manager_is_known_by_its_serial_number_as_ids_come_back() -> None:
+def test_another_session_manager_is_known_by_its_serial_number_as_ids_come_back():
     graph = desktop()
     assert graph.session_manager is None
     for serial in (81, 97):

@@ -1,26 +1,29 @@
 """Devices are found by their exact names, and no microphone stands in for a monitor."""
 
+import os
+
 import pytest
 
 from device.errors import NotFoundError
-from device.server.identity import default_monitor, find_sink, find_source, monitor_of
-from device.server.snapshot import ServerSnapshot, Sink, Source
-
-SINKS = tuple(
-    Sink(index, name, name, f"{name}.monitor", 48_000, 2, None, {})
-    for index, name in enumerate(("desktop", "desktop.2", "haptic"), 1)
+from device.server.identity import (
+    default_monitor,
+    find_sink,
+    find_source,
+    identity_of,
+    is_own_stream,
+    monitor_of,
 )
-MONITORS = tuple(
-    Source(10 + sink.index, sink.monitor, sink.name, sink.name, 48_000, 2, {}) for sink in SINKS
-)
-MICROPHONE = Source(5, "microphone", "Microphone", None, 48_000, 2, {})
+from device.server.snapshot import ServerSnapshot, Source, _kind
+from device.stream.pcms import FALLBACK_SINK
+from tests.support.snapshots import monitor, sink, snapshot, source, stream
+
+SINKS = tuple(sink(index, name) for index, name in enumerate(("desktop", "desktop.2", "haptic")))
+MONITORS = tuple(monitor(one, 10 + one.index) for one in SINKS)
+MICROPHONE = source(5, "microphone")
 
 
-def server(default_sink: str = "desktop", *, sources: tuple[Source, ...] = MONITORS):
-    everything = (MICROPHONE, *sources)
-    return ServerSnapshot(
-        "PipeWire", "1.0", default_sink, "microphone", SINKS, everything, (), (), 0
-    )
+def server(default: str = "desktop", *, sources: tuple[Source, ...] = MONITORS) -> ServerSnapshot:
+    return snapshot(default_sink=default, sinks=SINKS, sources=(MICROPHONE, *sources))
 
 
 def test_a_name_means_the_device_of_exactly_that_name():
@@ -37,10 +40,9 @@ def test_what_is_not_the_name_of_a_sink_is_never_tapped(name):
 
 
 def test_a_sink_without_a_monitor_gets_no_other_source():
-    with pytest.raises(NotFoundError, match="has no monitor"):
-        monitor_of(server(sources=MONITORS[1:]), "desktop")
-    with pytest.raises(NotFoundError, match="has no monitor"):
-        default_monitor(server(sources=MONITORS[1:]))
+    for find in (lambda there: monitor_of(there, "desktop"), default_monitor):
+        with pytest.raises(NotFoundError, match="has no monitor"):
+            find(server(sources=MONITORS[1:]))
 
 
 def test_a_default_sink_that_is_missing_or_haptic_is_refused():
@@ -48,3 +50,39 @@ def test_a_default_sink_that_is_missing_or_haptic_is_refused():
         default_monitor(server(""))
     with pytest.raises(NotFoundError, match="feed back"):
         default_monitor(server("haptic"), "haptic")
+
+
+@pytest.mark.parametrize(
+    ("names", "wanted", "words"),
+    [
+        (("desktop", "haptic"), "haptik", r"^no sink 'haptik'; did you mean 'haptic'\?$"),
+        (("desktop", "haptic"), "qqqq", r"there are 'desktop', 'haptic'$"),
+        (("desktop", FALLBACK_SINK), "qqqq", r"there are 'desktop'$"),  # ours is not offered
+        ((), "x", "none was found"),
+    ],
+)
+def test_an_unknown_name_offers_the_known_ones(names, wanted, words):
+    sinks = tuple(sink(index, name) for index, name in enumerate(names))
+    with pytest.raises(NotFoundError, match=words):
+        find_sink(snapshot(sinks=sinks), wanted)
+
+
+def test_a_device_keeps_its_identity():
+    known = {"device.vendor.id": "0x0d8c", "device.product.id": "0014"}
+    known |= {"device.bus": "usb", "alsa.card": "1"}
+    identity = identity_of(sink(1, "dac", known))
+    assert (identity.vendor_id, identity.product_id, identity.alsa_card) == ("0d8c", "0014", "1")
+    assert identity.is_usb("0D8C", "14")
+    assert not identity.is_usb("0d8c", "0015")
+    assert not identity_of(sink(1, "null")).is_usb("", "")
+
+
+def test_a_stream_of_another_machine_with_our_process_id_is_not_ours():
+    assert is_own_stream(stream(1, process_id=os.getpid()))
+    there = {"application.process.host": "another-machine"}
+    assert not is_own_stream(stream(1, process_id=os.getpid(), properties=there))
+
+
+def test_the_kind_of_a_server_is_in_its_name():
+    assert _kind("pulseaudio", "16.1") == ("PulseAudio", "16.1")
+    assert _kind("PulseAudio (on PipeWire 0.3.65)", "15.0.0") == ("PipeWire", "0.3.65")

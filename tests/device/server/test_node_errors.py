@@ -1,10 +1,8 @@
 """The server's counts of late cycles are those that `pw-top` prints."""
 
-from __future__ import annotations
-
 import os
-import stat
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -13,11 +11,9 @@ from device.server.node_errors import INTERVAL_S, NodeErrors, errors_in
 
 LISTING = """\
 S   ID  QUANT   RATE    WAIT    BUSY   W/Q   B/Q  ERR FORMAT           NAME
-S   26      0      0    ---     ---   ---   ---     0                  desktop
 S   51      0      0    ---     ---   ---   ---     0                  cushion-9-1.tap
 S   ID  QUANT   RATE    WAIT    BUSY   W/Q   B/Q  ERR FORMAT           NAME
 R   26   1024  48000 123.4us   6.5us  0.01  0.00    7     F32P 2 48000 desktop
-R   46   8192  48000  69.7us  24.8us  0.00  0.00    1    S16LE 2 48000  + pacat
 R   51   1024  48000  69.7us  24.8us  0.00  0.00   18     F32P 2 48000  + cushion-9-1.tap
 R   52   1024  48000  61.7us  22.8us  0.00  0.00    2     F32P 1 48000  + cushion-9-1.vibration
 R   53   1024  48000  61.7us  22.8us  0.00  0.00    4     F32P 1 48000  + a program of two words
@@ -25,49 +21,45 @@ R   53   1024  48000  61.7us  22.8us  0.00  0.00    4     F32P 1 48000  + a prog
 NAMES = ("cushion-9-1.tap", "cushion-9-1.vibration")
 
 
-def test_the_latest_listing_counts_and_other_nodes_do_not() -> None:
+def test_the_latest_listing_counts_and_other_nodes_do_not():
     assert errors_in(LISTING, NAMES) == dict(zip(NAMES, (18, 2), strict=True))
     assert errors_in("", NAMES) == {}
-
-
-def pw_top(folder: Path, text: str) -> None:
-    program = folder / "pw-top"
-    program.write_text(f"#!/bin/sh\n{text}\n")
-    program.chmod(program.stat().st_mode | stat.S_IXUSR)
 
 
 def looked(errors: NodeErrors, *times_s: float, names: tuple[str, ...] = NAMES) -> None:
     for now_s in times_s:
         errors.update(names, now_s)
         end_s = time.monotonic() + 10.0
-        while errors.is_looking and time.monotonic() < end_s:
+        while errors.process is not None and time.monotonic() < end_s:
             os.sched_yield()
             errors.update(names, now_s)
 
 
 @pytest.fixture
-def programs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def pw_top(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
+    """Make a program of that name that runs this text."""
     monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
-    return tmp_path
+
+    def make(text: str) -> None:
+        (tmp_path / "pw-top").write_text(f"#!/bin/sh\n{text}\n")
+        (tmp_path / "pw-top").chmod(0o755)
+
+    return make
 
 
-def test_each_stream_has_its_count_and_that_of_a_chain_that_has_gone_is_kept(
-    programs: Path,
-) -> None:
+def test_each_stream_has_its_count_and_that_of_a_chain_that_has_gone_is_kept(pw_top):
     errors = NodeErrors()
     assert errors.count(".tap") is None
-    pw_top(programs, f"cat <<'END'\n{LISTING}END")
+    pw_top(f"cat <<'END'\n{LISTING}END")
     looked(errors, 0.0)
-    pw_top(programs, f"cat <<'END'\n{LISTING.replace('-9-1', '-9-2')}END")
+    pw_top(f"cat <<'END'\n{LISTING.replace('-9-1', '-9-2')}END")
     looked(errors, INTERVAL_S, names=tuple(name.replace("-9-1", "-9-2") for name in NAMES))
     assert (errors.count(".tap"), errors.count(".vibration")) == (36, 4)
 
 
-def test_a_program_without_a_batch_mode_is_asked_once_and_the_counts_stay_unknown(
-    programs: Path,
-) -> None:
-    pw_top(programs, f"echo asked >> {programs / 'log'}; exit 255")
+def test_a_program_without_a_batch_mode_is_asked_once_and_the_counts_stay_unknown(pw_top, tmp_path):
+    pw_top(f"echo asked >> {tmp_path / 'log'}; exit 255")
     errors = NodeErrors()
     looked(errors, 0.0, INTERVAL_S, 2.0 * INTERVAL_S)
     assert errors.count(".tap") is None
-    assert (programs / "log").read_text() == "asked\n"
+    assert (tmp_path / "log").read_text() == "asked\n"

@@ -1,79 +1,74 @@
 """The volume that a tap's sound carries, from snapshots of the server."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
 import pytest
 
-from device.server.snapshot import ServerSnapshot, Sink, Source, Stream, decibels
+from device.server.snapshot import Sink, Source, Stream, decibels
 from device.server.tap_volume import TapVolume, muted_sink
+from tests.support.snapshots import monitor, sink, snapshot, stream
 
-DESK = Sink(1, "desk", "", "desk.monitor", 48_000, 2, None, {}, volume_in_monitor=True)
-MONITOR = Source(2, "desk.monitor", "", "desk", 48_000, 2, {})
-
-
-def stream(index: int, volume_db: float, **other: bool) -> Stream:
-    mute, corked = other.get("mute", False), other.get("corked", False)
-    return Stream(index, 1, "desk", "", "", "", "", None, corked, mute, {}, None, volume_db)
+DESK = sink(1, "desk", volume_in_monitor=True)
+MONITOR = monitor(DESK)
 
 
-def snapshot(*streams: Stream, sink: Sink = DESK) -> ServerSnapshot:
-    return ServerSnapshot("PulseAudio", "16.1", "desk", "", (sink,), (MONITOR,), streams, (), 0)
+def at(index: int, volume_db: float, **other: bool) -> Stream:
+    return stream(index, 1, "desk", volume_db=volume_db, **other)
 
 
-def followed(tap: TapVolume, *streams: Stream, sink: Sink = DESK, monitor: bool = True) -> float:
+def followed(
+    tap: TapVolume, *streams: Stream, sink: Sink = DESK, monitor: Source | None = MONITOR
+) -> float:
     players = {one.index for one in streams if not one.corked}
-    return tap.follow(snapshot(*streams, sink=sink), players, MONITOR if monitor else None)
+    return tap.follow(snapshot(sinks=(sink,), sink_inputs=streams), players, monitor)
 
 
-def test_volumes_of_stream_sink_and_monitor_add_up() -> None:
-    sink, monitor = replace(DESK, volume_db=-20.0), replace(MONITOR, volume=0.5)
-    volume_db = TapVolume().follow(snapshot(stream(7, -3.0), sink=sink), {7}, monitor)
-    assert volume_db == pytest.approx(-23.0 + decibels(0.5))
+QUIET = replace(DESK, volume_db=-20.0)
+FLAT = replace(QUIET, flat_volumes=True)
+BY_THE_CARD = replace(QUIET, volume_in_monitor=False)
+HALF = replace(MONITOR, volume=0.5)
 
 
-def test_a_sink_counts_only_where_its_monitor_carries_its_volume() -> None:
-    by_the_card = replace(DESK, volume_db=-20.0, volume_in_monitor=False)
-    assert followed(TapVolume(), stream(7, -3.0), sink=by_the_card) == -3.0
+@pytest.mark.parametrize(
+    ("sink", "monitor", "stream_db", "volume_db"),
+    [
+        (QUIET, HALF, -3.0, -23.0 + decibels(0.5)),  # all add up
+        (BY_THE_CARD, MONITOR, -3.0, -3.0),
+        (QUIET, None, -3.0, -3.0),  # the stream is captured by itself
+        (FLAT, MONITOR, -23.0, -23.0),  # the stream's volume contains that of the sink
+        (FLAT, None, -23.0, -3.0),
+    ],
+)
+def test_volumes_that_the_sound_has_passed_add_up_once_each(sink, monitor, stream_db, volume_db):
+    found_db = followed(TapVolume(), at(7, stream_db), sink=sink, monitor=monitor)
+    assert found_db == pytest.approx(volume_db)
 
 
-def test_streams_captured_by_themselves_carry_no_volume_of_the_sink() -> None:
-    sink = replace(DESK, volume_db=-20.0)
-    assert followed(TapVolume(), stream(7, -3.0), sink=sink, monitor=False) == -3.0
+@pytest.mark.parametrize(("music_db", "added_db", "volume_db"), [(-20, 0, -20), (-78, 0, 0)])
+def test_a_notification_changes_nothing_unless_music_is_at_5_percent(music_db, added_db, volume_db):
+    tap, music = TapVolume(), at(9, music_db)
+    assert followed(tap, music) == music_db
+    assert followed(tap, at(3, added_db), music) == volume_db
+    assert followed(tap, music) == music_db
 
 
-def test_flat_volumes_of_streams_contain_that_of_the_sink_once() -> None:
-    sink = replace(DESK, volume_db=-20.0, flat_volumes=True)
-    assert followed(TapVolume(), stream(7, -23.0), sink=sink) == pytest.approx(-23.0)
-    assert followed(TapVolume(), stream(7, -23.0), sink=sink, monitor=False) == pytest.approx(-3.0)
-
-
-def test_a_notification_over_music_changes_nothing() -> None:
+@pytest.mark.parametrize(
+    ("then", "volume_db"),
+    [
+        (at(7, -20.0, corked=True), -20.0),
+        (at(8, -5.0), -5.0),
+        (at(7, -math.inf), -20.0),
+        (at(7, 0.0, mute=True), -20.0),
+    ],
+)
+def test_the_volume_stays_until_another_stream_is_heard(then, volume_db):
     tap = TapVolume()
-    music = stream(9, -20.0)
-    assert followed(tap, music) == -20.0
-    assert followed(tap, stream(3, 0.0), music) == -20.0
-    assert followed(tap, music) == -20.0
+    followed(tap, at(7, -20.0))
+    assert followed(tap, then) == volume_db
 
 
-def test_the_volume_is_that_of_the_next_stream_once_the_first_has_ended() -> None:
-    tap = TapVolume()
-    followed(tap, stream(7, -20.0))
-    assert followed(tap, stream(7, -20.0, corked=True)) == -20.0
-    assert followed(tap, stream(8, -5.0)) == -5.0
-
-
-@pytest.mark.parametrize("volume_db", [-math.inf, 0.0])
-def test_silenced_streams_do_not_count(volume_db: float) -> None:
-    tap = TapVolume()
-    followed(tap, stream(7, -20.0))
-    muted = stream(7, volume_db, mute=volume_db == 0.0)
-    assert followed(tap, muted) == -20.0
-
-
-def test_the_servers_scale_is_cubic() -> None:
+def test_the_servers_scale_is_cubic():
     assert decibels(1.0) == 0.0
     assert decibels(0.5) == pytest.approx(-18.06, abs=0.01)  # what pactl says of 50 %
     assert decibels(0.0) == -math.inf
@@ -89,13 +84,5 @@ def test_the_servers_scale_is_cubic() -> None:
         (replace(DESK, name="other", mute=True), ""),
     ],
 )
-def test_a_muted_sink_is_named_whether_its_monitor_is_silent_or_not(sink: Sink, name: str) -> None:
-    assert muted_sink(snapshot(sink=sink), MONITOR.monitor_of) == name
-
-
-def test_a_stream_at_5_percent_does_not_make_another_one_far_too_strong() -> None:
-    tap = TapVolume()
-    quiet, full = stream(7, -78.0), stream(9, 0.0)
-    assert followed(tap, quiet) == -78.0
-    assert followed(tap, quiet, full) == 0.0
-    assert followed(tap, quiet) == -78.0
+def test_a_muted_sink_is_named_whether_its_monitor_is_silent_or_not(sink, name):
+    assert muted_sink(snapshot(sinks=(sink,)), MONITOR.monitor_of) == name

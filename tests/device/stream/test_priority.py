@@ -1,45 +1,23 @@
 """Real-time priority: taken where it is granted, missed with one warning, bounded in any case."""
 
-from __future__ import annotations
-
 import os
+import re
 import resource
 import shutil
 import subprocess
-import sys
 
 import pytest
 
-from tests.support.recordings import ROOT
+from tests.support.programs import printed
 
 NICE = os.getpriority(os.PRIO_PROCESS, 0)
 UNPRIVILEGED = ("setpriv", "--bounding-set=-sys_nice", "--inh-caps=-sys_nice")
 
 
-def works(*within: str) -> bool:
-    """Whether a program can be run within these here."""
-    return all(shutil.which(name) for name in ("setpriv", "prlimit")) and not subprocess.call(
-        [*within, "true"], stderr=subprocess.DEVNULL
-    )
-
-
-def with_limits(*limits: str) -> pytest.MarkDecorator:
-    command = ("prlimit", *limits, *UNPRIVILEGED)
-    return pytest.mark.skipif(not works(*command), reason=f"{' '.join(command)} does not work here")
-
-
 def told(program: str, *within: str) -> str:
-    """What a program in a process of its own prints."""
-    done = subprocess.run(
-        [*within, sys.executable, "-c", program],
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        timeout=30,
-    )
-    assert done.stderr == ""
-    assert done.returncode == 0
-    return done.stdout.strip()
+    out, errors = printed(program, *within)
+    assert errors == []
+    return out
 
 
 CLAIM = """
@@ -78,46 +56,40 @@ needs_real_time = pytest.mark.skipif(
 
 
 @needs_real_time
-def test_where_it_is_granted_only_the_thread_that_asks_has_it_and_may_not_spin() -> None:
-    assert told(CLAIM.format(wanted=True)) == (
-        f"real-time True 10 {NICE}; 0 {NICE}; (200000, 2000000)"
-    )
+def test_where_it_is_granted_only_the_thread_that_asks_has_it_and_may_not_spin():
+    granted = f"real-time True 10 {NICE}; 0 {NICE}; (200000, 2000000)"
+    assert told(CLAIM.format(wanted=True)) == granted
 
 
-@with_limits("--rtprio=0:5")
-def test_the_users_limit_is_used_even_where_it_has_to_be_raised() -> None:
-    limited = ("prlimit", "--rtprio=0:5", *UNPRIVILEGED)
-    assert told(CLAIM.format(wanted=True), *limited).startswith(
-        f"real-time True 5 {NICE}; 0 {NICE};"
-    )
+WARNING = ".*rtprio 20.*/etc/security/limits.d/cushion.conf.*realtime = false.*"
 
 
-@with_limits("--rtprio=0:0", "--nice=0:31")
-def test_without_it_a_nice_level_does_and_nobody_is_warned() -> None:
-    limited = ("prlimit", "--rtprio=0:0", "--nice=0:31", *UNPRIVILEGED)
-    assert told(CLAIM.format(wanted=True), *limited).startswith(f"usual False 0 -11; 0 {NICE};")
-    assert told(CLAIM.format(wanted=True), *limited).endswith("(200000, 2000000)")
+@pytest.mark.parametrize(
+    ("limits", "says"),
+    [
+        (("--rtprio=0:5",), f"real-time True 5 {NICE}; 0 {NICE};.*"),  # it has to be raised
+        (("--rtprio=0:0", "--nice=0:31"), rf"usual False 0 -11; 0 {NICE}; \(200000, 2000000\)"),
+        (("--rtprio=0:0", "--nice=0:0"), f"usual False 0 {NICE}; 0 {NICE};{WARNING}"),
+    ],
+    ids=["the user's limit is used", "a nice level does", "nothing is granted"],
+)
+def test_what_is_granted_is_taken_and_only_where_nothing_is_somebody_is_warned(limits, says):
+    within = ("prlimit", *limits, *UNPRIVILEGED)
+    tools = all(shutil.which(name) for name in ("setpriv", "prlimit"))
+    if not tools or subprocess.call([*within, "true"], stderr=subprocess.DEVNULL):
+        pytest.skip(f"{' '.join(within)} does not work here")
+    assert re.fullmatch(says, told(CLAIM.format(wanted=True), *within), re.DOTALL)
 
 
-@with_limits("--rtprio=0:0", "--nice=0:0")
-def test_where_nothing_is_granted_one_warning_says_what_to_do() -> None:
-    limited = ("prlimit", "--rtprio=0:0", "--nice=0:0", *UNPRIVILEGED)
-    text = told(CLAIM.format(wanted=True), *limited)
-    assert text.startswith(f"usual False 0 {NICE}; 0 {NICE};")
-    warning = text.partition(") ")[2]
-    for part in ("/etc/security/limits.d/cushion.conf", "rtprio 20", "realtime = false"):
-        assert part in warning
-
-
-def test_what_is_switched_off_asks_for_nothing() -> None:
+def test_what_is_switched_off_asks_for_nothing():
     inherited = resource.getrlimit(resource.RLIMIT_RTTIME)
     assert told(CLAIM.format(wanted=False)) == (f"usual False 0 {NICE}; 0 {NICE}; {inherited}")
 
 
 SPIN = """
 import hashlib, os, sys, threading, time
-from audioflinger_hook.cli.signals import Signals
-from audioflinger_hook.daemon.wake import Wake
+from audioflinger_hook.cli.process import Signals
+from audioflinger_hook.daemon.timing import Wake
 from device.stream.callback_thread import AudioPriority
 
 spinning, over = threading.Event(), False
@@ -144,40 +116,31 @@ with Wake() as wake, Signals(wake) as signals:
 
 
 @needs_real_time
-def test_a_thread_that_spins_loses_it_and_the_process_goes_on() -> None:
+def test_a_thread_that_spins_loses_it_and_the_process_goes_on():
     lines = told(SPIN).splitlines()
     assert lines[0].startswith("0 False an audio thread ran for 0.2 s without a break")
 
 
 RESTORE = """
 import os, threading
+from concurrent.futures import ThreadPoolExecutor
 from device.stream.callback_thread import AudioPriority
 
-priority, asked, done = AudioPriority(), threading.Event(), threading.Event()
-def audio():
-    claimed = -1
-    for _ in range(2):
-        if claimed != priority.round:
-            claimed = priority.round
-            priority.claim()
-        done.set()
-        asked.wait()
-        asked.clear()
-    done.set()
+priority, audio, claimed = AudioPriority(), ThreadPoolExecutor(1), -1
+def block():
+    global claimed
+    if claimed != priority.round:
+        claimed = priority.round
+        priority.claim()
+    return threading.get_native_id()
 def seen():
-    return os.sched_getscheduler(thread.native_id) & ~os.SCHED_RESET_ON_FORK == os.SCHED_RR
-def step():
-    done.clear()
-    asked.set()
-    done.wait()
-thread = threading.Thread(target=audio)
-thread.start()
-done.wait()
+    return os.sched_getscheduler(thread) & ~os.SCHED_RESET_ON_FORK == os.SCHED_RR
+thread = audio.submit(block).result()
 told = [seen()]
 priority.revoke()
 told += [seen(), bool(priority.warning)]
 priority.restore()
-step()
+audio.submit(block).result()
 told += [seen(), bool(priority.warning), priority.round]
 priority.restore()
 told += [priority.round]
@@ -185,10 +148,9 @@ priority.set_wanted(False)
 priority.revoke()
 priority.restore()
 print(*told, priority.wanted, priority.round)
-asked.set()
 """
 
 
 @needs_real_time
-def test_what_a_vanished_device_cost_all_threads_is_given_back_once_and_only_then() -> None:
+def test_what_a_vanished_device_cost_all_threads_is_given_back_once_and_only_then():
     assert told(RESTORE) == "True False True True False 1 1 False 1"

@@ -4,25 +4,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from device.usb.descriptors import DescriptorError, parse_hex
+from device.usb.descriptors import DescriptorError
+from device.usb.descriptors.dump import parse_hex
 
 BYTES = bytes.fromhex("09026d000301 00a0320904 000000 0101 00 7c23 2f2a 3b")
 
 DUMPS = {
-    "plain": "09026d00030100a032090400000001 0100 7c232f2a3b",
     "pairs": "09 02 6D 00 03 01 00 A0 32\n09 04 00 00 00 01 01 00\n\n7c 23 2f 2a 3b\n",
-    "xxd": (
-        "00000000: 0902 6d00 0301 00a0 3209 0400 0000 0101  ..m.....2.......\n"
-        "00000010: 007c 232f 2a3b                           .|#/*;\n"
-    ),
     "xxd of a part": (
         "00000012: 0902 6d00 0301 00a0 3209 0400 0000 0101  ..m.....2.......\n"
         "00000022: 007c 232f 2a3b                           .|#/*;\n"
-    ),
-    "hexdump -C": (
-        "00000000  09 02 6d 00 03 01 00 a0  32 09 04 00 00 00 01 01  |..m.....2.......|\n"
-        "00000010  00 7c 23 2f 2a 3b                                 |.|#/*;|\n"
-        "00000016\n"
     ),
     "od -t x1": (
         "0000000 09 02 6d 00 03 01 00 a0 32 09 04 00 00 00 01 01\n"
@@ -60,15 +51,16 @@ def test_a_dump_gives_the_bytes_that_it_shows(dump):
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("", "hex dump: it has no bytes; allowed: pairs of hexadecimal digits"),
+        ("", "hex dump: it has no bytes; needed: two hexadecimal digits a byte"),
         ("# nothing\n", "it has no bytes"),
-        ("09 02\n09 0", "hex dump, line 2: '0' is not hexadecimal"),
-        ("09 0g", "line 1: '0g' is not hexadecimal"),
-        ("/* 1\n2 */\nzz", "line 3: 'zz' is not hexadecimal"),
-        ("00000000: 0902\n00000010: 0904", "line 2: address 0x10 instead of 0x2"),
+        ("09 02\n09 0", "hex dump, line 2: '0' is no byte; needed: two hexadecimal digits a byte"),
+        ("09 0g", "line 1: '0g' is no byte"),
+        ("/* 1\n2 */\nzz", "line 3: 'zz' is no byte"),
+        ("00000000: 0902\n00000010: 0904", "0x10 instead of 0x2; bytes before it are missing"),
+        ("00000000: 0902\n00000001: 0904", "bytes before it are too many"),
         ("00000000  09 02\n*\n00000010", "line 2: '*' marks omitted lines"),
-        ("00000000  09 02\n00000010", "line 2: address 0x10 instead of 0x2"),
-        ("0000000 0209 006d", "shows words whose bytes are swapped"),
+        ("00000000  09 02\n00000010", "line 2: the address is 0x10 instead of 0x2"),
+        ("0000000 0209 006d", "shows swapped bytes; use od -t x1"),
         ("0000009 02 03", "line 1: '0000009' is not an octal address"),
     ],
 )
@@ -78,28 +70,27 @@ def test_what_is_no_dump_is_refused_with_its_line(text, reason):
     assert reason in str(caught.value)
 
 
-def xxd(raw):
+def rows(raw):
     for at in range(0, len(raw), 16):
         row = raw[at : at + 16]
-        pairs = " ".join(row[i : i + 2].hex() for i in range(0, len(row), 2))
-        shown = "".join(chr(byte) if 32 <= byte < 127 else "." for byte in row)
-        yield f"{at:08x}: {pairs:<39}  {shown}"
+        yield at, row, "".join(chr(byte) if 32 <= byte < 127 else "." for byte in row)
+
+
+def xxd(raw):
+    return "\n".join(f"{at:08x}: {row.hex(' ', -2):<39}  {shown}" for at, row, shown in rows(raw))
 
 
 def hexdump(raw):
-    for at in range(0, len(raw), 16):
-        row = raw[at : at + 16]
-        shown = "".join(chr(byte) if 32 <= byte < 127 else "." for byte in row)
-        yield f"{at:08x}  {row[:8].hex(' '):<23}  {row[8:].hex(' '):<23}  |{shown}|"
-    yield f"{len(raw):08x}"
+    """As `hexdump -C` shows it."""
+    halves = ((at, row[:8].hex(" "), row[8:].hex(" "), shown) for at, row, shown in rows(raw))
+    lines = (f"{at:08x}  {left:<23}  {right:<23}  |{shown}|\n" for at, left, right, shown in halves)
+    return "".join(lines) + f"{len(raw):08x}"
 
 
 @given(st.binary(min_size=1, max_size=80))
 def test_any_bytes_come_back_from_any_dump(raw):
-    assert parse_hex("\n".join(xxd(raw))) == raw
-    assert parse_hex("\n".join(hexdump(raw))) == raw
-    assert parse_hex(raw.hex()) == raw
-    assert parse_hex(", ".join(f"0x{byte:02x}" for byte in raw)) == raw
+    for text in (xxd(raw), hexdump(raw), raw.hex(), ", ".join(f"0x{byte:02x}" for byte in raw)):
+        assert parse_hex(text) == raw
 
 
 def said_of(text):

@@ -8,8 +8,6 @@ drivers, control transfers and their errors. Lines on the pipe named by CUSHION_
 device ("unplug PORT") or plug it in again ("plug PORT [ADDRESS]").
 """
 
-from __future__ import annotations
-
 import errno
 import json
 import os
@@ -111,65 +109,40 @@ class Plugged:
         """The device as umockdev reads it."""
         raw = self.dac.descriptors
         vendor, product = (int.from_bytes(raw[at : at + 2], "little") for at in (8, 10))
+        node = f"N: {self.node.removeprefix('/dev/')}={raw.hex().upper()}"
+        events = "DEVTYPE=usb_device DRIVER=usb BUSNUM=001 MAJOR=189"
+        events += f" DEVNAME={self.node} DEVNUM={self.address:03d} MINOR={self.address - 1}"
+        attributes = f"busnum=1 devnum={self.address} devpath={self.port.partition('-')[2]}"
+        attributes += f" speed={480 if self.dac.uac > 1 else 12} bDeviceClass={raw[4]:02x}"
+        attributes += f" idVendor={vendor:04x} idProduct={product:04x} bNumConfigurations=1"
+        attributes += f" bConfigurationValue={self.configuration}"
         names = ("manufacturer", "product", "serial")
-        strings = dict(zip(names, self.dac.strings, strict=False))
-        lines = [
-            f"P: {self.path}",
-            f"N: {self.node.removeprefix('/dev/')}={raw.hex().upper()}",
-            "E: SUBSYSTEM=usb",
-            "E: DEVTYPE=usb_device",
-            "E: DRIVER=usb",
-            f"E: DEVNAME={self.node}",
-            "E: BUSNUM=001",
-            f"E: DEVNUM={self.address:03d}",
-            f"E: PRODUCT={vendor:x}/{product:x}/123",
-            "E: MAJOR=189",
-            f"E: MINOR={self.address - 1}",
-            "A: busnum=1\\n",
-            f"A: devnum={self.address}\\n",
-            f"A: devpath={self.port.partition('-')[2]}\\n",
-            f"A: speed={480 if self.dac.uac > 1 else 12}\\n",
-            f"A: idVendor={vendor:04x}\\n",
-            f"A: idProduct={product:04x}\\n",
-            *(f"A: {name}={text}\\n" for name, text in strings.items() if text),
-            f"A: bConfigurationValue={self.configuration}\\n",
-            "A: bNumConfigurations=1\\n",
-            f"A: bDeviceClass={raw[4]:02x}\\n",
-            f"H: descriptors={raw.hex().upper()}",
-            "",
-        ]
+        strings = zip(names, self.dac.strings, strict=False)
+        told = [node, f"E: PRODUCT={vendor:x}/{product:x}/123"]
+        told += [f"A: {name}={text}\\n" for name, text in strings if text]
+        told += [f"H: descriptors={raw.hex().upper()}"]
+        text = _block(self.path, "usb", *told, events=events, attributes=attributes)
+        driver = [f"L: driver=../../../../../../bus/usb/drivers/{DRIVER}"] if self.bound else []
         for number, (of_class, subclass, protocol) in self.interfaces.items():
-            lines += [
-                f"P: {self.path}/{self.port}:1.{number}",
-                "E: SUBSYSTEM=usb",
-                "E: DEVTYPE=usb_interface",
-                f"A: bInterfaceNumber={number:02x}\\n",
-                f"A: bInterfaceClass={of_class:02x}\\n",
-                f"A: bInterfaceSubClass={subclass:02x}\\n",
-                f"A: bInterfaceProtocol={protocol:02x}\\n",
-                *([f"L: driver=../../../../../../bus/usb/drivers/{DRIVER}"] if self.bound else []),
-                "",
-            ]
+            attributes = f"bInterfaceNumber={number:02x} bInterfaceClass={of_class:02x}"
+            attributes += f" bInterfaceSubClass={subclass:02x} bInterfaceProtocol={protocol:02x}"
+            text += _block(
+                f"{self.path}/{self.port}:1.{number}",
+                "usb",
+                *driver,
+                events="DEVTYPE=usb_interface",
+                attributes=attributes,
+            )
         if self.card is not None and self.bound:
             sound = f"{self.path}/{self.port}:1.0/sound/card{self.card}"
-            lines += [
-                f"P: {sound}",
-                "E: SUBSYSTEM=sound",
-                f"A: id=DAC{self.card}\\n",
-                f"A: number={self.card}\\n",
-                f"L: device=../../../{self.port}:1.0",
-                "",
-                f"P: {sound}/pcmC{self.card}D0p",
-                "E: SUBSYSTEM=sound",
-                f"E: DEVNAME=/dev/snd/pcmC{self.card}D0p",
-                "",
-                f"P: {sound}/controlC{self.card}",
-                f"N: {self.mixer_node.removeprefix('/dev/')}=00",
-                "E: SUBSYSTEM=sound",
-                f"E: DEVNAME={self.mixer_node}",
-                "",
-            ]
-        return "\n".join(lines) + "\n"
+            link = f"L: device=../../../{self.port}:1.0"
+            pcm, mixer = f"pcmC{self.card}D0p", self.mixer_node.removeprefix("/dev/")
+            attributes = f"id=DAC{self.card} number={self.card}"
+            text += _block(sound, "sound", link, attributes=attributes)
+            text += _block(f"{sound}/{pcm}", "sound", events=f"DEVNAME=/dev/snd/{pcm}")
+            control, events = f"{sound}/controlC{self.card}", f"DEVNAME={self.mixer_node}"
+            text += _block(control, "sound", f"N: {mixer}=00", events=events)
+        return text
 
     def _on_ioctl(self, _: Any, client: Any) -> bool:
         return _complete(client, self._answer)
@@ -184,15 +157,11 @@ class Plugged:
         if request == CAPABILITIES:
             argument.resolve(0, 4).update(0, struct.pack("<I", 0x3F))
             return 0, 0
-        if request == CLAIM:
+        if request in (CLAIM, RELEASE):
             (number,) = struct.unpack("<I", bytes(argument.resolve(0, 4).retrieve()))
-            if number in self.bound:
+            if request == CLAIM and number in self.bound:
                 return -1, errno.EBUSY
-            self.claimed.add(number)
-            return 0, 0
-        if request == RELEASE:
-            (number,) = struct.unpack("<I", bytes(argument.resolve(0, 4).retrieve()))
-            self.claimed.discard(number)
+            (self.claimed.add if request == CLAIM else self.claimed.discard)(number)
             return 0, 0
         if request in (SET_INTERFACE, SET_CONFIGURATION):
             return 0, 0
@@ -228,9 +197,7 @@ class Plugged:
             self.bound -= set(self.interfaces) if number == 0 else {number}
             return 0, 0
         if code & 0xFF == CONNECT:
-            if self.claimed:
-                return -1, errno.EBUSY
-            if number in self.bound:
+            if self.claimed or number in self.bound:
                 return -1, errno.EBUSY
             self.bound |= set(self.interfaces)
             return 1, 0
@@ -251,13 +218,12 @@ class Plugged:
             return -1, errno.EBUSY
         asks = bool(request_type & 0x80)
         answer = self.dac.control(setup, b"" if asks else data[8:])
-        status, count = (0, 0) if answer is not None else (-errno.EPIPE, 0)
-        if answer is not None and asks:
-            buffer.update(8, answer)
-            count = len(answer)
-        elif answer is not None:
-            count = length - 8
-        urb.update(4, struct.pack("<i", status))
+        count = 0
+        if answer is not None:
+            count = len(answer) if asks else length - 8
+            if asks:
+                buffer.update(8, answer)
+        urb.update(4, struct.pack("<i", -errno.EPIPE if answer is None else 0))
         urb.update(28, struct.pack("<i", count))
         self.done.append(urb)
         return 0, 0
@@ -271,6 +237,13 @@ def _complete(client: Any, answer: Callable[[Any], tuple[int, int]]) -> bool:
         result, error = -1, errno.EIO
     client.complete(result, error)
     return True
+
+
+def _block(path: str, subsystem: str, *lines: str, events: str = "", attributes: str = "") -> str:
+    """A device of the testbed. events, attributes: with a blank between them."""
+    told = [f"E: {event}" for event in f"SUBSYSTEM={subsystem} {events}".split()]
+    told += [f"A: {attribute}\\n" for attribute in attributes.split()]
+    return "\n".join([f"P: {path}", *told, *lines, "", ""])
 
 
 def _interfaces(configuration: bytes, value: int) -> dict[int, tuple[int, int, int]]:

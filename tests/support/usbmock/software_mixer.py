@@ -4,11 +4,10 @@ Standard library only: it also runs under the system's Python. Laid out as <soun
 for 64 bits; written from it a second time, so that a slip in the program is not repeated here.
 """
 
-from __future__ import annotations
-
 import errno
 import struct
 from collections.abc import Sequence
+from dataclasses import KW_ONLY, dataclass
 from typing import Any
 
 LIST, INFO, READ, WRITE, TABLE = 0xC0505510, 0xC1105511, 0xC4C85512, 0xC4C85513, 0xC008551A
@@ -21,6 +20,7 @@ SWITCH, VOLUME, CHANNEL_MAP = 1, 2, 3
 NAMES = {SWITCH: "PCM Playback Switch", VOLUME: "PCM Playback Volume", CHANNEL_MAP: "Playback Map"}
 
 
+@dataclass(eq=False)
 class SoftwareMixer:
     """What a card's mixer answers. volume: steps of 0 to 128, -64 to 0 dB; on: of the mute.
 
@@ -29,22 +29,18 @@ class SoftwareMixer:
     below it the table still goes down to silence. vanishes: nothing answers after the first write.
     """
 
-    def __init__(
-        self,
-        volume: int = 112,
-        on: bool = True,
-        *,
-        controls: Sequence[int] = (1, 2, 3),
-        drops: Sequence[int] = (),
-        stalls: Sequence[int] = (),
-        lowest: int = 0,
-        vanishes: bool = False,
-    ) -> None:
-        self.volumes = [volume, volume]
-        self.on = [int(on)]
-        self.controls = {number: NAMES[number] for number in controls}
-        self.drops, self.stalls, self.lowest = drops, stalls, lowest
-        self.vanishes, self.gone = vanishes, False
+    volume: int = 112
+    on: bool = True
+    _: KW_ONLY
+    controls: Sequence[int] = (SWITCH, VOLUME, CHANNEL_MAP)
+    drops: Sequence[int] = ()
+    stalls: Sequence[int] = ()
+    lowest: int = 0
+    vanishes: bool = False
+    gone: bool = False
+
+    def __post_init__(self) -> None:
+        self.held = {SWITCH: [int(self.on)], VOLUME: [self.volume] * 2}
 
     def answer(self, request: int, argument: Any) -> tuple[int, int]:
         """An ioctl's result and errno. argument: of umockdev."""
@@ -63,7 +59,7 @@ class SoftwareMixer:
     def _list(self, argument: Any) -> tuple[int, int]:
         head = argument.resolve(0, 80)
         offset, space = struct.unpack("<II", bytes(head.retrieve())[:8])
-        given = list(self.controls)[offset : offset + space]
+        given = self.controls[offset : offset + space]
         head.update(8, struct.pack("<II", len(given), len(self.controls)))
         if given:
             ids = head.resolve(16, 64 * space)
@@ -90,7 +86,7 @@ class SoftwareMixer:
     def _value(self, value: Any, *, writes: bool) -> tuple[int, int]:
         raw = bytes(value.retrieve())
         (number,) = struct.unpack("<I", raw[:4])
-        held = {SWITCH: self.on, VOLUME: self.volumes}.get(number)
+        held = self.held.get(number)
         if held is None:
             return -1, errno.ENOENT
         if not writes and number in self.stalls:

@@ -1,4 +1,4 @@
-"""One sine at the spectral centroid of 30 to 600 Hz, as loud as the sound's envelope."""
+"""A sine that has the frequency of the sound's spectral centroid, and the sound's envelope."""
 
 from __future__ import annotations
 
@@ -9,16 +9,15 @@ from tools.bench.baselines.hops import SineBaseline
 
 BAND_HZ = (30.0, 600.0)
 OVERLAP = 8
-STEPS_A_HOP = 8
-"""Steps of the envelope in a hop: 0.33 ms at 48 kHz. Its attack, 0.1 ms, is over within one."""
+STEPS_A_HOP = 8  # envelope steps for each hop, 0.33 ms at 48 kHz
 HOLD_S, RELEASE_S = 0.0015, 0.1
 
 
 class Method(SineBaseline):
-    """The centroid of the amplitudes in the band leads the frequency; the whole sound the level.
+    """A sine at the spectral centroid of the frequencies from 30 to 600 Hz.
 
-    The envelope is the root of a mean square with a very short attack, so it reads a tone's peak:
-    it rises at once, holds 1.5 ms, and falls by e in 100 ms.
+    The amplitude follows the envelope of the whole sound. The envelope rises at once, is held for
+    1.5 ms, and then decays by a factor e in 100 ms.
     """
 
     def __init__(self, samplerate: int, channels: int) -> None:
@@ -26,25 +25,25 @@ class Method(SineBaseline):
         self._band = (self.bins_hz >= BAND_HZ[0]) & (self.bins_hz <= BAND_HZ[1])
         step_s = self.hop / STEPS_A_HOP / samplerate
         self._held_steps = max(1, round(HOLD_S / step_s))
-        self._fall = step_s / RELEASE_S  # of ln of the envelope, a step
+        self._fall = step_s / RELEASE_S  # decay of the envelope's logarithm for each step
         self._before = np.zeros(self._held_steps)
         self._log_level = -np.inf
 
     def lead(self, amplitude: FloatArray, newest: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the centroid and the envelope."""
+        """Return the centroid in Hz and the envelope at the end of each hop, both (hops, 1)."""
         band, bins_hz = amplitude[:, self._band], self.bins_hz[self._band]
         total = band.sum(axis=1)
         hz = (band @ bins_hz) / np.where(total > 0.0, total, 1.0)
         return hz[:, None], np.where(total > 0.0, self._envelope(newest), 0.0)[:, None]
 
     def _envelope(self, newest: FloatArray) -> FloatArray:
-        """Return the envelope at each hop's end, (hops,)."""
         hops = len(newest)
         pieces = newest.reshape(hops * STEPS_A_HOP, -1)
         steps = np.concatenate((self._before, np.sqrt((pieces**2).mean(axis=1))))
         self._before = steps[steps.size - self._held_steps :]
         held = np.lib.stride_tricks.sliding_window_view(steps, self._held_steps + 1).max(axis=1)
-        # max over the past of what was held then and has fallen since, by logarithms.
+        # The envelope is the maximum of all earlier held values after their decay, computed with
+        # logarithms.
         time = self._fall * np.arange(1.0, held.size + 1.0)
         with np.errstate(divide="ignore"):
             risen = np.concatenate(([self._log_level], np.log(held) + time))

@@ -1,9 +1,11 @@
-"""The envelope on a resonance, as Android's HapticGenerator plays it.
+"""Vibration near 150 Hz with the envelope of the sound, like Android's HapticGenerator.
 
-High-pass 50 Hz, low-pass 9 kHz, half-wave rectifier, high-pass 60 Hz, low-passes 700, 400 and
-500 Hz; band-pass on the resonance f0 with Q 1; levelled by (its slow envelope + 0.01)^-0.8; a notch
-on f0 that takes away what an actuator of Q 8 adds (zeros of Q 8 over poles of Q 4); then 0.3 x,
-x^3 / (0.1 + x^2), a low-pass at 300 Hz and 1.5 x / (1 + |x|). All filters of second order.
+The sound passes a high-pass of 50 Hz, a low-pass of 9 kHz and a half-wave rectifier. A high-pass of
+60 Hz, low-passes of 700, 400 and 500 Hz, and a band-pass at 150 Hz with Q 1 follow. Their output r
+is multiplied by (level + 0.01)^-0.8, where the level is |r| after a low-pass of 5 Hz. A notch at
+150 Hz (zeros of Q 8, poles of Q 4) compensates the resonance of an actuator. The last stages are
+0.3 x, x^3 / (0.1 + x^2), a low-pass of 300 Hz, and 1.5 x / (1 + |x|). Here x is the input of the
+stage. All filters are of second order.
 """
 
 from __future__ import annotations
@@ -21,7 +23,7 @@ GAIN_IN, CUBE_THRESHOLD, GAIN_OUT = 0.3, 0.1, 1.5
 
 
 class Method(Baseline):
-    """The chain above; its automatic level brings quiet sounds near loud ones."""
+    """The stages that the docstring of this module describes, in the same order."""
 
     def __init__(self, samplerate: int, channels: int) -> None:
         super().__init__(samplerate, channels)
@@ -36,13 +38,13 @@ class Method(Baseline):
         self._last = low_pass(300.0, samplerate)
 
     def vibration(self, sound: FloatArray) -> FloatArray:
-        """Return the sound through the whole chain."""
+        """Return the output of the last stage."""
         for stage in self._before:
             sound = stage(sound)
         sound = np.maximum(sound, 0.0)
         for stage in self._after:
             sound = stage(sound)
-        # A second-order low-pass swings a little under 0 when a sound ends.
+        # A second-order low-pass undershoots slightly when a sound ends.
         level = np.maximum(self._slow(np.abs(sound)), 0.0) + LEVEL_OFFSET
         pushed = GAIN_IN * self._notch(sound * level**LEVEL_POWER)
         soft = self._last(pushed**3 / (CUBE_THRESHOLD + pushed**2))
@@ -51,8 +53,8 @@ class Method(Baseline):
 
 
 def resonator(numerator: tuple[float, float, float], q: float, samplerate: int) -> Filter:
-    """Return numerator / (s^2 + s/Q + 1), s in units of the resonance, exact at the resonance."""
-    # The bilinear transform bends frequencies; at this rate it puts s = 1j on the resonance.
+    """Return the filter numerator / (s^2 + s/Q + 1), where s = 1j corresponds to 150 Hz."""
+    # The bilinear transform warps frequencies; this rate maps s = 1j exactly to the resonance.
     rate = 0.5 / np.tan(np.pi * RESONANCE_HZ / samplerate)
     b, a = bilinear(numerator, (1.0, 1.0 / q, 1.0), fs=rate)
     b = np.concatenate((np.zeros(3 - len(b)), b))

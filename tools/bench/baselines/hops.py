@@ -1,23 +1,28 @@
-"""What baselines with a spectrum share: windows at a fixed hop, and sines that glide on."""
+"""Base class of methods that compute sines from spectra of the sound."""
 
 from __future__ import annotations
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from scipy.fft import rfft
 from scipy.signal.windows import hann
 
 from audioflinger_hook.transform import FloatArray
-from audioflinger_hook.transform.arrays import strided_windows
 from tools.bench.baselines.stages import Baseline
 
 POINTS_AT_48_KHZ = 1_024
 
 
 class SineBaseline(Baseline):
-    """Sines, one for each voice, led by spectra of Hann windows; phases go on, the rest glides.
+    """Sines whose frequencies and amplitudes follow the spectra of overlapping Hann windows.
 
-    1024 points at 44.1 and 48 kHz, as near to 21 ms as a power of two comes elsewhere. A window
-    is followed by the hop that glides to what it says: one hop of latency. Subclasses give `lead`.
+    Windows have 1024 frames at 44.1 and 48 kHz. At other rates, the number of frames is the power
+    of two that is nearest to 21 ms. During the hop after a window, frequencies and amplitudes
+    change linearly to the values that `lead` returns. The latency is therefore one hop. Subclasses
+    implement `lead`.
+
+    voices: number of sines.
+    overlap: number of hops in a window.
     """
 
     def __init__(self, samplerate: int, channels: int, voices: int, overlap: int) -> None:
@@ -35,19 +40,19 @@ class SineBaseline(Baseline):
         self._cycles = np.zeros(voices)
 
     def lead(self, amplitude: FloatArray, newest: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return frequency in Hz and amplitude at each hop's end, (hops, voices) each.
+        """Return the frequency in Hz and the amplitude of each sine after each hop, (hops, voices).
 
-        amplitude: of the spectra, (hops, bins), a full-scale sine has 1; newest: (hops, hop) of
-        sound that each window has new.
+        amplitude: magnitudes of the spectra, (hops, bins); 1 for a full-scale sine.
+        newest: the last hop of each window, (hops, frames of a hop).
         """
         raise NotImplementedError
 
     def vibration(self, sound: FloatArray) -> FloatArray:
-        """Return what the hops completed so far sound like."""
+        """Return as many frames of vibration as of sound, delayed by one hop."""
         heard = np.concatenate((self._heard, sound))
         hops = (heard.size - self.points) // self.hop + 1 if heard.size >= self.points else 0
         if hops:
-            windows = strided_windows(heard, self.points, self.hop)
+            windows = sliding_window_view(heard, self.points)[:: self.hop]
             amplitude = np.abs(rfft(windows * self._window, axis=1))
             hz, level = self.lead(amplitude, windows[:, -self.hop :])
             self._ready = np.concatenate((self._ready, self._sines(hz, level)))
@@ -57,7 +62,6 @@ class SineBaseline(Baseline):
         return played
 
     def _sines(self, hz: FloatArray, amplitude: FloatArray) -> FloatArray:
-        """Return the sum of all voices over these hops, gliding from where they were."""
         from_amplitude = np.vstack((self._amplitude, amplitude[:-1]))
         from_hz = np.where(from_amplitude == 0.0, hz, np.vstack((self._hz, hz[:-1])))
         share = (np.arange(self.hop) + 1.0)[:, None] / self.hop

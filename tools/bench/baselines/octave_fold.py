@@ -1,4 +1,7 @@
-"""Two peaks brought down by octaves: the strongest of 400 to 1000 Hz and of 1000 to 3600 Hz."""
+"""Two sines: the strongest spectral peak of each of two ranges, lowered by octaves.
+
+The ranges are 400 to 1000 Hz and 1000 to 3600 Hz.
+"""
 
 from __future__ import annotations
 
@@ -10,12 +13,11 @@ from tools.bench.baselines.hops import SineBaseline
 RANGES_HZ = ((400.0, 1_000.0), (1_000.0, 3_600.0))
 UNDER_HZ = 230.0
 OVERLAP = 4
-WEAKEST = 1e-4
-"""Weaker peaks are rounding or hiss and give nothing."""
+WEAKEST = 1e-4  # weaker peaks are rounding errors or hiss, and give no vibration
 
 
 class Method(SineBaseline):
-    """Each peak's frequency is halved until it is under 230 Hz; its amplitude stays."""
+    """Halves the frequency of each peak until it is below 230 Hz, and keeps the amplitude."""
 
     def __init__(self, samplerate: int, channels: int) -> None:
         super().__init__(samplerate, channels, voices=len(RANGES_HZ), overlap=OVERLAP)
@@ -25,7 +27,7 @@ class Method(SineBaseline):
         ]
 
     def lead(self, amplitude: FloatArray, newest: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return both folded peaks; a range without a peak sounds at amplitude 0."""
+        """Return frequency and amplitude of both sines; a range without a peak has amplitude 0."""
         hz, level = np.full((2, len(amplitude), len(self._ranges)), UNDER_HZ)
         level[:] = 0.0
         rows = np.arange(len(amplitude))

@@ -1,4 +1,4 @@
-"""What baselines share: sound made safe and mono, and filters that go on."""
+"""Base class of the baselines, and filters that process a signal block by block."""
 
 from __future__ import annotations
 
@@ -10,18 +10,16 @@ from audioflinger_hook.transform.downmix import MonoMix
 from audioflinger_hook.transform.input_stage import channel_rows, fit_block, replace_unusable
 from device.layouts import downmix
 
-NYQUIST_MARGIN = 0.49
-"""A low-pass at or above this share of the samplerate is left out."""
+NYQUIST_MARGIN = 0.49  # a low-pass at or above this share of the sample rate is left out
 
 
 class Baseline:
-    """One stream of sound turned into one channel of vibration; full scale +-1 on both sides.
+    """Converts sound block by block to one channel of vibration; both have full scale ±1.
 
-    Subclasses give `vibration`. Unusable samples count as 0, as in the transform.
+    Subclasses implement `vibration`. Non-finite and extremely large samples count as 0.
     """
 
-    latency_frames = 0
-    """Delay of what `process` returns, and length of what `finish` returns."""
+    latency_frames = 0  # latency of `process`, and length of the output of `finish`
 
     def __init__(self, samplerate: int, channels: int) -> None:
         self.samplerate = samplerate
@@ -29,28 +27,28 @@ class Baseline:
         self._mix = MonoMix(downmix(channels), samplerate)
 
     def process(self, frames: Frames) -> FloatArray:
-        """Return (frames, 1) of vibration for (frames, channels) of sound."""
+        """Return the vibration, (frames, 1), of a block of sound, (frames, channels)."""
         usable, _ = replace_unusable(fit_block(frames, self._channels))
         return self.vibration(self._mix.process(channel_rows(usable)))[:, None]
 
     def finish(self) -> FloatArray:
-        """Return the vibration that is still delayed, (frames, 1)."""
+        """Return the last `latency_frames` frames of the vibration, (latency_frames, 1)."""
         return self.vibration(np.zeros(self.latency_frames))[:, None]
 
     def vibration(self, sound: FloatArray) -> FloatArray:
-        """Return as many frames of vibration as of mono sound."""
+        """Return the vibration, (frames,), of a block of mono sound, (frames,)."""
         raise NotImplementedError
 
 
 class Filter:
-    """Second-order sections with their state, continued from block to block."""
+    """A filter of second-order sections that keeps its state from block to block."""
 
     def __init__(self, sos: FloatArray) -> None:
         self._sos = sos
         self._state = np.zeros((len(sos), 2))
 
     def __call__(self, signal: FloatArray) -> FloatArray:
-        """Return the filtered block."""
+        """Return the next block of the signal, filtered."""
         if not signal.size:
             return signal
         filtered, self._state = sosfilt(self._sos, signal, zi=self._state)
@@ -63,7 +61,10 @@ def high_pass(corner_hz: float, samplerate: int) -> Filter:
 
 
 def low_pass(corner_hz: float, samplerate: int) -> Filter:
-    """Return a second-order Butterworth low-pass, or none near half the samplerate."""
+    """Return a second-order Butterworth low-pass.
+
+    If `corner_hz` is 0.49 of the sample rate or more, the filter changes nothing.
+    """
     if corner_hz >= NYQUIST_MARGIN * samplerate:
         return Filter(np.array([[1.0, 0.0, 0.0, 1.0, 0.0, 0.0]]))
     return Filter(butter(2, corner_hz, "lowpass", fs=samplerate, output="sos"))

@@ -1,4 +1,1 @@
-"""The pictures of a report: `pictures` lists them, `sheet` has what they share. Needs matplotlib.
-
-Only `pictures` may be imported where matplotlib is not installed.
-"""
+"""The pictures of the report. Only the module `pictures` can be imported without matplotlib."""

@@ -1,4 +1,4 @@
-"""The picture of the baselines: what each costs, and how soon and how alike it is."""
+"""A picture that compares methods by CPU time, onset lag, bursts perceived and similarity."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ from tools.bench.report import BenchReport, number
 from tools.bench.sections.comparison import (
     BURSTS_FELT,
     CORRELATION,
-    COST_FFTS,
+    COST,
     FELT_DB,
+    FFTS,
     LAG_P95,
     LEAK_MEDIAN,
 )
 from tools.bench.workbench import LIVE, REFERENCE
 
 FIELDS = {
-    COST_FFTS: "cost of a second,\nrfft(2048); log scale",
+    COST + FFTS: "cost of a second,\nrfft(2048); log scale",
     LAG_P95: "onset lag, 95 %,\nof bursts perceived, ms",
     BURSTS_FELT: "bursts perceived {played},\n80 to 5000 Hz",
     LEAK_MEDIAN: "energy above 250 Hz,\nmedian recording, dB",
     CORRELATION: "envelope correlation,\nmedian recording",
 }
-MORE = (BURSTS_FELT, CORRELATION)
-"""Of these more is better, of the others less."""
+MORE = (BURSTS_FELT, CORRELATION)  # measures for which larger values are better
 
 
 def baselines(report: BenchReport) -> Figure:
-    """Draw a line for each baseline, the live form first, and a field for each measure."""
+    """Draw a panel for each measured quantity, with a horizontal line for each method."""
     shown = report.section("Baselines").rows
     rows = {(row.name, row.column): row.value for row in shown}
     played = next((row.unit for row in shown if row.name == BURSTS_FELT), "")
@@ -52,7 +52,7 @@ def baselines(report: BenchReport) -> Figure:
         there = {column: value for (row, column), value in rows.items()
                  if row == name and value is not None and column in names}  # fmt: skip
         low, high = min(there.values()), max(there.values())
-        if name == COST_FFTS:
+        if name == COST + FFTS:
             axis.set_xscale("log")
             axis.set_xlim(low / 2.5, high * 12.0)
         else:

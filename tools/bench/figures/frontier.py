@@ -1,4 +1,4 @@
-"""The picture of the frontier: what each setting of the live form costs and what error it has."""
+"""A picture of CPU time and errors of the transform's live form with different settings."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ TICKS_MS = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 10.0)
 
 
 def frontier(report: BenchReport) -> Figure:
-    """Draw four errors over cost: hops joined by a line, other settings as points."""
+    """Draw four errors over CPU time. A line joins the settings that differ only in hop size."""
     values = {(row.name, row.column): row.value for row in report.section(TITLE).rows}
     figure = sheet(
         "What an error costs",

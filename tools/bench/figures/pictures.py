@@ -1,4 +1,4 @@
-"""The list of a report's pictures, their PNG files, and how a page shows them."""
+"""The list of the report's pictures, and functions that write them as PNG files."""
 
 from __future__ import annotations
 
@@ -25,10 +25,14 @@ COLOURS = 48
 
 @dataclass(frozen=True)
 class Picture:
-    """One picture: its file's name, its description, its section, and its function.
+    """One picture of the report.
 
-    draw: module of this package and function. by_series: whether it shows the section's single
-    measurements and not its rows. colours: most of them in the file.
+    name: file name without suffix.
+    says: alternative text.
+    section: title of the section that shows the picture.
+    draw: MODULE.FUNCTION in this folder that draws the picture.
+    by_series: whether the picture shows the section's single measurements instead of its rows.
+    colours: upper limit of the number of colours in the file.
     """
 
     name: str
@@ -40,18 +44,18 @@ class Picture:
 
     @property
     def file_name(self) -> str:
-        """The name of its file."""
+        """The name of the PNG file."""
         return f"{self.name}.png"
 
     def drawn(self, report: BenchReport) -> Figure:
-        """Return the picture of a report."""
+        """Draw the picture of a report and return the figure."""
         module, _, function = self.draw.partition(".")
         home = importlib.import_module(f"tools.bench.figures.{module}")
         draw: Callable[[BenchReport], Figure] = getattr(home, function)
         return draw(report)
 
     def can_be_drawn(self, report: BenchReport) -> bool:
-        """Return whether what it shows was measured."""
+        """Return whether the report contains the values that the picture shows."""
         shown = [section for section in report.sections if section.title == self.section]
         return any(bool(each.series if self.by_series else each.rows) for each in shown)
 
@@ -64,18 +68,20 @@ PICTURES = (
             "frontier.frontier"),
     Picture("baselines", "Cost, lag and similarity of each baseline", "Baselines",
             "baselines.baselines"),
-    Picture("real_sounds", "Felt over heard, a drum, a swell and a chord, by profile",
-            "On real sounds", "real_sounds.real_sounds", True, 96),
+    Picture("real_sounds", "A film heard and felt; a drum, a swell and a chord, by profile",
+            "On real sounds", "real_sounds.real_sounds", True, 64),
     Picture("models", "Error of the simulated motion over cost", "Work and precision",
             "rig.models", True),
     Picture("damping", "Residual vibration over the true f0", "Residual vibration",
             "rig.damping", True),
 )  # fmt: skip
-"""Every picture, in the order of the report."""
 
 
 def draw_all(report: BenchReport, folder: Path) -> list[Path]:
-    """Write every picture into the folder and return the paths; see `bench.plots`."""
+    """Write a PNG file for each picture whose values the report contains, and return the paths.
+
+    UsageError: matplotlib is not installed.
+    """
     need_matplotlib()
     paths = []
     for picture in PICTURES:
@@ -86,7 +92,10 @@ def draw_all(report: BenchReport, folder: Path) -> list[Path]:
 
 
 def png_of(section: Section) -> bytes:
-    """Return the picture of one section as a PNG; it must have one. UsageError: no matplotlib."""
+    """Draw the picture of a section, and return it as a PNG file.
+
+    UsageError: matplotlib is not installed.
+    """
     need_matplotlib()
     (picture,) = (each for each in PICTURES if each.section == section.title)
     report = BenchReport("", True, 0.0, machine_facts(), (section,))
@@ -94,7 +103,6 @@ def png_of(section: Section) -> bytes:
 
 
 def _small_png(figure: Figure, colours: int) -> bytes:
-    """Return the figure as a PNG of few colours, a third of the usual size."""
     from PIL import Image
 
     drawn, small = io.BytesIO(), io.BytesIO()
@@ -106,7 +114,7 @@ def _small_png(figure: Figure, colours: int) -> bytes:
 
 
 def need_matplotlib() -> None:
-    """Raise UsageError where matplotlib is not installed."""
+    """Raise UsageError if matplotlib is not installed."""
     try:
         import matplotlib.figure  # noqa: F401
     except ImportError:
@@ -117,9 +125,9 @@ def need_matplotlib() -> None:
 
 
 def shown_in(page: Path, drawn: Sequence[Path]) -> dict[str, str]:
-    """Return the Markdown of each drawn picture, by its section's title.
+    """Return, by section title, the Markdown that shows each picture of `drawn`.
 
-    A picture outside the page's folder is left out: it would not move with the page.
+    Pictures outside the folder of the page are left out.
     """
     home = page.parent.resolve()
     files = {path.name: path.resolve() for path in drawn if path.resolve().is_relative_to(home)}

@@ -1,4 +1,4 @@
-"""Pictures of the simulated rig: error over cost of its models, and residual vibration."""
+"""Pictures of the simulated rig: errors of its models over CPU time, and residual vibration."""
 
 from __future__ import annotations
 
@@ -12,13 +12,12 @@ from tools.bench.sections.damping import CHOSEN, CURVE, DETUNED_DB, EXACT_DB, TI
 
 CURVE_MARKERS, POINT_MARKERS = "osD^v<", "*PXp"
 TONES = (palette.INK, palette.HEARD, palette.GREY, palette.HEARD_LIGHT)
-LIMITED_PERCENT = 10.0
-"""Detuning up to which a limit is asked."""
+LIMITED_PERCENT = 10.0  # largest detuning in percent for which a limit applies
 APART_DB = 1.15
 
 
 def models(report: BenchReport) -> Figure:
-    """Draw the error of the rig's models and of SciPy's integrators over their cost."""
+    """Draw the errors of the rig's models and of SciPy's integrators over their CPU time."""
     figure = sheet(
         "What an error of the simulated motion costs",
         "Non-linear equations, driven to nine tenths of Xmax: largest error of the displacement "
@@ -52,7 +51,7 @@ def models(report: BenchReport) -> Figure:
 
 
 def damping(report: BenchReport) -> Figure:
-    """Draw residual energy over the true f0, a named curve for each drive, with the limits."""
+    """Draw residual vibration over the deviation of the resonance frequency, by kind of drive."""
     reference, *others = (series := report.section(TITLE).series)
     figure = sheet(
         "What is left when a burst ends",

@@ -1,4 +1,4 @@
-"""What all pictures share: sheet, frame, legend, limits and names. No pyplot, no global setting."""
+"""Functions that draw the common parts of all pictures."""
 
 from __future__ import annotations
 
@@ -15,14 +15,13 @@ WIDTH_IN = 10.0
 TEXT_PT, TITLE_PT, SMALL_PT = 10.0, 14.0, 9.0
 LINE_IN = 0.25
 DASHES: Any = (0, (4, 3))
-LETTER_PT, LINE_PT = 4.4, 10.0
-"""Width of a letter and height of a line of small names in a field."""
+LETTER_PT, LINE_PT = 4.4, 10.0  # width of a letter and height of a line of small labels, in points
 
 Point = tuple[float, float]
 
 
 def sheet(title: str, explanation: str, height_in: float) -> Figure:
-    """Return an empty figure 10 inches wide with its headline."""
+    """Return an empty figure, 10 inches wide, with a title and an explanation."""
     figure = Figure(figsize=(WIDTH_IN, height_in), facecolor=palette.WHITE)
     top = 1.0 - LINE_IN / height_in
     below = top - LINE_IN / height_in
@@ -32,7 +31,7 @@ def sheet(title: str, explanation: str, height_in: float) -> Figure:
 
 
 def frame(axis: Axes, title: str = "", *, grid: bool = False, unit: str = "") -> None:
-    """Leave of the frame only what carries the scale; write the title and the unit of x."""
+    """Style an axis: show only the bottom spine, the title and the unit of x."""
     for side in ("top", "right", "left"):
         axis.spines[side].set_visible(False)
     axis.spines["bottom"].set_color(palette.HAIRLINE)
@@ -47,7 +46,11 @@ def frame(axis: Axes, title: str = "", *, grid: bool = False, unit: str = "") ->
 
 
 def legend(figure: Figure, left: float, entries: Sequence[tuple[str, str, str]]) -> None:
-    """Write mark, colour and name of each entry in one line under the headline."""
+    """Write the legend in a line below the explanation.
+
+    left: start of the line relative to the figure's width.
+    entries: mark, colour and name of each entry.
+    """
     height = 1.0 - 3.0 * LINE_IN / figure.get_figheight()
     for mark, colour, name in entries:
         figure.text(left, height, mark, color=colour, fontsize=TEXT_PT + 2, va="center")
@@ -57,24 +60,24 @@ def legend(figure: Figure, left: float, entries: Sequence[tuple[str, str, str]])
 
 
 def limit(axis: Axes, x: float) -> None:
-    """Draw a limit as a dashed vertical line."""
+    """Draw a dashed vertical line that marks a limit."""
     axis.axvline(x, color=palette.INK, lw=0.9, ls=DASHES, zorder=1)
 
 
 def ticks_at(axis: Axes, places: Sequence[float], low: float, high: float) -> None:
-    """Label a logarithmic x-axis at those of the places that lie within it."""
+    """Label a logarithmic x-axis at the `places` between `low` and `high`."""
     inside = [place for place in places if low <= place <= high]
     axis.set_xticks(inside, [f"{place:g}" for place in inside])
 
 
 def note(axis: Axes, text: str, at: Point, **options: Any) -> None:
-    """Write a small grey text at a place that is given as a share of the field."""
+    """Write a small grey text at a position relative to the axes."""
     axis.text(*at, text, fontsize=SMALL_PT, color=palette.GREY, transform=axis.transAxes,
               va="bottom", **options)  # fmt: skip
 
 
 def number_beside(axis: Axes, text: str, at: Point, *, left: bool = False) -> None:
-    """Write a number to the right of a point, or to its left."""
+    """Write a number to the right or left of a point."""
     axis.annotate(
         text, at, xytext=(-6 if left else 6, 0), textcoords="offset points", zorder=4,
         ha="right" if left else "left", va="center_baseline", fontsize=SMALL_PT - 0.5,
@@ -83,7 +86,12 @@ def number_beside(axis: Axes, text: str, at: Point, *, left: bool = False) -> No
 
 
 def name_ends(axis: Axes, ends: Sequence[tuple[float, str, str]], x: float, apart: float) -> None:
-    """Write (height, name, colour) of curves beside their ends at x, at least `apart` apart."""
+    """Label the right ends of curves.
+
+    ends: final y value, name and colour of each curve.
+    x: x value at which the curves end.
+    apart: smallest allowed vertical distance between labels, in units of y.
+    """
     height = -np.inf
     width = float(np.diff(axis.get_xlim())[0])
     for level, name, colour in sorted(ends):
@@ -97,7 +105,7 @@ def name_ends(axis: Axes, ends: Sequence[tuple[float, str, str]], x: float, apar
 
 
 def name_points(axis: Axes, names: Sequence[tuple[str, Point]]) -> None:
-    """Write names right of their points, moved up where they would cover one another."""
+    """Write names to the right of points; names that would overlap are moved up."""
     to_points = 72.0 / axis.figure.dpi
     taken: list[tuple[float, float, float]] = []
     for name, point in sorted(names, key=lambda each: each[1][1]):

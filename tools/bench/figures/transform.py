@@ -1,4 +1,4 @@
-"""Pictures of the transform: its cost, its onset lag, the errors of its frequencies."""
+"""Pictures of the transform: CPU time and onset lag."""
 
 from __future__ import annotations
 
@@ -22,13 +22,12 @@ from tools.bench.sections.speed import BLOCKSIZES, SECOND_MS
 from tools.bench.workbench import LIVE, REFERENCE
 
 TICKS_MS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
-BESIDE_LIMIT = 3.5
-"""A number beside a point may reach this many times its cost on the axis."""
+BESIDE_LIMIT = 3.5  # extent of a number beside a point, relative to the point's cost
 COLOURS = {LIVE: palette.FELT, REFERENCE: palette.HEARD}
 
 
 def cost(report: BenchReport) -> Figure:
-    """Draw the cost of each scene as points: small blocks left, large blocks right."""
+    """Draw the CPU time for each scene as points, in one panel for each block size."""
     rows = [row for row in report.section("Cost of a second of sound").rows if row.unit == "ms"]
     scenes = list(dict.fromkeys(row.name.rsplit(", blocks of ", 1)[0] for row in rows))
     costs = [each for row in rows for each in (row.low, row.value, row.high) if each]
@@ -69,7 +68,7 @@ def cost(report: BenchReport) -> Figure:
 
 
 def lag(report: BenchReport) -> Figure:
-    """Draw the share of bursts that are felt by a time, for both forms, with the limit."""
+    """Draw the share of bursts whose vibration has reached half its level, by time since onset."""
     series = report.section("Onset lag").series
     figure = sheet(
         "How soon the vibration follows a sound",

@@ -1,1 +1,1 @@
-"""Measures of vibration and of rigs."""
+"""Functions that compute properties of sounds, vibrations and simulated rigs."""

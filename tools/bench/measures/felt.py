@@ -1,7 +1,6 @@
-"""How strongly a seated body feels a vibration: by its frequency, and as a level over time.
+"""Strength of a vibration as a seated person perceives it.
 
-A vibration is (frames,) at full scale +-1 and counts as acceleration. No level here depends on the
-delay of the vibration.
+A vibration is an acceleration, (frames,), with full scale ±1.
 """
 
 from __future__ import annotations
@@ -10,33 +9,28 @@ import numpy as np
 from scipy.signal import lfilter, sosfilt
 
 from audioflinger_hook.transform import FloatArray
-from device.drive.exposure.dose import PARTS, wk_sections
+from device.drive.exposure import PARTS, wk_sections
 
-BAND_LIMIT_HZ = 100.0
-"""The upper band limit in Wk: of what is measured, not of what is felt."""
-
-RUNNING_S = 0.125
-"""Time constant of the running r.m.s., as of ISO 2631-1, equation (3); that of "fast" in sound."""
-
+BAND_LIMIT_HZ = 100.0  # upper band limit of Wk, which limits the measurement, not the sensation
+RUNNING_S = 0.125  # time constant of the running r.m.s., ISO 2631-1, equation (3)
 STEPS_A_SECOND = 1_000
-
-EXCEEDED = 0.05
-"""Share of the time in which a level is exceeded, as of N5 in loudness."""
-TAIL_S = 0.25
-"""What follows a sound counts for that long."""
-
+EXCEEDED = 0.05  # share of time in which a level is exceeded, like N5 for loudness
+TAIL_S = 0.25  # time in s after a sound that still belongs to the sound
 NOTHING_DB = -70.0
-"""Weaker vibration counts as this strong: an unweighted 80 Hz tone of 54 dB under full scale."""
+"""Lowest level in dB relative to a full-scale sine, and level of all weaker vibration. An
+unweighted 80 Hz tone has this level at 54 dB below full scale.
+"""
 
 _FELT_PARTS = [part[2] != BAND_LIMIT_HZ for part in PARTS]
 
 
 def seat_weight(vibration_hz: FloatArray) -> FloatArray:
-    """Return how strongly a seat's vertical acceleration is felt at each frequency in Hz.
+    """Return the relative perceived strength of vertical seat acceleration, by frequency in Hz.
 
-    Wk of ISO 2631-1:1997, annex A, without its upper band limit of 100 Hz. Above 12.5 Hz
-    sensitivity falls by 6 dB an octave, at constant velocity, as the contours of equal comfort do
-    (Griffin, Whitham and Parsons, Ergonomics 25, 1982).
+    This is the weighting Wk of ISO 2631-1:1997, annex A, without its upper band limit of 100 Hz.
+    Above 12.5 Hz, the weighting falls by 6 dB an octave, so perceived strength is proportional to
+    velocity. Measured contours of equal comfort agree with this (Griffin, Whitham and Parsons,
+    Ergonomics 25, 1982).
     """
     s = 2j * np.pi * np.asarray(vibration_hz, dtype=np.float64)
     response = np.ones_like(s)
@@ -47,15 +41,17 @@ def seat_weight(vibration_hz: FloatArray) -> FloatArray:
 
 
 def weighted(vibration: FloatArray, samplerate: int) -> FloatArray:
-    """Return the vibration filtered by `seat_weight`, (frames,)."""
+    """Return the vibration filtered with the weighting of `seat_weight`, (frames,)."""
     felt: FloatArray = sosfilt(wk_sections(samplerate)[_FELT_PARTS], vibration)
     return felt
 
 
 def running_db(vibration: FloatArray, samplerate: int) -> FloatArray:
-    """Return the running level in dB at the end of every ms, a steady full-scale sine at 0.
+    """Return the running r.m.s. level for each ms, in dB relative to a full-scale sine.
 
-    samplerate: Hz, a multiple of 1000.
+    The averaging time constant is 125 ms.
+
+    samplerate: in Hz, a multiple of 1000.
     """
     step = samplerate // STEPS_A_SECOND
     whole = vibration[: vibration.size // step * step].reshape(-1, step)
@@ -66,5 +62,8 @@ def running_db(vibration: FloatArray, samplerate: int) -> FloatArray:
 
 
 def felt_db(running: FloatArray) -> float:
-    """Return the level that `running_db` exceeds in a twentieth of the time, at least -70 dB."""
+    """Return the level in dB that `running` exceeds 5 % of the time, at least -70.
+
+    running: levels in dB, one for each ms.
+    """
     return max(NOTHING_DB, float(np.percentile(running, 100.0 * (1.0 - EXCEEDED))))

@@ -1,16 +1,15 @@
-"""The flat inverse: the drive with which a non-linear actuator moves as a linear one would.
+"""The flat inverse: a drive voltage that makes a non-linear actuator move like a linear one.
 
-The excursion is a flat output of the actuator (Fliess et al., "Flatness and defect of non-linear
-systems", 1995). A wanted x and its first three derivatives give force, current and voltage by the
-equations of motion, without integration or look-ahead,
+The excursion x is a flat output of the actuator (Fliess et al., "Flatness and defect of non-linear
+systems", 1995). This means that x and its first three derivatives determine force F, current i and
+voltage v, without integration:
 
     F = m x'' + c x' + V'(x),    dW'/dx (x, i) = F,    v = R i + d/dt dW'/di (x, i)
 
-and W' (rig/co_energy.py) is quadratic in i, so that the current has a closed form. The wanted
-motion is that of the linear model, whose state gives the derivatives exactly.
+Here m is the moving mass, c the damping, R the resistance, V'(x) the force of the spring, and W'
+the magnetic co-energy (device/rig/co_energy.py). W' is quadratic in i, so the current has a closed
+form. The wanted motion is the motion of the linear model, whose state gives exact derivatives of x.
 """
-
-from dataclasses import replace
 
 import numpy as np
 
@@ -21,17 +20,16 @@ from device.rig.co_energy import energies
 from device.units import FloatArray, finite_or_zero
 
 _ABSURD_V = 1e6
-
-_WEAKEST = 0.25
-"""Least value of the root in the current, as a share of Bl; beyond it no current gives it."""
+_WEAKEST = 0.25  # smallest root in the equation of the current, relative to Bl
 
 
 class FlatInverse:
-    """Turns the drive of a linear actuator into that of the rig's actuator, without delay.
+    """Converts a drive voltage so that the rig's non-linear actuator moves like a linear one.
 
-    Both drives are the amplifier's open-circuit volts, (frames,). It needs up to three times the
-    volts at Xmax and ignores the amplifier's limits and the stops. `beyond_samples` counts wanted
-    excursions beyond those. Raises UsageError where the rig has no [large_signal].
+    Drive voltages are open-circuit voltages of the amplifier. Voltage limits and end stops are
+    ignored; `beyond_samples` counts samples with an excursion beyond the end stops.
+
+    UsageError: the file of the rig has no table [large_signal].
     """
 
     def __init__(self, rig: Rig, samplerate: float) -> None:
@@ -45,19 +43,18 @@ class FlatInverse:
         self._p = p
         self._ohm = p.resistance_ohm + source
         self._stop_m = rig.large_signal.stop_m
-        # Without the stops, against which no drive helps.
-        self._energies = energies(p, replace(rig.large_signal, stop_n_per_m2=0.0))
+        self._energies = energies(p, rig.large_signal)
         self.reset()
 
     def reset(self) -> None:
-        """Come to rest; the count becomes 0."""
+        """Reset the actuator to rest, and `beyond_samples` to 0."""
         self._linear.reset()
         self.beyond_samples = 0
 
     def process(self, volts: FloatArray) -> FloatArray:
-        """Return the finite volts, (frames,), that move the rig as `volts` would move a linear one.
+        """Return voltages that move the rig as `volts` would move a linear rig, both (frames,).
 
-        Samples that are not finite, or beyond 1e6 V, count as 0.
+        Non-finite samples and samples beyond ±1e6 V count as 0.
         """
         p = self._p
         drive, _ = finite_or_zero(np.asarray(volts, dtype=np.float64), _ABSURD_V)
@@ -68,13 +65,13 @@ class FlatInverse:
         jerk = (bl * slope - friction * a - p.stiffness_n_per_m * v) / p.moving_mass_kg
         self.beyond_samples += int(np.count_nonzero(np.abs(x) > self._stop_m))
 
-        _, spring_n, spring_n_m = self._energies.potential.jet(x)
+        # The end stops are left out, since no drive can compensate them.
+        _, spring_n, spring_n_m = self._energies.spring(x)
         force_n = p.moving_mass_kg * a + friction * v + spring_n
         force_slope = p.moving_mass_kg * jerk + friction * a + spring_n_m * v
-        co_energy = self._energies.co_energy
-        _, force_factor, force_factor_slope = co_energy.magnet.jet(x)
-        inductance, gradient, curvature = co_energy.inductance.jet(x)
-        # Equals F / Bl for a constant inductance; in this form no digits cancel.
+        _, force_factor, force_factor_slope = self._energies.magnet(x)
+        inductance, gradient, curvature = self._energies.inductance(x)
+        # For constant inductance, this root equals F / Bl. This form avoids cancellation of digits.
         least = (_WEAKEST * force_factor) ** 2
         root = np.sqrt(np.maximum(force_factor**2 + 2.0 * gradient * force_n, least))
         current_a = 2.0 * force_n / (force_factor + root)

@@ -1,7 +1,7 @@
-"""How soon an impact is at its strength: envelopes, halves of peaks and peaks. Pure functions.
+"""Delay from the sound of an impact to its vibration.
 
-Signals are (frames,) at full scale +-1. Times are in s; sound and vibration begin together, so that
-the latency of the vibration counts.
+An impact is a sound with a sudden start. Signals are (frames,) with full scale ±1. Delays include
+the latency of the vibration.
 """
 
 from __future__ import annotations
@@ -14,21 +14,15 @@ from scipy.signal import butter, hilbert, sosfiltfilt
 
 from audioflinger_hook.transform import FloatArray
 
-ENVELOPE_HZ = 60.0
-"""Corner of the zero-phase low-pass of envelopes, as in `vibration.onset_lag_s`."""
-
-ONSET_SHARE = 0.1
-"""An impact begins where its envelope first has this share of its greatest value."""
-IMPACT_S = 0.15
-"""Its peak is the greatest value within that time: what strikes again later is another impact."""
-LATER_S = 0.06
-"""The peak of the vibration may be that much later."""
+ENVELOPE_HZ = 60.0  # cut-off of the zero-phase low-pass of envelopes
+ONSET_SHARE = 0.1  # an impact starts when its envelope first reaches this share of its rise
+IMPACT_S = 0.15  # time in s after the onset that contains the impact's peak
+LATER_S = 0.06  # largest delay in s of the vibration's peak
 SUDDEN_S, OVER_AFTER_S, OVER_SHARE, AGAIN_SHARE = 0.05, 0.1, 0.6, 1.3
-"""What makes a sound an impact, see `is_impact`."""
 
 
 def envelope(signal: FloatArray, samplerate: int, corner_hz: float = ENVELOPE_HZ) -> FloatArray:
-    """Return the magnitude of the analytic signal, low-passed without phase, 0 or more."""
+    """Return the envelope: the magnitude of the analytic signal after a zero-phase low-pass."""
     analytic = hilbert(signal, next_fast_len(signal.size))[: signal.size]
     low_pass = butter(2, corner_hz, fs=samplerate, output="sos")
     smooth: FloatArray = np.maximum(sosfiltfilt(low_pass, np.abs(analytic)), 0.0)
@@ -37,17 +31,22 @@ def envelope(signal: FloatArray, samplerate: int, corner_hz: float = ENVELOPE_HZ
 
 @dataclass(frozen=True)
 class Attack:
-    """An impact's vibration behind its sound: half of the peak, and the peak, in s."""
+    """Delays in s from the sound of an impact to its vibration.
+
+    half_lag_s: delay between the times at which the two envelopes reach half of their peaks.
+    peak_lag_s: delay between the peaks of the two envelopes.
+    """
 
     half_lag_s: float
     peak_lag_s: float
 
 
 def attack(sound: FloatArray, vibration: FloatArray, samplerate: int, at_s: float) -> Attack | None:
-    """Return how far the vibration of a sound's first impact is behind it; None if not felt.
+    """Return the delays of the first impact after `at_s`; None for an imperceptible vibration.
 
-    Half of a peak is counted from the mean envelope of 0.1 s before `at_s`, after which the impact
-    begins. It is felt if its vibration rises to twice that mean and over -80 dB of full scale.
+    Half of a peak is halfway between the peak and the mean envelope of the 0.1 s before `at_s`. A
+    vibration is perceptible if the peak of its envelope exceeds twice this mean and -80 dB relative
+    to full scale.
     """
     first = round(at_s * samplerate)
     heard, felt = (envelope(signal, samplerate) for signal in (sound, vibration))
@@ -62,10 +61,13 @@ def attack(sound: FloatArray, vibration: FloatArray, samplerate: int, at_s: floa
 
 
 def is_impact(sound: FloatArray, samplerate: int, *, brief: bool) -> bool:
-    """Return whether a sound begins suddenly, at half of its first peak within 50 ms of its onset.
+    """Return whether the envelope of a sound reaches half of its peak within 50 ms of the onset.
 
-    brief: whether it has to be one stroke, too: from 100 to 150 ms after its onset less than 0.6
-    of the peak on average, and nothing much stronger later.
+    The peak is the maximum until 150 ms after the onset.
+
+    brief: whether two more conditions must be met. The mean of the envelope from 100 to 150 ms
+        after the onset is below 0.6 of the peak. The maximum of the whole envelope is below 1.3
+        times the peak.
     """
     heard = envelope(sound, samplerate)
     onset = onset_frame(heard, samplerate, 0.0)
@@ -79,7 +81,10 @@ def is_impact(sound: FloatArray, samplerate: int, *, brief: bool) -> bool:
 
 
 def onset_frame(level: FloatArray, samplerate: int, at_s: float) -> int:
-    """Return the frame after `at_s` where an envelope first rises by a tenth of what it will."""
+    """Return the first frame after `at_s` at which an envelope reaches a tenth of its rise.
+
+    The rise is the maximum after `at_s` minus the mean of the 0.1 s before `at_s`.
+    """
     first = round(at_s * samplerate)
     base = _base(level, first, samplerate)
     rise = ONSET_SHARE * (float(level[first:].max()) - base)
@@ -92,7 +97,6 @@ def _base(level: FloatArray, first: int, samplerate: int) -> float:
 
 
 def _half_and_peak(level: FloatArray, first: int, samplerate: int) -> tuple[int, int, bool]:
-    """Return the frames of half of the peak and of the peak after `first`, and if it stands out."""
     base = _base(level, first, samplerate)
     peak = first + int(level[first:].argmax())
     half = base + 0.5 * (float(level[peak]) - base)

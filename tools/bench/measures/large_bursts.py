@@ -1,19 +1,20 @@
-"""What a burst leaves behind at any level: the definitions of residual.py on the non-linear model.
+"""Response of the non-linear model of a rig to a short sine burst.
 
-The level is the intended excursion: the largest one that the believed linear rig would reach
-within the burst. The rig may reach another one, since it stiffens and its f0 may differ; both are
-reported. Dampings are compared at the same intended excursion.
+The assumed rig is the one whose parameters are known; the true rig may have another resonance. The
+strength of a burst is the intended excursion: the peak excursion of the assumed rig's linear model.
+The non-linear model may reach another peak excursion. Methods of damping are compared at the same
+intended excursion.
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from device.drive.damping.design import Damping, no_damping
-from device.drive.damping.residual import (
+from device.drive.damping import (
     BURST_S,
     SAMPLERATE,
     BurstResponse,
+    Damping,
     decay_s,
     measured,
     sine_burst,
@@ -21,18 +22,21 @@ from device.drive.damping.residual import (
 from device.rig import Rig
 from device.rig.actuator import LinearActuator
 from device.rig.adaptive_actuator import AdaptiveActuator
-from device.rig.model_levels import ModelLevel
 from device.rig.parameters import DriveMode, detune
 from tools.bench.measures.flat_inverse import FlatInverse
 
 CURRENT_DRIVE_OHM = 1e4
-"""Lower than in residual.py: a shorter L / R would cost twenty times as much. The actuator's
-3.3 ohm count for 3e-4."""
+"""Source resistance in ohm. A larger resistance would shorten L / R and need more steps. The
+actuator's 3.3 ohm cause an error of 3e-4.
+"""
 
 
 @dataclass(frozen=True)
 class LargeBurst:
-    """One burst on the non-linear model: its response, and the largest excursion in m."""
+    """Response of the non-linear model to one burst.
+
+    excursion_m: peak excursion that the model reached, in m.
+    """
 
     response: BurstResponse
     excursion_m: float
@@ -41,11 +45,13 @@ class LargeBurst:
 def large_burst_response(
     rig: Rig, damping: Damping, excursion_m: float, *, flat: bool = False, detuning: float = 0.0
 ) -> LargeBurst:
-    """Return a 50 ms burst at the believed f0 on the non-linear model; takes about 10 ms.
+    """Return the response to a 50 ms sine burst at the resonance frequency of the assumed rig.
 
-    rig: as believed; its amplifier gets the damping's source impedance and has no band or limits.
-    excursion_m: intended, above 0. flat: apply `FlatInverse` of the believed rig after the damping.
-    detuning: share by which the true f0 differs.
+    rig: the assumed rig; its amplifier gets the source impedance of `damping`, and no voltage
+        limit.
+    excursion_m: intended excursion in m, above 0.
+    flat: whether to apply the `FlatInverse` of the assumed rig after the damping.
+    detuning: relative deviation of the true from the assumed resonance frequency.
     """
     source = damping.source_impedance_ohm
     mode: DriveMode = "current" if source > rig.actuator.resistance_ohm else "voltage"
@@ -59,7 +65,7 @@ def large_burst_response(
     drive *= excursion_m / float(np.abs(linear.displacement_m).max())
     if flat:
         drive = FlatInverse(believed, SAMPLERATE).process(drive)
-    motion = AdaptiveActuator(true, SAMPLERATE, level=ModelLevel.NONLINEAR).move(
+    motion = AdaptiveActuator(true, SAMPLERATE, model="nonlinear").move(
         drive, ("displacement_m", "acceleration_m_s2", "current_a")
     )
     volts = drive - source * motion.current_a
@@ -70,5 +76,5 @@ def large_burst_response(
 
 
 def undamped_large(rig: Rig, excursion_m: float, *, detuning: float = 0.0) -> LargeBurst:
-    """Return the reference: current drive of the same rig at the same intended excursion."""
-    return large_burst_response(rig, no_damping(CURRENT_DRIVE_OHM), excursion_m, detuning=detuning)
+    """Return the response with current drive, which does not damp the rig."""
+    return large_burst_response(rig, Damping(CURRENT_DRIVE_OHM), excursion_m, detuning=detuning)

@@ -1,7 +1,7 @@
-"""Loudness by ISO 532-1:2017 (Zwicker, time-varying sounds), kept in a cache.
+"""Loudness by ISO 532-1:2017 (Zwicker's method for time-varying sounds), with a cache.
 
-The steps are those of MoSQITo (https://github.com/Eomys/MoSQITo), but for the nonlinear decay: its
-24 steps in each 0.5 ms cost 5 s for a second of sound, one step gives the same within 2 %.
+The computation follows MoSQITo (https://github.com/Eomys/MoSQITo) and calls its functions. Only the
+nonlinear decay is simpler: it takes one step for each 0.5 ms instead of 24.
 """
 
 from __future__ import annotations
@@ -20,23 +20,19 @@ from tools.bench.measures.felt import EXCEEDED
 from tools.bench.sounds.signals import SAMPLERATE
 from tools.records import PROJECT_ROOT
 
-FULL_SCALE_PA = 2e-5 * 10.0 ** (94.0 / 20.0) * math.sqrt(2.0)
-"""Full scale as sound pressure: a full-scale sine has 94 dB SPL."""
-
+FULL_SCALE_PA = 2e-5 * 10.0 ** (94.0 / 20.0) * math.sqrt(2.0)  # 94 dB SPL for a full-scale sine
 STEP_S = 0.0005
-SLOPE_STEPS = 4
-"""Steps of `STEP_S` from one specific loudness to the next."""
-SHORT_S, LONG_S, VARIABLE_S = 0.005, 0.015, 0.075
-"""Time constants of the nonlinear decay (ISO 532-1, 6.4)."""
-WEIGHTS = ((0.47, 0.0035), (0.53, 0.070))
-"""Shares and time constants in s of the temporal weighting (ISO 532-1, 6.5)."""
-
+SLOPE_STEPS = 4  # steps of `STEP_S` between two values of specific loudness
+SHORT_S, LONG_S, VARIABLE_S = 0.005, 0.015, 0.075  # s; time constants of nonlinear decay
+WEIGHTS = ((0.47, 0.0035), (0.53, 0.070))  # weights and time constants in s (ISO 532-1, 6.5)
 CACHE = PROJECT_ROOT / ".cache/loudness.json"
 METHOD = "ISO 532-1, 94 dB"
 
 
 def loudness_sone(sound: FloatArray) -> FloatArray:
-    """Return the loudness in sone every 0.5 ms of (frames,) at 48 kHz and full scale +-1.
+    """Return the loudness in sone for each 0.5 ms of a sound.
+
+    sound: (frames,) at 48 kHz; a full-scale sine has 94 dB SPL.
 
     ModuleNotFoundError: MoSQITo is not installed.
     """
@@ -59,10 +55,11 @@ def loudness_sone(sound: FloatArray) -> FloatArray:
 
 
 def decayed(core: FloatArray) -> FloatArray:
-    """Return core loudness (bands, steps) with the decay of hearing after each sound.
+    """Return core loudness, (bands, steps), with the gradual decay of loudness after each sound.
 
-    Two capacitors in each band: the output falls in 5 ms while the second one is charged less than
-    the first, then in 15 ms (ISO 532-1, 6.4 and the program in its annex A).
+    Each band is modelled by a circuit with two capacitors (ISO 532-1, 6.4 and the program in annex
+    A). The output decays fast until the voltages of both capacitors are equal, and then with a time
+    constant of 15 ms.
     """
     sum_, product = (VARIABLE_S + LONG_S) / (VARIABLE_S * SHORT_S), 1.0 / (SHORT_S * VARIABLE_S)
     root = math.sqrt(sum_**2 / 4.0 - product)
@@ -87,16 +84,16 @@ def decayed(core: FloatArray) -> FloatArray:
 
 
 def phon(sone: FloatArray) -> FloatArray:
-    """Return the loudness level in phon (ISO 532-1, equations (31) and (32)), 3 or more."""
+    """Convert loudness in sone to phon, at least 3 (ISO 532-1, equations (31) and (32))."""
     sone = np.maximum(sone, 1e-9)
     level = np.where(sone >= 1.0, 40.0 + 10.0 * np.log2(sone), 40.0 * (sone + 0.0005) ** 0.35)
     return np.maximum(level, 3.0)
 
 
 def n5_phon(sound: FloatArray, tail_s: float) -> float:
-    """Return the loudness level that is exceeded in a twentieth of a sound and its tail of silence.
+    """Return the loudness level in phon that is exceeded 5 % of the time.
 
-    It is read from the cache where it was computed before.
+    tail_s: duration in s of the silence that is appended to the sound.
     """
 
     def compute() -> list[float]:
@@ -108,7 +105,11 @@ def n5_phon(sound: FloatArray, tail_s: float) -> float:
 
 
 def slow_phon(sound: FloatArray, every_s: float) -> FloatArray:
-    """Return the loudness level of each whole piece of a sound, of its mean loudness; cached."""
+    """Return the loudness level in phon that corresponds to the mean loudness of each complete
+    piece.
+
+    every_s: duration of a piece in s.
+    """
 
     def compute() -> list[float]:
         steps = round(every_s / STEP_S)
@@ -120,11 +121,27 @@ def slow_phon(sound: FloatArray, every_s: float) -> FloatArray:
     return np.array(_cached(f"every {every_s:g} s", sound, compute))
 
 
+def momentary_sone(sound: FloatArray, every_s: float) -> FloatArray:
+    """Return the mean loudness in sone of each complete piece of a sound.
+
+    every_s: duration of a piece in s.
+    """
+
+    def compute() -> list[float]:
+        steps = round(every_s / STEP_S)
+        sone = loudness_sone(sound)
+        means: list[float] = (
+            sone[: sone.size // steps * steps].reshape(-1, steps).mean(axis=1).tolist()
+        )
+        return means
+
+    return np.array(_cached(f"sone, {every_s:g} s", sound, compute))
+
+
 _memory: dict[str, list[float]] = {}
 
 
 def _cached(what: str, sound: FloatArray, compute: Callable[[], list[float]]) -> list[float]:
-    """Return what the cache has of a sound, computed and kept where it has nothing."""
     if not _memory and CACHE.exists():
         _memory.update(json.loads(CACHE.read_text("utf-8")))
     digest = hashlib.sha256(sound.astype(np.float32).tobytes()).hexdigest()[:32]

@@ -1,8 +1,4 @@
-"""Similarity of a vibration to its sound, and what is felt of it: pure functions.
-
-Signals are mono, (frames,) float64. The delay of a baseline is not always known, so the similarity
-is the greatest one at a delay of 0 to 0.1 s.
-"""
+"""Similarity of a vibration to its sound, and of two vibrations. Signals are mono, (frames,)."""
 
 from __future__ import annotations
 
@@ -16,13 +12,15 @@ ENVELOPE_FRAME_S = 0.01
 
 FELT_HZ = (15.0, 250.0)
 FELT_BANDS = 24
-
-NOTHING_DB = -60.0
-"""A weaker vibration counts as none."""
+NOTHING_DB = -60.0  # dB relative to a full-scale sine; a weaker vibration counts as silence
 
 
 def envelope_correlation(sound: FloatArray, vibration: FloatArray, samplerate: int) -> float:
-    """Return Pearson's r of both levels, the r.m.s. of 10 ms pieces."""
+    """Return the Pearson correlation of the levels of sound and vibration; NaN for a steady sound.
+
+    A level is the r.m.s. of 10 ms. The latency of a method may be unknown, so the result is the
+    largest correlation for delays of the vibration from 0 to 0.1 s.
+    """
     heard, felt = (_pieces_rms(signal, samplerate) for signal in (sound, vibration))
     if heard.size < 3 or not heard.std() > 0.0:
         return float("nan")
@@ -38,7 +36,7 @@ def envelope_correlation(sound: FloatArray, vibration: FloatArray, samplerate: i
 
 
 def felt_spectrum(vibration: FloatArray, samplerate: int) -> tuple[FloatArray, FloatArray]:
-    """Return frequencies from 15 to 250 Hz and the mean square at each, (bins,) both."""
+    """Return the frequencies from 15 to 250 Hz, and the mean square of the vibration at each."""
     window = hann(vibration.size, sym=False)
     window /= float(np.sqrt(np.mean(window**2)))
     spectrum = np.fft.rfft(vibration * window) / vibration.size
@@ -49,9 +47,11 @@ def felt_spectrum(vibration: FloatArray, samplerate: int) -> tuple[FloatArray, F
 
 
 def spectral_distance(one: FloatArray, other: FloatArray, samplerate: int) -> float | None:
-    """Return the share of energy in other bands of 10 Hz from 15 to 250 Hz, 0 to 1.
+    """Return the difference between the spectra of two vibrations, from 0 (equal) to 1.
 
-    Half the sum of absolute differences of the spectra, each of sum 1. None without a vibration.
+    The energy of each vibration is summed in 24 bands of equal width from 15 to 250 Hz, and
+    normalised to a sum of 1. The result is half of the summed absolute differences. It is None if a
+    vibration is weaker than -60 dB relative to a full-scale sine.
     """
     shares = []
     for vibration in (one, other):
@@ -63,7 +63,7 @@ def spectral_distance(one: FloatArray, other: FloatArray, samplerate: int) -> fl
 
 
 def level_db(mean_square: float) -> float:
-    """Return the level of a mean square in dB, a full-scale sine at 0; -inf below -200 dB."""
+    """Convert a mean square to dB relative to a full-scale sine; -inf for 1e-20 or less."""
     return 10.0 * float(np.log10(2.0 * mean_square)) if mean_square > 1e-20 else -float("inf")
 
 

@@ -1,4 +1,4 @@
-"""How much a vibration wavers where its sound does not. Pure functions of (frames,) signals."""
+"""Fluctuations in the strength of a vibration and of its sound. Signals are (frames,)."""
 
 from __future__ import annotations
 
@@ -8,21 +8,16 @@ from scipy.signal import butter, sosfiltfilt
 from audioflinger_hook.transform import FloatArray
 from tools.bench.measures.impacts import envelope
 
-WARBLE_HZ = (4.0, 16.0)
-"""Where changes of level are felt best."""
+WARBLE_HZ = (4.0, 16.0)  # modulation frequencies in Hz that are perceived best
+SYLLABLES_HZ, LATEST_S = (2.0, 16.0), 0.08
 ENVELOPE_RATE_HZ = 1_000
 RISE_DB, RISE_CORNER_HZ = 6.0, 30.0
-FAINTEST_DB = -40.0
-"""Rises from less than that under the loudest moment begin there."""
-TOGETHER_S = 0.1
-"""A rise of the vibration belongs to one of the sound that is at most that far away."""
+FAINTEST_DB = -40.0  # lowest level in dB relative to the maximum; lower levels are set to it
+TOGETHER_S = 0.1  # largest distance in s between matching rises of vibration and sound
 
 
 def warble(vibration: FloatArray, samplerate: int) -> float:
-    """Return the depth of modulation at 4 to 16 Hz: a tone with such an envelope gives its depth.
-
-    It is the amplitude of the band-passed envelope over its mean; silence gives 0.
-    """
+    """Return the depth of the modulation of a vibration's envelope at 4 to 16 Hz, 1 for 100 %."""
     level = _slow(vibration, samplerate, 60.0)
     mean = float(level.mean())
     if not mean > 0.0:
@@ -32,10 +27,28 @@ def warble(vibration: FloatArray, samplerate: int) -> float:
     return float(np.sqrt(2.0) * swings.std() / mean)
 
 
-def rises_s(signal: FloatArray, samplerate: int) -> FloatArray:
-    """Return the time of each rise by 6 dB or more in s, when it is half done in dB.
+def syllables_alike(sound: FloatArray, vibration: FloatArray, samplerate: int) -> float:
+    """Return the Pearson correlation of the envelopes of sound and vibration.
 
-    A rise goes from a lowest to a highest level between which nothing falls by 6 dB.
+    The envelopes are band-passed at 2 to 16 Hz, which includes the rate of syllables. The result is
+    the largest correlation for delays of the vibration from 0 to 80 ms.
+    """
+    band = butter(2, SYLLABLES_HZ, "bandpass", fs=ENVELOPE_RATE_HZ, output="sos")
+    heard, felt = (
+        sosfiltfilt(band, _slow(signal, samplerate, RISE_CORNER_HZ))
+        for signal in (sound, vibration)
+    )
+    if not heard.std() > 0.0 or not felt.std() > 0.0:
+        return 0.0
+    delays = range(0, round(LATEST_S * ENVELOPE_RATE_HZ) + 1, 5)
+    return max(float(np.corrcoef(heard[: heard.size - late], felt[late:])[0, 1]) for late in delays)
+
+
+def rises_s(signal: FloatArray, samplerate: int) -> FloatArray:
+    """Return the time in s of each rise of the envelope by 6 dB or more.
+
+    A rise goes from a minimum to a maximum, without a fall of 6 dB between them. Its time is the
+    time at which half of the rise in dB is reached.
     """
     level = _slow(signal, samplerate, RISE_CORNER_HZ)
     top = float(level.max())
@@ -61,7 +74,10 @@ def rises_s(signal: FloatArray, samplerate: int) -> FloatArray:
 
 
 def rises_of_its_own(sound: FloatArray, vibration: FloatArray, samplerate: int) -> float:
-    """Return the vibration's rises a second while its sound has none within 0.1 s."""
+    """Count the rises of the vibration that are more than 0.1 s away from any rise of the sound.
+
+    The result is their number for each second of sound.
+    """
     theirs, own = rises_s(sound, samplerate), rises_s(vibration, samplerate)
     if not own.size:
         return 0.0
@@ -75,6 +91,5 @@ def _half_way(level_db: FloatArray, low: int, high: int) -> float:
 
 
 def _slow(signal: FloatArray, samplerate: int, corner_hz: float) -> FloatArray:
-    """Return the envelope at 1 kHz, of which the sample rate is a multiple."""
     every = samplerate // ENVELOPE_RATE_HZ
     return np.asarray(envelope(signal, samplerate, corner_hz)[::every])

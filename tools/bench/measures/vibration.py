@@ -1,6 +1,7 @@
-"""Measures of vibration and of detected frequencies: pure functions.
+"""Functions that measure vibration, and functions that compare detected frequencies.
 
-Vibration is (frames,) float64 at full scale +-1. Silence gives -inf or NaN, never an exception.
+Vibration is (frames,) float64 with full scale ±1. For silence, levels in dB are -inf, frequencies
+and delays are NaN, and no error is raised.
 """
 
 from __future__ import annotations
@@ -15,23 +16,18 @@ from audioflinger_hook.transform import FloatArray
 from audioflinger_hook.transform.arrays import IntArray
 
 FIT_ROUNDS_MAX = 8
-FIT_CONVERGED_CYCLES = 1e-9
-"""The fit has converged when a round moves it by less than this over its whole length."""
-
+FIT_CONVERGED_CYCLES = 1e-9  # largest change in the last round of a converged fit
 ENVELOPE_HZ = 60.0
 SETTLED_FROM_S, SETTLED_TO_S = 0.1, 0.2
-EARLIEST_S = 0.05
-"""The zero-phase low-pass may smear an onset forward by less than this."""
-
-ABSOLUTE_ZERO_DB = -300.0
-"""Energy ratios under this are rounding, and become -inf."""
+EARLIEST_S = 0.05  # the zero-phase low-pass advances an onset by less than this, in s
+ABSOLUTE_ZERO_DB = -300.0  # lower energy ratios in dB are rounding errors, and become -inf
 
 
 @dataclass(frozen=True)
 class SineFit:
-    """The best-fitting sinusoid: frequency_hz, amplitude, and the residual's energy against its.
+    """The sinusoid that fits a vibration best.
 
-    residual_db is THD+N: everything that is not this one sinusoid, an offset included.
+    residual_db: THD+N: power of the rest of the vibration in dB relative to the sinusoid.
     """
 
     frequency_hz: float
@@ -40,10 +36,10 @@ class SineFit:
 
 
 def sine_fit(vibration: FloatArray, samplerate: int) -> SineFit:
-    """Return the sinusoid nearest to the vibration in the least-squares sense.
+    """Return the sinusoid with the least squared error.
 
-    The four-parameter fit of IEEE 1057 without its offset, started at the strongest line of the
-    spectrum. For -80 dB of residual a second of vibration suffices.
+    The method is the four-parameter fit of IEEE 1057 without offset. The fit starts at the
+    strongest line of the spectrum.
     """
     frames = vibration.size
     spectrum = np.abs(np.fft.rfft(vibration * np.hanning(frames)))
@@ -52,9 +48,9 @@ def sine_fit(vibration: FloatArray, samplerate: int) -> SineFit:
         return SineFit(float("nan"), 0.0, -float("inf"))
     left, middle, right = np.log(np.maximum(spectrum[line - 1 : line + 2], 1e-300))
     offset = 0.5 * (left - right) / (left - 2.0 * middle + right)
-    turns = float(line + offset) / frames  # cycles a frame
+    turns = float(line + offset) / frames  # cycles per frame
 
-    # Counted from the middle, so that frequency and phase hardly depend on each other.
+    # Times are relative to the middle, so that frequency and phase are nearly independent.
     time = np.arange(frames, dtype=np.float64)
     time -= (frames - 1) / 2.0
     step = 1.0
@@ -74,10 +70,26 @@ def sine_fit(vibration: FloatArray, samplerate: int) -> SineFit:
     )
 
 
+def steady_fit(vibration: FloatArray, samplerate: int) -> float:
+    """Return THD+N in dB relative to a fitted sinusoid with slowly varying level and phase.
+
+    The amplitudes of sine and cosine are quadratic functions of time. A slow change of level thus
+    does not count as distortion.
+    """
+    fit = sine_fit(vibration, samplerate)
+    if not fit.amplitude > 0.0:
+        return -float("inf")
+    place = np.linspace(-1.0, 1.0, vibration.size)
+    turn = 2.0 * np.pi * fit.frequency_hz / samplerate * np.arange(vibration.size)
+    waves = np.stack([place**power * wave(turn) for power in range(3) for wave in (np.cos, np.sin)])
+    tone = np.linalg.solve(waves @ waves.T, waves @ vibration) @ waves
+    residual = vibration - tone
+    return _ratio_db(float(residual @ residual), float(tone @ tone))
+
+
 def _at_frequency(
     vibration: FloatArray, turns: float, time: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return cosine and sine weight, residual and both waves of the fit at a known frequency."""
     turn = 2.0 * np.pi * turns * time
     waves = np.stack((np.cos(turn), np.sin(turn)))
     weights = np.linalg.solve(waves @ waves.T, waves @ vibration)
@@ -85,10 +97,11 @@ def _at_frequency(
 
 
 def onset_lag_s(vibration: FloatArray, samplerate: int, onset_s: float) -> float:
-    """Return how long after a burst's onset it is felt, in seconds, latency included; NaN if never.
+    """Return the delay in s from a burst's onset to its vibration; NaN without vibration.
 
-    Felt: the envelope (magnitude of the analytic signal, low-passed at 60 Hz without phase)
-    passes half of its mean from 100 to 200 ms after the onset.
+    The vibration starts when its envelope exceeds half of the mean envelope from 100 to 200 ms
+    after the onset. The envelope is the magnitude of the analytic signal after a zero-phase
+    low-pass at 60 Hz. The delay includes the latency of the method.
     """
     low_pass = butter(2, ENVELOPE_HZ, fs=samplerate, output="sos")
     envelope = sosfiltfilt(low_pass, np.abs(hilbert(vibration)))
@@ -104,9 +117,9 @@ def onset_lag_s(vibration: FloatArray, samplerate: int, onset_s: float) -> float
 
 
 def energy_above_db(vibration: FloatArray, samplerate: int, corner_hz: float = 250.0) -> float:
-    """Return the share of energy above a corner, in dB of all of it; -inf for silence.
+    """Return the energy above `corner_hz` in dB relative to the total energy; -inf for silence.
 
-    The vibration should begin and end at rest, as there is no window.
+    The vibration should start and end at 0, since the spectrum is computed without a window.
     """
     spectrum = np.fft.rfft(vibration)
     power = spectrum.real**2 + spectrum.imag**2
@@ -114,32 +127,41 @@ def energy_above_db(vibration: FloatArray, samplerate: int, corner_hz: float = 2
     return _ratio_db(float(power[above].sum()), float(power.sum()))
 
 
+def energy_under_db(vibration: FloatArray, samplerate: int, corner_hz: float) -> float:
+    """Return the energy below `corner_hz` in dB relative to the total energy; -inf for silence."""
+    spectrum = np.fft.rfft(vibration, 2 * vibration.size)
+    power = spectrum.real**2 + spectrum.imag**2
+    under = np.fft.rfftfreq(2 * vibration.size, 1.0 / samplerate) < corner_hz
+    return _ratio_db(float(power[under].sum()), float(power.sum()))
+
+
 class Frequencies(Protocol):
-    """Frequencies of several windows: parallel arrays."""
+    """Frequencies found in several windows of a signal, as two arrays of equal length."""
 
     @property
     def row(self) -> IntArray:
-        """The number of the window."""
+        """The index of the window in which each frequency was found."""
 
     @property
     def audio_hz(self) -> FloatArray:
-        """The frequency in Hz."""
+        """The frequencies in Hz."""
 
 
 def agreement(found: Frequencies, wanted: Frequencies, reach_hz: float) -> FloatArray:
-    """Return hits among the found, all found, hits among the wanted, and all wanted frequencies.
+    """Return the number of hits in `found`, the size of `found`, and both numbers for `wanted`.
 
-    A hit has one of the other set in reach, in the same row.
+    A frequency is a hit if it differs by at most `reach_hz` from a frequency of the other set in
+    the same window.
     """
     hits, wanted_hits = _in_reach(found, wanted, reach_hz), _in_reach(wanted, found, reach_hz)
     return np.array([hits, found.row.size, wanted_hits, wanted.row.size], dtype=np.float64)
 
 
 def _in_reach(these: Frequencies, others: Frequencies, reach_hz: float) -> int:
-    """Return how many of these have one of the others of the same row within reach_hz."""
     if not these.row.size or not others.row.size:
         return 0
-    # Rows laid end to end, further apart than any band is wide: one sorted search for all.
+    # Rows are placed end to end, further apart than the bandwidth, so that one sorted search
+    # suffices.
     pitch_hz = 4.0 * max(these.audio_hz.max(), others.audio_hz.max())
     mine = these.row * pitch_hz + these.audio_hz
     theirs = np.sort(others.row * pitch_hz + others.audio_hz)
@@ -152,7 +174,6 @@ def _in_reach(these: Frequencies, others: Frequencies, reach_hz: float) -> int:
 
 
 def _ratio_db(part: float, whole: float) -> float:
-    """Return 10 log10(part / whole); -inf for nothing, or for less than float64 can tell."""
     if part <= 0.0 or whole <= 0.0:
         return -float("inf")
     level_db = 10.0 * float(np.log10(part / whole))

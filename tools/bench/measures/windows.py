@@ -1,4 +1,4 @@
-"""What the core finds in single windows, read from the glides of its partials."""
+"""Principal frequencies that the native core finds in single windows of a signal."""
 
 from __future__ import annotations
 
@@ -12,18 +12,20 @@ from audioflinger_hook.transform.arrays import IntArray
 from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.haptic import CoreStream
 
-MOST = 512
-"""More than a window has principal frequencies."""
-FAINT = 1e-12
-"""A first sample with which the hops of a sound begin, however silent it is."""
+MOST = 512  # more than the number of principal frequencies of any window
+FAINT = 1e-12  # amplitude of a first sample that starts the hops even of a silent sound
 UNFILTERED = np.array((1.0, 0.0))
 
 
 @dataclass(frozen=True)
 class Found:
-    """Principal frequencies: parallel arrays, ascending in row and frequency.
+    """Principal frequencies (prominent peaks of a spectrum) of several windows.
 
-    amplitude: of vibration, in full scale.
+    The arrays have equal length and are sorted by window and frequency.
+
+    row: index of the window.
+    audio_hz: frequency in the sound.
+    amplitude: amplitude of the vibration relative to full scale.
     """
 
     row: IntArray
@@ -35,13 +37,14 @@ class Found:
 
 
 class WindowAnalysis:
-    """The core's analysis of band-passed windows.
+    """Analyses single windows of band-passed sound with the native core.
 
-    The windows become one sound, each at the end of a hop. The design of the core then has no
-    band-pass, no onsets and no averages, so each glide of that hop ends at a peak of the window.
+    The windows are joined to one sound, in which a hop ends at the end of each window. The core's
+    band-pass, onset detection and averaging are switched off. At the end of each window, the
+    frequencies of the vibration thus belong to peaks of this window.
 
-    design: of the live form, without merging.
-    every: whether all with r > C_th count, instead of those that vibrate.
+    design: design of the live form, which must not merge partials.
+    every: whether to return all principal frequencies, or only those that cause vibration.
     """
 
     def __init__(self, design: LiveDesign, *, every: bool) -> None:
@@ -55,7 +58,7 @@ class WindowAnalysis:
         )
 
     def __call__(self, windows: FloatArray) -> Found:
-        """Return what is found in windows (rows, N)."""
+        """Return the principal frequencies of `windows`, (windows, frames)."""
         grid = self._design.grid
         frames = grid.hops_in_window * grid.hop_frames
         sound = np.zeros((len(windows), frames))

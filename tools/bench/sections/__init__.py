@@ -1,1 +1,1 @@
-"""The sections of the report: each function measures one and returns it."""
+"""The sections of the report. Each function measures a section and returns it."""

@@ -1,4 +1,4 @@
-"""Section on catalogues: what a core renders, by format and length, and a second worker."""
+"""Section "Catalogue": speed of rendering many files, by format and by length of the files."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from audioflinger_hook.catalogue.executors import LocalWorkers, Place
 from audioflinger_hook.catalogue.manifest import Manifest
 from audioflinger_hook.catalogue.recipe import Recipe
 from audioflinger_hook.catalogue.run import Run
@@ -16,7 +15,7 @@ from audioflinger_hook.catalogue.timing import Timing
 from audioflinger_hook.catalogue.work import do_batch, open_sound
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.exports.options import FORMATS, ExportOptions
-from audioflinger_hook.offline.workers import usable_cores
+from audioflinger_hook.offline.batch import LocalWorkers, Place, usable_cores
 from tools.bench.report import Missing, Must, Row, Section
 from tools.bench.sections.rendering import write_sound
 from tools.bench.workbench import Workbench
@@ -27,15 +26,12 @@ TWO_WORKERS = Must(">=", 1.8)
 A_SKIP_MS = Must("<=", 2.0)
 SKIPPED = 500
 SHORT_S = 1.0
-COUNTS = {1.0: 20, 60.0: 2}
-"""Files of each length that are rendered; of other lengths, one."""
-
-LONGEST_TIMED_S = 40.0
-"""CPU time that a format may be expected to take; longer sounds are not timed in it."""
+COUNTS = {1.0: 20, 60.0: 2}  # number of rendered files of each length; one file of other lengths
+LONGEST_TIMED_S = 40.0  # largest CPU time in s for which a format is timed
 
 
 def catalogue(bench: Workbench) -> Section:
-    """Hours of sound a core-hour, the gain of a second worker, and the cost of a done item."""
+    """Measure the speed of `cushion catalogue` by format, file length and number of workers."""
     rows: list[Row] = []
     missing: list[Missing] = []
     with tempfile.TemporaryDirectory(prefix="cushion-bench-") as folder:
@@ -51,19 +47,21 @@ def catalogue(bench: Workbench) -> Section:
         rows.append(_skipped(_library(root / "done", SHORT_S, 1), root))
     return Section(
         "Catalogue",
-        "`cushion catalogue` of the looped demo scene, 48 kHz stereo, 16 bit, live form. Hours of "
-        "sound that one core renders in an hour of CPU time, by format and length of the files, "
-        "with record and measures, without the start of the process; and reading alone, which is "
-        f"the limit. What would take over {LONGEST_TIMED_S:g} s costs as much a second as before, "
-        "and is not timed. Two workers: throughput against one, wall time, alternating. A done "
-        "item: CPU time to find that nothing is to be done.",
+        "`cushion catalogue` renders files with the repeated demo scene, 48 kHz stereo, 16 bit, "
+        "with the live form. The table shows how many hours of sound one core renders in an hour "
+        "of CPU time, for each format and duration of the files. The CPU time includes writing "
+        "the JSON record of each file, but not the start of the process. The column *reading "
+        "alone* shows the throughput of reading without rendering. If a format would take over "
+        f"{LONGEST_TIMED_S:g} s of CPU time for files of one duration, it is not measured for "
+        "this duration (*as before*). The row *two workers* shows the throughput of two workers "
+        "relative to one, by wall time. The row *a done item* shows the CPU time of the check "
+        "that an item is finished.",
         tuple(rows),
         tuple(missing),
     )
 
 
 def _library(folder: Path, length_s: float, count: int) -> Path:
-    """Return a folder with some files of one length."""
     target = folder / f"{length_s:g}"
     target.mkdir(parents=True)
     write_sound(target / "0.wav", length_s)
@@ -83,7 +81,10 @@ def _options() -> dict[str, ExportOptions]:
 
 
 def _by_format(library: Path, length_s: float, costs: dict[str, float]) -> list[Row]:
-    """Return the throughput of each format; costs: of a second of sound so far, by format."""
+    """Return the hours of sound that are rendered in an hour of CPU time, for each format.
+
+    costs: CPU time for one second of sound, by format; the function updates it.
+    """
     name = f"{length_s:g} s" if length_s < 60.0 else f"{length_s / 60.0:g} min"
     sources = sorted(library.iterdir())
     recipe = Recipe("", Settings(), ExportOptions("wav"))
@@ -109,11 +110,10 @@ def _by_format(library: Path, length_s: float, costs: dict[str, float]) -> list[
 
 
 def _core_seconds(library: Path, out: Path, options: ExportOptions) -> tuple[float, str]:
-    """Return the CPU time of a library, and why a format does not take it ("" if it does)."""
     items = list(Manifest(str(library), str(out)).items())
     warm = pickle.dumps(Recipe(str(out / "warm"), Settings(), options))
     (out / "warm").mkdir()
-    if len(items) > 1:  # designs are made once a process
+    if len(items) > 1:  # the first item includes the design of filters
         do_batch(warm, items[:1], TIMING)
     recipe = pickle.dumps(Recipe(str(out), Settings(), options))
     start_s = time.process_time()
@@ -124,10 +124,9 @@ def _core_seconds(library: Path, out: Path, options: ExportOptions) -> tuple[flo
 
 
 def _two_workers(library: Path) -> Row:
-    """Return the ratio of throughputs, the middle one of some alternating runs."""
     ratios = []
-    with LocalWorkers(1) as one, LocalWorkers(2) as two:
-        for place in (one, two):  # workers import once
+    with LocalWorkers(1, do_batch.__module__) as one, LocalWorkers(2, do_batch.__module__) as two:
+        for place in (one, two):  # the first run includes the workers' imports
             _wall_s(library, place)
         for _ in range(3):
             single_s, double_s = _wall_s(library, one), _wall_s(library, two)

@@ -1,6 +1,7 @@
-"""Section on damping: what a burst leaves by each drive and level, and what it costs in volts.
+"""Section "Residual vibration": vibration that remains after a burst, for several drives.
 
-device/drive/damping defines residual, settling, peak volts and detuning.
+A drive is a source impedance with or without a filter that damps the actuator.
+device/drive/damping.py defines the measured quantities.
 """
 
 from __future__ import annotations
@@ -10,13 +11,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache
 
-from device.drive.damping import Damping, choose_damping
-from device.drive.damping.design import inverse_damping, no_damping
-from device.drive.damping.residual import (
+from device.drive.damping import (
     CURRENT_DRIVE_OHM,
     BurstResponse,
+    Damping,
     Residual,
     burst_response,
+    choose_damping,
+    inverse_damping,
     undamped,
 )
 from device.rig import CONSUMER, PAPER, ActuatorParameters
@@ -36,16 +38,17 @@ EXACT_DB, DETUNED_DB, VOLTS_DB = Must("<=", -11.0), Must("<=", -7.0), Must("<=",
 LIMITED_DETUNING = 0.1
 FIFTH = tuple(step / 100.0 for step in (-20, -15, -10, -5, 0, 5, 10, 15, 20))
 STRONG = replace(PAPER.actuator, force_factor_n_per_a=16.0)
-
-LEVELS = (0.05, 0.1, 0.25, 0.5, 1.0)
-"""Intended excursion, in Xmax."""
-LOW_LEVEL = 0.1
-"""Highest level with limits."""
+LEVELS = (0.05, 0.1, 0.25, 0.5, 1.0)  # intended excursion, as a share of Xmax
+LOW_LEVEL = 0.1  # highest level to which limits apply
 
 
 @dataclass(frozen=True)
 class Drive:
-    """One way of driving: name, damping, whether limits apply, and the actuator."""
+    """One way of driving an actuator.
+
+    asked: whether the results must meet limits.
+    actuator: the driven actuator.
+    """
 
     name: str
     damping: Damping
@@ -55,15 +58,15 @@ class Drive:
 
 @cache
 def drives() -> tuple[Drive, ...]:
-    """Return all drives that are compared on the linear model, the reference first."""
+    """Return all drives that are compared on the linear model; the first is the reference."""
     p, current = PAPER.actuator, CURRENT_DRIVE_OHM
     return (
-        Drive("current drive, undamped", no_damping(current)),
-        Drive("voltage drive", no_damping()),
+        Drive("current drive, undamped", Damping(current)),
+        Drive("voltage drive", Damping()),
         Drive("current drive, inverse to Q 0.7", inverse_damping(p, 0.7, current)),
         Drive("voltage drive, inverse to Q 0.7", inverse_damping(p, 0.7)),
         Drive(CHOSEN, choose_damping(p)[0].damping, asked=True),
-        Drive("Bl 16, voltage drive", no_damping(), actuator=STRONG),
+        Drive("Bl 16, voltage drive", Damping(), actuator=STRONG),
         Drive("Bl 16, automatic", choose_damping(STRONG)[0].damping, asked=True, actuator=STRONG),
     )
 
@@ -74,29 +77,33 @@ def _reference(detuning: float) -> BurstResponse:
 
 
 def _residual(drive: Drive, detuning: float) -> Residual:
-    """Return what a burst leaves, against current drive of the `paper` rig."""
     own = burst_response(drive.actuator, drive.damping, detuning=detuning)
     return own.against(_reference(detuning))
 
 
 def residual_vibration(_bench: Workbench) -> Section:
-    """Energy after a burst, settling and peak volts, by drive, detuning and level."""
+    """Measure energy after a burst, settling time and peak voltage, for each drive."""
     rows: list[Row] = []
     for drive in drives():
         at = {detuning: _residual(drive, detuning) for detuning in DETUNINGS}
         rows += _rows(drive.name, at, limited=drive.asked)
     return Section(
         TITLE,
-        "Energy of the seat's acceleration after a burst of 50 ms at 90 Hz. The reference, also "
-        "for peak volts, is undamped current drive of the same rig at the same vibration. "
-        "Columns: the true f0 against the assumed one (only the stiffness differs). Still "
-        "after: time from the end of the burst until the acceleration stays under 10 % of its "
-        "peak. The first rows are of the linear model. The last are of the non-linear `paper` "
-        "rig, which stiffens, loses force and changes its inductance as it swings. Their level "
-        "is the largest excursion of the linear model; the note has the one reached. The flat "
-        "inverse is that of the assumed rig. Against none: the largest residual against the same "
-        "voltage drive without damping, over f0 within ±20 %, by stiffness and by mass. Made up: "
-        "the gain that makes a burst at f0 as strong as without damping.",
+        "The *residual* is the energy of an actuator's acceleration after a burst of 50 ms, "
+        "divided by the energy within the burst. The burst has the assumed resonance frequency f0, "
+        "90 Hz for `paper`. The residual and the peak voltage (*peak volts*, for equal "
+        "acceleration) are shown relative to current drive without damping. In the columns with %, "
+        "the true f0 deviates from the assumed f0, because the stiffness is different. The column "
+        "*still after* shows the time from the end of the burst until the acceleration stays under "
+        "10 % of the burst's peak. Rows with Xmax (the excursion limit) use the non-linear model "
+        "of the rig `paper`. In this model, stiffness, force factor and inductance change with "
+        "excursion. Other rows use the linear model. The number before Xmax is the excursion of "
+        "the linear model for the same drive; the note shows the excursion of the non-linear "
+        "model. The *flat inverse* compensates the non-linearity of the assumed rig. The column "
+        "*against none* shows the largest residual relative to voltage drive without damping. For "
+        "this column, the true f0 is within ±20 % of the assumed f0, because the stiffness or the "
+        "mass is different. The column *made up* shows the gain with which a burst at f0 is as "
+        "strong as without damping.",
         (*rows, *_rows_by_level(), *_rows_against_none()),
         series={
             drive.name: tuple(_residual(drive, share).residual_db for share in CURVE)
@@ -106,10 +113,9 @@ def residual_vibration(_bench: Workbench) -> Section:
 
 
 def _rows_by_level() -> Iterator[Row]:
-    """Yield the same of the non-linear model, for voltage drive without and with damping."""
     chosen = choose_damping(PAPER.actuator)[0].damping
     ways = {
-        "voltage drive": (no_damping(), False),
+        "voltage drive": (Damping(), False),
         "automatic": (chosen, False),
         "automatic and flat inverse": (chosen, True),
     }
@@ -131,11 +137,10 @@ def _rows_by_level() -> Iterator[Row]:
 
 
 def _rows_against_none() -> Iterator[Row]:
-    """Yield the worst residual of each rig against no damping, and the gain that is made up."""
     for rig in RIGS:
         p, source = rig.actuator, rig.amplifier.source_impedance_ohm
         chosen = choose_damping(p, source_impedance_ohm=source)[0]
-        none = no_damping(source)
+        none = Damping(source)
         worst_db = max(
             amplitude_to_db(
                 math.sqrt(
@@ -152,7 +157,6 @@ def _rows_against_none() -> Iterator[Row]:
 
 
 def _rows(name: str, at: dict[float, Residual], *, limited: bool, note: str = "") -> Iterator[Row]:
-    """Yield the rows of one drive: residual by detuning, settling, and peak volts."""
     for detuning, residual in at.items():
         asked = limited and abs(detuning) <= LIMITED_DETUNING
         must = (DETUNED_DB if detuning else EXACT_DB) if asked else None

@@ -1,4 +1,4 @@
-"""Section on exports: how near what each format plays is to the vibration, on real sounds."""
+"""Section "Exports": how well the exported files of each format reproduce the vibration."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ ENVELOPE, ONSET_MS = 0.95, 5.0
 
 
 def exports(bench: Workbench) -> Section:
-    """Compare the envelopes and onsets of every parametric format with the vibration's."""
+    """Measure how well models of players reproduce the vibration from exported files."""
     sounds = real_sounds("report", bench.effort.exported)
     if not sounds:
         gone = Missing(f"every row of {TITLE}", "there are no sounds", SOUNDS_COMMAND)
@@ -35,9 +35,12 @@ def exports(bench: Workbench) -> Section:
                 found[name].append(alike)
     return Section(
         TITLE,
-        "Our renderer plays each file, and the result is compared with the vibration of "
-        f"`{PROFILE}` that it was made from; the first {LONGEST_S:g} s of each sound. Envelope: "
-        f"correlation over 50 ms. Onsets: share of clear ones that are within {ONSET_MS:g} ms.",
+        "A model of a player converts each exported file to vibration. This vibration is compared "
+        f"with the vibration of the profile `{PROFILE}`, for the first {LONGEST_S:g} s of each "
+        "sound. Rows with *envelope* show the correlation of the envelopes of both vibrations, "
+        "which are smoothed with a window of 50 ms. The row *onsets in time* shows the share of "
+        f"clear onsets that are shifted by at most {ONSET_MS:g} ms. A clear onset is a steep rise "
+        "of the envelope from a low level.",
         tuple(row for name, alike in found.items() for row in _rows(name, alike)),
         footnote=f"Sounds: {len(sounds)}, fetched by {SOUNDS_COMMAND}.",
     )

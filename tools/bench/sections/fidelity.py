@@ -1,4 +1,4 @@
-"""Sections on fidelity: recordings used, onset lag, audible energy, principal frequencies."""
+"""Sections on recordings, onset lag, audible energy and principal frequencies."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ import numpy as np
 
 from audioflinger_hook.transform import FloatArray, Frames, TransformParameters
 from audioflinger_hook.transform.design import LiveDesign
-from audioflinger_hook.transform.principal import PrincipalFinder
-from audioflinger_hook.transform.reference.transform import ReferenceTransform
-from audioflinger_hook.transform.spectrum import Spectrum, magnitude
+from audioflinger_hook.transform.principal import PrincipalFinder, Spectrum, magnitude
+from audioflinger_hook.transform.reference import ReferenceTransform
 from tools.bench.measures.vibration import (
     agreement,
     energy_above_db,
@@ -35,24 +34,23 @@ BURST_ONSET_S, BURST_STREAM_S = 0.3, 0.9
 LAG_P95, LAG_P95_LEAD = Must("<=", 45.0), Must("<=", 10.0)
 
 AUDIBLE_FROM_HZ = 250.0
-REST_S = 1.0
-"""Silence after a sound, in which the vibration comes to rest."""
+REST_S = 1.0  # silence in s after a sound, for the decay of the vibration
 NOISE_S = 5.0
 LEAK, LEAK_RECORDING_LEAD = Must("<=", -50.0), Must("<=", -58.0)
 
 AGREEMENT, AGREEMENT_LEAD = Must(">=", 0.95), Must(">=", 0.99)
 UNITS_AT_ONCE = 64
-FEWEST_FOR_A_RATIO = 50
-"""Recordings with fewer principal frequencies have no precision of their own."""
+FEWEST_FOR_A_RATIO = 50  # fewest principal frequencies for the precision of one recording
 
 
 def recordings(bench: Workbench) -> Section:
-    """How many recordings are used, and which are missing."""
+    """Return the section that shows the number of used recordings and the missing recordings."""
     title = "Recordings"
     explanation = (
-        f"The {len(KNOWN)} recordings are speech of alsa-utils and sounds of "
-        f"sound-theme-freedesktop; those longer than {SHORTEST_S:g} s are used. Where one is "
-        "missing, rows on recordings cannot be compared with other runs."
+        f"The {len(KNOWN)} recordings are speech from the package alsa-utils and sounds from the "
+        f"package sound-theme-freedesktop. Only recordings longer than {SHORTEST_S:g} s are used. "
+        "If a recording is missing, results for recordings are not comparable with those of other "
+        "runs."
     )
     if not bench.recordings and not bench.absent:
         return Section(title, explanation, (), (bench.missing_recordings("recordings"),))
@@ -66,16 +64,20 @@ def recordings(bench: Workbench) -> Section:
 
 
 def burst_lag_s(subject: Subject, audio_hz: float, place: float, stream_s: float) -> float:
-    """Return the onset lag of one burst; place: of its onset in the analysis window, 0 to 1."""
+    """Return the delay in s from the start of a tone burst to its vibration.
+
+    place: additional delay of the burst, as a share of the analysis window, 0 to 1.
+    stream_s: duration of the whole signal in s.
+    """
     onset_s = BURST_ONSET_S + place * TransformParameters().window_s
     sound = burst(audio_hz, BURST_AMPLITUDE, onset_s, stream_s)
     return onset_lag_s(subject.vibration(sound, SAMPLERATE), SAMPLERATE, onset_s)
 
 
 def onset_lag(bench: Workbench) -> Section:
-    """Time from the start of a tone burst to its vibration."""
+    """Measure the delay from the start of a tone burst to its vibration."""
     effort = bench.effort
-    # Onsets at every place of the window: how a burst meets the grid decides its lag.
+    # Onsets are placed at all positions in the window, since the position determines the lag.
     places = np.random.default_rng(0).uniform(size=(effort.bursts, effort.onsets_a_burst))
     places = (places + np.arange(effort.onsets_a_burst)) / effort.onsets_a_burst
     bursts_hz = np.geomspace(*BURST_HZ, effort.bursts).tolist()
@@ -102,10 +104,11 @@ def onset_lag(bench: Workbench) -> Section:
     means: dict[str, float | None] = {name: float(lags.mean()) for name, lags in lags_ms.items()}
     return Section(
         "Onset lag",
-        f"How long after a sound starts the cushion follows: {places.size} tone bursts of "
-        f"{BURST_HZ[0]:g} to {BURST_HZ[1]:g} Hz, until the vibration's envelope passes half of "
-        "its settled level. The lag includes the declared latency, by which sound and picture can "
-        "be delayed. Sustained levels and endings follow later.",
+        "The lag is the delay from the start of a sound until the vibration's envelope passes "
+        f"half of its settled level. The sounds are {places.size} tone bursts of {BURST_HZ[0]:g} "
+        f"to {BURST_HZ[1]:g} Hz. The lag includes the latency that the transform declares "
+        "(`latency_frames`). When a sustained level changes or a sound ends, the vibration "
+        "follows with a longer delay, which the last row shows.",
         (
             *line("lag, mean", means, "ms"),
             *line("lag, median", percentile(50.0), "ms"),
@@ -119,7 +122,7 @@ def onset_lag(bench: Workbench) -> Section:
 
 
 def energy_above(bench: Workbench) -> Section:
-    """The vibration's energy at frequencies where a shaker is heard."""
+    """Measure the energy of the vibration above 250 Hz, where an actuator is audible."""
     noise, leaks = {}, {}
     for subject in bench.subjects:
         noise[subject.name] = leak_db(subject, white_noise(NOISE_S), SAMPLERATE)
@@ -139,27 +142,33 @@ def energy_above(bench: Workbench) -> Section:
         missing = (bench.missing_recordings("energy above 250 Hz, worst recording"),)
     return Section(
         f"Energy above {AUDIBLE_FROM_HZ:g} Hz",
-        "A vibration should not be heard. This is the share of its energy above "
-        f"{AUDIBLE_FROM_HZ:g} Hz, over {len(bench.recordings)} recordings.",
+        f"Vibration above {AUDIBLE_FROM_HZ:g} Hz is audible. The table shows the energy of the "
+        "vibration above this frequency, relative to the total energy of the vibration, for white "
+        f"noise and {len(bench.recordings)} recordings.",
         tuple(rows),
         missing,
     )
 
 
 def leak_db(subject: Subject, frames: Frames, samplerate: int) -> float:
-    """Return the energy over AUDIBLE_FROM_HZ of a sound's vibration, with silence after it."""
+    """Return the energy of the vibration above 250 Hz in dB relative to its total energy.
+
+    The vibration includes its decay in 1 s of silence after the sound.
+    """
     rest = np.zeros((round(REST_S * samplerate), frames.shape[1]), frames.dtype)
     sound = np.concatenate((frames, rest))
     return energy_above_db(subject.vibration(sound, samplerate), samplerate, AUDIBLE_FROM_HZ)
 
 
 def principal_frequencies(bench: Workbench) -> Section:
-    """How many of the reference form's principal frequencies the live form finds."""
+    """Measure how well the principal frequencies of the live and the reference form agree."""
     title = "Principal frequencies"
     explanation = (
-        "Both forms analyse the same unit sequences of the recordings. Precision is the share of "
-        "the live form's frequencies that the reference form finds too; recall is the reverse. "
-        "They agree within half a bin, before the strongest 16 are chosen."
+        "Both forms analyse the same windows of the recordings. Precision is the share of the "
+        "live form's principal frequencies that the reference form finds too. Recall is the share "
+        "of the reference form's principal frequencies that the live form finds. Two frequencies "
+        "are counted as equal if they differ by at most half a bin of the FFT. All principal "
+        "frequencies count, not only the strongest 16."
     )
     if not bench.recordings:
         return Section(title, explanation, (), (bench.missing_recordings("precision and recall"),))

@@ -1,8 +1,9 @@
-"""Section on frequency error: a tone in noise, against the Cramer-Rao bound.
+"""Section "Frequency error": error of a tone's frequency in noise, and its Cramer-Rao bound.
 
-Only steps 4 and 5 of both forms run, on windows of one tone; the highest peak counts. The bound for
-a real tone of amplitude a in white noise of standard deviation s, over N samples at fs, is
-var(f) >= 24 s^2 fs^2 / (4 pi^2 a^2 N (N^2 - 1)) (Rife and Boorstyn, 1974).
+Each measured window contains one tone. The strongest principal frequency that a form of the
+transform finds in the window counts as the frequency of the tone. A real-valued tone has the
+amplitude a, and white noise has the standard deviation s. For N samples at the sample rate fs, the
+bound is var(f) >= 24 s^2 fs^2 / (4 pi^2 a^2 N (N^2 - 1)) (Rife and Boorstyn, 1974).
 """
 
 from __future__ import annotations
@@ -14,8 +15,7 @@ import numpy as np
 
 from audioflinger_hook.transform import FloatArray, TransformParameters
 from audioflinger_hook.transform.design import LiveDesign
-from audioflinger_hook.transform.principal import PrincipalFinder, Principals
-from audioflinger_hook.transform.spectrum import Spectrum, magnitude
+from audioflinger_hook.transform.principal import PrincipalFinder, Principals, Spectrum, magnitude
 from tools.bench.measures.windows import Found, WindowAnalysis
 from tools.bench.report import Must, Row, Section, line
 from tools.bench.workbench import LIVE, REFERENCE, Workbench
@@ -23,13 +23,11 @@ from tools.bench.workbench import LIVE, REFERENCE, Workbench
 TITLE = "Frequency error"
 SAMPLERATES = (8_000, 11_025, 16_000, 22_050, 44_100, 48_000, 96_000, 192_000)
 RANGES_HZ = ((50.0, 150.0), (150.0, 600.0), (600.0, 12_000.0))
-"""Below about 600 Hz the image of a tone, at negative frequency, matters more than weak noise."""
-HIGHEST_SHARE = 0.45
-"""Highest tone as a share of the samplerate."""
+"""Below about 600 Hz, a tone's image at negative frequency causes more error than weak noise."""
+HIGHEST_SHARE = 0.45  # highest tone as a share of the sample rate
 LIMITED_SNRS_DB = (0.0, 10.0, 20.0)
 TIMES_BOUND = Must("<=", 1.5)
-AMPLITUDE = 0.05
-"""Of the tone: at 0 dB the noise stays under C_th, so only the tone is refined."""
+AMPLITUDE = 0.05  # noise stays below C_th even at a signal-to-noise ratio of 0 dB
 WINDOWS_AT_ONCE = 64
 
 FORMS = (LIVE, REFERENCE)
@@ -38,7 +36,11 @@ Analysis = Callable[[FloatArray], Principals | Found]
 
 
 def bound_hz(samplerate: int, frames: int, snr_db: float) -> float:
-    """Return the least standard deviation of a frequency, in Hz; snr_db: a^2 / (2 s^2)."""
+    """Return the Cramer-Rao bound of the standard deviation of a tone's frequency, in Hz.
+
+    frames: number of samples.
+    snr_db: signal-to-noise ratio a^2 / (2 s^2) in dB.
+    """
     noise_over_tone = 0.5 * 10.0 ** (-snr_db / 10.0)  # s^2 / a^2
     cube = frames * (frames * frames - 1.0)
     return float(np.sqrt(24.0 * noise_over_tone / cube) * samplerate / (2.0 * np.pi))
@@ -46,8 +48,6 @@ def bound_hz(samplerate: int, frames: int, snr_db: float) -> float:
 
 @dataclass(frozen=True)
 class _Grid:
-    """Both forms' analysis at one samplerate, and the frames of its windows."""
-
     samplerate: int
     frames: int
     forms: dict[str, Analysis]
@@ -64,31 +64,31 @@ class _Grid:
         return cls(samplerate, spectrum.window_frames, forms)
 
     def tones(self, audio_hz: FloatArray, phase: FloatArray) -> FloatArray:
-        """Return a window of each tone, (tones, frames); phase in radians."""
         turn = 2.0 * np.pi / self.samplerate * audio_hz
         waves: FloatArray = np.sin(turn[:, None] * np.arange(self.frames) + phase[:, None])
         return AMPLITUDE * waves
 
 
 def _highest_hz(found: Principals | Found, rows: int) -> FloatArray:
-    """Return the frequency of the highest peak of each row, NaN where there is none."""
     order = found.amplitude.argsort(kind="stable")
     highest = np.full(rows, np.nan)
-    highest[found.row[order]] = found.audio_hz[order]  # of several the last one stays
+    highest[found.row[order]] = found.audio_hz[order]  # the highest peak is assigned last
     return highest
 
 
 def _rms(errors: FloatArray) -> float:
-    """Return the root of the mean square; NaN if a single tone was not found."""
+    """Return the root mean square of the errors; NaN if a tone was not found."""
     return float(np.sqrt(np.mean(errors**2)))
 
 
 def _errors_hz(
     grid: _Grid, span_hz: tuple[float, float], snrs_db: Sequence[float | None], count: int
 ) -> dict[str, FloatArray]:
-    """Return each form's errors in Hz, (ratios, tones): the same tones, fresh noise for each ratio.
+    """Return the frequency errors of each form in Hz, (signal-to-noise ratios, tones).
 
-    snrs_db: of signal to noise, None for no noise.
+    span_hz: range of the frequencies of the tones.
+    snrs_db: signal-to-noise ratios in dB; None for no noise.
+    count: number of tones.
     """
     rng = np.random.default_rng((grid.samplerate, int(span_hz[0])))
     span_hz = (span_hz[0], min(span_hz[1], HIGHEST_SHARE * grid.samplerate))
@@ -109,7 +109,7 @@ def _errors_hz(
 
 
 def frequency_error(bench: Workbench) -> Section:
-    """The error of a tone's frequency in noise over the bound."""
+    """Measure the error of a tone's frequency in noise, relative to the Cramer-Rao bound."""
     count = bench.effort.noisy_tones
     grids = {samplerate: _Grid.at(samplerate) for samplerate in SAMPLERATES}
     rows: list[Row] = []
@@ -119,15 +119,18 @@ def frequency_error(bench: Workbench) -> Section:
     limited = f"{LIMITED_SNRS_DB[0]:g} to {LIMITED_SNRS_DB[-1]:g} dB"
     return Section(
         TITLE,
-        "Root mean square error of the frequency of a tone in white noise, over tones that are "
-        "evenly spread by octave, in multiples of the Cramer-Rao bound. No unbiased method is "
-        "better than the bound. With little noise the bias of the method remains.",
+        "The table shows the root mean square error of the identified frequency of a tone in "
+        "white noise, divided by the Cramer-Rao bound. The frequencies of the tones are random, "
+        "with equal density per octave. No unbiased method has an error below the Cramer-Rao "
+        "bound. The columns *no noise* show the error without noise, which is the bias of the "
+        "method.",
         tuple(rows),
-        footnote=f"{count} tones for each samplerate, range and signal-to-noise ratio; a value "
-        f"over {limited} is uncertain by {spread:.1f} %. The limit applies to the live form from "
-        f"{RANGES_HZ[1][0]:g} Hz up, at {limited}. The reference form's larger error is the pull "
-        "of the tone's image, which the live form removes. Tones go up to "
-        f"{HIGHEST_SHARE:g} of the samplerate.",
+        footnote=f"For each sample rate, frequency range and signal-to-noise ratio, {count} tones "
+        f"are measured. The signal-to-noise ratios are {limited}. The standard deviation of a "
+        f"value is {spread:.1f} % of the value. The limit applies to the live form from "
+        f"{RANGES_HZ[1][0]:g} Hz up. The reference form has larger errors because of the mirror "
+        "image of the tone at the negative frequency; the live form removes this image. No tone "
+        f"has a frequency above {HIGHEST_SHARE:g} times the sample rate.",
     )
 
 
@@ -136,7 +139,6 @@ def _name(span_hz: tuple[float, float]) -> str:
 
 
 def _at_samplerate(samplerate: int, grid: _Grid, count: int) -> list[Row]:
-    """Return the rows of one samplerate: over the limited ratios, and without noise."""
     rows: list[Row] = []
     bounds = np.array([[bound_hz(samplerate, grid.frames, snr)] for snr in LIMITED_SNRS_DB])
     for span_hz in RANGES_HZ:

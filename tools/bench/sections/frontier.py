@@ -1,4 +1,4 @@
-"""Section on the frontier: what each setting of the live form costs and what error it has."""
+"""Section "Cost against error": CPU time and errors of the live form with various settings."""
 
 from __future__ import annotations
 
@@ -29,16 +29,13 @@ from tools.bench.workbench import Playback, Workbench, timed
 
 TITLE = "Cost against error"
 BLOCKSIZE = 256
-SCENE_FROM_S, SCENE_S = 6.9, 2.0
-"""Of the demo scene: footsteps, then speech."""
+SCENE_FROM_S, SCENE_S = 6.9, 2.0  # part of the demo scene with speech: start and length in s
 TONES_HZ, TONE_S, AMPLITUDE = (60.0, 10_000.0), 1.0, 0.3
 CHIRP_FROM_HZ, CHIRP_OCTAVES_A_S, CHIRP_S = 200.0, 2.0, 1.5
 CHIRP_SETTLED_S = 0.4
 SWELL_HZ, SWELL_DEPTH = 4.0, 0.5
 NOTES, HARMONICS, NOTE_HZ, NOTE_DECAY_S = 24, 12, (98.0, 660.0), 0.3
-NOTE_REACH_HZ = 10.8
-"""A partial within half of 1/T of its frequency is found."""
-
+NOTE_REACH_HZ = 10.8  # largest frequency error in Hz of a found partial, half of 1/T
 COST, TONE_ERROR, TONE_LEVEL, CHIRP = "cost", "tones", "tones, level", "chirp"
 SWELL, PURITY, LAG, LEAK = "AM, level", "THD+N", "lag, p95", "over 250 Hz"
 MISSED, SPURIOUS = "missed", "spurious"
@@ -46,16 +43,16 @@ UNITS = {
     COST: "ms", TONE_ERROR: "Hz", TONE_LEVEL: "dB", CHIRP: "Hz", SWELL: "dB", PURITY: "dB",
     LAG: "ms", LEAK: "dB", MISSED: "%", SPURIOUS: "%",
 }  # fmt: skip
-"""Measures of a setting and their units; less is better."""
+"""Measures of a setting and their units; smaller values are better."""
 BLUR = {
     COST: 0.1, TONE_ERROR: 1e-3, TONE_LEVEL: 0.01, CHIRP: 0.1, SWELL: 0.02, PURITY: 1.0,
     LAG: 0.7, LEAK: 0.7, MISSED: 0.3, SPURIOUS: 0.3,
 }  # fmt: skip
-"""Differences within the spread of repeats count as none; that of cost is a share."""
+"""Differences within the spread of repeats count as zero. The spread of cost is a ratio."""
 
 
 def frontier(bench: Workbench) -> Section:
-    """Cost and errors of the live form, one setting changed at a time."""
+    """Measure CPU time and errors of the live form, with one setting changed at a time."""
     setups = [Setup(setting) for setting in SETTINGS]
     first = round(SCENE_FROM_S * SAMPLERATE)
     scene = demo_sound()[first : first + round(SCENE_S * SAMPLERATE)]
@@ -77,20 +74,21 @@ def frontier(bench: Workbench) -> Section:
     ]
     return Section(
         TITLE,
-        "The live form with one "
-        f"setting changed at a time. Cost: of a second of stereo, on {SCENE_S:g} s of the demo "
-        f"scene, the least of {bench.effort.cost_repeats} repeats. Tones are steady, "
-        f"{TONES_HZ[0]:g} to {TONES_HZ[1]:g} Hz; their errors are root mean squares, their THD+N "
-        f"is the worst. The chirp has {CHIRP_OCTAVES_A_S:g} octaves a second. The level swells at "
-        f"{SWELL_HZ:g} Hz. Missed and spurious partials are those of {NOTES} decaying notes of "
-        f"{HARMONICS} harmonics.",
+        "Each row changes one setting of the live form. Cost is CPU time for a second of stereo "
+        f"sound, measured with {SCENE_S:g} s of the demo scene: the smallest value of "
+        f"{bench.effort.cost_repeats} repeats. The columns *tones* show the root mean square "
+        f"errors of frequency and level for steady tones of {TONES_HZ[0]:g} to {TONES_HZ[1]:g} "
+        "Hz. The column *THD+N* shows the worst value for these tones. The column *chirp* shows "
+        f"the frequency error for a tone whose frequency rises by {CHIRP_OCTAVES_A_S:g} octaves "
+        "per second. The column *AM* shows the level error for a tone whose level is modulated "
+        f"at {SWELL_HZ:g} Hz. Missed and spurious partials are counted for {NOTES} decaying "
+        f"notes with {HARMONICS} harmonics each.",
         tuple(rows),
         footnote=_verdict(measured),
     )  # fmt: skip
 
 
 def _errors(setup: Setup, scene: Stereo, count: int) -> dict[str, float]:
-    """Return every error of a setting by its column."""
     tone_hz, tone_db, purity_db = _tone_errors(setup, count)
     missed, spurious = _notes(setup)
     rest = np.zeros((round(REST_S * SAMPLERATE), 2), scene.dtype)
@@ -109,7 +107,7 @@ def _errors(setup: Setup, scene: Stereo, count: int) -> dict[str, float]:
 
 
 def _tone_errors(setup: Setup, count: int) -> tuple[float, float, float]:
-    """Return r.m.s. errors in Hz and dB, and the worst THD+N in dB, of steady tones."""
+    """Return r.m.s. errors of frequency (Hz) and level (dB) of tones, and the worst THD+N (dB)."""
     errors_hz, errors_db, purities_db = [], [], []
     for audio_hz in np.geomspace(*TONES_HZ, count):
         vibration = setup.vibration(tone(float(audio_hz), AMPLITUDE, TONE_S))
@@ -122,7 +120,7 @@ def _tone_errors(setup: Setup, count: int) -> tuple[float, float, float]:
 
 
 def _band_gain(setup: Setup, audio_hz: float) -> float:
-    """Return the gain of the band-pass for a tone, which is no error."""
+    """Return the gain of the input's band-pass at a frequency."""
     b, a = setup.made.input.band_b, setup.made.input.band_a
     delay = np.exp(-2j * np.pi * audio_hz / SAMPLERATE)
     powers = delay ** np.arange(a.size)
@@ -130,13 +128,16 @@ def _band_gain(setup: Setup, audio_hz: float) -> float:
 
 
 def _chirp_error_hz(setup: Setup) -> float:
-    """Return the r.m.s. error in Hz of vibration on a chirp, at the latency of sustained levels."""
+    """Return the r.m.s. error in Hz of the frequency of a chirp's vibration.
+
+    The latency is compensated.
+    """
     time_s = np.arange(round(CHIRP_S * SAMPLERATE)) / SAMPLERATE
     growth = CHIRP_OCTAVES_A_S * np.log(2.0)
     phase = 2.0 * np.pi * CHIRP_FROM_HZ / growth * (np.exp(growth * time_s) - 1.0)
     vibration = setup.vibration(AMPLITUDE * np.sin(phase))
     turned = np.unwrap(np.angle(hilbert(vibration)))
-    span = SAMPLERATE // 50  # a mean over 20 ms
+    span = SAMPLERATE // 50  # length of a mean over 20 ms
     found_hz = (turned[span:] - turned[:-span]) / span * SAMPLERATE / (2.0 * np.pi)
     middle_s = time_s[:-span] + 0.5 * span / SAMPLERATE - setup.tonal_latency_frames / SAMPLERATE
     settled = (time_s[:-span] > CHIRP_SETTLED_S) & (time_s[:-span] < CHIRP_S - 0.1)
@@ -145,7 +146,10 @@ def _chirp_error_hz(setup: Setup) -> float:
 
 
 def _swell_error_db(setup: Setup) -> float:
-    """Return the r.m.s. error in dB of a swelling level, at the latency of sustained levels."""
+    """Return the r.m.s. error in dB of the level of a modulated tone's vibration.
+
+    The latency is compensated.
+    """
     duration_s = 1.5
     time_s = np.arange(round(duration_s * SAMPLERATE)) / SAMPLERATE
     swell = 1.0 + SWELL_DEPTH * np.sin(2.0 * np.pi * SWELL_HZ * time_s)
@@ -157,11 +161,10 @@ def _swell_error_db(setup: Setup) -> float:
 
 
 def _lag_p95_ms(setup: Setup, count: int) -> float:
-    """Return the 95th percentile of the onset lag over twice as many bursts as count."""
-    stream_s = BURST_ONSET_S + 0.4  # the measure looks at 0.2 s after the latest onset
+    stream_s = BURST_ONSET_S + 0.4  # the measure uses the 0.2 s after the latest onset
     lags = []
     for place, audio_hz in enumerate(np.geomspace(*BURST_HZ, 2 * count)):
-        # Onsets are spread over the window by the golden ratio.
+        # Onsets are distributed over the window by the golden ratio.
         onset_s = BURST_ONSET_S + (0.618 * place % 1.0) * TransformParameters().window_s
         sound = burst(float(audio_hz), BURST_AMPLITUDE, onset_s, stream_s)
         lags.append(1e3 * onset_lag_s(setup.vibration(sound), SAMPLERATE, onset_s))
@@ -169,7 +172,7 @@ def _lag_p95_ms(setup: Setup, count: int) -> float:
 
 
 def _notes(setup: Setup) -> tuple[float, float]:
-    """Return missed and spurious partials of decaying notes, in percent of all."""
+    """Return missed and spurious partials of decaying notes, in % of all partials."""
     rng = np.random.default_rng(6)
     time_s = np.arange(setup.made.grid.window_frames) / SAMPLERATE
     note_hz = np.exp(rng.uniform(np.log(NOTE_HZ[0]), np.log(NOTE_HZ[1]), NOTES))
@@ -194,7 +197,7 @@ def _rms(errors: FloatArray | list[float]) -> float:
 
 
 def _verdict(measured: Mapping[str, Mapping[str, float]]) -> str:
-    """Return what every other setting costs and gains, and which dominate the defaults."""
+    """Return a text that compares each setting with the default."""
     default = measured[DEFAULT]
     dominating = []
     lines = []
@@ -214,9 +217,13 @@ def _verdict(measured: Mapping[str, Mapping[str, float]]) -> str:
                 f"worse in {', '.join(worse) or 'nothing'}"
             )
     said = (
-        f"Better in something and worse in nothing than the defaults: {', '.join(dominating)}."
+        "These settings are better than the defaults in at least one column, and worse in no "
+        f"column: {', '.join(dominating)}."
         if dominating
         else "The defaults lie on the frontier: no other setting is better in something and worse "
         "in nothing."
     )
-    return "\n".join((said, "Compared with them, beyond the spread of repeats:", *lines))
+    compared = (
+        "The list shows differences from the defaults that are larger than the spread of repeats:"
+    )
+    return "\n".join((said, compared, *lines))

@@ -1,7 +1,8 @@
-"""Settings of the live form that `frontier` compares, each changed from outside.
+"""Settings of the live form that the section "Cost against error" compares.
 
-The transform carries no switches. The kernel takes all of its numbers from a `LiveDesign`,
-whose own come from `TransformParameters` and from the constants of `design.synthesis`.
+A `LiveDesign` configures the native core. It is computed from `TransformParameters` and from
+constants in `design.synthesis`. A setting changes one of these values, the length of the FFT, or
+the detection of onsets.
 """
 
 from __future__ import annotations
@@ -27,10 +28,14 @@ DEFAULT = "as it is"
 
 @dataclass(frozen=True)
 class Setting:
-    """One change of the live form: its knob, its name in the table, and what is changed.
+    """A setting of the live form that differs from the default in one quantity.
 
-    parameters: of `TransformParameters`; constants: of `design.synthesis`; padding: NFFT over
-    the window's length. onsets: whether onsets begin partials at once.
+    knob: name of the quantity.
+    name: label of the row in the table.
+    parameters: changed values of `TransformParameters`.
+    constants: changed constants of `design.synthesis`.
+    padding: length of the FFT relative to the window.
+    onsets: whether the start of a sound starts vibration immediately.
     """
 
     knob: str
@@ -42,7 +47,10 @@ class Setting:
 
 
 def hop(hops_a_window: float) -> Setting:
-    """Return the setting of another hop."""
+    """Return a setting with another hop size.
+
+    hops_a_window: length of the window relative to the hop.
+    """
     hop_ms = 1e3 * TransformParameters().window_s / hops_a_window
     return Setting("hop", f"hop {hop_ms:.0f} ms", constants={"HOPS_A_WINDOW": hops_a_window})
 
@@ -73,7 +81,7 @@ SETTINGS: tuple[Setting, ...] = (
 
 
 class Setup:
-    """The live form with one setting."""
+    """The live form of the transform with one setting."""
 
     def __init__(self, setting: Setting) -> None:
         self.setting = setting
@@ -92,7 +100,7 @@ class Setup:
         self.subject = Subject(setting.name, lambda _samplerate, channels: self._stream(channels))
 
     def analysis(self) -> WindowAnalysis:
-        """Return what finds the partials of a window."""
+        """Return a function that finds partials in single windows."""
         return WindowAnalysis(self.made, every=False)
 
     def _stream(self, channels: int) -> CoreStream:
@@ -105,7 +113,7 @@ class Setup:
 
 @contextmanager
 def constants_changed(changed: Mapping[str, Any]) -> Iterator[None]:
-    """Change constants of `design.synthesis` while a transform is made."""
+    """Change constants of `design.synthesis` within a `with` block."""
     kept: list[tuple[str, Any]] = []
     try:
         for name, value in changed.items():

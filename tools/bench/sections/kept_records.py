@@ -1,4 +1,4 @@
-"""Sections on what other programs measured and kept: live latency and the soaks."""
+"""Sections with stored results of other programs: live delays and long-run tests."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tools.soak_record import SoakRecord
 
 MILLION = 1e6
 USUAL_BLOCK_FRAMES = LiveSettings.block_frames
-"""Block size of the daemon's streams by default; limits apply to it."""
+"""Default block size of the daemon's streams, in frames; limits apply to this size."""
 LAG = Must("<=", 90.0)
 NO_GROWTH_MS = Must("<=", 1.0)
 CPU_PERCENT = Must("<=", 8.0)
@@ -30,11 +30,10 @@ NATIVE_LIMITS = {
     256: {"lag_median_ms": 12.0, "lag_p95_ms": 16.0, "child_cpu_percent": 2.0, "growth_ms": 0.5},
     1024: {"lag_median_ms": 35.0, "child_cpu_percent": 1.0, "growth_ms": 0.5},
 }
-"""Largest figures of the native engine, by the cycle of the graph in frames."""
+"""Limits of the native engine, by the graph's cycle in frames."""
 
 Kept = TypeVar("Kept")
 Columns = tuple[tuple[str, str, str, Must | None], ...]
-"""Field, column, unit and limit of what is shown of a record."""
 
 _LIVE_COLUMNS: Columns = (
     ("lag_median_ms", "lag", "ms", LAG),
@@ -71,10 +70,9 @@ _SOAK_COLUMNS: Columns = (
     ("thdn_end_db", "THD+N at the end", "dB", soak_record.PURITY),
 )
 _ENERGY_COLUMNS: Columns = (
-    ("samples", "samples", "million", Must(">=", soak_record.STEPPED_SAMPLES / MILLION)),
+    ("samples", "samples", "million", Must(">=", soak_record.SAMPLES / MILLION)),
     ("energy_creep", "change of the largest energy", "", soak_record.NO_CREEP),
     ("energy_rise", "largest rise after the drive", "", soak_record.PASSIVE),
-    ("energy_from_nowhere", "energy-balance error of a step", "", soak_record.PASSIVE_STEPPED),
 )
 _IDENTIFICATION_COLUMNS: Columns = (
     ("rigs", "rigs", "", Must(">=", soak_record.RIGS)),
@@ -86,14 +84,16 @@ _IDENTIFICATION_COLUMNS: Columns = (
 
 
 def live_bursts(_bench: Workbench) -> Section:
-    """The last measurements of bursts."""
+    """Return the section with stored delays from tone bursts to their vibration."""
     explanation = (
-        "Delay of the vibration of bursts of 150, 440 and 900 Hz on PipeWire, from the burst's "
-        "first sample to a tenth and to half of the vibration's peak, by version, engine and "
-        "tap, cycle of the graph (quantum) and rate. The sound is recorded at a third sink, to "
-        "which the player is linked as well and which does not drive the graph: the monitor of a "
-        "sink that drives it is read one cycle late, and hides that cycle. Both sinks are "
-        "recorded in one stream."
+        "The table shows delays on PipeWire. They are the times from the first sample of a tone "
+        "burst to a tenth and to half of the peak of its vibration. The bursts have 150, 440 and "
+        "900 Hz. Rows differ by the version of PipeWire, the engine, the tap, the cycle of the "
+        "graph (quantum) and the sample rate. The monitor of a sink that drives the graph is one "
+        "cycle late. With a recording of this monitor, the measured delay would be too small. The "
+        "sound is therefore recorded at an additional sink, which does not drive the graph. The "
+        "player is linked to this sink, too. One stream records this sink and the sink of the "
+        "vibration."
     )
     return _section(
         "Live bursts", explanation, burst_record.RECORD, burst_record.COMMAND,
@@ -111,20 +111,21 @@ def _burst_rows(record: BurstRecord) -> Iterator[Row]:
 
 def _burst_footnote(records: tuple[BurstRecord, ...]) -> str:
     return (
-        f"`{burst_record.COMMAND}` measures it on a sound server of its own with null sinks, which "
-        "have no hardware delay, and keeps the last results here. Newer versions are measured in "
-        "roots of newer Debians (`tools/debian_root.sh`). With a player linked straight to the "
-        "haptic sink, the method shows 0 ms."
+        f"`{burst_record.COMMAND}` measures these delays on a private sound server. The server's "
+        "null sinks have no hardware delay. Newer versions of PipeWire run in root file systems of "
+        "newer Debian versions (`tools/debian_root.sh`). As a check, the method measures 0 ms for "
+        "a player that is linked directly to the sink of the vibration."
     )
 
 
 def live_latency(_bench: Workbench) -> Section:
-    """The last live measurements."""
+    """Return the section with stored latencies of `cushion run`."""
     explanation = (
-        "Delay of the vibration of `cushion run` after its sound, transform included, by server "
-        "by engine and by block size; quantum is the cycle of PipeWire's graph. It is measured "
-        "between the monitors of both sinks; on PipeWire, the sound's is that of a third sink, "
-        "which does not drive the graph."
+        "The lag is the delay of the vibration of `cushion run` after its sound, including the "
+        "latency of the transform. Rows differ by sound server, engine and block size; *quantum* "
+        "is the cycle of PipeWire's graph in frames. The lag is measured between the monitors of "
+        "two sinks: one for the sound, one for the vibration. On PipeWire, the sound is recorded "
+        "at an additional sink, which does not drive the graph."
     )
     return _section(
         "Live latency", explanation, live_record.RECORD, live_record.COMMAND,
@@ -141,7 +142,6 @@ def _section(
     rows: Callable[[Kept], Iterator[Row]],
     footnote: Callable[[tuple[Kept, ...]], str] = lambda _: "",
 ) -> Section:
-    """Return a section of records, or what is missing."""
     name = title if title.startswith("Soak") else title.lower()
     try:
         kept = read(record_path(record))
@@ -155,14 +155,13 @@ def _section(
 
 
 def _soak(title: str, what: str, columns: Columns, _bench: Workbench) -> Section:
-    """Return the section of the last soak of one kind."""
     command = soak_record.COMMAND
-    explanation = f"{what} `{command}` runs it and keeps its last result here."
+    explanation = f"{what} `{command}` runs this test; the table shows its last result."
 
     def rows(record: SoakRecord) -> Iterator[Row]:
         verdict = "passed" if record.passed else "failed"
         when = f"{verdict} on {record.date} in {record.took_s:.0f} s, {record.cpu}"
-        if getattr(record, columns[0][0]) is None:  # a soak of another kind
+        if getattr(record, columns[0][0]) is None:  # a long-run test of another kind
             return
         for index, (field, column, unit, must) in enumerate(columns):
             value = getattr(record, field)
@@ -176,27 +175,29 @@ def _soak(title: str, what: str, columns: Columns, _bench: Workbench) -> Section
 transform_soak = partial(
     _soak,
     "Soak",
-    f"The live form over {number(soak_record.HOPS)} hops, more than four hours of sound.",
+    "A *soak* is a test of long duration. Here, the live form processes "
+    f"{number(soak_record.HOPS)} hops, which are five hours of sound.",
     _SOAK_COLUMNS,
 )
 rig_soak = partial(
     _soak,
     "Soak of the rig",
-    f"Each model of the rig over {number(soak_record.SAMPLES / MILLION)} million samples of a "
-    "bounded random drive, ten seconds in a loop; the step by step model, which is slow, over "
-    f"{number(soak_record.STEPPED_SAMPLES / MILLION)} million. The largest energy of each loop "
-    "is compared with the first. Then the drive stops, and the energy may only fall. All "
-    "errors are shares of the stored energy.",
+    f"Each model of the rig processes {number(soak_record.SAMPLES / MILLION)} million samples of a "
+    "bounded random drive signal, which repeats every ten seconds. The table shows the change of "
+    "the largest stored energy from one repetition to the next. It also shows the largest rise of "
+    "the stored energy in one step after the end of the signal, when this energy may only fall. "
+    "Both changes are relative to the stored energy.",
     _ENERGY_COLUMNS,
 )
 identification_soak = partial(
     _soak,
     "Soak of the identification",
-    f"f0 and Q of {soak_record.RIGS} random rigs, from one sweep each of 5 s from 15 to 400 Hz "
-    "on the simulated non-linear rig. The instruments have noise at "
-    f"-{soak_record.SNR_DB:g} dB; every other rig is on an occupied seat. The rows say how "
-    "much of Xmax the sweep moves. The truth is computed from the eigenvalues of the linear "
-    "equations. The intervals are of 95 %.",
+    f"The table shows errors of the identified f0 and Q for {soak_record.RIGS} random rigs. For "
+    "each rig, a sweep of 5 s from 15 to 400 Hz is simulated with the non-linear model. The noise "
+    f"of the instruments is -{soak_record.SNR_DB:g} dB relative to the signal; half of the rigs "
+    "are on an occupied seat. Rows differ by the peak excursion of the sweep. The true f0 and Q "
+    "are computed from the eigenvalues of the rig's linear model. Intervals are 95 % confidence "
+    "intervals.",
     _IDENTIFICATION_COLUMNS,
 )
 
@@ -225,12 +226,14 @@ def _live_footnote(records: tuple[LiveRecord, ...]) -> str:
     loads = [load for record in records for load in (record.load_before, record.load_after)]
     stimuli = ", ".join(dict.fromkeys(record.stimulus for record in records))
     return (
-        f"`{live_record.COMMAND}` and `make soak` measure it, on a sound server of their own with "
-        f"null sinks, and keep their last results here. Played: {stimuli}. The lag is that of the "
-        "vibration's envelope behind the envelope of what `cushion render` makes of the same "
-        "sound, every few seconds. Not reported is the change of the lag that the status does not "
-        "show. Dropouts are silences over 2 ms amid vibration. Pauses of the machine are times of "
-        "10 ms or more in which no core ran, as virtual machines have; a stream that holds less "
-        "runs dry then. The instrument's error is the lag between two recordings of one monitor. "
-        f"{cpus}, load {min(loads):.1f} to {max(loads):.1f}. Null sinks have no hardware delay."
+        f"`{live_record.COMMAND}` and `make soak` measure these figures on a private sound server. "
+        f"The server's null sinks have no hardware delay. The sound is {stimuli}. The lag is "
+        "measured every few seconds between the envelope of the vibration and the envelope of "
+        "`cushion render` for the same sound. The column *of it not reported* shows how much the "
+        "difference between the lag and the delay reported by the daemon changes over the run. "
+        "Dropouts are silences over 2 ms within the vibration. Pauses of the machine are times of "
+        "10 ms or more in which no core ran. Such pauses occur on virtual machines; streams whose "
+        "buffers are shorter than the pause then underrun. The instrument's error is the measured "
+        f"lag between two recordings of the same monitor. Machine: {cpus}, load {min(loads):.1f} "
+        f"to {max(loads):.1f}."
     )

@@ -1,4 +1,4 @@
-"""Section on the mixer: what a cycle costs, by tracks."""
+"""Section "The mixer": CPU time of a cycle, by number of tracks."""
 
 from __future__ import annotations
 
@@ -12,19 +12,16 @@ from tools.bench.report import Must, Row, Section
 from tools.bench.sounds.signals import SAMPLERATE, Stereo
 from tools.bench.workbench import Workbench
 
-HAL_FRAMES = 240
-"""The mixer makes cycles of 960 frames, 20 ms, of it."""
+HAL_FRAMES = 240  # frames of the HAL buffer; the mixer combines them to cycles of 960 frames, 20 ms
 TRACKS = (1, 8, 32)
 OTHER_RATE = 44_100
-CYCLES_AT_ONCE = 10
-"""Cycles in one timing, from rings filled before it."""
-
+CYCLES_AT_ONCE = 10  # cycles in one timing; rings are filled before it
 TIME, UNITS = "µs a cycle", "FFTs"
 LINEAR = Must("<=", 1.25)
 
 
 class TrackBank:
-    """A mixer with equal stereo float tracks, whose rings `fill` fills and `run` empties."""
+    """A mixer with several equal stereo tracks of float samples."""
 
     def __init__(self, tracks: int, samplerate: int = SAMPLERATE) -> None:
         self._mixer = Mixer(SAMPLERATE, 2, hal_frames=HAL_FRAMES, standby_delay_s=math.inf)
@@ -48,17 +45,17 @@ class TrackBank:
             track.start()
 
     def fill(self) -> None:
-        """Fill every track's ring, as its client would."""
+        """Fill the ring buffer of each track."""
         for track in self._tracks:
-            track.write(self._sound[: track.room])
+            track.write(self._sound[: track.ring.room])
 
     def run(self) -> int:
-        """Do the cycles of one timing and return how many tracks they mixed."""
+        """Run ten cycles of the mixer; return the sum of the numbers of mixed tracks."""
         return sum(self._mixer.cycle(0.0).tracks_mixed for _ in range(CYCLES_AT_ONCE))
 
 
 def mixing(bench: Workbench) -> Section:
-    """CPU time of mix cycles by tracks."""
+    """Measure the CPU time of a cycle of the mixer, for several numbers of tracks."""
     banks = {f"{count} track{'s' * (count > 1)} of 48 kHz": TrackBank(count) for count in TRACKS}
     banks["1 track of 44.1 kHz, resampled"] = TrackBank(1, OTHER_RATE)
     works = list(banks.values())
@@ -79,8 +76,9 @@ def mixing(bench: Workbench) -> Section:
     rows.append(Row(name, ratio, "times", TIME, LINEAR))
     return Section(
         "The mixer",
-        "CPU time of the mixer's thread for a cycle of 20 ms, 48 kHz stereo, from float tracks "
-        "that their clients have filled, without effects and sinks. Each track should cost the "
-        "same: one more track among 8 to 32 is compared with one more among 1 to 8.",
+        "The table shows the CPU time of the mixer's thread for a cycle of 20 ms of 48 kHz stereo "
+        "sound. The tracks are float tracks with full buffers; there are no effects and no sinks. "
+        "Each additional track should have the same cost. The last row is a ratio: the cost of an "
+        "additional track between 8 and 32 tracks, divided by its cost between 1 and 8 tracks.",
         tuple(rows),
     )

@@ -1,4 +1,4 @@
-"""Section on profiles: strength, lag and range with each, on the same sounds."""
+"""Section "Profiles": level, range of levels, and lag of the vibration with each profile."""
 
 from __future__ import annotations
 
@@ -25,8 +25,7 @@ TITLE = "Profiles"
 BY_ENERGY = "by energy"
 QUIETER_DB = -20.0
 LOUDEST_SHARE = 0.1
-AUDIBLE_DB = -60.0
-"""A quieter unit of a recording counts as a pause."""
+AUDIBLE_DB = -60.0  # dB relative to a full-scale sine; quieter pieces of a recording are pauses
 BURSTS, BURST_STREAM_S = 9, 0.8
 
 SPEECH = "speech"
@@ -35,37 +34,42 @@ RANGE = "range of speech, median to loudest twentieth"
 
 @dataclass(frozen=True)
 class Way:
-    """A profile, or an amplitude mapping on its own: its name and parameters."""
+    """Parameters of the transform: those of a profile, or of `paper` with one change."""
 
     name: str
     parameters: TransformParameters
 
     @property
     def subject(self) -> Subject:
-        """What is measured."""
+        """The transform with these parameters, as a measured method."""
         return Subject(self.name, partial(HapticTransform, parameters=self.parameters))
 
     def felt(self, sound: FloatArray) -> FloatArray:
-        """Return the vibration of (frames,) at 48 kHz, its latency taken out, (frames,)."""
+        """Return the vibration of a sound at 48 kHz without latency, both (frames,)."""
         transform = HapticTransform(SAMPLERATE, 1, self.parameters)
         vibration = np.concatenate((transform.process(sound[:, None]), transform.finish()))
         return vibration[transform.latency_frames :, 0]
 
     def settled(self, sound: FloatArray, settled_s: float) -> FloatArray:
-        """Return the vibration of a sound after it has been repeated for that long."""
+        """Return the vibration of a sound after loudness control has settled.
+
+        A profile with loudness control first receives repetitions of the sound for about
+        `settled_s` s.
+        """
         times = round(settled_s * SAMPLERATE / sound.size) if self.parameters.loudness_db else 0
         felt = self.felt(np.resize(sound, (times + 1) * sound.size))
         return felt[times * sound.size :]
 
 
 def ways() -> tuple[Way, ...]:
-    """Return the profile `paper`, the mapping by energy alone, and all other profiles."""
+    """Return all profiles, and `paper` with its amplitude mapping changed to "energy"."""
     profiles = tuple(Way(name, parameters_of(name)) for name in PROFILES)
-    return profiles[0], Way(BY_ENERGY, TransformParameters(level_law="energy")), *profiles[1:]
+    by_energy = Way(BY_ENERGY, TransformParameters(amplitude_mapping="energy"))
+    return profiles[0], by_energy, *profiles[1:]
 
 
 def profiles(bench: Workbench) -> Section:
-    """Level, lag, similarity and range of every profile."""
+    """Measure level, lag, similarity and range of levels of the vibration with each profile."""
     sounds, settled_s = sounds_of(bench.recordings), bench.effort.settled_s
     rows = [
         *_level_rows(sounds, settled_s),
@@ -85,17 +89,20 @@ def profiles(bench: Workbench) -> Section:
     missing = () if bench.recordings else (bench.missing_recordings("spoken recordings"),)
     return Section(
         TITLE,
-        "Level of the loudest tenth of the 46 ms units in sound and vibration. 0 dB is a sine of "
-        f"full scale. Volumes are full and 20 dB lower, after {settled_s:g} s. *By energy* "
-        "is that amplitude mapping without the loudness follower of the other profiles.",
+        "The sound (*in*) and its vibration with each profile are divided into units of 46 ms. "
+        "Rows with *loudest tenth* show the mean level of the loudest tenth of these units. A "
+        "sine of full scale has a level of 0 dB. In rows with *-20 dB*, the sound is 20 dB "
+        f"softer. Before the measurement, the sound is repeated for {settled_s:g} s, so that "
+        "loudness control adapts. The column *by energy* is for the profile `paper` with "
+        '`amplitude_mapping = "energy"`.',
         tuple(rows),
         missing,
-        footnote=f"Sounds: the demo's own{'' if missing else ', and spoken recordings as speech'}.",
+        footnote="Sounds: tracks of the demo scene"
+        f"{'' if missing else '; the sound *speech* consists of spoken recordings'}.",
     )
 
 
 def _level_rows(sounds: dict[str, FloatArray], settled_s: float) -> Iterator[Row]:
-    """Yield the loudest tenths in and out at two volumes."""
     for name, sound in sounds.items():
         for volume_db in (0.0, QUIETER_DB):
             title = f"{name}, loudest tenth" + (f", {volume_db:g} dB" if volume_db else "")
@@ -106,7 +113,7 @@ def _level_rows(sounds: dict[str, FloatArray], settled_s: float) -> Iterator[Row
 
 
 def sounds_of(recordings: tuple[Recording, ...]) -> dict[str, FloatArray]:
-    """Return the sounds by name, (frames,) float64 at 48 kHz: the demo's; recorded speech."""
+    """Return tracks of the demo scene, and speech, by name, (frames,) float64 at 48 kHz."""
     makers: dict[str, Callable[..., np.ndarray]] = {
         "explosion": explosion,
         "engine": engine,
@@ -126,7 +133,7 @@ def sounds_of(recordings: tuple[Recording, ...]) -> dict[str, FloatArray]:
 
 
 def units_db(signal: FloatArray) -> FloatArray:
-    """Return the level of every whole unit of 46 ms, a full-scale sine at 0 dB."""
+    """Return the level of each complete piece of 46 ms, in dB relative to a full-scale sine."""
     frames = TransformParameters().window_frames(SAMPLERATE)
     whole = signal[: signal.size - signal.size % frames].reshape(-1, frames)
     levels: FloatArray = 10.0 * np.log10(2.0 * (whole**2).mean(axis=1) + 1e-20)
@@ -134,7 +141,7 @@ def units_db(signal: FloatArray) -> FloatArray:
 
 
 def loudest_db(signal: FloatArray) -> float:
-    """Return the level of the loudest tenth of a signal's units."""
+    """Return the mean level in dB of the loudest tenth of the pieces of 46 ms."""
     levels = np.sort(units_db(signal))
     loudest = levels[-max(1, round(LOUDEST_SHARE * levels.size)) :]
     return float(10.0 * np.log10((10.0 ** (loudest / 10.0)).mean()))

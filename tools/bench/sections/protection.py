@@ -1,4 +1,4 @@
-"""Sections on protection: excursions with and without the governor, and what it costs live."""
+"""Sections on protection of the actuator: excursions with and without protection, and CPU time."""
 
 from __future__ import annotations
 
@@ -9,31 +9,29 @@ from itertools import product
 
 import numpy as np
 
-from audioflinger_hook.drive.rig_driver import RigDriver
 from audioflinger_hook.transform import FloatArray
 from device.drive.damping import choose_damping
 from device.drive.protection.design import BLOCK_S
 from device.rig import PAPER
 from device.rig.adaptive_actuator import AdaptiveActuator
 from device.rig.electronics import Amplifier
-from device.rig.model_levels import ModelLevel
-from device.rig.parameters import SeatParameters, vary
+from device.rig.parameters import Model, SeatParameters, vary
 from device.units import amplitude_to_db
 from tools.bench.cost import in_ffts, interleaved
 from tools.bench.report import Must, Row, Section
 from tools.bench.sounds.signals import SAMPLERATE
 from tools.bench.workbench import Workbench
+from tools.rig_driver import RigDriver
 
 LOUD = replace(PAPER, amplifier=replace(PAPER.amplifier, gain=20.0, current_limit_a=math.inf))
-"""The `paper` rig behind an amplifier that can drive it to 1.5 Xmax."""
 
 XMAX = Must("<=", 1.0)
 NON_LINEAR = Must("<=", 1.1)
 BLOCK_US = Must("<=", 125.0)
 BLOCK_FFTS = Must("<=", in_ffts(1e-6 * BLOCK_US.bound))
 MASS, F0_SQUARED, FORCE_FACTOR = (0.9, 1.1), (0.81, 0.9, 1.0, 1.1, 1.21), (0.9, 1.1)
-"""Factors of the moving mass, the stiffness and Bl, in all combinations."""
-ENDS = (0.81, 1.21)
+"""Factors of moving mass, stiffness and Bl, in all combinations."""
+ENDS = (0.81, 1.21)  # factors of stiffness for the non-linear model
 FREE = SeatParameters(mass_kg=0.57, stiffness_n_per_m=100.0, damping_n_s_per_m=0.0)
 SEATS = (None, LOUD.seat, FREE)
 BLOCKSIZE = 256
@@ -42,7 +40,7 @@ REPEATS = 5
 
 
 def protection(_bench: Workbench) -> Section:
-    """Excursion with and without the governor, and how much drive is kept."""
+    """Measure excursions with and without protection, and the level of the protected signal."""
     rows = []
     for name, drive in drives().items():
         protector = RigDriver(LOUD, SAMPLERATE)
@@ -59,19 +57,22 @@ def protection(_bench: Workbench) -> Section:
         ]
     return Section(
         "Protection ahead of time",
-        "The largest excursion as a share of Xmax, over all combinations of three deviations. "
-        "Moving mass and Bl are 10 % lower or higher. The stiffness is 19 % lower to 21 % higher "
-        "(f0 ±10 %). The frame stands still, is on the rig's seat, or is a free board of 0.57 kg. "
-        "The amplifier gives "
-        "20 V. Governed: the linear model. Non-linear model: the same, on a rig that stiffens, for "
-        "the same governed drive. Drive kept: r.m.s. against the largest fixed gain that is safe "
-        "for the whole drive.",
+        "The true rig deviates from the rig file that protection uses. The table shows the largest "
+        "simulated excursion over all combinations of deviations, relative to Xmax, the excursion "
+        "limit. Moving mass and Bl are 10 % lower or higher. The stiffness is 19 % lower to 21 % "
+        "higher (f0 ±10 %). The frame is fixed, is on the rig's seat, or is a free board of 0.57 "
+        "kg. The amplifier's voltage at full scale is 20 V. The columns *without* and *governed* "
+        "are for the linear model without and with protection. The column *non-linear model* is "
+        "with protection, for a rig whose spring becomes stiffer with excursion. The column *drive "
+        "kept* shows the r.m.s. of the protected drive signal. This value is relative to the "
+        "r.m.s. of the drive signal with a constant gain. This gain is the largest that keeps all "
+        "excursions under Xmax, and the drive signal within full scale.",
         tuple(rows),
     )
 
 
 def live_cost(bench: Workbench) -> Section:
-    """What damping, protection and exposure cost together in the live path."""
+    """Measure the CPU time of damping and of protection."""
     duration_s = min(COST_S, bench.effort.rig_timed_s)
     time_s = np.arange(round(duration_s * SAMPLERATE)) / SAMPLERATE
     tone = np.sin(2.0 * np.pi * 86.0 * time_s)
@@ -100,14 +101,15 @@ def live_cost(bench: Workbench) -> Section:
         ]
     return Section(
         "Damping, protection and exposure live",
-        f"CPU time of one thread at 48 kHz in blocks of {BLOCKSIZE} frames, for a tone at 86 Hz; "
-        f"medians of {REPEATS} interleaved repeats.",
+        "The table shows the CPU time of one thread for 2 ms of drive signal at 48 kHz, in blocks "
+        f"of {BLOCKSIZE} frames. The drive signal is a tone of 86 Hz. Values are medians of "
+        f"{REPEATS} interleaved repeats.",
         tuple(rows),
     )
 
 
 def drives() -> dict[str, FloatArray]:
-    """Drives of a second, (frames,), by name."""
+    """Return drive signals of 1 s, (frames,), by name."""
     time_s = np.arange(SAMPLERATE) / SAMPLERATE
     phase = 2.0 * np.pi * time_s
     rng = np.random.default_rng(0)
@@ -128,15 +130,15 @@ def drives() -> dict[str, FloatArray]:
 
 
 def _excursion(drive: FloatArray, *, linear: bool = True) -> float:
-    """Return the largest |x| over all that the rig may be, as a share of Xmax."""
+    """Return the largest excursion for all deviations from the rig file, relative to Xmax."""
     unlimited = replace(LOUD.amplifier, output_limit_v=1e9)
     volts = Amplifier(unlimited, SAMPLERATE).drive(LOUD.dac.full_scale_v * drive)
-    level = ModelLevel.LINEAR if linear else ModelLevel.NONLINEAR
+    which: Model = "linear" if linear else "nonlinear"
     largest = 0.0
     for factors in product(MASS, F0_SQUARED if linear else ENDS, FORCE_FACTOR):
         for seat in SEATS:
             true = replace(LOUD, actuator=vary(LOUD.actuator, *factors), seat=seat)
-            model = AdaptiveActuator(true, SAMPLERATE, level=level, seat=seat is not None)
+            model = AdaptiveActuator(true, SAMPLERATE, model=which, seat=seat is not None)
             motion = model.move(volts, ("displacement_m",))
             largest = max(largest, float(np.abs(motion.displacement_m).max()))
     return largest / LOUD.actuator.x_max_m

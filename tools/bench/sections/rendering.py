@@ -1,4 +1,4 @@
-"""Section on rendering: files through the command line."""
+"""Section "Rendering a file": time and memory that `cushion render` takes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import soundfile
 
-from audioflinger_hook.offline.workers import usable_cores
+from audioflinger_hook.offline.batch import usable_cores
 from tools.bench.cost import in_ffts
 from tools.bench.report import Must, Row, Section
 from tools.bench.sounds.signals import SAMPLERATE, demo_sound
@@ -28,7 +28,7 @@ A_CORE = {"live": Must(">=", 400.0), "reference": Must(">=", 250.0)}
 A_CORE_FFTS = {form: Must("<=", in_ffts(1.0 / must.bound)) for form, must in A_CORE.items()}
 REPEATS = 3
 
-# A small process starts the command, because a child's peak memory includes that of its parent.
+# A small process starts the command, because a child's peak memory includes its parent's.
 _WATCHER = """
 import json, os, resource, subprocess, sys, time
 start = time.perf_counter()
@@ -39,7 +39,7 @@ print(json.dumps([done.returncode, wall_s, peak_kb, done.stderr[-400:]]))
 """
 
 
-# The same command after all imports: the CPU time of the rendering alone, and of an FFT before it.
+# This script runs the command after all imports, and measures CPU time of the rendering and an FFT.
 _STARTED = """
 import json, os, sys, time
 from tools.bench.cost import rfft_unit_s
@@ -59,7 +59,7 @@ sys.__stdout__.write(json.dumps(spent))
 
 
 def render_speed(bench: Workbench) -> Section:
-    """Wall time and peak memory of `render`, the whole process; and what it costs a core."""
+    """Measure wall time, CPU time and peak memory of `cushion render`."""
     rows: list[Row] = []
     with tempfile.TemporaryDirectory(prefix="cushion-bench-") as folder:
         for duration_s in bench.effort.render_s:
@@ -69,17 +69,19 @@ def render_speed(bench: Workbench) -> Section:
                 rows += measure(source, f"{duration_s / 60:g} min", duration_s)
     return Section(
         "Rendering a file",
-        "`cushion render` of the looped demo scene, 48 kHz stereo, live form. Wall time is that of "
-        "the whole command with the start of Python. Peak memory must not depend on the length. "
-        f"A core: CPU time without the start, the best of {REPEATS} runs, and the cost of a second "
-        "in FFTs. Several files: one for each core at once, by wall time. Limits other than "
-        "memory apply to ten minutes (full run).",
+        "`cushion render` renders the repeated demo scene, 48 kHz stereo. Wall time includes the "
+        "start of Python. Peak memory must not depend on the duration of the sound. The column *x "
+        "real time* shows the duration of the sound divided by the wall time of its rendering with "
+        "the live form. The columns with *a core* use CPU time without the start of Python, the "
+        f"best of {REPEATS} runs. Columns with *FFTs* show the cost of a second of sound in FFTs. "
+        "In rows with *files at once*, one file per core is rendered at the same time. The limit "
+        "of peak memory applies to all durations; the other limits apply only to ten minutes of "
+        "sound.",
         tuple(rows),
     )
 
 
 def _whole_command(source: Path, name: str, duration_s: float) -> list[Row]:
-    """Return wall time and peak memory of one rendering."""
     wall_s, peak_mb = _render(str(source), str(source.with_name("vibration.wav")))
     return [
         Row(name, wall_s, "s", "wall time", LONG_WALL if duration_s >= LONG_S else None),
@@ -89,9 +91,8 @@ def _whole_command(source: Path, name: str, duration_s: float) -> list[Row]:
 
 
 def _a_core(source: Path, name: str, duration_s: float) -> list[Row]:
-    """Return how many seconds of sound one second of a core renders, in each form."""
     target = str(source.with_name("vibration.wav"))
-    # One worker: CPU time is that of this process alone.
+    # With one worker, all CPU time belongs to this process.
     command = ["render", str(source), target, "--workers", "1"]
     done = subprocess.run(
         [sys.executable, "-c", _STARTED, str(REPEATS), ",".join(A_CORE), *command],
@@ -105,7 +106,7 @@ def _a_core(source: Path, name: str, duration_s: float) -> list[Row]:
     spent: dict[str, list[tuple[float, float]]] = json.loads(done.stdout)
     rows = []
     for form, must in A_CORE.items():
-        # The best of both: other programs only add time.
+        # The minima of both times are used, since other programs only add time.
         seconds, unit_s = map(min, zip(*spent[form], strict=True))
         limits = (must, A_CORE_FFTS[form]) if duration_s >= LONG_S else (None, None)
         column, ffts_column = f"x real time a core, {form}", f"a second a core, {form}, FFTs"
@@ -116,7 +117,6 @@ def _a_core(source: Path, name: str, duration_s: float) -> list[Row]:
 
 
 def _several_files(source: Path, name: str, duration_s: float) -> list[Row]:
-    """Return how many seconds of sound all cores render in a second, a file for each of them."""
     cores = usable_cores()
     with tempfile.TemporaryDirectory(dir=source.parent) as folder:
         sources = [Path(folder) / f"{number}.wav" for number in range(cores)]
@@ -129,7 +129,10 @@ def _several_files(source: Path, name: str, duration_s: float) -> list[Row]:
 
 
 def _render(*arguments: str) -> tuple[float, float]:
-    """Return wall seconds and peak MB of one command; RuntimeError where it fails."""
+    """Run `cushion render`, and return its wall time in s and peak memory in MB.
+
+    RuntimeError: the command failed.
+    """
     done = subprocess.run(
         [sys.executable, "-S", "-c", _WATCHER, sys.executable, "-m", PACKAGE, "render", *arguments],
         stdout=subprocess.PIPE,
@@ -145,13 +148,12 @@ def _render(*arguments: str) -> tuple[float, float]:
 
 
 def _environment() -> dict[str, str]:
-    """Return an environment in which Python finds the code that is measured here."""
     path = os.pathsep.join(filter(None, (str(PROJECT_ROOT), os.environ.get("PYTHONPATH"))))
     return os.environ | {"PYTHONPATH": path}
 
 
 def write_sound(path: Path, duration_s: float) -> None:
-    """Write the looped demo scene, 16 bit, piece by piece."""
+    """Write a 16-bit WAV file in which the demo scene is repeated for `duration_s`."""
     demo = np.clip(demo_sound(), -1.0, 1.0)
     left = round(duration_s * SAMPLERATE)
     with soundfile.SoundFile(path, "w", SAMPLERATE, demo.shape[1], "PCM_16") as file:

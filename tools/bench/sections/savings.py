@@ -1,6 +1,6 @@
-"""Section on savings: what the live form saves by leaving out work, and what that changes.
+"""Section "What each saving saves": CPU time saved by skipping unnecessary work.
 
-Each saving is switched off by a design, so the transform itself carries no switches.
+For each measurement, a modified `LiveDesign` switches off one saving.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from audioflinger_hook.transform import FloatArray, TransformParameters
 from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.design.analysis import AnalysisDesign, window_tables
 from audioflinger_hook.transform.haptic import CoreStream
-from audioflinger_hook.transform.spectrum import Spectrum
+from audioflinger_hook.transform.principal import Spectrum
 from tools.bench.cost import Timings
 from tools.bench.report import Missing, Must, Row, Section
 from tools.bench.sounds.signals import (
@@ -32,25 +32,27 @@ from tools.bench.workbench import Playback, Subject, Workbench, timed
 BLOCKSIZE = 256
 EVERY_SAVING = "all savings on"
 SAVED, CHANGE = "saves at most", "largest change"
-DEMO_FROM_S, DEMO_TO_S = 8.0, 12.0
-"""Of the demo scene: speech, a second of silence, an explosion, a chord."""
-DEMO_TIMES = 2.5
-"""Longest part of the demo scene, as a multiple of the other scenes' length."""
+DEMO_FROM_S, DEMO_TO_S = 8.0, 12.0  # part of the demo in s: speech, silence, explosion, chord
+DEMO_TIMES = 2.5  # largest length of the demo scene, as a multiple of the other scenes' length
 PARTIALS_MAX = TransformParameters().partials_max
 
 FAINT = 1e-20
-"""Added to sound of which outputs are compared. After silence that is exactly 0 hops begin anew as
-soon as the vibration has decayed, so they would begin elsewhere where it plays on."""
+"""Amplitude added to sounds whose outputs are compared, to avoid exact silence. After exact
+silence, hops may restart at another frame.
+"""
 TIED = 0.06
-"""Bound where two peaks tie for the last place: twice 0.03, the strongest partials of white noise.
- The smallest change then decides which peak, and which phase, is kept."""
+"""Largest change where two peaks tie for the last place: twice 0.03, the strongest partials of
+white noise. The smallest difference then decides which peak and phase are kept.
+"""
 
 
 @dataclass(frozen=True)
 class Saving:
-    """One saving: what is done without it, and how a design switches it off.
+    """A saving of work in the live form.
 
-    bound: of the change of any sample, of full scale.
+    name: the work that is done without the saving.
+    switch_off: function that returns a design without the saving.
+    bound: limit for the change of any sample of the vibration, relative to full scale.
     """
 
     name: str
@@ -59,7 +61,6 @@ class Saving:
 
 
 def _setting(section: str, name: str, value: float) -> Callable[[LiveDesign], LiveDesign]:
-    """Return what sets a number of one section of a design."""
     return lambda design: replace(
         design, **{section: replace(getattr(design, section), **{name: value})}
     )
@@ -72,7 +73,6 @@ def _keep_every_bin(design: LiveDesign) -> LiveDesign:
 
 
 def _clear_high_images(design: LiveDesign) -> LiveDesign:
-    """Let images be cleared however high a peak stands."""
     spectrum = Spectrum.of(TransformParameters(), design.samplerate)
     turn, table = window_tables(spectrum, design.analysis.bins, spectrum.window_frames)
     return replace(design, analysis=replace(design.analysis, image_turn=turn, image_table=table))
@@ -89,11 +89,10 @@ SAVINGS: tuple[Saving, ...] = (
 
 
 def _scenes(duration_s: float, recordings: tuple[Recording, ...]) -> dict[str, FloatArray | None]:
-    """Return the scenes that savings are tried on, mono float64."""
     cut_short = chord(duration_s)
     cut_short[SAMPLERATE // 2 :] = 0.0
     clicks = np.zeros(round(duration_s * SAMPLERATE))
-    clicks[:: SAMPLERATE // 40] = 1.0  # as wide in frequency as the band
+    clicks[:: SAMPLERATE // 40] = 1.0  # clicks cover the whole band
     spoken = speech(recordings)
     from_s = max(DEMO_FROM_S, DEMO_TO_S - DEMO_TIMES * duration_s)
     demo = demo_sound()[round(from_s * SAMPLERATE) : round(DEMO_TO_S * SAMPLERATE)]
@@ -111,7 +110,7 @@ def _scenes(duration_s: float, recordings: tuple[Recording, ...]) -> dict[str, F
 
 
 def savings(bench: Workbench) -> Section:
-    """Cost with and without each saving, by scene, and what it changes."""
+    """Measure the CPU time without each saving, and how a saving changes the vibration."""
     rows: list[Row] = []
     missing: list[Missing] = []
     saved: dict[str, list[tuple[float, str]]] = {saving.name: [] for saving in SAVINGS}
@@ -136,13 +135,14 @@ def savings(bench: Workbench) -> Section:
         rows.append(Row(saving.name, change[saving.name], "", CHANGE, must))
     return Section(
         "What each saving saves",
-        "The live form leaves out work that a scene does not need. First the cost of a second with "
-        "all savings, then without one at a time: the row says what is done then. It is of one "
-        f"channel, blocks of {BLOCKSIZE} frames, medians of {bench.effort.saving_repeats} "
-        f"over {bench.effort.saving_s:g} s. Then "
-        "the most that it saves on any scene, and the largest change of any sample, of full "
-        f"scale. In noise two peaks can tie for the last of {PARTIALS_MAX} places; a tiny change "
-        "then decides which one is kept.",
+        "The live form skips unnecessary work. The table shows the cost of a second of sound for "
+        "several scenes. In the first row, no unnecessary work is done. Each other row names one "
+        "kind of this work, and shows the cost with this work. The sound has one channel and "
+        f"blocks of {BLOCKSIZE} frames. Values are medians of {bench.effort.saving_repeats} "
+        f"repeats over {bench.effort.saving_s:g} s of sound. The column *saves at most* shows the "
+        "largest saving of cost among all scenes. The column *largest change* shows the largest "
+        "change of a sample of the vibration, relative to full scale. In noise, a tiny change can "
+        f"decide which of two similar peaks becomes the last of {PARTIALS_MAX} partials.",
         tuple(rows),
         tuple(missing),
     )
@@ -155,7 +155,6 @@ def _streams_of(design: LiveDesign) -> Callable[[int, int], CoreStream]:
 def _with_and_without(
     sound: FloatArray, repeats: int
 ) -> tuple[dict[str, FloatArray], dict[str, Timings]]:
-    """Return output and timings, by name, with every saving and without each one."""
     design = LiveDesign.of(TransformParameters(), SAMPLERATE)
     designs = {EVERY_SAVING: design}
     designs |= {saving.name: saving.switch_off(design) for saving in SAVINGS}

@@ -1,4 +1,4 @@
-"""Sections on scaling: how cost depends on duration, channels, sample rate and actuators."""
+"""Sections on scaling: growth of CPU time with duration, channels, sample rate, actuators."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from audioflinger_hook.transform import FloatArray, HapticTransform
 from device.rig import PAPER
 from device.rig.adaptive_actuator import AdaptiveActuator
-from device.rig.model_levels import ModelLevel
+from device.rig.parameters import Model
 from tools.bench.cost import interleaved
 from tools.bench.report import Must, Row, Section, number
 from tools.bench.sounds.signals import SAMPLERATE, Stereo, chord
@@ -30,18 +30,19 @@ ACTUATORS = (1, 2, 4, 8)
 RIG_LONGEST_S = 4.0
 TOLERANCE = 1e-2
 LEVEL_V = 10.0
-MODELS = (ModelLevel.LINEAR, ModelLevel.NONLINEAR, None)
-"""None: selected by block at TOLERANCE."""
+MODELS: dict[Model, str] = {
+    "linear": "linear", "nonlinear": "non-linear", "auto": f"selected at {TOLERANCE:g}"
+}  # fmt: skip
 
 
 def exponent(sizes: Sequence[float], costs: Sequence[float]) -> float:
-    """Return p of cost ~ size^p, fitted over all points: 1 is linear, 2 is quadratic."""
+    """Fit cost ~ size^p to all points, and return p, which is 1 for linear growth."""
     slope, _ = np.polyfit(np.log(sizes), np.log(costs), 1)
     return float(slope)
 
 
 def cost_scaling(bench: Workbench) -> Section:
-    """How cost depends on the sound's duration and on its channels."""
+    """Measure CPU time by duration and by number of channels."""
     effort = bench.effort
     live = bench.subject(LIVE)
     each = Subject(LIVE, partial(HapticTransform, form="live", per_channel=True))
@@ -63,9 +64,10 @@ def cost_scaling(bench: Workbench) -> Section:
     )
     return Section(
         "Scaling of cost",
-        "Twice the duration or twice the channels should cost twice as much: the exponent p of "
-        "cost ~ size^p is 1. A chord of ten partials in large blocks; opening the stream is "
-        "measured on its own.",
+        "The cost should be proportional to the duration of the sound and to the number of "
+        "channels. The exponent p of cost ~ size^p is then 1. The sound is a chord of ten "
+        "partials in blocks of 32 768 frames. The time to open a stream has its own row, and is "
+        "not part of the other rows.",
         tuple(rows),
     )
 
@@ -73,7 +75,6 @@ def cost_scaling(bench: Workbench) -> Section:
 def _rows(
     what: str, sizes: list[tuple[str, float]], sounds: list[tuple[Subject, Stereo]], unit_s: float
 ) -> list[Row]:
-    """Return the cost of each size, its share of a unit of the size, and the exponent."""
     timings = timed([Playback(*sound, BLOCKSIZE) for sound in sounds], REPEATS)
     costs_ms = [1e3 * timing.median_s for timing in timings]
     rows = []
@@ -85,10 +86,10 @@ def _rows(
 
 
 def rig_scaling(bench: Workbench) -> Section:
-    """What the rig costs at other rates, over other durations, and with more actuators."""
+    """Measure CPU time of the rig by sample rate, duration and number of actuators."""
     longest_s = min(RIG_LONGEST_S, bench.effort.rig_s / 20.0)
     durations_s = [longest_s / part for part in RIG_DURATION_PARTS]
-    # Label, sizes, what a cost is divided by, arguments of _rig_work, and the exponent's limit.
+    # A row has label, sizes, divisors of costs, arguments of _rig_work, and the exponent's limit.
     tables = (
         ("sample rate: {} kHz", [rate / 1e3 for rate in RIG_RATES], [1.0] * len(RIG_RATES),
          [(rate, longest_s, 1) for rate in RIG_RATES], None),
@@ -98,8 +99,7 @@ def rig_scaling(bench: Workbench) -> Section:
          [(SAMPLERATE, longest_s, count) for count in ACTUATORS], LINEAR),
     )  # fmt: skip
     rows = []
-    for model in MODELS:
-        column = f"{model}" if model else f"selected at {TOLERANCE:g}"
+    for model, column in MODELS.items():
         cases = [case for *_, table, _ in tables for case in table]
         timings = iter(interleaved([_rig_work(model, *case) for case in cases], REPEATS))
         for label, sizes, units, table, must in tables:
@@ -113,23 +113,23 @@ def rig_scaling(bench: Workbench) -> Section:
             rows.append(Row(name, exponent(sizes, costs), "", column, must))
     return Section(
         "Scaling of the rig's cost",
-        "CPU time of the same drive, a swelling tone, as ratios within one run. Another sample "
-        f"rate is compared with {number(SAMPLERATE)} Hz, a second of another duration with one of "
-        "the shortest, one of several actuators with one alone. Linear scaling is a ratio of 1 "
-        "for durations and actuators, and an exponent of 1.",
+        "The table shows ratios of CPU times. The drive signal is a tone of varying level. The "
+        f"cost at each sample rate is relative to the cost at {number(SAMPLERATE)} Hz. The cost of "
+        "a second of a longer signal is relative to that of the shortest signal. The cost of each "
+        "of several actuators is relative to that of a single actuator. If the cost is "
+        "proportional to the duration and to the number of actuators, these ratios and the "
+        "exponents are 1.",
         tuple(rows),
-        footnote="The linear model computes every sample, so its cost rises with the rate. The "
-        "non-linear one takes about 3 000 steps a second at any rate.",
+        footnote="The linear model makes a step for each sample, so its cost rises with the "
+        "sample rate. The non-linear model makes at least 40 000 steps for each second of signal.",
     )
 
 
-def _rig_work(
-    model: ModelLevel | None, samplerate: int, duration_s: float, actuators: int
-) -> partial[None]:
+def _rig_work(model: Model, samplerate: int, duration_s: float, actuators: int) -> partial[None]:
     times = np.arange(round(samplerate * duration_s)) / samplerate
     swell = 0.2 + 0.8 * np.sin(math.pi * times / duration_s) ** 2
     volts = LEVEL_V * swell * np.sin(math.tau * 60.0 * times)
-    rigs = [AdaptiveActuator(PAPER, samplerate, TOLERANCE, level=model) for _ in range(actuators)]
+    rigs = [AdaptiveActuator(PAPER, samplerate, TOLERANCE, model=model) for _ in range(actuators)]
     return partial(_move_all, rigs, volts)
 
 

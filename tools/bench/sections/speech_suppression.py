@@ -1,4 +1,4 @@
-"""Section on speech suppression: hits on speech, false alarms, and how far speech is lowered."""
+"""Section "Speech suppression": how well the live form recognises and attenuates speech."""
 
 from __future__ import annotations
 
@@ -27,10 +27,8 @@ from tools.bench.workbench import Workbench
 
 TITLE = "Speech suppression"
 SUPPRESSION_DB = 18.0
-LENGTH_S = 2.0, 6.0
-"""Shortest and longest sound."""
-HEARD_DB = -30.0
-"""A hop holds sound if its level is within this of the sound's highest."""
+LENGTH_S = 2.0, 6.0  # shortest and longest sound in s
+HEARD_DB = -30.0  # lowest level of a hop with sound, relative to the sound's maximum
 KNOWN_AFTER_S = 0.5
 BELIEVED = 0.5
 OFF = TransformParameters()
@@ -42,7 +40,12 @@ Hops = np.ndarray[tuple[int], np.dtype[np.bool_]]
 
 @dataclass(frozen=True)
 class Heard:
-    """What the live form made of a sound, a hop an entry: belief in speech, level in dB."""
+    """Level of a sound and estimated probability of speech, for each hop (step of the analysis).
+
+    belief: probability of speech, 0 to 1.
+    level_db: mean square of the sound in dB relative to 1.
+    hop_s: duration of a hop in s.
+    """
 
     belief: FloatArray
     level_db: FloatArray
@@ -50,16 +53,13 @@ class Heard:
 
     @property
     def sounding(self) -> Hops:
-        """Which hops hold sound."""
+        """Whether the level of each hop is at most 30 dB under the largest level."""
         sounding: Hops = self.level_db > self.level_db.max() + HEARD_DB
         return sounding
 
 
 def _told_of_belief(parameters: TransformParameters, samplerate: int) -> LiveDesign:
-    """Return a design that lowers everything by belief alone, whatever can be speech.
-
-    It finds a partial in every hop that can be heard, and never reaches the limiter.
-    """
+    """Return a design in which only the probability of speech determines the attenuation."""
     design = LiveDesign.of(parameters, samplerate)
     never, always = (1e9, 2e9), (-2e9, -1e9)
     selection = {"spared_hz": always, "excess_db": never, "background_db": always, "between": never}
@@ -76,9 +76,9 @@ def _told_of_belief(parameters: TransformParameters, samplerate: int) -> LiveDes
 
 
 def heard(sound: FloatArray, samplerate: int = SAMPLERATE) -> Heard:
-    """Return what the live form believes of (frames,) with suppression on.
+    """Return the probability of speech that the live form estimates in each hop of a sound.
 
-    It is read from how far the core lowers the partials of each hop.
+    The probability is computed from the attenuation of the partials in the hop.
     """
     designs = [_told_of_belief(parameters, samplerate) for parameters in (OFF, ON)]
     streams = [CoreStream(design, 1, each=False) for design in designs]
@@ -97,7 +97,7 @@ def heard(sound: FloatArray, samplerate: int = SAMPLERATE) -> Heard:
 
 
 def speech_suppression(bench: Workbench) -> Section:
-    """Hits on speech, and false alarms on other sounds."""
+    """Measure how often speech, and how often other sounds, are classified as speech."""
     length_s = float(np.clip(bench.effort.cost_s, *LENGTH_S))
     recorded = spoken(bench.recordings)
     rows: list[Row] = []
@@ -111,17 +111,20 @@ def speech_suppression(bench: Workbench) -> Section:
     rows += _false_alarms(0.6 * length_s, bench)
     return Section(
         TITLE,
-        "Share of the hops with sound that the live form takes for speech: hits on speech, false "
-        "alarms on other sounds. Speech is recorded names of loudspeakers (one woman) and the "
-        f"synthetic man of the demo scene. Known: from {KNOWN_AFTER_S:g} s after its start. The "
-        "rule was tuned on one half of the sounds; the other half tests it. "
-        f"Lowered: vibration of known speech, with {SUPPRESSION_DB:g} dB asked for.",
+        "The table shows the share of the hops with sound that the live form classifies as speech. "
+        "If the sound is speech, these hops are hits, otherwise false alarms. The speech consists "
+        "of recorded names of loudspeakers (spoken by one woman), and of the synthetic voice of "
+        f"the demo scene. Rows with *known* leave out the first {KNOWN_AFTER_S:g} s of the sound. "
+        "The detection was tuned with one half of the sounds (*chosen on*), and is tested with the "
+        "other half. Rows with *lowered by* show the reduction of the level of the vibration with "
+        f"`speech_suppression_db` = {SUPPRESSION_DB:g}.",
         tuple(rows),
         tuple(missing),
-        footnote="Both halves of the recordings are of one speaker, so they say nothing of other "
-        "voices. Known misses: the start of speech after a pause of more than a second, and "
-        "speech no louder than other sounds. Known false alarms: telephones and sirens, whose "
-        "tones glide or come in syllables.",
+        footnote="Both halves of the recordings have the same speaker, so the test covers only "
+        "one recorded voice. The live form does not detect the start of speech after a pause of "
+        "more than a second. It also misses speech that is no louder than the other sounds. "
+        "Telephones and sirens cause false alarms, because their tones glide or have the rhythm "
+        "of syllables.",
     )
 
 
@@ -167,7 +170,6 @@ def _alarm_and_sound_s(recording: Recording) -> tuple[float, float]:
 
 
 def _vibration(sound: FloatArray, parameters: TransformParameters) -> FloatArray:
-    """Return the vibration at its sound's own time, (frames,)."""
     transform = HapticTransform(SAMPLERATE, 1, parameters)
     whole = np.concatenate((transform.process(sound), transform.finish()))[:, 0]
     in_time: FloatArray = whole[transform.latency_frames :]

@@ -1,4 +1,4 @@
-"""Sections on speed: the cost of a second of sound, warm and after pauses, and the worst hop."""
+"""Sections on speed: CPU time for one second of sound, with and without pauses, and for hops."""
 
 from __future__ import annotations
 
@@ -29,24 +29,21 @@ from tools.bench.workbench import (
     timed,
 )
 
-BLOCKSIZES = (256, 32_768)
-"""What a sound server delivers, and what a rendering takes at once."""
+BLOCKSIZES = (256, 32_768)  # frames of a sound server's block, and of a rendering's block
 SECOND_MS, COLD_SECOND_MS = 1.5, 10.0
 DENORMALS = (
     ("denormal floats", "tiny normal floats"),
     ("denormal floats, float64", "tiny normal floats, float64"),
 )
 SLOW_DOWN = Must("<=", 1.5)
-PAUSE_S = 0.004
-"""About how long a thread sleeps between blocks of 256 frames at 48 kHz."""
-BLOCKS_A_UNIT = 50
-"""Blocks with pauses between two timings of the FFT."""
+PAUSE_S = 0.004  # sleep in s of a live thread between blocks of 256 frames at 48 kHz
+BLOCKS_A_UNIT = 50  # blocks with pauses between two timings of the FFT
 HOP_COST = Must("<=", 1.0)
 HOPS_TO_WARM = 100
 
 
 def cost_of_a_second(bench: Workbench) -> Section:
-    """CPU time of a second of sound, by scene and block size."""
+    """Measure the CPU time for one second of sound, by scene and block size."""
     effort = bench.effort
     cases: list[tuple[str, Subject, float]] = []
     playbacks: list[Playback] = []
@@ -67,20 +64,20 @@ def cost_of_a_second(bench: Workbench) -> Section:
         rows += cost_rows(name, subject.name, timing, duration_s, limit_ms)
     return Section(
         "Cost of a second of sound",
-        "CPU time for a second of 48 kHz stereo; 10 ms are 1 % of one core. A sound server "
-        f"delivers blocks of {BLOCKSIZES[0]} frames, a rendering takes {BLOCKSIZES[1]} at once. "
-        f"Medians over {effort.cost_s:g} s of sound, {effort.cost_repeats} interleaved repeats of "
-        f"`{LIVE}` and {effort.slow_repeats} of the other; opening a stream is not timed. The "
-        f"limit in FFTs assumes an FFT of {1e6 * LIMITS_RFFT_S:g} µs. "
-        "Denormal floats, which many processors handle slowly, "
-        f"should cost the same as tiny normal ones ({TINY:g}).",
+        "The table shows CPU time for each second of 48 kHz stereo sound; 10 ms are 1 % of one "
+        f"core. Blocks of {BLOCKSIZES[0]} frames are usual for live sound, blocks of "
+        f"{BLOCKSIZES[1]} for files. Values are medians of {effort.cost_repeats} interleaved "
+        f"repeats for `{LIVE}` and of {effort.slow_repeats} for the reference form, over "
+        f"{effort.cost_s:g} s of sound. The time to open a stream is not included. The limits in "
+        "FFTs are the limits in ms, converted for a machine whose FFT takes "
+        f"{1e6 * LIMITS_RFFT_S:g} µs. Many processors compute slowly with denormal floats. In the "
+        f"transform, denormal floats should have the same cost as tiny normal floats ({TINY:g}).",
         (*rows, *_slow_downs(rows)),
         tuple(missing),
     )
 
 
 def _slow_downs(rows: list[Row]) -> list[Row]:
-    """Return the cost of denormal floats over that of tiny normal ones."""
     costs = {(row.name, row.column): row.value or 0.0 for row in rows}
     ratios: list[Row] = []
     for blocksize in BLOCKSIZES:
@@ -97,7 +94,7 @@ def _slow_downs(rows: list[Row]) -> list[Row]:
 
 
 def cost_after_pauses(bench: Workbench) -> Section:
-    """CPU time of a second of sound where the thread sleeps between blocks."""
+    """Measure the CPU time for one second of sound if the thread sleeps between blocks."""
     blocksize = BLOCKSIZES[0]
     count = round(bench.effort.cold_s * SAMPLERATE / blocksize)
     rows: list[Row] = []
@@ -109,15 +106,15 @@ def cost_after_pauses(bench: Workbench) -> Section:
         rows += cost_rows(f"{name}, with pauses", LIVE, timing, duration_s, COLD_SECOND_MS)
     return Section(
         "Cost after pauses",
-        f"A live thread sleeps {1e3 * PAUSE_S:g} ms between blocks of {blocksize} frames, while "
-        "other programs use the processor's caches. This is what a second of 48 kHz stereo costs "
-        f"then, over {bench.effort.cold_s:g} s; the FFT is timed without pauses.",
+        "Audio threads sleep between blocks, while other programs fill the processor's caches. "
+        "The table shows the cost of a second of 48 kHz stereo sound, with pauses of "
+        f"{1e3 * PAUSE_S:g} ms between blocks of {blocksize} frames. The sounds last "
+        f"{bench.effort.cold_s:g} s. The FFT, the unit of cost, is timed without pauses.",
         tuple(rows),
     )
 
 
 def _timed_with_pauses(stream: Stream, blocks: list[Stereo]) -> Timings:
-    """Return the cost of all blocks as one timing, in seconds and in FFTs timed between them."""
     seconds = units = 0.0
     for first in range(0, len(blocks), BLOCKS_A_UNIT):
         unit_s = rfft_unit_s()
@@ -129,7 +126,7 @@ def _timed_with_pauses(stream: Stream, blocks: list[Stereo]) -> Timings:
 
 
 def worst_hop(bench: Workbench) -> Section:
-    """How far single hops stand out."""
+    """Measure the CPU time of single hops."""
     grid = LiveGrid.at(TransformParameters(), SAMPLERATE)
     hop_s = grid.hop_frames / SAMPLERATE
     effort = bench.effort
@@ -142,9 +139,10 @@ def worst_hop(bench: Workbench) -> Section:
             rows += line(f"{name}, {what}", {LIVE: value}, "%", must)
     return Section(
         "Worst hop",
-        f"Every hop ({grid.hop_frames} frames, {1e3 * hop_s:.1f} ms) must be ready long before it "
-        "is due. CPU time of single hops as a share of their duration, over "
-        f"{effort.hops_timed} hops of each sound.",
+        f"A *hop* is the interval between two analyses of the sound ({grid.hop_frames} frames, "
+        f"{1e3 * hop_s:.1f} ms). The computation of a hop must take much less time than the hop "
+        "lasts. The table shows the CPU time of single hops relative to the duration of a hop, "
+        f"for {effort.hops_timed} hops of each sound.",
         tuple(rows),
     )
 
@@ -152,7 +150,6 @@ def worst_hop(bench: Workbench) -> Section:
 def _hop_times_s(
     subject: Subject, sound: Stereo, hop_frames: int, hops: int
 ) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    """Return the thread CPU seconds of each hop of the looped sound, after some to warm up."""
     whole = len(sound) // hop_frames
     blocks = np.split(sound[: whole * hop_frames], whole)
     stream = subject.start(SAMPLERATE, sound.shape[1])

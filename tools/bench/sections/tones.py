@@ -1,4 +1,4 @@
-"""Section on steady tones: errors and purity of the vibration."""
+"""Section "Steady tones": errors and purity of the vibration of steady tones."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from audioflinger_hook.transform import FloatArray, TransformParameters
 from audioflinger_hook.transform.mapping import vibration_hz
-from audioflinger_hook.transform.reference.transform import ReferenceTransform
+from audioflinger_hook.transform.reference import ReferenceTransform
 from tools.bench.measures.vibration import SineFit, sine_fit
 from tools.bench.report import Must, Row, Section
 from tools.bench.sounds.signals import SAMPLERATE, tone
@@ -21,11 +21,10 @@ ERRORS = (
     ("level error", "dB", Must("<=", 0.5), Must("<=", 0.2)),
     ("THD+N", "dB", Must("<=", -60.0), PURITY_LEAD),
 )
-"""Name, unit, limit over MID_HZ, and aim over both ranges."""
 
 
 def steady_tones(bench: Workbench) -> Section:
-    """Frequency, level and purity of steady tones, by range."""
+    """Measure errors of frequency and level, and THD+N, of the vibration of steady tones."""
     rows: list[Row] = []
     for (low_hz, high_hz), count in (
         (MID_HZ, bench.effort.tones),
@@ -43,18 +42,20 @@ def steady_tones(bench: Workbench) -> Section:
         rows.append(Row(f"worst THD+N, {span}", reference_db, "dB", REFERENCE))
     return Section(
         "Steady tones",
-        "A steady tone should come out as one pure sinusoid at its frequency on the scale, as "
-        f"strong as in the reference form. {bench.effort.tones} and {bench.effort.low_tones} "
-        f"frequencies at amplitudes {', '.join(f'{a:g}' for a in AMPLITUDES)}, "
-        f"{bench.effort.tone_s:g} s each. THD+N is what the best-fitting sinusoid leaves in the "
-        "middle half. The reference form is measured at one amplitude. It restarts its phases "
-        "with every unit sequence, which makes a buzz.",
+        "The vibration of a steady tone should be one pure sinusoid at the mapped frequency, with "
+        f"the amplitude that the reference form computes. The tones have {bench.effort.tones} "
+        f"frequencies from 150 Hz up and {bench.effort.low_tones} lower frequencies, and last "
+        f"{bench.effort.tone_s:g} s. Their amplitudes, relative to full scale, are "
+        f"{', '.join(f'{a:g}' for a in AMPLITUDES)}. For THD+N, the sinusoid that fits best is "
+        "subtracted from the vibration in the middle half of the tone. THD+N is the level of the "
+        "rest relative to this sinusoid. The reference form is measured only at the amplitude "
+        f"{REFERENCE_AMPLITUDE:g}. The THD+N of the reference form is high, because its sinusoids "
+        "restart in every analysis window.",
         tuple(rows),
     )
 
 
 def _errors(bench: Workbench, frequency_hz: float, amplitude: float) -> tuple[float, float, float]:
-    """Return the errors of a tone through the live form, in the order of ERRORS."""
     sound = tone(frequency_hz, amplitude, bench.effort.tone_s)
     fit = _fit_middle(bench.subject(LIVE).vibration(sound, SAMPLERATE))
     wanted_hz = float(vibration_hz(np.array(frequency_hz), TransformParameters()))
@@ -74,9 +75,10 @@ def _fit_middle(vibration: FloatArray) -> SineFit:
 
 
 def reference_amplitude(sound: FloatArray) -> float:
-    """Return P_k r_k / (1.30 fs/N) of a tone by the reference form: the median over its units.
+    """Return the amplitude that the reference form gives to a tone.
 
-    The strongest partial of each unit counts.
+    In each analysis window, the strongest partial k has the amplitude P_k r_k / (1.30 fs/N), as
+    docs/transform.md explains. The result is the median over all windows.
     """
     parameters = TransformParameters()
     reference = ReferenceTransform(parameters, SAMPLERATE)

@@ -1,1 +1,1 @@
-"""The sounds that are measured."""
+"""Sounds on which the benchmarks measure."""

@@ -1,6 +1,7 @@
-"""Real sounds in eight classes, as tools/fetch_sounds.sh fetches them, in two fixed halves.
+"""Recorded sounds in eight classes, which tools/fetch_sounds.sh downloads.
 
-Each is (frames,) float64 at 48 kHz: the mean of its channels, at most 10 s long.
+Sounds are (frames,) float64 at 48 kHz, the mean of all channels. They are divided into two halves.
+Parameters were chosen on the half `choose`; results are reported for the half `report`.
 """
 
 from __future__ import annotations
@@ -30,19 +31,21 @@ KINDS = (
 )  # fmt: skip
 Half = Literal["choose", "report", "all"]
 HALVES: tuple[Half, ...] = ("choose", "report", "all")
-"""Values are chosen on one half of the sounds and reported on the other."""
+"""Parameters are chosen on `choose`; results are for `report`."""
 
-PASSAGES, PASSAGE_S = 4, 90.0
-"""How many minutes of music, and how long each is."""
-
+PASSAGES, PASSAGE_S = 4, 90.0  # number of long pieces of music, and their length in s
 SHORTEST_S, LONGEST_S = 0.15, 10.0
-LATE_FROM_S = 10.0
-"""Where a sound longer than twice `LONGEST_S` is cut out: pieces of music begin softly."""
+LATE_FROM_S = 10.0  # start of the used part of a sound over 20 s: music starts softly
 
 
 @dataclass(frozen=True, eq=False)
 class RealSound:
-    """One real sound. name: CLASS/FILE; kind: its class; sound: (frames,) float64 at 48 kHz."""
+    """One recorded sound.
+
+    name: CLASS/FILE.
+    kind: class.
+    sound: (frames,) float64 at 48 kHz.
+    """
 
     name: str
     kind: str
@@ -50,13 +53,19 @@ class RealSound:
 
 
 def sounds_folder() -> Path | None:
-    """Return the folder with the classes, or None where there is none; see `SOUNDS_VARIABLE`."""
+    """Return the folder of the downloaded sounds; None if it does not exist.
+
+    The environment variable CUSHION_SOUNDS may name the folder; the default is .cache/sounds.
+    """
     folder = PROJECT_ROOT / os.environ.get(SOUNDS_VARIABLE, SOUNDS_FOLDER)
     return folder if folder.is_dir() else None
 
 
 def real_sounds(half: Half, a_class: int | None = None) -> tuple[RealSound, ...]:
-    """Return the sounds of a half, by class and name; of each class the first few, or all."""
+    """Return the sounds of a half, sorted by class and name, at most 10 s of each.
+
+    a_class: upper limit of the number of sounds of each class; None for all.
+    """
     found: list[RealSound] = []
     for kind in KINDS:
         read = (RealSound(f"{kind}/{each.name}", kind, _part(each)) for each in _files(kind, half))
@@ -66,21 +75,24 @@ def real_sounds(half: Half, a_class: int | None = None) -> tuple[RealSound, ...]
 
 
 def passages(half: Half) -> list[FloatArray]:
-    """Return the first 90 s of some long pieces of orchestral music of a half, 4 or fewer."""
+    """Return the first 90 s of up to four pieces of orchestral music of a half."""
     orchestral = [path for path in _files("music", half) if path.name.startswith("wesnoth")]
     long_enough = [path for path in orchestral if soundfile.info(path).duration > PASSAGE_S]
     return [_read(path, 0.0, PASSAGE_S) for path in long_enough[:PASSAGES]]
 
 
 def in_half(names: Sequence[str], half: Half) -> list[str]:
-    """Return the files of a class that are in a half, sorted: every other one by name's hash."""
+    """Return the sorted names of files that belong to a half.
+
+    In the order of the hashes of their names, the files belong to the two halves alternately.
+    """
     by_hash = sorted(names, key=name_hash)
     chosen = {"choose": by_hash[0::2], "report": by_hash[1::2], "all": by_hash}[half]
     return sorted(chosen)
 
 
 def of_kinds(sounds: Sequence[RealSound], *kinds: str) -> list[RealSound]:
-    """Return the sounds of some classes."""
+    """Return the sounds that belong to the given classes."""
     return [each for each in sounds if each.kind in kinds]
 
 
@@ -93,7 +105,6 @@ def _files(kind: str, half: Half) -> list[Path]:
 
 
 def _part(path: Path) -> FloatArray:
-    """Return the part of a file that is taken, at most 10 s."""
     duration_s = soundfile.info(path).duration
     return _read(path, LATE_FROM_S if duration_s > 2.0 * LONGEST_S else 0.0, LONGEST_S)
 
@@ -107,7 +118,7 @@ def _read(path: Path, from_s: float, duration_s: float) -> FloatArray:
 
 
 def at_rate(sound: FloatArray, rate: int, wanted: int) -> FloatArray:
-    """Return a sound at another sample rate in Hz."""
+    """Resample a sound from `rate` to the rate `wanted`, both in Hz."""
     if rate == wanted:
         return sound
     common = gcd(rate, wanted)

@@ -1,6 +1,7 @@
-"""Signals by formula, and real recordings where there are any.
+"""Synthetic signals, and real recordings if available.
 
-Signals are float32 or float64 with full scale +-1, (frames,) or (frames, 2), equal in every run.
+Signals are float32 or float64 with full scale ±1, (frames,) or (frames, 2). Synthetic signals are
+the same in every run.
 """
 
 from __future__ import annotations
@@ -19,20 +20,15 @@ from audioflinger_hook.sources import mixdown
 from audioflinger_hook.transform import FloatArray
 from tools.records import PROJECT_ROOT
 
-SAMPLERATE = 48_000
-"""Rate of every scene and every signal that does not say otherwise, in Hz."""
+SAMPLERATE = 48_000  # default sample rate of scenes and signals in Hz
 
-Stereo = NDArray[np.float32]
-"""(frames, 2) at SAMPLERATE."""
-
+Stereo = NDArray[np.float32]  # (frames, 2) at SAMPLERATE
 RECORDINGS_VARIABLE = "CUSHION_RECORDINGS"
 RECORDINGS_FOLDER = ".cache/recordings"
 RECORDINGS_COMMAND = "tools/fetch_recordings.sh"
 DEMO_TIMES, DEMO_PART_S = 3.0, (6.9, 8.9)
-"""The part of the demo scene for short runs: footsteps, then speech."""
-SHORTEST_S = 0.3
-"""Shorter recordings hold only a few windows and are left out."""
-
+"""The part of the demo scene for short runs has speech. Times are in s."""
+SHORTEST_S = 0.3  # used recordings are longer than this, in s
 _SPOKEN = """
     Front_Center Front_Left Front_Right Noise Rear_Center Rear_Left Rear_Right Side_Left Side_Right
 """
@@ -49,27 +45,28 @@ KNOWN = (
     *(f"alsa/{name}.wav" for name in _SPOKEN.split()),
     *(f"freedesktop/{name}.oga" for name in _DESKTOP.split()),
 )
-"""The files that `RECORDINGS_COMMAND` fetches: KIND/FILE."""
 
 CHORD_HZ = (110.0, 220.0, 277.2, 329.6, 440.0, 554.4, 659.3, 880.0, 1318.5, 1760.0)
 CHORD_AMPLITUDE = 0.08
 BURST_S, BURST_RISE_S = 0.25, 0.001
-DENORMAL, DENORMAL_FLOAT64 = 1e-40, 1e-310
-"""Denormal numbers of float32 and of float64, far under anything audible."""
-TINY = 1e-30
-"""As inaudible, and a normal number of both; denormal ones should cost the same."""
+DENORMAL, DENORMAL_FLOAT64 = 1e-40, 1e-310  # denormal numbers, far below audibility
+TINY = 1e-30  # inaudible, but a normal number
 
 
 def tone(
     frequency_hz: float, amplitude: float, duration_s: float, samplerate: int = SAMPLERATE
 ) -> FloatArray:
-    """Return a steady sine, (frames,) float64, that starts at phase 0."""
+    """Return a steady sine that starts at phase 0, (frames,) float64."""
     time_s = np.arange(round(duration_s * samplerate)) / samplerate
     return amplitude * np.sin(2.0 * np.pi * frequency_hz * time_s)
 
 
 def burst(frequency_hz: float, amplitude: float, onset_s: float, duration_s: float) -> FloatArray:
-    """Return silence with one tone of 0.25 s in it, 1 ms of rise and fall, (frames,) float64."""
+    """Return silence with one tone of 0.25 s, which rises and falls in 1 ms, (frames,) float64.
+
+    onset_s: start of the tone in s.
+    duration_s: duration of the whole signal in s.
+    """
     since_s = np.arange(round(duration_s * SAMPLERATE)) / SAMPLERATE - onset_s
     rise = np.clip(since_s / BURST_RISE_S, 0.0, 1.0)
     fall = np.clip((BURST_S - since_s) / BURST_RISE_S, 0.0, 1.0)
@@ -77,13 +74,24 @@ def burst(frequency_hz: float, amplitude: float, onset_s: float, duration_s: flo
 
 
 def white_noise(duration_s: float) -> Stereo:
-    """Return white noise with its peaks at 0 dBFS, the same in both channels."""
+    """Return uniform white noise with peaks at full scale, the same in both channels."""
     noise = np.random.default_rng(1).uniform(-1.0, 1.0, round(duration_s * SAMPLERATE))
     return stereo(noise)
 
 
+def pink_noise(frames: int, rng: np.random.Generator) -> FloatArray:
+    """Return pink noise without frequencies under 20 Hz, with an r.m.s. of 1, (frames,)."""
+    spectrum = np.fft.rfft(rng.standard_normal(frames))
+    hz = np.fft.rfftfreq(frames, 1.0 / SAMPLERATE)
+    spectrum[hz < 20.0] = 0.0
+    spectrum[1:] /= np.sqrt(hz[1:])
+    noise = np.fft.irfft(spectrum, frames)
+    pink: FloatArray = noise / noise.std()
+    return pink
+
+
 def chord(duration_s: float) -> Stereo:
-    """Return ten partials, each with its own slow vibrato of level."""
+    """Return a chord of ten sines, whose amplitudes are modulated slowly."""
     time_s = np.arange(round(duration_s * SAMPLERATE)) / SAMPLERATE
     total = np.zeros(time_s.size)
     for number, frequency_hz in enumerate(CHORD_HZ):
@@ -93,19 +101,25 @@ def chord(duration_s: float) -> Stereo:
 
 
 def stereo(mono: FloatArray) -> Stereo:
-    """Return a mono signal on two channels, float32."""
+    """Return a mono signal in two equal channels, float32."""
     return np.repeat(mono.astype(np.float32)[:, None], 2, axis=1)
 
 
 def looped(frames: Stereo, duration_s: float) -> Stereo:
-    """Return the sound repeated or cut to a duration."""
+    """Return the sound, repeated or cut to a duration in s."""
     wanted = round(duration_s * SAMPLERATE)
     return np.tile(frames, (-(-wanted // len(frames)), 1))[:wanted]
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """One real recording: its name, its folder's name, frames (frames, channels) and Hz."""
+    """One recording.
+
+    name: file name without suffix.
+    kind: name of the folder.
+    frames: (frames, channels).
+    samplerate: in Hz.
+    """
 
     name: str
     kind: str
@@ -114,15 +128,15 @@ class Recording:
 
     @property
     def is_speech(self) -> bool:
-        """Whether it is one of alsa-utils' spoken names of loudspeakers, at 48 kHz."""
+        """Whether the recording is one of the spoken channel names of alsa-utils, at 48 kHz."""
         return self.kind == "alsa" and self.name != "Noise" and self.samplerate == SAMPLERATE
 
 
 def recordings_folder() -> Path | None:
-    """Return the folder with recordings, or None where there is none.
+    """Return the folder with recordings; None for a missing or empty folder.
 
-    CUSHION_RECORDINGS names it, else it is .cache/recordings; below the current folder or the
-    project's.
+    The environment variable CUSHION_RECORDINGS may name the folder; the default is
+    .cache/recordings. A relative path starts at the current folder or at the project's folder.
     """
     name = os.environ.get(RECORDINGS_VARIABLE, RECORDINGS_FOLDER)
     for root in (Path.cwd(), PROJECT_ROOT):
@@ -133,9 +147,11 @@ def recordings_folder() -> Path | None:
 
 
 def examine_recordings() -> tuple[tuple[Recording, ...], dict[str, str]]:
-    """Return the folder's recordings longer than 0.3 s, and why others are missing, by KIND/FILE.
+    """Return all recordings longer than 0.3 s, and the reasons why others are missing or
+    unreadable.
 
-    Both are empty where there is no folder.
+    The reasons have keys of the form FOLDER/FILE. Without a folder of recordings, both results are
+    empty.
     """
     folder = recordings_folder()
     if folder is None:
@@ -157,21 +173,20 @@ def examine_recordings() -> tuple[tuple[Recording, ...], dict[str, str]]:
 
 
 def speech(recordings: tuple[Recording, ...]) -> Stereo | None:
-    """Return all spoken recordings one after another, or None where there is none."""
+    """Return all speech recordings, one after another, in stereo; None if there is none."""
     spoken = [item.frames.mean(axis=1) for item in recordings if item.is_speech]
     return stereo(np.concatenate(spoken)) if spoken else None
 
 
 @cache
 def demo_sound() -> Stereo:
-    """Return the mix of the demo scene, read-only and made once."""
+    """Return the mixed tracks of the demo scene, read-only."""
     sound = mixdown(demo_scene())
     sound.flags.writeable = False
     return sound
 
 
 def _demo_part(duration_s: float) -> Stereo:
-    """Return the whole scene, or two seconds of it where the scene is three times too long."""
     whole = demo_sound()
     if len(whole) <= DEMO_TIMES * duration_s * SAMPLERATE:
         return whole
@@ -182,7 +197,7 @@ def _demo_part(duration_s: float) -> Stereo:
 def cost_scenes(
     duration_s: float, recordings: tuple[Recording, ...]
 ) -> dict[str, Stereo | FloatArray | None]:
-    """Return the sounds whose cost is measured, by name; None where there are no recordings."""
+    """Return the sounds on which CPU time is measured, by name; None for missing recordings."""
     spoken = speech(recordings)
     constants = {
         "silence": np.float32(0.0),

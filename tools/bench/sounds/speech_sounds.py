@@ -1,6 +1,7 @@
-"""Speech and other sounds on which speech suppression is measured, in two halves.
+"""Speech and other sounds for measuring the suppression of speech, in two halves.
 
-The rule was tuned on the first half. Signals are (frames,) float64 at SAMPLERATE, of one loudness.
+The parameters of the suppression were chosen on the first half. Signals are (frames,) float64 at 48
+kHz.
 """
 
 from __future__ import annotations
@@ -18,19 +19,14 @@ from tools.bench.sounds.signals import SAMPLERATE, Recording, chord, tone
 
 CHOSEN_ON, OTHER_HALF = "chosen on", "other half"
 HALVES = (CHOSEN_ON, OTHER_HALF)
-
-LOUDNESS_DB = -22.0
-"""r.m.s. of a sound while it sounds, against full scale."""
-SOUNDING_DB = -30.0
-"""A sound sounds where its level over 50 ms is within this of its highest."""
+LOUDNESS_DB = -22.0  # r.m.s. level of the active parts of a sound, relative to full scale
+SOUNDING_DB = -30.0  # lowest level of an active part, relative to the sound's maximum
 LEVEL_S = 0.05
-
-PAUSE_S = 0.1
-"""Between recordings of speech that are played one after another."""
+PAUSE_S = 0.1  # pause in s between consecutive speech recordings
 
 
 def even(sound: FloatArray) -> FloatArray:
-    """Return a sound at LOUDNESS_DB while it sounds."""
+    """Scale a sound so that its r.m.s. without pauses is -22 dB relative to full scale."""
     power = uniform_filter1d(sound**2, round(LEVEL_S * SAMPLERATE), mode="constant")
     sounding = power > power.max() * 10 ** (SOUNDING_DB / 10)
     rms = float(np.sqrt((sound[sounding] ** 2).mean()))
@@ -39,7 +35,7 @@ def even(sound: FloatArray) -> FloatArray:
 
 
 def repeated(sound: FloatArray, duration_s: float) -> FloatArray:
-    """Return a sound again and again for so long."""
+    """Repeat or cut a sound to a duration in s."""
     again: FloatArray = np.resize(sound, round(duration_s * SAMPLERATE))
     return again
 
@@ -50,7 +46,7 @@ def _demo() -> Scene:
 
 
 def scene_track(name: str) -> FloatArray:
-    """Return one sound of the demo scene by itself."""
+    """Return one track of the demo scene, mixed to mono at 48 kHz."""
     (track,) = [track for track in _demo().tracks if track.name == name]
     mono = np.asarray(track.frames, dtype=np.float64).mean(axis=1)
     if track.samplerate != SAMPLERATE:
@@ -59,7 +55,7 @@ def scene_track(name: str) -> FloatArray:
 
 
 def spoken(recordings: Sequence[Recording]) -> dict[str, FloatArray]:
-    """Return recorded speech by half, empty where there is none; the voices are the same."""
+    """Return the joined speech recordings of each half. The same voice speaks in both halves."""
     files = [item for item in recordings if item.is_speech]
     pause = np.zeros(round(PAUSE_S * SAMPLERATE))
     halves = {}
@@ -81,7 +77,7 @@ def _mono(recording: Recording) -> FloatArray:
 
 
 def desktop(recordings: Sequence[Recording]) -> dict[str, list[Recording]]:
-    """Return the recordings that are no speech, by half: every second one."""
+    """Return sounds of desktop events by half, without spoken names of channels."""
     others = [
         item
         for item in recordings
@@ -91,7 +87,7 @@ def desktop(recordings: Sequence[Recording]) -> dict[str, list[Recording]]:
 
 
 def no_speech(duration_s: float) -> dict[str, dict[str, FloatArray]]:
-    """Return sounds that are no speech, by half and name."""
+    """Return sounds without speech, by half and by name."""
     return {
         CHOSEN_ON: {
             name: repeated(scene_track(name), duration_s)
@@ -114,7 +110,10 @@ def _time_s(duration_s: float) -> FloatArray:
 
 
 def shots(duration_s: float) -> FloatArray:
-    """Return nine shots a second in bursts of a second: noise that dies away within 25 ms."""
+    """Return gunfire: nine shots in 1 s, then a pause of 1 s, repeated.
+
+    A shot is noise that decays by a factor e in 25 ms.
+    """
     time_s = _time_s(duration_s)
     noise = np.random.default_rng(3).standard_normal(time_s.size)
     firing = time_s % 2.0 < 1.0
@@ -122,7 +121,7 @@ def shots(duration_s: float) -> FloatArray:
 
 
 def motor(duration_s: float) -> FloatArray:
-    """Return a motor whose 29 harmonics go from 15 to 55 Hz and back."""
+    """Return a motor sound: 29 harmonics of a fundamental that sweeps from 15 to 55 Hz and back."""
     time_s = _time_s(duration_s)
     turns = np.cumsum(35.0 + 20.0 * np.sin(2.0 * np.pi * 0.3 * time_s)) / SAMPLERATE
     total = np.zeros(time_s.size)
@@ -132,14 +131,14 @@ def motor(duration_s: float) -> FloatArray:
 
 
 def swelling_noise(duration_s: float) -> FloatArray:
-    """Return noise with the modulation of speech, 4 Hz, and nothing else of it."""
+    """Return noise whose amplitude is modulated at 4 Hz, as in speech."""
     time_s = _time_s(duration_s)
     noise = np.random.default_rng(4).standard_normal(time_s.size)
     return noise * (1.0 + 0.95 * np.sin(2.0 * np.pi * 4.0 * time_s))
 
 
 def notes(duration_s: float) -> FloatArray:
-    """Return a melody on a string: at 196 Hz and above, three notes a second, each with vibrato."""
+    """Return a melody of a string instrument: three notes each second, with vibrato."""
     time_s = _time_s(duration_s)
     steps = np.array([0, 4, 7, 5, 2, 9, 12, 7])[(time_s * 3.0).astype(int) % 8]
     pitch_hz = 196.0 * 2.0 ** (steps / 12.0) * (1.0 + 0.008 * np.sin(2 * np.pi * 5.5 * time_s))
@@ -153,13 +152,13 @@ def notes(duration_s: float) -> FloatArray:
 
 
 def beeps(duration_s: float) -> FloatArray:
-    """Return an alarm: a tone of 950 Hz, twice a second for a quarter of a second."""
+    """Return an alarm: a tone of 950 Hz for 0.25 s, twice each second."""
     time_s = _time_s(duration_s)
     return tone(950.0, 1.0, duration_s) * (time_s * 2.0 % 1.0 < 0.5)
 
 
 def siren(duration_s: float) -> FloatArray:
-    """Return three harmonics that glide between 450 and 950 Hz every two seconds."""
+    """Return a siren: three harmonics of a fundamental that glides between 450 and 950 Hz."""
     time_s = _time_s(duration_s)
     turns = np.cumsum(700.0 + 250.0 * np.sin(np.pi * time_s)) / SAMPLERATE
     total = np.zeros(time_s.size)

@@ -1,7 +1,7 @@
-"""Take real sounds out of Debian packages: unpack_sounds.py LIST TARGET FOLDER_OF_PACKAGES.
+"""Extracts sounds from Debian packages.
 
-Writes TARGET/CLASS/PACKAGE-NAME for every file that the list (real_sounds.txt) chooses. Only the
-standard library is used, so that any Python 3 runs it.
+Usage: unpack_sounds.py LIST TARGET FOLDER_OF_PACKAGES. The program writes TARGET/CLASS/PACKAGE-NAME
+    for each file that LIST (real_sounds.txt) selects. It uses only the standard library.
 """
 
 from __future__ import annotations
@@ -23,7 +23,12 @@ SOUNDS = (".wav", ".ogg", ".oga", ".flac")
 
 @dataclass(frozen=True)
 class Choice:
-    """One line of the list: class, package, most files, and patterns of their paths."""
+    """One line of the list, which selects files of a package.
+
+    kind: class of the sounds.
+    most: upper limit of the number of files.
+    patterns: patterns of paths, as in a shell.
+    """
 
     kind: str
     package: str
@@ -31,13 +36,13 @@ class Choice:
     patterns: tuple[str, ...]
 
     def chosen(self, paths: Iterator[str]) -> list[str]:
-        """Return at most `most` of the paths that match, in the order of their names' hashes."""
+        """Return up to `most` paths that match a pattern, chosen by hashes of their file names."""
         fit = {path for path in paths if any(fnmatchcase(path, each) for each in self.patterns)}
         return sorted(fit, key=name_hash)[: self.most]
 
 
 def choices(text: str) -> list[Choice]:
-    """Return the lines of a list, comments left out."""
+    """Return the entries of a list, without comments."""
     found = []
     for line in text.splitlines():
         kind, *rest = line.split() or ["#"]
@@ -48,12 +53,12 @@ def choices(text: str) -> list[Choice]:
 
 
 def name_hash(path: str) -> str:
-    """Return what orders files and halves them, the same everywhere: a hash of the file's name."""
+    """Return a hash of the file name, by which files are chosen and divided into halves."""
     return hashlib.sha256(path.rpartition("/")[2].encode()).hexdigest()
 
 
 def sounds_in(package: Path) -> dict[str, bytes]:
-    """Return the sound files of a Debian package by path, those in archives as ARCHIVE:path."""
+    """Return the sound files of a Debian package by path; files in archives by ARCHIVE:PATH."""
     files = {}
     unpacked = subprocess.run(
         ["dpkg-deb", "--fsys-tarfile", str(package)], check=True, stdout=subprocess.PIPE
@@ -74,7 +79,7 @@ def sounds_in(package: Path) -> dict[str, bytes]:
 
 
 def main(listed: Path, target: Path, packages: Path) -> None:
-    """Write every chosen file; a package that is not there gives none."""
+    """Write all selected files. Missing packages are skipped."""
     lines = choices(listed.read_text("utf-8"))
     for package in dict.fromkeys(line.package for line in lines):
         for path in packages.glob(f"{package}_*.deb"):

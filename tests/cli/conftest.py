@@ -1,0 +1,22 @@
+"""Fixtures that tests of commands share."""
+
+import pytest
+
+
+@pytest.fixture
+def config(tmp_path):
+    """Writes a config, text or bytes, and returns its path."""
+
+    def write(content):
+        path = tmp_path / "config.toml"
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+        return path
+
+    return write
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """An empty folder for what is made."""
+    (tmp_path / "out").mkdir()
+    return tmp_path / "out"

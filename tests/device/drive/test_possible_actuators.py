@@ -1,0 +1,161 @@
+"""Protection of an actuator that is a tenth off, whatever its frame stands on: every drive."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import linprog
+from scipy.signal import sosfilt
+
+from device.drive.protection.limits import RESERVE, bounding_models, limits_of
+from device.rig import CONSUMER, PAPER
+from device.rig.electronics import Band
+from tests.support.possible_actuators import (
+    DRIVES,
+    FREE,
+    GROUND,
+    Possible,
+    excursion_sections,
+    linear_excursions,
+    non_linear_excursion,
+    possible_actuators,
+    search,
+    searched_drive,
+    strong,
+)
+from tools.rig_driver import RigDriver
+
+RATE = 8_000
+LOUD = replace(PAPER, amplifier=replace(PAPER.amplifier, gain=20.0, current_limit_a=math.inf))
+STANDARD = pytest.mark.parametrize("rig", [PAPER, CONSUMER], ids=["paper", "consumer"])
+ACTUATORS = ((0.9, 1.1), (0.81, 1.21), (0.9, 1.1), (0.0, 3.0 - 1e-6))
+"""Bounds of mass, stiffness and Bl, and which seat."""
+
+
+def worst(rig, stronger, linear, **effort):
+    """The largest excursion of any possible actuator, for the worst drive that is found.
+
+    Of the non-linear model, the actuator is searched as well.
+    """
+    loud, drives = strong(rig, stronger), effort["drives"]
+    protector = RigDriver(loud, RATE, drives)
+    silence = np.zeros((protector.latency_frames + RATE // 20, drives))
+
+    def reached(tries):
+        waves = [searched_drive(rig.actuator.resonance_hz, RATE, each[:7]) for each in tries]
+        protector.reset()
+        out = protector.process(np.concatenate([np.column_stack(waves), silence])).astype(float)
+        if linear:
+            assert protector.protection().infeasible_blocks == 0
+            possible = possible_actuators(rig)
+            return np.max([linear_excursions(loud, one, out, RATE) for one in possible], axis=0)
+        found = []
+        for (mass, stiffness, bl, seat), column in zip(tries[:, 7:], out.T, strict=True):
+            one = Possible(mass, stiffness, bl, (GROUND, rig.seat, FREE)[int(seat)])
+            found.append(non_linear_excursion(loud, one, column, RATE))
+        return np.array(found)
+
+    return search(reached, DRIVES if linear else DRIVES + ACTUATORS, **effort)
+
+
+MOST = {True: 1.0, False: 1.1}
+"""Of Xmax, that the linear models may reach, and that the non-linear one may."""
+
+
+@STANDARD
+@pytest.mark.parametrize(
+    ("linear", "stronger", "least", "drives", "generations"),
+    [(True, 2.5, 0.85, 32, 2), (False, 4.0, 0.6, 16, 1)],
+)
+def test_no_drive_of_some_exceeds_a_limit(rig, linear, stronger, least, drives, generations):
+    effort = {"drives": drives, "generations": generations}
+    reached, found, _ = worst(rig, stronger, linear, seed=1, **effort)
+    assert least < reached <= MOST[linear], found
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("linear", [True, False], ids=["linear", "non-linear"])
+@pytest.mark.parametrize(
+    ("stronger", "drives", "generations"),
+    [
+        *((1.5, 48, 20), (4.0, 48, 20)),
+        pytest.param(2.5, 48, 20, marks=pytest.mark.soak),
+        *(pytest.param(stronger, 64, 80, marks=pytest.mark.soak) for stronger in (1.5, 2.5, 4.0)),
+    ],
+)
+@STANDARD
+def test_no_drive_that_an_optimiser_finds_is_too_much(rig, linear, stronger, drives, generations):
+    effort = {"drives": drives, "generations": generations, "seed": 2 if linear else 3}
+    reached, found, tries = worst(rig, stronger, linear, **effort)
+    print(f"{rig.name}, {stronger} Xmax: {tries} drives, {linear=}: {reached:.4f} by {found}")
+    assert tries >= 1_000
+    assert reached <= MOST[linear]
+
+
+def largest_inside_the_models(loud, possible_ones, rate):
+    """Each possible actuator with its largest excursion over all drives, the largest first.
+
+    By linear programming: no optimiser can find more. The models stay inside what is allowed.
+    """
+    p = loud.actuator
+    models = bounding_models(p, limits_of(loud), loud.amplifier.source_impedance_ohm)
+    assert len(models) <= 10
+    frames = 5 * rate // round(p.resonance_hz)
+    volts = loud.dac.full_scale_v * loud.amplifier.gain
+    band = Band(loud.amplifier.low_cut_hz, math.inf, rate).sections
+
+    delay = np.arange(frames)[:, None] - np.arange(frames)
+
+    def matrix(possible):
+        """The lower triangular matrix from a drive to what an actuator makes of it."""
+        sections = np.concatenate([band, excursion_sections(loud, possible, rate)])
+        impulse = sosfilt(sections, np.eye(1, frames)[0])
+        return volts * np.where(delay >= 0, impulse[np.abs(delay)], 0.0)
+
+    names = ("moving_mass_kg", "stiffness_n_per_m", "force_factor_n_per_a")
+    shares = [[getattr(model, name) / getattr(p, name) for name in names] for model in models]
+    inside = np.vstack([matrix(Possible(*each)) for each in shares])
+    limit = np.full(2 * len(inside), 1.0 - RESERVE)
+    both = np.vstack([inside, -inside])
+    found = [
+        (-linprog(-matrix(one)[-1], A_ub=both, b_ub=limit, bounds=(-1.0, 1.0)).fun, one)
+        for one in possible_ones
+    ]
+    return sorted(found, key=lambda each: -each[0])
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize(
+    ("rig", "rates"),
+    [(PAPER, (2_000, 6_000)), (CONSUMER, (1_000, 3_000))],
+    ids=["paper", "consumer"],
+)
+def test_no_drive_takes_a_possible_actuator_beyond_xmax_while_the_models_stay_inside(rig, rates):
+    # The worst at the lower rate are looked at again with three times as many samples.
+    loud = strong(rig, 4.0)
+    found = largest_inside_the_models(loud, possible_actuators(rig), rates[0])
+    again = largest_inside_the_models(loud, [one for _, one in found[:3]], rates[1])
+    assert max(found[0][0], again[0][0]) <= 1.0
+
+
+def test_a_frame_that_moves_freely_makes_the_mass_lighter():
+    drive = np.sin(math.tau * 85.0 * np.arange(2_400) / RATE)[:, None]
+    mass = PAPER.actuator.moving_mass_kg
+    lighter = Possible(mass=FREE.mass_kg / (FREE.mass_kg + mass))
+    free = linear_excursions(LOUD, Possible(seat=FREE), drive, RATE)
+    # The board's own 2 Hz are the difference.
+    assert free == pytest.approx(linear_excursions(LOUD, lighter, drive, RATE), rel=2e-3)
+
+
+@STANDARD
+def test_the_models_span_all_resonances_from_the_softest_to_a_stiffened_free_one(rig):
+    models = bounding_models(rig.actuator, limits_of(rig), rig.amplifier.source_impedance_ohm)
+    believed, *others = [model.resonance_hz / rig.actuator.resonance_hz for model in models]
+    assert believed == 1.0
+    assert others == sorted(others)
+    assert others[0] == pytest.approx(0.9 / math.sqrt(1.1))
+    lightest = 0.9 * 0.57 / (0.57 + 0.9 * rig.actuator.moving_mass_kg)
+    assert others[-1] == pytest.approx(1.1 * math.sqrt(1.375 / lightest))
+    known = replace(limits_of(rig), deviation=0.0, lightest_frame_kg=math.inf, stiffness_rise=0.0)
+    assert bounding_models(rig.actuator, known, 0.0) == [rig.actuator]

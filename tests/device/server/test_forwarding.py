@@ -1,0 +1,85 @@
+"""Drop-in mode's sink and loopback, as a snapshot shows them."""
+
+import re
+
+import pytest
+
+from device.errors import UsageError
+from device.server.forwarding import (
+    SINK,
+    Route,
+    carries_sound_of,
+    loopback_arguments,
+    loopbacks,
+    reachable_sinks,
+    real_sinks,
+    round_delay_ms,
+)
+from device.server.snapshot import Stream
+from device.stream.pcms import FALLBACK_SINK
+from tests.support.snapshots import monitor, sink, snapshot, stream
+
+
+def made(index: int, place: int, device_name: str, module: int, **properties: str) -> Stream:
+    return stream(index, place, device_name, module=module, properties=properties)
+
+
+def test_sound_cards_are_forwarded_to_first_and_nothing_of_ours_ever():
+    sinks = (
+        sink(1, "virtual"),
+        sink(2, "card", {"device.bus": "pci"}),
+        sink(3, "haptic", {"device.bus": "usb"}),
+        sink(4, SINK),
+        sink(5, FALLBACK_SINK),
+    )
+    assert real_sinks(snapshot(sinks=sinks), "haptic") == ["card", "virtual"]
+    assert real_sinks(snapshot(sinks=sinks), None) == ["card", "haptic", "virtual"]
+
+
+def test_sinks_that_a_sound_reaches_are_found_through_modules():
+    back, other = made(2, 4, SINK, 8), made(3, 4, SINK, 9)
+    sinks = (sink(1, "first"), sink(2, "second"), sink(4, SINK))
+    seen = snapshot(
+        sinks=sinks,
+        sources=tuple(map(monitor, sinks)),
+        sink_inputs=(made(1, 2, "second", 7), back, other),
+        source_outputs=(made(1, 1, "first.monitor", 7), made(2, 2, "second.monitor", 8)),
+    )
+    assert reachable_sinks(seen, "first") == {"first", "second"}
+    assert reachable_sinks(seen, "second") == {"second"}
+    assert carries_sound_of(seen, back, {"first", "second"})
+    assert not carries_sound_of(seen, other, {"first", "second"})
+
+
+def test_a_loopback_reports_its_route_and_whether_it_is_complete():
+    route = Route("desktop", "speakers", 75)
+    arguments = loopback_arguments(snapshot(), route, sink(4, SINK))
+    listed = next(text for text in arguments if text.startswith("sink_input_properties"))
+    pairs = re.findall(r"([\w.-]+)=('[^']*'|[^'\s]+)", listed.partition("=")[2].strip('"'))
+    properties = {name: value.strip("'") for name, value in pairs}
+    tap = made(1, 4, "", 7, **properties)
+    out = made(1, 1, "desktop", 7, **properties)
+    moved = made(1, 4, SINK, 7, **properties)
+    for playing, taps, complete in (
+        ((out,), (tap,), True),
+        ((moved,), (tap,), False),
+        ((out,), (), False),
+        ((), (tap,), False),
+    ):
+        seen = snapshot(
+            sinks=(sink(1, "desktop"), sink(4, SINK)),
+            sources=(monitor(sink(4, SINK)),),
+            sink_inputs=playing,
+            source_outputs=taps,
+        )
+        (found,) = loopbacks(seen)
+        assert (found.module, found.route, found.complete) == (7, route, complete)
+
+
+def test_a_route_that_no_module_could_take_is_refused():
+    with pytest.raises(UsageError, match="quotes"):
+        loopback_arguments(snapshot(), Route("it's", "desktop", 20), sink(4, SINK))
+    for wrong in (-1.0, float("nan")):
+        with pytest.raises(UsageError, match=f"delay_s={wrong}"):
+            round_delay_ms(wrong)
+    assert [round_delay_ms(delay_s) for delay_s in (None, 0.0, 0.0754, 0.5)] == [20, 20, 75, 500]

@@ -1,0 +1,74 @@
+"""Functions are called in processes of their own, which may fail, die or hang."""
+
+import os
+import sys
+import time
+from collections.abc import Callable
+
+import pytest
+
+from device.errors import LostError, UsageError
+from device.process import LIMIT_S, Call
+from tests.support.commands import open_files
+
+
+def large(share: bytes) -> bytes:
+    return share * 1_000_000
+
+
+def refuse() -> None:
+    raise UsageError("no such rig")
+
+
+def fail() -> None:
+    raise ZeroDivisionError
+
+
+def result(function: Callable[..., object], *arguments: object) -> object:
+    call = Call("damping", time.monotonic(), function, *arguments)
+    deadline_s = time.monotonic() + 20.0
+    while not call.is_over(time.monotonic()):
+        assert time.monotonic() < deadline_s
+        time.sleep(0.01)
+    return call.result()
+
+
+def test_a_call_returns_what_the_function_does_in_another_process():
+    assert result(large, b"cushion") == large(b"cushion")
+    assert result(os.getppid) == os.getpid()
+    assert result(os.getpid) != os.getpid()
+
+
+def test_a_users_mistake_comes_back_and_other_errors_are_one_line(capfd):
+    with pytest.raises(UsageError, match="no such rig"):
+        result(refuse)
+    with pytest.raises(LostError, match=r"^damping cannot be computed: ZeroDivisionError:"):
+        result(fail)
+    with pytest.raises(LostError, match=r"the process failed \(3\)"):
+        result(os._exit, 3)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_call_that_hangs_is_ended():
+    call = Call("damping", 5.0, time.sleep, 60.0)
+    assert not call.is_over(5.0 + LIMIT_S)
+    assert call.is_over(5.1 + LIMIT_S)
+    with pytest.raises(LostError, match=r"damping cannot be computed: the process took over 30 s"):
+        call.result()
+
+
+def test_a_call_that_is_closed_leaves_nothing():
+    before = open_files()
+    call = Call("it", time.monotonic(), time.sleep, 60.0)
+    for _ in range(2):
+        call.close()
+    assert call._process.returncode == -9
+    assert open_files() == before
+
+
+def test_without_python_a_call_cannot_start(monkeypatch):
+    before = open_files()
+    monkeypatch.setattr(sys, "executable", "/nowhere/python")
+    with pytest.raises(LostError, match=r"damping cannot be computed: .*No such file"):
+        Call("damping", time.monotonic(), os.getpid)
+    assert open_files() == before

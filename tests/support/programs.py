@@ -1,0 +1,26 @@
+"""Small programs of Python, run in a process."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Mapping
+
+from tests.support.recordings import ROOT
+
+
+def printed(
+    program: str, *within: str, environment: Mapping[str, str] | None = None
+) -> tuple[str, list[str]]:
+    """What a program prints, stripped, and the lines of its errors; its exit code is 0.
+
+    within: a command that runs it, such as one that sets limits.
+    """
+    done = subprocess.run(
+        [*within, sys.executable, "-c", program],
+        env={**(environment or os.environ), "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=30,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip(), done.stderr.splitlines()
