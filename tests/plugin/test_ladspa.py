@@ -2,6 +2,7 @@
 
 import ctypes
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -220,6 +221,99 @@ def padded(sound: Floats) -> Floats:
     return np.pad(sound, ((0, 0), (0, 8 - sound.shape[1])))
 
 
+UNDRIVEN = driven_design(RATE_HZ, 2, (), [None])
+HEARS, FADES = round(0.2 * RATE_HZ), round(0.04 * RATE_HZ)  # see daemon_core.c
+
+
+def listening(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The FIFO of changes; the next instance reads it."""
+    changes = folder / "changes"
+    os.mkfifo(changes)
+    monkeypatch.setenv("HAPTIC_CUSHION_CHANGES", str(changes))
+    return changes
+
+
+def change(page: Page, folder: Path, number: int, design: bytes) -> None:
+    """Let the plugin change to a design, as the daemon does."""
+    (folder / f"design.{number}").write_bytes(design)
+    page.prepare(number, 1, [0])
+    page.want(number)
+    file = os.open(folder / "changes", os.O_WRONLY | os.O_NONBLOCK)
+    os.write(file, b"\0")
+    os.close(file)
+
+
+def test_another_design_takes_over_by_a_cross_fade_after_it_has_heard_the_sound(
+    daemon: Daemon, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    listening(tmp_path, monkeypatch)
+    first, second = UNDRIVEN, any_design("protected", RATE_HZ, 2)
+    page, instance = daemon(first, 2, 1, [0])
+    page.set_audible(True)
+    rng = np.random.default_rng(5)
+    sound, played = [], []
+
+    def play() -> None:
+        sound.append(any_sound(rng, RATE_HZ, 1_024, 2))
+        played.append(instance.run(padded(sound[-1])))
+
+    while len(sound) < 20:
+        play()
+    change(page, tmp_path, 1, second)
+    while page.playing != 1:
+        play()
+        assert len(sound) < 100_000, "the design was never loaded"
+    begin = 1_024 * len(sound) - page.readings.frames
+    play()
+    old, new = Core(first), Core(second)
+    for core in (old, new):
+        core._controls.actuators[0].audible = 1
+    whole = np.concatenate(sound)
+    before, after = old.process(whole), new.process(whole[begin:])
+    x = np.clip((np.arange(1, len(after) + 1) / RATE_HZ - 0.2) / 0.04, 0.0, 1.0)
+    share = (x * x * (3.0 - 2.0 * x)).astype(np.float32)[:, None]
+    wanted = before.copy()
+    wanted[begin:] += share * (after - before[begin:])
+    wanted[begin + HEARS + FADES :] = after[HEARS + FADES :]
+    got = np.concatenate(played)[:, : old.outputs]
+    assert np.abs(got - wanted).max() <= 1e-7  # one step of float32 near 1 in the cross-fade
+    assert got[:begin].tobytes() == wanted[:begin].tobytes()
+    assert got[-1_024:].tobytes() == wanted[-1_024:].tobytes()
+
+
+def test_a_changed_design_that_cannot_be_used_is_refused_and_the_old_one_plays_on(
+    daemon: Daemon, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    listening(tmp_path, monkeypatch)
+    page, instance = daemon(UNDRIVEN, 2, 1, [0])
+    sound = padded(any_sound(np.random.default_rng(6), RATE_HZ, 1_024, 2))
+    change(page, tmp_path, 1, any_design("protected", 44_100, 2))
+    for _ in range(100_000):
+        instance.run(sound)
+        if page.refused:
+            break
+    assert (page.refused, page.playing) == (1, 0)
+    change(page, tmp_path, 2, any_design("protected", RATE_HZ, 2))
+    for _ in range(100_000):
+        instance.run(sound)
+        if page.playing:
+            break
+    assert page.playing == 2
+    assert instance.run(sound).any()
+
+
+def test_a_host_that_opens_the_plugin_again_gets_the_latest_design(
+    daemon: Daemon, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    listening(tmp_path, monkeypatch)
+    page, instance = daemon(UNDRIVEN, 2, 1, [0])
+    change(page, tmp_path, 1, any_design("protected", RATE_HZ, 2))
+    instance.close()
+    again = Instance("haptic_cushion_daemon", RATE_HZ)
+    assert page.playing == 1
+    again.close()
+
+
 @pytest.mark.sweep
 @pytest.mark.parametrize("channels", [6, 2])
 @settings(max_examples=5)
@@ -233,7 +327,7 @@ def test_the_daemons_variant_gives_the_bytes_of_ctypes_whatever_it_plays(
     core, page = Core(design), Page(folder / "page", channels, 3, [0, 0, 0])
     with pytest.MonkeyPatch.context() as patch:
         instance = daemon_instance(folder, patch, design, page, rate_hz)
-    controls = page._page.controls
+    controls = page.controls
     controls.sound_gain = rng.choice([1.0, 0.7, *ODD])
     for part in np.split(sound, [rng.integers(1, FRAMES)]):
         for one in controls.actuators[:3]:  # one value in three is unusable
@@ -251,7 +345,7 @@ def test_the_daemons_variant_gives_the_bytes_of_ctypes_whatever_it_plays(
         assert got[:, : core.outputs].tobytes() == wanted.tobytes()
         assert not got[:, core.outputs :].any()
     assert page.readings.replaced == core.readings.replaced > 0
-    for one, other in zip(page._page.readings.actuators, core.readings.actuators, strict=True):
+    for one, other in zip(page.readings.actuators, core.readings.actuators, strict=True):
         one.level = other.level  # it decays by the call
         assert bytes(one) == bytes(other)
     instance.close()

@@ -7,7 +7,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from audioflinger_hook.daemon.native.chain import NAME, Chain, has_realtime
+from audioflinger_hook.daemon.native.chain import NAME, Chain, ChainDesign, has_realtime
+from audioflinger_hook.daemon.native.page import Page
 from audioflinger_hook.daemon.native.plan import ChainPlan, DriveDesigns
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.daemon.timing import Backoff
@@ -133,7 +134,7 @@ class Chains:
         """Apply another config's gains and delays to the running chains."""
         self._config = config
         for running in self.running:
-            set_actuators(running.chain, config)
+            set_actuators(running.chain.page, running.chain.plan, config)
 
     def set_sound_gain(self, gain: float) -> None:
         """Set the gain of the tapped sound."""
@@ -175,16 +176,26 @@ class Chains:
                 raise
 
     def make(self, plan: ChainPlan, now_s: float) -> None:
-        """Start a new chain if the current chain has another plan, hangs or does not exist.
+        """Let the current chain play the plan; start a new chain if it cannot, or hangs.
 
+        While the current chain changes, or its graph is idle, a further plan waits.
         LostError: a design cannot be computed, and no chain plays. UsageError: a rig is unknown.
         For other errors, see `Chain`.
         """
         current, following = self.current, self.following
-        if following is not None and not following.chain.page.frames:
-            self._restore(following.chain.rigs, False)  # coil temperatures have changed meanwhile
-        if current is None or current.chain.plan != plan or current.stands_s(now_s) > STUCK_S:
+        for running in self.running:
+            if not running.chain.wanted.has_run:
+                # coil temperatures have changed meanwhile
+                self._restore(running.chain.wanted.rigs, False)
+        if current is None or current.stands_s(now_s) > STUCK_S:
             self._begin(plan, now_s)
+            return
+        current.chain.note_change()
+        if current.chain.plan != plan:
+            if current.chain.can_become(plan):
+                self._change(current.chain, plan, now_s)
+            else:
+                self._begin(plan, now_s)
             return
         self._designs.end()
         self.problem = ""
@@ -259,6 +270,14 @@ class Chains:
         chain = Chain(plan, drives, self._folder, self._prepare, realtime=realtime)
         self.following = RunningChain(chain, now_s, moved_s=now_s)
 
+    def _change(self, chain: Chain, plan: ChainPlan, now_s: float) -> None:
+        """Let a chain cross-fade to another plan, after an earlier change has ended."""
+        if chain.is_changing or self.backoff.wait_s(now_s) > 0.0:
+            return
+        drives = self._designed(plan, now_s)
+        if drives is not None:
+            chain.become(plan, drives)
+
     def _designed(self, plan: ChainPlan, now_s: float) -> list[DriveDesign | None] | None:
         drives: list[DriveDesign | None] | None = None
         try:
@@ -270,20 +289,19 @@ class Chains:
         self.problem = f"the former settings play on: {failure}" if failure else ""
         return drives
 
-    def _prepare(self, chain: Chain) -> None:
+    def _prepare(self, chain: Chain, design: ChainDesign) -> None:
         chain.page.set_sound_gain(self._sound_gain)
-        set_actuators(chain, self._config)
-        self._restore(chain.rigs, True)
+        set_actuators(chain.page, design.plan, self._config)
+        self._restore(design.rigs, True)
 
 
-def set_actuators(chain: Chain, config: RunConfig) -> None:
-    """Set gains and delays of a chain's actuators from the config."""
+def set_actuators(page: Page, plan: ChainPlan, config: RunConfig) -> None:
+    """Set gains and delays of a plan's actuators from the config."""
     settings, offset_s = config.settings, max(0.0, config.live.offset_s)
     level = 0.0 if config.muted else db_to_amplitude(settings.gain_db)
     if not settings.actuators:
-        for slot in range(len(chain.plan.actuators)):
-            chain.page.set_actuator(slot, level, offset_s * chain.plan.samplerate)
-    for slot, actuator in enumerate(settings.actuators[: len(chain.plan.actuators)]):
+        for slot in range(len(plan.actuators)):
+            page.set_actuator(slot, level, offset_s * plan.samplerate)
+    for slot, actuator in enumerate(settings.actuators[: len(plan.actuators)]):
         delay_s = offset_s + 1e-3 * actuator.delay_ms
-        delay_frames = delay_s * chain.plan.samplerate
-        chain.page.set_actuator(slot, level * actuator.factor, delay_frames)
+        page.set_actuator(slot, level * actuator.factor, delay_s * plan.samplerate)

@@ -78,9 +78,10 @@ class NativeEngine:
 
     @property
     def is_steady(self) -> bool:
-        """Whether a chain plays and is not being replaced."""
-        chains = self.chains
-        return self.audible and chains.following is None and not chains.leaving
+        """Whether a chain plays, and neither changes nor is being replaced."""
+        chains, chain = self.chains, self.chain
+        changes = chain is None or chain.is_changing
+        return self.audible and not changes and chains.following is None and not chains.leaving
 
     def unseen(self, tap: Tap, device: Sink) -> str:
         """Return why tap or device cannot be linked, "" if both can be linked."""

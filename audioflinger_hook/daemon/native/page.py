@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+import ctypes
 import mmap
 import os
 from collections.abc import Sequence
 from pathlib import Path
 
 from audioflinger_hook.core import structures
-from audioflinger_hook.core.structures import PARTIALS
-from audioflinger_hook.daemon.native.layout import ACTUATORS, MAGIC, SIZE, Layout, ShownReader
+from audioflinger_hook.core.structures import PARTIALS, Controls, Readings
+from audioflinger_hook.daemon.native.layout import (
+    ACTUATORS,
+    BANKS,
+    MAGIC,
+    SIZE,
+    Bank,
+    Layout,
+    ShownReader,
+)
 from audioflinger_hook.service.meters import Level, Reading, level_of
 
 DELAY_MAX_S = 2.0
@@ -25,7 +34,6 @@ class Page:
     def __init__(self, path: Path, channels: int, vibrations: int, sources: Sequence[int]) -> None:
         self.path = path
         self._channels = channels
-        self._vibrations = vibrations
         flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
         file = os.open(path, flags, 0o600)
         try:
@@ -34,12 +42,52 @@ class Page:
         finally:
             os.close(file)
         self._page = page = Layout.from_buffer(memory)
-        self.controls, self.readings = page.controls, page.readings
         self.reader = ShownReader(memory, channels, len(sources))
-        page.controls.sound_gain = 1.0
-        for controls, source in zip(page.controls.actuators, sources, strict=False):
-            controls.gain, controls.source = 1.0, source
+        self.prepare(0, vibrations, sources)
         page.size, page.magic = SIZE, MAGIC
+
+    def prepare(self, number: int, vibrations: int, sources: Sequence[int]) -> Bank:
+        """Return the bank of the design `number`, with new readings and unit gains.
+
+        The design that plays must not use this bank.
+        """
+        before, bank = self._playing.controls, self._page.banks[number % BANKS]
+        ctypes.memset(ctypes.byref(bank), 0, ctypes.sizeof(bank))
+        bank.controls.sound_gain = before.sound_gain if number else 1.0
+        for slot, source in enumerate(sources[:ACTUATORS]):
+            controls = bank.controls.actuators[slot]
+            controls.gain, controls.source = 1.0, source
+            controls.audible = before.actuators[slot].audible
+        self._vibrations = vibrations
+        return bank  # type: ignore[no-any-return]
+
+    def want(self, number: int) -> None:
+        """Let the plugin play the design `number`, which must be in its file."""
+        self._page.wanted = number
+
+    @property
+    def playing(self) -> int:
+        """Number of the design that plays."""
+        return int(self._page.playing)
+
+    @property
+    def refused(self) -> int:
+        """Number of the latest changed design that the plugin cannot use, 0 for none."""
+        return int(self._page.refused)
+
+    @property
+    def controls(self) -> Controls:
+        """Controls of the design that plays."""
+        return self._playing.controls  # type: ignore[no-any-return]
+
+    @property
+    def readings(self) -> Readings:
+        """Readings of the design that plays."""
+        return self._playing.readings  # type: ignore[no-any-return]
+
+    @property
+    def _playing(self) -> Bank:
+        return self._page.banks[self._page.playing % BANKS]  # type: ignore[no-any-return]
 
     def show(
         self,
@@ -63,17 +111,20 @@ class Page:
 
     def set_sound_gain(self, gain: float) -> None:
         """Set the gain of the tap's samples, 0 or more. The change extends over one buffer."""
-        self.controls.sound_gain = gain
+        for bank in self._page.banks:
+            bank.controls.sound_gain = gain
 
     def set_actuator(self, slot: int, gain: float, delay_frames: float) -> None:
         """Set the gain, -1 to 1, and the delay in frames of the actuator with index `slot`."""
-        controls = self.controls.actuators[slot]
-        controls.gain, controls.delay_frames = gain, max(0.0, delay_frames)
+        for bank in self._page.banks:
+            controls = bank.controls.actuators[slot]
+            controls.gain, controls.delay_frames = gain, max(0.0, delay_frames)
 
     def set_audible(self, audible: bool) -> None:
         """Fade the vibration of all actuators in or out within 40 ms."""
-        for controls in self.controls.actuators:
-            controls.audible = int(audible)
+        for bank in self._page.banks:
+            for controls in bank.controls.actuators:
+                controls.audible = int(audible)
 
     @property
     def frames(self) -> int:

@@ -60,6 +60,13 @@ class ChainPlan:
         parameters = settings.transform_parameters
         return cls(samplerate, tap.channels, mixed, outputs, routed, parameters, drives)
 
+    def needs_same_node(self, other: ChainPlan) -> bool:
+        """Whether both plans need the same ports and the same sample rate."""
+        mine, others = (
+            (one.samplerate, one.tap_channels, len(one.actuators)) for one in (self, other)
+        )
+        return mine == others
+
     @property
     def weights(self) -> FloatArray | None:
         """Weights of channels in each source; see `source_weights`. None without sources."""

@@ -1,6 +1,7 @@
 /* The plugin that the daemon controls through a page of shared memory. */
 
 #include "parts.h"
+#include "../../transform/native/exact.h"
 
 #include <fcntl.h>
 #include <stdio.h>
@@ -11,13 +12,19 @@
 #include <unistd.h>
 
 #define PIECE_FRAMES 1024
+#define HEARS_S 0.2 /* sound that a new core processes before it is audible; no onset is then new to it */
+#define FADE_S 0.04 /* cross-fade to the new core */
 
 struct DaemonCore {
     Page *page;
-    LoadedCore loaded;
+    DesignLoader *loader;
+    NumberedCore *core;      /* the audible core; not loaded: silence */
+    NumberedCore *following; /* the next core, or NULL */
+    size_t heard;            /* frames that `following` has processed */
+    double samplerate;
     CoreControls controls; /* defaults for use without a page: all actuators are audible */
-    int is_silent; /* the design is unusable, or its sample rate differs from the host's */
-    float sound[PIECE_FRAMES * DAEMON_INPUTS], signals[PIECE_FRAMES * CORE_ACTUATORS];
+    float sound[PIECE_FRAMES * DAEMON_INPUTS];
+    float signals[PIECE_FRAMES * CORE_ACTUATORS], next_signals[PIECE_FRAMES * CORE_ACTUATORS];
 };
 
 /* Map the file that HAPTIC_CUSHION_PAGE names. Return NULL if it names none, or if the file is unusable. */
@@ -43,26 +50,25 @@ static Page *page_open(void)
     return page;
 }
 
-/* Write the host's sample rate into the page. With a page, load the design that HAPTIC_CUSHION_DESIGN names.
- * Without a page or this variable, use core_find, and return 0 if no core is found. If the design is unusable
- * or has another rate, output silence. */
+/* Create the first core. With a page, write the host's sample rate and load the page's design; if it is
+ * unusable, output silence. Without a page, use core_find, and return 0 if no core is found. */
 static int load(DaemonCore *daemon, unsigned long samplerate)
 {
-    const char *path = daemon->page ? getenv("HAPTIC_CUSHION_DESIGN") : NULL;
+    Page *page = daemon->page;
     const char *misfit = NULL;
-    if (daemon->page)
-        __atomic_store_n(&daemon->page->samplerate, samplerate, __ATOMIC_RELAXED);
-    if (path)
-        misfit = core_load(&daemon->loaded, path);
-    else if (core_find(&daemon->loaded, "paper", samplerate) != 1)
+    if (page) {
+        __atomic_store_n(&page->samplerate, samplerate, __ATOMIC_RELAXED);
+        misfit = numbered_core_load(daemon->core, page, samplerate);
+        __atomic_store_n(&page->playing, daemon->core->number, __ATOMIC_RELEASE);
+        daemon->loader = design_loader_open(page, samplerate);
+    } else if (core_find(&daemon->core->loaded, "paper", samplerate) != 1) {
         return 0;
-    if (!misfit && daemon->loaded.info.inputs > DAEMON_INPUTS)
+    } else if (daemon->core->loaded.info.inputs > DAEMON_INPUTS) {
         misfit = "it has too many channels";
-    if (misfit) {
-        fprintf(stderr, "haptic_cushion: the design %s cannot be used: %s\n", path ? path : "found", misfit);
-        core_unload(&daemon->loaded);
+        core_unload(&daemon->core->loaded);
     }
-    daemon->is_silent = misfit || daemon->loaded.info.samplerate != samplerate;
+    if (misfit)
+        fprintf(stderr, "haptic_cushion: the design cannot be used: %s\n", misfit);
     return 1;
 }
 
@@ -71,6 +77,8 @@ DaemonCore *daemon_core_open(unsigned long samplerate)
     DaemonCore *daemon = calloc(1, sizeof *daemon);
     if (!daemon)
         return NULL;
+    daemon->core = calloc(1, sizeof *daemon->core);
+    daemon->samplerate = (double)samplerate;
     daemon->page = page_open();
     const int is_refused = !daemon->page && getenv("HAPTIC_CUSHION_PAGE");
     if (is_refused)
@@ -80,18 +88,27 @@ DaemonCore *daemon_core_open(unsigned long samplerate)
         daemon->controls.actuators[which].gain = 1.0;
         daemon->controls.actuators[which].audible = 1;
     }
-    if (is_refused || !load(daemon, samplerate)) {
+    if (is_refused || !daemon->core || !load(daemon, samplerate)) {
         daemon_core_close(daemon);
         return NULL;
     }
     return daemon;
 }
 
+static void core_free(NumberedCore *core)
+{
+    if (core)
+        core_unload(&core->loaded);
+    free(core);
+}
+
 void daemon_core_close(DaemonCore *daemon)
 {
     if (!daemon)
         return;
-    core_unload(&daemon->loaded);
+    design_loader_close(daemon->loader);
+    core_free(daemon->core);
+    core_free(daemon->following);
     if (daemon->page)
         munmap(daemon->page, sizeof(Page));
     free(daemon);
@@ -99,36 +116,90 @@ void daemon_core_close(DaemonCore *daemon)
 
 void daemon_core_reset(DaemonCore *daemon)
 {
-    if (daemon->loaded.core)
-        core_reset(daemon->loaded.core, 0);
+    NumberedCore *cores[] = {daemon->core, daemon->following};
+    for (size_t which = 0; which < 2; which++)
+        if (cores[which] && cores[which]->loaded.core)
+            core_reset(cores[which]->loaded.core, 0);
 }
 
-static void process_piece(DaemonCore *daemon, float *const *inputs, float *const *outputs, size_t first,
-                          size_t frames)
+/* Signals of one core, (frames, count), in interleaved frames. */
+typedef struct {
+    const float *at;
+    size_t count;
+} Signals;
+
+static Signals process_core(DaemonCore *daemon, NumberedCore *core, float *const *inputs, float *out,
+                            size_t first, size_t frames)
 {
-    const CoreInfo *info = &daemon->loaded.info;
+    const CoreInfo *info = &core->loaded.info;
     const size_t channels = info->inputs;
-    const size_t signals = info->actuators ? info->actuators : info->vibrations;
+    PageBank *bank = daemon->page ? &daemon->page->banks[core->number % PAGE_BANKS] : NULL;
+    if (!core->loaded.core)
+        return (Signals){out, 0};
     for (size_t channel = 0; channel < channels; channel++)
         for (size_t frame = 0; frame < frames; frame++)
             daemon->sound[frame * channels + channel] =
                 inputs[channel] ? inputs[channel][first + frame] : 0.0f;
     const CoreSound sound = {daemon->sound, (ptrdiff_t)(channels * sizeof(float)), sizeof(float), 0};
-    core_process(daemon->loaded.core, daemon->page ? &daemon->page->controls : &daemon->controls, sound,
-                 daemon->signals, frames, daemon->page ? &daemon->page->readings : NULL);
+    core_process(core->loaded.core, bank ? &bank->controls : &daemon->controls, sound, out, frames,
+                 bank ? &bank->readings : NULL);
+    return (Signals){out, info->actuators ? info->actuators : info->vibrations};
+}
+
+static float signal_at(Signals signals, size_t output, size_t frame)
+{
+    return output < signals.count ? signals.at[frame * signals.count + output] : 0.0f;
+}
+
+/* Return how much of `following` is audible in a frame of this piece, 0 to 1. */
+static float share_of_following(const DaemonCore *daemon, size_t frame)
+{
+    const double heard_s = (double)(daemon->heard + frame + 1) / daemon->samplerate;
+    const double x = clip((heard_s - HEARS_S) / FADE_S, 0.0, 1.0);
+    return (float)(x * x * (3.0 - 2.0 * x));
+}
+
+/* Count the piece; after the cross-fade, replace the core by `following`. */
+static void replace_core(DaemonCore *daemon, size_t frames)
+{
+    daemon->heard += frames;
+    if ((double)daemon->heard < (HEARS_S + FADE_S) * daemon->samplerate)
+        return;
+    design_loader_return(daemon->loader, daemon->core);
+    daemon->core = daemon->following;
+    daemon->following = NULL;
+    __atomic_store_n(&daemon->page->playing, daemon->core->number, __ATOMIC_RELEASE);
+}
+
+static void process_piece(DaemonCore *daemon, float *const *inputs, float *const *outputs, size_t first,
+                          size_t frames)
+{
+    if (daemon->loader && !daemon->following) {
+        daemon->following = design_loader_take(daemon->loader);
+        daemon->heard = 0;
+    }
+    const int changes = daemon->following != NULL;
+    const Signals now = process_core(daemon, daemon->core, inputs, daemon->signals, first, frames);
+    Signals next = {NULL, 0};
+    if (changes)
+        next = process_core(daemon, daemon->following, inputs, daemon->next_signals, first, frames);
     for (size_t output = 0; output < DAEMON_OUTPUTS; output++)
-        for (size_t frame = 0; outputs[output] && frame < frames; frame++)
-            outputs[output][first + frame] =
-                output < signals ? daemon->signals[frame * signals + output] : 0.0f;
+        for (size_t frame = 0; outputs[output] && frame < frames; frame++) {
+            float sample = signal_at(now, output, frame);
+            const float share = changes ? share_of_following(daemon, frame) : 0.0f;
+            if (share > 0.0f)
+                sample = share < 1.0f ? sample + share * (signal_at(next, output, frame) - sample)
+                                      : signal_at(next, output, frame);
+            outputs[output][first + frame] = sample;
+        }
+    if (changes)
+        replace_core(daemon, frames);
 }
 
 void daemon_core_process(DaemonCore *daemon, float *const inputs[DAEMON_INPUTS],
                          float *const outputs[DAEMON_OUTPUTS], size_t frames)
 {
-    for (size_t output = 0; daemon->is_silent && output < DAEMON_OUTPUTS; output++)
-        if (outputs[output])
-            memset(outputs[output], 0, frames * sizeof(float));
-    for (size_t done = 0; !daemon->is_silent && done < frames;) {
+    for (size_t done = 0; done < frames;) {
         const size_t left = frames - done, part = left < PIECE_FRAMES ? left : PIECE_FRAMES;
         process_piece(daemon, inputs, outputs, done, part);
         done += part;
