@@ -39,8 +39,8 @@ typedef struct {
 typedef struct {
     const Model *model;
     const double *table, *steps, *volts;
-    /* Matrices that give the next state from the state, the last input and the new input. by_sample: over 1
-     * sample, the input is the voltage. by_coarse: over `coarse` samples, the input is the residual. */
+    /* Matrices that give the next state from the state, the last input and the new input. by_sample: for a
+     * step of 1 sample; input: voltage. by_coarse: for a step of `coarse` samples; input: the residual. */
     const double *by_sample, *by_coarse;
     double *moved;
     size_t frames;
@@ -48,8 +48,9 @@ typedef struct {
 
 /* Coefficients of a step with exact decay of the flux (ETDRK4, Cox and Matthews 2002). kept: remaining share
  * of the flux. level, slope: flux per V and per V/s. half_: the same coefficients for half a step. middle,
- * last: weights of the stages' deviations from a linear voltage. decay_slope, factor_slope: derivatives of
- * decay_per_s and of the force factor with respect to the excursion; 0: neglected. */
+ * last: weights of the stages' deviations from a linear change of the flux's input. decay_slope,
+ * factor_slope: derivatives of decay_per_s and of the force factor with respect to the excursion; 0:
+ * neglected. */
 typedef struct {
     double width_s, decay_per_s, decay_slope, factor_slope;
     double half_kept, half_level, half_slope, kept, level, slope, middle, last;

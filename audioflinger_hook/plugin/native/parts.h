@@ -67,7 +67,7 @@ typedef struct {
 typedef struct DaemonCore DaemonCore;
 
 /* Create the daemon's core. Return NULL if HAPTIC_CUSHION_PAGE is set but the page is unusable, if core_find
- * finds no core, or without memory. Allocates. */
+ * is needed and finds no core, or if memory runs out. Allocates. */
 DaemonCore *daemon_core_open(unsigned long samplerate);
 void daemon_core_close(DaemonCore *daemon);
 void daemon_core_reset(DaemonCore *daemon);

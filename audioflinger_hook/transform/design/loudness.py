@@ -163,7 +163,7 @@ def _pole(low: int, low_rate_hz: float) -> tuple[float, float, float]:
 
 
 def _low_weight(low: int) -> float:
-    """Return the ratio of a low band's excitation (threshold in quiet: 1) to its mean square."""
+    """Return a low band's excitation per mean square. Excitation 1 is the threshold in quiet."""
     over_db = float(OVER_QUIET_DB[LOW_BAND_OF[low]]) + LOW_DB
     if LOW_BAND_OF[low] == 0:
         over_db += float(np.interp(sum(LOW_EDGES_HZ[low : low + 2]) / 2, DEEP_HZ, DEEP_DB))

@@ -222,7 +222,7 @@ INLINED MixBalance after_group(const Settings *s, MixBalance old, double of_mean
     return now;
 }
 
-/* Add side to mono, times a factor that changes linearly over the group. filled: frames of the group already
+/* Add side to mono; the factor of side changes linearly over the group. filled: frames of the group already
  * processed. */
 INLINED void add_side(MixBalance now, double filled, double *mono, const double *side, size_t frames)
 {
