@@ -3,7 +3,7 @@
 #include "blocks.h"
 #include "rig_steps.h"
 
-/* Compute the residual: the force, N, and the voltage, V, that the linear model neglects at a frame. */
+/* Compute the residual: the force (N) and the voltage (V) that the linear model neglects at a frame. */
 INLINE void find_residual(const Work *w, size_t frame, double g[2])
 {
     const Model *m = w->model;

@@ -28,7 +28,8 @@ typedef struct {
 } Model;
 
 /* The state after a sample. residual: force and voltage that the linear model neglected, `since` samples ago.
- * correction: the linear model's response to all neglected forces and voltages, `since` samples ago. */
+ * correction: the linear model's response,
+ * `since` samples ago, to all neglected forces and voltages. */
 typedef struct {
     double s[MOST_STATES], volts, correction[MOST_STATES], residual[2], since;
     double is_linear; /* 1: the flux is that of the linear model */
