@@ -90,7 +90,7 @@ class MixerControl:
     name: str  # from the driver
     channels: int
     number: int = field(repr=False)
-    decibels: Decibels | None = field(default=None, repr=False)  # of volume steps, if known
+    decibels: Decibels | None = field(default=None, repr=False)  # levels of the steps, if known
 
 
 class CardMixer:

@@ -59,7 +59,7 @@ LOW_EDGES_HZ = (20.0, 45.0, 90.0, 180.0, 280.0, 355.0, 450.0, 560.0)
 
 LOW_BAND_OF = (0, 0, 1, 2, 3, 4, 5)  # band of ISO 532-1 that contains each low band
 LOW_DB = -1.0  # correction of the low bands, dB
-POLE_WIDTH = 1.3  # -3 dB bandwidth of a pole / band's width; the noise bandwidth of two poles is 1
+POLE_WIDTH = 1.3  # -3 dB width of one pole, in band widths; two poles have noise bandwidth 1
 LOW_TOP_HZ = 850.0  # end of the pass band of the low-pass before decimation
 
 QUADRATURE = (
