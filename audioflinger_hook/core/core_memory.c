@@ -45,8 +45,8 @@ static uint64_t fnv_1a(const void *memory, size_t bytes)
     return sum;
 }
 
-/* Allocate all memory. If arena->base is NULL, only count bytes. Return 0 if fft_length has a prime factor
- * above 5. */
+/* Allocate all memory. If arena->base is NULL, only count bytes. Return 0 if an FFT length has a prime
+ * factor above 5. */
 static int layout(Core *core, Arena *arena)
 {
     const CoreInfo *info = &core->design.info;

@@ -1,5 +1,5 @@
-/* The rig's two models: a linear model, exact for a voltage that is linear between samples, and a
- * fourth-order Runge-Kutta method for the full equations. device/rig/equations.py has the equations;
+/* The rig's two models. The linear model is exact if the voltage is linear between samples. A fourth-order
+ * Runge-Kutta method solves the equations of the non-linear model. device/rig/equations.py has the equations;
  * device/rig/adaptive_actuator.py computes the parameters and tables. */
 
 #pragma once
@@ -27,9 +27,9 @@ typedef struct {
     double sample_s, levels, first_level, coarse;
 } Model;
 
-/* The state after a sample. residual: force and voltage that the linear model neglected, `since` samples ago.
- * correction: the linear model's response,
- * `since` samples ago, to all neglected forces and voltages. */
+/* The state after a sample. `residual` and `correction` are from `since` samples ago. residual: force and
+ * voltage that the linear model neglected. correction: the linear model's response to all neglected forces
+ * and voltages. */
 typedef struct {
     double s[MOST_STATES], volts, correction[MOST_STATES], residual[2], since;
     double is_linear; /* 1: the flux is that of the linear model */
@@ -172,8 +172,8 @@ INLINE double deepest(const Model *m, const Step *h)
     return rad_s * rad_s * m->contact_mass / (2.0 * m->stop_n_per_m2);
 }
 
-/* Return the lowest level from first_level on that resolves an end-stop contact; `levels` if none does. A
- * level has 2^level steps per sample. */
+/* Return the lowest level from first_level on that resolves an end-stop contact; `levels` if none does.
+ * Level n has 2^n steps per sample. */
 INLINE size_t contact_level(const Model *m, const double *s, const double *rate, const Step *steps)
 {
     const size_t first = (size_t)m->first_level, levels = (size_t)m->levels;

@@ -51,7 +51,7 @@ EffectReadings effect_process(Effect *effect, EffectControls controls, const flo
 enum { DAEMON_INPUTS = CORE_CHANNELS, DAEMON_OUTPUTS = 32 };
 
 /* Memory shared with the daemon, in the file that HAPTIC_CUSHION_PAGE names; see daemon/native/layout.py. The
- * daemon writes magic, size and controls; the plugin writes the rest. Every value is 8 bytes long, aligned. */
+ * daemon writes magic, size and controls; the plugin writes the rest. Each value has 8 bytes and is aligned. */
 #define PAGE_MAGIC UINT64_C(0x3545474150485543) /* "CUHPAGE5" */
 
 typedef struct {
