@@ -1,7 +1,7 @@
 """Writes vibration or simulated acceleration to a float32 WAV file, complete or not at all.
 
-libsndfile is unsuitable, because it does not report why a write failed. Also, libsndfile must know
-beforehand whether a file exceeds 4 GB, and writes the present time into float files.
+libsndfile is unsuitable: it does not report why a write failed, and writes the present time into
+float files. python-soundfile must choose between WAV and RF64 before the first write.
 """
 
 import os

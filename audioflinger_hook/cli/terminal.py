@@ -92,7 +92,7 @@ def choose(
 
     answers: each allowed answer with its meaning. The first letter of an answer is enough.
     default: the answer to an empty line; "" for none.
-    meanwhile: called repeatedly while waiting for a line; its exceptions end the question.
+    meanwhile: called repeatedly while waiting for a line. It may raise; the caller gets the error.
     KeyboardInterrupt: the terminal was closed, or Ctrl+D was typed.
     """
     words = {answer[0]: answer for answer in answers} | {answer: answer for answer in answers}

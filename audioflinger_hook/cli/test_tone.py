@@ -184,7 +184,8 @@ def free_card(
 ) -> tuple[CardDevice, CardSetup]:
     """Return the card as a stream's target, and its best format.
 
-    rate_hz, needed, least: see `choose_setup`. NotFoundError: it is in use, or no format fits.
+    rate_hz, needed, least: see `choose_setup`. NotFoundError: the card is in use, or has no
+    fitting format.
     """
     if refused := why_blocked(device):
         raise NotFoundError(refused)

@@ -13,15 +13,15 @@ enum { CORE_CHANNELS = 8, CORE_ACTUATORS = 64, CORE_PARTIALS = 16 };
 
 typedef struct Core Core;
 
-/* Facts of a design, which has a transform (sound to vibration), actuators, or both. Without a transform, the
- * vibration is the sound. Without actuators, the output is the vibration. */
+/* Properties of a design. A design has a transform (sound to vibration), actuators, or both. Without a
+ * transform, the vibration is the sound. Without actuators, the output is the vibration. */
 typedef struct {
     uint32_t samplerate;
     uint32_t inputs;     /* channels of sound, or of vibration if there is no transform */
     uint32_t vibrations; /* channels of vibration */
     uint32_t actuators;  /* 0: the vibrations are the outputs */
-    uint32_t latency_frames, tonal_latency_frames; /* of onsets, of steady sound */
-    uint32_t drive_latency_frames;                 /* largest delay of all protections */
+    uint32_t latency_frames, tonal_latency_frames; /* for onsets; for steady sound */
+    uint32_t drive_latency_frames;                 /* largest delay of any protection */
     uint32_t delay_frames_max;                     /* largest allowed delay of an actuator */
     uint64_t memory_bytes;
 } CoreInfo;
@@ -39,7 +39,7 @@ typedef struct {
     double time_s, squares, fourths, above;
 } CoreDose;
 
-/* An actuator's state that a host saves and restores in a later process. Temperatures: °C. */
+/* The part of an actuator's state that a host saves, and that a later process restores. Temperatures: °C. */
 typedef struct {
     double coil_c, magnet_c;
     CoreDose dose;
@@ -48,7 +48,7 @@ typedef struct {
 /* Settings of one actuator. A change of gain, delay, source or `audible` fades over 10 to 40 ms. */
 typedef struct {
     double gain;         /* -1 to 1; below 0: inverted polarity */
-    double delay_frames; /* 0 or more, in addition to the delay of all actuators */
+    double delay_frames; /* 0 or more, added to the delay that all actuators share */
     uint64_t source;     /* index of the vibration channel */
     uint64_t audible;    /* 0: the output fades to silence */
     uint64_t restores;   /* 1: the first core_process after core_open restores `safety` */
@@ -56,7 +56,7 @@ typedef struct {
 } ActuatorControls;
 
 typedef struct {
-    double sound_gain; /* factor on the sound, 0 or more; compensates the listener's volume setting */
+    double sound_gain; /* factor on the sound, 0 or more; compensates for the listener's volume setting */
     uint64_t day;      /* number of the day; a change resets the doses */
     ActuatorControls actuators[CORE_ACTUATORS];
 } CoreControls;
@@ -68,7 +68,7 @@ typedef struct {
 typedef struct {
     CoreLevel level;
     double audible; /* 0: silent; 1: audible; in between: during a fade */
-    double gain, least_gain, exposure_gain; /* protection's gain, its minimum so far, its limit by the dose */
+    double gain, least_gain, exposure_gain; /* protection's gain, its minimum so far, its limit from the dose */
     double excursion_m, coil_c, magnet_c;
     CoreDose dose;
     double running_m_s2;     /* frequency-weighted r.m.s. acceleration; time constant: 1 s */
@@ -126,7 +126,7 @@ typedef struct {
     double start_hz, end_hz, start_amplitude, end_amplitude, start_phase;
 } CoreGlide;
 
-/* Return an upper limit of the number of glides in `frames` frames. */
+/* Return an upper bound on the number of glides in `frames` frames. */
 CORE_API size_t core_glides_max(const Core *core, size_t frames);
 
 /* From now on, record up to `room` glides into `rows`; NULL ends the recording. Return the number of glides

@@ -1,4 +1,4 @@
-/* Parses a design. core/design.py writes designs, with the drives of device/drive/design.py. */
+/* Parses a design. core/design.py writes designs; device/drive/design.py computes the drives in them. */
 
 #include <stdio.h>
 

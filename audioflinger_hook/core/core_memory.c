@@ -6,8 +6,8 @@ const uint64_t core_sizes[6] = {sizeof(CoreInfo),         sizeof(CoreSound),
                                 sizeof(CoreControls),     sizeof(ActuatorControls),
                                 sizeof(CoreReadings),     sizeof(ActuatorReadings)};
 
-/* Allocate the stream's state. If arena->base is NULL, only count bytes. Of the allocated structures, set only
- * pointers, lengths and sample rates. */
+/* Allocate the stream's state. If arena->base is NULL, only count bytes. In the allocated structures, only
+ * pointers, lengths and sample rates are set. */
 static void layout_state(Core *core, Arena *arena)
 {
     const CoreInfo *info = &core->design.info;
@@ -45,8 +45,8 @@ static uint64_t fnv_1a(const void *memory, size_t bytes)
     return sum;
 }
 
-/* Allocate all memory. If arena->base is NULL, only count bytes. Return 0 if fft_length has a prime factor
- * above 5. */
+/* Allocate all memory. If arena->base is NULL, only count bytes. Return 0 if an FFT length has a prime
+ * factor above 5. */
 static int layout(Core *core, Arena *arena)
 {
     const CoreInfo *info = &core->design.info;

@@ -24,7 +24,7 @@ const char *core_design_read(CoreDesign *design, DriveDesign *drives, const void
 
 /* State of a stream, except for the states of transform, source mix, history and actuators. */
 typedef struct {
-    int is_fresh, is_opened; /* no frame since core_reset; no frame since core_open */
+    int is_fresh, is_opened; /* no frame processed since core_reset; none since core_open */
     double sound_gain;       /* gain on the sound at the last frame */
     uint64_t day, frames, replaced;
 } CoreState;

@@ -46,7 +46,7 @@ class EffectChains(EffectsPort):
         self._read_s = float("-inf")
 
     def add(self, engine: EffectEngine, session: int) -> EffectModule:
-        """Add a disabled effect to a session's chain. The effect's flags determine the place.
+        """Add a disabled effect to a session's chain. The effect's flags determine its place.
         session: a player's session, 1 or higher, or `OUTPUT_MIX`, `OUTPUT_STAGE` or `DEVICE`.
         UsageError: the descriptor or the session is invalid, or the session's chain cannot contain
             the effect.

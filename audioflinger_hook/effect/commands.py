@@ -91,7 +91,7 @@ def is_word(number: object) -> bool:
 
 
 def is_config(config: object) -> bool:
-    """Return whether an object is an EffectConfig with valid types and ranges of all fields."""
+    """Return whether an object is an EffectConfig whose fields all have valid values."""
     if type(config) is not EffectConfig or type(config.access) is not Access:
         return False
     ranges = (

@@ -22,7 +22,7 @@ from audioflinger_hook.effect.interface import (
     Values,
 )
 
-TAIL_MAX_S = 10.0  # longest time in s that a disabled effect continues for its decaying tail
+TAIL_MAX_S = 10.0  # longest time in s for which a disabled effect outputs its decaying tail
 REASON_MAX = 200  # longest message of an engine in characters; longer messages are cut
 STATUSES = (OK, EINVAL, ENODATA, ENOSYS)
 
@@ -56,7 +56,7 @@ class EffectControl:
     """Lifecycle of one engine, which may raise exceptions or return invalid answers.
 
     `enable` and `disable` only set `state`. After a mixer cycle, `update_state` sends ENABLE or
-    DISABLE to the engine. The engine is bypassed if `refusal`, `fault` or `given_up` has a text.
+    DISABLE to the engine. The engine is bypassed while `refusal`, `fault` or `given_up` is not "".
 
     - `refusal`: the engine refused INIT or SET_CONFIG. An accepted SET_CONFIG ends the bypass.
     - `fault`: the engine failed. After `enable`, `update_state` sends INIT and SET_CONFIG again.

@@ -271,7 +271,7 @@ class HapticEffect:
         return OK
 
     def _set_values(self, changed: dict[str, Value]) -> int:
-        """Apply values and return OK. If the stream does not allow the values, return EINVAL."""
+        """Apply values and return OK. Return EINVAL if they conflict or do not fit the stream."""
         values = self._values | changed
         if not is_possible(values):
             return EINVAL

@@ -69,7 +69,7 @@ HAPTIC_PARAMETERS = (
     ),
     Parameter("replaced_samples", int, meaning="invalid sound samples, replaced by 0"),
 )
-"""All parameters. The last three are read-only. Without a stream, GET_PARAM of these is ENODATA."""
+"""All parameters. The last three are read-only; without a stream, reading them gives ENODATA."""
 
 
 def transform_parameters(values: Values) -> TransformParameters:
@@ -143,7 +143,7 @@ PRINCIPAL = Command.FIRST_PROPRIETARY + 2
 """Vendor command that any thread may send. The reply is `HapticTransform.principal`."""
 
 GLIDES = Command.FIRST_PROPRIETARY + 3
-"""Vendor command for exports. The reply is `HapticTransform.take_glides`, without the gain."""
+"""Vendor command for exports. It replies with `HapticTransform.take_glides`, before the gain."""
 
 HAPTIC_CUSHION = EffectDescriptor(
     type_uuid=UUID("ba39e606-2bd4-4eb4-9ed7-0e63c0415600"),

@@ -92,7 +92,7 @@ class EffectModule(EffectControl):
         return fits
 
     def _run(self, source: MixBuffer, target: MixBuffer) -> int | None:
-        """Run the engine. Return its status, or None and an unchanged `target` after a failure."""
+        """Run the engine. Return its status, or None after a failure, without changing `target`."""
         lent = self._lent.of(source)
         mixed = lent if source is target else self._mixed.of(target)
         began = self._clock()

@@ -22,8 +22,8 @@ from device.units import FloatArray
 CONTINUOUS_MAX_S = 30.0
 CURVE_POINTS_MAX = 16
 SHARPNESS_LOW_HZ, SHARPNESS_HIGH_HZ = 65.0, 300.0
-"""Frequencies of sharpness 0 and 1; the scale between is linear. Apple publishes no scale, so these
-are the usual values.
+"""Frequencies of sharpness 0 and 1; the scale is linear. Apple publishes no scale; these are the
+values in common use.
 """
 
 LIMITS = Limits(spacing_s=1 / 59, longest_s=2.0, square_root=True)
@@ -73,7 +73,7 @@ def _continuous(duration_s: float) -> list[dict[str, Any]]:
 
 
 def _curves(name: str, time_s: FloatArray, values: FloatArray) -> list[dict[str, Any]]:
-    """Split a parameter's curve into curves of up to 16 points, also at steps of its value."""
+    """Split a parameter's curve at each step of the value, and into curves of up to 16 points."""
     curves = []
     first = 0
     while first < time_s.size - 1:

@@ -100,7 +100,7 @@ class Limits:
 
     spacing_s: smallest time between two points. At an onset, two points have the same time.
     longest_s: largest time between two points.
-    square_root: whether to write square roots of amplitudes, because players square them.
+    square_root: whether to write square roots of amplitudes, for players that square the values.
     tolerance: largest allowed error of a written value, relative to the largest written value.
     transients: whether a transient plays a part of the rise at an onset.
     """
@@ -114,7 +114,7 @@ class Limits:
 
 @dataclass(frozen=True)
 class Transient:
-    """A pulse in addition to the envelope. place: index of the envelope's point at its start."""
+    """A pulse added to the envelope. place: index of the envelope's point at the pulse's start."""
 
     place: int
     time_s: float
@@ -141,7 +141,7 @@ class Envelope:
 
 
 def envelope_of(curve: VibrationCurve, duration_s: float, limits: Limits) -> Envelope:
-    """Return an envelope of a channel's curve with few points, the last at `duration_s`."""
+    """Return an envelope of few points for a channel's curve, with the last at `duration_s`."""
     rate = curve.rate_hz
     times = curve.times_s
     at = _onsets_at(curve)

@@ -17,9 +17,9 @@ from audioflinger_hook.transform.design.synthesis import glide_shape, glide_turn
 from device.units import FloatArray
 
 CURVE_RATE_HZ = 500.0  # lowest rate of a curve
-DELAY_AT_HZ = 60.0  # frequency curves of all partials get the filter delay at this frequency
+DELAY_AT_HZ = 60.0  # frequency curves are delayed by the low-pass delay at this frequency
 
-# An onset is at the steepest rise of the envelope within this time after a partial starts at it.
+# An onset is the steepest rise of the envelope within this time after an onset partial starts.
 ONSET_REACH_S = 0.014
 ONSETS_APART_S = 0.06  # an onset sooner than this after the previous onset is ignored
 RISE_FROM = 0.4  # smallest rise of an onset, relative to the level after it
@@ -125,7 +125,7 @@ def aligned_s(design: LiveDesign, frame: float) -> float:
 
 
 class CurveReader:
-    """Computes a channel's `VibrationCurve` from glides. For one thread. gain: amplitude factor."""
+    """Computes a channel's `VibrationCurve` from glides, on one thread. gain: amplitude factor."""
 
     def __init__(self, design: LiveDesign, gain: float) -> None:
         self._design, self._gain = design, gain
@@ -202,7 +202,7 @@ class CurveReader:
         return replace(curve, onsets=self._onsets(curve))
 
     def _onsets(self, curve: VibrationCurve) -> tuple[Onset, ...]:
-        """Return the strong rises of the envelope shortly after a partial starts at an onset."""
+        """Return the strong rises of the envelope shortly after onset partials start."""
         level, found = curve.amplitude, list[Onset]()
         loudest = float(level.max(initial=0.0))
         reach = max(2, round(ONSET_REACH_S * curve.rate_hz))

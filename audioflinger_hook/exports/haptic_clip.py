@@ -1,7 +1,7 @@
 """.haptic 1.0.0 of Meta and Lofelt: amplitude and frequency envelopes, emphasis at onsets.
 
 An envelope has at least two points, in order of time. An emphasis is a pulse that a player adds to
-the envelope. The amplitude of an emphasis is at least that of the envelope at this time.
+the envelope. The amplitude of an emphasis is at least that of the envelope at the same time.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """HJIF of ISO/IEC 23090-31 (MPEG haptics): each partial is a sequence of effects (sine waves).
 
 Effects that sound at the same time are in different bands. Each effect has a constant frequency, an
-integer in Hz, because some players do not integrate a varying frequency to the phase. When the
-phase error exceeds 0.03 cycles, a new effect begins. Positions are in ms.
+integer in Hz, because some players compute the phase of a varying frequency incorrectly. When the
+phase has drifted by more than 0.03 cycles, a new effect begins. Positions are in ms.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from device.rig import rig_by_name
 TICKS_A_SECOND = 1_000
 LEVEL_1_BANDS, LEVEL_2_BANDS = 7, 63
 DRIFT_TURNS = 0.03
-"""Largest phase error in cycles. Larger errors change the beats of partials."""
+"""Largest phase drift of an effect in cycles. Larger drifts change the beats between partials."""
 
 BODY_PART_UNSPECIFIED = 0
 VERSION = "2024"

@@ -109,10 +109,10 @@ class ExportOptions:
 class ExportReport:
     """The result of an export. Field names contain their units; frames and samples are counts.
 
-    frames, samplerate, channels: those of a waveform file, otherwise those of the vibration.
+    frames, samplerate: of a waveform file, otherwise of the vibration. channels: of the vibration.
     peak: largest magnitude of the vibration; 1.0 is full scale.
     leak_above_250_hz_db: energy above 250 Hz in dB relative to the total energy; None for silence.
-    exposure: of the rig with the largest A(8); None if damping, protection, exposure_cap are off.
+    exposure: of the rig with the largest A(8). None if damping, protection and cap are all off.
     limited_samples: number of samples that the limiter reduced, or that the format clipped.
     replaced_samples: number of unusable samples of the sound, such as NaN, that became 0.
     error: measured errors and counts of a parametric format; empty for other formats.

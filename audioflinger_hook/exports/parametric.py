@@ -105,7 +105,7 @@ class DescribedOutput:
 
 
 class CurveWriter:
-    """Writes a format that contains the envelope of one channel. For one thread."""
+    """Writes a format that contains the envelope of one channel. Only one thread may use it."""
 
     def __init__(self, job: Job, compose: Compose) -> None:
         self._job, self._compose = job, compose
@@ -124,7 +124,7 @@ class CurveWriter:
 
 
 class TrackWriter(ABC):
-    """Writes a format that contains the partial tracks of all channels. For one thread."""
+    """Writes a format that contains the partial tracks of all channels, on one thread."""
 
     def __init__(self, job: Job) -> None:
         self._job = job
@@ -160,8 +160,8 @@ class TrackWriter(ABC):
 class PartialLines(TrackWriter):
     """Writes partial tracks as JSON lines, described by partials.schema.json.
 
-    The lines are a header, a line for each track, written when the track ends, and an end line. A
-    file without the end line is incomplete.
+    The first line is a header. When a track ends, its line is written. The last line marks the
+    end. A file without the last line is incomplete.
     """
 
     def __init__(self, job: Job) -> None:

@@ -24,7 +24,7 @@ caller's blocks, and limits the stack of the Vorbis encoder.
 
 
 class LibsndfileTarget:
-    """A file for libsndfile. failure: first error of writing. UsageError: no file can be made."""
+    """A file for libsndfile. failure: first write error. UsageError: the file cannot be created."""
 
     def __init__(self, path: Path) -> None:
         self.file = AtomicFile(path)
@@ -77,7 +77,7 @@ class SoundFileOutput:
     target: receives the encoded bytes; by default, they are written to the file.
     level: compression level, 0 to 1; default: that of libsndfile.
     UsageError: the format does not support the rate or the channels, or the file cannot be created.
-    WriteError: the disk is full or failed; then, no file remains.
+    WriteError: the disk is full or has failed; no file remains.
     """
 
     def __init__(

@@ -29,8 +29,8 @@ LONGEST_TRACK_S = 10.0
 both parts is inexact until the filters settle.
 """
 
-# The low-pass rings after a track. The ringing belongs to the track down to `FAINT` of the
-# track's largest amplitude, for at most `RING_S`.
+# The low-pass rings after a track. The ringing counts as part of the track until it falls below
+# `FAINT` of the track's largest amplitude, but for at most `RING_S`.
 RING_S, FAINT = 0.06, 0.003
 
 # Largest errors of linear interpolation: of the amplitude, relative to the track's largest, and of
@@ -80,7 +80,7 @@ class PartialTrack:
 
 
 class TrackReader:
-    """Makes tracks of successive glides of a channel. For one thread. gain: amplitude factor."""
+    """Makes tracks from a channel's successive glides, on one thread. gain: amplitude factor."""
 
     def __init__(self, design: LiveDesign, gain: float) -> None:
         self._design = design

@@ -122,7 +122,7 @@ def _waveform_effect(curve: VibrationCurve, duration_s: float, band_hz: Band | N
 
 
 def _steps(curve: VibrationCurve, duration_s: float) -> list[tuple[int, int]]:
-    """Return steps of duration in ms and amplitude, 0 to 255. A step begins at every onset."""
+    """Return steps: (duration in ms, amplitude 0 to 255). A step begins at every onset."""
     last_ms = round(1e3 * duration_s)
     onsets = sorted({round(1e3 * one.time_s) for one in curve.onsets} & set(range(1, last_ms)))
     edges: list[int] = []

@@ -33,7 +33,7 @@ def short_time_rms(
 ) -> NDArray[np.float64]:
     """Return the RMS around the centre of each column, shape (columns,).
 
-    The window lasts `window_s` s or one column (the longer one), and less at the signal's ends.
+    The window is `window_s` s or one column, whichever is longer, and shorter at the signal's ends.
     """
     block = max(1, signal.size // (columns * _BLOCKS_PER_COLUMN))
     whole = signal.size - signal.size % block
@@ -61,8 +61,8 @@ def spectrogram_db(
     """Return short-time amplitudes in dB relative to a sine of amplitude 1, (rows, columns).
 
     Hamming windows of `window_s` seconds are centred on the columns. `rows_hz` is ascending. Each
-    row shows the larger of two amplitudes: the one interpolated at its frequency, and the largest
-    of the FFT bins nearest to this frequency. Rows above the Nyquist frequency have -200 dB.
+    row shows the larger of two amplitudes: the one interpolated at the row's frequency, and the
+    largest of the FFT bins nearest to the row. Rows above the Nyquist frequency have -200 dB.
     """
     window_frames = max(4, round(window_s * samplerate))
     transform_frames = next_fast_len(2 * window_frames, real=True)

@@ -80,7 +80,7 @@ class ChannelMap:
         """Convert frames, (n, track channels), to the channels of the mix.
 
         If the track is mono or has as many channels as the mix, `frames` itself is returned.
-        out: memory of the result, (n or more, mix channels). spare: working memory, (n or more,).
+        out: memory for the result, (n or more, mix channels). spare: working memory, (n or more,).
         """
         if self._passes:
             return frames

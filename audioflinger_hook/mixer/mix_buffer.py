@@ -97,7 +97,7 @@ class EffectsPort:
         """Process a buffer in place with the session's chain. now_s: time in s, monotonic."""
 
     def end_of_cycle(self, now_s: float) -> None:
-        """Send waiting commands, such as ENABLE, to effects, after each cycle except in standby."""
+        """After each cycle except in standby, send waiting commands, such as ENABLE, to effects."""
 
     def set_format(self, samplerate: int, channels: int, haptic_channels: int, frames: int) -> None:
         """Set the format of all buffers. frames: largest number of frames of a buffer."""

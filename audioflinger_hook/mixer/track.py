@@ -240,7 +240,7 @@ class Track:
 
 
 def period_frames(samplerate: int, mix_samplerate: int, mix_frames: int) -> int:
-    """Return how many of a track's frames one cycle of `mix_frames` mix frames reads at most."""
+    """Return the largest number of track frames that a cycle of `mix_frames` mix frames reads."""
     if samplerate == mix_samplerate:
         return mix_frames
     return -(-mix_frames * samplerate // mix_samplerate) + 1

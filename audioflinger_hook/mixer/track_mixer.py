@@ -28,8 +28,8 @@ def usable_gain(gain: float) -> float:
 def gains_of(volume: Sequence[float], channels: int) -> Gains:
     """Return one valid gain per channel of the mix, rounded to float32.
 
-    volume: one gain for all channels, or a (left, right) pair, or one gain per channel. Of a pair,
-    centre channels use the mean. Channels without a gain use the last gain.
+    volume: one gain for all channels, or a (left, right) pair, or one gain per channel. Centre
+    channels use the mean of a pair. Channels without a gain use the last gain.
     """
     usable = [float(np.float32(usable_gain(gain))) for gain in volume]
     if len(usable) == 2:

@@ -79,7 +79,7 @@ class Clients:
 
     @property
     def overwritten(self) -> int:
-        """Number of queued frames, for all browsers, that newer frames replaced since the start."""
+        """Total number of queued frames, over all browsers, that newer frames have replaced."""
         return self._overwritten_before + sum(client.overwritten for client in self._all)
 
     def tell(self, kind: str, content: dict[str, Any]) -> None:

@@ -119,7 +119,7 @@ def _families(status: Status) -> Iterator[Metric]:
 
 
 def _meaning(entry: Entry) -> str:
-    """Return a metric's help text: its figure's, or, if several figures share it, their group's."""
+    """Return a metric's help: that of its only figure, or of the group whose figures share it."""
     is_part = len(entry.path) > 1 and "{" in entry.figure.metric and "{^" not in entry.figure.metric
     text = entry.group.__doc__.partition("\n")[0] if is_part else f"{entry.figure.help}."
     return f"{text[0].upper()}{text[1:]}"

@@ -1,4 +1,4 @@
-"""Worker processes that execute batches of work, and the rendering of several files by them."""
+"""Worker processes that execute batches of work, and a function that renders files with them."""
 
 from __future__ import annotations
 
@@ -222,7 +222,7 @@ def render_files(
         left = iter(range(count))
 
         def submit_more() -> None:
-            """Submit files until AHEAD per process are running or queued; none after a death."""
+            """Submit files until AHEAD per process run or wait; submit none after a worker died."""
             done = [each for each in futures.values() if each.done()]
             if not any(isinstance(each.exception(), BrokenExecutor) for each in done):
                 under_way = len(futures) - len(done)

@@ -1,7 +1,7 @@
 """Descriptions of the status figures: the values that are fields in `service/status.py`.
 
 The text and JSON forms of the status, Prometheus, the live page and docs/figures.md use these
-fields. A new field gets its value from `daemon/status_report.py` or by `Figure.read`.
+fields. A new field gets its value from `daemon/status_report.py` or through `Figure.read`.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class Figure:
     row: label of the row in the text form. Figures with the same label share a row. By default, a
     figure of `Status` with `show` or `panel` has its own row, and a group's figures share a row.
     metric: name in Prometheus, without `_total`. A label in braces distinguishes several figures of
-    one metric. Its value is the name of the figure, or after ^ the name of the figure's group.
+    one metric. Its value is the figure's name; for a label with ^, it is the name of the group.
     """
 
     help: str
@@ -70,7 +70,7 @@ class Figure:
     words: tuple[str, ...] = ()  # possible values of a state
 
     def tone_of(self, value: Any) -> str:
-        """Return the tone of a value, which determines its color, or ""."""
+        """Return the tone of a value, which determines its colour, or ""."""
         return self.tone(value) if callable(self.tone) else self.tone if value else ""
 
 

@@ -146,7 +146,7 @@ FORGET = ("systemctl --user daemon-reload",)
 
 @dataclass(frozen=True)
 class Installed:
-    """Result of an installation or removal. path: of the unit. changed: whether it has changed.
+    """Result of an installation or removal. path: path of the unit. changed: whether it changed.
 
     commands: shell commands that the user must run next.
     """

@@ -1,4 +1,4 @@
-"""Texts of status figures that the default format cannot show, and tones, which set colors."""
+"""Texts of status figures that the default format cannot show, and tones, which set colours."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def principal(partials: tuple[Partial, ...]) -> str:
 
 
 def latency(one: LatencyBudget) -> str:
-    """Return as text the delay between sound and vibration, and its parts in ms."""
+    """Return the delay between sound and vibration, and the parts of the delay, in ms as text."""
     fields = [(label_of(name, known), name) for name, known, _ in table(type(one))]
     parts = [(label, getattr(one, name)) for label, name in fields if name != "total_ms"]
     signed = ((name, "-" if part_ms < 0.0 else "+", abs(part_ms)) for name, part_ms in parts)
@@ -100,7 +100,7 @@ def recoveries(counts: Mapping[Cause, int]) -> str:
 
 
 def channels(names: tuple[str, ...]) -> str:
-    """Return the channels of the device that an actuator uses."""
+    """Return the device channels that an actuator uses."""
     return " on " + ", ".join(one_line(name, 40) for name in names)
 
 

@@ -1,4 +1,4 @@
-"""Server for a daemon's status and control, on a Unix socket that only its user may use.
+"""Server for a daemon's status and control, on a Unix socket that only the daemon's user may use.
 
 A request is one line of JSON:
 
@@ -102,7 +102,7 @@ class StatusServer:
     The caller must hold the `DaemonLock`.
 
     read: returns the status. The server's threads call it; an exception becomes an error answer.
-    live: for `watch` and `control`, or None to refuse these requests.
+    live: answers `watch` and `control`; None refuses these requests.
 
     clock: returns seconds.
     UsageError: another daemon listens, or the socket's name is in use by another user or file.

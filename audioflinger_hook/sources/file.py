@@ -95,7 +95,7 @@ class FileTap(SteadyTap):
 
 def _open(path: Path) -> soundfile.SoundFile:
     try:
-        # From a name instead of a descriptor, libsndfile would read text files *.vox as sound.
+        # Given a name instead of a descriptor, libsndfile would read text files *.vox as sound.
         descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
     except (FileNotFoundError, NotADirectoryError):
         raise UsageError(f"{path} does not exist; give the path of a sound file") from None

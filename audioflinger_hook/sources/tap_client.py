@@ -79,7 +79,7 @@ class TapClient:
 
     If tap and mixer have the same samplerate and number of channels, the mix equals the sound,
     without delay. After a change of the tap's format, a new track plays the sound.
-    buffers, format_changes, discontinuities: numbers since the start.
+    buffers, format_changes, discontinuities: counts since the start.
     """
 
     def __init__(self, tap: Tap) -> None:

@@ -19,7 +19,7 @@ GROUP_FRAMES = 16  # powers are averaged over groups of frames, which saves comp
 POWER_S = 0.05  # time constant of the averages of the powers of m and s
 
 NEWEST_S, EVIDENCE_S, EVIDENCE_FRAMES = 0.000_25, 0.000_062_5, 3
-"""Time constant of the newest power in s, and shortest duration of cancellation in s and frames.
+"""Time constant of the newest power, and shortest duration of cancellation in seconds and frames.
 
 The first samples of a sound can be opposite by chance. When opposite channels start, the factor
 rises after 0.7 ms and reaches 1 after 3 ms."""

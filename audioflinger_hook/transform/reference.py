@@ -54,7 +54,7 @@ class Superposition:
         return unit
 
     def single(self, weight: FloatArray, hz: FloatArray, edges: IntArray) -> FloatArray:
-        """Return each unit's sum of partials, (units, N); in float32 it equals that of `exact`.
+        """Return each unit's sum of partials, (units, N); rounded to float32, it equals `exact`.
 
         weight, hz: values for the partials of all units, (partials,). The partials of unit i have
             the indices edges[i] to edges[i + 1] - 1.

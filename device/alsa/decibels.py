@@ -104,7 +104,7 @@ def _pieces(body: list[int], depth: int) -> Level | None:
 
 
 def _even(first: int, rise: int, steps: int, lowest: int, silent: bool) -> Level:
-    """Return a level function that is linear in dB. rise: per `steps` steps, in 0.01 dB."""
+    """Return a level function that is linear in dB. rise: over `steps` steps, in 0.01 dB."""
 
     def level(step: int) -> float:
         if silent and step <= lowest:

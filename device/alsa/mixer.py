@@ -90,7 +90,7 @@ class MixerControl:
     name: str  # from the driver
     channels: int
     number: int = field(repr=False)
-    decibels: Decibels | None = field(default=None, repr=False)  # of volume steps, if known
+    decibels: Decibels | None = field(default=None, repr=False)  # levels of the steps, if known
 
 
 class CardMixer:
@@ -246,7 +246,7 @@ def set_card_volume(
 ) -> tuple[float, ...]:
     """Set all playback volumes of a card, unmute it, and return the level of each volume in dB.
 
-    The returned levels exceed none of wanted_db, limit_db and 0 dB. So that the card is never too
+    No returned level exceeds wanted_db, limit_db or 0 dB. So that the card is never too
     loud, it is unmuted only after all volumes were set and read back successfully.
     card: number in ALSA. wanted_db: level of each volume. limit_db: upper limit.
     NotFoundError: the card is missing, has no volume, or refuses a request. UsageError: wanted_db

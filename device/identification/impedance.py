@@ -138,7 +138,7 @@ _LEAST_EDDY = 3e-4  # a law other than PLAIN must change the admittance by this 
 def _choose(
     recording: Recording, mode: Mode | None, level_of_x_max: float
 ) -> tuple[Fit, CoilLaw, bool]:
-    """Return the fit of least cost plus penalty, its law, and whether it includes a seat."""
+    """Return the best fit, its law, and whether it includes a seat."""
     tried: list[tuple[bool, float, Fit, CoilLaw, bool]] = []
     known, near = None, None
     if mode:

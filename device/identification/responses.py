@@ -158,7 +158,7 @@ class CoilLaw:
         return len(self.limits)
 
     def columns(self, f: FloatArray, shape: tuple[float, ...]) -> list[ComplexArray]:
-        """Return what each amplitude of 1 adds to the impedance. shape: shape parameters."""
+        """Return the impedance per unit of each linear parameter. shape: shape parameters."""
         linear = self.parameters - len(shape)
         return self.impedance(f, np.array([*[0.0] * linear, *shape]))[1][:linear]
 

@@ -61,7 +61,7 @@ class Distortion:
 
 
 def measure_distortion(recording: Recording) -> list[Distortion]:
-    """Return the distortion of orders 2 to ORDERS, where the harmonic is in the band.
+    """Return the distortion of orders 2 to ORDERS at all frequencies whose harmonic is in the band.
 
     In the impulse response, each order appears at its own time. `floor` is the larger of two
     shares: half way in time to the previous order, and half way to the next order.

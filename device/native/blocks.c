@@ -6,7 +6,7 @@
 #include <stdint.h>
 #include <string.h>
 
-/* The bits of non-negative floats, read as integers, are in the order of the floats; NaN is the largest. */
+/* The bits of non-negative floats, read as integers, sort in the order of the floats; NaN sorts last. */
 #define PEAK(type, bits, sign)                                                                     \
     do {                                                                                           \
         const char *at = frames;                                                                   \
@@ -75,7 +75,7 @@ const char *blocks_cubic(const View *ring, const View *out, size_t row, double f
     return NULL;
 }
 
-/* The linear actuator needs the same operations in the same order as in device/rig/actuator.py, so that both
+/* The linear actuator must use the same operations in the same order as device/rig/actuator.py, so that both
  * round identically. */
 #define TAPS 4
 #define SECTIONS 2

@@ -13,10 +13,10 @@ typedef struct {
     size_t ndim, shape[3], len; /* len: bytes */
 } View;
 
-/* On x86-64 with GCC and glibc, SIMD_CLONES compiles two versions of a function: for AVX2, and for all
- * processors. Both give identical results. */
+/* On x86-64 with GCC and glibc, SIMD_CLONES compiles two versions of a function: one for AVX2, one for
+ * all other processors. Both give identical results. */
 #if defined(__x86_64__) && defined(__GLIBC__) && defined(__GNUC__) && \
-    !defined(__clang__) && !defined(ONE_MACHINE) /* clang cannot link several versions of a function */
+    !defined(__clang__) && !defined(ONE_MACHINE) /* clang 14 and older have no target_clones */
 #define SIMD_CLONES __attribute__((target_clones("avx2", "default")))
 #else
 #define SIMD_CLONES

@@ -3,7 +3,7 @@
 #include "blocks.h"
 #include "rig_steps.h"
 
-/* Compute the residual: the force, N, and the voltage, V, that the linear model neglects at a frame. */
+/* Compute the residual: the force (N) and the voltage (V) that the linear model neglects at a frame. */
 INLINE void find_residual(const Work *w, size_t frame, double g[2])
 {
     const Model *m = w->model;
@@ -74,7 +74,7 @@ enum { AUTO, LINEAR, NONLINEAR };
 #define ALIKE 0.7          /* a peak excursion below ALIKE * failed_peak_y sets blocks_to_skip to 0 */
 #define SKIPPED_BLOCKS 7.0 /* blocks_to_skip after a block in which the linear model's error is too large */
 
-/* Convert the state for the linear or the non-linear model, unless it already is for this model. Excursion,
+/* Convert the state to the linear or the non-linear model, unless it already belongs to that model. Excursion,
  * speed and current do not change. The flux changes, because the inductances of the models differ. */
 INLINE void hand_over(const Work *w, State *at, int to_linear)
 {

@@ -1,5 +1,5 @@
-/* The rig's two models: a linear model, exact for a voltage that is linear between samples, and a
- * fourth-order Runge-Kutta method for the full equations. device/rig/equations.py has the equations;
+/* The rig's two models. The linear model is exact if the voltage is linear between samples. A fourth-order
+ * Runge-Kutta method solves the equations of the non-linear model. device/rig/equations.py has the equations;
  * device/rig/adaptive_actuator.py computes the parameters and tables. */
 
 #pragma once
@@ -27,8 +27,9 @@ typedef struct {
     double sample_s, levels, first_level, coarse;
 } Model;
 
-/* The state after a sample. residual: force and voltage that the linear model neglected, `since` samples ago.
- * correction: the linear model's response to all neglected forces and voltages, `since` samples ago. */
+/* The state after a sample. `residual` and `correction` are from `since` samples ago. residual: force and
+ * voltage that the linear model neglected. correction: the linear model's response to all neglected forces
+ * and voltages. */
 typedef struct {
     double s[MOST_STATES], volts, correction[MOST_STATES], residual[2], since;
     double is_linear; /* 1: the flux is that of the linear model */
@@ -39,8 +40,8 @@ typedef struct {
 typedef struct {
     const Model *model;
     const double *table, *steps, *volts;
-    /* Matrices that give the next state from the state, the last input and the new input. by_sample: over 1
-     * sample, the input is the voltage. by_coarse: over `coarse` samples, the input is the residual. */
+    /* Matrices that give the next state from the state, the last input and the new input. by_sample: for a
+     * step of 1 sample; input: voltage. by_coarse: for a step of `coarse` samples; input: the residual. */
     const double *by_sample, *by_coarse;
     double *moved;
     size_t frames;
@@ -48,8 +49,9 @@ typedef struct {
 
 /* Coefficients of a step with exact decay of the flux (ETDRK4, Cox and Matthews 2002). kept: remaining share
  * of the flux. level, slope: flux per V and per V/s. half_: the same coefficients for half a step. middle,
- * last: weights of the stages' deviations from a linear voltage. decay_slope, factor_slope: derivatives of
- * decay_per_s and of the force factor with respect to the excursion; 0: neglected. */
+ * last: weights of the stages' deviations from a linear change of the flux's input. decay_slope,
+ * factor_slope: derivatives of decay_per_s and of the force factor with respect to the excursion; 0:
+ * neglected. */
 typedef struct {
     double width_s, decay_per_s, decay_slope, factor_slope;
     double half_kept, half_level, half_slope, kept, level, slope, middle, last;
@@ -170,8 +172,8 @@ INLINE double deepest(const Model *m, const Step *h)
     return rad_s * rad_s * m->contact_mass / (2.0 * m->stop_n_per_m2);
 }
 
-/* Return the lowest level from first_level on that resolves an end-stop contact; `levels` if none does. A
- * level has 2^level steps per sample. */
+/* Return the lowest level from first_level on that resolves an end-stop contact; `levels` if none does.
+ * Level n has 2^n steps per sample. */
 INLINE size_t contact_level(const Model *m, const double *s, const double *rate, const Step *steps)
 {
     const size_t first = (size_t)m->first_level, levels = (size_t)m->levels;

@@ -179,9 +179,10 @@ def read_rig(path: str | Path) -> Rig:
 
 
 def parse_rig(text: str, name: str, origin: str) -> Rig:
-    """Return the rig that a TOML text describes. origin: name of the text for messages.
+    """Return the rig that a TOML text describes.
 
-    name: the rig's name, unless the text states another. UsageError: as for `read_rig`.
+    name: the rig's name, unless the text states another. origin: source of the text, for error
+    messages. UsageError: as for `read_rig`.
     """
     try:
         document = tomllib.loads(text)

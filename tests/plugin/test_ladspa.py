@@ -267,7 +267,7 @@ def test_another_design_takes_over_by_a_cross_fade_after_it_has_heard_the_sound(
     play()
     old, new = Core(first), Core(second)
     for core in (old, new):
-        core._controls.actuators[0].audible = 1
+        ctypes.memmove(core._controls, ctypes.addressof(page.controls), ctypes.sizeof(Controls))
     whole = np.concatenate(sound)
     before, after = old.process(whole), new.process(whole[begin:])
     x = np.clip((np.arange(1, len(after) + 1) / RATE_HZ - 0.2) / 0.04, 0.0, 1.0)
@@ -286,6 +286,7 @@ def test_a_changed_design_that_cannot_be_used_is_refused_and_the_old_one_plays_o
 ) -> None:
     listening(tmp_path, monkeypatch)
     page, instance = daemon(UNDRIVEN, 2, 1, [0])
+    page.set_audible(True)
     sound = padded(any_sound(np.random.default_rng(6), RATE_HZ, 1_024, 2))
     change(page, tmp_path, 1, any_design("protected", 44_100, 2))
     for _ in range(100_000):

@@ -25,6 +25,7 @@ from tools.burst_latency import measured_here
 from tools.live_latency.bursts import burst_delays
 from tools.live_latency.refusing import refusing_pw_cli
 from tools.live_latency.usage import held_by_family
+from tools.sound_server import SoundServer
 from tools.usage import CARE
 
 pytestmark = [pytest.mark.servers, pytest.mark.calm]
@@ -189,6 +190,23 @@ def bursts() -> Float32Array:
     return sound
 
 
+def felt_bursts(
+    server: SoundServer, care: tuple[str, ...], folder: Path
+) -> tuple[Float32Array, bool]:
+    """The vibration of `bursts`, and whether another server lost a cycle meanwhile."""
+    with (
+        witness_tone(folder) as witness,
+        running(server, *care, engine="native"),
+        recording(server, "haptic.monitor", folder / "felt") as felt,
+        playing(server, "desktop", bursts()),
+    ):
+        begin = len(witness())
+        wait_for(lambda: felt_now(felt), "vibration")
+        frames = len(felt()) + 6 * RATE_HZ
+        wait_for(lambda: len(felt()) > frames, "the end", 20.0)
+        return felt()[:, 0], tears(witness()[begin:]) > 0
+
+
 @pytest.mark.parametrize("rig", ["paper", "consumer"])
 def test_the_level_is_that_of_render_with_the_same_config(timed_pipewire, tmp_path, rig):
     care = with_care(tmp_path, rig)
@@ -197,23 +215,17 @@ def test_the_level_is_that_of_render_with_the_same_config(timed_pipewire, tmp_pa
     done = cushion(timed_pipewire, "render", *files, "--profile", LIVE_DEFAULT, *care)
     assert done.returncode == 0
     wanted, _ = soundfile.read(files[1], dtype="float32", always_2d=True)
-    with (
-        running(timed_pipewire, *care, engine="native"),
-        recording(timed_pipewire, "haptic.monitor", tmp_path / "felt") as felt,
-        playing(timed_pipewire, "desktop", bursts()),
-    ):
-        wait_for(lambda: felt_now(felt), "vibration")
-        frames = len(felt()) + 6 * RATE_HZ
-        wait_for(lambda: len(felt()) > frames, "the end", 20.0)
-        got = felt()[:, 0]
     # Damping begins with the first sample that is not 0, in both.
-    got, reference = got[np.flatnonzero(got)[0] :], wanted[np.flatnonzero(wanted[:, 0])[0] :, 0]
-    frames = 4 * RATE_HZ
-    expected = levels_db(reference[:frames])
+    reference = wanted[np.flatnonzero(wanted[:, 0])[0] :, 0]
+    expected = levels_db(reference[: 4 * RATE_HZ])
     audible = expected > expected.max() - 40.0
     assert np.count_nonzero(audible) > 30
-    difference_db = np.abs(levels_db(got[:frames]) - expected)[audible]
-    assert difference_db.max() < 1.0
+    verdict, shown = Verdict("the level of render", needed=1, stray=0), False
+    while not shown:
+        got, witness_torn = felt_bursts(timed_pipewire, care, tmp_path)
+        got = got[np.flatnonzero(got)[0] :]
+        worst_db = float(np.abs(levels_db(got[: 4 * RATE_HZ]) - expected)[audible].max())
+        shown = verdict.add(worst_db, good=worst_db < 1.0, witness_torn=witness_torn)
 
 
 def test_a_direct_link_has_no_delay(timed_pipewire, tmp_path):

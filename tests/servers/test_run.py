@@ -1,6 +1,7 @@
 """`cushion run` on a real sound server: what plays is felt, whatever becomes of the rest."""
 
 import json
+import math
 import os
 import signal
 import subprocess
@@ -42,7 +43,7 @@ from tests.servers.daemons import (
 )
 from tests.servers.listening import RATE_HZ, more, playing, recording, wait_for, wait_seconds
 from tests.servers.test_run_reload import connections, reload
-from tests.servers.witness import Verdict
+from tests.servers.witness import Verdict, tears, witness_tone
 from tests.support.parameters import TWO_SHAKERS
 from tools.live_latency.pauses import PauseWitness
 from tools.sound_server import SoundServer
@@ -74,18 +75,25 @@ def scene(tmp_path_factory):
 
 
 def take(server: SoundServer, sound: Float32Array, folder: Path) -> tuple[Float32Array, str, float]:
-    """What is felt of a sound, the daemon's status, and how long a core was taken away in s."""
+    """What is felt of a sound, the daemon's status, and how long a core was taken away in s.
+
+    The time is infinite if another server lost a cycle.
+    """
     with (
+        witness_tone(folder) as other,
         closing(PauseWitness()) as witness,
         running(server) as daemon,
         recording(server, "haptic.monitor", folder / "felt") as felt,
         playing(server, "desktop", sound),
     ):
+        begin = len(other())
         wait_for(lambda: felt_now(felt), "vibration")
         enough = len(felt()) + int((SCENE_S + 0.5) * RATE_HZ)
         wait_for(lambda: len(felt()) > enough, "the whole of it", 2.0 * SCENE_S)
         status = str(daemon.status())
         away_s = max((one.seconds for one in witness.core_pauses()), default=0.0)
+        if tears(other()[begin:]):
+            away_s = math.inf
     return felt()[:, 0], status, away_s
 
 
@@ -139,6 +147,9 @@ def test_there_is_one_daemon_and_when_it_is_ended_nothing_of_it_is_left(server):
 BACK_S = {"python": 2.0, "native": 1.0}
 """Within this it plays again once a fault is over, with each engine."""
 
+RECORDERS = 5.0
+"""On a busy machine it may take as many times as long as a recorder, which takes 0.1 s else."""
+
 
 def test_the_device_vanishes_and_nobody_else_plays_its_vibration(server, engine, tmp_path):
     server.add_sink("speakers")
@@ -157,8 +168,10 @@ def test_the_device_vanishes_and_nobody_else_plays_its_vibration(server, engine,
             server.add_sink("haptic")
             back_s = time.monotonic()
             with recording(server, "haptic.monitor", tmp_path / "again") as again:
+                recorder_s = time.monotonic() - back_s
                 wait_for(partial(felt_now, again), "it again")
-            assert time.monotonic() - back_s < BACK_S[engine]
+            least_s = max(BACK_S[engine], RECORDERS * recorder_s)
+            assert time.monotonic() - back_s < least_s
         status = daemon.wait_state(DaemonState.RUNNING)
         assert not heard().any()
     assert status.recoveries[Cause.DEVICE_LOST] >= 3
@@ -182,7 +195,7 @@ def test_the_server_is_killed_and_comes_back(server, engine, tmp_path):
                 wait_for(partial(felt_now, felt), "vibration", BACK_S[engine])
                 status = daemon.wait_state(DaemonState.RUNNING)
     assert status.engine == engine
-    assert status.recoveries[Cause.SERVER_LOST] == 2
+    assert status.recoveries[Cause.SERVER_LOST] >= 2  # a busy server may be lost as it starts
 
 
 def test_without_a_server_it_says_so_or_waits_for_one(server):

@@ -30,7 +30,7 @@ SENTENCES = {
         "distortion and noise under {thdn_db} dB",
         "is under {above_250_db} dB for each of {recordings} recordings",
         "#residual-vibration) by {damped_db} dB",
-        "Of the impacts over music, {impacts} % raise the level of the vibration",
+        "The vibration rises by at least 1.5 dB at {impacts} % of impacts over music",
     ),
     "docs/results.md": ("`game` and `music`, the delay is up to {later_ms} ms longer",),
     "docs/live.md": (
@@ -66,7 +66,7 @@ SENTENCES = {
     ),
     "docs/troubleshooting.md": ("cushion run --drop-in --offset-ms=-{pulse_ms}",),
     "docs/get-started/gamer.md": (
-        "With the profile `game` on PipeWire, vibration starts {game_ms} ms after its sound",
+        "With the profile `game` on PipeWire, the vibration follows {game_ms} ms after its sound",
     ),
 }
 

@@ -9,7 +9,7 @@
 #define DAY_S 28800.0
 #define FREE_SHARE 0.5 /* share of the allowed dose above which the cap lowers the gain */
 #define NEGLIGIBLE 1e-60
-#define DAMAGED 1e6 /* a non-finite sample or a larger magnitude counts as 0 */
+#define DAMAGED 1e6 /* a sample of larger magnitude, or one that is not finite, counts as 0 */
 
 /* Return the allowed growth rate of the dose, as a share of the rate without a cap. used: dose as a share of
  * the allowed dose. The result is 1 up to used = FREE_SHARE, then falls linearly to 0 at used = 1. */

@@ -133,7 +133,7 @@ static double free_excursion(const ProtectionDesign *d, const double *state, con
     return most;
 }
 
-/* Add `count` limited quantities; set the pointers to the places for their a and b (see governor.h). */
+/* Reserve places for `count` limited quantities a + g b: those of a at *fixed, those of b at *per_gain. */
 INLINED void next_quantities(Governor *g, size_t count, double **fixed, double **per_gain)
 {
     *fixed = g->fixed + g->quantities;

@@ -23,7 +23,7 @@ typedef struct {
     double gain;                    /* at the end of the previous block */
     double *state, *ungoverned;     /* states: (models, states) */
     int is_ungoverned_equal;        /* 1: `ungoverned` is equal to `state`, and only `state` is updated */
-    double *end[PARTS], *ends[PARTS]; /* states after the known block; one model's after the coming block */
+    double *end[PARTS], *ends[PARTS]; /* end: after the known block; ends: after the coming block, one model */
     double *column, *spare;         /* work space for the frames of one model */
     double *fixed, *per_gain;       /* work space: a and b of all limited quantities */
     size_t quantities;              /* number of pairs a, b */

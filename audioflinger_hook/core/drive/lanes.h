@@ -6,7 +6,7 @@
 
 enum { LANES = 8 }; /* doubles in a vector */
 
-/* `count` rounded up to a multiple of LANES. Rows and columns are filled up with zeros to this length. */
+/* `count` rounded up to a multiple of LANES. Rows and columns are padded with zeros to this length. */
 #define WHOLE_LANES(count) (((count) + LANES - 1) / LANES * LANES)
 
 /* Vectors of doubles and of the bit patterns of doubles, with the alignment of a single double. */

@@ -49,8 +49,8 @@ static double resistance_ohm(const Protection *p)
     return p->design->resistance_ohm * (1.0 + p->design->resistance_per_k * p->coil_k);
 }
 
-/* Advance the temperatures and the wanted power by a block. The wanted power is the average power at a gain
- * of 1; its maximum is held and decays. */
+/* Advance the temperatures and the wanted power by a block. The wanted power is a decaying peak hold of the
+ * average power at a gain of 1. */
 static void warm(Protection *p, double power_w, double ungoverned_w)
 {
     const ProtectionDesign *d = p->design;

@@ -39,8 +39,8 @@ typedef struct {
     double level;            /* limit of |drive| */
     double current_a;        /* limit of |current|; 0: no limit */
     /* Changes per block. recovery: largest rise of the gain. release: factor on the demand. notice: weight of
-     * the new power in the average power. forget: factor on the wanted power. caution: factor on the demand's
-     * safety factor when the limits lower the gain. */
+     * the new power in the average power. forget: factor on the wanted power. caution: factor by which a
+     * limited block raises the safety factor of the demand. */
     double recovery, release, notice, forget, caution;
     double hottest_k; /* limit of the coil's temperature above ambient; 0: no limit */
     double ambient_c, resistance_ohm, resistance_per_k, coil_k_per_w, coil_j_per_k, approach_s;

@@ -27,7 +27,7 @@ struct DaemonCore {
     float signals[PIECE_FRAMES * CORE_ACTUATORS], next_signals[PIECE_FRAMES * CORE_ACTUATORS];
 };
 
-/* Map the file that HAPTIC_CUSHION_PAGE names. Return NULL if it names none, or if the file is unusable. */
+/* Map the file that HAPTIC_CUSHION_PAGE names. Return NULL without this variable or a usable file. */
 static Page *page_open(void)
 {
     const char *path = getenv("HAPTIC_CUSHION_PAGE");

@@ -40,7 +40,7 @@ struct Effect {
     DelayLine delay;
     Fade gain, open;
     float sound[PIECE_FRAMES * EFFECT_CHANNELS], vibration[PIECE_FRAMES];
-    int fresh; /* no frame was processed since the last reset */
+    int fresh; /* no frame has been processed since the last reset */
 };
 
 /* Set a goal, which the fade reaches after max(1, frames) frames. */
@@ -69,7 +69,7 @@ static void fade_apply(Fade *fade, float *samples, size_t count, int smooth)
     }
 }
 
-/* Allocate room for delays up to longest_s; return 0 if memory is lacking. */
+/* Allocate room for delays up to longest_s; return 0 if memory runs out. */
 static int delay_open(DelayLine *line, double longest_s, double samplerate)
 {
     memset(line, 0, sizeof *line);
@@ -81,7 +81,7 @@ static int delay_open(DelayLine *line, double longest_s, double samplerate)
     return line->past != NULL;
 }
 
-/* Clear the ring buffer, and set the delay in frames without a fade. */
+/* Clear the ring buffer. Set the delay, in frames, without a fade. */
 static void delay_reset(DelayLine *line, size_t frames)
 {
     memset(line->past, 0, line->capacity * sizeof(float));

@@ -48,7 +48,7 @@ static const struct {
     {"Gain (dB)", LADSPA_INPUT, {RANGE, -60.0f, 20.0f}},
     {"Delay (ms)", LADSPA_INPUT, {RANGE, 0.0f, 1000.0f}},
     {"Bypass", LADSPA_INPUT, {LADSPA_TOGGLED | LADSPA_DEFAULT_0, 0.0f, 1.0f}},
-    {"latency", LADSPA_OUTPUT, {0, 0.0f, 0.0f}}, /* hosts find the latency by this name */
+    {"latency", LADSPA_OUTPUT, {0, 0.0f, 0.0f}}, /* hosts find the latency port by this name */
     {"Peak of the sound (dBFS)", LADSPA_OUTPUT, {0, 0.0f, 0.0f}},
     {"Peak of the vibration (dBFS)", LADSPA_OUTPUT, {0, 0.0f, 0.0f}},
 };

@@ -59,7 +59,7 @@ typedef struct {
 enum { PAGE_BANKS = 2 };
 
 /* Memory shared with the daemon, in the file that HAPTIC_CUSHION_PAGE names; see daemon/native/layout.py. The
- * daemon writes magic, size, wanted and controls; the plugin writes the rest. Every value is 8 bytes long,
+ * daemon writes magic, size, wanted and controls; the plugin writes the rest. Each value has 8 bytes and is
  * aligned. Design n uses banks[n % PAGE_BANKS]. Design 0 is in the file that HAPTIC_CUSHION_DESIGN names; for a
  * later design, "." and its number follow this name. */
 #define PAGE_MAGIC UINT64_C(0x3645474150485543) /* "CUHPAGE6" */
@@ -103,7 +103,7 @@ void design_loader_return(DesignLoader *loader, NumberedCore *core);
 typedef struct DaemonCore DaemonCore;
 
 /* Create the daemon's core. Return NULL if HAPTIC_CUSHION_PAGE is set but the page is unusable, if core_find
- * finds no core, or without memory. Allocates. */
+ * is needed and finds no core, or if memory runs out. Allocates. */
 DaemonCore *daemon_core_open(unsigned long samplerate);
 void daemon_core_close(DaemonCore *daemon);
 void daemon_core_reset(DaemonCore *daemon);

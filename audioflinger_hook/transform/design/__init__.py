@@ -29,7 +29,7 @@ from device.units import Records
 __all__ = ["LiveDesign"]
 
 BAND_MARGIN_HZ = 1_000.0
-"""Margin of the analysis above the band, to measure the half-power widths of the highest peaks."""
+"""Range analysed above the band, to measure the half-power widths of peaks at the band's end."""
 
 STRAIGHT_LINES = 10 ** (-0.17 / 20)
 """Factor on r that gives a tone the same level in live form and reference form, within 0.1 dB.
@@ -151,8 +151,8 @@ def _designed(parameters: TransformParameters, samplerate: int, find_onsets: boo
     onsets = OnsetDesign.of(parameters, grid, mapping, samplerate, find_onsets)
     synthesis = SynthesisDesign.of(parameters, grid, samplerate)
     smoothing_frames = synthesis.delay_s(LATENCY_AT_HZ, samplerate) * samplerate
-    # A measured amplitude belongs to the window's centre. The glide to this amplitude adds a mean
-    # delay of half a hop, plus half of the mean duration of rising and of other glides.
+    # A measured amplitude belongs to the window's centre. The glide to this amplitude adds half a
+    # hop, plus half the duration of the glide, averaged over rising glides and other glides.
     glide_hops = 0.5 + (ATTACK_HOPS + 1.0) / 4.0
     tonal_frames = grid.window_frames / 2 + glide_hops * grid.hop_frames + smoothing_frames
     followed = parameters.loudness_db > 0.0

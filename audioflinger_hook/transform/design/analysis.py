@@ -35,7 +35,7 @@ SIDE_LOBE, SIDE_LOBE_FOLLOWED = 10 ** (-40 / 20), 10 ** (-34 / 20)
 """Peaks up to these shares of the highest amplitude are ignored, without and with loudness control.
 
 A Hamming window has side lobes of -42.7 dB. For a low tone, the side lobes of the tone and of its
-image add up to -36.7 dB. With the lower C_th of loudness control, side lobes could be principal."""
+image add up to -36.7 dB. With loudness control, C_th is lower, so side lobes could exceed it."""
 
 OLD_SIDE_S, NEW_SIDE_S = 0.004, 0.001  # rise and fall time of the onset window
 
@@ -53,7 +53,7 @@ QUIETEST, WEAKEST = 0.02, 0.5
 """Lowest amplitudes of detected and of played onsets, relative to the weakest principal tone."""
 
 WORTH, MERGED_WORTH = 0.25, 0.1
-"""Smallest amplitude that an onset partial adds to existing ones, as a share of its estimate.
+"""Smallest excess of an onset's amplitude over existing partials, as a share of this amplitude.
 
 The second value is for merged partials, which are in phase with existing partials."""
 
@@ -150,7 +150,7 @@ class OnsetDesign:
     short_hz: FloatArray  # vibration frequency of each bin
     min_gain_share: float  # see `WORTH`
     band_edges: FloatArray  # first bin of each band, then the end of the last band
-    rise: float = 4.0  # a rising band has more than this times its recent maximum of power (6 dB)
+    rise: float = 4.0  # a band rises above this multiple of its recent maximum of power (6 dB)
     minor: float = 0.01  # a rising band must exceed this share of the total power
     risen_share: float = 0.5  # at an onset, rising bands contain more than this share of the power
     back_ticks: int = 3  # number of latest ticks that the recent maximum excludes

@@ -59,7 +59,7 @@ LOW_EDGES_HZ = (20.0, 45.0, 90.0, 180.0, 280.0, 355.0, 450.0, 560.0)
 
 LOW_BAND_OF = (0, 0, 1, 2, 3, 4, 5)  # band of ISO 532-1 that contains each low band
 LOW_DB = -1.0  # correction of the low bands, dB
-POLE_WIDTH = 1.3  # -3 dB bandwidth of a pole / band's width; the noise bandwidth of two poles is 1
+POLE_WIDTH = 1.3  # -3 dB width of one pole, in band widths; two poles have noise bandwidth 1
 LOW_TOP_HZ = 850.0  # end of the pass band of the low-pass before decimation
 
 QUADRATURE = (
@@ -163,7 +163,7 @@ def _pole(low: int, low_rate_hz: float) -> tuple[float, float, float]:
 
 
 def _low_weight(low: int) -> float:
-    """Return the ratio of a low band's excitation (threshold in quiet: 1) to its mean square."""
+    """Return a low band's excitation per mean square. Excitation 1 is the threshold in quiet."""
     over_db = float(OVER_QUIET_DB[LOW_BAND_OF[low]]) + LOW_DB
     if LOW_BAND_OF[low] == 0:
         over_db += float(np.interp(sum(LOW_EDGES_HZ[low : low + 2]) / 2, DEEP_HZ, DEEP_DB))

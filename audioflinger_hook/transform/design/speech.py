@@ -76,7 +76,7 @@ class SpeechDesign:
     speech_likely: float = 0.5
     speech_likely_still: float = 0.25
     speech_sure: float = 0.15
-    speech_clear_db: float = 12.0  # with a clear pitch, a voice's band may exceed its level by this
+    speech_clear_db: float = 12.0  # with a clear pitch, a band may exceed the voice's level by this
     speech_apart: float = 0.01  # tolerance of a harmonic's frequency, as a share of the frequency
     speech_ramps: FloatArray = field(default_factory=lambda: np.array(list(RAMPS.values())))
 

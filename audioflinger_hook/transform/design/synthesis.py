@@ -20,7 +20,7 @@ from audioflinger_hook.transform.parameters import TransformParameters
 
 LOW_RATE_HZ = 3_000.0  # approximate samplerate of the oscillators (low rate)
 HOPS_A_WINDOW = 2.55  # hops per window, for a hop of about 18 ms
-TICK_S = 0.002  # interval at which onsets are searched and vibration is computed
+TICK_S = 0.002  # interval of the search for onsets and of the computation of vibration
 
 ATTACK_HOPS = 0.35
 """Duration of an amplitude glide, in hops, if the sum of all amplitudes rises.
@@ -103,11 +103,11 @@ class TrackingDesign:
     merge_ratio: float  # partials with a smaller relative distance are merged; 0: off
     merge_hz: float = 12.0  # if merging is on, partials with a smaller distance are merged, too
     merge_again: float = 0.8  # groups closer than this share of the merge distance are merged
-    match_ratio: float = 0.12  # the same relative to the frequency; the larger limit applies
+    match_ratio: float = 0.12  # largest change relative to the frequency; the larger limit applies
     split_hz: float = 2.0  # a new partial this close to an old partial starts with the same phase
     steady_hz: float = 0.05  # smaller changes of vibration frequency are averaged
     steady_gain: float = 0.15  # weight of the smallest changes in the average
-    first_hz: float = 1e-9  # added per slot to distances, so that of equals the first is nearest
+    first_hz: float = 1e-9  # distance added per slot, so that the first of equal distances wins
     onset_reach: float = 2.0  # factor on both limits of change, for onset partials
     min_held_share: float = 0.05  # lowest amplitude in the hold time, as a share of the first one
     stronger: float = 1.0 + 1e-9  # amplitudes with a smaller ratio count as equal

@@ -114,8 +114,8 @@ static double nth_largest(const double *numbers, int32_t count, int32_t n, doubl
     return sorted[n - 1];
 }
 
-/* Choose the peaks with r above threshold_hz that exceed the side lobes of the highest such peak. If these
- * are more than partials_max, keep the peaks with the largest r. Write the indices of the chosen peaks to
+/* Choose the peaks with r above threshold_hz that exceed the side lobes of the highest such peak. Of more
+ * than partials_max such peaks, keep those with the largest r. Write the indices of the chosen peaks to
  * `place`, which has room for all peaks; return their number. */
 static int32_t choose(const Settings *s, const Peaks *peaks, int32_t *place, double *ranks, double *sorted)
 {

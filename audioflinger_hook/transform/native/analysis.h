@@ -35,7 +35,7 @@ typedef struct {
     int32_t count;
     int32_t *left, *bin, *right;  /* bins of the minimum below, the peak, the minimum above */
     double *before, *top, *after; /* amplitudes of the bin below, the peak's bin, the bin above */
-    double *offset, *height;      /* interpolated peak: offset from the peak's bin in bins, and amplitude */
+    double *offset, *height;      /* interpolated peak: offset from the peak's bin, in bins; amplitude */
     double *level;                /* amplitude at half power */
     Side down, up;
     double *bandwidth_hz, *r;
@@ -43,8 +43,8 @@ typedef struct {
 
 void peaks_amplitudes(Spectrum spectrum, double *amplitude, int32_t bins);
 
-/* Around each strong peak at a low frequency, subtract the peak's mirror image at the negative frequency.
- * peaks: work space. */
+/* Around each strong peak at a low frequency, subtract the leakage of the peak's mirror image, which lies at
+ * the negative frequency. peaks: work space. */
 void peaks_clear_images(const Settings *s, Spectrum spectrum, double *amplitude, Peaks *peaks);
 
 /* Set count, left, bin, right of all peaks that may be principal. turns: work space of bins + 1 numbers. */

@@ -1,5 +1,5 @@
-/* Elementary functions with the same bits for every compiler, C library and processor. They use basic
- * arithmetic and bit operations, without fused multiply-add. An ulp is a unit in the result's last place.
+/* Elementary functions with bit-identical results for every compiler, C library and processor. They use
+ * basic arithmetic and bit operations, without fused multiply-add. An ulp is a unit in the result's last place.
  * tests/transform/test_exact.py measures errors. */
 
 #pragma once

@@ -54,7 +54,7 @@ static double *write_passes(FftStages *stages, double *table)
     return table;
 }
 
-/* Arrange all points in the most nearly square grid; return 0 if their number has a prime factor above 5. */
+/* Arrange all points in the grid closest to a square; return 0 if their number has a prime factor above 5. */
 static int make_grid(Fft *fft)
 {
     FftStages all;

@@ -1,4 +1,4 @@
-/* Replaces unusable samples by 0, mixes channels to mono, and applies the band-pass of the analysis. */
+/* Replaces unusable samples with 0, mixes channels to mono, and applies the band-pass of the analysis. */
 
 #include "input_stage.h"
 #include "filter.h"
@@ -24,7 +24,7 @@ static int is_dense(CoreSound sound, size_t channels)
            sound.frame_bytes == sample_bytes * (ptrdiff_t)channels;
 }
 
-/* Return whether, in each 8 bytes, all bits outside the mask `signs` are 0. bytes: a multiple of 8. */
+/* Return whether, in each group of 8 bytes, all bits outside the mask `signs` are 0. bytes: a multiple of 8. */
 SIMD_CLONES static int are_zeros(const char *at, size_t bytes, uint64_t signs)
 {
     uint64_t all = 0, here;
@@ -69,8 +69,8 @@ size_t input_silent_last(CoreSound sound, size_t channels, size_t frames)
 
 /* ---------------------------------------------------------------------------------------- mixing */
 
-/* Return a sample; 0 if it is NaN, above `limit` in magnitude, or denormal (slow). If it is NaN or above
- * `limit`, increment *unusable. */
+/* Return a sample, or 0 for NaN, a magnitude above `limit`, or a denormal number, which would be slow. For
+ * NaN and magnitudes above `limit`, increment *unusable. */
 INLINED double usable_at(const char *place, int is_double, double limit, size_t *unusable)
 {
     const double sample = sample_of(place, is_double);
@@ -222,7 +222,7 @@ INLINED MixBalance after_group(const Settings *s, MixBalance old, double of_mean
     return now;
 }
 
-/* Add side to mono, times a factor that changes linearly over the group. filled: frames of the group already
+/* Add side to mono; the factor of side changes linearly over the group. filled: frames of the group already
  * processed. */
 INLINED void add_side(MixBalance now, double filled, double *mono, const double *side, size_t frames)
 {

@@ -1,4 +1,4 @@
-/* Replaces unusable samples by 0, mixes channels to mono and applies the band-pass. The mix is mid + g side,
+/* Replaces unusable samples with 0, mixes channels to mono and applies the band-pass. The mix is mid + g side,
  * as in downmix.py. The factor g, 0 to 1, is above 0 only if the channels nearly cancel in mid. mid = (L+R)/2
  * and side = (L-R)/2, where L (left) and R (right) are weighted sums of channels. */
 

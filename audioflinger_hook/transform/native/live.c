@@ -247,10 +247,10 @@ static int asleep(const Live *live)
     return 1;
 }
 
-/* Return how many frames to process next. Normally, return `frames`. If a window of silence precedes and the
- * first frame is silent, return the number of leading silent frames, at most the rest of the tick. If a
- * window of silence precedes, the first frame sounds and all channels are asleep, start a hop. The vibration
- * then does not depend on the length of the silence. */
+/* Return how many frames to process next: normally `frames`. After a window of silence, if the first frame is
+ * silent too, return the number of leading silent frames, at most the rest of the tick. If it is not silent
+ * but all channels are asleep, start a hop, so that the vibration does not depend on the length of the
+ * silence. */
 static size_t up_to_onset(Live *live, CoreSound sound, size_t channels, size_t frames)
 {
     if (live->state->silent < live->settings.window_frames)

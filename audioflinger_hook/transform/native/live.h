@@ -67,7 +67,7 @@ typedef struct {
     Glides glides, onset_glides;
 } Live;
 
-/* Create a transform from valid settings, but not its state; take its memory from the arena. If arena->base
+/* Create a transform from valid settings, with memory from the arena, but without its state. If arena->base
  * is NULL, only count bytes. Return 0 if an FFT length has prime factors above 5. */
 int live_open(Live *live, const Settings *settings, size_t channels, int per_channel, Arena *arena);
 

@@ -14,7 +14,7 @@ void band_powers_reset(const Settings *s, BandPowers *powers)
     memset(powers->recent, 0, (s->average_ticks - 1) * s->high_weights.length * sizeof(double));
 }
 
-/* Apply the low-pass before decimation to the frames of one step; return the low-pass's last output. */
+/* Apply the anti-aliasing low-pass to the frames of one step; return the low-pass's last output. */
 INLINED double smoothed(const double *row, double *states, const double *samples, size_t frames)
 {
     double next[SMOOTH_ROW] = {0.0};

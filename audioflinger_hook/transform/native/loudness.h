@@ -12,13 +12,13 @@ INLINED int loudness_is_on(const Settings *s) { return s->loudness_scale.length 
 #define BANDS_MAX 20  /* largest number of loudness bands */
 #define LOW_MAX 8     /* largest number of low bands, which have filters of their own */
 #define LOW_NUMBERS 3 /* numbers in a row of low_poles */
-#define SMOOTH_STATES 6 /* states of the low-pass before decimation */
+#define SMOOTH_STATES 6 /* states of the anti-aliasing low-pass */
 #define SMOOTH_ROW 8    /* numbers in a row of low_smooth */
 #define CHAIN 4       /* all-passes in each of the two chains that form an analytic signal */
 
 /* Filter states of one channel. All members are doubles. */
 typedef struct {
-    double smooth[SMOOTH_STATES];               /* low-pass before decimation */
+    double smooth[SMOOTH_STATES];               /* anti-aliasing low-pass */
     double chains[2][CHAIN][2];                 /* all-passes */
     double before;                              /* last sample at the low rate */
     double real[2][LOW_MAX], imaginary[2][LOW_MAX]; /* outputs of both one-pole filters of each low band */
@@ -35,7 +35,7 @@ void band_powers_reset(const Settings *s, BandPowers *powers);
  * FULL_SCALE_PHON of loudness.c. Levels of groups: 0 dB at 1 sone, 10 dB more for each factor of 2. */
 typedef struct {
     double programme; /* level that follows `loud` very slowly */
-    double sound_ticks; /* ticks with open noise gate since the stream's start, up to start_ticks */
+    double sound_ticks; /* ticks with an open noise gate since the stream's start, up to start_ticks */
     double floor;     /* level of the background noise */
     double loud;      /* `slow` with a limited rate of fall */
     double steady;    /* loudness level with less jitter */

@@ -44,8 +44,8 @@ INLINED int onsets_are_measured(const Settings *s, const Onsets *onsets)
     return onsets->since < (double)s->heard_ticks;
 }
 
-/* Group the bands that rose. Write up to groups_max of the strongest groups, in ascending order of frequency,
- * and return their number. */
+/* Group the bands that rose. Write the strongest groups, at most groups_max, in ascending order of frequency;
+ * return their number. */
 size_t onsets_groups(const Settings *s, const Onsets *onsets, Group *groups);
 
 /* Return the onset's amplitude, as if the onset were one tone. */

@@ -12,7 +12,7 @@
 /* Amplitudes with a smaller ratio count as equal, since rounding errors may make them differ. */
 #define APART_FROM (1.0 + 1e-9)
 
-/* Minimum of |curvature| of A^0.2, as a share of the peak's A^0.2. A lower one may be a rounding error. */
+/* Minimum of |curvature| of A^0.2, as a share of the peak's A^0.2. Lower values may be rounding errors. */
 #define CURVED 1e-6
 
 /* Write the magnitude of each bin, without the overflow protection of hypot, which audio does not need. */
@@ -71,7 +71,7 @@ INLINED double window_at(Table window, double distance_bins)
     return here + (position - (double)below) * (window.at[below + 1] - here);
 }
 
-/* List the peaks in the lowest bins with amplitudes above weakest_image, and above weakest_share times the
+/* In the lowest bins, list the peaks with amplitudes above weakest_image, and above weakest_share times the
  * highest amplitude in these bins. */
 static void strong_low_peaks(const Settings *s, const double *amplitude, Peaks *peaks)
 {

@@ -34,8 +34,8 @@ static double sum_comb(const double *roots, const double *tooth, size_t count)
     return sum;
 }
 
-/* Return a pitch's contrast, -1 to 1: (a - b) / (a + b), where a and b are the sums of `roots` at the
- * harmonics and halfway between them. roots: fifth root of the power of each bin. */
+/* Return a pitch's contrast, -1 to 1: (a - b) / (a + b + speech_silent_power), where a and b are the sums
+ * of `roots` at the harmonics and halfway between them. roots: fifth root of the power of each bin. */
 static double contrast(const Settings *s, const double *roots, size_t pitch)
 {
     const size_t count = teeth(s);

@@ -15,7 +15,7 @@ typedef struct {
     double probability, hops_to_rest;
     double voiced, voicing, steady, log_pitch;
     double swing, balance, peak;
-    double fast[OCTAVES], slow[OCTAVES]; /* average levels of the upper five octaves, then of all vowels */
+    double fast[OCTAVES], slow[OCTAVES]; /* average levels: upper five octaves; last, all octaves of vowels */
     double level[OCTAVES], loudness[OCTAVES], background[OCTAVES];
 } Speech;
 
@@ -29,7 +29,7 @@ void speech_update(const Settings *s, Speech *speech, const double *real,
 /* Update the detection with a silent hop. */
 void speech_pause(const Settings *s, Speech *speech);
 
-/* Return the gain of a partial at an audio frequency in this hop, 0 to 1. */
+/* Return the gain, 0 to 1, of a partial at an audio frequency in this hop. */
 double speech_gain(const Settings *s, const Speech *speech, double audio_hz);
 
 /* Return the gain, 0 to 1, for a frequency that is too uncertain to compare with the pitch's harmonics. */

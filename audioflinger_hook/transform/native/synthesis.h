@@ -22,7 +22,7 @@ INLINED size_t smoothing_tail(const Settings *s) { return s->phases.length / s->
 
 void smoothing_reset(const Settings *s, Smoothing *smoothing);
 
-/* Return the factor that compensates the gain of low-pass and high-passes at a vibration frequency. */
+/* Return the factor that compensates for the gain of low-pass and high-passes at a vibration frequency. */
 INLINED double smoothing_gain(const Settings *s, double hz)
 {
     return table_at(s->gain_table, s->gain_step_hz, hz);
@@ -41,7 +41,7 @@ void synthesis_add_onsets(const Settings *s, const Glides *onset_partials, doubl
 void synthesis_play(const Settings *s, double *low_rate, Smoothing *smoothing, double *vibration,
                     double *work);
 
-/* Soft-clip the samples of one tick whose magnitude exceeds the knee; return their number. */
+/* In one tick, soft-clip the samples whose magnitude exceeds the knee; return their number. */
 size_t synthesis_keep_below_full_scale(const Settings *s, double *vibration);
 
 typedef struct {

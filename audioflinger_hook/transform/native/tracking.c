@@ -102,8 +102,9 @@ static double weigh_change(const Settings *s, double relative_change)
     return smaller(1.0, s->steady_gain + relative_change * relative_change);
 }
 
-/* Find the nearest of other_hz for each frequency in hz. `first_hz` and `others_first_hz`, tiny distances per
- * index, break ties. In noise, branches would be unpredictable, so the inner loop has no branches. */
+/* Find the nearest of other_hz for each frequency in hz. A tiny distance per index (`first_hz`,
+ * `others_first_hz`) breaks ties. In noise, branches would be unpredictable, so the inner loop has
+ * none. */
 INLINED void nearest_of(const double *restrict hz, size_t count, const double *restrict other_hz,
                         size_t others, double first_hz, double others_first_hz, Neighbours found)
 {

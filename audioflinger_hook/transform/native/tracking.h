@@ -100,7 +100,7 @@ double tracking_sounding_near(const Settings *s, const Slots *slots, double hz);
 double tracking_join(const Settings *s, const Slots *slots, double before_end_s, double *hz, double *phase);
 
 /* At the end of a hop, continue an onset partial in a free slot without a phase jump, and hold its amplitude.
- * Do nothing if too many slots sound. */
+ * Do nothing if the largest allowed number of slots already sounds. */
 void tracking_adopt(const Settings *s, Slots *slots, double hz, double phase, double amplitude, Held held);
 
 /* Write the glides of one hop towards `partials`. room: limit for the sum of amplitudes that held partials
@@ -151,5 +151,5 @@ void onset_partials_start(const Settings *s, OnsetPartial *partials, OnsetSource
 void onset_partials_play(const Settings *s, OnsetPartial *partials, OnsetSources sources,
                          const Slots *slots, Glides *glides);
 
-/* Hand the partials whose estimates are final over to the tracker, at the end of a hop. */
+/* At the end of a hop, hand the partials with final estimates over to the tracker. */
 void onset_partials_hand_over(const Settings *s, OnsetPartial *partials, const Onsets *onsets, Slots *slots);

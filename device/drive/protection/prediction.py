@@ -183,8 +183,8 @@ def prediction_records(
     current_by_state: (currents, states, block_frames).
     tail_by_state: (models, states, tail_points): excursion after a state, if the input is 0.
     reach: (models,): largest excursion from rest for any input within ±1.
-    swing: (models,): amplitude of a free oscillation, as a share of the limit, divided by the norm
-        of its state. swing_m: the same for the identified model, with the amplitude in m.
+    swing: (models,): amplitude of a free oscillation, as a share of the limit less a margin, for a
+        state of norm 1. swing_m: the same for the identified model, with the amplitude in m.
     last_kick: (models,): see `DriveModel`.
     ring: (models,): largest excursion after an amplifier state of norm 1, if the input is 0.
     """

@@ -112,7 +112,7 @@ def blocks(raw: bytes, at: int, findings: Findings) -> Iterator[Block]:
 
 
 def listed(numbers: Iterable[int], most: int = 16) -> str:
-    """Return the lowest `most` numbers as a text such as "1, 2 or 5"; "none" without numbers."""
+    """Return numbers as text: "1, 2 or 5", "none", or the lowest `most` numbers and "..."."""
     words = [str(number) for number in sorted(numbers)]
     if len(words) > most:
         return f"{', '.join(words[:most])} ..."

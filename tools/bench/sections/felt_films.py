@@ -92,8 +92,8 @@ def felt_contrasts(method: Method, film: Film, volume_db: float) -> Contrasts:
 def film_rows(methods: Sequence[Method], films: Iterable[Film], series: Series) -> Iterator[Row]:
     """Yield rows with the mean `Contrasts` of sound and vibration, over the films of each kind.
 
-    Profiles and methods with limits are measured at full volume and at -20 dB. Other methods are
-    measured only at full volume.
+    Profiles and methods with `limited` are measured at full volume and at -20 dB, other methods
+    only at full volume.
 
     series: the function adds the levels of the first film to it.
     """

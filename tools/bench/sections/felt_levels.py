@@ -168,7 +168,7 @@ def pair_errors_db(heard_phon: FloatArray, felt: FloatArray, law: float) -> Floa
 
 
 def pairs_within(heard_phon: FloatArray, felt: FloatArray) -> float:
-    """Return the share of pairs of sounds in % for which `pair_errors_db` is within ±3 dB."""
+    """Return the percentage of pairs of sounds with an error within ±3 dB; see `pair_errors_db`."""
     errors = pair_errors_db(heard_phon, felt, LAW)
     return 100.0 * float(np.mean(np.abs(errors) <= WITHIN_DB))
 

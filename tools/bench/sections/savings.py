@@ -136,8 +136,8 @@ def savings(bench: Workbench) -> Section:
     return Section(
         "What each saving saves",
         "The live form skips unnecessary work. The table shows the cost of a second of sound for "
-        "several scenes. In the first row, no unnecessary work is done. Each other row names one "
-        "kind of this work, and shows the cost with this work. The sound has one channel and "
+        "several scenes. In the first row, no unnecessary work is done. Every further row names "
+        "one saving that is switched off, and shows the cost. The sound has one channel and "
         f"blocks of {BLOCKSIZE} frames. Values are medians of {bench.effort.saving_repeats} "
         f"repeats over {bench.effort.saving_s:g} s of sound. The column *saves at most* shows the "
         "largest saving of cost among all scenes. The column *largest change* shows the largest "
