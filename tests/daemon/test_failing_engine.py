@@ -144,6 +144,8 @@ def chain(**changes: Any) -> RunningChain:
     one.last_words = lambda: f": {one.complaint}"
     one.complaint = "the design is cut"
     one.close = lambda: one.closed.append(True)
+    one.wanted = SimpleNamespace(has_run=True)
+    one.note_change = lambda: None
     return RunningChain(cast(Any, one), 0.0, linked_s=0.0)
 
 

@@ -178,7 +178,7 @@ def test_a_page_is_private_and_its_file_goes_with_it(tmp_path):
 
 def test_levels_are_read_and_partials_unless_they_are_being_written(tmp_path):
     page = Page(tmp_path / "page", 2, 1, [0])
-    told = page._page.readings
+    told = page.readings
     assert page.principal() == []
     told.sequence, told.partials_count = 2, 1
     told.partials[0][:] = (440.0, 100.0, 0.25)
@@ -190,7 +190,7 @@ def test_levels_are_read_and_partials_unless_they_are_being_written(tmp_path):
     assert len(page.principal()) == PARTIALS
     page.close()
     page = Page(tmp_path / "page", 2, 1, [0, 0])  # levels of each channel and actuator
-    readings = page._page.readings
+    readings = page.readings
     readings.sound[1].peak, readings.sound[1].mean_square = 0.5, 0.125
     level = readings.actuators[1].level
     level.peak, level.mean_square = 0.25, 0.03
@@ -336,7 +336,14 @@ def test_a_chain_plays_on_where_the_next_ones_design_fails(tmp_path, monkeypatch
     wanted = ChainPlan.of(Settings(**cast(Any, CARE)), tap, 48_000)
     chains = Chains(config(), tmp_path, lambda *_: None, DriveDesigns())
     monkeypatch.setattr(module, "designs_of", failing)
-    current: Any = SimpleNamespace(chain=SimpleNamespace(plan=before), stands_s=lambda _: 0.0)
+    chain = SimpleNamespace(
+        plan=before,
+        wanted=SimpleNamespace(has_run=True),
+        is_changing=False,
+        note_change=lambda: None,
+        can_become=lambda plan: True,
+    )
+    current: Any = SimpleNamespace(chain=chain, stands_s=lambda _: 0.0)
     chains.current = current
     deadline_s = time.monotonic() + 20.0
     while not chains.problem:

@@ -288,7 +288,7 @@ def native(tmp_path):
 
 def play(native: NativePage, hz: float) -> None:
     """Write as the plugin does at the end of a buffer."""
-    written = native._page.readings
+    written = native.readings
     written.partials_count = 1
     written.partials[0][:] = (hz, 100.0, 0.25)
     written.sequence += 2
@@ -313,7 +313,7 @@ def test_frames_show_the_memory_of_the_native_engine_while_it_plays(tmp_path, na
         frame = message(live, "frame")["frame"]
         assert (frame["sound"], frame["vibration"]) == ([[0, 0], [0.5, 0.125]], [[0, 0]])
         wait_for(lambda: partials(live) == [], "silence once nothing is processed")
-        native._page.readings.frames += 512  # sound again, and nothing found in it yet
+        native.readings.frames += 512  # sound again, and nothing found in it yet
         assert partials(live) == []
         wait_for(lambda: shows(330.0), "the next partial")
 

@@ -294,12 +294,12 @@ def test_a_changed_design_that_cannot_be_used_is_refused_and_the_old_one_plays_o
         if page.refused:
             break
     assert (page.refused, page.playing) == (1, 0)
-    change(page, tmp_path, 2, any_design("protected", RATE_HZ, 2))
+    change(page, tmp_path, 3, any_design("protected", RATE_HZ, 2))
     for _ in range(100_000):
         instance.run(sound)
         if page.playing:
             break
-    assert page.playing == 2
+    assert page.playing == 3
     assert instance.run(sound).any()
 
 

@@ -75,7 +75,7 @@ def is_played(design: bytes, page: bytes, sound: Float32Array, got: Float32Array
     It counts for protection, whose blocks and holding times go on in silence: all leads within a
     block, and then within a holding time, are tried by beginnings that grow longer.
     """
-    controls = page[Layout.controls.offset :][: ctypes.sizeof(Controls)]
+    controls = page[Layout.banks.offset :][: ctypes.sizeof(Controls)]
     records = blob.unpack(design)
     block, holds = (records.get(f"0/protection.{name}", 1) for name in ("frames", "hold_blocks"))
     assert isinstance(block, int)

@@ -97,4 +97,4 @@ class ShownReader:
     @property
     def _bank_at(self) -> int:
         (playing,) = _COUNT.unpack_from(self._memory, Layout.playing.offset)
-        return Layout.banks.offset + playing % BANKS * ctypes.sizeof(Bank)
+        return Layout.banks.offset + int(playing) % BANKS * ctypes.sizeof(Bank)
