@@ -45,7 +45,7 @@ typedef struct {
     CoreDose dose;
 } ActuatorSafety;
 
-/* Settings of one actuator. A change of gain, delay, source or `audible` fades over 10 to 40 ms. */
+/* Settings of one actuator. A change of gain, delay, source or `audible` fades over 40 ms. */
 typedef struct {
     double gain;         /* -1 to 1; below 0: inverted polarity */
     double delay_frames; /* 0 or more, added to the delay that all actuators share */

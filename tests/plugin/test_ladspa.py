@@ -271,7 +271,7 @@ def test_another_design_takes_over_by_a_cross_fade_after_it_has_heard_the_sound(
     whole = np.concatenate(sound)
     before, after = old.process(whole), new.process(whole[begin:])
     x = np.clip((np.arange(1, len(after) + 1) / RATE_HZ - 0.2) / 0.04, 0.0, 1.0)
-    share = (x * x * (3.0 - 2.0 * x)).astype(np.float32)[:, None]
+    share = (x**3 * (10.0 + x * (6.0 * x - 15.0))).astype(np.float32)[:, None]
     wanted = before.copy()
     wanted[begin:] += share * (after - before[begin:])
     wanted[begin + HEARS + FADES :] = after[HEARS + FADES :]

@@ -21,9 +21,9 @@ CHANGES = (
     "offset_ms = 30\n",
     'profile = "game"\ngain_db = -3\n',
     "[transform]\nthreshold_hz = 200\n",
-    'rig = "consumer"\ndamping = "action"\n',
-    'rig = "consumer"\nprotection = "full"\n',
-    "[[actuator]]\ncolumns = [0]\ngain_db = -6\n",
+    'rig = "consumer"\ndamping = "auto"\n',
+    'rig = "consumer"\nprotection = "on"\n',
+    "[[actuator]]\nchannels = [0]\ngain_db = -6\n",
     "",
 )
 EVERY_S = 1.5  # 40 changes in a minute

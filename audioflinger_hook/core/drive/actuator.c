@@ -1,9 +1,7 @@
 #include "actuator.h"
 #include "../../transform/native/exact.h"
 
-#define LEVEL_FADE_S 0.01 /* avoids a click when the level changes */
-#define TAP_FADE_S 0.02   /* cross-fade after a change of source or delay */
-#define AUDIBLE_S 0.04
+#define FADE_S 0.04 /* of a change of level, source, delay or audibility */
 #define DAMPING_CHECK_S 0.05
 #define DOSE_MAX 1e30 /* replaces an invalid or larger integral, and exceeds every cap */
 #define DAY_S 28800.0
@@ -136,7 +134,7 @@ static double ramp_now(const Ramp *ramp)
 {
     if (ramp->done == ramp->frames)
         return ramp->to;
-    return ramp->from + (ramp->to - ramp->from) * ((double)ramp->done / (double)ramp->frames);
+    return ramp->from + (ramp->to - ramp->from) * smooth_step((double)ramp->done / (double)ramp->frames);
 }
 
 static void ramp_to(Ramp *ramp, double value)
@@ -190,18 +188,11 @@ void actuator_set(Actuator *a, TapPoint tap, double factor, int audible, int at_
     ramp_to(&a->audible, open);
     if (!at_once)
         return;
-    const size_t level_frames = frames_in(LEVEL_FADE_S, a->samplerate);
-    const size_t open_frames = frames_in(AUDIBLE_S, a->samplerate);
+    const size_t frames = frames_in(FADE_S, a->samplerate);
     a->tap = a->next_tap = tap;
-    a->tap_fade_frames = a->tap_faded = frames_in(TAP_FADE_S, a->samplerate);
-    a->level = (Ramp){factor, factor, level_frames, level_frames};
-    a->audible = (Ramp){open, open, open_frames, open_frames};
-}
-
-/* Return a cubic that rises from 0 at x = 0 to 1 at x = 1, with a slope of 0 at both ends. */
-INLINED double smooth_step(double x)
-{
-    return x * x * (3.0 - 2.0 * x);
+    a->tap_fade_frames = a->tap_faded = frames;
+    a->level = (Ramp){factor, factor, frames, frames};
+    a->audible = (Ramp){open, open, frames, frames};
 }
 
 /* Return the delayed source times the level. A change of source or delay starts a cross-fade after the
@@ -255,7 +246,7 @@ void actuator_process(Actuator *a, const History *history, float *out, size_t st
         }
         const double open = ramp_step(&a->audible);
         if (open != 1.0)
-            sample *= smooth_step(open);
+            sample *= open;
         *out = (float)sample;
     }
 }

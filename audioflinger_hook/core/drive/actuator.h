@@ -62,7 +62,7 @@ typedef struct {
     size_t source, delay;
 } TapPoint;
 
-/* A factor that changes linearly. */
+/* A factor that changes along `smooth_step`. */
 typedef struct {
     double from, to;
     size_t done, frames; /* done == frames: `to` is reached */

@@ -155,8 +155,7 @@ static float signal_at(Signals signals, size_t output, size_t frame)
 static float share_of_following(const DaemonCore *daemon, size_t frame)
 {
     const double heard_s = (double)(daemon->heard + frame + 1) / daemon->samplerate;
-    const double x = clip((heard_s - HEARS_S) / FADE_S, 0.0, 1.0);
-    return (float)(x * x * (3.0 - 2.0 * x));
+    return (float)smooth_step(clip((heard_s - HEARS_S) / FADE_S, 0.0, 1.0));
 }
 
 /* Count the piece; after the cross-fade, replace the core by `following`. */
