@@ -20,8 +20,8 @@ CHANGES = {  # effect of changing a key while the daemon runs
     "next stream": "used by streams opened later",
     "stream": "opens one stream again",
     "streams": "opens both streams again",
-    "transform": "restarts the vibration",
-    "engine": "restarts all but the connection",
+    "transform": "cross-fades; the Python engine restarts the vibration",
+    "engine": "cross-fades; the Python engine restarts both streams",
     "another engine": "one engine ends before the other begins",
 }
 

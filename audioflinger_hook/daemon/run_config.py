@@ -154,13 +154,13 @@ class ConfigDiff:
             "the device's volume": self.volume,
             "the offset": self.offset,
             "the audio threads' priority": self.priority,
-            "the transform, which restarts": self.transform and not self.engine,
+            "the transform": self.transform and not self.engine,
             "the tap": self.tap,
             "the device": self.device,
             "the virtual sink": self.drop_in,
             "the engine": self.way,
             "the block length, which reopens both streams": self.blocks and not self.engine,
-            "the effects, which restart everything": self.engine,
+            "the effects": self.engine,
         }
         changed = [text for text, is_so in words.items() if is_so]
         return ", ".join(changed) or "nothing"

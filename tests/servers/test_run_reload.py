@@ -109,7 +109,7 @@ def test_another_parameter_takes_effect_while_the_streams_stay(server, plays, co
         before = pitch_hz(more(felt, 0.5))
         streams = connections(server, "sink-inputs")
         config("[transform]", "vibration_top_hz = 120")
-        assert "the transform, which restarts" in reload(daemon)
+        assert "the transform" in reload(daemon)
         wait_for(lambda: 1.0 < pitch_hz(felt()[-RATE_HZ // 4 :]) < before - 10.0, "a fall", 3.0)
         assert connections(server, "sink-inputs") == streams
 
@@ -297,7 +297,7 @@ def test_blocks_of_other_lengths_carry_the_vibration(plays, config, frames):
 def test_the_form_of_the_transform_can_be_changed_too(plays, config):
     with plays() as (daemon, felt):
         config("[transform]", 'channels = "each"')
-        assert "which restart everything" in reload(daemon)
+        assert "the effects" in reload(daemon)
         wait_for(lambda: not felt_now(felt), "an end")
         wait_for(lambda: felt_now(felt), "vibration again", 15.0)
         assert daemon.wait_state(DaemonState.RUNNING).warnings == ()
