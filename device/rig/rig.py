@@ -53,9 +53,9 @@ class Source:
 class Rig:
     """All stages between vibration signal and seat, and from the accelerometer to the DAQ.
 
-    name: the rig's name, from its file. dac, amplifier, actuator, large_signal, thermal, seat,
-    accelerometer, conditioning, daq: see their classes. sources: one for each value with a stated
-    source. UsageError: values contradict one another.
+    name: the rig's name, from its file. dac, amplifier, actuator, large_signal, thermal: see their
+    classes. seat, accelerometer, conditioning, daq: see their classes. sources: one for each value
+    with a stated source. UsageError: values contradict one another.
     """
 
     name: str
