@@ -79,8 +79,9 @@ def test_no_drive_of_some_exceeds_a_limit(rig, linear, stronger, least, drives, 
 @pytest.mark.parametrize(
     ("stronger", "drives", "generations"),
     [
-        *((1.5, 48, 20), (4.0, 48, 20)),
-        pytest.param(2.5, 48, 20, marks=pytest.mark.soak),
+        # 504 drives of each: what a search of 48 x 20 found, half of it comes near.
+        *((1.5, 24, 20), (4.0, 24, 20)),
+        *(pytest.param(stronger, 48, 20, marks=pytest.mark.soak) for stronger in (1.5, 2.5, 4.0)),
         *(pytest.param(stronger, 64, 80, marks=pytest.mark.soak) for stronger in (1.5, 2.5, 4.0)),
     ],
 )
@@ -89,7 +90,7 @@ def test_no_drive_that_an_optimiser_finds_is_too_much(rig, linear, stronger, dri
     effort = {"drives": drives, "generations": generations, "seed": 2 if linear else 3}
     reached, found, tries = worst(rig, stronger, linear, **effort)
     print(f"{rig.name}, {stronger} Xmax: {tries} drives, {linear=}: {reached:.4f} by {found}")
-    assert tries >= 1_000
+    assert tries >= drives * generations
     assert reached <= MOST[linear]
 
 
