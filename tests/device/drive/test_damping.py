@@ -160,7 +160,12 @@ def worst_against_none(p, source, shares, by_mass):
         pytest.param(PAPER, -0.5, id="paper"),
         pytest.param(CONSUMER, -0.5, id="consumer"),
         *(
-            pytest.param(random_rig(seed)[0], 0.0, id=f"{seed}", marks=pytest.mark.exhaustive)
+            pytest.param(
+                random_rig(seed)[0],
+                0.0,
+                id=f"{seed}",
+                marks=pytest.mark.exhaustive if seed < 20 else pytest.mark.soak,
+            )
             for seed in range(60)
         ),
     ],
