@@ -153,7 +153,7 @@ def worst_against_none(p, source, shares, by_mass):
     return worst
 
 
-# Three of 60 random rigs, with Qts of 8 to 10, get no filter: equal to none.
+# Of 60 random rigs, 35, 42 and 50, with Qts of 8 to 10, get no filter: equal to none.
 @pytest.mark.parametrize(
     ("rig", "most_db"),
     [
@@ -164,7 +164,9 @@ def worst_against_none(p, source, shares, by_mass):
                 random_rig(seed)[0],
                 0.0,
                 id=f"{seed}",
-                marks=pytest.mark.exhaustive if seed < 20 else pytest.mark.soak,
+                marks=pytest.mark.exhaustive
+                if seed in (*range(17), 35, 42, 50)
+                else pytest.mark.soak,
             )
             for seed in range(60)
         ),
