@@ -1,6 +1,6 @@
-"""Builds the libraries in C, which pyproject.toml lists. None is a module of Python.
+"""Builds the C libraries that pyproject.toml lists. None of them is a Python extension module.
 
-So their files have plain names, and one wheel of a platform serves every Python.
+Their file names thus contain no Python version, and one wheel per platform serves every Python 3.
 """
 
 from pathlib import Path
@@ -15,7 +15,7 @@ class BuildLibraries(build_ext):
     """Builds libraries that ctypes and plugin hosts load."""
 
     def get_ext_filename(self, fullname: str) -> str:
-        """Return the file of a library."""
+        """Return the path of a library's file, without a Python version in its name."""
         path = Path(super().get_ext_filename(fullname))
         return str(path.with_name(path.name.partition(".")[0] + ".so"))
 
@@ -24,12 +24,12 @@ class PlatformWheel(bdist_wheel):
     """A wheel of one platform, for every Python 3, without files of earlier builds."""
 
     def run(self) -> None:
-        """Build it."""
+        """Build the wheel."""
         rmtree(self.get_finalized_command("build").build_lib, ignore_errors=True)
         super().run()
 
     def get_tag(self) -> tuple[str, str, str]:
-        """Return the tags of Python, its binary interface and the platform."""
+        """Return the wheel's tags for the Python version, the Python ABI and the platform."""
         return "py3", "none", super().get_tag()[2]
 
 

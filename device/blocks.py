@@ -105,8 +105,8 @@ class Compiled:
         """Simulate a rig: fill moved[:, start:stop], (4 or 5, frames), from volts[start:stop].
 
         design: `ModelDesign.arrays`. state: of `AdaptiveActuator`, updated. report: (blocks, 2),
-        filled: 1 if the block used the non-linear model, else 0; and `BlockReport.estimate`.
-        numbers: start, stop, frames of the first block, frames of every other block, and the model.
+        filled with 1 for the non-linear model, else 0, and with `BlockReport.estimate`.
+        numbers: start, stop, frames of the first block, frames of each later block, and the model.
         Model 1 is linear, 2 is non-linear. 0 selects one of these models for each block.
         """
         named = dict(zip(_DESIGN, design, strict=True))
@@ -166,7 +166,7 @@ def require_compiled() -> Compiled:
 
 
 def peak(frames: Float32Array | FloatArray) -> float:
-    """Return the largest magnitude of all samples: NaN if any is NaN, 0.0 if there are none."""
+    """Return the largest magnitude: NaN if any sample is NaN, 0.0 if there are no samples."""
     if compiled is not None:
         try:
             return float(compiled.peak(frames))

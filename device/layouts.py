@@ -44,7 +44,7 @@ def layout(channels: int) -> tuple[str, ...]:
 
 
 def order_from_alsa(channels: int) -> tuple[int, ...] | None:
-    """Return ALSA's channel number of each `layout` position; None unless 5, 6 or 8 channels."""
+    """Return ALSA's channel number of each `layout` position for 5, 6 or 8 channels, else None."""
     if channels not in (5, 6, 8):
         return None
     theirs = ("FL", "FR", "BL", "BR", "FC", "LFE", "SL", "SR")
@@ -76,9 +76,9 @@ def downmix(channels: int) -> NDArray[np.float64]:
 
     The weights of the 5.0 channels follow ITU-R BS.775-3, table 2. FL and FR have 0 dB in the
     output of their side, all other side channels -3 dB. FC and a single LFE channel have -3 dB in
-    both outputs. All other centre channels, such as BC, have -6 dB in both outputs. No weights are
-    reduced to avoid clipping, so that a stereo sound has the same level in every layout. For one
-    channel, or a count without known positions, both outputs are the mean of all channels.
+    both outputs. All other centre channels, such as BC, have -6 dB in both outputs. The outputs may
+    clip: the weights are not normalised, so that a stereo sound has the same level in every layout.
+    For one channel, or a count without known positions, both outputs are the mean of all channels.
     """
     if channels == 1 or channels not in KNOWN:
         return np.full((channels, 2), 1.0 / channels)

@@ -23,7 +23,7 @@ _LIBC = ctypes.CDLL(None, use_errno=True)  # some Python builds lack `os.memfd_c
 
 
 def ends_with_us() -> None:
-    """Let Linux kill this process when the thread that started it ends: a `preexec_fn`."""
+    """As a `preexec_fn`: let Linux kill this process when the thread that started it ends."""
     _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
 
 
@@ -67,8 +67,8 @@ class Call(Generic[Result]):
     """One function call in a separate process; the end of the process frees its memory.
 
     Only the main thread may use it, see `ends_with_us`. what: name of the result for messages.
-    now_s: present time in s. function: of module level. arguments: arguments of the function;
-    they and the result must be picklable. LostError: the process cannot be started.
+    now_s: present time in s. function: must be defined at module level. arguments: its arguments;
+    arguments and result must be picklable. LostError: the process cannot be started.
     """
 
     def __init__(

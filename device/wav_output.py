@@ -83,7 +83,7 @@ class WavOutput:
 
 
 def wav_header(samplerate: int, channels: int, frames: int, comment: str | None = None) -> bytes:
-    """Return the header of a float32 WAV file; its length is independent of `frames`.
+    """Return the header of a float32 WAV file. The length of the header is independent of `frames`.
 
     Chunks: ds64, fmt, fact, LIST INFO ICMT for a comment, data. A file of less than 4 GB has a JUNK
     chunk of the same size in place of ds64 (EBU Tech 3306). A larger file begins with RF64 in place

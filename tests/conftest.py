@@ -32,6 +32,9 @@ def pytest_configure(config):
         print_blob=in_ci,
     )
     settings.load_profile("cushion")
+    if "not exhaustive" not in config.option.markexpr:
+        # pytest-xdist would begin with the files of the most tests, and end with the longest ones
+        config.option.loadscopereorder = False
 
 
 @pytest.hookimpl(optionalhook=True)  # pytest-xdist may be missing
@@ -40,9 +43,26 @@ def pytest_xdist_auto_num_workers():
     return (os.cpu_count() or 1) * 3 // 2
 
 
+LONGEST = (
+    "test_identification_live.py",
+    "test_bench.py",
+    "test_wheel.py",
+    "test_possible_actuators.py",
+    "test_run_paced.py",
+    "test_kills.py",
+    "test_kernel.py",
+    "test_same_bytes.py",
+)
+"""Files whose exhaustive tests take a worker long: with these, they begin first, so that no worker
+is left alone with one at the end."""
+
+
 @pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items):
+def pytest_collection_modifyitems(config, items):
     """Of a sweep's cases the first stays among the fast tests; the others are exhaustive."""
+    if "not exhaustive" not in config.option.markexpr:
+        places = {name: place for place, name in enumerate(LONGEST)}
+        items.sort(key=lambda item: places.get(item.path.name, len(LONGEST)))
     begun = set()
     for item in items:
         if item.get_closest_marker("sweep"):

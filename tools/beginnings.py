@@ -2,7 +2,7 @@
 
 The program starts a private sound server and `cushion run`. It then plays a short file several
 times with each player. The players are pw-play, paplay, mpv, a JACK client (mpv with pw-jack), and
-pw-play through a loopback. The file contains the same tone twice. At the second tone, PipeWire has
+pw-play through a loopback. The file contains the same tone twice. By the second tone, PipeWire has
 made all links of the new stream. For both tones, the delay from sound to vibration is measured. The
 result is the number of graph cycles by which the delay of the first tone is longer.
 """

@@ -1,9 +1,9 @@
 """Measures the daemon's load on a busy PipeWire graph: tools/churn.py [--seconds S].
 
 The program starts a private sound server with 200 additional sinks, and `cushion run`. It plays a
-steady tone, and starts 20 silent streams each second, which last 0.5 s. It prints the daemon's CPU
-time, the growth of its memory and of the number of links, and the duration of all gaps in tone and
-vibration.
+steady tone. Each second, it also starts 20 silent streams that last 0.5 s. It prints the daemon's
+CPU time, the growth of its memory and of the number of links, and the duration of all gaps in tone
+and vibration.
 """
 
 from __future__ import annotations

@@ -28,8 +28,8 @@ SET = "not soak and not servers and not usbvm and not browser and not s3"
 class Mutation:
     """A guard, and the edit that removes it.
 
-    guard: what the guard ensures. file, old, new: in the file, `old`, which occurs once, is
-        replaced by `new`. test: the test that must fail.
+    guard: what the guard ensures. file, old, new: the edit replaces `old`, which occurs once in
+        `file`, with `new`. test: the test that must fail.
     """
 
     guard: str

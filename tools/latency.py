@@ -5,7 +5,7 @@ sound whose level varies irregularly. It records sound and vibration simultaneou
 delay of the vibration, including the latency of the transform.
 
 With --here, the tool measures the daemon that runs on this desktop, with the sound of the programs
-that play. With such sound, the result is accurate to some milliseconds. With --play, the tool also
+that play. With such sound, the result is accurate to a few milliseconds. With --play, the tool also
 plays its own sound; the result is then as accurate as on a separate server.
 """
 
@@ -179,7 +179,7 @@ def _here(options: argparse.Namespace) -> Iterator[LiveRecord]:
 
 @contextmanager
 def _tone(place: Place, hertz: float, sink: str = "") -> Iterator[None]:
-    """A context that plays a tone to `sink`, and also to the recorded sink if it is another one."""
+    """A context that plays a tone to `sink`, and to the recorded sink if that is another sink."""
     rate = samplerate_of(place.heard, place.environment)
     heard = place.heard.removesuffix(MONITOR)
     sound = stereo(swelling_tone(hertz, LOOP_S, rate))

@@ -45,7 +45,7 @@ CHROMIUM_OPTIONS = (
 )
 START_S = 20.0
 MOVING_WIDTH, MOVING_HEIGHT = 1000, 816
-"""Pixels: width of the animation, and height of the shown part of a page of 1280 pixels width."""
+"""In pixels: width of the animation, and height of the shown part of a page 1280 pixels wide."""
 
 MOVING_HZ, MOVING_S, MOVING_AFTER_S = 10.0, 7.5, 5.0
 MOVING_BYTES_MAX = 2_000_000

@@ -1,4 +1,4 @@
-"""Pass marks of the long-run tests of `make soak`, and results (records) in docs/soak.json."""
+"""Pass criteria of the long-run tests of `make soak`, and results (records) in docs/soak.json."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ NO_GROWTH_KB, NO_GROWTH_OBJECTS = Must("<=", 256.0), Must("<=", 200)
 NO_DRIFT_DB, PURITY = Must("<=", 0.01), Must("<=", -60.0)
 NO_CREEP = Must("<=", 1e-6)
 PASSIVE = Must("<=", 1e-6)
-"""rise of the stored energy in a step without drive, relative to the energy"""
+"""Largest rise of the stored energy in a step without drive, relative to the stored energy."""
 RIGS = 200  # number of rigs that are identified at each sweep level
 SNR_DB = 20.0
 F0_ERROR, Q_ERROR = Must("<=", 0.5), Must("<=", 5.0)

@@ -233,7 +233,7 @@ class SoundServer:
         self._wait(chosen, f"default sink {sink}")
 
     def remove(self, name: str) -> None:
-        """Remove a sink or source that this object has added, as if it was unplugged."""
+        """Remove a sink or source that this object has added, as if it were unplugged."""
         self.pactl("unload-module", self._modules.pop(name))
 
     def names(self, what: str) -> list[str]:

@@ -1,4 +1,4 @@
-"""Captures: recorded audio buffers, stored unchanged, for a replay with the same bits.
+"""Captures: recorded audio buffers, stored unchanged for bit-exact replay.
 
     audio thread -> recorder -> writer -> folder -> reader -> sources/file
                     queue+thread segment   format    segment

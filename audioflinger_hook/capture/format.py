@@ -5,8 +5,8 @@ A capture is a folder:
     index.jsonl       one line for each buffer
     tap-0001.wav      samples of stream `tap`, first segment
     tap-0002.wav      next segment, after a change of sample rate or number of channels
-    effect-0001.wav   stream `effect`: the vibration before the delay line (only of `cushion run`)
-    device-0001.wav   stream `device`: the frames sent to the device (only of `cushion run`)
+    effect-0001.wav   stream `effect`: the vibration before the delay line (only from `cushion run`)
+    device-0001.wav   stream `device`: the frames sent to the device (only from `cushion run`)
 
 **Segments** are WAV files of 32-bit float, little-endian. Samples are stored as delivered,
 including NaN, infinity and values beyond ±1. The samples begin at byte 94, after a header of type

@@ -52,7 +52,7 @@ class Capture:
 
     folder: path of the capture. streams: names of its streams. facts: settings of the recording.
     warnings: messages about losses and assumptions; complete after the last buffer.
-    UsageError: the folder is missing, unreadable, no capture, or of an unknown version.
+    UsageError: the folder is missing, unreadable, not a capture, or of an unknown version.
     """
 
     def __init__(self, folder: str | os.PathLike[str]) -> None:

@@ -1,4 +1,4 @@
-"""Takes buffers from the audio thread and writes them to a capture on another thread."""
+"""Takes buffers from the audio thread; a second thread writes them to a capture."""
 
 from __future__ import annotations
 

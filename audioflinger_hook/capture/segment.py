@@ -96,9 +96,9 @@ class SegmentWriter(_Descriptor):
 
 
 class SegmentReader(_Descriptor):
-    """Reads any buffer of a segment, even while the file grows. For one thread.
+    """Reads any buffer of a segment, even while the file grows. Only one thread may use it.
 
-    FileNotFoundError: the file is missing. UsageError: it cannot be read or is no regular file.
+    FileNotFoundError: the file is missing. UsageError: it cannot be read or is not a regular file.
     """
 
     def __init__(self, path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Writes a capture. If the process crashes, all buffers that were written before remain."""
+"""Writes a capture. All buffers written before a crash of the process remain."""
 
 from __future__ import annotations
 
@@ -122,7 +122,7 @@ class CaptureWriter:
             before.segment.close()
 
     def note_dropped(self, stream: str, buffers: int, frames: int) -> None:
-        """Write to the index that buffers were lost. frames: their total number of frames."""
+        """Record dropped buffers in the index. frames: their total number of frames."""
         self._state_of(stream)
         with self._all_or_nothing():
             self._append_line(DroppedRecord(stream, buffers, frames).line())

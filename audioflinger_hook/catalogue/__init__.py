@@ -1,4 +1,4 @@
-"""Vibration of whole libraries of sound, on one machine or many.
+"""Renders the vibration of whole sound libraries, on one machine or many.
 
     manifest -> items -> run -> pool or cluster -> work -> storage
                           '--> summary

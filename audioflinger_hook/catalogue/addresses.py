@@ -52,10 +52,10 @@ def credentials_in(url: str) -> bool:
 
 
 def scrubbed(text: str) -> str:
-    """Return a text without possible credentials, and with single spaces as whitespace.
+    """Return a text without possible credentials; whitespace becomes single spaces.
 
-    User names, passwords, queries and fragments of URLs are removed, and values whose name
-    suggests a secret, such as "token", and values of environment variables with such names.
+    User names, passwords, queries and fragments of URLs are removed. Values whose name suggests a
+    secret, such as "token", and values of environment variables with such names are removed too.
     """
     text = " ".join(text.split())
     for name, value in os.environ.items():

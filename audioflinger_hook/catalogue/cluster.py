@@ -41,7 +41,7 @@ class DaskCluster(Place):
         self._cluster: Any = None
         for name in list(logging.root.manager.loggerDict):
             if name.startswith(("distributed", "tornado")):
-                # This program reports errors of the cluster itself, without tracebacks.
+                # This program itself reports errors of the cluster, without tracebacks.
                 logging.getLogger(name).setLevel(logging.CRITICAL + 1)
         dask.config.set({"distributed.comm.timeouts.connect": CONNECT_S})
         new_client: Any = distributed.Client

@@ -20,7 +20,7 @@ SOUNDS = FILMS | {
 def walk(folder: str, out: str) -> Iterator[str]:
     """Yield the paths of the files in a folder and its subfolders, in alphabetical order.
 
-    Omitted are hidden files and folders, folders behind symbolic links, and the folder `out`.
+    Hidden files and folders, folders behind symbolic links, and the folder `out` are omitted.
     UsageError: a folder cannot be read.
     """
     try:

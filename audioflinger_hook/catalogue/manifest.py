@@ -29,7 +29,7 @@ from device.values import counted
 
 SHOWN_MAX = 100  # largest number of listed mistakes; all mistakes are counted
 LINE_MAX = 1 << 20
-PARTITIONS = 64  # groups of ids, chosen by hash, for the search for duplicates
+PARTITIONS = 64  # to find duplicates, ids are split by hash into this number of groups
 SPOOLED_BYTES = 1 << 16  # memory of each group; larger groups go to temporary files
 _ENTRY = Struct("<QQ")
 
@@ -51,7 +51,7 @@ class Mistakes:
 class Manifest:
     """The items of a manifest, in order; each call of `items` reads the manifest again.
 
-    address: a path or URL of JSON lines (also .gz), CSV (.csv), a folder or one sound, or a glob.
+    address: path or URL of JSON lines or CSV (.csv), plain or .gz, of a folder or sound; or a glob.
     out: folder of the results; sounds inside this folder are not items.
     UsageError: the manifest is missing or unreadable, or its address has credentials or is `out`.
     """

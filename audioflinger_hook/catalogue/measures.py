@@ -19,7 +19,7 @@ DAY_S = 8 * 3600.0
 HIGHEST_HZ = 1_000.0  # higher frequencies have negligible weight in ISO 2631-1
 RESPONSE_HZ = 6_000
 POINT_S = 0.02
-POINTS = 120  # a picture of 2.4 s or more has at least this number of points, at most twice it
+POINTS = 120  # a picture of at least 2.4 s of sound has 120 to 240 points
 
 
 class VibrationMeter:

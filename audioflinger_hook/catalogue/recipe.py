@@ -25,7 +25,7 @@ class Recipe:
     """Options that apply to all results of a run.
 
     out: path or URL of the folder of the results.
-    track, language: sound track of films, for items without an own value.
+    track, language: sound track of films, for items without a value of their own.
     verify: whether sounds are identified by SHA-256, not by path, size and time.
     version: `VERSION` of the program that started the run.
     """

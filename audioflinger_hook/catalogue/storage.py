@@ -1,4 +1,4 @@
-"""Access to results and sounds, on this machine or in a remote storage.
+"""Access to results and sounds, on this machine or in remote storage.
 
 A result appears only when it is complete: its file is renamed, or uploaded in one request. A JSON
 file beside the result, its record, describes it. Before a result is replaced, its old record is
@@ -192,7 +192,7 @@ class RemoteStorage:
         return result, Made(size, found.stamp, sha256)
 
     def restamped(self, _name: str, _sha256: str) -> None:
-        """Return None, as a check of the SHA-256 needs a download; the result is made again."""
+        """Return None: checking the SHA-256 needs a download, so the result is made again."""
 
     def _upload(self, path: Path, name: str) -> None:
         target = self._path(name)

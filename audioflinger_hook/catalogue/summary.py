@@ -104,7 +104,7 @@ class Summary:
 
 
 def strangeness(record: Mapping[str, Any]) -> tuple[float, str]:
-    """Return how unusual a result is (larger is more), and why; 0 and "" if it is normal."""
+    """Return a score of how unusual a result is, and why; 0 and "" if it is normal."""
     if not record:
         return 0.0, ""
     if not record["peak"]:
@@ -170,7 +170,7 @@ class Page:
             self._left_out += 1
 
     def write(self, folder: Path, summary: Summary) -> Path:
-        """Write the page as index.html to a folder, made if missing. Return the file's path."""
+        """Write index.html to the folder, which is created if missing; return the file's path."""
         folder.mkdir(exist_ok=True)
         path = folder / "index.html"
         with AtomicFile(path) as file:

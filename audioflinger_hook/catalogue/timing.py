@@ -11,7 +11,7 @@ from device.errors import CushionError
 
 T = TypeVar("T")
 
-BACK_OFF_S = 0.5  # delay before the second attempt; later delays are 3 times the previous one
+BACK_OFF_S = 0.5  # delay before the second attempt; each later delay is 3 times the previous one
 
 TRANSIENT = frozenset(  # errors of disks and networks that may be temporary
     getattr(errno, name)

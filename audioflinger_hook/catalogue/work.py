@@ -67,7 +67,7 @@ class ItemStatus(NamedTuple):
 
 
 def do_batch(recipe: bytes, items: Sequence[Item], timing: Timing) -> list[Outcome]:
-    """Process items; return the outcomes in order. recipe: pickled. Any thread may call it."""
+    """Process items; return the outcomes in order. recipe: pickled. Any thread may call this."""
     unpickled = _unpickled(recipe)
     return [do_item(unpickled, item, timing) for item in items]
 
@@ -118,9 +118,9 @@ def status_of(recipe: Recipe, items: Iterable[Item], timing: Timing) -> Iterator
 
 
 def _record_of(recipe: Recipe, item: Item, storage: Storage) -> tuple[str | None, dict[str, Any]]:
-    """Return the key that a valid result of the item has, and the record of such a result.
+    """Return the key of a valid result of the item, and the record of that result.
 
-    The key is None if it is known only after a download. The record is empty without such a result.
+    The key is None if known only after a download. The record is empty without a valid result.
     """
     key = _key(recipe, item)
     return key, {} if key is None else _right_record(storage, recipe.name(item), key)

@@ -1,4 +1,4 @@
-"""The argument parser of the commands, types of arguments, and options of several commands."""
+"""The argument parser of the commands, types of arguments, and options that commands share."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ class Parser(argparse.ArgumentParser):
         raise UsageError(f"{message}; see `{self.prog} --help`")
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
-        """Raise UsageError for an unknown word; the message names a similar or all known words."""
+        """Raise UsageError for an unknown word; the message names a similar word or all words."""
         if action.choices is None or value in action.choices:
             return
         known = [str(choice) for choice in action.choices]
@@ -131,7 +131,7 @@ class Parser(argparse.ArgumentParser):
 
 
 def join_lists(arguments: Sequence[str]) -> list[str]:
-    """Return the arguments, with `--option -,a`, which argparse refuses, as `--option=-,a`."""
+    """Return the arguments, with `--option -,a` (refused by argparse) written as `--option=-,a`."""
     joined: list[str] = []
     for argument in arguments:
         if argument.startswith("-,") and joined and joined[-1].startswith("--"):

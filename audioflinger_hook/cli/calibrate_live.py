@@ -159,8 +159,8 @@ PLAIN_MAPS = {
     6: f"{_QUAD},front-center,lfe",
     8: f"{_QUAD},front-center,lfe,side-left,side-right",
 }
-"""Channel positions that ALSA's server plugin requests, keyed by channel count. The server mixes
-the channels of a device with other positions.
+"""Channel positions that ALSA's server plugin requests, keyed by channel count. If a device has
+other positions, the server mixes its channels.
 """
 
 _HAS_TO_BE_KNOWN = (

@@ -36,7 +36,7 @@ from device.units import amplitude_to_db
 from device.wav_output import WavOutput
 
 BLOCKSIZE_FRAMES = 256  # frames of one buffer of the scene
-FAINTEST_DB = -45.0  # principal frequencies below this level, in dB of full scale, get equal dots
+FAINTEST_DB = -45.0  # dB of full scale; weaker principal frequencies get the smallest dot
 REFRESH_S = 1 / 15
 BAR_CELLS = 40
 BAR_RANGE_DB = 60.0

@@ -1,4 +1,4 @@
-"""Process-wide settings of long commands: signals, open files and garbage collection."""
+"""Process-wide settings of long-running commands: signals, open files and garbage collection."""
 
 from __future__ import annotations
 

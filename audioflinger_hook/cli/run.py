@@ -161,7 +161,7 @@ def _check_config(run_config: RunConfig) -> None:
     _ = run_config.rules
     numbered = run_config.device_is_a_card or not run_config.device_is_live
     if run_config.settings.actuators and numbered:
-        # The property raises an error if an actuator names a channel; only sinks have such names.
+        # The property raises an error if an actuator names a channel; only sinks name channels.
         _ = run_config.settings.numbered_channels
     if run_config.live.drop_in and run_config.tap.kind not in ("default", "app"):
         raise UsageError(

@@ -62,7 +62,7 @@ class RunReporter:
             self._warnings[kind] = told.get(kind, warning)
 
     def tell_engine(self, engine: str, reason: str) -> None:
-        """Print which engine plays, if new. engine: "" for none. reason: why not "native"."""
+        """Print a change of engine. engine: "" for none. reason: why it is not "native"."""
         text = f"the {engine} engine plays{': ' if reason else ''}{reason}"
         if engine and text != self._engine:
             self._engine = text

@@ -170,7 +170,7 @@ def _named(device: DeviceAddress, outputs: list[Output], snapshot: ServerSnapsho
 
 
 def _first(outputs: list[Output]) -> Output:
-    """Return the only output known to have voice coils. UsageError: not exactly one has coils."""
+    """Return the only output known to have voice coils. UsageError: there are none or several."""
     sure = [output for output in outputs if output.rank == COILS]
     if len(sure) == 1:
         return sure[0]
@@ -228,7 +228,7 @@ def _ask_profile(yes: bool, before: str | None) -> str:
 def _profile_values(profile: str, before: str | None = None) -> dict[str, Any]:
     """Return the config values of a profile; None removes the key. Profile "" has no values.
 
-    before: the config's text. Other profiles remove from it the key that `SPEECH_FREE` set.
+    before: the config's text. If `SPEECH_FREE` set a key in it, other profiles remove this key.
     """
     if profile == SPEECH_FREE:
         return {"profile": LIVE_DEFAULT, SPEECH_KEY: SPEECH_SUPPRESSION_DB}

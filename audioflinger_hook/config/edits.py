@@ -1,4 +1,4 @@
-"""Applies edits (new values of config keys) to a parsed config, to its text, or to a new text.
+"""Applies edits (new values of config keys) to a parsed config, its text, or a new config.
 
 Edits are keyed by the name of a config key: `key` or `section.key`. The value None removes the key.
 """

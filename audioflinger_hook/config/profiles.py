@@ -76,7 +76,7 @@ PROFILES: dict[str, dict[str, ProfileValue]] = {
         "loudness_target_db": ROOM,
     },
 }
-OFFLINE_DEFAULT = "paper"  # default of this library and of commands on files: published values
+OFFLINE_DEFAULT = "paper"  # published values; default of this library and of commands on files
 LIVE_DEFAULT = "cinema"  # default of `run`, `demo` and the plugin
 
 

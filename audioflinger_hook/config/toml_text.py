@@ -56,7 +56,7 @@ def text_of(path: Path, *, or_empty: bool = False) -> str:
 
 
 def parse(text: str) -> tuple[dict[str, Any], list[Mistake]]:
-    """Parse a text without the lines that have syntax errors, and return also these errors.
+    """Parse a text without the lines that have syntax errors, and also return these errors.
 
     If a section's header has an error, its name is still used for the keys after it.
     """

@@ -14,6 +14,6 @@ FILE_NAME = "haptic_cushion.so"
 
 
 def library_path() -> Path | None:
-    """Return the path of the compiled core, None if it is not built. Any thread may call it."""
+    """Return the path of the compiled core, None if not built. Any thread may call this."""
     path = Path(__file__).with_name(FILE_NAME)
     return path if path.is_file() else None

@@ -129,7 +129,7 @@ class Core:
 
     @property
     def partials(self) -> tuple[tuple[float, float, float], ...]:
-        """Latest partials: Hz in the sound, Hz in the vibration, amplitude. For any thread."""
+        """Latest partials: Hz in sound, Hz in vibration, amplitude. Any thread may read them."""
         found = self.readings
         return tuple((row[0], row[1], row[2]) for row in found.partials[: found.partials_count])
 

@@ -14,7 +14,7 @@ from device.units import FloatArray, Record, Records
 if TYPE_CHECKING:
     from device.drive.design import DriveDesign
 
-EXACT_BITS = 44  # significant bits of entries of tables whose names end with a text in EXACT
+EXACT_BITS = 44  # significant bits of each entry of a table whose name ends with one of EXACT
 EXACT = ("sections", "_fir", "decimation")  # these tables contain filter coefficients
 
 

@@ -93,7 +93,7 @@ class Endpoints:
         return True
 
     def retarget_output(self, config: RunConfig) -> None:
-        """Change the output to the config's device. The caller must then call its `set_format`."""
+        """Change to the config's device. The caller must then call the output's `set_format`."""
         if not self.output.retarget(config):
             self.output.close()
             self.output = self._make_output(config)

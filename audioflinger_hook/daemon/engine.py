@@ -85,7 +85,7 @@ class Engine:
             self.channels,
             settings,
             hal_frames=CYCLE_BLOCKS * block_frames,
-            # CPU time of the thread, which the load of other programs does not affect.
+            # The load of other programs does not affect the thread's CPU time.
             clock=clocks.used_s if bypass_late else None,
         )
         chosen = self.framework.settings

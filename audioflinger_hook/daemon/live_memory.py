@@ -23,7 +23,7 @@ WRITES_LEFT = 60  # number of writes after a call of `watch`; they take at least
 class LiveMemory:
     """A file in a private folder for the live page, written only after calls of `watch`.
 
-    samplerate: Hz. channels: of the sound. actuators: number of vibration levels.
+    samplerate: Hz. channels, actuators: numbers of sound levels and of vibration levels.
     """
 
     def __init__(self, folder: Path, samplerate: int, channels: int, actuators: int) -> None:

@@ -8,7 +8,7 @@ from typing import Protocol
 
 BURST = 64  # largest number of late blocks in a row before other threads may run
 BREATH_S = 0.001  # pause for other threads after BURST late blocks
-LATE_MAX_S = 2.0  # longest delay that jobs catch up; a longer delay shifts all jobs
+LATE_MAX_S = 2.0  # largest lateness that jobs make up for; a larger one shifts all jobs
 
 
 class PacedJob(Protocol):

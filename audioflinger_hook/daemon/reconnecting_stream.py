@@ -13,7 +13,7 @@ from device.server.guard import Hold
 from device.stream import CaptureStream, PlaybackStream
 
 SETTLES_S = 1.0  # after opening, the server may report another device for this time
-ASTRAY_S = 0.4  # longest time on another device, until a program moves the stream back
+ASTRAY_S = 0.4  # longest time on another device; a program may move the stream back
 GONE_S = 3.0  # longest absence of a stream from the server's list, such as in underruns
 
 StreamT = TypeVar("StreamT", CaptureStream, PlaybackStream)

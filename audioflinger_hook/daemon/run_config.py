@@ -1,4 +1,4 @@
-"""The configuration of one run of the daemon, and the difference of two configurations."""
+"""The configuration of one run of the daemon, and the difference between two configurations."""
 
 from __future__ import annotations
 
@@ -92,8 +92,8 @@ class ConfigDiff:
     transform fades the vibration out and in again. A change of device reopens its stream. A change
     of tap moves or reopens its stream, or reopens both streams for a new engine. A change of blocks
     reopens both streams. A change of drop_in creates or removes the virtual sink. A change of
-    engine restarts the engine and both streams. After a change of way, the key `engine`, the native
-    or the Python engine is chosen again.
+    engine restarts the engine and both streams. After a change of way (the key `engine`), the
+    daemon chooses again between the native and the Python engine.
     """
 
     level: bool = False
@@ -113,7 +113,7 @@ class ConfigDiff:
     def between(cls, old: RunConfig, new: RunConfig) -> ConfigDiff:
         """Return the difference from `old` to `new`."""
         before, after = old.settings, new.settings
-        # A running effect accepts another gain, and other parameters, thus another profile.
+        # A running effect accepts another gain and other parameters, so also another profile.
         levels = {name: getattr(before, name) for name in LEVELS}
         kept = {name: getattr(before, name) for name in ("profile", "parameters", "said")}
         unaffected = replace(after, **levels, **kept)

@@ -29,7 +29,7 @@ SAVE_S = 0.5  # shortest time between two writes
 # Assumed longest time that a killed process has played after its last write.
 UNRECORDED_S = 1.5
 BEGIN_S = 0.3  # assumed time from reading a playing rig's state to the first block of a new rig
-UNSYNCED_S = 60.0  # as UNRECORDED_S, after a crash of the machine, which writes files late
+UNSYNCED_S = 60.0  # like UNRECORDED_S, after a machine crash, because files reach the disk late
 
 _LONGEST_S = 10 * 365 * 86_400.0
 Rigs = Sequence[DrivenRig | None]
@@ -56,7 +56,7 @@ class Moment:
 class SafetyKeeper:
     """Records and restores coil temperatures and vibration doses of a device's rigs.
 
-    folder: of the file, created if missing; None records nothing. moment: returns the current time.
+    folder: the file's folder, created if missing; None: no file. moment: returns the current time.
     warning: message for the user, or "". since: local time when today's dose began, "" if unknown.
     """
 

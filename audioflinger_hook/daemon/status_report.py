@@ -89,14 +89,14 @@ def _of_python(engine: Engine, supervisor: Supervisor) -> dict[str, Any]:
 
 
 def _of_native(native: NativeEngine, chain: Chain, supervisor: Supervisor) -> dict[str, Any]:
-    # Tap and device run in the same cycle of the graph, so they have no delay line.
+    # Tap and device run in the same cycle of the graph, so no delay line is needed.
     settings, resting = supervisor.config.settings, supervisor.states.state is DaemonState.IDLE
     plan, page = chain.plan, chain.page
     latency_frames = max((rig.latency_frames for rig in chain.rigs if rig), default=0)
     # If the sink drives the graph, its monitor provides sound one cycle late.
     is_late = native.monitor_reason and page.samplerate
     tap_ms = 1e3 * page.cycle_frames / page.samplerate if is_late else 0.0
-    # While the daemon is idle, the plugin may not run, and its levels may be outdated.
+    # While the daemon is idle, the plugin may be suspended, and its levels may be outdated.
     actuators = range(min(len(settings.actuators), len(chain.rigs)))
     levels = [Level() if resting else page.level(slot) for slot in actuators]
     channels = tuple(level_of(*reading) for reading in page.channel_readings())

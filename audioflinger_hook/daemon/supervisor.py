@@ -111,7 +111,7 @@ class Supervisor:
 
     @property
     def applications(self) -> tuple[Application, ...]:
-        """The applications that have a stream. Any thread may read it."""
+        """The applications that have a stream. Any thread may read this."""
         source, device = self._found
         haptic = device.name if device and self.output.needs_server else None
         return applications_in(self._link.latest, self.config.rules, source, haptic)
@@ -321,7 +321,7 @@ class Supervisor:
         engine = self.engines.python
         heard = self._idle_policy.resting and self.input.listen(connection, now_s)
         players = self.input.players(snapshot)
-        # Without players, no buffers may arrive, and the vibration would never fade out.
+        # Without players, buffers may stop arriving, and `engine.faded` might never become true.
         over = engine is not None and (engine.faded or not players)
         last_sound_s = engine.last_sound_s if engine and over else now_s
         if not self._idle_policy.update(now_s, players, last_sound_s, heard=heard):

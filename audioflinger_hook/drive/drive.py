@@ -39,7 +39,7 @@ class DrivenRig:
         return bool(self._core_readings.frames)
 
     def protection(self) -> ProtectionStatus:
-        """Return the worst values of all channels; infeasible_blocks, replaced_samples: sums.
+        """Return the worst values of all channels; infeasible_blocks and replaced_samples are sums.
 
         `limited_by` belongs to the channel with the lowest gain.
         """
@@ -72,13 +72,13 @@ class DrivenRig:
 
     @property
     def strength_db(self) -> float | None:
-        """Change of the Wk-weighted acceleration by damping and protection, dB; None if unknown."""
+        """Change of Wk-weighted acceleration by damping and protection in dB; None if unknown."""
         driven = max(one.squares for one in self._readings)
         undamped = max(one.undamped_squares for one in self._readings)
         return 0.5 * amplitude_to_db(driven / undamped) if driven and undamped else None
 
     def safety_states(self) -> tuple[SafetyState, ...]:
-        """Return for each channel the state that the next run of the program restores."""
+        """Return each channel's state, which the next run of the program restores."""
         return tuple(self._safety(channel) for channel in range(self.channels))
 
     def restore(self, states: Sequence[SafetyState]) -> None:
@@ -124,7 +124,7 @@ class DrivenRig:
 def driven_rigs(
     designs: Sequence[DriveDesign | None], controls: Controls, readings: Readings, columns: int
 ) -> tuple[DrivenRig | None, ...]:
-    """Return for each design a `DrivenRig` of `columns` actuators; None for a design of None."""
+    """Return a `DrivenRig` of `columns` actuators for each design, and None for None."""
     return tuple(
         DrivenRig(design, controls, readings, range(first, first + columns)) if design else None
         for first, design in zip(range(0, columns * len(designs), columns), designs, strict=True)

@@ -102,7 +102,7 @@ class _Voice:
 
 
 def mixdown(scene: Scene) -> Float32Array:
-    """Return the mix of all sounds of `scene`, (frames, channels)."""
+    """Return the mix, (frames, channels). scene: its sounds are mixed."""
     mixer = Mixer(scene.samplerate, scene.channels, standby_delay_s=math.inf)
     client = SceneClient(scene)
     client.connect(mixer)

@@ -166,7 +166,7 @@ class CardSetup:
     channels: int
 
 
-# Nearly all cards support this; assumed for cards other than USB, which report nothing.
+# Assumed for cards that are not on USB: they report no formats, but nearly all support these.
 ASSUMED = (UsbFormat(0, 0, ("S32_LE", "S16_LE"), 2, Rates((44_100, 48_000))),)
 
 

@@ -55,7 +55,7 @@ class RateLoop:
     10 s after a start or restart, then 0.02 Hz. Source: F. Adriaensen, zita-ajbridge, with the
     signs of error and ratio reversed. samplerate: of the captured frames, Hz. z3: learned relative
     difference of the clock rates. ratio: read rate divided by the nominal rate. locked: whether the
-    error was below 0.25 ms for a second, and has not exceeded 1 ms since. For the reading thread.
+    error was below 0.25 ms for a second, and never above 1 ms since. The reading thread calls it.
     """
 
     def __init__(self, samplerate: float) -> None:

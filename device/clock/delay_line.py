@@ -11,7 +11,7 @@ from device.clock.frame_clock import ClockReading
 from device.clock.stream_timing import LEAST_S, Part, StreamTiming, WriteTiming, Written
 from device.units import Block, Float32Array, check_channels
 
-LARGEST = 1e6  # larger magnitudes are invalid, and arithmetic could overflow to inf
+LARGEST = 1e6  # larger magnitudes count as invalid: arithmetic with them could overflow
 FADE_S = 0.005
 SLOPE_S = 0.0005  # time constant with which an extrapolated slope decays
 STEEPEST_HZ = 250.0  # an extrapolated slope is at most that of a full-scale sine of this frequency
@@ -27,8 +27,8 @@ class NewestFrames:
     One thread writes and another reads, without locks. The writer first sets `claimed`, the count
     of all frames including the frames being stored. The writer then stores the frames, and
     publishes the new count as `Written.frames`. The reader uses the frames from index `oldest` to
-    below this count. After the use, the reader loads `oldest` again. If `oldest` is now above the
-    index of the first used frame, the writer may have overwritten frames meanwhile. Attributes must
+    below this count. Then the reader loads `oldest` again. If `oldest` is now above the index of
+    the first used frame, the writer may have overwritten some of the used frames. Attributes must
     be loaded and stored atomically and in order, as in CPython.
 
     frames: float32 (capacity, channels); frame k is in row k % capacity.
@@ -141,10 +141,10 @@ class DelayLine:
     """Returns the written frames at the output's rate, after a constant delay.
 
     The delay is the time from a frame's capture to its output, measured with a `FrameClock` for
-    each side. `TargetDelay` gives the target of the delay. If the delay
-    differs from the target by more than max(256 frames, half a capture block), it jumps to the
-    target. While a clock is not settled, only differences of more than 0.1 s cause a jump. With
-    settled clocks, `RateLoop` corrects smaller differences by the read ratio.
+    each side. `TargetDelay` gives the target of the delay. If the delay differs from the target by
+    more than max(256 frames, half a capture block), the delay jumps to the target. While a clock is
+    not settled, only differences of more than 0.1 s cause a jump. With settled clocks, `RateLoop`
+    corrects smaller differences by changes of the read ratio.
 
     One thread at a time calls `write` and one calls `read`. Any thread may call the other methods.
     No method waits. Time arguments are the start times of callbacks.
@@ -190,7 +190,7 @@ class DelayLine:
         self._flushing = False
         self._starved_at_s = self._not_before_s = -math.inf
         self._read_frames = self._resyncs = self._underflows = self._overflows = 0
-        self._from_frame = self._flush_wanted = -1  # last flushed frame, last frame to flush
+        self._from_frame = self._flush_wanted = -1  # first frame after the last and the next flush
         self.offset_s = offset_s
         self._target.set_goal(2.0 * LEAST_S, offset_s)
         self._target.jump()

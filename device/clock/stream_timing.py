@@ -36,7 +36,7 @@ class StreamTiming:
         return reading
 
     def add_lateness(self, late_s: float, seconds: float, clock: ClockReading) -> None:
-        """Count a callback's lateness, unless its clock is not settled. seconds: of its block."""
+        """Count a callback's lateness if its clock is settled. seconds: length of its block."""
         if not clock.settled:
             self.lateness.paused_s = 0.0  # the stream has restarted
         elif math.isfinite(late_s):
@@ -105,8 +105,8 @@ class Lateness:
     """The 99.9th percentile of the callbacks' lateness, in steps of 0.1 ms.
 
     The weight of a callback halves every 60 s. With few callbacks, the estimate is the greatest
-    lateness. All callbacks that one pause of the machine delays count as one, with the greatest
-    lateness. A pause that turns out to be a jump of the frame counter does not count.
+    lateness. If one pause of the machine delays several callbacks, they count as one, with the
+    greatest lateness. A pause that turns out to be a jump of the frame counter does not count.
     limit_s: largest estimate; callbacks that are later may cause an underflow. estimate_s: 0.5 ms
     to `limit_s`; a decrease of up to 1 ms is ignored. known: whether the estimate has been
     computed. paused_s: greatest lateness of the present pause, 0 for none. Any thread may read the

@@ -16,7 +16,7 @@ Wiring = tuple[tuple[int | str, ...], ...]  # for each actuator: channel numbers
 
 @dataclass(frozen=True)
 class ChannelMap:
-    """The actuator that each channel of a device drives. Any thread may use it.
+    """The actuator that each channel of a device drives. Any thread may use the map.
 
     actuators: number of actuators. sources: the actuator of every channel, from 0; None for
     silence.

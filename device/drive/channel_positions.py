@@ -30,7 +30,7 @@ def sink_channel_map(
     """
     wanted = actuators_of_channels(sink, actuators, haptic_channels)
     repeats = not actuators and None not in wanted.sources
-    if repeats or len({*wanted.sources}) == 1:  # all channels are equal, so their order is free
+    if repeats or len({*wanted.sources}) == 1:  # such channels need no particular order
         return wanted
     name = f"the sink {sink.name!r}"
     stream = STREAM_POSITIONS.get(sink.channels, ())

@@ -170,7 +170,7 @@ def burst_response(
     true, source = vary(detune(p, detuning), mass), damping.source_impedance_ohm
     frames = round((BURST_S + max(decay_s(true, source), BURST_S)) * SAMPLERATE)
     burst = sine_burst(frames, BURST_S, p.resonance_hz)
-    # The factor gives about the same volts with a current source.
+    # With a current source, the factor gives about 1 A for 1 V of the burst.
     drive = damping.filtered(burst, SAMPLERATE) * (1.0 + source)
     actuator = LinearActuator(true, SAMPLERATE, source)
     motion = actuator.move(drive, ("acceleration_m_s2", "current_a"))
@@ -234,7 +234,7 @@ def choose_damping(
     filter is the one that needs the least voltage, and its `affordable` is False.
     p: the actuator as identified. uncertainty: relative error of f0 in either direction, 0 to 0.5.
     headroom_db: largest allowed peak volts, relative to current drive without damping.
-    source_impedance_ohm: of the amplifier.
+    source_impedance_ohm: source impedance of the amplifier.
     """
     references = {d: undamped(p, detuning=d) for d in (0.0, -uncertainty, uncertainty)}
     plain = burst_response(p, Damping(source_impedance_ohm))

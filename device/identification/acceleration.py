@@ -34,7 +34,7 @@ F0_BY_LEVEL, Q_BY_LEVEL = 0.19, 0.4
 # Largest relative r.m.s. change of the response by a hardening spring, per (excursion / Xmax)^2.
 # A seat is accepted only if it changes the response by more.
 HARDENING = 0.5
-# Tried remaining delays. They may be negative: `find_delay` can be late by a quarter of a period.
+# Candidates for the remaining delay, also negative: `find_delay` can be a quarter period late.
 _DELAYS_S = np.arange(-8e-3, 4e-3, 0.25e-3)
 _ADVICE = "raise the level a little, make the sweep longer or bring it closer to the resonance"
 
@@ -47,7 +47,7 @@ class Mode:
     q: Estimate
     sensitivity: Estimate  # m/s^2 per V or A above the resonance; Bl / m relative to current
     on_seat: bool  # whether the fit includes a moving frame; then f0 and Q include the seat
-    level_of_x_max: float  # largest excursion of the moving mass from the ground, in units of Xmax
+    level_of_x_max: float  # largest excursion of the moving mass relative to the ground, over Xmax
     fit: Fit
     inverted: bool = False  # whether the accelerometer has the opposite sign
     high_pass_hz: Estimate | None = None  # the amplifier's corner, if it differs from the rig's
@@ -100,7 +100,7 @@ def _identify(
 def _fit_mode(
     recording: Recording, factors: list[Factor], on_seat: bool | None, level_known: bool
 ) -> tuple[Recording, Fit, tuple[Extra, ...], bool]:
-    """Return the recording of likelier sign, its fit and `Extra` factors, and if it is inverted."""
+    """Return the recording of the likelier sign, its fit and extras, and whether it is inverted."""
     candidates = [recording]
     if not recording.polarity_known:
         candidates.append(replace(recording, response=-recording.response))

@@ -29,7 +29,7 @@ from device.rig.rig import MIN_CURRENT_DRIVE_RATIO, Rig, Source
 
 STEPS = (0.25, 0.5, 1.0)  # successive levels, relative to the wanted level
 TOO_FAR = 1.1 * LARGEST_SHARE
-_UNEXPECTED = 1.3  # largest ratio, or inverse ratio, of a response's growth to the level's growth
+_UNEXPECTED = 1.3  # largest factor, either way, between a response's growth and the level's
 
 
 class Laboratory(Protocol):
@@ -52,7 +52,7 @@ def play_steps(
     """Play the sweep at each of STEPS; return the recordings of the last step.
 
     scaled: as for `calibrate`. IdentificationError: a recording is invalid, a response does not
-    grow like the level, or (if scaled) the next step would move the actuator too far.
+    grow in proportion to the level, or (if scaled) the next step would move the actuator too far.
     """
     recordings: list[Recording] = []
     for step, after in zip(STEPS, (*STEPS[1:], STEPS[-1]), strict=True):

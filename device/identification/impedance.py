@@ -93,7 +93,7 @@ MOTIONAL = {3: 1.0, 1: 1.0, 2: -1.0}
 def identify_impedance(
     recording: Recording, *, level_of_x_max: float = 0.0, mode: Mode | None = None
 ) -> Impedance:
-    """Return the electrical parameters. recording: of the coil's voltage (reference) and current.
+    """Return the electrical parameters. recording: the coil's voltage (reference) and current.
 
     level_of_x_max: largest excursion relative to Xmax. f0 and Q rise with it, so their intervals
     are extended down. mode: resonance in acceleration per current; None if not measured.
@@ -214,7 +214,7 @@ class Drive:
 
 
 def identify_drive(recording: Recording, rig: Rig, impedance: Impedance | None) -> Drive:
-    """Return the amplifier's values. recording: of played signal (reference) and coil voltage.
+    """Return the amplifier's values. recording: played signal (reference) and coil voltage.
 
     `recording.correction` must contain the frequency response of the rig's amplifier. impedance:
     None if the current was not measured.

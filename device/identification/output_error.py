@@ -20,7 +20,7 @@ Model = Callable[[FloatArray, FloatArray], Response]
 
 MOST_MISFIT = 0.1
 _NORMAL_95 = 1.959964
-_WEIGHTINGS = 4  # number of repeated fits, each with the noise spectrum of the fit before
+_WEIGHTINGS = 4  # number of repeated fits, each with the noise spectrum of the previous fit
 _SMOOTH_BINS = 101
 _LEFT_OUT = 1e-4  # standard deviation that resampling and converters add to each parameter
 _FAR = 25.0  # largest magnitude of a logarithm; it keeps exponentials finite

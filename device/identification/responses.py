@@ -25,7 +25,7 @@ from device.units import FloatArray
 
 # H, (bins,), and its derivatives by the parameters, (bins, parameters)
 Response = tuple[ComplexArray, ComplexArray]
-REFERENCE_HZ = 100.0  # a parameter is the reactance K w^n at this frequency: K's unit depends on n
+REFERENCE_HZ = 100.0  # the parameter for K is the reactance K w^n here, as K's unit depends on n
 Impedance = tuple[
     ComplexArray, list[ComplexArray]
 ]  # impedance, (bins,), and its derivative by each parameter

@@ -15,7 +15,7 @@ from device.rig.parameters import AmplifierParameters, DaqParameters, Model
 from device.rig.rig import Rig
 from device.units import FloatArray
 
-LARGEST_SHARE = 0.15  # largest excursion / Xmax; a larger one shifts f0: the spring hardens
+LARGEST_SHARE = 0.15  # largest excursion / Xmax; a larger one hardens the spring, which shifts f0
 USUAL_SHARE = 0.05
 
 

@@ -146,8 +146,8 @@ class LinearActuator:
             moved += taps[:, delay, None] * recent[_TAPS - delay : len(recent) - delay]
 
 
-# Cached, since the same actuators are created repeatedly, and the library that computes a matrix
-# exponential waits for all of its threads.
+# Cached, since the same actuators are created repeatedly, and a matrix exponential is slow on a
+# busy machine: the library that computes it waits for all of its threads.
 @lru_cache(maxsize=256)
 def motion_filters(
     p: ActuatorParameters, samplerate: float, source_impedance_ohm: float

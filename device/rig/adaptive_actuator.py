@@ -59,9 +59,9 @@ class AdaptiveActuator:
     block of 0.1 s since the start, or for the part of the block in one call.
     tolerance: allowed error of excursion and acceleration relative to a block's peak, 0 to 1.
     model: "auto", or a fixed model; a rig without [large_signal] is always linear. seat: whether
-    the actuator is on the rig's seat instead of solid ground. refine: how often non-linear steps
-    are halved. UsageError: the rig lacks the wanted seat, a number is out of range, or the library
-    is missing.
+    the actuator is on the rig's seat instead of solid ground. refine: number of halvings of the
+    non-linear step. UsageError: the rig lacks the wanted seat, a number is out of range, or the
+    library is missing.
     """
 
     def __init__(
@@ -183,7 +183,7 @@ def _fastest_rad_s(e: Equations) -> float:
     """Return an estimate of the equations' fastest rate in rad/s, without the end stops."""
     reach = np.linspace(-1.0, 1.0, 41) * e.actuator.x_max_m
     stiffness = np.abs(e.energies.spring(reach)[2]).max()
-    # The coil's voltage acts like a spring, or like a damper if its current settles faster.
+    # The coil's back-EMF acts like a spring, or like a damper if the current settles faster.
     spring = e.force_factor / math.sqrt(e.inductance * e.mass)
     damper = e.force_factor**2 / (e.resistance_ohm * e.mass)
     fastest = math.sqrt(stiffness / e.mass) + e.damping / e.mass + min(spring, damper)

@@ -17,7 +17,7 @@ import numpy as np
 from device.rig.parameters import ActuatorParameters, LargeSignalParameters
 from device.units import FloatArray
 
-_TABLE_REACH = 4.0  # a table spans ± this times the larger of Xmax and the stops' start
+_TABLE_REACH = 4.0  # a table spans ± this factor times the larger of Xmax and the stops' start
 _TABLE_ERROR = 1e-9  # largest error of a table, relative to the function's largest value
 _MOST_INTERVALS = 1 << 15
 

@@ -72,7 +72,7 @@ class _Compared:
 
 
 class ModelRecord:
-    """Moves actuators and reports each second of signal. One thread. clock: returns CPU time, s."""
+    """Moves actuators and reports each second of signal, on one thread. clock: CPU time in s."""
 
     def __init__(
         self, actuators: Iterable[AdaptiveActuator], samplerate: int, clock: Callable[[], float]

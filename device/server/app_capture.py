@@ -2,7 +2,7 @@
 
 A server can record a single playing stream (sink input) if the recording stream requests it.
 PortAudio and ALSA cannot request that. Volume and mute of the playing stream act on the captured
-sound; those of its sink do not. Samples at volume 100 % and the stream's own rate are unchanged.
+sound; those of its sink do not. At volume 100 % and the stream's own rate, samples are unchanged.
 
 PulseAudio ends the capture when the application's stream moves to another sink. While the
 application pauses, PulseAudio delivers silence, and PipeWire delivers nothing.

@@ -47,7 +47,7 @@ class ConnectionThread(ABC):
         return not self._thread.is_alive()
 
     def _ask(self, work: Callable[[], Result]) -> Result:
-        """Return the result of `work`, run on the connection's thread, which must not call this."""
+        """Run `work` on the connection's thread, which must not call this; return the result."""
         if threading.current_thread() is self._thread:
             raise InternalError("the connection's thread must not query the connection")
         future: Future[Result] = Future()

@@ -66,7 +66,7 @@ class DefaultsCheck:
 
 
 def fetch_defaults() -> Defaults | None:
-    """Return the defaults of a new connection; None on failure. A hanging server blocks it."""
+    """Return the defaults of a new connection; None on failure. A hung server blocks the call."""
     import pulsectl
 
     try:

@@ -57,8 +57,8 @@ class Link:
 class Graph:
     """The objects of one server. Not thread-safe: hold `GraphWatch.lock`.
 
-    nodes, ports, links: by id. version: of the server, "" while unknown. clock_hz: the server's
-    configured sample rate, 0 while unknown.
+    nodes, ports, links: by id. version: the server's version, "" while unknown. clock_hz: the
+    server's configured sample rate, 0 while unknown.
     """
 
     def __init__(self) -> None:

@@ -195,7 +195,7 @@ _ENDS = {"link." + end.removesuffix("-id").replace("-", "."): end for end in LIN
 
 
 class Announcements:
-    """Reads the objects that `pw-cli --monitor` prints; it reports them earlier than `pw-dump`.
+    """Reads the objects that `pw-cli --monitor` prints, sooner than `pw-dump` prints them.
 
     `pw-dump` waits until it knows all properties of an object. `pw-cli` prints both ends of a link
     at once.

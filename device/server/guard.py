@@ -46,7 +46,7 @@ class Hold(Enum):
 class StreamPlacement:
     """What is known about one stream. The methods `after_...` return an updated copy.
 
-    name: of the stream's own device, the only one on which it may be audible. stream, device: index
+    name: the stream's own device, the only one on which it may be audible. stream, device: index
     of the stream and of its own device. on: index of the stream's present device. unsettled: number
     of the event that is not checked yet, or 0.
     """
@@ -92,7 +92,7 @@ class StreamPlacement:
         return self.stream is None and event.facility == stream and event.kind == "new"
 
     def after_snapshot(self, snapshot: ServerSnapshot) -> "StreamPlacement":
-        """Return a copy updated by a snapshot; one older than `unsettled` changes nothing."""
+        """Return a copy updated by a snapshot, unless it is older than the event `unsettled`."""
         if snapshot.events < self.unsettled:
             return self
         streams = snapshot.sink_inputs if self.plays else snapshot.source_outputs

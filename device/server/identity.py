@@ -15,7 +15,7 @@ Device = TypeVar("Device", Sink, Source)
 
 
 def find_sink(snapshot: ServerSnapshot, name: str) -> Sink:
-    """Return the sink with exactly this name. NotFoundError: none has it; the text lists names."""
+    """Return the sink with exactly this name. NotFoundError: no such sink; others are listed."""
     return _find("sink", name, snapshot.sinks)
 
 

@@ -33,7 +33,7 @@ class MovedStreams:
         self._seen: set[int] = set()  # streams that have played to the virtual sink
         self._bypassing: dict[int, float] = {}  # streams on the target, and the time of detection
         self._before: dict[int, str] = {}  # by index of a stream: its last real sink
-        self._homes: dict[int, str] = {}  # by index of a moved stream: its sink before
+        self._homes: dict[int, str] = {}  # by index of a moved stream: its former sink
 
     def forget(self) -> None:
         """Treat all streams as new. Call this after a change of the target or the virtual sink."""
@@ -90,7 +90,7 @@ class MovedStreams:
         return broken
 
     def restore(self, snapshot: ServerSnapshot, default: str) -> None:
-        """Move streams back that `collect` moved; move others on the virtual sink to `default`."""
+        """Move back what `collect` moved; move other streams on the virtual sink to `default`."""
         for stream in snapshot.sink_inputs:
             home = default if stream.device_name == SINK else stream.device_name
             home = self._homes.get(stream.index, home)

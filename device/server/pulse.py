@@ -32,8 +32,8 @@ from device.volume_limit import limit_volume_db
 FACILITIES = ("sink", "source", "sink_input", "source_output", "module", "card", "server")
 _GATHER_S = 0.02  # time from the first event of a group to the snapshot; events come in dozens
 _BUSY_POLLS, _BUSY_S = 50, 1.0  # after 50 polls in 1 s, each event waits for further events
-_REST_RATIO = 100.0  # wait for this many durations of a snapshot: about 1 % of a core
-_REST_MAX_S = 2.0  # longest wait by this ratio, only for events about streams
+_REST_RATIO = 100.0  # pause after a snapshot / duration of the snapshot: about 1 % of a core
+_REST_MAX_S = 2.0  # longest such pause; only snapshots for events about streams wait for its end
 _VOLUME_LOOKS, _VOLUME_LOOK_S = 25, 0.02
 _VOLUME_ROUNDING = 1e-4  # between six and seven of the server's 65 536 volume steps
 

@@ -225,7 +225,7 @@ def decibels(volume: float) -> float:
 
 @dataclass(frozen=True)
 class Event:
-    """A change on the server. number: of the event on this connection, counted from 1.
+    """A change on the server. number: position among this connection's events, from 1.
 
     facility: such as "sink_input" or "server". kind: "new", "change" or "remove".
     """

@@ -129,7 +129,7 @@ def _set_limits() -> None:
         resource.setrlimit(resource.RLIMIT_RTTIME, (min(int(SPIN_S * 1e6), most_us), most_us))
 
 
-RELEASE_LIMIT_S = 0.05  # several callback periods; without a callback, the stream has stopped
+RELEASE_LIMIT_S = 0.05  # several callback periods; a stream with longer gaps has stopped
 
 _LOCKED = 0  # PyGILState_LOCKED of Python's C API: the caller holds the GIL, as in a callback
 

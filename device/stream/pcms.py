@@ -39,7 +39,7 @@ class PcmConfig:
     """A private ALSA configuration that defines one PCM for each given name.
 
     Make this object before PortAudio and other threads start: the constructor changes the
-    environment of the process. This removes PULSE_LATENCY_MSEC, which would block the output, and
+    environment of the process. It removes PULSE_LATENCY_MSEC, which would block the output, and
     prevents the start of a JACK server. The user's properties in PULSE_PROP are kept. Only one
     thread at a time may use the object.
     names: one word each. pcms: PCMs by name. LostError: the file in memory cannot be made.

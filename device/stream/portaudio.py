@@ -35,7 +35,7 @@ Callback = Callable[[bytes | None, int, Any, int], tuple[bytes | None, int]]
 
 Result = TypeVar("Result")
 
-_lock = threading.Lock()  # held while PortAudio starts, ends or opens, or stderr is replaced
+_lock = threading.Lock()  # held to start or end PortAudio, open a stream or replace stderr
 _pyaudio: Any = None
 open_tags: set[str] = set()  # tags of streams that are open, closing or abandoned
 _numbers = itertools.count(1)
@@ -174,7 +174,7 @@ def _call_within(
     work: Callable[[], Result],
     late: Callable[[Result], object] = lambda _: None,
 ) -> Result:
-    """Run `work` on a new thread. LostError: no result after limit_s; `late` gets a later one."""
+    """Run `work` on a new thread. LostError: no result in limit_s; `late` gets a late result."""
     future: Future[Result] = Future()
 
     def run() -> None:

@@ -188,7 +188,7 @@ class PlaybackStream(_Stream):
     `fill` must not keep the block. If `fill` raises an exception or writes a sample that is not
     finite, silence is sent and `errors` increases. on_sent: called by the same thread with every
     sent block, even if silent, and time.monotonic(); it may read and keep the block. Neither
-    function may wait or close the stream. sample_format: of the samples for PortAudio.
+    function may wait or close the stream. sample_format: format of the samples for PortAudio.
     pcm, samplerate, channels, block_frames, priority, attributes, errors: as in `CaptureStream`.
     """
 

@@ -123,7 +123,7 @@ class ControlState:
 
 
 def playback_of(device: UsbAudioDevice) -> PlaybackFormat:
-    """Return a playback format, preferably with settable volume and mute, then volume, then mute.
+    """Return a playback format, preferably with settable volume and mute, else volume, else mute.
 
     UsbAccessError: the device has no playback format. Other errors: see `read_descriptors` and
     `parse_whole`.
@@ -136,7 +136,7 @@ def playback_of(device: UsbAudioDevice) -> PlaybackFormat:
 
 
 class UsbControl:
-    """The controls of one open device. Only one thread may use them, but not an audio thread.
+    """The controls of one open device. Only one thread may use them, never an audio thread.
 
     handle: PyUSB's device, which `close` releases. volume_channels, mute_channels: channels with
     settable volume or mute; channel 0 is the master. Volumes are in dB.

@@ -1,7 +1,7 @@
 """Which ALSA names and sinks of a sound server belong to which USB device. Pure functions.
 
 The first of these properties that a sink has determines its device: path in /sys, sound card, ids.
-No device matches if other properties contradict card or ids, or several devices have the ids.
+No device matches if other properties contradict card or ids, or if several devices have the ids.
 """
 
 import re

@@ -66,7 +66,7 @@ def after_some_work(process, out, draw):
 
 
 @pytest.mark.sweep
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(n, marks=pytest.mark.soak) for n in (1, 2))])
 @pytest.mark.parametrize("harm", ["client", "workers", signal.SIGINT, signal.SIGTERM])
 def test_a_run_that_is_killed_or_interrupted_loses_nothing_and_the_next_goes_on(
     sounds, expected, tmp_path, harm, seed

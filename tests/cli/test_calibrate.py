@@ -82,7 +82,7 @@ def test_a_terminal_sees_how_far_it_is_and_a_pipe_only_the_result():
 
 @pytest.mark.exhaustive
 def test_on_a_seat_neither_force_factor_nor_mass_is_given():
-    done = call("calibrate", "--device", "twin", "--seat")
+    done = call("calibrate", "--device", "twin", "--seat", "--seconds", "4")
     assert done.code == 0, done.stderr
     assert "actuator.resonance_hz" in done.stdout
     assert "force_factor" not in done.stdout

@@ -143,12 +143,12 @@ def test_memory_does_not_grow_with_the_length(name: str, folder: Path) -> None:
     second, out = noise(8_000).astype(np.float32), folder / "out"
     options = ExportOptions(name, 1_000 if name in ("wav", "flac") else None)
     peaks = []
-    short = 1 if name == "partials" else 20  # partials of noise take long under tracemalloc
+    short = 1 if name == "partials" else 5  # partials of noise take long under tracemalloc
     for seconds in (short, short, 10 * short):  # the first run loads what is loaded once
         tracemalloc.start()
         export(TapClient(LongTap(second, seconds)), out, Settings(), options)
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
-    assert peaks[2] < peaks[1] + 250_000  # the sound alone takes 0.29 MB more, or 5.8
+    assert peaks[2] < peaks[1] + 250_000  # the sound alone takes 0.29 MB more, or 1.4
     if name != "partials":
-        assert soundfile.info(out).duration == 200.0
+        assert soundfile.info(out).duration == 50.0

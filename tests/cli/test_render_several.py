@@ -144,8 +144,15 @@ def two_under_way(process, folder):
 
 
 @pytest.mark.exhaustive
-@pytest.mark.parametrize("send", [os.kill, os.killpg])  # a terminal signals the whole group
-@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+@pytest.mark.parametrize(  # a terminal signals the whole group
+    ("name", "send"),
+    [
+        ("SIGINT", os.killpg),
+        ("SIGINT", os.kill),
+        ("SIGTERM", os.kill),
+        ("SIGHUP", os.killpg),
+    ],
+)
 def test_an_interruption_ends_all_workers_and_leaves_no_half_file(long_sources, folder, name, send):
     (folder / "0.wav").write_bytes(b"old")
     options = ["--out-dir", folder, "--workers", 2, "--channels", "each"]

@@ -24,7 +24,7 @@ from tests.support.pipelines import transformed
 from tests.support.signals import FORMS
 from tests.support.taps import cut
 
-BLOCKSIZES = [240, 1, 7, 256, 960, 4_096, 32_768, 10**6]
+BLOCKSIZES = [240, 1, 7, 256, 4_096, 10**6]
 
 
 @pytest.fixture(scope="module")

@@ -19,7 +19,7 @@ from audioflinger_hook.transform import FloatArray, Frames
 
 RFFT_FRAMES = 2048
 RFFT_CALLS = 100  # FFTs in one timing, which takes about 1 ms
-LIMITS_RFFT_S = 7.7e-6  # time in s of the unit on the machine for which time limits were set
+LIMITS_RFFT_S = 7.7e-6  # CPU time in s of one FFT on the machine for which time limits were set
 
 Work = Callable[[], object]
 

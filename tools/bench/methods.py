@@ -27,7 +27,7 @@ UNLIMITED = "paper"  # profile that follows the paper; no limits apply to this p
 PARTIAL = "speech"  # profile for speech only; no limits on films apply to this profile
 
 Render = Callable[[FloatArray, int], FloatArray]
-"""Converts sound, (frames,) or (frames, channels), and its rate in Hz, to vibration (frames,)
+"""Converts sound, (frames,) or (frames, channels), at a rate in Hz, to vibration, (frames,),
 without delay.
 """
 
@@ -71,7 +71,7 @@ class Method:
 def profile_methods(
     names: Iterable[str] = PROFILES, said: dict[str, Any] | None = None
 ) -> list[Method]:
-    """Return a method for each profile, which gives the same vibration as `cushion render`.
+    """Return, for each profile, a method that gives the same vibration as `cushion render`.
 
     said: parameters that replace those of the profiles.
     """

@@ -275,7 +275,7 @@ def number(value: float) -> str:
         return f"{value:.1e}"
     if abs(value) >= 1000.0:
         return f"{round(value):,}".replace(",", " ")
-    rounded = float(f"{value:.3g}")  # 9.996 becomes 10.0, which needs one decimal less
+    rounded = float(f"{value:.3g}")  # 9.996 becomes 10.0, which needs one decimal fewer
     return f"{rounded:.{max(0, 2 - math.floor(math.log10(abs(rounded))))}f}"
 
 

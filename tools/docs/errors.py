@@ -81,7 +81,7 @@ def messages(tree: ast.Module) -> Iterator[tuple[str, str]]:
 
 
 def template(node: ast.expr) -> str:
-    """Return the text of a string or f-string, with placeholders for values, or ""."""
+    """Return the text of a string or f-string, with placeholders for values; "" for other nodes."""
     if isinstance(node, ast.Constant):
         return " ".join(node.value.split()) if isinstance(node.value, str) else ""
     if isinstance(node, ast.JoinedStr):

@@ -21,7 +21,7 @@ _BLOCK = 32_768
 def round_trip(
     sound: Float32Array, rate_hz: int, profile: str, folder: Path
 ) -> dict[str, Likeness]:
-    """Return, by format, the likeness of the rendered file to the vibration of a sound.
+    """Return, by format, the comparison of the rendered file with the vibration of a sound.
 
     sound: (frames, channels). folder: for the exported files; files of an earlier call are
         overwritten.

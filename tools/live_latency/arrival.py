@@ -13,7 +13,7 @@ import numpy as np
 from audioflinger_hook.transform import FloatArray, IntArray
 
 WINDOW_S = 0.5  # length of a window in s; only its earliest arrival is used
-NEIGHBOURS = 3  # number of windows compared on either side; fewer late windows cause no jump
+NEIGHBOURS = 3  # number of windows compared on either side; fewer late windows are no jump
 JUMP_S = 0.001  # smallest jump of the line, in s, that indicates lost or repeated frames
 WANDER = 200e-6  # largest deviation of the line's slope from its median slope, in s per s
 

@@ -143,7 +143,7 @@ class Lag:
 def lag_between(wanted: Envelope, heard: Envelope, start_s: float, end_s: float) -> Lag | None:
     """Return the delay of `heard` relative to the part of `wanted` from start_s to end_s.
 
-    The first estimate is the delay with the largest correlation, between -0.1 and 1.5 s. A
+    The first estimate is the delay from -0.1 to 1.5 s that has the largest correlation. A
     least-squares fit of delay, gain and offset then refines the estimate, without invalid levels
     and outliers. The result is None if the envelopes do not correlate, for example in silence.
     """

@@ -73,7 +73,7 @@ class _Polls:
                 self.child_use.sample(status.engine_pid, now_s)
 
     def median(self, value: Callable[[Status], float], *span_s: float) -> float | None:
-        """Return a value's median over the statuses between two times, or over all, or None."""
+        """Return a value's median over statuses between two times or all; None without a status."""
         first_s, last_s = span_s or (-np.inf, np.inf)
         found = [value(status) for at_s, status in self.seen if first_s <= at_s < last_s]
         return float(np.median(found)) if found else None

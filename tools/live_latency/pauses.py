@@ -3,7 +3,7 @@
 A virtual machine may pause, which is not a fault of the measured program. On each core, a small
 process sleeps for 4 ms again and again, with real-time priority if allowed. If all these processes
 wake up late, the machine was paused. If only some of them wake up late, other programs used their
-cores. With real-time priority, the host of the virtual machine used these cores.
+cores. With real-time priority, only the host of the virtual machine can have used these cores.
 """
 
 from __future__ import annotations

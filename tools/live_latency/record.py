@@ -13,7 +13,7 @@ from tools import records
 
 RECORD = Path("docs/live.json")
 COMMAND = "python tools/latency.py --seconds 60 --out docs/live.json"
-TRUSTED_MS = 1.0  # largest credible delay between two recordings of one monitor, in ms
+TRUSTED_MS = 1.0  # largest delay in ms between two recordings of one monitor if results are valid
 
 Numbers = tuple[float | None, ...]
 

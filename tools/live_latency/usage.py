@@ -12,7 +12,7 @@ import numpy as np
 
 Use = TypeVar("Use")
 
-SHARE = 0.1  # share of the samples, at the start and at the end, for a median of memory
+SHARE = 0.1  # share of the samples at the start, and at the end, whose median is compared
 
 
 class ProcessUse:

@@ -65,7 +65,7 @@ class Felt:
 
 
 def wanted_vibration(mono: FloatArray, samplerate: int) -> FloatArray:
-    """Return the vibration of sound (frames,) by the reference form, aligned with the sound."""
+    """Return the reference form's vibration of sound (frames,), aligned with the sound."""
     transform = HapticTransform(samplerate, 1, form="reference")
     late = np.concatenate([transform.process(mono)[:, 0], transform.finish()[:, 0]])
     return late[transform.latency_frames :]

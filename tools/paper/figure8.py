@@ -24,7 +24,7 @@ RESIDUAL_S = 0.05
 
 
 def write_figure8(felt: Felt, folder: Path, name: str, undamped: Felt | None = None) -> list[Path]:
-    """Write name.csv and name.png; return their paths.
+    """Write NAME.csv and NAME.png; return their paths.
 
     Columns: time_s from the recording's start, vibration and drive (full scale 1), acceleration in
         m/s^2, and over. The column over is 1 while the vibration is 0, so that any motion is
@@ -133,7 +133,7 @@ def _draw_acceleration(axes: Axes, part: Felt, times_s: np.ndarray, highest: flo
 
 
 def _draw_ending(axes: Axes, felt: Felt, undamped: Felt | None) -> None:
-    """Draw the motion after the first end of vibration, with and without damping."""
+    """Draw the motion around the first end of vibration, with and without damping."""
     end_s = next(end_s for end_s in felt.ends_s(RESIDUAL_S) if START_S < end_s < END_S)
     before, after = (round(span_s * felt.samplerate) for span_s in (BEFORE_S, AFTER_S))
     times_ms = 1e3 * np.arange(-before, after) / felt.samplerate

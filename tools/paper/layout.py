@@ -25,7 +25,7 @@ TITLE_PT = 14.0
 TOP_IN = 1.08
 LINE_IN = 0.18
 NARROW_IN, WIDE_IN, LAST_IN = 0.42, 0.85, 0.55
-"""inches of space below a panel: no label, label, last panel"""
+"""Space in inches below a panel without a label, a panel with a label, and the last panel."""
 
 
 def sheet(

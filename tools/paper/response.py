@@ -46,7 +46,7 @@ Spectrum = np.ndarray[tuple[int, ...], np.dtype[np.complex128]]
 
 @dataclass(frozen=True)
 class Response:
-    """A measured response, (bins,) each, at ascending frequencies.
+    """A measured response at ascending frequencies; each array is (bins,).
 
     per_ampere: complex, m/s^2 per A.
     per_volt: complex, m/s^2 per V at the amplifier's output.

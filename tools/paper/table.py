@@ -11,7 +11,7 @@ import numpy as np
 from device.atomic_file import write_bytes_atomically
 from device.errors import InternalError
 
-DIGITS = 7  # significant digits: enough to distinguish frames at 48 kHz after some seconds
+DIGITS = 7  # significant digits: enough to distinguish frames at 48 kHz in the first minute
 
 
 def write_table(path: Path, columns: Mapping[str, Sequence[float] | np.ndarray]) -> None:

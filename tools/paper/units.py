@@ -11,7 +11,7 @@ from audioflinger_hook.transform.mapping import vibration_hz
 from audioflinger_hook.transform.principal import Principals, Spectrum, magnitude
 from audioflinger_hook.transform.reference import ReferenceTransform
 
-PAPERS_UNIT = 39  # number of the paper's unit, from 0, with units of 46.43 ms: 1.811 to 1.857 s
+PAPERS_UNIT = 39  # the paper's unit, 1.811 to 1.857 s, counted from 0 in units of 46.43 ms
 
 
 @dataclass(frozen=True)

@@ -111,7 +111,7 @@ class Input(Endpoint):
         return 0.0
 
     def monitor_db(self, snapshot: ServerSnapshot) -> float:
-        """Return the part of `volume_db` in dB that sink and monitor apply."""
+        """Return, in dB, the part of `volume_db` that sink and monitor apply."""
         return 0.0
 
     def is_muted(self, snapshot: ServerSnapshot) -> bool:

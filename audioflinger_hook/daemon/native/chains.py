@@ -21,7 +21,7 @@ from device.units import db_to_amplitude
 FADE_S = 0.4  # longest wait for a fade, which never ends while the graph is idle
 STUCK_S = 1.0  # time without progress, after which a chain is replaced if a stream plays
 START_S = 5.0  # longest time from the start of a process until its ports exist
-RESTART_S = 1.5  # PipeWire 0.3 leaves 2 of 100 new clients waiting, so one more is started once
+RESTART_S = 1.5  # age at which a process is restarted once; PipeWire 0.3 stalls 2 % of clients
 START_WAIT_S = 1.0  # longest wait between two attempts to start a process
 SETTLED_FRAMES = 9_600  # number of frames that a new chain processes before it plays
 SETTLED_S = 0.3  # longest wait for these frames, in case nothing plays
@@ -88,7 +88,7 @@ class RunningChain:
     def is_settled(self, now_s: float) -> bool:
         """Whether the chain is linked, and has once been linked for SETTLED_FRAMES or SETTLED_S.
 
-        A sound that already plays begins abruptly for a new chain, which would be felt as a knock.
+        A playing sound begins abruptly in a new chain; without a wait, it would feel like a knock.
         """
         heard = self.chain.page.frames - self._linked_frames >= SETTLED_FRAMES
         if self.is_linked and (heard or now_s - self.linked_s > SETTLED_S):
@@ -218,7 +218,7 @@ class Chains:
         if new is None or not new.is_linked:
             return
         self._has_restarted = False
-        if old is None:
+        if old is None:  # `let_play` keeps the new chain silent until it has settled
             self.current, self.following = new, None
         elif new.is_settled(now_s) and (old.is_silent or old.stands_s(now_s) >= FADE_S):
             self.leaving.append(old)

@@ -27,9 +27,9 @@ DELAY_MAX_S = 2.0
 class Page:
     """Shared memory in a new file at `path`, which `close` removes.
 
-    Any thread may read levels and counts. channels: of the sound. vibrations: number of vibration
-    signals. sources: index of the vibration signal that each actuator plays. reader: for the live
-    page.
+    Any thread may read levels and counts. channels, vibrations: numbers of sound channels and of
+    vibration signals. sources: index of the vibration signal that each actuator plays.
+    reader: reads values for the live page.
     """
 
     def __init__(self, path: Path, channels: int, vibrations: int, sources: Sequence[int]) -> None:

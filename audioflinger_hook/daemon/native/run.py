@@ -1,4 +1,4 @@
-"""Restarts a lost native engine. Gives up after FAILURES_MAX failures in a row or another error."""
+"""Restarts a lost native engine; gives up after FAILURES_MAX losses in a row or any other error."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ class NativeRun:
         sound_gains: tuple[float, float],
         now_s: float,
     ) -> None:
-        """Keep the engine running; raise nothing. sound_gains: of tapped streams, of a monitor."""
+        """Keep the engine running; raise nothing. sound_gains: for streams, for a monitor."""
         assert isinstance(source, (Source, Applications))
         assert isinstance(device, Sink)
         try:

@@ -155,7 +155,7 @@ class OnsetDesign:
     risen_share: float = 0.5  # at an onset, rising bands contain more than this share of the power
     back_ticks: int = 3  # number of latest ticks that the recent maximum excludes
     # The interval between onsets is at least rest_ticks. A shorter interval requires that the power
-    # rises by the factor `rearmed` in 3 ticks (in 2 ticks for less than rearmed_ticks).
+    # is `rearmed` times that of 2 ticks before (of 1 tick before, for less than rearmed_ticks).
     rest_ticks: int = 5
     rearmed_ticks: int = 3
     rearmed: float = 10.0

@@ -169,7 +169,7 @@ class LiveLaboratory:
         self._output_channel, self._amplifier = output_channel, amplifier
         self._drifts: list[Drift] = []
         self.delay_s = 0.0  # from the playing of a frame to its recording, in the last sweep
-        self.current_turned = False  # whether the current was inverted, since a coil absorbs power
+        self.current_turned = False  # whether the current was negated: a coil absorbs power
         self.repeated = 0  # number of sweeps that were repeated after frames were lost
 
     @property

@@ -50,7 +50,7 @@ class Findings:
             self._found.append((offset, f"at 0x{at:04x}, {name}: {problem}"))
 
     def problems(self) -> tuple[str, ...]:
-        """Return the errors sorted by position, one line each; a last line counts omitted ones."""
+        """Return the errors sorted by position, one line each; a last line counts the rest."""
         found = [text for _, text in sorted(self._found, key=lambda problem: problem[0])]
         more = self._count - len(found)
         return (*found, counted(more, "more problems")) if more else tuple(found)

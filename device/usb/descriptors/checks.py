@@ -1,4 +1,4 @@
-"""Finds contradictions in a configuration, which damaged dumps or faulty firmware cause."""
+"""Finds the contradictions that damaged dumps or faulty firmware cause in a configuration."""
 
 from device.usb.descriptors.audio_class import CLOCKS, INPUT, OUTPUT, Entity
 from device.usb.descriptors.blocks import Findings, listed

@@ -25,13 +25,13 @@ class PlaybackFormat:
     """One way to play: select `alternate` of `interface`, send frames to `endpoint_address`.
 
     interface, alternate, endpoint_address: numbers for the host's requests. uac: version of USB
-    Audio, 1 to 3. encodings: of a sample, usually "PCM". channels: count, 0 if only the device
+    Audio, 1 to 3. encodings: sample encodings, usually "PCM". channels: count, 0 if only the device
     knows it (3.0). channel_config: one bit for each loudspeaker position, 0 if unknown.
     subslot_bytes, bits: bytes of a sample, and its number of significant upper bits. samplerates:
     Hz; None if they must be queried from the clock (2.0, 3.0). packet_bytes_max: largest number of
     bytes per (micro)frame. interval: bInterval. synchronisation: type of the endpoint.
-    feedback_endpoint: address of the endpoint that reports the device's rate, None if there is
-    none. implicit_feedback: whether it is a recording endpoint, whose packets give the rate.
+    feedback_endpoint: address of the endpoint that reports the device's rate; None without one.
+    implicit_feedback: whether that endpoint records sound, so that its packets give the rate.
     clock_id: clock of the terminal, None in 1.0 and 3.0. clock_sources: possible sources of
     clock_id. control_interface: number for requests to the units. path: ids from the USB terminal
     to the output terminal; empty without a path. feature_unit: id of the unit on the path for
@@ -68,7 +68,7 @@ def playback_formats(configuration: Configuration) -> tuple[PlaybackFormat, ...]
 
     Alternate settings are left out if they lack an isochronous output endpoint, the sample size or,
     except in 3.0, the channel count. In 3.0 this count is known only for a basic profile, and the
-    units are never known. configuration: of the device.
+    units are never known. configuration: the device's configuration.
     """
     functions = topologies(configuration)
     implicit = _implicit_endpoints(configuration, functions)
@@ -170,7 +170,7 @@ def _feedback(interface: Interface, endpoint: Endpoint) -> int | None:
 
     An endpoint that is marked as feedback has priority. Devices of 1.0 instead give the address in
     bSynchAddress, sometimes without the direction bit. If there is neither, an asynchronous data
-    endpoint uses the first isochronous IN endpoint for data of the same setting.
+    endpoint uses the first isochronous IN data endpoint of the same setting.
     """
     isochronous = [one for one in interface.endpoints if one.transfer is Transfer.ISOCHRONOUS]
     beside = [one for one in isochronous if one.to_host]

@@ -80,8 +80,8 @@ def parse_configuration(raw: bytes, begins_at: int = 0) -> Configuration:
     """Return the configuration at the start of the bytes.
 
     raw: the configuration descriptor and all descriptors that belong to it. begins_at: position of
-    the first byte in the dump, for error texts. Unknown descriptors are no errors, nor are more
-    bytes in a descriptor than the standard defines.
+    the first byte in the dump, for error texts. Unknown descriptors are no errors; neither are
+    extra bytes beyond a descriptor's standard length.
     DescriptorError: the bytes do not begin with a configuration descriptor.
     """
     if len(raw) < _CONFIGURATION_BYTES or raw[0] < _CONFIGURATION_BYTES or raw[1] != CONFIGURATION:

@@ -153,14 +153,21 @@ def worst_against_none(p, source, shares, by_mass):
     return worst
 
 
-# Three of 60 random rigs, with Qts of 8 to 10, get no filter: equal to none.
+# Of 60 random rigs, 35, 42 and 50, with Qts of 8 to 10, get no filter: equal to none.
 @pytest.mark.parametrize(
     ("rig", "most_db"),
     [
         pytest.param(PAPER, -0.5, id="paper"),
         pytest.param(CONSUMER, -0.5, id="consumer"),
         *(
-            pytest.param(random_rig(seed)[0], 0.0, id=f"{seed}", marks=pytest.mark.exhaustive)
+            pytest.param(
+                random_rig(seed)[0],
+                0.0,
+                id=f"{seed}",
+                marks=pytest.mark.exhaustive
+                if seed in (*range(17), 35, 42, 50)
+                else pytest.mark.soak,
+            )
             for seed in range(60)
         ),
     ],

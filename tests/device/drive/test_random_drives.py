@@ -40,8 +40,11 @@ CAPS = pytest.mark.parametrize("cap", ["off", "action"])
         (12, 44_100),
         (12, 48_000),
         (12, 176_400),
-        pytest.param(3_000, 6_000, marks=pytest.mark.exhaustive),
-        pytest.param(120, 48_000, marks=pytest.mark.exhaustive),
+        # 36 pairs of a rig and a kind of drive: each 41 times or more, and at 48 kHz once or twice.
+        pytest.param(1_500, 6_000, marks=pytest.mark.exhaustive),
+        pytest.param(60, 48_000, marks=pytest.mark.exhaustive),
+        pytest.param(6_000, 6_000, marks=pytest.mark.soak),
+        pytest.param(240, 48_000, marks=pytest.mark.soak),
     ],
 )
 @CAPS

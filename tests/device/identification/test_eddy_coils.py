@@ -6,7 +6,6 @@ The devices come from a simulator of its own (tests/support/eddy_coils.py).
 import math
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from itertools import product
 from types import SimpleNamespace
 from typing import cast
 
@@ -79,7 +78,11 @@ def outcome(seed, kind=None, sweep=SWEEP):
         (2, "leach", SHORT),
         *(
             pytest.param(*one, SWEEP, marks=pytest.mark.exhaustive)
-            for one in [*enumerate(LAWS), (17, "leach"), *product((2, 18), ("diffusion", "ladder"))]
+            for one in [*enumerate(LAWS), (17, "leach"), (2, "diffusion"), (18, "ladder")]
+        ),
+        *(
+            pytest.param(*one, SWEEP, marks=pytest.mark.soak)
+            for one in [(18, "diffusion"), (2, "ladder")]
         ),
     ],
 )

@@ -9,15 +9,15 @@ from tools.bench.baselines.hops import SineBaseline
 
 BAND_HZ = (30.0, 600.0)
 OVERLAP = 8
-STEPS_A_HOP = 8  # envelope steps for each hop, 0.33 ms at 48 kHz
+STEPS_A_HOP = 8  # envelope steps in each hop; a step lasts 0.33 ms at 48 kHz
 HOLD_S, RELEASE_S = 0.0015, 0.1
 
 
 class Method(SineBaseline):
     """A sine at the spectral centroid of the frequencies from 30 to 600 Hz.
 
-    The amplitude follows the envelope of the whole sound. The envelope rises at once, is held for
-    1.5 ms, and then decays by a factor e in 100 ms.
+    The amplitude follows the envelope of the sound at all frequencies. The envelope rises at once,
+    is held for 1.5 ms, and then decays by a factor e in 100 ms.
     """
 
     def __init__(self, samplerate: int, channels: int) -> None:

@@ -22,7 +22,7 @@ from tools.bench.sections.speed import BLOCKSIZES, SECOND_MS
 from tools.bench.workbench import LIVE, REFERENCE
 
 TICKS_MS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
-BESIDE_LIMIT = 3.5  # extent of a number beside a point, relative to the point's cost
+BESIDE_LIMIT = 3.5  # on the log axis, a number beside a point reaches this multiple of the cost
 COLOURS = {LIVE: palette.FELT, REFERENCE: palette.HEARD}
 
 

@@ -10,7 +10,7 @@ from audioflinger_hook.transform import FloatArray
 
 FRAME_S = 0.05
 HIGHEST_HZ = 250.0
-WITHIN_DB = 40.0  # frames weaker than the strongest by more than this, in dB, are ignored
+WITHIN_DB = 40.0  # pieces weaker than the strongest by more than this, in dB, are ignored
 NEIGHBOURS = 5
 LEAST_SPREAD = 0.1  # spread in dB or Hz below which a feature is imperceptible and ignored
 

@@ -16,8 +16,8 @@ from tools.bench.measures.felt import NOTHING_DB, weighted
 LEVEL_S = 0.125
 STEPS_A_SECOND = 1_000
 HEARD_FROM_HZ = 90.0  # lowest frequency of small loudspeakers; seats vibrate at lower ones too
-STROKE_S = 0.5  # time in s from an onset in which the maximum level is the strength of a stroke
-RISE_S = 0.25  # time in s in which a rise reaches its maximum
+STROKE_S = 0.5  # a stroke's strength is the maximum level in this time in s after its onset
+RISE_S = 0.25  # a rise is the maximum level in this time in s, minus the level at its start
 UNUSUAL = 90.0  # a rise is salient if it exceeds this percentile of the rises at other times
 TOUCHED = 5  # steps after a stroke's onset that also belong to its rise
 LOUDEST = 95.0
@@ -74,7 +74,7 @@ def rises_db(levels: FloatArray) -> FloatArray:
     The last 0.25 s have no result.
     """
     after = round(RISE_S * STEPS_A_SECOND)
-    # The filter's window is centred on its step.
+    # The filter's window is centred by default; this origin lets it start at each step.
     around = maximum_filter1d(levels, after + 1, origin=-(after // 2))
     rises: FloatArray = (around - levels)[: levels.size - after]
     return rises

@@ -18,7 +18,7 @@ EXCEEDED = 0.05  # share of time in which a level is exceeded, like N5 for loudn
 TAIL_S = 0.25  # time in s after a sound that still belongs to the sound
 NOTHING_DB = -70.0
 """Lowest level in dB relative to a full-scale sine, and level of all weaker vibration. An
-unweighted 80 Hz tone has this level at 54 dB below full scale.
+80 Hz tone at 54 dB below full scale has this level after the weighting.
 """
 
 _FELT_PARTS = [part[2] != BAND_LIMIT_HZ for part in PARTS]

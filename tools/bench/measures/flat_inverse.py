@@ -20,7 +20,7 @@ from device.rig.co_energy import energies
 from device.units import FloatArray, finite_or_zero
 
 _ABSURD_V = 1e6
-_WEAKEST = 0.25  # smallest root in the equation of the current, relative to Bl
+_WEAKEST = 0.25  # smallest square root in the equation of the current, relative to Bl
 
 
 class FlatInverse:
@@ -71,7 +71,7 @@ class FlatInverse:
         force_slope = p.moving_mass_kg * jerk + friction * a + spring_n_m * v
         _, force_factor, force_factor_slope = self._energies.magnet(x)
         inductance, gradient, curvature = self._energies.inductance(x)
-        # For constant inductance, this root equals F / Bl. This form avoids cancellation of digits.
+        # For constant inductance, the current is F / Bl. This form loses no digits by cancellation.
         least = (_WEAKEST * force_factor) ** 2
         root = np.sqrt(np.maximum(force_factor**2 + 2.0 * gradient * force_n, least))
         current_a = 2.0 * force_n / (force_factor + root)

@@ -17,7 +17,7 @@ from audioflinger_hook.transform import FloatArray
 ENVELOPE_HZ = 60.0  # cut-off of the zero-phase low-pass of envelopes
 ONSET_SHARE = 0.1  # an impact starts when its envelope first reaches this share of its rise
 IMPACT_S = 0.15  # time in s after the onset that contains the impact's peak
-LATER_S = 0.06  # largest delay in s of the vibration's peak
+LATER_S = 0.06  # time in s after IMPACT_S in which the vibration may still reach its peak
 SUDDEN_S, OVER_AFTER_S, OVER_SHARE, AGAIN_SHARE = 0.05, 0.1, 0.6, 1.3
 
 

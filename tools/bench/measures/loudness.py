@@ -1,7 +1,7 @@
 """Loudness by ISO 532-1:2017 (Zwicker's method for time-varying sounds), with a cache.
 
 The computation follows MoSQITo (https://github.com/Eomys/MoSQITo) and calls its functions. Only the
-nonlinear decay is simpler: it takes one step for each 0.5 ms instead of 24.
+nonlinear decay is simpler: it takes one step instead of 24 for each 0.5 ms.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from tools.records import PROJECT_ROOT
 FULL_SCALE_PA = 2e-5 * 10.0 ** (94.0 / 20.0) * math.sqrt(2.0)  # 94 dB SPL for a full-scale sine
 STEP_S = 0.0005
 SLOPE_STEPS = 4  # steps of `STEP_S` between two values of specific loudness
-SHORT_S, LONG_S, VARIABLE_S = 0.005, 0.015, 0.075  # s; time constants of nonlinear decay
+SHORT_S, LONG_S, VARIABLE_S = 0.005, 0.015, 0.075  # time constants of nonlinear decay in s
 WEIGHTS = ((0.47, 0.0035), (0.53, 0.070))  # weights and time constants in s (ISO 532-1, 6.5)
 CACHE = PROJECT_ROOT / ".cache/loudness.json"
 METHOD = "ISO 532-1, 94 dB"

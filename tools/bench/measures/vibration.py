@@ -27,7 +27,7 @@ ABSOLUTE_ZERO_DB = -300.0  # lower energy ratios in dB are rounding errors, and 
 class SineFit:
     """The sinusoid that fits a vibration best.
 
-    residual_db: THD+N: power of the rest of the vibration in dB relative to the sinusoid.
+    residual_db: THD+N, the power of the rest of the vibration in dB relative to the sinusoid.
     """
 
     frequency_hz: float

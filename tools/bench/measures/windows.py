@@ -13,7 +13,7 @@ from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.haptic import CoreStream
 
 MOST = 512  # more than the number of principal frequencies of any window
-FAINT = 1e-12  # amplitude of a first sample that starts the hops even of a silent sound
+FAINT = 1e-12  # added to each window's first sample, so that even a silent sound starts hops
 UNFILTERED = np.array((1.0, 0.0))
 
 
@@ -43,7 +43,7 @@ class WindowAnalysis:
     band-pass, onset detection and averaging are switched off. At the end of each window, the
     frequencies of the vibration thus belong to peaks of this window.
 
-    design: design of the live form, which must not merge partials.
+    design: design of the live form; this design must not merge partials.
     every: whether to return all principal frequencies, or only those that cause vibration.
     """
 

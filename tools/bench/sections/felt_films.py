@@ -27,7 +27,7 @@ from tools.bench.sounds.signals import SAMPLERATE
 VOLUMES_DB = (0.0, -20.0)
 SOUND = "sound"  # name of the column for the sound itself
 STROKES = {"film": "explosions", "game": "explosions", "concert": "drums"}
-SETTLED_HISS_S = 5.0  # duration in s of the evaluated last part of the hiss
+SETTLED_HISS_S = 5.0  # only the last part of the hiss, of this duration in s, is evaluated
 OVER_SHARE, QUIET_SHARE, OUT_LESS, HISS_DB, WORD_DB = 0.6, 0.45, 15.0, -10.0, 4.0
 WORST = 2.0 / 3.0  # factor by which limits are relaxed for a single film
 ADDS_DB, IMPACTS_FELT = 1.5, 75.0

@@ -49,7 +49,7 @@ def rig_rows(profiles: Sequence[Method], films: Sequence[Film]) -> Iterator[Row]
 
 
 def over_dialogue(film: Film, rig: str, damping: str, parameters: TransformParameters) -> float:
-    """Return the perceived level of explosions relative to dialogue on the seat, in dB."""
+    """Return the perceived level of explosions on the seat, relative to dialogue, in dB."""
     moved = acceleration(film.sound[: film.action.stop], rig, damping, parameters)
     levels = felt_levels_db(moved, SAMPLERATE)
     strokes = np.array(film.strokes) * (STEPS_A_SECOND / SAMPLERATE)

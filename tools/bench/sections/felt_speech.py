@@ -18,7 +18,7 @@ from tools.bench.sounds.signals import SAMPLERATE
 
 ALIKE, UNDER_DB = 0.9, 6.0
 SOFTER_DB, SOFTER_EVERY = -20.0, 3
-MUSIC_UNDER_DB, MUSIC_S = -10.0, 6.0  # level relative to speech; s of music before speech
+MUSIC_UNDER_DB, MUSIC_S = -10.0, 6.0  # level relative to speech; time in s of music before speech
 
 
 def speech_rows(profiles: Sequence[Method], sounds: Sequence[RealSound]) -> Iterator[Row]:

@@ -40,7 +40,7 @@ LEAK, LEAK_RECORDING_LEAD = Must("<=", -50.0), Must("<=", -58.0)
 
 AGREEMENT, AGREEMENT_LEAD = Must(">=", 0.95), Must(">=", 0.99)
 UNITS_AT_ONCE = 64
-FEWEST_FOR_A_RATIO = 50  # fewest principal frequencies for the precision of one recording
+FEWEST_FOR_A_RATIO = 50  # recordings with fewer principal frequencies get no separate ratio
 
 
 def recordings(bench: Workbench) -> Section:

@@ -35,7 +35,7 @@ CHIRP_FROM_HZ, CHIRP_OCTAVES_A_S, CHIRP_S = 200.0, 2.0, 1.5
 CHIRP_SETTLED_S = 0.4
 SWELL_HZ, SWELL_DEPTH = 4.0, 0.5
 NOTES, HARMONICS, NOTE_HZ, NOTE_DECAY_S = 24, 12, (98.0, 660.0), 0.3
-NOTE_REACH_HZ = 10.8  # largest frequency error in Hz of a found partial, half of 1/T
+NOTE_REACH_HZ = 10.8  # largest frequency error in Hz of a found partial: half of 1 / window length
 COST, TONE_ERROR, TONE_LEVEL, CHIRP = "cost", "tones", "tones, level", "chirp"
 SWELL, PURITY, LAG, LEAK = "AM, level", "THD+N", "lag, p95", "over 250 Hz"
 MISSED, SPURIOUS = "missed", "spurious"
@@ -48,7 +48,7 @@ BLUR = {
     COST: 0.1, TONE_ERROR: 1e-3, TONE_LEVEL: 0.01, CHIRP: 0.1, SWELL: 0.02, PURITY: 1.0,
     LAG: 0.7, LEAK: 0.7, MISSED: 0.3, SPURIOUS: 0.3,
 }  # fmt: skip
-"""Differences within the spread of repeats count as zero. The spread of cost is a ratio."""
+"""Spread of repeats; smaller differences count as zero. The spread of cost is a share of cost."""
 
 
 def frontier(bench: Workbench) -> Section:

@@ -21,7 +21,7 @@ from tools.soak_record import SoakRecord
 
 MILLION = 1e6
 USUAL_BLOCK_FRAMES = LiveSettings.block_frames
-"""Default block size of the daemon's streams, in frames; limits apply to this size."""
+"""The daemon's default block size in frames. The Python engine has limits only for this size."""
 LAG = Must("<=", 90.0)
 NO_GROWTH_MS = Must("<=", 1.0)
 CPU_PERCENT = Must("<=", 8.0)

@@ -12,7 +12,7 @@ from tools.bench.report import Must, Row, Section
 from tools.bench.sounds.signals import SAMPLERATE, Stereo
 from tools.bench.workbench import Workbench
 
-HAL_FRAMES = 240  # frames of the HAL buffer; the mixer combines them to cycles of 960 frames, 20 ms
+HAL_FRAMES = 240  # frames of a HAL buffer; the mixer joins four into a cycle of 960 frames, 20 ms
 TRACKS = (1, 8, 32)
 OTHER_RATE = 44_100
 CYCLES_AT_ONCE = 10  # cycles in one timing; rings are filled before it

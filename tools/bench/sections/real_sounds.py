@@ -27,7 +27,7 @@ TITLE = "On real sounds"
 SETUP_COMMAND = "tools/setup.sh test"
 PIECES_AN_IMPACT = 3  # number of pieces of music over which each impact is played
 MOST_TONES = 12
-RIG_FILMS = 3  # most films for simulated seats
+RIG_FILMS = 3  # largest number of films on simulated seats
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,7 @@ TOLERANCES = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
 INTEGRATORS = {
     "RK45": TOLERANCES, "DOP853": TOLERANCES, "LSODA": TOLERANCES, "Radau": TOLERANCES[:4],
 }  # fmt: skip
-COMPARED = 24  # one of 24 samples at 48 kHz is compared
+COMPARED = 24  # one in 24 samples at 48 kHz is compared
 LONGEST_S = 1.0
 STATES = ("displacement_m", "velocity_m_s", "current_a")
 SOLVED_S = 0.2  # length in s that slow methods solve; cost is proportional to length

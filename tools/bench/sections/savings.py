@@ -41,8 +41,8 @@ FAINT = 1e-20
 silence, hops may restart at another frame.
 """
 TIED = 0.06
-"""Largest change where two peaks tie for the last place: twice 0.03, the strongest partials of
-white noise. The smallest difference then decides which peak and phase are kept.
+"""Largest change where two peaks tie for the last partial: twice 0.03, the amplitude of the
+strongest partials of white noise. A tiny difference then decides which peak and phase are kept.
 """
 
 

@@ -65,7 +65,7 @@ class Film:
     sound: (frames,).
     word: the last words of the dialogue.
     strokes: frames at which explosions or drums start in the action.
-    again: the same words, repeated after the hiss.
+    again: the words of `word`, repeated after the hiss.
     """
 
     kind: str

@@ -35,7 +35,7 @@ HALVES: tuple[Half, ...] = ("choose", "report", "all")
 
 PASSAGES, PASSAGE_S = 4, 90.0  # number of long pieces of music, and their length in s
 SHORTEST_S, LONGEST_S = 0.15, 10.0
-LATE_FROM_S = 10.0  # start of the used part of a sound over 20 s: music starts softly
+LATE_FROM_S = 10.0  # start in s of the used part of sounds over 20 s, as music starts softly
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +84,7 @@ def passages(half: Half) -> list[FloatArray]:
 def in_half(names: Sequence[str], half: Half) -> list[str]:
     """Return the sorted names of files that belong to a half.
 
-    In the order of the hashes of their names, the files belong to the two halves alternately.
+    The files are sorted by the hashes of their names, and assigned to the halves alternately.
     """
     by_hash = sorted(names, key=name_hash)
     chosen = {"choose": by_hash[0::2], "report": by_hash[1::2], "all": by_hash}[half]

@@ -27,7 +27,7 @@ RECORDINGS_VARIABLE = "CUSHION_RECORDINGS"
 RECORDINGS_FOLDER = ".cache/recordings"
 RECORDINGS_COMMAND = "tools/fetch_recordings.sh"
 DEMO_TIMES, DEMO_PART_S = 3.0, (6.9, 8.9)
-"""The part of the demo scene for short runs has speech. Times are in s."""
+"""If the demo scene is over 3 times as long as a run, only this part with speech, in s, is used."""
 SHORTEST_S = 0.3  # used recordings are longer than this, in s
 _SPOKEN = """
     Front_Center Front_Left Front_Right Noise Rear_Center Rear_Left Rear_Right Side_Left Side_Right
@@ -136,7 +136,7 @@ def recordings_folder() -> Path | None:
     """Return the folder with recordings; None for a missing or empty folder.
 
     The environment variable CUSHION_RECORDINGS may name the folder; the default is
-    .cache/recordings. A relative path starts at the current folder or at the project's folder.
+    .cache/recordings. A relative path is tried in the current folder, then in the project's folder.
     """
     name = os.environ.get(RECORDINGS_VARIABLE, RECORDINGS_FOLDER)
     for root in (Path.cwd(), PROJECT_ROOT):
