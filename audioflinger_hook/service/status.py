@@ -293,6 +293,7 @@ class Status:
         read="offset_s",
         scale=1e3,
         row="offset",
+        panel="health",
         show="{:.1f} ms",
     )
     offset_reason: str = figure(
