@@ -6,7 +6,6 @@ import math
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
-from statistics import fmean
 
 from audioflinger_hook.daemon.offset import LONGEST_S, Declared
 from audioflinger_hook.daemon.offset_store import SinkPair
@@ -15,7 +14,11 @@ from device.server import PulseConnection
 from device.server.graph_watch import GraphWatch
 
 LOOK_S = 0.25  # shortest time between two queries of PulseAudio
-LOOKS = 16  # number of PulseAudio's latencies in the mean; a buffer is rarely as full twice
+
+# PulseAudio's latency is largest when a sink has just filled its buffer, thus when a monitor gets
+# the sound. So the second largest of the latest LOOKS latencies counts; one may be a stray. After
+# RECENT latencies that are all smaller by FALL_S, the earlier ones are forgotten.
+LOOKS, RECENT, FALL_S = 40, 6, 0.06
 
 # On PulseAudio, a heard sink that is later by less than this has an ordinary buffer.
 ORDINARY_S = 0.02
@@ -93,8 +96,11 @@ class DeclaredDelays:
         self, pair: SinkPair, latencies_s: dict[str, float], *, forwards: bool
     ) -> Declared:
         self._looks.append((latencies_s.get(pair.heard, 0.0), latencies_s.get(pair.felt, 0.0)))
-        means = (fmean(each) for each in zip(*self._looks, strict=True))
-        heard_s, felt_s = self._believed(pair, *means)
+        heard, felt = zip(*self._looks, strict=True)
+        if max(heard[-RECENT:]) < max(heard) - FALL_S:
+            heard, felt = heard[-RECENT:], felt[-RECENT:]
+            self._looks = deque(zip(heard, felt, strict=True), LOOKS)
+        heard_s, felt_s = self._believed(pair, *(sorted(each)[-2:][0] for each in (heard, felt)))
         is_known = heard_s - felt_s >= ORDINARY_S
         return Declared(heard_s, felt_s, is_known, heard_s if forwards else 0.0)
 
