@@ -18,7 +18,7 @@ LOOK_S = 0.25  # shortest time between two queries of PulseAudio
 # PulseAudio's latency is largest when a sink has just filled its buffer, thus when a monitor gets
 # the sound. So the second largest of the latest LOOKS latencies counts; one may be a stray. After
 # RECENT latencies that are all smaller by FALL_S, the earlier ones are forgotten.
-LOOKS, RECENT, FALL_S = 40, 6, 0.06
+LOOKS, RECENT, FALL_S = 16, 6, 0.06
 
 # On PulseAudio, a heard sink that is later by less than this has an ordinary buffer.
 ORDINARY_S = 0.02

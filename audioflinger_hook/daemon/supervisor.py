@@ -27,7 +27,9 @@ from device.server import PulseConnection, ServerSnapshot
 from device.server.snapshot import tap_latency_s
 from device.stream import AudioPriority
 
-TICK_S = 0.1  # longest time between ticks while streams are open
+# Longest time between ticks while streams are open. Queries of a sink's latency must not keep step
+# with its buffer, whose length is often a multiple of 5 ms.
+TICK_S = 0.093
 RESTING_TICK_S = 1.0  # longest time between ticks while idle
 
 
