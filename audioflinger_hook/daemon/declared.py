@@ -15,9 +15,9 @@ from device.server.graph_watch import GraphWatch
 
 LOOK_S = 0.25  # shortest time between two queries of PulseAudio
 
-# PulseAudio's latency is largest when a sink has just filled its buffer, thus when a monitor gets
-# the sound. So the second largest of the latest LOOKS latencies counts; one may be a stray. After
-# RECENT latencies that are all smaller by FALL_S, the earlier ones are forgotten.
+# PulseAudio's latency rises when a sink fills its buffer, thus when a monitor gets the sound, and
+# falls until then. So the upper quartile of the latest LOOKS latencies counts. After RECENT
+# latencies that are all smaller by FALL_S, the earlier ones are forgotten.
 LOOKS, RECENT, FALL_S = 16, 6, 0.06
 
 # On PulseAudio, a heard sink that is later by less than this has an ordinary buffer.
@@ -100,7 +100,9 @@ class DeclaredDelays:
         if max(heard[-RECENT:]) < max(heard) - FALL_S:
             heard, felt = heard[-RECENT:], felt[-RECENT:]
             self._looks = deque(zip(heard, felt, strict=True), LOOKS)
-        heard_s, felt_s = self._believed(pair, *(sorted(each)[-2:][0] for each in (heard, felt)))
+        heard_s, felt_s = self._believed(
+            pair, *(sorted(each)[3 * len(each) // 4] for each in (heard, felt))
+        )
         is_known = heard_s - felt_s >= ORDINARY_S
         return Declared(heard_s, felt_s, is_known, heard_s if forwards else 0.0)
 

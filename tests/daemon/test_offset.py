@@ -24,6 +24,7 @@ from device.server.forwarding import MAX_DELAY_S, MIN_DELAY_S
 
 PAIR, OTHER = SinkPair("speakers", "cushion"), SinkPair("headphones", "cushion")
 OWN_S = 0.009
+NOTHING = Declared()
 BLUETOOTH = Declared(0.2, 0.0, is_known=True)
 
 
@@ -40,7 +41,7 @@ class Case:
         self.offset = Offset(config(**live), OffsetStore(folder))
         self.now_s = 0.0
 
-    def update(self, declared=Declared(), *, pair=PAIR, own_s=OWN_S, after_s=0.25):
+    def update(self, declared=NOTHING, *, pair=PAIR, own_s=OWN_S, after_s=0.25):
         self.now_s += after_s
         self.offset.update(pair, declared, own_s, self.now_s)
         return self.offset.vibration_s
