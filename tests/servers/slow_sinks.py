@@ -69,7 +69,8 @@ def lags_ms(heard: Arrivals, felt: Arrivals, after_s: float) -> list[float]:
 
     A burst is felt from half of its peak on.
     """
-    sound, vibration = heard.frames()[:, 0], np.abs(felt.frames()[:, 0])
+    sound = heard.frames()[:, 0].astype(np.float64)
+    vibration = np.abs(felt.frames()[:, 0])
     middle = len(vibration) // 2
     middle_s, found = felt.at_s(middle), []
     near = round(0.45 * APART_S * RATE_HZ)
