@@ -17,6 +17,8 @@ from device.clock.delay_control import PLAYING
 from device.server import PulseConnection
 from device.server.snapshot import Source
 
+NOTHING = Declared()
+
 
 class Alignment:
     """Follows the pair of sinks and their delays while the daemon runs. For the main thread.
@@ -37,7 +39,7 @@ class Alignment:
         self.offset = Offset(config, store)
         self._declared = DeclaredDelays(on_change)
         self._pair: SinkPair | None = None
-        self._seen = Declared()
+        self._seen: Declared | None = None
 
     @property
     def warnings(self) -> list[str]:
@@ -57,12 +59,17 @@ class Alignment:
         device: AudioNode,
         stream_latencies_s: tuple[float, float],
         now_s: float,
+        *,
+        runs: bool,
     ) -> None:
         """Find the offset and apply it. LostError: the connection to the server is lost.
 
-        stream_latencies_s: latencies of tap and output with the Python engine.
+        stream_latencies_s: latencies of tap and output with the Python engine. runs: whether the
+        daemon is running, not idle.
         """
-        pair, before = self._pair_of(source, device), self._pair
+        pair = self._pair_of(source, device)
+        if pair != self._pair:
+            self._pair, self._seen = pair, None
         native, python = self._engines.native.engine, self._engines.python
         parts_ms, watch, plays = None, None, False
         cycle = self._config.live.block_frames, source.samplerate
@@ -71,18 +78,17 @@ class Alignment:
             parts_ms = parts_of_native(native, chain)
             cycle = chain.page.cycle_frames, chain.plan.samplerate
         elif python is not None and python.delay_line.status.state in PLAYING:
-            parts_ms, plays = parts_of_python(python, *stream_latencies_s), True
+            parts_ms, plays = parts_of_python(python, *stream_latencies_s), runs
         own_s = 1e-3 * sum(parts_ms.values()) if parts_ms else None
-        self._pair = pair
         if pair is None or connection is None or self._config.live.offset_s is not None:
-            self._seen = Declared()
+            self._seen = None
             self._declared.close()
-        elif own_s is not None and (plays or pair != before):  # an idle sink may declare nothing
+        elif own_s is not None and (plays or self._seen is None):  # idle sinks may declare nothing
             forwards = self._config.live.drop_in
             self._seen = self._declared.read(
                 pair, connection, watch, cycle, now_s, forwards=forwards
             )
-        self.offset.update(pair, self._seen, own_s, now_s)
+        self.offset.update(pair, self._seen or NOTHING, own_s, now_s)
         self._engines.set_offset(self.offset.vibration_s)
         self._drop_in.set_delay(self.offset.sound_s)
 

@@ -61,7 +61,9 @@ class DeclaredDelays:
             self._looks.clear()
             self.warning = ""
         if connection.latest.kind == "PipeWire":
-            return self._of_graph(pair, watch or self._own_watch(now_s), cycle)
+            found = self._of_graph(pair, watch or self._own_watch(now_s), cycle)
+            forwarding_s = cycle[0] / cycle[1] if forwards else 0.0  # its streams hold one cycle
+            return found._replace(heard_s=found.heard_s + forwarding_s)
         if now_s - self._looked_s >= LOOK_S:
             self._looked_s = now_s
             self._last = self._of_pulse(pair, connection.latencies_s(), forwards=forwards)

@@ -208,7 +208,8 @@ class Supervisor:
             if connection:
                 haptic = device.name if self.output.needs_server else None
                 self._drop_in.maintain(connection, haptic, now_s)
-            self._alignment.maintain(connection, source, device, self.latencies_s, now_s)
+            runs = self.states.state is DaemonState.RUNNING
+            self._alignment.maintain(connection, source, device, self.latencies_s, now_s, runs=runs)
         except LostError as error:
             self._lose_server(now_s, str(error))
             return

@@ -2,9 +2,12 @@
 
 import json
 import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import numpy as np
 
+from tests.servers.daemons import program
 from tests.servers.listening import RATE_HZ, Arrivals, wait_for
 from tools.live_latency.bursts import APART_S, GraphOnce, onsets
 from tools.sound_server import SoundServer
@@ -52,6 +55,36 @@ class DeclaringSink:
             timeout=10.0,
             check=True,
         )
+
+
+DELAYING = """
+context.spa-libs = {{ audio.convert.* = audioconvert/libspa-audioconvert
+    support.* = support/libspa-support filter.graph = filter-graph/libspa-filter-graph }}
+context.modules = [
+    {{ name = libpipewire-module-rt flags = [ ifexists nofail ] }}
+    {{ name = libpipewire-module-protocol-native }}
+    {{ name = libpipewire-module-client-node }}
+    {{ name = libpipewire-module-adapter }}
+    {{ name = libpipewire-module-filter-chain args = {{
+        filter.graph = {{ nodes = [ {{ type = builtin label = delay name = delay
+            config = {{ "max-delay" = 1.0 latency = {delay_s} }}
+            control = {{ "Delay (s)" = {delay_s} }} }} ] }}
+        audio.channels = 2 audio.position = [ FL FR ]
+        capture.props = {{ node.name = {SLOW} media.class = Audio/Sink }}
+        playback.props = {{ node.name = {SLOW}.out target.object = {BEHIND} }} }} }}
+]
+"""
+
+
+@contextmanager
+def delaying_sink(server: SoundServer, delay_s: float) -> Iterator[None]:
+    """The sink SLOW of PipeWire 1.6, which delays sound to the sink BEHIND and declares that."""
+    server.add_sink(BEHIND)
+    conf = server.folder / "delaying.conf"
+    conf.write_text(DELAYING.format(delay_s=delay_s, SLOW=SLOW, BEHIND=BEHIND))
+    with program(server.environment, "pipewire", "-c", str(conf), stdout=None):
+        wait_for(lambda: SLOW in server.names("sinks"), "the slow sink")
+        yield
 
 
 def add_tunnel(server: SoundServer, delay_s: float) -> None:

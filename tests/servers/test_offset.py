@@ -11,10 +11,17 @@ from device.units import Float32Array, FloatArray
 from tests.servers.conftest import QUANTUM
 from tests.servers.daemons import cushion, running, tone
 from tests.servers.listening import RATE_HZ, Arrivals, arriving, more, playing, recording, wait_for
-from tests.servers.slow_sinks import BEHIND, SLOW, DeclaringSink, add_tunnel, lags_ms
+from tests.servers.slow_sinks import (
+    BEHIND,
+    SLOW,
+    DeclaringSink,
+    add_tunnel,
+    delaying_sink,
+    lags_ms,
+)
 from tests.servers.witness import CLICK_DB, above_250_hz
 from tests.service.test_watch import Client
-from tools.live_latency.bursts import APART_S, LEAD_S, burst_delays, burst_sound
+from tools.live_latency.bursts import APART_S, LEAD_S, GraphOnce, burst_delays, burst_sound
 from tools.sound_server import SoundServer
 
 pytestmark = [pytest.mark.servers, pytest.mark.calm]
@@ -53,6 +60,12 @@ def slow(timed_pipewire):
     return sink
 
 
+def version_of(server: SoundServer) -> tuple[int, int]:
+    """The version of PipeWire."""
+    major, minor = GraphOnce(server.environment).read().version.split(".")[:2]
+    return int(major), int(minor)
+
+
 def ask(server: SoundServer, **request: object) -> object:
     with Client(server.folder / FOLDER_NAME, ask="control", **request) as client:
         return client.next()
@@ -64,6 +77,26 @@ def test_the_vibration_is_as_late_as_the_sink_declares(timed_pipewire, slow, tmp
         status = daemon.wait(lambda one: one.offset_reason == DECLARED, "the declared delay")
     within(found.half_ms, 200.0 + CYCLE_MS)
     assert status.offset_ms == pytest.approx(200.0 + CYCLE_MS - OWN_MS / 2, abs=OWN_MS / 2)
+
+
+def test_the_vibration_is_felt_with_the_sound_behind_a_delay_of_200_ms(pipewire):
+    if version_of(pipewire) < (1, 6):
+        pytest.skip("filters before PipeWire 1.6 do not declare their delay")
+    count = 14
+    with (
+        delaying_sink(pipewire, 0.2),
+        playing(pipewire, SLOW, tone(60.0, 90.0, level=0.0)),
+        running(pipewire, ready=False, engine="native") as daemon,
+    ):
+        pipewire.choose_default(SLOW)
+        daemon.wait(lambda one: one.offset_reason == DECLARED, "the declared delay")
+        with (
+            arriving(pipewire, f"{BEHIND}.monitor") as heard,
+            arriving(pipewire, "haptic.monitor") as felt,
+            playing(pipewire, SLOW, bursts(count)),
+        ):
+            found = both_felt(heard, felt, count, after_s=2.0)
+    within(found, 0.0)
 
 
 @pytest.mark.parametrize("by", ["ProcessLatency", "Props"])
