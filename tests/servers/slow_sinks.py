@@ -59,7 +59,7 @@ class DeclaringSink:
 
 DELAYING = """
 context.spa-libs = {{ audio.convert.* = audioconvert/libspa-audioconvert
-    support.* = support/libspa-support filter.graph = filter-graph/libspa-filter-graph }}
+    support.* = support/libspa-support }}
 context.modules = [
     {{ name = libpipewire-module-rt flags = [ ifexists nofail ] }}
     {{ name = libpipewire-module-protocol-native }}
