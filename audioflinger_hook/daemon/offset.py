@@ -1,8 +1,7 @@
-"""Chooses the offset: how much later the vibration plays, so that it is felt with its sound.
+"""Chooses the offset: how much later the vibration plays, so that sound and vibration coincide.
 
-In order of precedence, the offset comes from a trial, from the config, from a stored measurement
-of these two sinks, or from the delays that the sinks declare. In drop-in mode, the sound can be
-delayed too.
+A trial has priority, then a number in the config, then a stored measurement of these two sinks. The
+last choice are the delays that the sinks declare. In drop-in mode, the sound can be delayed too.
 """
 
 from __future__ import annotations
