@@ -81,7 +81,8 @@ class Parser(argparse.ArgumentParser):
             if isinstance(key.description, Switch):
                 kind = {"action": "store_true", "default": None}
             elif isinstance(key.description, Number):
-                kind["type"] = number_or_off if key.description.off else float
+                word = key.description.word
+                kind["type"] = number_or(word) if word else float
             self.add_argument(key.flag, dest=key.field, help=key.help, **kind, **more)
 
     def add_profile(self, *, live: bool) -> None:
@@ -154,9 +155,9 @@ def count(text: str) -> int:
     return _read(int, text, "not a whole number")
 
 
-def number_or_off(text: str) -> float | str:
-    """Parse a number, or return "off"."""
-    return text if text == "off" else _read(float, text, "neither a number nor off")
+def number_or(word: str) -> Callable[[str], float | str]:
+    """Return a function that parses a number, or returns the word."""
+    return lambda text: text if text == word else _read(float, text, f"neither a number nor {word}")
 
 
 def seconds(text: str) -> float:

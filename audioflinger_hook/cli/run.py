@@ -19,6 +19,7 @@ from audioflinger_hook.config.edits import Edits, LiveEdits
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.daemon.engine import Clocks
 from audioflinger_hook.daemon.live_control import LiveControl
+from audioflinger_hook.daemon.offset_store import OffsetStore
 from audioflinger_hook.daemon.recording import RunRecording
 from audioflinger_hook.daemon.run_config import LIVE_TAPS, PACED_TAPS, ConfigDiff, RunConfig
 from audioflinger_hook.daemon.safety_keeper import Moment, SafetyKeeper
@@ -56,7 +57,9 @@ def run(options: argparse.Namespace) -> int:
             addresses = str(run_config.tap), str(run_config.device)
             recording = RunRecording(options.record, run_config.settings, *addresses)
             run_config = dataclasses.replace(run_config, recording=recording)
-        supervisor = Supervisor(run_config, clocks, wake, folder.path, _safety(run_config))
+        supervisor = Supervisor(
+            run_config, clocks, wake, folder.path, _safety(run_config), _offsets(run_config)
+        )
         signals.on_spinning = supervisor.priority.revoke
         edits = LiveEdits(options.config or config.default_path())
 
@@ -110,6 +113,14 @@ def _safety(run_config: RunConfig) -> SafetyKeeper | None:
     if run_config.device_is_live:
         with suppress(UsageError):
             return SafetyKeeper(state_folder(), _present_moment)
+    return None
+
+
+def _offsets(run_config: RunConfig) -> OffsetStore | None:
+    """Return the store of measured delays. None: no sink plays, or there is no state folder."""
+    if run_config.tap_is_live and run_config.device_is_live:
+        with suppress(UsageError):
+            return OffsetStore(state_folder())
     return None
 
 

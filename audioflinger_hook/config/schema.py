@@ -9,7 +9,7 @@ from audioflinger_hook.config.profiles import LIVE_DEFAULT, values_of
 from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.transform import TransformParameters
 from device.drive import ActuatorSettings
-from device.values import OFF, Choice, Described, Description, Number, Switch
+from device.values import Choice, Described, Description, Number, Switch
 
 ACTUATOR = "actuator"
 SECTIONS = ("", "transform", "applications", ACTUATOR)  # "" is the top level
@@ -34,7 +34,7 @@ OPTIONS = {
     "tolerance": "SHARE",
     "tap": "TAP",
     "device": "DEVICE",
-    "offset_ms": "MS",
+    "offset_ms": "MS|auto",
     "device_volume_db": "DB|off",
 }
 """Fields that a command-line option sets, each with the placeholder of its value in help.
@@ -108,8 +108,8 @@ class Key:
     def json_schema(self) -> dict[str, Any]:
         """Return the JSON Schema of the key's value."""
         schema = self.description.json_schema()
-        if isinstance(self.description, Number) and self.description.off:
-            schema = {"anyOf": [schema, {"enum": [OFF]}]}
+        if isinstance(self.description, Number) and self.description.word:
+            schema = {"anyOf": [schema, {"enum": [self.description.word]}]}
         schema = {"description": self.help, **schema}
         if self.default is None or self.default != self.live_default:
             return schema

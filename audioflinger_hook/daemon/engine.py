@@ -37,6 +37,8 @@ class Clocks:
     slept_s: Callable[[], float] = float
 
 
+CAPACITY_S = 3.0  # length of the delay line, which suffices for an offset of 2 s
+
 # Called with (mixed sound, vibration before the drive, time in s) of one cycle.
 OnStep = Callable[[Float32Array, Float32Array, float], None]
 # Called with (mixed sound before all effects, time in s).
@@ -114,6 +116,7 @@ class Engine:
             self.drive.outputs,
             self.samplerate,
             samplerate,
+            capacity_s=CAPACITY_S,
             capture_block=self.block_frames,
             output_block=self.block_frames,
             offset_s=offset_s,

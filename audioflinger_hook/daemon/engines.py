@@ -60,7 +60,7 @@ class Engines:
         self._ends_s: float | None = None
         self._follows_native = False
         self._chosen_for: tuple[object, ...] = ()
-        self._streams_gain = 1.0
+        self._streams_gain, self._offset_s = 1.0, 0.0
         self._played_s = self._heard_before_s = self.volume_db = 0.0
         self.python: Engine | None = None
         self.native = NativeRun(config, folder, states, on_change, self._restore)
@@ -139,6 +139,13 @@ class Engines:
         if self.python is not None and self._ends_s is None:
             self.python.mute.audible = not config.muted
         self.native.follow(config)
+
+    def set_offset(self, offset_s: float) -> None:
+        """Set the delay of the vibration in seconds, for the present engine and later ones."""
+        self._offset_s = offset_s
+        if self.python is not None:
+            self.python.delay_line.offset_s = offset_s
+        self.native.set_offset(offset_s)
 
     def drop(self) -> None:
         """Record the rigs' state and remove the Python engine; `prepare` creates a new engine."""
@@ -250,7 +257,7 @@ class Engines:
                 device.samplerate or source.samplerate,
                 self._config.settings,
                 clocks=self._clocks,
-                offset_s=max(0.0, self._config.live.offset_s),
+                offset_s=self._offset_s,
                 block_frames=self._config.live.block_frames,
                 now_s=now_s,
                 bypass_late=self._endpoints.input.needs_server,

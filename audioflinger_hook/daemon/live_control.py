@@ -6,6 +6,8 @@ Values are checked like values of the config file. A request has one of these fo
     "application": "Firefox", "felt": false    choose whether an application causes vibration
     "mute": true                               mute the vibration; false ends the mute
     "tone": {"hz": 60, "level": 0.2}           start the test tone; null stops the tone
+    "sync": {"try_ms": 120}                    play an offset on trial; null ends the trial
+    "sync": {"store_ms": 120}                  store an offset for the present pair of sinks
     "undo": true                               undo the last change of the config
     "save": true                               write the changes to the config file
 
@@ -19,7 +21,7 @@ import subprocess
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from audioflinger_hook.config.edits import EDITABLE, LiveEdits, editable
@@ -133,6 +135,7 @@ class LiveControl:
             "application": lambda name: self._choose(name, asked.get("felt")),
             "mute": self._mute,
             "tone": self._play_tone,
+            "sync": self._sync,
             "undo": lambda _: self._undo(),
             "save": lambda _: self._edits.save(),
         }
@@ -211,6 +214,20 @@ class LiveControl:
         # In a separate process, the tone uses no thread of the daemon.
         nothing = subprocess.DEVNULL
         self._tone = subprocess.Popen(command, stdin=nothing, stdout=nothing, stderr=nothing)
+
+    def _sync(self, wanted: object) -> None:
+        actions = {"try_ms": self._supervisor.try_offset, "store_ms": self._supervisor.store_offset}
+        if not isinstance(wanted, dict) or len(wanted) != 1 or not wanted.keys() <= set(actions):
+            raise UsageError('sync takes {"try_ms": MS}, {"try_ms": null} or {"store_ms": MS}')
+        ((name, offset_ms),) = wanted.items()
+        if name == "try_ms" and offset_ms is None:
+            self._supervisor.try_offset(None)
+            return
+        if type(offset_ms) not in (int, float):
+            raise UsageError(f"{name} takes a number of ms")
+        chosen = replace(self._config.live, offset_ms=offset_ms)  # UsageError: it is not allowed
+        assert chosen.offset_s is not None
+        actions[name](chosen.offset_s)
 
     def _tell(self) -> None:
         """Set `settings` to a new object, by which the status server detects the change."""

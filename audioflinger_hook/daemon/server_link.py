@@ -83,6 +83,7 @@ class DropInControl:
 
     def __init__(self, config: RunConfig) -> None:
         self._drop_in: DropIn | None = None
+        self._wanted_delay_s = 0.0
         self._restart(config)
 
     def _restart(self, config: RunConfig) -> None:
@@ -97,8 +98,17 @@ class DropInControl:
             self.close()
             self._restart(config)
         self._config = config
-        if self._drop_in is not None:
-            self._drop_in.delay_s = self._wanted_delay_s
+
+    def set_delay(self, delay_s: float) -> None:
+        """Delay the sound by `delay_s` in drop-in mode, at least by `forwarding.MIN_DELAY_S`."""
+        if delay_s != self._wanted_delay_s and self._drop_in is not None:
+            self._drop_in.delay_s = delay_s
+        self._wanted_delay_s = delay_s
+
+    @property
+    def target_name(self) -> str:
+        """Name of the sink to which the virtual sink's sound is forwarded, "" for none."""
+        return self._drop_in.target_name if self._drop_in else ""
 
     @property
     def delay_s(self) -> float:
@@ -124,8 +134,9 @@ class DropInControl:
         try:
             names = [sink.name for sink in connection.latest.sinks]
             target = self._target if self._target in names else None  # the previous target
-            delay_s = self._wanted_delay_s
-            self._drop_in = DropIn(connection, target, delay_s, haptic_sink=haptic_sink)
+            self._drop_in = DropIn(
+                connection, target, self._wanted_delay_s, haptic_sink=haptic_sink
+            )
         except CushionError as error:
             self._refusal = str(error)
             self._backoff.failed(now_s)
@@ -138,7 +149,3 @@ class DropInControl:
         drop_in, self._drop_in = self._drop_in, None
         if drop_in is not None:
             drop_in.close()
-
-    @property
-    def _wanted_delay_s(self) -> float:
-        return max(0.0, -self._config.live.offset_s)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from contextlib import closing
 from pathlib import Path
 
+from audioflinger_hook.daemon.alignment import Alignment
 from audioflinger_hook.daemon.applications import applications_in
 from audioflinger_hook.daemon.endpoints import Endpoints
 from audioflinger_hook.daemon.engine import Clocks
@@ -12,6 +13,7 @@ from audioflinger_hook.daemon.engines import Engines
 from audioflinger_hook.daemon.inputs.base import AudioNode, Input
 from audioflinger_hook.daemon.limit_advice import LimitAdvice
 from audioflinger_hook.daemon.native.abilities import check_engine
+from audioflinger_hook.daemon.offset_store import OffsetStore
 from audioflinger_hook.daemon.outputs.base import Output
 from audioflinger_hook.daemon.run_config import ConfigDiff, RunConfig
 from audioflinger_hook.daemon.safety_keeper import SafetyKeeper
@@ -25,7 +27,9 @@ from device.server import PulseConnection, ServerSnapshot
 from device.server.snapshot import tap_latency_s
 from device.stream import AudioPriority
 
-TICK_S = 0.1  # longest time between ticks while streams are open
+# Longest time between ticks while streams are open. Queries of a sink's latency must not keep step
+# with its buffer, whose length is often a multiple of 5 ms.
+TICK_S = 0.093
 RESTING_TICK_S = 1.0  # longest time between ticks while idle
 
 
@@ -39,6 +43,7 @@ class Supervisor:
     clocks: `now_s` is time.monotonic() or a replacement. wake: other threads ring it.
     folder: private, for the native engine and the live page's shared memory; None disables both.
     safety: stores the coil temperatures and vibration doses for the next process.
+    offsets: stores the delays that users have measured; None forgets them at the end.
     config_error: why the latest config was not applied, or "".
     UsageError, NotFoundError: a file to play or to write cannot be used.
     """
@@ -50,6 +55,7 @@ class Supervisor:
         wake: Wake,
         folder: Path | None = None,
         safety: SafetyKeeper | None = None,
+        offsets: OffsetStore | None = None,
     ) -> None:
         now_s = clocks.now_s()
         self.states = StateKeeper(now_s)
@@ -63,6 +69,9 @@ class Supervisor:
         self._found: tuple[AudioNode | None, AudioNode | None] = (None, None)
         self.engines = Engines(
             config, clocks, self._endpoints, self.states, folder, wake.ring, safety
+        )
+        self._alignment = Alignment(
+            config, self.engines, self._drop_in, offsets or OffsetStore(), wake.ring
         )
         self._stalls = StallDetector(self.states, clocks.slept_s)
         self._limits = LimitAdvice()
@@ -118,8 +127,13 @@ class Supervisor:
 
     @property
     def offset_s(self) -> float:
-        """Delay that the user adds, minus the delay of the sound in drop-in mode, in seconds."""
-        return max(0.0, self.config.live.offset_s) - self._drop_in.delay_s
+        """Delay of the vibration, minus the delay of the sound in drop-in mode, in seconds."""
+        return self._alignment.offset.vibration_s - self._drop_in.delay_s
+
+    @property
+    def offset_reason(self) -> str:
+        """Where the offset comes from, in words of `offset`."""
+        return self._alignment.offset.reason
 
     @property
     def latencies_s(self) -> tuple[float, float]:
@@ -142,10 +156,19 @@ class Supervisor:
             warnings += recording.warnings
             if engine and engine.framework.bypassed():
                 warnings.append("an effect was bypassed, so a replay will differ from it")
+        warnings += self._alignment.warnings
         others = [self._link.warning, self.priority.warning, self.config_error]
         others += [self.engines.safety.warning, *self.engines.warnings]
         others.append(self._limits.advice(self.config.settings))
         return [*warnings, *filter(None, others)]
+
+    def try_offset(self, offset_s: float | None) -> None:
+        """Play an offset in seconds on trial, see `Offset.try_out`. None ends the trial."""
+        self._alignment.offset.try_out(offset_s)
+
+    def store_offset(self, offset_s: float) -> None:
+        """Store an offset in seconds for the present pair of sinks; see `Offset.store`."""
+        self._alignment.offset.store(offset_s)
 
     def look(self) -> None:
         """Check tap, device and engine, and set the device's volume.
@@ -185,6 +208,8 @@ class Supervisor:
             if connection:
                 haptic = device.name if self.output.needs_server else None
                 self._drop_in.maintain(connection, haptic, now_s)
+            runs = self.states.state is DaemonState.RUNNING
+            self._alignment.maintain(connection, source, device, self.latencies_s, now_s, runs=runs)
         except LostError as error:
             self._lose_server(now_s, str(error))
             return
@@ -224,7 +249,8 @@ class Supervisor:
             framework = Framework(engine.samplerate, engine.channels, config.settings)
             drive_of(config.settings, engine.samplerate, framework.haptic_channels)
         elif engine:
-            engine.follow(config.settings, max(0.0, config.live.offset_s))
+            set_s, present_s = config.live.offset_s, engine.delay_line.offset_s
+            engine.follow(config.settings, present_s if set_s is None else max(0.0, set_s))
         self.config = config
         self.engines.follow(config, changes)
         self._endpoints.configure(config)
@@ -238,6 +264,7 @@ class Supervisor:
             if engine:
                 self.output.set_format(engine.samplerate, engine.drive.outputs)
         self._drop_in.follow(config)
+        self._alignment.follow(config)
         if restarts or changes.blocks:
             self._endpoints.close()
         if restarts:
@@ -253,6 +280,7 @@ class Supervisor:
         self.states.enter(DaemonState.STOPPING, now_s)
         self.engines.close()
         self._endpoints.close()
+        self._alignment.close()
         self._drop_in.close()
         self._link.close()
         self._endpoints.end(keep=keep)
@@ -285,6 +313,7 @@ class Supervisor:
             self.input.close()
             if self.output.needs_server:  # other outputs continue with silence
                 self.output.close()
+            self._alignment.close()
             self._drop_in.close()
             self.engines.native.close()
             self._link.close()

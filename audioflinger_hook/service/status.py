@@ -88,7 +88,7 @@ class LatencyBudget:
         "longest delay that is set for an actuator", 0.0, label="actuator", metric=PART
     )
     offset_ms: float = figure(
-        "offset set by the user, minus the delay of drop-in mode", 0.0, metric=PART
+        "offset of the vibration, minus the delay of drop-in mode", 0.0, metric=PART
     )
     total_ms: float = figure(
         "delay of the vibration after its sound", 0.0, metric="cushion_delay_seconds"
@@ -287,6 +287,18 @@ class Status:
         "process id of the native engine; 0 for none", 0, read="process_id", kind="gauge"
     )
     latency: LatencyBudget = figure("delay of the vibration", LatencyBudget, show=shown.latency)
+    offset_ms: float = figure(
+        "offset of the vibration; below 0, drop-in mode delays the sound",
+        0.0,
+        read="offset_s",
+        scale=1e3,
+        row="offset",
+        panel="health",
+        show="{:.1f} ms",
+    )
+    offset_reason: str = figure(
+        "where the offset comes from", "", row="offset", show=shown.offset_reason
+    )
     delay_line: DelayLineFigures = figure(
         "delay line between two clocks: the Python engine's",
         DelayLineFigures,

@@ -5,8 +5,8 @@ unique. The server may reuse an id at once, so a removed object must be deleted 
 """
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 SESSION_MANAGERS = ("WirePlumber", "pipewire-media-session")  # programs that link streams to sinks
 LINK_ENDS = ("output-port-id", "input-port-id", "output-node-id", "input-node-id")
@@ -26,15 +26,31 @@ class Node:
     properties: Mapping[str, Any]
 
 
+class PortLatency(NamedTuple):
+    """The delay behind an input port: cycles of the graph, frames of the graph's rate, seconds."""
+
+    cycles: float = 0.0
+    frames: float = 0.0
+    seconds: float = 0.0
+
+    def total_s(self, cycle_frames: int, samplerate: int) -> float:
+        """Return the sum in seconds. cycle_frames: quantum. samplerate: of the graph, Hz."""
+        return self.seconds + (self.cycles * cycle_frames + self.frames) / samplerate
+
+
 @dataclass(frozen=True, slots=True)
 class Port:
-    """A port. name: such as "playback_FL". channel: such as "FL", "" if unknown."""
+    """A port. name: such as "playback_FL". channel: such as "FL", "" if unknown.
+
+    latency: declared delay of an input port. Ports are equal if only their latencies differ.
+    """
 
     id: int
     node_id: int
     name: str
     channel: str
     is_monitor: bool
+    latency: PortLatency = field(default=PortLatency(), compare=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,6 +147,19 @@ class Graph:
         start = len(prefix)
         return {port.name[start:]: port.id for port in ports if port.name.startswith(prefix)}
 
+    def declared_s(self, sink: str, cycle_frames: int, samplerate: int) -> float | None:
+        """Return the delay in s that a sink declares, None if the sink is unknown.
+
+        The delay is the time from a cycle until its sound is heard, 0 if nothing is declared. It is
+        that of the latest of the ports. The sink's buffer may count in cycles: see `PortLatency`.
+        """
+        node = self.sink(sink)
+        if node is None or samplerate <= 0:
+            return None
+        inputs = (self.ports[port_id] for port_id in self.ports_of(node.id, "playback_").values())
+        delays_s = [port.latency.total_s(cycle_frames, samplerate) for port in inputs]
+        return max(delays_s, key=abs, default=0.0)
+
     def links_of(self, node_id: int) -> Iterator[Link]:
         """Return the links from and to a node."""
         return (self.links[link_id] for link_id in self._links_of.get(node_id, ()))
@@ -164,8 +193,8 @@ class Graph:
         elif kind.endswith(":Port"):
             name, channel = str(known.get("port.name", "")), str(known.get("audio.channel", ""))
             is_monitor = str(known.get("port.monitor")).lower() == "true"
-            port = Port(number, _number(known.get("node.id")), name, channel, is_monitor)
-            self._put(self.ports, port)
+            node_id, latency = _number(known.get("node.id")), _latency(info.get("params"))
+            self._put(self.ports, Port(number, node_id, name, channel, is_monitor, latency))
         elif kind.endswith(":Link"):
             state = str(info.get("state", ""))
             output, input_, from_node, to_node = (_number(info.get(end)) for end in LINK_ENDS)
@@ -227,6 +256,18 @@ def _wiring(one: Node | Port | Link) -> object:
     if isinstance(one, Node):
         return one.properties
     return one.pair if isinstance(one, Link) else one
+
+
+def _latency(parameters: Any) -> PortLatency:
+    """Return the latency of a port's sink side, the mean of its least and largest value."""
+    for one in (parameters or {}).get("Latency") or ():
+        if one.get("direction") == "Input":
+            cycles, frames, nanoseconds = (
+                0.5 * (one.get(f"min{unit}", 0) + one.get(f"max{unit}", 0))
+                for unit in ("Quantum", "Rate", "Ns")
+            )
+            return PortLatency(cycles, frames, 1e-9 * nanoseconds)
+    return PortLatency()
 
 
 def _serial(item: Mapping[str, Any]) -> int:

@@ -116,6 +116,10 @@ class PulseConnection(ConnectionThread):
         """Return the names of the server's modules, keyed by index."""
         return {one.index: one.name for one in self._ask(lambda: self._pulse.module_list())}
 
+    def latencies_s(self) -> dict[str, float]:
+        """Return each sink's present latency in seconds, keyed by name. PipeWire reports 0."""
+        return {one.name: 1e-6 * one.latency for one in self._ask(lambda: self._pulse.sink_list())}
+
     def add(self, listener: Listener) -> None:
         """Add a listener, which gets a snapshot at once."""
 

@@ -140,6 +140,18 @@ def test_a_value_out_of_range_is_refused_beside_its_control(room, page):
     wait_for(lambda: not page.inner_text("#control-gain_db-error"), "no refusal")
 
 
+def test_the_offset_is_auto_until_a_number_is_chosen_and_again_by_its_default(page):
+    shown = page.locator(card(page, "offset_ms")).locator("output")
+    field = page.locator(card(page, "offset_ms")).locator("input[type=number]")
+    assert (shown.inner_text(), field.input_value()) == ("auto", "")
+    set_number(page, "offset_ms", "120")
+    wait_for(lambda: shown.inner_text() == "120 ms", "the number")
+    page.get_by_role("button", name="offset: default").click()
+    wait_for(lambda: shown.inner_text() == "auto", "auto")
+    wait_for(lambda: field.input_value() == "", "no number")
+    wait_for(lambda: not page.inner_text("#control-offset_ms-error"), "no refusal")
+
+
 def test_two_pages_show_each_others_changes_and_save_keeps_the_comments(room, page):
     other = room.open(390)
     set_number(page, "gain_db", "-9")

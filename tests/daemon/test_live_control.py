@@ -4,6 +4,7 @@ import signal
 import subprocess
 import sys
 import threading
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
@@ -58,6 +59,14 @@ class Daemon:
 
     def value(self, key: str) -> Any:
         return next(one for one in self.settings()["keys"] if one["key"] == key)["value"]
+
+
+def until_shown(look: Callable[[], Any], condition: Callable[[Any], bool]) -> Any:
+    """What `look` gives once the condition holds of it."""
+    for _ in range(50):
+        if condition(found := look()):
+            return found
+    raise AssertionError(found)
 
 
 @pytest.fixture(scope="module")
@@ -133,12 +142,41 @@ def test_what_the_config_refuses_is_refused_in_its_words(daemon, changes, words)
         {"tone": {"hz": 5}},
         {"tone": {"hz": 60, "level": 2}},
         {"tone": {"hz": 60}},  # the simulated cushion plays none
+        {"sync": 5},
+        {"sync": {}},
+        {"sync": {"try_ms": 5, "store_ms": 5}},
+        {"sync": {"try": 5}},
+        {"sync": {"try_ms": "auto"}},
+        {"sync": {"try_ms": True}},
+        {"sync": {"try_ms": 1e9}},
+        {"sync": {"try_ms": -5}},  # without drop-in mode
+        {"sync": {"store_ms": None}},
+        {"sync": {"store_ms": 5}},  # this run has no two sinks
     ],
 )
 def test_a_request_that_is_none_changes_nothing(daemon, request_):
     before = daemon.settings()
     assert daemon.ask(**request_)["error"]
     assert daemon.settings() == before
+
+
+def test_an_offset_on_trial_plays_and_is_none_of_the_config(daemon):
+    assert daemon.ask(sync={"try_ms": 120}) == {"done": True}
+    status = until_shown(lambda: daemon.watch("status"), lambda one: one["offset_ms"] == 120.0)
+    assert status["offset_reason"] == "set in the config"
+    assert daemon.value("offset_ms") == 20
+    assert daemon.settings()["unsaved"] == 0
+    assert daemon.ask(sync={"try_ms": None}) == {"done": True}
+    until_shown(lambda: daemon.watch("status"), lambda one: one["offset_ms"] == 20.0)
+
+
+def test_auto_is_a_value_of_the_offset(daemon):
+    assert daemon.ask(set={"offset_ms": "auto"}) == {"done": True}
+    assert daemon.value("offset_ms") == "auto"
+    status = until_shown(lambda: daemon.watch("status"), lambda one: one["offset_ms"] == 0.0)
+    assert status["offset_reason"] == "not known"
+    daemon.ask(undo=True)
+    assert daemon.value("offset_ms") == 20
 
 
 def test_mute_silences_and_is_not_saved(daemon):

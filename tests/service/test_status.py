@@ -52,6 +52,8 @@ STATUS = Status(
         offset_ms=-5.0,
         driving_ms=4.0,
     ),
+    offset_ms=-5.0,
+    offset_reason="set in the config",
     delay_line=DelayLineFigures(20.0, 20.1, 13.4, 1, 2, 3, "locked"),
     xruns=Xruns(4, 5),
     buffer_times=BufferTimes(1.2, 2.9, 8.1, 21.3, 5.8),
@@ -236,6 +238,7 @@ def test_the_view_shows_every_figure():
         "latency    93.7 ms = tap 21.3 + transform 42.7 + driving 4.0 + delay line 20.0 + output "
         "10.7 -",
         "           offset 5.0",
+        "offset     -5.0 ms, set in the config",
         "delay line target 20.0 ms, delay 20.1 ms, clock +13.4 ppm, resyncs 1, underflows 2, "
         "overflows 3,",
         "           locked",
@@ -317,6 +320,7 @@ PARTIALS = tuple(Partial(100.0 * n, 20.0 + n, 0.01 * n) for n in range(1, 8))
         ({"principal": PARTIALS}, "principal  700 → 27 Hz, 600 → 26 Hz, 500 → 25 Hz, 400 → 24 Hz"),
         ({"principal": PARTIALS}, "24 Hz and 3 more"),
         ({"muted": True}, ", muted"),
+        ({"offset_reason": "not known"}, "ms, not known: `cushion sync` measures the delay"),
         ({"xruns": Xruns(None, None)}, "dropouts   the server does not report them"),
         ({"graph": GraphFigures(256, 44_100, "streams")}, "(default), from its streams"),
         ({"graph": GraphFigures(256, 44_100, "")}, "256 frames at 44100 Hz (5.8 ms) a cycle"),

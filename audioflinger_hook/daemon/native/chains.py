@@ -115,7 +115,7 @@ class Chains:
     ) -> None:
         self._config, self._folder = config, folder
         self._restore, self._designs = restore, designs
-        self._sound_gain = 1.0
+        self._sound_gain, self._offset_s = 1.0, 0.0
         self._has_restarted = False
         self.problem = ""
         self.backoff = Backoff(longest_s=START_WAIT_S)
@@ -134,7 +134,13 @@ class Chains:
         """Apply another config's gains and delays to the running chains."""
         self._config = config
         for running in self.running:
-            set_actuators(running.chain.page, running.chain.plan, config)
+            self._set_actuators(running.chain.page, running.chain.plan)
+
+    def set_offset(self, offset_s: float) -> None:
+        """Set the delay of all actuators in seconds."""
+        if offset_s != self._offset_s:
+            self._offset_s = offset_s
+            self.follow(self._config)
 
     def set_sound_gain(self, gain: float) -> None:
         """Set the gain of the tapped sound."""
@@ -291,17 +297,16 @@ class Chains:
 
     def _prepare(self, chain: Chain, design: ChainDesign) -> None:
         chain.page.set_sound_gain(self._sound_gain)
-        set_actuators(chain.page, design.plan, self._config)
+        self._set_actuators(chain.page, design.plan)
         self._restore(design.rigs, True)
 
-
-def set_actuators(page: Page, plan: ChainPlan, config: RunConfig) -> None:
-    """Set gains and delays of a plan's actuators from the config."""
-    settings, offset_s = config.settings, max(0.0, config.live.offset_s)
-    level = 0.0 if config.muted else db_to_amplitude(settings.gain_db)
-    if not settings.actuators:
-        for slot in range(len(plan.actuators)):
-            page.set_actuator(slot, level, offset_s * plan.samplerate)
-    for slot, actuator in enumerate(settings.actuators[: len(plan.actuators)]):
-        delay_s = offset_s + 1e-3 * actuator.delay_ms
-        page.set_actuator(slot, level * actuator.factor, delay_s * plan.samplerate)
+    def _set_actuators(self, page: Page, plan: ChainPlan) -> None:
+        """Set gains and delays of a plan's actuators."""
+        settings, offset_s = self._config.settings, self._offset_s
+        level = 0.0 if self._config.muted else db_to_amplitude(settings.gain_db)
+        if not settings.actuators:
+            for slot in range(len(plan.actuators)):
+                page.set_actuator(slot, level, offset_s * plan.samplerate)
+        for slot, actuator in enumerate(settings.actuators[: len(plan.actuators)]):
+            delay_s = offset_s + 1e-3 * actuator.delay_ms
+            page.set_actuator(slot, level * actuator.factor, delay_s * plan.samplerate)

@@ -46,6 +46,7 @@ class NativeRun:
         self._on_change, self._restore = on_change, restore
         self._designs = DriveDesigns()
         self._played_s = -QUIET_S
+        self._offset_s = 0.0
         self._volume_of: tuple[PulseConnection, int] | None = None
         self.engine: NativeEngine | None = None
         self.begin()
@@ -62,6 +63,12 @@ class NativeRun:
         self._config = config
         if self.engine is not None:
             self.engine.follow(config)
+
+    def set_offset(self, offset_s: float) -> None:
+        """Set the delay of the vibration in seconds."""
+        self._offset_s = offset_s
+        if self.engine is not None:
+            self.engine.chains.set_offset(offset_s)
 
     def maintain(
         self,
@@ -123,6 +130,7 @@ class NativeRun:
                 self._designs,
                 monitor_reason=self._monitor_reason,
             )
+            self.engine.chains.set_offset(self._offset_s)
         return self.engine
 
     def _set_volume(self, device: Sink, connection: PulseConnection, volume: DeviceVolume) -> None:

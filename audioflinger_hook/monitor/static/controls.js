@@ -80,10 +80,11 @@ class Control {
     exact.onchange = () => this.set(exact.value === "" ? null : Number(exact.value));
     row.append(slider, exact);
     this.field = slider;
-    this.put = (value) => {
-      if (document.activeElement !== exact) exact.value = value ?? "";
-      slider.value = value ?? schema.maximum;
-      slider.dataset.unset = value === null;
+    this.put = (value) => { // a word such as "auto" stands for a number that the daemon chooses
+      const isNumber = typeof value === "number";
+      if (document.activeElement !== exact) exact.value = isNumber ? value : "";
+      slider.value = isNumber ? value : value === null ? schema.maximum : 0;
+      slider.dataset.unset = !isNumber;
     };
     return row;
   }
@@ -120,8 +121,9 @@ class Control {
   }
 
   tell(value) {
-    const shown = typeof value === "number" ? Number(value.toPrecision(6)) : value === true ? "on" : value === false ? "off" : value;
-    this.output.textContent = value === null ? "not set" : Array.isArray(value) ? "" : `${shown} ${this.unit}`.trim();
+    const isNumber = typeof value === "number";
+    const shown = isNumber ? Number(value.toPrecision(6)) : value === true ? "on" : value === false ? "off" : value;
+    this.output.textContent = value === null ? "not set" : Array.isArray(value) ? "" : `${shown} ${isNumber ? this.unit : ""}`.trim();
   }
 
   /** Ask for a value; while one is under way only the newest waits. */

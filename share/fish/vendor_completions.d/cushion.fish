@@ -125,7 +125,7 @@ complete -c cushion -n '__fish_seen_subcommand_from run' -l drop-in -d 'applicat
 complete -c cushion -n '__fish_seen_subcommand_from run' -l engine -r -f -a 'auto native python' -d 'native - inside PipeWire, 8 ms after the sound; auto - native if possible; default - auto'
 complete -c cushion -n '__fish_seen_subcommand_from run' -l config -r -d 'default - ~/.config/cushion/config.toml'
 complete -c cushion -n '__fish_seen_subcommand_from run' -l seconds -r -d 'stop after S seconds; default - never'
-complete -c cushion -n '__fish_seen_subcommand_from run' -l offset-ms -r -d 'delay of the vibration; a negative delay requires drop_in; -500 to 1000 ms; default - 0'
+complete -c cushion -n '__fish_seen_subcommand_from run' -l offset-ms -r -d 'delay of the vibration; auto - as late as the sound; a negative delay requires drop_in; -500 to 1000 ms, or auto; default - auto'
 complete -c cushion -n '__fish_seen_subcommand_from run' -l device-volume-db -r -d 'set the devices own volume; default - keep it; -96 to 0 dB, or off'
 complete -c cushion -n '__fish_seen_subcommand_from run' -l profile -r -f -a 'paper cinema game music speech' -d 'named set of transform parameters; paper, cinema, game, music, speech; default - cinema'
 complete -c cushion -n '__fish_seen_subcommand_from run' -l rig -r -d 'rig that is driven, or its file; paper, consumer, or a file, NAME.toml; default - paper'

@@ -1,10 +1,12 @@
 """PipeWire's graph from what `pw-dump` prints, and the requests that keep our links in it."""
 
+import json
 import os
 from collections.abc import Mapping
 from types import SimpleNamespace
 from typing import Any
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -126,6 +128,54 @@ def late_link(number: int, serial: int, graph: Graph) -> Item:
     item = link(number, 71, 11, graph)
     item["info"]["props"] = {"object.serial": serial}
     return item
+
+
+def latency(direction: str, **units: float) -> Item:
+    """A parameter of a port, with the same least and largest value but for `units`."""
+    names = (f"{end}{unit}" for end in ("min", "max") for unit in ("Quantum", "Rate", "Ns"))
+    return {"direction": direction, **dict.fromkeys(names, 0), **units}
+
+
+def declaring(*latencies: Item) -> Graph:
+    """Sinks of which `desk` declares a latency at its first port."""
+    graph, left = desktop(), port(11, 10, "playback_FL")
+    left["info"]["params"] = {"Latency": list(latencies)}
+    graph.apply([left])
+    return graph
+
+
+def test_a_sinks_delay_is_the_sum_of_cycles_frames_and_time_of_its_latest_port():
+    graph = declaring(
+        latency("Output", maxNs=9e9),
+        latency("Input", minQuantum=1, maxQuantum=1, minRate=480, maxRate=480, maxNs=200_000_000),
+    )
+    assert graph.declared_s("desk", 960, 48_000) == pytest.approx(0.02 + 0.01 + 0.1)
+    assert graph.declared_s("dac", 960, 48_000) == 0.0
+    assert graph.declared_s("nowhere", 960, 48_000) is None
+    assert declaring(latency("Input", minNs=-5e7, maxNs=-5e7)).declared_s("desk", 1, 1) == -0.05
+
+
+def test_another_latency_is_no_change_of_the_wiring():
+    graph, left = declaring(), port(11, 10, "playback_FL")
+    left["info"]["params"] = {"Latency": [latency("Input", minNs=1e6, maxNs=1e6)]}
+    assert not graph.apply([left])
+    assert graph.declared_s("desk", 1, 1) == 1e-3
+
+
+def test_of_all_parameters_only_the_latencies_are_read():
+    """As `pw-dump` prints them."""
+    one = port(11, 10, "playback_FL")
+    one["info"]["params"] = {
+        "EnumFormat": [{"mediaType": "audio"}],
+        "Latency": [latency("Input", maxNs=5)],
+        "ProcessLatency": [],
+    }
+    reading, writing = os.pipe()
+    os.write(writing, (json.dumps([one], indent=2) + "\n").encode())
+    os.close(writing)
+    ((found,),) = Documents(reading).read()
+    os.close(reading)
+    assert found["info"]["params"] == {"Latency": [latency("Input", maxNs=5)]}
 
 
 @given(st.integers(1, 80))
