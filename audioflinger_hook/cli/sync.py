@@ -126,8 +126,8 @@ def _tell(found: Estimate, count: int, heard: str | None) -> None:
     print(f"The vibration needs an offset of {found.delay_ms:.0f} ms ({between}; {count} answers).")
     if found.is_clipped:
         print(
-            "The vibration comes after its sound even without an offset, so the offset is 0. "
-            "Drop-in mode can delay the sound."
+            "The estimate is below 0, so the offset is 0, and the vibration may come after its "
+            "sound. Drop-in mode can delay the sound."
         )
     if heard is not None:
         print(f'The offset is stored for {heard} and this device; offset_ms = "auto" uses it.')
@@ -182,6 +182,8 @@ def _ask_person(random: np.random.Generator, say: Say) -> tuple[SyncTrials, floa
             offset_ms = trials.next_ms()
             _sync(try_ms=offset_ms)
             time.sleep(PAUSE_S + PAUSE_MORE_S * random.random())
+            while keys(0.0):  # pressed before the click
+                pass
             say(f"click {trials.count + 1}: ", end="")
             answer = _answer_to(clicks, keys, trials)
             say(answer.value if answer else "the time is up")
@@ -249,8 +251,6 @@ def _wait_vibration(clicks: Clicks, heard: str) -> None:
 
 def _answer_to(clicks: Clicks, keys: Keys, trials: SyncTrials) -> Answer | None:
     """Play a click until it is answered; None if the time is up before."""
-    while keys(0.0):  # pressed before the click
-        pass
     while (left_s := trials.left_s(time.monotonic())) > 0.0:
         clicks.play()
         repeat_s = time.monotonic() + min(REPEAT_S, left_s)

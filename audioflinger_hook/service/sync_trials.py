@@ -28,8 +28,13 @@ EARLIEST_MS = -100.0  # the most by which the sound may come before its vibratio
 STEP_MS = 4.0  # step of the grid; the estimate is a mean, so it is finer
 
 SCATTERS_MS = (5.0, 10.0, 20.0, 40.0, 80.0)  # standard deviations
-WINDOWS_MS = (0.0, 10.0, 20.0, 40.0, 80.0, 160.0)
+WINDOWS_MS = (0.0, 10.0, 20.0, 30.0, 40.0, 60.0, 80.0, 160.0)
 LAPSES = (0.02, 0.1)  # shares of all answers
+
+# Prior probabilities. If the delay is shorter than the window, no offset is answered with "felt
+# first", and the answers alone do not tell a short delay from a wide window.
+USUAL_WINDOW_MS = 25.0  # the probability of a window falls by a factor of e in every such step
+NEGATIVE = 0.5  # probability of a delay below 0, relative to a positive delay
 
 # Scatter, window and lapses of persons who guess, or find everything together. Their answers tell
 # nothing about the delay. CARELESS_SHARE: prior probability of such a person.
@@ -89,11 +94,7 @@ class SyncTrials:
     def __init__(self, began_s: float) -> None:
         self._began_s = began_s
         self._likelihoods = _likelihoods()
-        others, careless = self._likelihoods.shape[2] - len(CARELESS), len(CARELESS)
-        persons = [(1.0 - CARELESS_SHARE) / others] * others + [
-            CARELESS_SHARE / careless
-        ] * careless
-        self._posterior = np.tile(persons, (_DELAYS_MS.size, 1)) / _DELAYS_MS.size
+        self._posterior = _prior()
         self.count = 0
 
     def estimate(self) -> Estimate:
@@ -165,15 +166,25 @@ class SimulatedPerson:
         return Answer.FELT_FIRST if perceived_ms > 0.0 else Answer.HEARD_FIRST
 
 
+_PERSONS = np.array([*product(SCATTERS_MS, WINDOWS_MS, LAPSES), *CARELESS])
+
+
+def _prior() -> FloatArray:
+    """Return the probability of each delay and person before the first answer."""
+    delays = np.where(_DELAYS_MS < 0.0, NEGATIVE, 1.0)
+    persons = np.exp(-_PERSONS[:, 1] / USUAL_WINDOW_MS)
+    persons[: -len(CARELESS)] *= (1.0 - CARELESS_SHARE) / persons[: -len(CARELESS)].sum()
+    persons[-len(CARELESS) :] = CARELESS_SHARE / len(CARELESS)
+    return np.outer(delays / delays.sum(), persons)
+
+
 def _likelihoods() -> FloatArray:
     """Return the probability of each answer, (answers, differences, persons).
 
-    differences: delay minus offset, in steps of STEP_MS up to LONGEST_MS. persons: all combinations
-    of scatter, window and rate of lapses, and CARELESS.
+    differences: delay minus offset, in steps of STEP_MS up to LONGEST_MS.
     """
     differences_ms = np.arange(EARLIEST_MS - LONGEST_MS, LONGEST_MS + 1.0, STEP_MS)[:, None]
-    persons = np.array([*product(SCATTERS_MS, WINDOWS_MS, LAPSES), *CARELESS])
-    scatters_ms, windows_ms, lapses = persons.T
+    scatters_ms, windows_ms, lapses = _PERSONS.T
     felt = ndtr((differences_ms - windows_ms) / scatters_ms)
     heard = ndtr((-differences_ms - windows_ms) / scatters_ms)
     meant = np.array([felt, heard, 1.0 - felt - heard])
