@@ -8,14 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from audioflinger_hook.daemon.supervisor import Supervisor
 from audioflinger_hook.service.meters import Level
 from audioflinger_hook.service.state import DaemonState
 from audioflinger_hook.service.status import Endpoint, Levels
 from audioflinger_hook.service.sync_trials import Answer, SimulatedPerson, SyncTrials
 from tests.monitor import stand_in
 from tests.monitor.stand_in import STATUS, daemon_socket
-from tests.servers.daemons import environment
-from tests.servers.listening import RATE_HZ, recording, wait_for
+from tests.servers.daemons import environment, running
+from tests.servers.listening import RATE_HZ, arriving, recording, wait_for, wait_seconds
 from tests.support.terminal import Terminal
 
 on_pulse = pytest.mark.parametrize("server", ["pulse"], indirect=True)
@@ -43,16 +44,16 @@ def at_a_terminal(server, *options):
         yield live, terminal
 
 
-def answered(terminal, live, person, keys, stop_at=None):
+def answered(terminal, on_trial, person, keys, stop_at=None):
     """Answer the clicks as this person until the trials are over; return the trials.
 
-    The same trials are run here, so each offset that the daemon is asked for is known before.
+    The same trials are run here, so the offset of each is known; on_trial: called with it.
     """
     trials = SyncTrials(0.0)
     while not trials.is_over(0.0) and trials.count != stop_at:
         offset_ms = trials.next_ms()
         terminal.expect(f"click {trials.count + 1}: ")
-        assert asked(live)[-1] == {"sync": {"try_ms": offset_ms}}
+        on_trial(offset_ms)
         answer = person.answer(offset_ms)
         terminal.press(keys[answer])
         terminal.expect(answer.value)
@@ -60,10 +61,23 @@ def answered(terminal, live, person, keys, stop_at=None):
     return trials
 
 
+def was_asked(live):
+    """Return what `answered` calls: the daemon's last request was to try the offset."""
+
+    def check(offset_ms):
+        assert asked(live)[-1] == {"sync": {"try_ms": offset_ms}}
+
+    return check
+
+
+def onsets(frames, level):
+    """The frames at which a recording exceeds a level after a tenth of a second below."""
+    loud = np.flatnonzero(np.abs(frames).max(axis=1, initial=0.0) > level)
+    return loud[np.diff(loud, prepend=-RATE_HZ) > RATE_HZ // 10]
+
+
 def clicks_in(frames):
-    """How many clicks a recording has."""
-    loud = np.flatnonzero(np.abs(frames).max(axis=1, initial=0.0) > 0.1)
-    return int(np.count_nonzero(np.diff(loud, prepend=-RATE_HZ) > RATE_HZ // 10))
+    return len(onsets(frames, 0.1))
 
 
 @on_pulse
@@ -77,7 +91,7 @@ def test_a_person_at_a_terminal_finds_a_delay_and_it_is_stored(server, options, 
     ):
         terminal.expect("Press a key to begin")
         terminal.press(b"\n")
-        trials = answered(terminal, live, person, keys)
+        trials = answered(terminal, was_asked(live), person, keys)
         assert terminal.wait() == 0, terminal.shown
         assert clicks_in(heard()) >= trials.count - 1  # the last was answered before it came
         assert not np.any(felt())  # the taps are the daemon's
@@ -100,7 +114,7 @@ def test_an_interrupted_test_ends_the_trial_and_stores_nothing(server, key):
     with at_a_terminal(server) as (live, terminal):
         terminal.expect("Press a key to begin")
         terminal.press(b" ")
-        answered(terminal, live, person, KEYS, stop_at=2)
+        answered(terminal, was_asked(live), person, KEYS, stop_at=2)
         terminal.expect("click 3: ")
         terminal.press(key)
         assert terminal.wait() == 130, terminal.shown
@@ -157,3 +171,43 @@ def test_a_default_tap_whose_monitor_is_not_named_is_the_default_sink(server, mo
     monkeypatch.setattr(stand_in, "STATUS", several)
     with at_a_terminal(server) as (_, terminal):
         terminal.expect("Press a key to begin")
+
+
+def lags_ms(heard, felt):
+    """By how many ms the tap of each click in two recordings comes after the click."""
+    clicks = [heard.at_s(int(frame)) for frame in onsets(heard.frames(), 0.1)]
+    taps = np.array([felt.at_s(int(frame)) for frame in onsets(felt.frames(), 0.02)])
+    return [1e3 * float(np.min((taps - click_s)[taps > click_s - 0.05])) for click_s in clicks]
+
+
+@pytest.mark.skipif(not hasattr(Supervisor, "try_offset"), reason="the daemon has no trials")
+@pytest.mark.parametrize(
+    ("server", "engine"), [("pulse", "python"), ("pipewire", "native")], indirect=["server"]
+)
+def test_with_a_daemon_each_tap_comes_at_its_offset_and_the_result_stays(server, engine):
+    person = SimulatedPerson(130.0, 3.0, np.random.default_rng(1), lapses=0.0)
+    tried_ms = []
+
+    def feel(offset_ms):
+        tried_ms.append(offset_ms)
+        wait_seconds(1e-3 * offset_ms + 0.25)  # nobody answers before the tap
+
+    with (
+        running(server, engine=engine, ready=False) as daemon,
+        arriving(server, "desktop.monitor") as heard,
+        arriving(server, "haptic.monitor") as felt,
+    ):
+        daemon.wait(lambda status: status.state.value in ("running", "idle"), "the daemon")
+        with Terminal("sync", env=environment(server)) as terminal:
+            terminal.expect("Press a key to begin")
+            terminal.press(b" ")
+            trials = answered(terminal, feel, person, KEYS)
+            assert terminal.wait() == 0, terminal.shown
+        shown = lags_ms(heard, felt)[-len(tried_ms) :]
+        own_ms = np.array(shown) - tried_ms
+        print(np.round(own_ms, 1))
+        assert np.abs(own_ms - np.median(own_ms)).max() < 15.0
+        found_ms = round(trials.estimate().delay_ms, 1)
+        assert found_ms == pytest.approx(130.0, abs=8.0)
+        status = daemon.wait(lambda s: abs(s.offset_ms - found_ms) < 6.0, "the offset")
+        assert status.offset_reason == "measured by cushion sync"
