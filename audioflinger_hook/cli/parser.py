@@ -216,6 +216,14 @@ def _test_tone(command: Parser) -> None:
     command.add_value("--seconds", float, "S", "duration", 2.0)
 
 
+@_command("sync", "find the delay between what is heard and what is felt")
+def _sync(command: Parser) -> None:
+    person = "ask a simulated person with this delay; SCATTER_MS: of its answers, default 15"
+    command.add_value("--simulate", str, "MS[:SCATTER_MS]", person)
+    command.add_value("--seed", count, "N", "seed of the random numbers; default: a new one")
+    command.add_json()
+
+
 @_command("calibrate", "identify a rig with sweeps of rising level", "--device twin --out rig.toml")
 def _calibrate(command: Parser) -> None:
     devices = f"{SEE_DEVICES}; or twin"

@@ -8,6 +8,7 @@
 | `json_codec` | the status as JSON |
 | `runtime_folder` | the private folder, and the lock for one daemon per user |
 | `status_server`, `status_client` | the status socket and its client |
+| `sync_trials` | the delay of the sound, estimated from a person's answers |
 | `systemd` | notifications and the watchdog |
 | `install` | the systemd unit and the udev rule |
 | `one_line` | conversion of untrusted text to one line |

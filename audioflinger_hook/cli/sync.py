@@ -1,0 +1,262 @@
+"""`cushion sync`: finds the delay between what is heard and what is felt, by a person's answers.
+
+This program plays clicks on the output that the daemon captures. The taps of vibration come from
+the daemon, which delays the vibration by the offset of each trial.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Callable
+from contextlib import ExitStack, closing, suppress
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from audioflinger_hook.cli.clicks import Clicks, open_clicks
+from audioflinger_hook.cli.terminal import pressed_keys, warn
+from audioflinger_hook.service.state import DaemonState
+from audioflinger_hook.service.status import Status
+from audioflinger_hook.service.status_client import ask_control, ask_status
+from audioflinger_hook.service.sync_trials import (
+    CREDIBLE,
+    EARLIEST_MS,
+    LONGEST_MS,
+    Answer,
+    Estimate,
+    SimulatedPerson,
+    SyncTrials,
+)
+from device.errors import CushionError, NotFoundError, UsageError
+from device.server import PulseConnection, ServerSnapshot
+from device.server.snapshot import Sink
+from device.stream import PcmConfig, filter_stderr
+
+PCM, ROLE = "cushion_click", "test"  # with this role, the daemon captures the clicks
+
+ANSWER_S = 4.0  # longest wait for an answer of the daemon
+FELT_DBFS, FELT_WITHIN_S = -60.0, 8.0  # a click causes vibration of at least this level
+STATUS_EVERY_S = 0.1
+PAUSE_S, PAUSE_MORE_S = 0.3, 0.2  # before a click; the random part makes clicks unpredictable
+REPEAT_S = 2.0  # a click without an answer is repeated after this time
+TRIAL_S = 1.33  # duration of a simulated person's trial
+
+KEYS = {  # beginning of what the terminal sends, in lower case
+    "f": Answer.FELT_FIRST,
+    "\x1b[d": Answer.FELT_FIRST,
+    "\x1bod": Answer.FELT_FIRST,
+    "h": Answer.HEARD_FIRST,
+    "\x1b[c": Answer.HEARD_FIRST,
+    "\x1boc": Answer.HEARD_FIRST,
+    "t": Answer.TOGETHER,
+    " ": Answer.TOGETHER,
+}
+HELP = """\
+{sink} plays clicks, and each click causes a tap of vibration. Stop all other sound.
+Which comes first, click or tap? Answer with these keys:
+    left arrow, or f   the tap is felt first
+    right arrow, or h  the click is heard first
+    space, or t        both come together
+The test takes about a minute. Ctrl+C ends it, and stores nothing."""
+
+Keys = Callable[[float], str]
+Say = Callable[..., None]
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """What `--simulate` sets, in ms: delay and scatter of a simulated person."""
+
+    delay_ms: float
+    scatter_ms: float = 15.0
+
+    @classmethod
+    def parse(cls, text: str) -> Simulated:
+        """Parse MS[:SCATTER_MS]. UsageError: a value is not a number, or is out of range."""
+        allowed = f"MS {EARLIEST_MS:g} to {LONGEST_MS:g}, SCATTER_MS 1 to 100"
+        with suppress(ValueError):
+            found = cls(*map(float, text.split(":", 1)))
+            if EARLIEST_MS <= found.delay_ms <= LONGEST_MS and 1.0 <= found.scatter_ms <= 100.0:
+                return found
+        raise UsageError(f"simulate={text!r} is not MS[:SCATTER_MS]; allowed: {allowed}")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the trials with a person or a simulated person; print and store the delay."""
+    if options.seed is not None and options.seed < 0:
+        raise UsageError(f"seed={options.seed} is out of range; allowed: 0 or more")
+    random = np.random.default_rng(options.seed)
+    if options.simulate is not None:
+        simulated = Simulated.parse(options.simulate)
+        trials, seconds = _simulate(simulated, random)
+        report: dict[str, Any] = {"simulated": vars(simulated), "stored": False, "heard": None}
+    else:
+        if not (sys.stdin and sys.stdin.isatty()):
+            raise UsageError(
+                "sync asks questions, but its input is not a terminal; run it in a terminal, or "
+                "try it with --simulate"
+            )
+        say = partial(print, file=sys.stderr if options.json else sys.stdout, flush=True)
+        trials, seconds, heard = _ask_person(random, say)
+        report = {"simulated": None, "stored": True, "heard": heard}
+    found = trials.estimate()
+    if options.json:
+        shown = {
+            "delay_ms": round(found.delay_ms, 1),
+            "low_ms": round(found.low_ms, 1),
+            "high_ms": round(found.high_ms, 1),
+            "credible": CREDIBLE,
+            "clipped": found.is_clipped,
+            "trials": trials.count,
+            "seconds": round(seconds, 1),
+        }
+        print(json.dumps(shown | report))
+    else:
+        _tell(found, trials.count, report["heard"])
+    return 0
+
+
+def _tell(found: Estimate, count: int, heard: str | None) -> None:
+    between = f"{100.0 * CREDIBLE:.0f} %: {found.low_ms:.0f} to {found.high_ms:.0f} ms"
+    print(f"The vibration needs an offset of {found.delay_ms:.0f} ms ({between}; {count} answers).")
+    if found.is_clipped:
+        print(
+            "The estimate is below 0, so the offset is 0, and the vibration may come after its "
+            "sound. Drop-in mode can delay the sound."
+        )
+    if heard is not None:
+        print(f'The offset is stored for {heard} and this device; offset_ms = "auto" uses it.')
+
+
+def _checked(trials: SyncTrials) -> Estimate:
+    """Return the estimate. UsageError: the answers do not agree."""
+    found = trials.estimate()
+    if not found.is_usable:
+        raise UsageError(
+            f"{trials.count} answers leave the delay between {found.low_ms:.0f} and "
+            f"{found.high_ms:.0f} ms, so nothing was stored; run `cushion sync` again, and answer "
+            "each click"
+        )
+    return found
+
+
+def _simulate(simulated: Simulated, random: np.random.Generator) -> tuple[SyncTrials, float]:
+    person = SimulatedPerson(simulated.delay_ms, simulated.scatter_ms, random)
+    trials, now_s = SyncTrials(0.0), 0.0
+    while not trials.is_over(now_s + TRIAL_S):
+        offset_ms = trials.next_ms()
+        trials.add(offset_ms, person.answer(offset_ms))
+        now_s += TRIAL_S
+    _checked(trials)
+    return trials, now_s
+
+
+def _ask_person(random: np.random.Generator, say: Say) -> tuple[SyncTrials, float, str]:
+    """Return the trials, their duration in seconds, and the name of the sink that was heard.
+
+    The delay is then stored. KeyboardInterrupt: nothing is stored.
+    """
+    status = _ready_status()
+    filter_stderr()
+    with ExitStack() as stack:
+        pcms = stack.enter_context(closing(PcmConfig(PCM, role=ROLE)))
+        connection = stack.enter_context(closing(PulseConnection()))
+        sink = heard_sink(status, connection.latest)
+        stack.callback(_end_trial)
+        _sync(try_ms=0.0)
+        clicks = stack.enter_context(open_clicks(sink, pcms.pcms[PCM]))
+        keys = stack.enter_context(pressed_keys())
+        _wait_vibration(clicks, sink.name)
+        say(HELP.format(sink=sink.description or sink.name))
+        say("Press a key to begin. Until then, the click is repeated.")
+        while not keys(REPEAT_S):
+            clicks.play()
+        began_s = time.monotonic()
+        trials = SyncTrials(began_s)
+        while not trials.is_over(time.monotonic()):
+            offset_ms = trials.next_ms()
+            _sync(try_ms=offset_ms)
+            time.sleep(PAUSE_S + PAUSE_MORE_S * random.random())
+            while keys(0.0):  # pressed before the click
+                pass
+            say(f"click {trials.count + 1}: ", end="")
+            answer = _answer_to(clicks, keys, trials)
+            say(answer.value if answer else "the time is up")
+            if answer:
+                trials.add(offset_ms, answer)
+        _sync(store_ms=round(_checked(trials).delay_ms, 1))
+        if (
+            getattr(ask_status(ANSWER_S, time.monotonic), "offset_reason", "")
+            == "set in the config"
+        ):
+            warn('the config sets offset_ms, so the result has no effect; set offset_ms = "auto"')
+        return trials, time.monotonic() - began_s, sink.name
+
+
+def _ready_status() -> Status:
+    """Return the daemon's status. NotFoundError, UsageError: the daemon plays no vibration."""
+    status = ask_status(ANSWER_S, time.monotonic)
+    if status.state not in (DaemonState.RUNNING, DaemonState.IDLE):
+        reason = f"{status.state.value}: {status.reason}" if status.reason else status.state.value
+        raise NotFoundError(f"the daemon plays no vibration ({reason}); see `cushion status`")
+    if status.muted:
+        raise UsageError("the vibration is muted; press Unmute in the live page")
+    return status
+
+
+def heard_sink(status: Status, snapshot: ServerSnapshot) -> Sink:
+    """Return the sink that the daemon captures. UsageError: it captures no whole sink."""
+    monitored = {source.name: source.monitor_of for source in snapshot.sources}
+    name = monitored.get(status.tap.name or "")
+    if name is None and status.tap.address == "default":
+        name = snapshot.default_sink
+    sink = snapshot.sink(name)
+    if sink is None:
+        raise UsageError(
+            f"the daemon captures {status.tap.address}, where sync cannot play a click; start it "
+            "with `cushion run --tap default`, or with sink:NAME as --tap"
+        )
+    return sink
+
+
+def _sync(**asked: float | None) -> None:
+    ask_control({"sync": asked}, ANSWER_S, time.monotonic)
+
+
+def _end_trial() -> None:
+    with suppress(CushionError):  # a daemon that has ended plays no trial
+        _sync(try_ms=None)
+
+
+def _wait_vibration(clicks: Clicks, heard: str) -> None:
+    """Play clicks until the daemon reports vibration. NotFoundError: there is none."""
+    end_s, next_s = time.monotonic() + FELT_WITHIN_S, 0.0
+    while (now_s := time.monotonic()) < end_s:
+        if now_s >= next_s:
+            clicks.play()
+            next_s = now_s + 0.5 * REPEAT_S
+        time.sleep(STATUS_EVERY_S)
+        if ask_status(ANSWER_S, time.monotonic).levels.vibration.peak_dbfs >= FELT_DBFS:
+            return
+    raise NotFoundError(
+        f"clicks on {heard} cause no vibration; unmute {heard}, and check `include` and `exclude` "
+        "in [applications], and the levels that `cushion status` shows"
+    )
+
+
+def _answer_to(clicks: Clicks, keys: Keys, trials: SyncTrials) -> Answer | None:
+    """Play a click until it is answered; None if the time is up before."""
+    while (left_s := trials.left_s(time.monotonic())) > 0.0:
+        clicks.play()
+        repeat_s = time.monotonic() + min(REPEAT_S, left_s)
+        while (wait_s := repeat_s - time.monotonic()) > 0.0:
+            pressed = keys(wait_s).lower()
+            for key, answer in KEYS.items():
+                if pressed.startswith(key):
+                    return answer
+    return None
