@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from device.errors import LostError, UsageError
-from device.identification import IdentificationError, calibration
+from device.identification import IdentificationError, acceleration, calibration
 from device.identification.calibration import STEPS, calibrate
 from device.identification.live.exchange import Exchange
 from device.identification.live.laboratory import MOST_TRIES, Inputs, LiveLaboratory
@@ -59,7 +59,7 @@ def modes():
 @pytest.fixture
 def fitted_once(modes, monkeypatch):
     """Recordings of the same bytes are fitted once in all tests: their files' coils differ."""
-    fit = calibration.identify_mode
+    fit = acceleration.identify_mode
 
     def identify_mode(recording, x_max_m, **options):
         known = recording.reference.tobytes(), recording.response.tobytes(), x_max_m, str(options)
