@@ -113,10 +113,7 @@ OWN = Inputs.parse("-,acceleration")
 @pytest.mark.parametrize(
     ("inputs", "how"),
     [
-        *(
-            (ALONE, {"drift_ppm": drift_ppm, "noise": 1e-4, "gains": {"acceleration": sign}})
-            for drift_ppm, sign in ((-120.0, -1.0), (120.0, 1.0))
-        ),
+        (ALONE, {"drift_ppm": -120.0, "noise": 1e-4, "gains": {"acceleration": -1.0}}),
         (LOOP, {"gains": WEAK, "noise": 1e-6}),
         (OWN, {"gains": WEAK}),
     ],
