@@ -202,7 +202,7 @@ class UsbControl:
         return requests.number(self._ask(asked), asked.length)
 
     def samplerates(self) -> tuple[RateRange, ...]:
-        """Return the rates in Hz that the clock of a device of USB Audio 2.0 offers."""
+        """Return the sample rates that the clock of a USB Audio 2.0 device offers."""
         return requests.samplerate_ranges(self._ask(requests.samplerate(self._playback, "range")))
 
     def set_samplerate(self, hertz: int) -> None:

@@ -78,7 +78,7 @@ typedef struct {
     size_t until_damping_check;
     uint64_t replaced;
     Protection *protection;
-    Exposure exposure, undamped; /* undamped: of the drive before damping */
+    Exposure exposure, undamped; /* undamped: exposure that the drive would cause without damping */
 } Actuator;
 
 /* Allocate the actuator's memory from the arena. If arena->base is NULL, only count bytes. */

@@ -224,7 +224,8 @@ INLINED void limit_current(Governor *g, const double *ungoverned, GainDecision *
     const size_t states = d->states, frames = WHOLE_LANES(d->frames), state_rows = WHOLE_LANES(states);
     const double per_limit = d->current_a > 0.0 ? 1.0 / d->current_a : 0.0;
     for (size_t model = 0; model < d->currents; model++) {
-        const size_t first = (model ? model - 1 : 0) * state_rows; /* the first current heats the coil */
+        /* Currents 0 (which heats the coil) and 1 belong to model 0. */
+        const size_t first = (model ? model - 1 : 0) * state_rows;
         const double *by_state = d->current_by_state + model * states * frames;
         const double *fall = known_block(g)->current[FALL] + model * frames;
         const double *rise = known_block(g)->current[RISE] + model * frames;

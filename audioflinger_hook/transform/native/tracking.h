@@ -103,8 +103,7 @@ double tracking_join(const Settings *s, const Slots *slots, double before_end_s,
  * Do nothing if the largest allowed number of slots already sounds. */
 void tracking_adopt(const Settings *s, Slots *slots, double hz, double phase, double amplitude, Held held);
 
-/* Write the glides of one hop towards `partials`. room: limit for the sum of amplitudes that held partials
- * add. left: result of `levels_left_by_law`. */
+/* Write the glides of one hop towards `partials`. room: limit for the summed amplitudes of held partials. left: result of `levels_left_by_law`. */
 void tracking_follow(const Settings *s, Slots *slots, Glides *glides, Partials partials,
                      double room, double left, const Onsets *onsets, TrackingWork *work);
 

@@ -23,7 +23,7 @@ _CLIPPED = 0.999
 
 
 class Exchange:
-    """Plays samples, (frames,), on one channel; records all inputs; checks those not named "-"."""
+    """Plays samples on one channel, records all inputs, and checks inputs not named "-"."""
 
     def __init__(
         self, samples: FloatArray, samplerate: int, names: Sequence[str], output_channel: int = 0

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from device.errors import LostError, UsageError
-from device.identification import IdentificationError, calibration
+from device.identification import IdentificationError, acceleration, calibration
 from device.identification.calibration import STEPS, calibrate
 from device.identification.live.exchange import Exchange
 from device.identification.live.laboratory import MOST_TRIES, Inputs, LiveLaboratory
@@ -59,7 +59,7 @@ def modes():
 @pytest.fixture
 def fitted_once(modes, monkeypatch):
     """Recordings of the same bytes are fitted once in all tests: their files' coils differ."""
-    fit = calibration.identify_mode
+    fit = acceleration.identify_mode
 
     def identify_mode(recording, x_max_m, **options):
         known = recording.reference.tobytes(), recording.response.tobytes(), x_max_m, str(options)
@@ -113,10 +113,7 @@ OWN = Inputs.parse("-,acceleration")
 @pytest.mark.parametrize(
     ("inputs", "how"),
     [
-        *(
-            (ALONE, {"drift_ppm": drift_ppm, "noise": 1e-4, "gains": {"acceleration": sign}})
-            for drift_ppm, sign in ((-120.0, -1.0), (120.0, 1.0))
-        ),
+        (ALONE, {"drift_ppm": -120.0, "noise": 1e-4, "gains": {"acceleration": -1.0}}),
         (LOOP, {"gains": WEAK, "noise": 1e-6}),
         (OWN, {"gains": WEAK}),
     ],

@@ -102,8 +102,8 @@ def residual_vibration(_bench: Workbench) -> Section:
         "model. The *flat inverse* compensates the non-linearity of the assumed rig. The column "
         "*against none* shows the largest residual relative to voltage drive without damping. For "
         "this column, the true f0 is within ±20 % of the assumed f0, because the stiffness or the "
-        "mass is different. The column *made up* shows the gain with which a burst at f0 is as "
-        "strong as without damping.",
+        "mass is different. The column *make-up gain* shows the gain with which a burst at f0 is "
+        "as strong as without damping.",
         (*rows, *_rows_by_level(), *_rows_against_none()),
         series={
             drive.name: tuple(_residual(drive, share).residual_db for share in CURVE)
@@ -153,7 +153,7 @@ def _rows_against_none() -> Iterator[Row]:
         )
         name = f"{rig.name}, automatic"
         yield Row(name, worst_db, "dB", "against none", NO_WORSE_DB)
-        yield Row(name, amplitude_to_db(chosen.makeup), "dB", "made up")
+        yield Row(name, amplitude_to_db(chosen.makeup), "dB", "make-up gain")
 
 
 def _rows(name: str, at: dict[float, Residual], *, limited: bool, note: str = "") -> Iterator[Row]:

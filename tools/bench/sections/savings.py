@@ -48,7 +48,7 @@ strongest partials of white noise. A tiny difference then decides which peak and
 
 @dataclass(frozen=True)
 class Saving:
-    """A saving of work in the live form.
+    """Unnecessary work that the live form skips.
 
     name: the work that is done without the saving.
     switch_off: function that returns a design without the saving.
