@@ -94,6 +94,10 @@ class PulseConnection(ConnectionThread):
             time.sleep(_VOLUME_LOOK_S)
         raise NotFoundError(f"the sink {name!r} does not take the level {wanted_db:g} dB")
 
+    def set_sink_mute(self, name: str, muted: bool) -> None:
+        """Mute a sink, or unmute it at its present volume."""
+        self._ask(lambda: self._pulse.sink_mute(self._pulse.get_sink_by_name(name).index, muted))
+
     def set_default_sink(self, name: str) -> None:
         """Make a sink the default sink. Streams may move to it later."""
         self._ask(lambda: self._pulse.sink_default_set(name))
