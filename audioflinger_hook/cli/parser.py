@@ -15,9 +15,9 @@ NEXT = (
 )
 DESCRIPTION = "Feel what a computer plays: sound in, vibration of 20-220 Hz out."
 EXIT_CODES = (
-    "exit codes: 0 done; 1 doctor found something; 2 wrong usage, config or input; 3 no such tap or "
-    "device, or no running daemon; 4 the sound server is missing, or server or device was lost; 5 "
-    "internal error, full disk or write failure; 130 interrupted"
+    "exit codes: 0 done; 1 doctor found something; 2 wrong usage, config or input; 3 no such tap "
+    "or device, or no running daemon; 4 the sound server is missing, or server or device was lost; "
+    "5 internal error, full disk or write failure; 130 interrupted"
 )
 
 SEE_DEVICES = "see `cushion devices`"

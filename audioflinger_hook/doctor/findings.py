@@ -254,7 +254,8 @@ def plugin(facts: Facts) -> Iterator[Finding]:
             "make run",
         )
     elif facts.server.kind == "PipeWire" and found.native_problem and needs_server:
-        yield Finding("no-native", f"The native engine cannot run: {found.native_problem}.", "")
+        wrong = f"The native engine cannot run: {found.native_problem}."
+        yield Finding("no-native", wrong, "Until then, the slower Python engine plays.")
     if found.installed in ("missing", "other version"):
         state = "is missing" if found.installed == "missing" else "is of another version"
         yield Finding(
@@ -265,9 +266,8 @@ def plugin(facts: Facts) -> Iterator[Finding]:
             "plugin" if found.built else "",
         )
     if facts.server.kind == "PulseAudio" and found.alsa_problem and needs_server:
-        yield Finding(
-            "no-alsa-plugin", f"The Python engine cannot play: {found.alsa_problem}.", ""
-        )
+        wrong = f"The Python engine cannot play: {found.alsa_problem}."
+        yield Finding("no-alsa-plugin", wrong, "Without it, nothing is felt on PulseAudio.")
 
 
 def folders(facts: Facts) -> Iterator[Finding]:
@@ -277,7 +277,7 @@ def folders(facts: Facts) -> Iterator[Finding]:
             yield Finding(
                 f"{folder.what}-folder",
                 f"The {folder.what} folder cannot be used: {folder.problem}.",
-                "",
+                "Make the folder usable for this user.",
                 f"mkdir -m 700 {shlex.quote(folder.path)}" if folder.can_make else "",
                 "folder" if folder.can_make else "",
             )
@@ -294,7 +294,8 @@ def folders(facts: Facts) -> Iterator[Finding]:
 def config(facts: Facts) -> Iterator[Finding]:
     """The config file must have no mistakes."""
     if facts.config.error:
-        yield Finding("config", f"The config file cannot be read: {facts.config.error}.", "")
+        wrong = f"The config file cannot be read: {facts.config.error}."
+        yield Finding("config", wrong, "Correct the file.", "cushion check")
     for mistake in facts.config.mistakes:
         yield Finding(
             "config",
@@ -303,7 +304,8 @@ def config(facts: Facts) -> Iterator[Finding]:
             "cushion check",
         )
     for warning in facts.config.warnings:
-        yield Finding("config", f"The config file: {warning}.", "", "cushion check")
+        wrong = f"The config file leads to a warning: {warning}."
+        yield Finding("config", wrong, "See all mistakes and warnings.", "cushion check")
 
 
 def daemon_state(facts: Facts) -> Iterator[Finding]:
@@ -323,7 +325,8 @@ def daemon_state(facts: Facts) -> Iterator[Finding]:
         )
     if status.state not in READY:
         reason = f": {status.reason}" * bool(status.reason)
-        yield Finding("daemon-waits", f"The daemon is {status.state.value}{reason}.", "")
+        wrong = f"The daemon is {status.state.value}{reason}."
+        yield Finding("daemon-waits", wrong, "Remove the cause; the daemon then continues.")
     if status.muted:
         unmute = "Press Unmute in the live page."
         yield Finding("muted", "The vibration is muted.", unmute, "cushion monitor --open")
@@ -348,7 +351,7 @@ def daemon_state(facts: Facts) -> Iterator[Finding]:
             "pw-metadata -n settings 0 clock.force-quantum 256",
         )
     for warning in status.warnings:
-        yield Finding("daemon-warns", f"The daemon warns: {warning}.", "")
+        yield Finding("daemon-warns", f"The daemon warns: {warning}.", "Follow this warning.")
 
 
 def delay(facts: Facts) -> Iterator[Finding]:

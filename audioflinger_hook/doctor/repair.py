@@ -44,7 +44,9 @@ def unmute(facts: Facts, environ: Mapping[str, str]) -> str:
         if plays:
             return f"{before.name!r} stays muted, because a stream plays to it now; pause it first."
         if before.volume_db > 0.0:
-            return f"{before.name!r} stays muted, because its volume is above 100 %; lower it first."
+            return (
+                f"{before.name!r} stays muted, because its volume is above 100 %; lower it first."
+            )
         connection.set_sink_mute(before.name, False)
         after = find_sink(connection.snapshot(), before.name)
         if after.volume_db > before.volume_db + ROUNDING_DB:

@@ -14,6 +14,8 @@ _SYSTEM = ("/usr/", "/etc/", "/proc/", "/dev/", "/lib")
 _QUOTED = re.compile(r"'[^']*'|\"[^\"]*\"")
 # A path may contain spaces, so everything up to the next clause counts as its name.
 _PATH = re.compile(r"(?<![\w.~/])(?:file:|capture:|wav:)?[~.]{0,2}/[^;:,)'\"]*")
+_PLAIN = re.compile(r"[-+.\w]{0,2}|[-+.\deE_]+|true|false")  # values that are no names
+_NAMED = ("app", "file", "capture", "wav")  # kinds of taps and devices with a private name
 HIDDEN = "(hidden)"
 
 
@@ -48,17 +50,41 @@ def full_report(
     """Return findings and facts without names of the user's files, windows, streams and machine."""
     keep = {sink.name for sink in facts.server.sinks}
     text = f"{findings_text(findings, repairs)}\n\n{facts_text(facts)}\n"
+    for word in sorted(_private_words(facts), key=len, reverse=True):
+        text = text.replace(word, HIDDEN)
     return "\n".join(anonymous(line, keep, person) for line in text.split("\n"))
+
+
+def _private_words(facts: Facts) -> Iterator[str]:
+    """Return the user's own words: values in the config file, and names of taps and devices."""
+    for mistake in facts.config.mistakes:
+        value = mistake.value.strip('"')
+        if not _PLAIN.fullmatch(value):
+            yield value
+        if "is not TOML" in mistake.problem:
+            yield mistake.key  # the text of the line
+    addresses = [facts.config.tap, facts.config.device]
+    if (status := facts.daemon.status) is not None:
+        addresses += [status.tap.address, status.device.address]
+    for address in addresses:
+        kind, _, name = address.partition(":")
+        if kind in _NAMED and name:
+            yield name
 
 
 def anonymous(line: str, keep: set[str], person: Person) -> str:
     """Return a line without quoted names and paths. keep: names of sinks, which stay."""
     line = _QUOTED.sub(lambda found: found[0] if found[0][1:-1] in keep else HIDDEN, line)
-    line = _PATH.sub(lambda found: found[0] if found[0].startswith(_SYSTEM) else HIDDEN, line)
+    line = _PATH.sub(_shown_path, line)
     for name in (person.home, person.host, person.user):
-        if name:
+        if name not in ("", "/", "root", "localhost"):
             line = re.sub(rf"(?<!\w){re.escape(name)}(?!\w)", HIDDEN, line)
     return line
+
+
+def _shown_path(found: re.Match[str]) -> str:
+    path, _, rest = found[0].partition(" ")
+    return found[0] if path.startswith(_SYSTEM) and "/" not in rest else HIDDEN
 
 
 def _rows(facts: Facts) -> Iterator[tuple[str, str]]:
@@ -74,8 +100,10 @@ def _rows(facts: Facts) -> Iterator[tuple[str, str]]:
         forced = f" (forced to {graph.forced_hz} Hz)" * bool(graph.forced_hz)
         cycle = f" (forced to {graph.forced_frames})" * bool(graph.forced_frames)
         allowed = ", ".join(map(str, graph.allowed_hz))
-        yield "graph", f"{graph.rate_hz} Hz{forced}, allowed {allowed} Hz; quantum " + (
-            f"{graph.quantum_frames} frames{cycle}"
+        yield (
+            "graph",
+            f"{graph.rate_hz} Hz{forced}, allowed {allowed} Hz; quantum "
+            + (f"{graph.quantum_frames} frames{cycle}"),
         )
     for sink in server.sinks:
         yield "sink", _sink_text(sink, facts)
@@ -90,9 +118,12 @@ def _rows(facts: Facts) -> Iterator[tuple[str, str]]:
     yield "plugin", f"{built}; installed copy: {plugin.installed or 'none'}"
     yield from _daemon_rows(facts)
     if (delay := facts.delay) is not None:
-        found = f"median of {delay.bursts} bursts; the true delay is up to {delay.cycle_ms:.1f} ms more"
+        found = (
+            f"median of {delay.bursts} bursts; the true delay is up to {delay.cycle_ms:.1f} ms more"
+        )
         known = delay.delay_ms is not None
         yield "measured delay", f"{delay.delay_ms:.1f} ms ({found})" if known else delay.reason
+
 
 def _sink_text(sink: SinkFacts, facts: Facts) -> str:
     volume = "0 %" if sink.volume_db is None else f"{sink.volume_db:+.1f} dB"

@@ -11,6 +11,7 @@ from collections.abc import Iterable, Mapping
 from contextlib import closing, suppress
 from typing import Any
 
+from audioflinger_hook.daemon.native.chain import NAME
 from audioflinger_hook.doctor.facts import GraphFacts, ServerFacts, SinkFacts
 from audioflinger_hook.doctor.machine import ANSWER_S, printed
 from device.errors import CushionError
@@ -20,7 +21,7 @@ from device.server.graph_watch import READER
 from device.server.identity import is_ours
 from device.server.snapshot import Sink
 
-_OURS = re.compile(r"haptic-cushion(?:-(\d+)-\d+)?\.(tap|vibration)")
+_OURS = re.compile(rf"{NAME}(?:-(\d+)-\d+)?\.(tap|vibration)")  # nodes of chains
 _SETTINGS = ("clock.rate", "clock.force-rate", "clock.quantum", "clock.force-quantum")
 
 
