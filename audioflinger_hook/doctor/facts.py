@@ -77,8 +77,8 @@ class GraphFacts:
 class ServerFacts:
     """The sound server. kind: "PipeWire", "PulseAudio" or "". error: why it cannot be asked.
 
-    hangs: whether a server accepts connections but does not answer. players: the processes that
-    play vibration on this server, such as "process 1234".
+    hangs: whether a server accepts connections but does not answer. players: what plays vibration
+    on this server, such as "process 1234".
     """
 
     kind: str = ""

@@ -204,13 +204,14 @@ def one_daemon(facts: Facts) -> Iterator[Finding]:
     """One daemon plays; it answers, and the lock names a living process."""
     daemon, players, holder = facts.daemon, facts.server.players, facts.daemon.holder
     if len(players) > 1:
+        known = f"process {daemon.status.pid}" if daemon.status else ""
+        other = next(player for player in reversed(players) if player != known)
+        process = other.removeprefix("process ")
         yield Finding(
             "second-daemon",
-            f"{len(players)} programs play vibration at once: {', '.join(players)}.",
+            f"{len(players)} programs play vibration to this server: {', '.join(players)}.",
             "End all but one of them.",
-            f"kill {players[-1].removeprefix('process ')}"
-            if players[-1].startswith("process ")
-            else "cushion plugin remove",
+            f"kill {process}" if process != other else "cushion plugin remove",
         )
     if daemon.status is None and daemon.is_locked:
         who = f"process {holder.pid}" if holder else "an unknown process"

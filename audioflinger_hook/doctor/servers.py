@@ -9,6 +9,7 @@ import re
 import socket
 from collections.abc import Iterable, Mapping
 from contextlib import closing, suppress
+from pathlib import Path
 from typing import Any
 
 from audioflinger_hook.daemon.native.chain import NAME
@@ -27,10 +28,10 @@ _SETTINGS = ("clock.rate", "clock.force-rate", "clock.quantum", "clock.force-qua
 
 def read_server(environ: Mapping[str, str]) -> tuple[ServerFacts, ServerSnapshot | None]:
     """Return the facts of the sound server, and its snapshot, None if it does not answer."""
-    snapshot, error = None, ""
+    snapshot, error, processes = None, "", set[int]()
     try:
         with closing(PulseConnection()) as connection:
-            snapshot = connection.latest
+            snapshot, processes = connection.latest, connection.processes()
     except (CushionError, OSError) as refusal:
         error = str(refusal)
     objects = _dump() if _accepts(_pipewire_socket(environ)) else None
@@ -51,7 +52,7 @@ def read_server(environ: Mapping[str, str]) -> tuple[ServerFacts, ServerSnapshot
             for sink in snapshot.sinks
             if not sink.name.startswith(NAME)  # silent helpers of a daemon
         ),
-        players=_players(snapshot),
+        players=_players(snapshot, processes),
         graph=_graph_facts(graph, objects or []) if snapshot.kind == "PipeWire" else None,
     ), snapshot
 
@@ -112,16 +113,30 @@ def _sink_facts(
     )
 
 
-def _players(snapshot: ServerSnapshot) -> tuple[str, ...]:
-    """Return the processes that play vibration, each once."""
-    found = {}
+def _players(snapshot: ServerSnapshot, connected: set[int]) -> tuple[str, ...]:
+    """Return what plays vibration on this server: daemons, and the plugin in a filter-chain.
+
+    An idle daemon may have no stream, so the connected processes of `cushion run` count, too.
+    """
+    processes = {process for process in connected if _runs(process)}
+    has_plugin = False
     for stream in snapshot.sink_inputs:
-        known = _OURS.fullmatch(stream.properties.get("node.name", ""))
-        if known and not known[1]:
-            found["the plugin in PipeWire's filter-chain"] = True
-        elif known or is_ours(stream):
-            found[f"process {known[1] if known else stream.process_id}"] = True
-    return tuple(found)
+        node = _OURS.fullmatch(stream.properties.get("node.name", ""))
+        if node and node[1]:
+            processes.add(int(node[1]))
+        elif node:
+            has_plugin = True
+        elif is_ours(stream) and stream.process_id is not None:
+            processes.add(stream.process_id)
+    found = [f"process {process}" for process in sorted(processes)]
+    return (*found, *["the plugin in PipeWire's filter-chain"] * has_plugin)
+
+
+def _runs(process: int) -> bool:
+    """Whether a process is `cushion run`."""
+    with suppress(OSError):
+        return b"run" in Path(f"/proc/{process}/cmdline").read_bytes().split(b"\0")
+    return False
 
 
 def _graph_facts(graph: Graph | None, objects: list[Any]) -> GraphFacts | None:

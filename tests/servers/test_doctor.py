@@ -202,14 +202,11 @@ def test_two_daemons_that_play_are_named_with_their_processes(server, tmp_path) 
         closing(PulseConnection()) as connection,
     ):
         pids = {first.process.pid, second.process.pid}
-        wait_for(
-            lambda: pids <= {stream.process_id for stream in connection.snapshot().sink_inputs},
-            "both daemons",
-            20.0,
-        )
+        wait_for(lambda: pids <= connection.processes(), "both daemons", 20.0)
         found = visit(server)
     assert "second-daemon" in found.names
     assert all(f"process {pid}" in found.wrong["second-daemon"] for pid in pids)
+    assert found.commands["second-daemon"] == f"kill {second.process.pid}"
     assert "no-daemon" not in found.names
 
 
