@@ -17,7 +17,7 @@ from audioflinger_hook.doctor.facts import GraphFacts, ServerFacts, SinkFacts
 from audioflinger_hook.doctor.machine import ANSWER_S, printed
 from device.errors import CushionError
 from device.server import PulseConnection, ServerSnapshot
-from device.server.graph import Graph, Node
+from device.server.graph import SESSION_MANAGERS, Graph, Node
 from device.server.graph_watch import READER
 from device.server.identity import is_ours
 from device.server.snapshot import Sink
@@ -152,9 +152,15 @@ def _graph_facts(graph: Graph | None, objects: list[Any]) -> GraphFacts | None:
         tuple(map(int, allowed)),
         quantum,
         forced_frames,
-        graph.session_manager is not None,
+        any(map(_is_session_manager, objects)),
         tuple(_links(graph)),
     )
+
+
+def _is_session_manager(item: Mapping[str, Any]) -> bool:
+    """Whether an object is the client that links streams; its name may end with its profile."""
+    known = (item.get("info") or {}).get("props") or {}
+    return str(known.get("application.name", "")).startswith(SESSION_MANAGERS)
 
 
 def _settings(objects: Iterable[Mapping[str, Any]]) -> dict[Any, Any]:
