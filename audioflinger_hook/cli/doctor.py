@@ -14,7 +14,8 @@ from pathlib import Path
 
 from audioflinger_hook.cli.check import find_mistakes
 from audioflinger_hook.doctor.facts import Facts
-from audioflinger_hook.doctor.findings import Finding, find
+from audioflinger_hook.doctor.finding import Finding
+from audioflinger_hook.doctor.findings import find
 from audioflinger_hook.doctor.gather import gather
 from audioflinger_hook.doctor.measurement import measure
 from audioflinger_hook.doctor.repair import repair

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from audioflinger_hook.doctor.facts import Facts, SinkFacts
-from audioflinger_hook.doctor.findings import Finding
+from audioflinger_hook.doctor.finding import Finding
 
 # Paths outside these folders may be names that the user gave.
 _SYSTEM = ("/usr/", "/etc/", "/proc/", "/dev/", "/lib")
