@@ -31,9 +31,7 @@ def run(options: argparse.Namespace) -> int:
         if not path.exists():
             print("[]" if as_json else f"{path} does not exist: the defaults apply")
             return 0
-    found, mistakes = config.check(path, LIVE_DEFAULT)
-    warnings, wrong = _problems_of_effects(found.settings) if found else ([], [])
-    mistakes += wrong
+    _, warnings, mistakes = find_mistakes(path)
     if as_json:
         print(json.dumps([dataclasses.asdict(mistake) for mistake in mistakes], indent=2))
     elif not (mistakes or warnings):
@@ -43,6 +41,17 @@ def run(options: argparse.Namespace) -> int:
     for mistake in mistakes:
         complain(f"{path}: {mistake}")
     return UsageError.exit_code if mistakes else 0
+
+
+def find_mistakes(path: Path) -> tuple[config.Config | None, list[str], list[Mistake]]:
+    """Return the settings of a config file, warnings, and all mistakes in it.
+
+    The settings are None if there are mistakes, except those of the effects file.
+    UsageError: the file cannot be read or is not text.
+    """
+    found, mistakes = config.check(path, LIVE_DEFAULT)
+    warnings, wrong = _problems_of_effects(found.settings) if found else ([], [])
+    return found, warnings, mistakes + wrong
 
 
 def _problems_of_effects(settings: Settings) -> tuple[list[str], list[Mistake]]:

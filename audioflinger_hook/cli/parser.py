@@ -15,9 +15,9 @@ NEXT = (
 )
 DESCRIPTION = "Feel what a computer plays: sound in, vibration of 20-220 Hz out."
 EXIT_CODES = (
-    "exit codes: 0 done; 2 wrong usage, config or input; 3 no such tap or device, or no running "
-    "daemon; 4 the sound server is missing, or server or device was lost; 5 internal error, full "
-    "disk or write failure; 130 interrupted"
+    "exit codes: 0 done; 1 doctor found something; 2 wrong usage, config or input; 3 no such tap "
+    "or device, or no running daemon; 4 the sound server is missing, or server or device was lost; "
+    "5 internal error, full disk or write failure; 130 interrupted"
 )
 
 SEE_DEVICES = "see `cushion devices`"
@@ -282,6 +282,16 @@ def _install_service(command: Parser) -> None:
     command.add_switch(
         "--udev", "print a udev rule for USB devices; without a device, install nothing"
     )
+
+
+@_command("doctor", "find what is wrong with this set-up, and what to do", "--report report.txt")
+def _doctor(command: Parser) -> None:
+    fixes = "repair what needs no root: a stale lock, the plugin's copy, a folder, a muted device"
+    command.add_switch("--fix", fixes)
+    text = "also write everything to a text file, without names of files, windows or streams"
+    command.add_value("--report", Path, "FILE", text)
+    command.add_switch("--measure", "play bursts of sound for 3 s, and measure their delay")
+    command.add_json()
 
 
 @_command("check", "report every mistake of a config file", "--config config.toml")

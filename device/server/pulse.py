@@ -29,6 +29,7 @@ from device.server.snapshot import (
 )
 from device.volume_limit import limit_volume_db
 
+CLIENT = "haptic-cushion"  # name of these connections on the server
 FACILITIES = ("sink", "source", "sink_input", "source_output", "module", "card", "server")
 _GATHER_S = 0.02  # time from the first event of a group to the snapshot; events come in dozens
 _BUSY_POLLS, _BUSY_S = 50, 1.0  # after 50 polls in 1 s, each event waits for further events
@@ -94,6 +95,10 @@ class PulseConnection(ConnectionThread):
             time.sleep(_VOLUME_LOOK_S)
         raise NotFoundError(f"the sink {name!r} does not take the level {wanted_db:g} dB")
 
+    def set_sink_mute(self, name: str, muted: bool) -> None:
+        """Mute a sink, or unmute it at its present volume."""
+        self._ask(lambda: self._pulse.sink_mute(self._pulse.get_sink_by_name(name).index, muted))
+
     def set_default_sink(self, name: str) -> None:
         """Make a sink the default sink. Streams may move to it later."""
         self._ask(lambda: self._pulse.sink_default_set(name))
@@ -119,6 +124,14 @@ class PulseConnection(ConnectionThread):
     def latencies_s(self) -> dict[str, float]:
         """Return each sink's present latency in seconds, keyed by name. PipeWire reports 0."""
         return {one.name: 1e-6 * one.latency for one in self._ask(lambda: self._pulse.sink_list())}
+
+    def processes(self) -> set[int]:
+        """Return the ids of the processes that have such a connection, of this process too."""
+        clients = self._ask(lambda: self._pulse.client_list())
+        texts = (
+            one.proplist.get("application.process.id", "") for one in clients if one.name == CLIENT
+        )
+        return {int(text) for text in texts if text.isdecimal()}
 
     def add(self, listener: Listener) -> None:
         """Add a listener, which gets a snapshot at once."""
@@ -157,7 +170,7 @@ class PulseConnection(ConnectionThread):
         patch_samplerates(pulsectl)
         with self._deadline():
             try:
-                self._pulse = pulsectl.Pulse("haptic-cushion", connect=False)
+                self._pulse = pulsectl.Pulse(CLIENT, connect=False)
                 self._pulse.set_poll_func(self._poll, lambda *_: None)
                 self._pulse.connect()
             except Exception:

@@ -1,0 +1,67 @@
+"""The report leaves out the names that a person gave, and keeps the names of outputs."""
+
+from dataclasses import replace
+
+import pytest
+
+from audioflinger_hook.config.toml_text import Mistake
+from audioflinger_hook.doctor.facts import ConfigFacts
+from audioflinger_hook.doctor.findings import find
+from audioflinger_hook.doctor.report import HIDDEN, Person, anonymous, full_report
+from audioflinger_hook.service.status import Endpoint
+from tests.doctor.test_findings import HEALTHY, STATUS
+
+PERSON = Person("anna", "/home/anna", "annas-box")
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "cannot read /home/anna/secret film.mkv: no such file",
+        "tap file:/media/secret.wav is missing",
+        "the stream 'secret' was left out",
+        'match = "secret" is no pattern',
+        "see ~/secret.toml",
+        "see ./secret.toml",
+        "/usr/bin/x by /home/anna/secret",
+    ],
+)
+def test_paths_and_quoted_names_are_hidden(line: str) -> None:
+    shown = anonymous(line, {"haptic"}, PERSON)
+    assert "secret" not in shown
+    assert HIDDEN in shown
+
+
+def test_the_person_and_the_machine_are_hidden() -> None:
+    shown = anonymous("run as anna on annas-box", set(), PERSON)
+    assert shown == f"run as {HIDDEN} on {HIDDEN}"
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "The output 'haptic' is muted.",
+        "       pw-metadata -n settings 0 clock.force-rate 0",
+        '       echo "$USER - rtprio 20" | sudo tee /etc/security/limits.d/cushion.conf',
+        "dropouts: tap 0, output 0 and/or",
+    ],
+)
+def test_what_a_helper_needs_stays(line: str) -> None:
+    shown = anonymous(line, {"haptic"}, PERSON)
+    assert shown == line.replace('"$USER - rtprio 20"', HIDDEN)
+
+
+def test_the_values_of_a_config_are_hidden_and_its_keys_stay() -> None:
+    mistakes = (
+        Mistake("effects_file", 1, '"/a/it\'s, my; secret.xml"', "cannot be used", "a file"),
+        Mistake('tap = "app:secret', 2, "", "is not TOML (unclosed)", "key = value"),
+        Mistake("gain_db", 3, "99", "is out of range", "-60 to 24"),
+    )
+    config = ConfigFacts("/config.toml", True, mistakes=mistakes, tap="app:secret")
+    status = replace(STATUS, tap=Endpoint("app:secret"))
+    daemon = replace(HEALTHY.daemon, status=status)
+    facts = replace(HEALTHY, config=config, daemon=daemon)
+    text = full_report(facts, find(facts), [], PERSON)
+    assert "secret" not in text
+    assert "effects_file" in text
+    assert "gain_db = 99 is out of range" in text
