@@ -39,6 +39,16 @@ def test_opening_leads_a_pcm_to_its_target_and_the_environment_is_restored(monke
     assert dict(os.environ) == before
 
 
+def test_a_stream_with_another_role_is_not_taken_for_one_of_the_vibration(monkeypatch):
+    monkeypatch.setenv("PULSE_PROP", "")
+    config = PcmConfig("one", role="test")
+    with config.opening(config.pcms["one"], "tag-1", output=True):
+        properties = dict(one.split("=") for one in os.environ["PULSE_PROP"].split())
+    config.close()
+    assert properties.pop("media.role") == "test"
+    assert properties == {"node.dont-reconnect": "true"}
+
+
 def test_children_read_the_same_configuration_and_no_file_stays_open():
     before = open_files()
     config = PcmConfig("one")
