@@ -190,10 +190,7 @@ def _ask_person(random: np.random.Generator, say: Say) -> tuple[SyncTrials, floa
             if answer:
                 trials.add(offset_ms, answer)
         _sync(store_ms=round(_checked(trials).delay_ms, 1))
-        if (
-            getattr(ask_status(ANSWER_S, time.monotonic), "offset_reason", "")
-            == "set in the config"
-        ):
+        if ask_status(ANSWER_S, time.monotonic).offset_reason == "set in the config":
             warn('the config sets offset_ms, so the result has no effect; set offset_ms = "auto"')
         return trials, time.monotonic() - began_s, sink.name
 
