@@ -98,7 +98,7 @@ class Run:
         return found
 
     def _suspect(self, batch: Batch, *, alone: bool) -> list[Outcome]:
-        """Queue a batch to run alone, or its items. After DEATHS_MAX deaths, return a failed item."""
+        """Queue a batch to run alone, or its items. After DEATHS_MAX deaths, return a failure."""
         if not alone:
             self._suspects.append(batch)
             return []
