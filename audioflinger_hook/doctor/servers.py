@@ -17,7 +17,7 @@ from audioflinger_hook.doctor.facts import GraphFacts, ServerFacts, SinkFacts
 from audioflinger_hook.doctor.machine import ANSWER_S, printed
 from device.errors import CushionError
 from device.server import PulseConnection, ServerSnapshot
-from device.server.graph import SESSION_MANAGERS, Graph, Node
+from device.server.graph import Graph
 from device.server.graph_watch import READER
 from device.server.identity import is_ours
 from device.server.snapshot import Sink
@@ -152,15 +152,9 @@ def _graph_facts(graph: Graph | None, objects: list[Any]) -> GraphFacts | None:
         tuple(map(int, allowed)),
         quantum,
         forced_frames,
-        any(map(_is_session_manager, objects)),
+        graph.session_manager is not None,
         tuple(_links(graph)),
     )
-
-
-def _is_session_manager(item: Mapping[str, Any]) -> bool:
-    """Whether an object is the client that links streams; its name may end with its profile."""
-    known = (item.get("info") or {}).get("props") or {}
-    return str(known.get("application.name", "")).startswith(SESSION_MANAGERS)
 
 
 def _settings(objects: Iterable[Mapping[str, Any]]) -> dict[Any, Any]:
@@ -190,28 +184,6 @@ def _links(graph: Graph) -> list[str]:
             text = f"{shown(link.output_node_id)} -> {shown(link.input_node_id)} ({link.state})"
             found[text] = found.get(text, 0) + 1
     return [f"{text} x {count}" for text, count in found.items()]
-
-
-def _declared_ms(node: Node, objects: Iterable[Mapping[str, Any]]) -> float | None:
-    """Return the delay that the input ports of a sink declare; None if no port declares one.
-
-    A delay in cycles counts as cycles of the configured quantum.
-    """
-    settings, found = _settings(objects), []
-    rate, forced_hz, quantum, forced_frames = (_number(settings.get(key)) for key in _SETTINGS)
-    rate, quantum = forced_hz or rate, forced_frames or quantum
-    for item in objects:
-        info = item.get("info") or {}
-        if _number((info.get("props") or {}).get("node.id")) != node.id:
-            continue
-        for one in (info.get("params") or {}).get("Latency") or ():
-            if one.get("direction") == "Input" and rate:
-                cycles, frames, ns = (
-                    0.5 * (one.get(f"min{unit}", 0) + one.get(f"max{unit}", 0))
-                    for unit in ("Quantum", "Rate", "Ns")
-                )
-                found.append(1e3 * (cycles * quantum + frames) / rate + 1e-6 * ns)
-    return round(max(found), 3) if found else None
 
 
 def _number(value: Any) -> int:

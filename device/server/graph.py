@@ -8,7 +8,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-SESSION_MANAGERS = ("WirePlumber", "pipewire-media-session")  # programs that link streams to sinks
+# Programs that link streams to sinks: the beginnings of their names, which may end with a profile.
+SESSION_MANAGERS = ("WirePlumber", "pipewire-media-session")
 LINK_ENDS = ("output-port-id", "input-port-id", "output-node-id", "input-node-id")
 
 LinkPair = tuple[int, int]  # ids of the output port and the input port of a link
@@ -168,7 +169,7 @@ class Graph:
     def session_manager(self) -> int | None:
         """Serial number of the client that links streams to sinks; None if no such client runs."""
         for client in self._clients.values():
-            if client.get("application.name") in SESSION_MANAGERS:
+            if str(client.get("application.name", "")).startswith(SESSION_MANAGERS):
                 return _number(client.get("object.serial"))
         return None
 
