@@ -13,9 +13,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from audioflinger_hook.cli.check import find_mistakes
+from audioflinger_hook.doctor.checks import Finding, find
 from audioflinger_hook.doctor.facts import Facts
-from audioflinger_hook.doctor.finding import Finding
-from audioflinger_hook.doctor.findings import find
 from audioflinger_hook.doctor.gather import gather
 from audioflinger_hook.doctor.measurement import measure
 from audioflinger_hook.doctor.repair import repair

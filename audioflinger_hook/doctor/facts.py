@@ -72,6 +72,11 @@ class GraphFacts:
         """The rate at which the graph runs: the forced rate, else the configured rate."""
         return self.forced_hz or self.rate_hz
 
+    @property
+    def cycle_frames(self) -> int:
+        """The length of a cycle: the forced quantum, else the configured quantum."""
+        return self.forced_frames or self.quantum_frames
+
 
 @dataclass(frozen=True)
 class ServerFacts:

@@ -107,8 +107,7 @@ def measure(facts: Facts) -> Delay:
     graph = facts.server.graph
     if graph is None or not graph.clock_hz:
         return found
-    frames = graph.forced_frames or graph.quantum_frames
-    return replace(found, cycle_ms=round(1e3 * frames / graph.clock_hz, 2))
+    return replace(found, cycle_ms=round(1e3 * graph.cycle_frames / graph.clock_hz, 2))
 
 
 def _why_not(facts: Facts) -> str:

@@ -9,8 +9,8 @@ from contextlib import closing
 from pathlib import Path
 
 from audioflinger_hook.config.profiles import LIVE_DEFAULT
+from audioflinger_hook.doctor.checks import Finding
 from audioflinger_hook.doctor.facts import Facts
-from audioflinger_hook.doctor.finding import Finding
 from audioflinger_hook.plugin.install import RATES_HZ, Places, install
 from audioflinger_hook.service.runtime_folder import LOCK_NAME, RuntimeFolder
 from device.atomic_file import make_private_folder

@@ -6,8 +6,8 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+from audioflinger_hook.doctor.checks import Finding
 from audioflinger_hook.doctor.facts import Facts, SinkFacts
-from audioflinger_hook.doctor.finding import Finding
 
 # Paths outside these folders may be names that the user gave.
 _SYSTEM = ("/usr/", "/etc/", "/proc/", "/dev/", "/lib")
@@ -152,6 +152,7 @@ def _daemon_rows(facts: Facts) -> Iterator[tuple[str, str]]:
         graph = status.graph
         yield "cycle", f"{graph.cycle_frames} frames at {graph.samplerate} Hz, tap {graph.tap}"
     yield "status delay", f"{status.latency.total_ms:.1f} ms"
+    yield "offset", f"{status.offset_ms:.1f} ms, {status.offset_reason}"
     counts = ((cause.value, count) for cause, count in status.recoveries.items() if count)
     yield "recoveries", ", ".join(f"{cause} {count}" for cause, count in counts)
     yield "dropouts", f"tap {status.xruns.tap}, output {status.xruns.output}"

@@ -28,10 +28,11 @@ _SETTINGS = ("clock.rate", "clock.force-rate", "clock.quantum", "clock.force-qua
 
 def read_server(environ: Mapping[str, str]) -> tuple[ServerFacts, ServerSnapshot | None]:
     """Return the facts of the sound server, and its snapshot, None if it does not answer."""
-    snapshot, error, processes = None, "", set[int]()
+    snapshot, error, processes, latencies_s = None, "", set[int](), dict[str, float]()
     try:
         with closing(PulseConnection()) as connection:
             snapshot, processes = connection.latest, connection.processes()
+            latencies_s = connection.latencies_s()
     except (CushionError, OSError) as refusal:
         error = str(refusal)
     objects = _dump() if _accepts(_pipewire_socket(environ)) else None
@@ -41,19 +42,22 @@ def read_server(environ: Mapping[str, str]) -> tuple[ServerFacts, ServerSnapshot
     else:
         graph = Graph()
         graph.apply(objects)
+    facts = _graph_facts(graph, objects or [])
     if snapshot is None:
-        return ServerFacts(error=error, hangs=hangs, graph=_graph_facts(graph, objects or [])), None
+        return ServerFacts(error=error, hangs=hangs, graph=facts), None
+    if snapshot.kind != "PipeWire":
+        graph, facts = None, None
     return ServerFacts(
         kind=snapshot.kind,
         version=snapshot.version,
         default_sink=snapshot.default_sink,
         sinks=tuple(
-            _sink_facts(sink, snapshot, graph, objects or [])
+            _sink_facts(sink, snapshot, graph, facts, latencies_s)
             for sink in snapshot.sinks
             if not sink.name.startswith(NAME)  # silent helpers of a daemon
         ),
         players=_players(snapshot, processes),
-        graph=_graph_facts(graph, objects or []) if snapshot.kind == "PipeWire" else None,
+        graph=facts,
     ), snapshot
 
 
@@ -96,9 +100,17 @@ def _runtime(environ: Mapping[str, str]) -> str:
 
 
 def _sink_facts(
-    sink: Sink, snapshot: ServerSnapshot, graph: Graph | None, objects: list[Any]
+    sink: Sink,
+    snapshot: ServerSnapshot,
+    graph: Graph | None,
+    cycle: GraphFacts | None,
+    latencies_s: Mapping[str, float],
 ) -> SinkFacts:
-    node = graph.sink(sink.name) if graph else None
+    """Return the facts of a sink. A delay in cycles counts as cycles of the configured quantum."""
+    node, declared_s = None, latencies_s.get(sink.name)
+    if graph is not None and cycle is not None:
+        node = graph.sink(sink.name)
+        declared_s = graph.declared_s(sink.name, cycle.cycle_frames, cycle.clock_hz)
     streams = [one for one in snapshot.sink_inputs if one.device_index == sink.index]
     return SinkFacts(
         sink.name,
@@ -108,7 +120,7 @@ def _sink_facts(
         sink.volume_db if math.isfinite(sink.volume_db) else None,
         any(not stream.corked for stream in streams),
         node.state if node else "",
-        _declared_ms(node, objects) if node else None,
+        None if declared_s is None else round(1e3 * declared_s, 3),
         node is None or node.state == "running" or "audio.rate" in node.properties,
     )
 

@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 
 from audioflinger_hook.config.toml_text import Mistake
+from audioflinger_hook.doctor.checks import find
 from audioflinger_hook.doctor.facts import (
     ConfigFacts,
     DaemonFacts,
@@ -18,9 +19,9 @@ from audioflinger_hook.doctor.facts import (
     SinkFacts,
     SystemFacts,
 )
-from audioflinger_hook.doctor.findings import RULES, find
 from audioflinger_hook.doctor.repair import REPAIRS
 from audioflinger_hook.doctor.report import facts_text, findings_text
+from audioflinger_hook.doctor.texts import TEXTS
 from audioflinger_hook.service.runtime_folder import Holder
 from audioflinger_hook.service.state import DaemonState
 from audioflinger_hook.service.status import Endpoint, GraphFigures, Status
@@ -132,9 +133,31 @@ def test_each_finding_is_a_sentence_that_says_what_to_do(name: str) -> None:
     assert facts_text(CASES[name])
 
 
-def test_every_rule_has_a_case() -> None:
-    silent = [rule.__name__ for rule in RULES if not any(any(rule(f)) for f in CASES.values())]
-    assert silent == ["device"]
+# Findings of other tests, and texts whose findings have another name.
+ELSEWHERE = {"no-device", "no-device-chosen", "no-alsa-plugin", "daemon-silent"}
+UNNAMED = {"config-unreadable", "config-mistake", "config-warning", "folder"}
+
+
+def test_the_offset_and_its_origin_are_shown() -> None:
+    shown = facts_text(with_status(offset_ms=194.5, offset_reason="declared by the sink"))
+    assert "194.5 ms, declared by the sink" in shown
+
+
+def test_every_finding_has_a_case() -> None:
+    assert set(TEXTS) - ELSEWHERE - UNNAMED == set(CASES) - {"config", "state-folder"}
+
+
+def test_a_daemon_or_an_engine_that_says_why_it_fails_is_a_finding() -> None:
+    daemon = changed("daemon", status=None, is_locked=False, error="no answer")
+    assert names(daemon) == ["daemon-silent"]
+    engine = replace(
+        CASES["pulseaudio"], plugin=PluginFacts("/plugin.so", alsa_problem="no plugin")
+    )
+    assert names(engine) == ["pulseaudio", "no-alsa-plugin"]
+    unreadable = changed("config", error="no permission")
+    assert [one.wrong for one in find(unreadable)] == [
+        "The config file cannot be read: no permission."
+    ]
 
 
 def test_a_device_is_needed_while_no_daemon_plays() -> None:

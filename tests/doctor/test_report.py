@@ -5,8 +5,8 @@ from dataclasses import replace
 import pytest
 
 from audioflinger_hook.config.toml_text import Mistake
+from audioflinger_hook.doctor.checks import find
 from audioflinger_hook.doctor.facts import ConfigFacts
-from audioflinger_hook.doctor.findings import find
 from audioflinger_hook.doctor.report import HIDDEN, Person, anonymous, full_report
 from audioflinger_hook.service.status import Endpoint
 from tests.doctor.test_findings import HEALTHY, STATUS
