@@ -15,9 +15,10 @@ from device.server.graph_watch import GraphWatch
 
 LOOK_S = 0.25  # shortest time between two queries of PulseAudio
 
-# PulseAudio's latency rises when a sink fills its buffer, thus when a monitor gets the sound, and
-# falls until then. So the upper quartile of the latest LOOKS latencies counts. After RECENT
-# latencies that are all smaller by FALL_S, the earlier ones are forgotten.
+# PulseAudio's latency of a sink rises when the sink fills its buffer, and falls until the next
+# time. A monitor gets the sound when the buffer is filled, so a latency near the highest counts:
+# the upper quartile of the latest LOOKS latencies, which ignores single high ones. After RECENT
+# latencies that are all smaller by FALL_S than the highest one, the earlier ones are forgotten.
 LOOKS, RECENT, FALL_S = 16, 6, 0.06
 
 # On PulseAudio, a heard sink that is later by less than this has an ordinary buffer.

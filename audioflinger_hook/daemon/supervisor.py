@@ -15,10 +15,11 @@ from audioflinger_hook.daemon.limit_advice import LimitAdvice
 from audioflinger_hook.daemon.native.abilities import check_engine
 from audioflinger_hook.daemon.offset_store import OffsetStore
 from audioflinger_hook.daemon.outputs.base import Output
+from audioflinger_hook.daemon.resting import Resting
 from audioflinger_hook.daemon.run_config import ConfigDiff, RunConfig
 from audioflinger_hook.daemon.safety_keeper import SafetyKeeper
 from audioflinger_hook.daemon.server_link import DropInControl, ServerLink
-from audioflinger_hook.daemon.timing import IdlePolicy, StallDetector, Wake
+from audioflinger_hook.daemon.timing import StallDetector, Wake
 from audioflinger_hook.pipeline.framework import Framework, drive_of
 from audioflinger_hook.service.state import Cause, DaemonState, StateKeeper
 from audioflinger_hook.service.status import Application
@@ -65,11 +66,11 @@ class Supervisor:
         self._endpoints = Endpoints(config, clocks, self.states, self.priority, wake.ring)
         self._drop_in = DropInControl(config)
         self._link = ServerLink(wake.ring)
-        self._idle_policy = IdlePolicy(now_s)
         self._found: tuple[AudioNode | None, AudioNode | None] = (None, None)
         self.engines = Engines(
             config, clocks, self._endpoints, self.states, folder, wake.ring, safety
         )
+        self._resting = Resting(self._endpoints, self.engines, self.states, now_s)
         self._alignment = Alignment(
             config, self.engines, self._drop_in, offsets or OffsetStore(), wake.ring
         )
@@ -217,12 +218,12 @@ class Supervisor:
             self.input.close()
             self.priority.restore()
             self.engines.native.lose_links(Cause.TAP_LOST, now_s, str(error))
-            self._idle_policy.wake(now_s)
+            self._resting.end(now_s)
             self.states.enter(DaemonState.WAITING_FOR_SOUND_SOURCE, now_s, str(error))
             return
         if self.engines.maintain(connection, source, device, now_s):
             return
-        if self._rests(connection, snapshot, now_s):
+        if self._resting.update(connection, snapshot, now_s):
             return
         try:
             self.engines.prepare(source, device, now_s)
@@ -272,7 +273,7 @@ class Supervisor:
                 config.recording.end("another tap needs a new mix, which a replay cannot repeat")
             self.engines.drop()
         if changes.any:
-            self._idle_policy.wake(now_s)
+            self._resting.end(now_s)
         return changes
 
     def close(self, now_s: float, *, keep: bool = True) -> None:
@@ -290,7 +291,7 @@ class Supervisor:
             # After a suspend, devices may be missing at first. `tick` reopens the streams later.
             self._endpoints.close()
             self.engines.native.close()
-            self._idle_policy.wake(now_s)
+            self._resting.end(now_s)
         if self.engines.python:
             self._stalls.count_resyncs(self.engines.python.delay_line.status.resyncs)
             if self.input.needs_server:  # while a file plays, effects may be slow
@@ -301,7 +302,7 @@ class Supervisor:
             self._lose_server(now_s, lost)
         try:
             if self._link.open(now_s):
-                self._idle_policy.wake(now_s)
+                self._resting.end(now_s)
         except CushionError as error:
             self.states.enter(DaemonState.WAITING_FOR_SERVER, now_s, str(error))
             return None
@@ -336,27 +337,6 @@ class Supervisor:
             if not self.input.needs_server:  # a file pauses until the device is available
                 self.input.close()
             self._found = (None, None)
-            self._idle_policy.wake(now_s)
+            self._resting.end(now_s)
             self.states.enter(DaemonState.WAITING_FOR_DEVICE, now_s, str(error))
             return None
-
-    def _rests(
-        self, connection: PulseConnection | None, snapshot: ServerSnapshot | None, now_s: float
-    ) -> bool:
-        """Close the streams if nothing plays; return whether the daemon is idle."""
-        if not (self.input.may_rest and self.output.may_rest):
-            self._idle_policy.wake(now_s)
-            return False
-        engine = self.engines.python
-        heard = self._idle_policy.resting and self.input.listen(connection, now_s)
-        players = self.input.players(snapshot)
-        # Without players, buffers may stop arriving, and `engine.faded` might never become true.
-        over = engine is not None and (engine.faded or not players)
-        last_sound_s = engine.last_sound_s if engine and over else now_s
-        if not self._idle_policy.update(now_s, players, last_sound_s, heard=heard):
-            return False
-        if self.states.enter(DaemonState.IDLE, now_s, self.input.why_silent):
-            self._endpoints.close()
-            if engine:
-                engine.rest()
-        return True
