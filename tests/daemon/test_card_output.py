@@ -262,6 +262,7 @@ def test_a_card_that_cannot_be_opened_is_awaited_with_a_reason_and_ever_less_oft
 
 
 FILE_RATE = 44_100
+HOUR_S, AHEAD_S = 3_600.0, 0.5  # AHEAD_S: sound that the buffers of file and card may hold
 ONLY_96K = ASYNC.replace("44100, 48000, 88200, 96000, 176400, 192000", "96000")
 
 
@@ -308,15 +309,19 @@ class DaemonRig:
             TapAddress("file", str(source)), DeviceAddress("hw", "DAC"), Settings(), live
         )
         self.wake = Wake()
-        clocks = Clocks(time.monotonic, time.thread_time)
+        self.jumped_s = self.slept_s = 0.0
+        clocks = Clocks(self.now_s, time.thread_time, lambda: self.slept_s)
         self.supervisor = Supervisor(self.order, clocks, self.wake)
+
+    def now_s(self) -> float:
+        return time.monotonic() + self.jumped_s
 
     def until(self, state: DaemonState, limit_s: float = 10.0) -> str:
         """Tick until it is in that state; return the reason."""
         end_s = time.monotonic() + limit_s
         while True:
             self.run(0.02)
-            report = self.supervisor.states.report(time.monotonic())
+            report = self.supervisor.states.report(self.now_s())
             if report.state is state:
                 return report.reason
             assert time.monotonic() < end_s, report
@@ -324,14 +329,14 @@ class DaemonRig:
     def run(self, seconds: float) -> None:
         end_s = time.monotonic() + seconds
         while time.monotonic() < end_s:
-            self.supervisor.tick(time.monotonic())
+            self.supervisor.tick(self.now_s())
             time.sleep(0.02)
 
     def heard(self, card: int) -> Float32Array:
         return decode((self.folder / f"{card}.raw").read_bytes(), PcmFormat.I32, 2)
 
     def close(self) -> None:
-        self.supervisor.close(time.monotonic())
+        self.supervisor.close(self.now_s())
         self.wake.__exit__(None, None, None)
         assert len(portaudio.open_tags) == 0
 
@@ -392,6 +397,30 @@ def test_another_card_is_gone_over_to_while_it_runs_and_a_sink_is_not(live):
         with pytest.raises(UsageError, match=f"'hw:Other' cannot become '{device}'"):
             live.supervisor.follow(replace(other, device=device), time.monotonic())
     assert live.supervisor.endpoints[1] == ("hw:Other", "hw:Other,0")
+
+
+@pytest.mark.parametrize("is_suspend", [True, False], ids=["suspend", "jump"])
+def test_a_card_that_is_away_for_an_hour_plays_on_within_3_s_and_no_other_does(live, is_suspend):
+    live.cards.plug(29, "Speakers", stream=ASYNC)
+    live.cards.plug(30, "DAC", stream=ASYNC)
+    live.until(DaemonState.RUNNING)
+    live.run(0.5)
+    live.cards.unplug(30)
+    if is_suspend:
+        live.slept_s += HOUR_S  # the monotonic clock stands still
+    else:
+        live.jumped_s += HOUR_S
+    live.until(DaemonState.WAITING_FOR_DEVICE)
+    live.cards.plug(31, "DAC", stream=ASYNC)
+    before_s, plugged_s = live.supervisor.engines.heard_s, time.monotonic()
+    live.until(DaemonState.RUNNING, 3.0)
+    live.run(1.0)
+    passed_s = time.monotonic() - plugged_s
+    assert live.supervisor.engines.heard_s - before_s < passed_s + AHEAD_S  # nothing is made up for
+    assert np.abs(live.heard(31)).max() > 0.005
+    assert not (live.folder / "29.raw").exists()
+    recoveries = live.supervisor.states.report(live.now_s()).recoveries
+    assert recoveries[Cause.RESUMED] == is_suspend
 
 
 @pytest.mark.parametrize("text", ["hw:0", "hw:DAC,1", "hw:CARD=DAC,DEV=0"])

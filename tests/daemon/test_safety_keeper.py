@@ -162,6 +162,28 @@ def test_a_clean_end_is_continued_exactly(tmp_path):
     assert keeper.since == "2026-05-01T12:00+02:00"
 
 
+def test_the_rig_of_a_new_chain_has_cooled_by_the_hour_of_a_suspend(tmp_path):
+    time = Time()
+    keeper, drive = begun(tmp_path, time)
+    played(drive, 1.0)
+    set_state(drive, 119.0, 60.0)
+    keeper.update(drive.processors, 0.0)
+    dose = state_of(drive).dose
+    time.go(3_600.0)  # the daemon ends the chain after the suspend, so its last state is not saved
+    after = driven()
+    keeper.restore(after.processors)
+    keeper.carry_over((), after.processors)
+    assert PAPER.thermal
+    ambient_c, true = PAPER.thermal.ambient_c, Temperatures(PAPER.thermal)
+    true.coil_k, true.magnet_k = 119.0 - ambient_c, 60.0 - ambient_c
+    true.heat(0.0, 3_600.0)
+    state = state_of(after)
+    assert ambient_c + true.coil_k <= state.coil_c + 1e-9
+    assert state.coil_c < ambient_c + true.coil_k + 1.0
+    assert state.dose.squares >= dose.squares
+    assert keeper.warning == ""
+
+
 @pytest.mark.parametrize(
     "harm",
     [
