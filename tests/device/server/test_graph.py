@@ -286,7 +286,11 @@ def test_a_link_that_stays_paused_beside_an_active_one_is_made_again():
 def test_another_session_manager_is_known_by_its_serial_number_as_ids_come_back():
     graph = desktop()
     assert graph.session_manager is None
-    for serial, name in ((81, "WirePlumber"), (97, "WirePlumber"), (99, "WirePlumber (main-alone)")):
+    for serial, name in (
+        (81, "WirePlumber"),
+        (97, "WirePlumber"),
+        (99, "WirePlumber (main-alone)"),
+    ):
         props = {"application.name": name, "object.serial": serial}
         graph.apply([{"id": 5, "type": "PipeWire:Interface:Client", "info": {"props": props}}])
         assert graph.session_manager == serial
