@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 from audioflinger_hook.config.file import Config, default_path
@@ -31,16 +32,8 @@ def gather(
     config = _read_config(find_mistakes, snapshot)
     daemon = read_daemon(clock, environ)
     heard, felt = _sinks(config, daemon, snapshot)
-    return Facts(
-        read_system(),
-        server,
-        config,
-        read_folders(environ),
-        read_plugin(environ),
-        daemon,
-        heard,
-        felt,
-    )
+    folders, plugin = read_folders(environ), read_plugin(environ)
+    return Facts(read_system(), server, config, folders, plugin, daemon, heard, felt)
 
 
 def _read_config(find_mistakes: FindMistakes, snapshot: ServerSnapshot | None) -> ConfigFacts:
@@ -51,28 +44,25 @@ def _read_config(find_mistakes: FindMistakes, snapshot: ServerSnapshot | None) -
         found, warnings, mistakes = find_mistakes(path)
     except CushionError as error:
         return ConfigFacts(str(path), exists=True, error=str(error))
+    known = ConfigFacts(str(path), True, mistakes=tuple(mistakes), warnings=tuple(warnings))
     if found is None:
-        return ConfigFacts(str(path), True, mistakes=tuple(mistakes), warnings=tuple(warnings))
-    device, device_error, is_on_server = found.live.device or "", "", True
-    if device:
-        address = parse_device(device)
+        return known
+    live, device_error, is_on_server = found.live, "", True
+    if live.device:
+        address = parse_device(live.device)
         is_on_server = address.kind in SERVER_DEVICES
         if snapshot is not None and is_on_server:
             try:
                 address.sink(snapshot)
             except CushionError as error:
                 device_error = str(error)
-    return ConfigFacts(
-        str(path),
-        True,
-        "",
-        tuple(mistakes),
-        tuple(warnings),
-        found.live.tap[0],
-        device,
-        found.live.engine,
-        device_error,
-        is_on_server,
+    return replace(
+        known,
+        tap=live.tap[0],
+        device=live.device or "",
+        engine=live.engine,
+        device_error=device_error,
+        is_on_server=is_on_server,
     )
 
 

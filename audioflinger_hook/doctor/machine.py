@@ -41,15 +41,8 @@ _RTKIT = "org.freedesktop.RealtimeKit1"
 _BUS = "org.freedesktop.DBus"
 # Programs that list the services of the system bus; the first that exists is used.
 _BUS_COMMANDS = (
-    ("busctl", "--system", "call", _BUS, "/", _BUS, "ListActivatableNames"),
-    (
-        "dbus-send",
-        "--system",
-        "--print-reply",
-        f"--dest={_BUS}",
-        "/",
-        f"{_BUS}.ListActivatableNames",
-    ),
+    f"busctl --system call {_BUS} / {_BUS} ListActivatableNames".split(),
+    f"dbus-send --system --print-reply --dest={_BUS} / {_BUS}.ListActivatableNames".split(),
 )
 
 

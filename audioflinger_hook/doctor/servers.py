@@ -7,7 +7,7 @@ import math
 import os
 import re
 import socket
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
@@ -42,7 +42,7 @@ def read_server(environ: Mapping[str, str]) -> tuple[ServerFacts, ServerSnapshot
     else:
         graph = Graph()
         graph.apply(objects)
-    facts = _graph_facts(graph, objects or [])
+    facts = _graph_facts(graph) if graph else None
     if snapshot is None:
         return ServerFacts(error=error, hangs=hangs, graph=facts), None
     if snapshot.kind != "PipeWire":
@@ -151,29 +151,16 @@ def _runs(process: int) -> bool:
     return False
 
 
-def _graph_facts(graph: Graph | None, objects: list[Any]) -> GraphFacts | None:
-    if graph is None:
-        return None
-    settings = _settings(objects)
-    rate, forced_hz, quantum, forced_frames = (_number(settings.get(key)) for key in _SETTINGS)
-    allowed = re.findall(r"\d+", str(settings.get("clock.allowed-rates", "")))
-    return GraphFacts(
-        graph.version,
-        rate,
-        forced_hz,
-        tuple(map(int, allowed)),
-        quantum,
-        forced_frames,
-        graph.session_manager is not None,
-        tuple(_links(graph)),
+def _graph_facts(graph: Graph) -> GraphFacts:
+    rate, forced_hz, quantum, forced_frames = (
+        _number(graph.settings.get(key)) for key in _SETTINGS
     )
-
-
-def _settings(objects: Iterable[Mapping[str, Any]]) -> dict[Any, Any]:
-    for item in objects:
-        if (item.get("props") or {}).get("metadata.name") == "settings":
-            return {one.get("key"): one.get("value") for one in item.get("metadata") or ()}
-    return {}
+    allowed = re.findall(r"\d+", str(graph.settings.get("clock.allowed-rates", "")))
+    allowed_hz, has_manager = tuple(map(int, allowed)), graph.session_manager is not None
+    cycle = quantum, forced_frames
+    return GraphFacts(
+        graph.version, rate, forced_hz, allowed_hz, *cycle, has_manager, tuple(_links(graph))
+    )
 
 
 def _links(graph: Graph) -> list[str]:

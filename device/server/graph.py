@@ -75,7 +75,8 @@ class Graph:
     """The objects of one server. Not thread-safe: hold `GraphWatch.lock`.
 
     nodes, ports, links: by id. version: the server's version, "" while unknown. clock_hz: the
-    server's configured sample rate, 0 while unknown.
+    server's configured sample rate, 0 while unknown. settings: of the server, by
+    PipeWire's names.
     """
 
     def __init__(self) -> None:
@@ -84,6 +85,7 @@ class Graph:
         self.links: dict[int, Link] = {}
         self.version = ""
         self.clock_hz = 0
+        self.settings: dict[Any, Any] = {}
         self._clients: dict[int, Mapping[str, Any]] = {}
         self._named: Index = {}
         self._ports_of: Index = {}
@@ -211,6 +213,7 @@ class Graph:
     def _read_settings(self, item: Mapping[str, Any]) -> None:
         if (item.get("props") or {}).get("metadata.name") == "settings":
             found = {one.get("key"): one.get("value") for one in item.get("metadata") or ()}
+            self.settings = found
             forced_hz = _number(found.get("clock.force-rate"))
             self.clock_hz = max(0, forced_hz if forced_hz > 0 else _number(found.get("clock.rate")))
 
