@@ -39,6 +39,7 @@ SOUND = Path("/tmp/sound.wav")
 RATE_HZ = 48_000
 POLL_S = 0.05
 LIMIT_S = 1_800.0
+HOUR_S = 3_600.0
 
 
 def devices(count: int) -> list[dict[str, Any]]:
@@ -185,7 +186,7 @@ def count_real_time(process: int) -> int:
 
 
 def pulled(folder: Path) -> dict[str, Any]:
-    """The card that plays is pulled out and plugged into another port."""
+    """The card that plays is pulled out and plugged into another port an hour later."""
     (device,) = devices(1)
     full_volume(device["hw"][0])
     name = device["device"].partition("@")[0]
@@ -197,11 +198,13 @@ def pulled(folder: Path) -> dict[str, Any]:
     run.wait(lambda status: status["state"] != "running")
     time.sleep(1.0)
     run.process.send_signal(signal.SIGSTOP)  # or it would play before the volume is set
+    time.clock_settime(time.CLOCK_REALTIME, time.time() + HOUR_S)
     order(folder, "plug", "dac", "3")
     (again,) = await_cards(1)
     full_volume(hw_names(again)[0])
     run.process.send_signal(signal.SIGCONT)
-    run.wait(lambda status: status["state"] == "running")
+    went_on_s = time.monotonic()
+    plays_s = run.wait(lambda status: status["state"] == "running")
     time.sleep(3.0)
     last = run.look()
     real_time = count_real_time(run.process.pid)
@@ -209,6 +212,7 @@ def pulled(folder: Path) -> dict[str, Any]:
     return {
         "ports": [device["port"], again.port],
         "real_time_threads": [first, real_time],
+        "again_s": plays_s - went_on_s,
         "states": run.states,
         "last": last,
     }
