@@ -5,6 +5,7 @@ The cards are files: of /proc/asound, and of what ALSA would have handed to the 
 
 import os
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -269,15 +270,15 @@ ONLY_96K = ASYNC.replace("44100, 48000, 88200, 96000, 176400, 192000", "96000")
 class Paced:
     """A block when a card of that rate, Hz, would ask for it: ALSA's file takes it at once."""
 
-    def __init__(self, fill: Fill, samplerate: int) -> None:
-        self._fill = fill
+    def __init__(self, fill: Fill, samplerate: int, clock: Callable[[], float]) -> None:
+        self._fill, self._clock = fill, clock
         self._samplerate = samplerate
         self._due_s = 0.0
 
     def fill(self, out: Float32Array, now_s: float) -> None:
-        self._due_s = (self._due_s or now_s) + len(out) / self._samplerate
-        time.sleep(max(0.001, self._due_s - time.monotonic()))
-        self._fill(out, time.monotonic())
+        self._due_s = (self._due_s or self._clock()) + len(out) / self._samplerate
+        time.sleep(max(0.001, self._due_s - self._clock()))
+        self._fill(out, self._clock())
 
 
 class DaemonRig:
@@ -287,6 +288,7 @@ class DaemonRig:
         pytest.importorskip("pyaudio")
         self.folder = folder
         self.cards = cards = Cards(folder / "asound")
+        clock = self.now_s
 
         class FileCard(CardOutput):
             def __init__(self, *arguments: Any, **options: Any) -> None:
@@ -298,7 +300,7 @@ class DaemonRig:
 
             def maintain(self, connection: Any, fill: Fill, now_s: float) -> None:
                 assert self._found
-                paced = Paced(fill, self._found.samplerate or FILE_RATE)
+                paced = Paced(fill, self._found.samplerate or FILE_RATE, clock)
                 super().maintain(connection, paced.fill, now_s)
 
         monkeypatch.setattr(endpoints, "CardOutput", FileCard)
