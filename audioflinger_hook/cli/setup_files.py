@@ -41,7 +41,9 @@ def write(path: Path, before: str | None, text: str, *, with_service: bool) -> s
     """Write the config and install the service. Return the path of the config's backup, or "".
 
     before: the file's text before the questions; None if there was no file. with_service: whether
-    to start the daemon at every login, and to add the page to the desktop's menu. UsageError: the file has changed since the questions, or a folder cannot
+    to start the daemon at every login, and to add the page to the desktop's menu.
+
+    UsageError: the file has changed since the questions, or a folder cannot
     be written. WriteError: the disk is full or failed. After an error or an interruption, all files
     are restored if possible.
     """
