@@ -42,31 +42,31 @@ class Item(ServiceInterface):
         self.title = "Haptic Cushion"
 
     @dbus_property(PropertyAccess.READ)
-    def Category(self) -> DBusStr:  # noqa: N802
+    def Category(self) -> DBusStr:
         return "Hardware"
 
     @dbus_property(PropertyAccess.READ)
-    def Id(self) -> DBusStr:  # noqa: N802
+    def Id(self) -> DBusStr:
         return NAME
 
     @dbus_property(PropertyAccess.READ)
-    def Title(self) -> DBusStr:  # noqa: N802
+    def Title(self) -> DBusStr:
         return self.title
 
     @dbus_property(PropertyAccess.READ)
-    def Status(self) -> DBusStr:  # noqa: N802
+    def Status(self) -> DBusStr:
         return "Active"
 
     @dbus_property(PropertyAccess.READ)
-    def IconName(self) -> DBusStr:  # noqa: N802
+    def IconName(self) -> DBusStr:
         return NAME
 
     @dbus_property(PropertyAccess.READ)
-    def ItemIsMenu(self) -> DBusBool:  # noqa: N802
+    def ItemIsMenu(self) -> DBusBool:
         return True
 
     @dbus_property(PropertyAccess.READ)
-    def Menu(self) -> DBusObjectPath:  # noqa: N802
+    def Menu(self) -> DBusObjectPath:
         return MENU_PATH
 
 
@@ -85,15 +85,15 @@ class Menu(ServiceInterface):
             self.LayoutUpdated()
 
     @dbus_property(PropertyAccess.READ)
-    def Version(self) -> DBusUInt32:  # noqa: N802
+    def Version(self) -> DBusUInt32:
         return 3
 
     @dbus_property(PropertyAccess.READ)
-    def Status(self) -> DBusStr:  # noqa: N802
+    def Status(self) -> DBusStr:
         return "normal"
 
     @dbus_method()
-    def GetLayout(  # noqa: N802
+    def GetLayout(
         self, parent: DBusInt32, depth: DBusInt32, names: Annotated[list[str], DBusSignature("as")]
     ) -> Annotated[tuple[int, list[Any]], DBusSignature("u(ia{sv}av)")]:
         children = [
@@ -104,7 +104,7 @@ class Menu(ServiceInterface):
         return self._revision, [0, top, children if parent == 0 and depth else []]
 
     @dbus_method()
-    def GetGroupProperties(  # noqa: N802
+    def GetGroupProperties(
         self,
         ids: Annotated[list[int], DBusSignature("ai")],
         names: Annotated[list[str], DBusSignature("as")],
@@ -113,7 +113,7 @@ class Menu(ServiceInterface):
         return [[number, _shown(entry)] for number, entry in numbered if not ids or number in ids]
 
     @dbus_method()
-    def Event(  # noqa: N802
+    def Event(
         self, number: DBusInt32, kind: DBusStr, content: DBusVariant, time: DBusUInt32
     ) -> None:
         if kind == "clicked" and 1 <= number <= len(self._entries):
@@ -122,11 +122,11 @@ class Menu(ServiceInterface):
                 self._chosen(request)
 
     @dbus_method()
-    def AboutToShow(self, number: DBusInt32) -> DBusBool:  # noqa: N802
+    def AboutToShow(self, number: DBusInt32) -> DBusBool:
         return False
 
     @dbus_signal()
-    def LayoutUpdated(self) -> Annotated[tuple[int, int], DBusSignature("ui")]:  # noqa: N802
+    def LayoutUpdated(self) -> Annotated[tuple[int, int], DBusSignature("ui")]:
         return self._revision, 0
 
 
