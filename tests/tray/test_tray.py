@@ -89,7 +89,7 @@ def test_the_tray_shows_the_menu_and_a_click_asks_the_daemon(bus_address):
 
 def test_without_a_host_it_says_so_and_that_the_vibration_goes_on(bus_address):
     with pytest.raises(
-        NotFoundError, match="no StatusNotifier host answers.*the vibration goes on"
+        NotFoundError, match=r"no StatusNotifier host answers.*the vibration goes on"
     ):
         asyncio.run(show(Menu(lambda _: None), 5.0))
 
