@@ -186,6 +186,11 @@ def _monitor(command: Parser) -> None:
     command.add_value("--rate", float, "HZ", "updates of the page per second, 1 to 60", 30.0)
 
 
+@_command("tray", "show a tray icon with on and off, strength and profile")
+def _tray(command: Parser) -> None:
+    del command  # it has no options
+
+
 @_command("devices", "list outputs and playing applications")
 def _devices(command: Parser) -> None:
     command.add_json()

@@ -21,6 +21,7 @@ from audioflinger_hook.cli.test_tone import PCM, Felt, try_output
 from audioflinger_hook.config import file as config
 from audioflinger_hook.config.edits import actuator_text, commented_text, edited_text
 from audioflinger_hook.config.profiles import LIVE_DEFAULT, PROFILES
+from audioflinger_hook.service import autostart
 from audioflinger_hook.service import install as service
 from device.address import DeviceAddress, parse_device
 from device.alsa import find_playback, list_cards
@@ -65,7 +66,7 @@ def run(options: argparse.Namespace) -> int:
     if before is not None:  # the user must repair a config with mistakes first
         wired = config.load(path, LIVE_DEFAULT).settings.actuators
     _check_profile(options.profile)
-    has_service = not options.no_service and service.installed_text() is not None
+    has_service = not options.no_service and autostart.is_on()
     choice = _chosen(options, wired)
     if choice is None:
         print(f"The tone was stopped; {NOTHING_WRITTEN}.")
@@ -285,8 +286,9 @@ def _tell(path: Path, text: str, has_service: bool) -> None:
     )
     print("next, type:")
     begin = [(command, "") for command in service.START]
+    by_systemd = has_service and autostart.has_systemd()
     rows = [
-        *(begin if has_service else [(as_typed("run"), "plays the vibration; Ctrl+C ends it")]),
+        *(begin if by_systemd else [(as_typed("run"), "plays the vibration; Ctrl+C ends it")]),
         (as_typed("monitor --open"), "opens a page that shows and adjusts the vibration"),
         (as_typed("status"), "shows the state of the daemon"),
         (as_typed("setup --undo"), "restores the config and the service as before"),

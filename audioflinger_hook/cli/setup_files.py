@@ -15,7 +15,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from audioflinger_hook.config import toml_text
+from audioflinger_hook.service import autostart
 from audioflinger_hook.service import install as service
+from audioflinger_hook.service.desktop_entry import install_page_entry, remove_page_entry
 from device.atomic_file import make_private_folder, write_bytes_atomically
 from device.errors import CushionError, UsageError
 
@@ -32,13 +34,16 @@ class Record:
     backup: str | None  # copy of the earlier config; None if unchanged or if there was no config
     unit_changed: bool  # whether the service was installed
     unit: str | None  # the earlier text of the unit; None if there was no unit
+    started: bool = False  # whether the daemon started at every login before
 
 
 def write(path: Path, before: str | None, text: str, *, with_service: bool) -> str:
     """Write the config and install the service. Return the path of the config's backup, or "".
 
     before: the file's text before the questions; None if there was no file. with_service: whether
-    to install the service. UsageError: the file has changed since the questions, or a folder cannot
+    to start the daemon at every login, and to add the page to the desktop's menu.
+
+    UsageError: the file has changed since the questions, or a folder cannot
     be written. WriteError: the disk is full or failed. After an error or an interruption, all files
     are restored if possible.
     """
@@ -61,13 +66,17 @@ def write(path: Path, before: str | None, text: str, *, with_service: bool) -> s
         backup=str(backup.absolute()) if backup else None,
         unit_changed=with_service,
         unit=service.installed_text() if with_service else None,
+        started=with_service and autostart.is_on(),
     )
     try:
         _save([*earlier, record])
         if changes:
             write_bytes_atomically(path, text.encode())
         if with_service:
-            service.install(["--wait"], systemd=service.systemd_version())
+            if autostart.has_systemd():
+                service.install(["--wait"], systemd=service.systemd_version())
+            autostart.set_on(True)
+            install_page_entry(service.own_command())
     except BaseException:
         with suppress(
             CushionError
@@ -102,6 +111,9 @@ def _take_back(record: Record, earlier: list[Record]) -> tuple[list[str], tuple[
     if record.written is not None:
         done += _restore_config(record)
     if record.unit_changed:
+        if not record.started:
+            autostart.set_on(False)
+            remove_page_entry()
         restored = service.restore(record.unit)
         what = "removed" if restored.changed and record.unit is None else "as it was before"
         done.append(f"{restored.path}: {what}")

@@ -24,7 +24,9 @@ from audioflinger_hook.monitor.clients import CLIENTS_MAX, Client, Clients
 from audioflinger_hook.monitor.daemon_link import DaemonLink
 from audioflinger_hook.monitor.figures import CONTENT_TYPE, metrics_text
 from audioflinger_hook.monitor.frames import Frames
-from device.errors import InternalError, UsageError
+from audioflinger_hook.service import autostart
+from audioflinger_hook.service.one_line import one_line
+from device.errors import CushionError, InternalError, UsageError
 
 MESSAGE_BYTES_MAX = 4096
 CONNECTIONS_MAX = 48  # further connections are closed immediately
@@ -174,10 +176,27 @@ class PageServer:
         if type(asked.get("id")) is not int:
             return False
         request = {name: asked[name] for name in _REQUESTS if name in asked}
-        answer = await self._link.control(request)
+        if "autostart" in asked:
+            answer = await asyncio.to_thread(self._start_at_login, asked["autostart"])
+        else:
+            answer = await self._link.control(request)
         client.answer(json.dumps({"id": asked["id"], "answer": answer}))
         await asyncio.sleep(CONTROL_PAUSE_S)
         return True
+
+    def _start_at_login(self, on: object) -> dict[str, Any]:
+        """Switch the start at login on or off, or only report it if `on` is None.
+
+        The daemon cannot do this, because its service may not write to the config home.
+        """
+        if on is not None and not isinstance(on, bool):
+            return {"error": "autostart takes true, false or null"}
+        try:
+            if on is not None:
+                autostart.set_on(on, self._environ)
+            return {"done": True, "autostart": autostart.is_on(self._environ)}
+        except CushionError as error:
+            return {"error": one_line(str(error), 400)}
 
 
 class _Connection(ServerConnection):

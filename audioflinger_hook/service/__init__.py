@@ -11,5 +11,7 @@
 | `sync_trials` | the delay of the sound, estimated from a person's answers |
 | `systemd` | notifications and the watchdog |
 | `install` | the systemd unit and the udev rule |
+| `autostart` | the start of the daemon at login, on or off |
+| `desktop_entry` | entries of the application menu and of the autostart folder |
 | `one_line` | conversion of untrusted text to one line |
 """

@@ -182,8 +182,9 @@ def systemd_version() -> int:
     return int(found[1]) if found else 0
 
 
-def _unit_path(environ: Mapping[str, str]) -> Path:
-    return _home(environ, "XDG_CONFIG_HOME", ".config") / "systemd" / "user" / NAME
+def unit_path(environ: Mapping[str, str]) -> Path:
+    """Return the path of the unit. UsageError: no home folder is known."""
+    return home_folder(environ, "XDG_CONFIG_HOME", ".config") / "systemd" / "user" / NAME
 
 
 def install(
@@ -207,7 +208,7 @@ def install(
 
 def installed_text(environ: Mapping[str, str] = os.environ) -> str | None:
     """Return the unit's text, or None. UsageError: no home folder, or a unit of another program."""
-    path, text = _unit_path(environ), ""
+    path, text = unit_path(environ), ""
     with suppress(OSError, UnicodeDecodeError):
         try:
             found = path.lstat()
@@ -227,7 +228,7 @@ def restore(text: str | None, environ: Mapping[str, str] = os.environ) -> Instal
     """Write `text` as the unit, or remove the unit if `text` is None. Errors: see `install`."""
     if text is None:
         return remove(environ)
-    path = _unit_path(environ)
+    path = unit_path(environ)
     changed = installed_text(environ) != text
     if changed:
         make_private_folder(path.parent)
@@ -237,12 +238,12 @@ def restore(text: str | None, environ: Mapping[str, str] = os.environ) -> Instal
 
 def state_folder(environ: Mapping[str, str] = os.environ) -> Path:
     """Return the state folder. UsageError: neither XDG_STATE_HOME nor HOME is an absolute path."""
-    return _home(environ, "XDG_STATE_HOME", ".local/state") / "cushion"
+    return home_folder(environ, "XDG_STATE_HOME", ".local/state") / "cushion"
 
 
 def remove(environ: Mapping[str, str] = os.environ) -> Installed:
     """Remove the unit. UsageError: another program wrote the unit, or removal failed."""
-    path = _unit_path(environ)
+    path = unit_path(environ)
     if installed_text(environ) is None:
         return Installed(path, False, ())
     try:
@@ -252,7 +253,11 @@ def remove(environ: Mapping[str, str] = os.environ) -> Installed:
     return Installed(path, True, FORGET)
 
 
-def _home(environ: Mapping[str, str], variable: str, otherwise: str) -> Path:
+def home_folder(environ: Mapping[str, str], variable: str, otherwise: str) -> Path:
+    """Return an XDG base folder: the variable's, else `otherwise` in the user's home.
+
+    UsageError: neither the variable nor HOME is an absolute path.
+    """
     text = environ.get(variable, "")
     # By the XDG specification, relative paths are ignored.
     if text.startswith("/"):

@@ -13,6 +13,7 @@ from audioflinger_hook.config.edits import commented_text
 from audioflinger_hook.config.file import check_text
 from audioflinger_hook.config.profiles import LIVE_DEFAULT, PROFILES
 from audioflinger_hook.config.schema import keys_of
+from audioflinger_hook.service import autostart
 from device.address import parse_device
 from device.errors import UsageError
 from device.server import ServerSnapshot
@@ -27,9 +28,10 @@ DUALSENSE = {"device_bus": "usb", "device_vendor_id": "054c", "device_product_id
 
 @pytest.fixture(autouse=True)
 def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    for name in ("CONFIG_HOME", "STATE_HOME", "RUNTIME_DIR"):
+    for name in ("CONFIG_HOME", "DATA_HOME", "STATE_HOME", "RUNTIME_DIR"):
         monkeypatch.setenv(f"XDG_{name}", str(tmp_path / name.partition("_")[0].lower()))
     monkeypatch.setenv("PULSE_SERVER", f"unix:{tmp_path}/none")
+    monkeypatch.setattr(autostart, "BOOTED", Path("/"))
     return tmp_path
 
 

@@ -160,3 +160,21 @@ find("tone").onclick = () => act({ tone: toned ? null : { hz: Number(find("tone-
 showTheme();
 connection.open();
 requestAnimationFrame(draw);
+
+const autostart = find("autostart");
+
+/** Ask the page's server whether the daemon starts at login; `on` true or false switches it. */
+async function startAtLogin(on) {
+  const answer = await connection.ask({ autostart: on });
+  if ("autostart" in answer) autostart.checked = answer.autostart;
+  else if (on !== null) {
+    autostart.checked = !on;
+    find("notice").textContent = answer.error;
+    find("notice").hidden = false;
+  }
+  autostart.disabled = !("autostart" in answer) && on === null;
+  if (autostart.disabled) setTimeout(() => startAtLogin(null), 1000);
+}
+
+autostart.onchange = () => startAtLogin(autostart.checked);
+startAtLogin(null);

@@ -1,0 +1,137 @@
+"""Desktop entries, in the format of the freedesktop.org Desktop Entry Specification 1.5."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from importlib.resources import files
+from pathlib import Path
+
+from audioflinger_hook.service.install import home_folder
+from device.atomic_file import make_private_folder, write_bytes_atomically
+from device.errors import UsageError
+
+NAME = "haptic-cushion"  # name of the icon and, with .desktop, of the menu's entry
+MARK = "# Written by `cushion`."  # first line of every entry of this program
+
+_RESERVED = re.compile(r"[^\w@%+=:,./-]", re.ASCII)
+
+
+def exec_line(command: Sequence[str]) -> str:
+    """Return a command as the value of the key Exec. UsageError: a word has a control character."""
+    return " ".join(map(_word, command))
+
+
+def _word(word: str) -> str:
+    if not word.isprintable():
+        raise UsageError(
+            f"a desktop entry cannot hold {word!r}, which has an unprintable character; "
+            "install the program in another folder"
+        )
+    word = word.replace("%", "%%")
+    if word and not _RESERVED.search(word):
+        return word
+    quoted = re.sub(r'(["`$\\])', r"\\\1", word)
+    # Values of this format have a second level of escapes.
+    return '"' + quoted.replace("\\", "\\\\") + '"'
+
+
+def page_entry(program: Sequence[str] = ("cushion",)) -> str:
+    """Return the entry of the application menu, which opens the live page."""
+    return f"""\
+{MARK}
+[Desktop Entry]
+Type=Application
+Name=Haptic Cushion
+GenericName=Sound to vibration
+Comment=Feel what this computer plays
+Exec={exec_line([*program, "monitor", "--open"])}
+Icon={NAME}
+Terminal=false
+Categories=AudioVideo;Audio;
+Keywords=haptics;vibration;shaker;bass;
+"""
+
+
+def daemon_entry(program: Sequence[str]) -> str:
+    """Return the entry that starts the daemon at login on machines without systemd."""
+    return f"""\
+{MARK}
+[Desktop Entry]
+Type=Application
+Name=Haptic Cushion
+Comment=Turns sound into vibration
+Exec={exec_line([*program, "run", "--wait"])}
+Icon={NAME}
+Terminal=false
+NoDisplay=true
+"""
+
+
+def install_page_entry(program: Sequence[str], environ: Mapping[str, str] = os.environ) -> Path:
+    """Write the menu's entry and its icon for this user; return the path of the entry.
+
+    UsageError: a folder cannot be written, or another program wrote the entry. WriteError: the disk
+    is full or failed.
+    """
+    entry, icon = _installed(environ)
+    write_entry(entry, page_entry(program))
+    make_private_folder(icon.parent)
+    write_bytes_atomically(icon, icon_bytes())
+    return entry
+
+
+def remove_page_entry(environ: Mapping[str, str] = os.environ) -> None:
+    """Remove the menu's entry and its icon. UsageError: as for `remove_entry`."""
+    entry, icon = _installed(environ)
+    remove_entry(entry)
+    with suppress(OSError):
+        icon.unlink()
+
+
+def _installed(environ: Mapping[str, str]) -> tuple[Path, Path]:
+    data = home_folder(environ, "XDG_DATA_HOME", ".local/share")
+    icon = data / "icons/hicolor/scalable/apps" / f"{NAME}.svg"
+    return data / "applications" / f"{NAME}.desktop", icon
+
+
+def icon_bytes() -> bytes:
+    """Return the icon as SVG."""
+    return files("audioflinger_hook.monitor").joinpath("static", "icon.svg").read_bytes()
+
+
+def is_ours(path: Path) -> bool:
+    """Return whether an entry of this program is at `path`.
+
+    UsageError: another file is there, or the entry cannot be read.
+    """
+    try:
+        text = path.read_text(encoding="utf-8", errors="replace")
+    except (FileNotFoundError, NotADirectoryError):
+        return False
+    except OSError as error:
+        raise UsageError(f"cannot read {path}: {error.strerror}; move it away first") from error
+    if not text.startswith(MARK):
+        raise UsageError(
+            f"{path} was not written by `cushion` and is left alone; move it away first"
+        )
+    return True
+
+
+def write_entry(path: Path, text: str) -> None:
+    """Write an entry. Errors: as for `install_page_entry`."""
+    is_ours(path)
+    make_private_folder(path.parent)
+    write_bytes_atomically(path, text.encode())
+
+
+def remove_entry(path: Path) -> None:
+    """Remove an entry, if there is one. UsageError: another program wrote it, or removal failed."""
+    if is_ours(path):
+        try:
+            path.unlink()
+        except OSError as error:
+            problem = f"cannot remove {path}: {error.strerror}"
+            raise UsageError(f"{problem}; remove it yourself") from error
