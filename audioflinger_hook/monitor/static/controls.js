@@ -2,9 +2,10 @@
 
 const ORDER = ["device_volume_db", "drop_in", "engine", "damping", "protection", "exposure_cap"]; // the rest follows
 const WORDS = { gain_db: ["Strength", "gentle", "full"], profile: ["Profile"], offset_ms: ["Delay", "at once", "later"] }; // label, ends of the slider
+const NAMES = { "transform.strength": "Strength by frequency" }; // "Strength" is that of the vibration
 const REASONS = {
   "declared by the sink": "as the output reports", "measured by cushion sync": "as you found it", "": "",
-  "not known": "not known for this output. Find it if vibration and sound do not match.",
+  "not known": "not known for this output",
 };
 const PROFILES = {
   cinema: "for films and series", game: "earlier, for games", music: "bass and rhythm", speech: "the syllables of voices",
@@ -68,7 +69,7 @@ class Control {
     this.box = element("div", { class: "control" });
     const label = element("div", { class: "label" });
     const plain = key.key.split(".").pop().replace(UNITS, "").replaceAll("_", " ");
-    const first = WORDS[key.key], [word, ...ends] = first ?? [titled(plain)];
+    const first = WORDS[key.key], [word, ...ends] = first ?? [NAMES[key.key] ?? titled(plain)];
     this.name = word;
     this.output = element("output");
     label.append(element("label", { for: id, id: `${id}-label` }, word), this.output);
@@ -95,12 +96,12 @@ class Control {
       this.output.replaceWith(this.meaning);
       return;
     }
-    const number = element("span", { class: "number" }), row = element("div", { class: "slider-ends", "aria-hidden": "true" });
+    const number = element("span", { class: "number" }), [low, high] = ends.map((word) => element("span", { class: "unit", "aria-hidden": "true" }, word));
     number.append(this.exact, element("span", { class: "unit" }, this.unit));
     this.output.replaceWith(number);
     if (this.isAuto) this.exact.placeholder = "Automatic";
-    row.append(...ends.map((word) => element("span", {}, word)));
-    this.field.parentElement.after(row);
+    this.field.before(low);
+    this.field.after(high);
   }
 
   input(id) {
@@ -176,7 +177,8 @@ class Control {
     this.key = key;
     this.box.dataset.unsaved = key.unsaved;
     this.filed.hidden = !key.unsaved;
-    this.filed.firstChild.textContent = `Not saved. In the file: ${key.file === null ? "its default" : this.worded(key.file)}`;
+    const filed = key.file ?? key.default;
+    this.filed.firstChild.textContent = `Not saved. In the file: ${filed === null ? "nothing" : this.worded(filed)}`;
     this.reset.disabled = JSON.stringify(key.value) === JSON.stringify(key.default);
     if (this.busy || this.wanted !== undefined) return; // a change of our own is under way
     this.limit?.(key.schema);
@@ -196,11 +198,11 @@ class Control {
   worded(value) {
     const isNumber = typeof value === "number";
     const shown = isNumber ? Number(value.toPrecision(6)) : value === true ? "on" : value === false ? "off" : Array.isArray(value) ? value.join(", ") || "none" : titled(String(value));
-    return `${shown} ${isNumber ? this.unit : ""}`.trim();
+    return value === "auto" && this.isAuto ? "Automatic" : `${shown} ${isNumber ? this.unit : ""}`.trim();
   }
 
   tell(value) {
-    this.output.textContent = value === null ? "not set" : Array.isArray(value) ? "" : value === "auto" ? "Automatic" : this.worded(value);
+    this.output.textContent = value === null ? "not set" : Array.isArray(value) ? "" : this.worded(value);
     if (this.key.key === "profile") this.meaning.textContent = PROFILES[value] ?? "";
     if (this.field?.type === "range") this.field.setAttribute("aria-valuetext", this.output.textContent);
   }
