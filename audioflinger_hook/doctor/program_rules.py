@@ -156,7 +156,7 @@ def daemon_state(facts: Facts) -> Iterator[Finding]:
         wrong = f"The daemon is {status.state.value}{reason}."
         yield Finding("daemon-waits", wrong, "Remove the cause; the daemon then continues.")
     if status.muted:
-        unmute = "Press Unmute in the live page."
+        unmute = "Switch the vibration on in the live page."
         yield Finding("muted", "The vibration is muted.", unmute, "cushion monitor --open")
     if (
         facts.server.kind == "PipeWire"

@@ -146,7 +146,7 @@ def test_sliders_offer_only_what_the_other_settings_allow(page):
     high.fill("600")
     high.press("Enter")
     wait_for(lambda: ends("transform-band_low_hz")[1] <= 300.0, "half of the highest frequency")
-    page.locator("#control-transform-band_low_hz").fill(str(ends("transform-band_low_hz")[1]))
+    page.locator("#control-transform-band_low_hz").fill("300")
     wait_for(lambda: ends("transform-band_high_hz")[0] >= 590.0, "twice the lowest frequency")
     assert page.locator(".control[data-bad=true]").count() == 0
     for _ in range(2):

@@ -125,8 +125,8 @@ class Control {
     const step = schema.type === "integer" ? 1 : span > 200 ? 1 : span > 20 ? 0.5 : Number((span / 200).toPrecision(1));
     const slider = element("input", { type: "range", id, step });
     this.limit = ({ minimum, maximum }) => { // what the other settings allow now, in whole steps
-      slider.min = Number((Math.ceil(minimum / step - 1e-9) * step).toPrecision(6));
-      slider.max = Number((Math.floor(maximum / step + 1e-9) * step).toPrecision(6));
+      slider.min = minimum === schema.minimum ? minimum : Number((Math.ceil(minimum / step - 1e-9) * step).toPrecision(6));
+      slider.max = maximum === schema.maximum ? maximum : Number((Math.floor(maximum / step + 1e-9) * step).toPrecision(6));
     };
     this.limit(schema);
     const exact = this.exact = element("input", { type: "number", step: "any", "aria-labelledby": `${id}-label`, "aria-describedby": `${id}-error` });

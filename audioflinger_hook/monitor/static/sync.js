@@ -53,6 +53,7 @@ export class SyncTest {
   async try(state) {
     this.state = state;
     this.slider.value = state.offset;
+    this.slider.style.setProperty("--fill", `${(100 * state.offset) / this.slider.max}%`);
     find("sync-value").textContent = `${state.offset} ms`;
     if (this.busy) return;
     this.busy = true;
