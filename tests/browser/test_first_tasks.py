@@ -40,7 +40,10 @@ def drag(page, selector, share):
     page.locator(selector).scroll_into_view_if_needed()
     box = page.locator(selector).bounding_box()
     now = page.evaluate(
-        "(s) => { const e = document.querySelector(s); return (e.value - e.min) / (e.max - e.min) }",
+        """(selector) => {
+          const { value, min, max } = document.querySelector(selector);
+          return (value - min) / (max - min);
+        }""",
         selector,
     )
     thumb = min(30.0, box["height"])
