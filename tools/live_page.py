@@ -30,7 +30,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from tools.sound_server import SoundServer
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser, FloatRect, Page
+    from playwright.sync_api import Browser, Page
 
 ROOT = Path(__file__).resolve().parents[1]
 CUSHION = (sys.executable, "-m", "audioflinger_hook")
@@ -44,12 +44,13 @@ CHROMIUM_OPTIONS = (
     "--disable-sync",
 )
 START_S = 20.0
-MOVING_WIDTH, MOVING_HEIGHT = 1000, 816
+MOVING_WIDTH, MOVING_HEIGHT = 1000, 760
 """In pixels: width of the animation, and height of the shown part of a page 1280 pixels wide."""
 
 MOVING_HZ, MOVING_S, MOVING_AFTER_S = 10.0, 7.5, 5.0
 MOVING_BYTES_MAX = 2_000_000
-VIEWS = [(width, theme) for width in (1280, 390) for theme in ("dark", "light")]
+VIEWS = [(size, theme) for size in ((1366, 768), (390, 844)) for theme in ("dark", "light")]
+"""Width and height of the page in pixels, and its theme, for each picture."""
 
 
 def missing_browser() -> list[str]:
@@ -182,16 +183,15 @@ def cinema() -> Iterator[tuple[SoundServer, Path, Monitor, Browser]]:
 
 
 def take_pictures(folder: Path) -> None:
-    """Write a picture of the page for each width and theme."""
+    """Write a picture of the page's first screen for each size and theme."""
     with cinema() as (server, wav, monitor, chromium):
-        for width, theme in VIEWS:
+        for (width, height), theme in VIEWS:
             with player(server, wav, "Film player"), player(server, wav, "Web browser", 0.05):
                 page = open_page(chromium, monitor.address, width, theme)
-                time.sleep(12.0)  # the waterfall shows ten seconds
+                page.set_viewport_size({"width": width, "height": height})
+                time.sleep(9.0)
                 kind = "page" if width > 500 else "phone"
-                tall = 1900.0 if kind == "page" else 1700.0
-                clip: FloatRect = {"x": 0.0, "y": 0.0, "width": float(width), "height": tall}
-                page.screenshot(path=folder / f"{kind}-{theme}.png", full_page=True, clip=clip)
+                page.screenshot(path=folder / f"{kind}-{theme}.png")
                 page.close()
 
 

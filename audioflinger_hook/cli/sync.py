@@ -202,7 +202,7 @@ def _ready_status() -> Status:
         reason = f"{status.state.value}: {status.reason}" if status.reason else status.state.value
         raise NotFoundError(f"the daemon plays no vibration ({reason}); see `cushion status`")
     if status.muted:
-        raise UsageError("the vibration is muted; press Unmute in the live page")
+        raise UsageError("the vibration is muted; switch it on in the live page")
     return status
 
 

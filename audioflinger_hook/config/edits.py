@@ -163,6 +163,17 @@ class LiveEdits:
         self.values = self.without_last()
         self._undo.pop()
 
+    def in_file(self) -> dict[str, Any]:
+        """Return what the file says of each unsaved key, None if it does not have the key.
+
+        UsageError: the file cannot be read.
+        """
+        try:
+            document = tomllib.loads(text_of(self._path, or_empty=True)) if self.unsaved else {}
+        except ValueError as error:
+            raise UsageError(f"the config file is not TOML ({error})") from error
+        return {name: _value(document, name) for name in self.unsaved}
+
     def save(self) -> None:
         """Write the edits to the config file. UsageError, InternalError: it cannot be changed."""
         text = text_of(self._path, or_empty=True)

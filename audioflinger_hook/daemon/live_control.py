@@ -24,6 +24,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from audioflinger_hook.config.allowed_now import allowed_now
 from audioflinger_hook.config.edits import EDITABLE, LiveEdits, editable
 from audioflinger_hook.config.profiles import LIVE_DEFAULT
 from audioflinger_hook.config.schema import CHANGES, Key
@@ -36,6 +37,7 @@ from audioflinger_hook.service.install import own_command
 from audioflinger_hook.service.one_line import one_line
 from device.errors import CushionError, UsageError
 from device.units import db_to_amplitude
+from device.values import Described
 
 WAITING_MAX = 16  # largest number of waiting requests
 ANSWER_S = 3.0  # longest wait for an answer
@@ -231,23 +233,33 @@ class LiveControl:
 
     def _tell(self) -> None:
         """Set `settings` to a new object, by which the status server detects the change."""
-        unsaved, config = self._edits.unsaved, self._config
+        config, filed = self._config, self._filed()
         self._level = 0.0 if config.muted else db_to_amplitude(config.settings.gain_db)
         self.settings = {
             "keys": [
-                _shown(name, key, self._value_of(key)) | {"unsaved": name in unsaved}
+                _shown(name, key, self._owner_of(key))
+                | {"unsaved": name in filed, "file": filed.get(name)}
                 for name, key in EDITABLE.items()
             ],
-            "unsaved": len(unsaved),
+            "unsaved": len(filed),
             "undo": self._edits.undo_count,
             "muted": config.muted,
             "tone": self._tone is not None,
             "recording": config.recording is not None,
         }
 
-    def _value_of(self, key: Key) -> Any:
+    def _filed(self) -> dict[str, Any]:
+        """Return what the config file says of each key whose value is not that of the file."""
+        edits = self._edits
+        try:
+            filed = edits.in_file()
+        except CushionError:  # saving will say what is wrong with the file
+            return dict.fromkeys(edits.unsaved)
+        return {name: value for name, value in filed.items() if value != edits.values[name]}
+
+    def _owner_of(self, key: Key) -> Described:
         owners = {Settings: self._config.settings, LiveSettings: self._config.live}
-        return getattr(owners.get(key.owner, self._config.settings.parameters), key.field)
+        return owners.get(key.owner, self._config.settings.parameters)
 
 
 class _Refused(UsageError):
@@ -256,15 +268,16 @@ class _Refused(UsageError):
         self.key = key
 
 
-def _shown(name: str, key: Key, value: Any) -> dict[str, Any]:
+def _shown(name: str, key: Key, owner: Described) -> dict[str, Any]:
     described = key.description
+    schema = {k: v for k, v in described.json_schema().items() if k != "description"}
     return {
         "key": name,
         "meaning": described.meaning,
         "allowed": described.allowed,
-        "schema": {k: v for k, v in described.json_schema().items() if k != "description"},
+        "schema": schema | allowed_now(owner, key.field),
         "unit": getattr(described, "unit", ""),
         "default": LIVE_DEFAULT if name == "profile" else key.default,
-        "value": value,
+        "value": getattr(owner, key.field),
         "change": CHANGES[key.change],
     }

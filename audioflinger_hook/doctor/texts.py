@@ -167,7 +167,7 @@ Remove the cause; the daemon then continues.
 
 muted
 The vibration is muted.
-Press Unmute in the live page.
+Switch the vibration on in the live page.
 cushion monitor --open
 
 python-engine

@@ -35,7 +35,18 @@ PING_S = 20.0
 WRITE_BYTES = 16_384  # limit of a connection's write buffers, in this process and in the system
 CONTROL_PAUSE_S = 0.02  # pause after each request that is forwarded to the daemon
 
-SCRIPTS = ("page", "connection", "drawing", "meters", "mapping", "waterfall", "controls", "figures")
+SCRIPTS = (
+    "page",
+    "connection",
+    "drawing",
+    "meters",
+    "mapping",
+    "waterfall",
+    "controls",
+    "figures",
+    "applications",
+    "sync",
+)
 FILES = {  # URL path: (file, content type)
     "/": ("index.html", "text/html; charset=utf-8"),
     "/style.css": ("style.css", "text/css; charset=utf-8"),
@@ -56,7 +67,7 @@ SECURITY = {
     "X-Frame-Options": "DENY",
 }
 
-_REQUESTS = ("set", "application", "felt", "mute", "tone", "undo", "save")
+_REQUESTS = ("set", "application", "felt", "mute", "tone", "sync", "undo", "save")
 
 
 class PageServer:

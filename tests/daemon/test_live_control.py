@@ -107,6 +107,21 @@ def test_a_change_applies_at_once_and_the_file_changes_only_by_save(daemon):
     assert daemon.value("offset_ms") == 20
 
 
+def test_an_unsaved_value_comes_with_what_the_file_says(daemon):
+    def shown(key):
+        return next(one for one in daemon.settings()["keys"] if one["key"] == key)
+
+    assert daemon.ask(set={"gain_db": -9, "profile": "music"}) == {"done": True}
+    gain, profile = shown("gain_db"), shown("profile")
+    assert (gain["value"], gain["unsaved"], gain["file"]) == (-9, True, -3.0)
+    assert (profile["unsaved"], profile["file"]) == (True, None)
+    assert daemon.ask(set={"gain_db": -3, "profile": None}) == {"done": True}
+    assert not shown("gain_db")["unsaved"]
+    assert daemon.settings()["unsaved"] == 0
+    for _ in range(2):
+        assert daemon.ask(undo=True) == {"done": True}
+
+
 @pytest.mark.parametrize(
     ("changes", "words"),
     [

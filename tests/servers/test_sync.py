@@ -142,7 +142,7 @@ def test_a_key_that_means_nothing_is_no_answer_and_the_click_comes_again(server,
     ("changed", "code", "said"),
     [
         ({"state": DaemonState.WAITING_FOR_DEVICE, "reason": "no cushion"}, 3, "no cushion"),
-        ({"muted": True}, 2, "press Unmute"),
+        ({"muted": True}, 2, "switch it on"),
         ({"tap": Endpoint("app:mpv", "mpv")}, 2, "captures app:mpv, where sync cannot play"),
         ({"levels": Levels(Level(-6.0, -9.0), Level())}, 3, "cause no vibration; unmute desktop"),
     ],

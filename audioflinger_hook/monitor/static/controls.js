@@ -1,6 +1,16 @@
 // Controls drawn from the schema of the config: label, range, unit, meaning, and the schema's own refusals.
 
-const FIRST = ["gain_db", "profile", "offset_ms", "engine", "damping", "device_volume_db", "protection", "exposure_cap"];
+const ORDER = ["device_volume_db", "drop_in", "engine", "damping", "protection", "exposure_cap"]; // the rest follows
+const WORDS = { gain_db: ["Strength", "gentle", "full"], profile: ["Profile"], offset_ms: ["Delay", "at once", "later"] }; // label, ends of the slider
+const NAMES = { "transform.strength": "Strength by frequency" }; // "Strength" is that of the vibration
+const REASONS = {
+  "declared by the sink": "as the output reports", "measured by cushion sync": "as you found it", "": "",
+  "not known": "not known for this output",
+};
+const PROFILES = {
+  cinema: "for films and series", game: "earlier, for games", music: "bass and rhythm", speech: "the syllables of voices",
+  paper: "the published method, unchanged",
+};
 const UNITS = /_(db|ms|hz|s|frames)$/;
 const PAUSE_MS = 60; // between two changes while a slider is moved
 
@@ -11,26 +21,40 @@ const element = (kind, attributes = {}, text = "") => {
   return made;
 };
 
+const titled = (word) => { const text = String(word); return text[0].toUpperCase() + text.slice(1); };
+
 export class Controls {
-  /** ask: sends a request to the daemon and resolves to its answer. */
-  constructor(first, all, ask) {
-    this.first = first;
+  /** ask: sends a request to the daemon and resolves to its answer. all: place of controls without one of their own. */
+  constructor(all, ask) {
     this.all = all;
     this.ask = ask;
     this.made = new Map();
   }
 
   show(settings) {
-    const order = ({ key }) => (FIRST.includes(key) ? FIRST.indexOf(key) : FIRST.length);
+    const order = ({ key }) => (ORDER.includes(key) ? ORDER.indexOf(key) : ORDER.length);
     for (const key of [...settings.keys].sort((one, other) => order(one) - order(other))) {
       if (!this.made.has(key.key)) {
-        const control = new Control(key, this.ask);
+        const control = new Control(key, this.ask), own = document.querySelector(`[data-control="${key.key}"]`);
         this.made.set(key.key, control);
-        if (FIRST.includes(key.key)) this.first.insertBefore(control.box, this.first.lastElementChild);
+        if (own) {
+          control.foot.append(...own.children);
+          own.append(control.box);
+        }
         else this.all.append(control.box);
       }
       this.made.get(key.key).show(key, settings.recording);
     }
+  }
+
+  /** The offset that is played, in ms, and where it comes from. */
+  showOffset(ms, reason) {
+    this.made.get("offset_ms")?.hint(ms, reason);
+  }
+
+  /** The labels of unsaved controls. */
+  get unsaved() {
+    return [...this.made.values()].filter(({ key }) => key.unsaved).map(({ name }) => name);
   }
 }
 
@@ -44,15 +68,40 @@ class Control {
     this.unit = unit;
     this.box = element("div", { class: "control" });
     const label = element("div", { class: "label" });
-    const name = key.key.split(".").pop().replace(UNITS, "").replaceAll("_", " ");
+    const plain = key.key.split(".").pop().replace(UNITS, "").replaceAll("_", " ");
+    const first = WORDS[key.key], [word, ...ends] = first ?? [NAMES[key.key] ?? titled(plain)];
+    this.name = word;
     this.output = element("output");
-    label.append(element("label", { for: id, id: `${id}-label` }, name[0].toUpperCase() + name.slice(1)), this.output);
+    label.append(element("label", { for: id, id: `${id}-label` }, word), this.output);
     this.error = element("p", { class: "error", role: "alert", id: `${id}-error` });
-    const foot = element("div", { class: "foot" });
-    this.reset = element("button", { type: "button", "aria-label": `${name}: default` }, "Default");
+    const foot = this.foot = element("div", { class: "foot" });
+    this.isAuto = key.default === "auto" && key.schema.type === "number";
+    this.reset = element("button", { type: "button", "aria-label": `${word}: ${this.isAuto ? "automatic" : "default"}` }, this.isAuto ? "Automatic" : "Default");
     this.reset.onclick = () => this.set(null);
-    foot.append(element("p", { class: "meaning", title: key.change }, key.schema.enum || key.schema.type === "boolean" ? key.meaning : `${key.meaning}; ${key.allowed}`), this.reset);
-    this.box.append(label, this.input(id), foot, this.error);
+    const technical = key.schema.enum || key.schema.type === "boolean" ? key.meaning : `${key.meaning}; ${key.allowed}`;
+    this.meaning = element("p", { class: "meaning", title: key.change }, first ? "" : technical);
+    foot.append(this.meaning, this.reset);
+    this.filed = element("div", { class: "filed" });
+    this.filed.hidden = true;
+    const back = element("button", { type: "button", "aria-label": `${word}: as in the file` }, "Use that");
+    back.onclick = () => this.set(this.key.file);
+    this.filed.append(element("span"), back);
+    this.box.append(label, this.input(id), foot, this.filed, this.error);
+    if (first) this.simplify(label, ends);
+  }
+
+  /** A first control: its number is large and stands beside its label, and words stand at the slider's ends. */
+  simplify(label, ends) {
+    if (!ends.length) {
+      this.output.replaceWith(this.meaning);
+      return;
+    }
+    const number = element("span", { class: "number" }), [low, high] = ends.map((word) => element("span", { class: "unit", "aria-hidden": "true" }, word));
+    number.append(this.exact, element("span", { class: "unit" }, this.unit));
+    this.output.replaceWith(number);
+    if (this.isAuto) this.exact.placeholder = "Automatic";
+    this.field.before(low);
+    this.field.after(high);
   }
 
   input(id) {
@@ -74,19 +123,31 @@ class Control {
   number(id, schema) {
     const row = element("div", { class: "row" }), span = schema.maximum - schema.minimum;
     const step = schema.type === "integer" ? 1 : span > 200 ? 1 : span > 20 ? 0.5 : Number((span / 200).toPrecision(1));
-    const slider = element("input", { type: "range", id, min: schema.minimum, max: schema.maximum, step });
-    const exact = element("input", { type: "number", step: "any", "aria-labelledby": `${id}-label`, "aria-describedby": `${id}-error` });
-    slider.oninput = () => { exact.value = slider.value; this.set(Number(slider.value)); };
+    const slider = element("input", { type: "range", id, step });
+    this.limit = ({ minimum, maximum }) => { // what the other settings allow now, in whole steps
+      slider.min = minimum === schema.minimum ? minimum : Number((Math.ceil(minimum / step - 1e-9) * step).toPrecision(6));
+      slider.max = maximum === schema.maximum ? maximum : Number((Math.floor(maximum / step + 1e-9) * step).toPrecision(6));
+    };
+    this.limit(schema);
+    const exact = this.exact = element("input", { type: "number", step: "any", "aria-labelledby": `${id}-label`, "aria-describedby": `${id}-error` });
+    slider.oninput = () => { exact.value = slider.value; this.fill(); this.set(Number(slider.value)); };
     exact.onchange = () => this.set(exact.value === "" ? null : Number(exact.value));
     row.append(slider, exact);
     this.field = slider;
     this.put = (value) => { // a word such as "auto" stands for a number that the daemon chooses
       const isNumber = typeof value === "number";
       if (document.activeElement !== exact) exact.value = isNumber ? value : "";
-      slider.value = isNumber ? value : value === null ? schema.maximum : 0;
+      slider.value = isNumber ? value : value === null ? slider.max : 0;
       slider.dataset.unset = !isNumber;
+      this.fill();
     };
     return row;
+  }
+
+  /** Colour the slider's track up to its thumb. */
+  fill() {
+    const { value, min, max, style } = this.field;
+    style.setProperty("--fill", `${(100 * (value - min)) / (max - min)}%`);
   }
 
   choices(id, words) {
@@ -98,32 +159,52 @@ class Control {
       return this.field;
     }
     const group = element("div", { class: "choices", role: "radiogroup", "aria-labelledby": `${id}-label` });
+    if (this.key.key === "profile") words = Object.keys(PROFILES).filter((word) => words.includes(word)).concat(words.filter((word) => !(word in PROFILES)));
     const inputs = words.map((word, index) => {
       const label = element("label"), input = element("input", { type: "radio", name: id, value: word });
       if (!index) input.id = id;
       input.onchange = () => this.set(word);
-      label.append(input, element("span", {}, String(word)));
+      label.append(input, element("span", {}, titled(word)));
       group.append(label);
       return input;
     });
     this.put = (value) => inputs.forEach((input) => { input.checked = input.value === String(value); });
+    this.limit = ({ enum: allowed }) => inputs.forEach((input) => { input.closest("label").hidden = !allowed.map(String).includes(input.value); });
     return group;
   }
 
   show(key, recording) {
     this.key = key;
     this.box.dataset.unsaved = key.unsaved;
+    this.filed.hidden = !key.unsaved;
+    const filed = key.file ?? key.default;
+    this.filed.firstChild.textContent = `Not saved. In the file: ${filed === null ? "nothing" : this.worded(filed)}`;
     this.reset.disabled = JSON.stringify(key.value) === JSON.stringify(key.default);
     if (this.busy || this.wanted !== undefined) return; // a change of our own is under way
+    this.limit?.(key.schema);
     this.put(key.value);
     this.tell(key.value);
     this.box.querySelectorAll("input, select").forEach((field) => { field.disabled = recording; });
   }
 
-  tell(value) {
+  hint(ms, reason) {
+    const isAuto = typeof this.key.value !== "number";
+    this.meaning.textContent = isAuto && reason ? `${reason === "not known" ? "Delay" : `${ms.toFixed(0)} ms`} ${REASONS[reason] ?? reason}` : "";
+    if (!isAuto || this.busy) return;
+    this.field.value = ms;
+    this.fill();
+  }
+
+  worded(value) {
     const isNumber = typeof value === "number";
-    const shown = isNumber ? Number(value.toPrecision(6)) : value === true ? "on" : value === false ? "off" : value;
-    this.output.textContent = value === null ? "not set" : Array.isArray(value) ? "" : `${shown} ${isNumber ? this.unit : ""}`.trim();
+    const shown = isNumber ? Number(value.toPrecision(6)) : value === true ? "on" : value === false ? "off" : Array.isArray(value) ? value.join(", ") || "none" : titled(String(value));
+    return value === "auto" && this.isAuto ? "Automatic" : `${shown} ${isNumber ? this.unit : ""}`.trim();
+  }
+
+  tell(value) {
+    this.output.textContent = value === null ? "not set" : Array.isArray(value) ? "" : this.worded(value);
+    if (this.key.key === "profile") this.meaning.textContent = PROFILES[value] ?? "";
+    if (this.field?.type === "range") this.field.setAttribute("aria-valuetext", this.output.textContent);
   }
 
   /** Ask for a value; while one is under way only the newest waits. */

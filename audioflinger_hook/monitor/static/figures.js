@@ -1,4 +1,4 @@
-// Figures of the status: the delay, panels of rows, and applications.
+// Figures of the status: the delay, and panels of rows.
 
 const PERCEIVED_MS = 24;
 
@@ -45,24 +45,4 @@ export function showRows(place, rows) {
     row.append(element("dt", titled(label)), element("dd", text, { "data-tone": tone }));
     return row;
   }));
-}
-
-let shownApplications = "";
-/** choose: called with the name of an application and whether it is to be felt. */
-export function showApplications(applications, choose) {
-  const state = JSON.stringify(applications);
-  if (state === shownApplications) return; // else a key press on a button could be lost
-  shownApplications = state;
-  const focused = document.activeElement?.dataset?.application;
-  find("applications").replaceChildren(...applications.map(({ name, plays, is_felt: felt }) => {
-    const row = element("li"), title = element("span", name, { class: "name" });
-    title.append(element("small", `${plays ? "plays" : "paused"}, ${felt ? "felt" : "left out"}`));
-    const button = element("button", felt ? "Leave out" : "Include", { type: "button", "data-application": name,
-      "aria-label": `${felt ? "Leave out" : "Include"} ${name}` });
-    button.onclick = () => choose(name, !felt);
-    row.append(title, button);
-    return row;
-  }));
-  if (!applications.length) find("applications").append(element("li", "No application has a sound open.", { class: "none" }));
-  document.querySelector(`[data-application="${CSS.escape(focused ?? "")}"]`)?.focus();
 }

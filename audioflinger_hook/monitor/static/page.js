@@ -2,9 +2,11 @@
 
 import { Connection } from "/connection.js";
 import { Controls } from "/controls.js";
-import { showApplications, showDelay, showRows } from "/figures.js";
+import { Applications } from "/applications.js";
+import { showDelay, showRows } from "/figures.js";
 import { Mapping } from "/mapping.js";
 import { Meters } from "/meters.js";
+import { SyncTest } from "/sync.js";
 import { still } from "/drawing.js";
 import { Waterfall } from "/waterfall.js";
 
@@ -23,7 +25,12 @@ const waterfall = new Waterfall(find("waterfall"));
 const soundMeters = new Meters(find("sound-meters"), "Sound", (index, count) => CHANNELS[count]?.[index] ?? `${index + 1}`);
 const vibrationMeters = new Meters(find("vibration-meters"), "Vibration", (index, count) => (count > 1 ? `${index + 1}` : "all"));
 const connection = new Connection(listen);
-const controls = new Controls(find("controls"), find("all-controls"), (request) => connection.ask(request));
+const ask = (request) => connection.ask(request);
+const controls = new Controls(find("controls"), ask);
+const applications = new Applications(find("applications"), ask, tell);
+const sync = new SyncTest(ask, async () => {
+  if (typeof valueOf("offset_ms") === "number") await act({ set: { offset_ms: null } }); // a number would win
+});
 
 let frame = null, fresh = false, link = { connected: false, text: "" }, status = null, settings = null, muted = false, toned = false;
 let traffic = { overwritten: 0, missed: 0 }, drawn = 0, drawnAt = 0, arrivedAt = 0, counted = performance.now();
@@ -64,25 +71,36 @@ function readable(content) {
   return { sound: levels(content.sound), vibration: levels(content.level ? content.vibration : content.vibration.map(() => [0, 0])), partials };
 }
 
+const valueOf = (name) => settings?.keys.find(({ key }) => key === name)?.value;
+
 function showState() {
   const [word, tone] = status ? STATES[status.state] ?? [status.state, "wait"] : link.connected ? ["Connecting", "wait"] : ["Not connected", "bad"];
-  const ends = status && `${status.tap.name ?? status.tap.address} drives ${status.device.name ?? status.device.address}`;
-  find("state-word").textContent = muted && status ? `${word}, muted` : word;
+  const ends = status && `${(status.tap.name ?? status.tap.address).replace(/\.monitor$/, "")} is felt on ${status.device.name ?? status.device.address}`;
+  find("state-word").textContent = muted && status ? `${word}, switched off` : word;
   find("state-text").textContent = status ? status.reason || ends : link.text;
   find("state").dataset.tone = muted && status ? "wait" : tone;
   document.body.dataset.stale = !status;
-  for (const id of ["mute", "tone"]) find(id).disabled = !status;
+  for (const id of ["power", "tone", "sync"]) find(id).disabled = !status;
   find("undo").disabled = !status || !settings?.undo;
   find("save").disabled = !status || !settings?.unsaved;
+  find("unsaved").textContent = !status ? "No connection" : settings?.unsaved ? `Not saved: ${controls.unsaved.join(", ")}` : "All is saved";
+  find("bar").dataset.unsaved = Boolean(status && settings?.unsaved);
 }
 
 function showStatus(content) {
   if (content.error) return;
   status = content;
   showState();
-  showApplications(status.applications, (application, felt) => act({ application, felt }));
+  showTogether();
   const why = status.engine_reason ? `: ${status.engine_reason}` : "";
   find("engine").textContent = status.engine ? `The ${status.engine} engine plays${why}. ${place(status)}Profile ${status.profile}. Version ${status.version}.` : "No engine plays yet.";
+}
+
+/** What needs both the status and the settings. */
+function showTogether() {
+  if (!status || !settings) return;
+  controls.showOffset(status.offset_ms ?? 0, status.offset_reason ?? "");
+  applications.show(status.applications, settings.keys.find(({ key }) => key === "profile")?.schema.enum ?? []);
 }
 
 function showFigures({ panels, parts }) {
@@ -102,16 +120,19 @@ function showSettings(content) {
   settings = content;
   controls.show(settings);
   [muted, toned] = [settings.muted, settings.tone];
-  find("mute").textContent = muted ? "Unmute" : "Mute";
-  find("mute").setAttribute("aria-pressed", muted);
+  find("power").setAttribute("aria-checked", !muted);
+  find("power-word").textContent = muted ? "Vibration is off" : "Vibration is on";
   find("tone").textContent = toned ? "Stop the tone" : "Start the tone";
   find("tone").setAttribute("aria-pressed", toned);
-  find("unsaved").textContent = settings.unsaved ? `${settings.unsaved} not saved` : "as in the config file";
   showState();
+  showTogether();
 }
 
 async function act(request, place = find("notice")) {
-  const answer = await connection.ask(request);
+  tell(await ask(request), place);
+}
+
+function tell(answer, place = find("notice")) {
   place.textContent = answer.error ?? "";
   if (place.id === "notice") place.hidden = !answer.error;
 }
@@ -151,10 +172,11 @@ find("theme").onclick = () => {
   localStorage.setItem("theme", THEMES[(THEMES.indexOf(chosen) + 1) % THEMES.length]);
   showTheme();
 };
-find("mute").onclick = () => act({ mute: !muted });
+find("power").onclick = () => act({ mute: !muted });
+find("sync").onclick = () => sync.begin(status.offset_ms ?? 0);
 find("undo").onclick = () => act({ undo: true });
 find("save").onclick = () => act({ save: true });
-find("tone-hz").oninput = () => { find("tone-value").textContent = `${find("tone-hz").value} Hz`; };
+find("tone-hz").oninput = () => { find("tone-hz").style.setProperty("--fill", `${(find("tone-hz").value - 20) / 2}%`); find("tone-value").textContent = `${find("tone-hz").value} Hz`; };
 find("tone").onclick = () => act({ tone: toned ? null : { hz: Number(find("tone-hz").value) } }, find("tone-error"));
 
 showTheme();
