@@ -167,11 +167,15 @@ class _Reading:
                 "profile": self.profile,
                 "parameters": parameters_of(self.profile, chosen),
                 "said": tuple(chosen),
-                "actuators": tuple(ActuatorSettings(**actuator) for actuator in self.arrays[ACTUATOR]),
+                "actuators": tuple(
+                    ActuatorSettings(**actuator) for actuator in self.arrays[ACTUATOR]
+                ),
             }
         )
         rules = tuple(ApplicationRule(**rule) for rule in self.arrays[APPLICATION])
-        return Config(settings, LiveSettings(**self.accepted[LiveSettings], application_rules=rules))
+        return Config(
+            settings, LiveSettings(**self.accepted[LiveSettings], application_rules=rules)
+        )
 
     def _line(self, key: str) -> int:
         """Return the line number of a key, else that of its section, else 0."""

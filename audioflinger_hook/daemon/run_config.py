@@ -84,7 +84,6 @@ class RunConfig:
             "exclude in [applications], set tap to default or app:NAME"
         )
 
-
     @property
     def left_out(self) -> LeftOut:
         """Which streams cause no vibration, apart from `rules`."""
@@ -96,7 +95,7 @@ class RunConfig:
 class ConfigDiff:
     """The groups of settings that differ between two configs.
 
-    A change of level, actuators, volume, offset, priority or left_out interrupts nothing. A change of
+    A change of level, actuators, volume, offset, priority, left_out interrupts nothing. A change of
     transform fades the vibration out and in again. A change of device reopens its stream. A change
     of tap moves or reopens its stream, or reopens both streams for a new engine. A change of blocks
     reopens both streams. A change of drop_in creates or removes the virtual sink. A change of
@@ -191,4 +190,5 @@ def _can_change(before: Settings, after: Settings) -> bool:
 def _selected_sound(config: RunConfig) -> tuple[object, ...]:
     live = config.live
     apps = live.tap if config.tap.kind == "app" else ()
-    return config.tap, apps, live.include, live.exclude
+    left_out = config.left_out if apps or live.include or live.exclude else None
+    return config.tap, apps, live.include, live.exclude, left_out

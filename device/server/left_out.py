@@ -51,6 +51,9 @@ class LeftOut:
         return CALL if known or records else ""
 
 
+ROLES_ONLY = LeftOut()  # leaves out calls and alerts
+
+
 def client_of(stream: Stream) -> str:
     """Return the id of the client that owns a stream, "" if unknown."""
     return stream.properties.get("client.id", "")

@@ -15,7 +15,7 @@ from audioflinger_hook.daemon.inputs.applications import Applications
 from device.layouts import layout
 from device.server import AppRules
 from device.server.graph import Graph, Link, LinkPair, Node
-from device.server.left_out import LeftOut
+from device.server.left_out import ROLES_ONLY, LeftOut
 from device.server.snapshot import Source, Stream
 
 # Prefixes of port names.
@@ -38,7 +38,7 @@ class Tap:
     positions: tuple[str, ...]
     sink: str
     rules: AppRules | None = None
-    left_out: LeftOut = LeftOut()
+    left_out: LeftOut = ROLES_ONLY
 
     @property
     def channels(self) -> int:
@@ -91,7 +91,7 @@ class Tap:
 
 
 def tap_of(
-    found: Source | Applications, rules: AppRules | None, left_out: LeftOut = LeftOut()
+    found: Source | Applications, rules: AppRules | None, left_out: LeftOut = ROLES_ONLY
 ) -> Tap:
     """Return the tap for a source from `Input.locate`. For `rules` and `left_out`, see `Tap`."""
     positions = in_mixing_order(port_names(found.channel_map, found.channels))
