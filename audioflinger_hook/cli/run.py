@@ -75,7 +75,7 @@ def run(options: argparse.Namespace) -> int:
             """Apply edits from the live page. If `muted` changes, nothing else is applied."""
             if muted == supervisor.config.muted:
                 return follow(values, muted)[0]
-            again = dataclasses.replace(supervisor.config, muted=muted)
+            again = dataclasses.replace(supervisor.user_config, muted=muted)
             supervisor.follow(again, time.monotonic())
             return again
 

@@ -12,7 +12,7 @@ from collections.abc import Mapping, MutableMapping
 from pathlib import Path
 from typing import Any
 
-from audioflinger_hook.config.schema import ACTUATOR, KEYS, Key, keys_of
+from audioflinger_hook.config.schema import ARRAYS, KEYS, Key, keys_of
 from audioflinger_hook.config.toml_text import text_of
 from device.atomic_file import make_private_folder, write_bytes_atomically
 from device.errors import InternalError, UsageError
@@ -25,8 +25,8 @@ UNDO_MAX = 100  # largest number of changes that can be undone
 EDITABLE = {  # keys that may be changed while the daemon runs
     f"{key.section}.{key.name}" if key.section else key.name: key
     for key in KEYS
-    # Keys of type `Text`, such as names of files, and keys of actuators cannot be edited.
-    if key.section != ACTUATOR and not isinstance(key.description, Text)
+    # Keys of type `Text`, such as names of files, and keys of arrays of tables cannot be edited.
+    if key.section not in ARRAYS and not isinstance(key.description, Text)
 }
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import MISSING, dataclass, replace
 from typing import Any
 
+from audioflinger_hook.config.applications import ApplicationRule
 from audioflinger_hook.config.profiles import LIVE_DEFAULT, values_of
 from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.transform import TransformParameters
@@ -12,8 +13,11 @@ from device.drive import ActuatorSettings
 from device.values import Choice, Described, Description, Number, Switch
 
 ACTUATOR = "actuator"
-SECTIONS = ("", "transform", "applications", ACTUATOR)  # "" is the top level
-HEADERS = {name: f"[[{name}]]" if name == ACTUATOR else f"[{name}]" for name in SECTIONS[1:]}
+APPLICATION = "application"
+ARRAYS = {ACTUATOR: "channels", APPLICATION: "match"}  # arrays of tables, with their required key
+# "" is the top level
+SECTIONS = ("", "transform", "live", "applications", APPLICATION, ACTUATOR)
+HEADERS = {name: f"[[{name}]]" if name in ARRAYS else f"[{name}]" for name in SECTIONS[1:]}
 
 CHANGES = {  # effect of changing a key while the daemon runs
     "nothing": "no interruption",
@@ -58,6 +62,7 @@ _OWNERS: tuple[tuple[type[Described], str, str], ...] = (
     (Settings, "", "engine"),
     (LiveSettings, "", "stream"),
     (TransformParameters, "transform", "transform"),
+    (ApplicationRule, APPLICATION, "nothing"),
     (ActuatorSettings, ACTUATOR, "nothing"),
 )
 """The classes that hold the keys. Each has a default section and a default effect of changes."""
@@ -79,7 +84,7 @@ class Key:
     @property
     def flag(self) -> str:
         """The command-line option that sets the key; "" if there is none."""
-        has_one = self.field in OPTIONS and self.owner is not ActuatorSettings
+        has_one = self.field in OPTIONS and self.section not in ARRAYS
         return f"--{self.name.replace('_', '-')}" if has_one else ""
 
     @property
@@ -136,7 +141,7 @@ def _keys() -> tuple[Key, ...]:
                 described = replace(Settings.DESCRIPTIONS["rig"], meaning=meaning)
             default = getattr(owner, field, MISSING)
             default = live_default = None if default is MISSING else default
-            if field == "profile":
+            if field == "profile" and owner is Settings:
                 live_default = LIVE_DEFAULT
             elif owner is TransformParameters:
                 live_default = values_of(LIVE_DEFAULT).get(field, default)
@@ -164,8 +169,9 @@ def json_schema() -> dict[str, Any]:
     root = _table("")
     for section in SECTIONS[1:]:
         table = _table(section)
-        if section == ACTUATOR:
-            table = {"type": "array", "minItems": 1, "items": {**table, "required": ["channels"]}}
+        if section in ARRAYS:
+            items = {**table, "required": [ARRAYS[section]]}
+            table = {"type": "array", "minItems": 1, "items": items}
         root["properties"][section] = table
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",

@@ -8,6 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+from audioflinger_hook.config.applications import ApplicationRule
 from audioflinger_hook.config.kinds import Address, FileName, Names, RigName, Taps
 from audioflinger_hook.config.profiles import OFFLINE_DEFAULT, PROFILES, parameters_of
 from audioflinger_hook.sources import parse_tap
@@ -238,6 +239,10 @@ class LiveSettings(Described):
     exclude: Annotated[
         tuple[str, ...], Names("applications to leave out", section="applications", change="stream")
     ] = ()
+    feel_calls_and_alerts: Annotated[
+        bool, Switch("feel calls, notifications and alerts", section="live", change="nothing")
+    ] = False
+    application_rules: tuple[ApplicationRule, ...] = ()
 
     def __post_init__(self) -> None:
         super().__post_init__()

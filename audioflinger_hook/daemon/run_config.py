@@ -11,6 +11,7 @@ from audioflinger_hook.sources import TapAddress, parse_tap
 from device.address import DeviceAddress
 from device.errors import UsageError
 from device.server import AppRules
+from device.server.left_out import LeftOut
 
 # Kinds of taps and devices. A thread of the daemon paces the kinds that are not live.
 LIVE_TAPS = ("default", "sink", "app")
@@ -83,12 +84,18 @@ class RunConfig:
             "exclude in [applications], set tap to default or app:NAME"
         )
 
+    @property
+    def left_out(self) -> LeftOut:
+        """Which streams cause no vibration, apart from `rules`."""
+        rules = tuple(one.rule for one in self.live.application_rules if not one.feel)
+        return LeftOut(rules, self.live.feel_calls_and_alerts)
+
 
 @dataclass(frozen=True)
 class ConfigDiff:
     """The groups of settings that differ between two configs.
 
-    A change of level, actuators, volume, offset or priority interrupts nothing. A change of
+    A change of level, actuators, volume, offset, priority, left_out interrupts nothing. A change of
     transform fades the vibration out and in again. A change of device reopens its stream. A change
     of tap moves or reopens its stream, or reopens both streams for a new engine. A change of blocks
     reopens both streams. A change of drop_in creates or removes the virtual sink. A change of
@@ -104,6 +111,7 @@ class ConfigDiff:
     transform: bool = False
     tap: bool = False
     device: bool = False
+    left_out: bool = False
     drop_in: bool = False
     blocks: bool = False
     way: bool = False
@@ -130,6 +138,8 @@ class ConfigDiff:
             transform=before.parameters != after.parameters,
             tap=_selected_sound(old) != _selected_sound(new),
             device=old.device != new.device,
+            left_out=old.left_out != new.left_out
+            or old.live.application_rules != new.live.application_rules,
             drop_in=old.live.drop_in != new.live.drop_in,
             way=old.live.engine != new.live.engine,
             blocks=old.live.block_frames != new.live.block_frames,
@@ -139,7 +149,7 @@ class ConfigDiff:
     @property
     def concerns_engine(self) -> bool:
         """Whether to choose again between the native and the Python engine."""
-        slight = dict.fromkeys(("level", "volume", "offset", "priority"), False)
+        slight = dict.fromkeys(("level", "volume", "offset", "priority", "left_out"), False)
         return replace(self, **slight).any
 
     @property
@@ -156,6 +166,7 @@ class ConfigDiff:
             "the audio threads' priority": self.priority,
             "the transform": self.transform and not self.engine,
             "the tap": self.tap,
+            "the applications' rules": self.left_out,
             "the device": self.device,
             "the virtual sink": self.drop_in,
             "the engine": self.way,
@@ -179,4 +190,5 @@ def _can_change(before: Settings, after: Settings) -> bool:
 def _selected_sound(config: RunConfig) -> tuple[object, ...]:
     live = config.live
     apps = live.tap if config.tap.kind == "app" else ()
-    return config.tap, apps, live.include, live.exclude
+    left_out = config.left_out if apps or live.include or live.exclude else None
+    return config.tap, apps, live.include, live.exclude, left_out

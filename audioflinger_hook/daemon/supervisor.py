@@ -5,8 +5,9 @@ from __future__ import annotations
 from contextlib import closing
 from pathlib import Path
 
+from audioflinger_hook.daemon.acting_rule import ActingRule, with_rule
 from audioflinger_hook.daemon.alignment import Alignment
-from audioflinger_hook.daemon.applications import applications_in
+from audioflinger_hook.daemon.applications import applications_in, not_left_out
 from audioflinger_hook.daemon.endpoints import Endpoints
 from audioflinger_hook.daemon.engine import Clocks
 from audioflinger_hook.daemon.engines import Engines
@@ -23,7 +24,7 @@ from audioflinger_hook.daemon.timing import StallDetector, Wake
 from audioflinger_hook.pipeline.framework import Framework, drive_of
 from audioflinger_hook.service.state import Cause, DaemonState, StateKeeper
 from audioflinger_hook.service.status import Application
-from device.errors import CushionError, LostError, NotFoundError
+from device.errors import CushionError, LostError, NotFoundError, UsageError
 from device.server import PulseConnection, ServerSnapshot
 from device.server.snapshot import tap_latency_s
 from device.stream import AudioPriority
@@ -45,6 +46,7 @@ class Supervisor:
     folder: private, for the native engine and the live page's shared memory; None disables both.
     safety: stores the coil temperatures and vibration doses for the next process.
     offsets: stores the delays that users have measured; None forgets them at the end.
+    config, user_config: with and without the [[application]] rule that acts.
     config_error: why the latest config was not applied, or "".
     UsageError, NotFoundError: a file to play or to write cannot be used.
     """
@@ -61,6 +63,7 @@ class Supervisor:
         now_s = clocks.now_s()
         self.states = StateKeeper(now_s)
         self.config, self.config_error = config, ""
+        self.user_config, self._acting = config, ActingRule()
         self._folder = folder
         self.priority = AudioPriority(config.live.realtime)
         self._endpoints = Endpoints(config, clocks, self.states, self.priority, wake.ring)
@@ -124,7 +127,23 @@ class Supervisor:
         """The applications that have a stream. Any thread may read this."""
         source, device = self._found
         haptic = device.name if device and self.output.needs_server else None
-        return applications_in(self._link.latest, self.config.rules, source, haptic)
+        native = self.engines.native.engine
+        is_native = native is not None and native.audible
+        by_monitor = native.monitor_reason if is_native and native else self.config.rules is None
+        return applications_in(
+            self._link.latest,
+            self.config,
+            source,
+            haptic,
+            self._acting.rule,
+            is_mixed=bool(by_monitor),
+        )
+
+    @property
+    def rule(self) -> str:
+        """The pattern of the [[application]] rule that acts, "" without one."""
+        acting = self._acting.rule
+        return acting.match if acting else ""
 
     @property
     def offset_s(self) -> float:
@@ -160,6 +179,7 @@ class Supervisor:
         warnings += self._alignment.warnings
         others = [self._link.warning, self.priority.warning, self.config_error]
         others += [self.engines.safety.warning, *self.engines.warnings]
+        others.append(not_left_out(self.applications))
         others.append(self._limits.advice(self.config.settings))
         return [*warnings, *filter(None, others)]
 
@@ -203,11 +223,13 @@ class Supervisor:
             device = self._locate_device(snapshot, now_s)
             if device is None:
                 return
+            haptic = device.name if self.output.needs_server else None
+            if self._acting.update(snapshot, self.user_config, haptic):
+                self._use_rule(now_s)
             self._found = (None, device)
             source = self._locate_tap(snapshot, device)
             self._found = (source, device)
             if connection:
-                haptic = device.name if self.output.needs_server else None
                 self._drop_in.maintain(connection, haptic, now_s)
             runs = self.states.state is DaemonState.RUNNING
             self._alignment.maintain(connection, source, device, self.latencies_s, now_s, runs=runs)
@@ -243,6 +265,19 @@ class Supervisor:
 
     def follow(self, config: RunConfig, now_s: float) -> ConfigDiff:
         """Apply another config; return the difference. After a UsageError, nothing has changed."""
+        self._apply(with_rule(config, self._acting.rule), now_s)
+        changes = ConfigDiff.between(self.user_config, config)
+        self.user_config = config
+        return changes
+
+    def _use_rule(self, now_s: float) -> None:
+        try:
+            self._apply(with_rule(self.user_config, self._acting.rule), now_s)
+        except UsageError as error:  # the sound goes on as before
+            self.config_error = f"the rule {self.rule!r} of [[application]] cannot act: {error}"
+
+    def _apply(self, config: RunConfig, now_s: float) -> None:
+        """Apply another config with the rule that acts; see `follow`."""
         changes, engine = ConfigDiff.between(self.config, config), self.engines.python
         self._endpoints.check_change(self.config, config)
         config.settings.transform_parameters  # noqa: B018 - reads the rig's file, once
@@ -274,7 +309,6 @@ class Supervisor:
             self.engines.drop()
         if changes.any:
             self._resting.end(now_s)
-        return changes
 
     def close(self, now_s: float, *, keep: bool = True) -> None:
         """Stop the daemon. keep: whether to keep an output file. WriteError: writing it failed."""

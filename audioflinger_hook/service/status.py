@@ -70,6 +70,9 @@ class Application:
     name: str = figure("name of the application")
     plays: bool = figure("whether the application plays sound")
     is_felt: bool = figure("whether the application's sound causes vibration")
+    rule: str = figure(
+        'why it is left out ("call", "alert", "left out in the config"), or the rule that acts', ""
+    )
 
 
 PART = "cushion_delay_part_seconds{part}"
@@ -269,6 +272,7 @@ class Status:
         "principal frequencies of the last hop", (), show=shown.principal
     )
     applications: tuple[Application, ...] = figure("applications that have a stream", ())
+    rule: str = figure("[[application]] rule that acts; empty for none", "", show="{}")
     server: str = figure('the sound server, "" for none', "", show="{}")
     graph: GraphFigures | None = figure(
         "PipeWire's graph; null without the native engine", None, row="server", show=shown.cycle

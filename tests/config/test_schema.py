@@ -11,8 +11,9 @@ import fastjsonschema
 import pytest
 
 from audioflinger_hook.config import file as config
+from audioflinger_hook.config.applications import ApplicationRule
 from audioflinger_hook.config.profiles import LIVE_DEFAULT, OFFLINE_DEFAULT
-from audioflinger_hook.config.schema import CHANGES, KEYS, REPLACED, json_schema, keys_of
+from audioflinger_hook.config.schema import CHANGES, HEADERS, KEYS, REPLACED, json_schema, keys_of
 from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.daemon.recording import settings_from
 from audioflinger_hook.daemon.run_config import ConfigDiff, RunConfig
@@ -209,8 +210,8 @@ def test_check_and_schema_agree_on_the_edges_of_every_key(key: Any) -> None:
 
 
 def test_every_setting_is_a_key_and_every_key_is_a_setting() -> None:
-    not_keys = {"parameters", "said", "actuators"}
-    for owner in (Settings, LiveSettings, TransformParameters, ActuatorSettings):
+    not_keys = {"parameters", "said", "actuators", "application_rules"}
+    for owner in (Settings, LiveSettings, TransformParameters, ActuatorSettings, ApplicationRule):
         held = {key.field for key in KEYS if key.owner is owner}
         assert held == {field.name for field in fields(owner)} - not_keys
     for key in KEYS:
@@ -238,7 +239,7 @@ def test_the_effect_has_the_ranges_of_the_schema() -> None:
 
 
 KINDS = {
-    "nothing": ("level", "actuators", "volume", "offset"),
+    "nothing": ("level", "actuators", "volume", "offset", "left_out"),
     "next stream": ("priority",),
     "stream": ("tap", "device", "drop_in"),
     "streams": ("blocks",),
@@ -258,7 +259,13 @@ def another(key: Any) -> Any:
         return described.high if key.default != described.high else described.low
     if isinstance(described, Choice):
         return described.words[-1] if key.default != described.words[-1] else described.words[0]
-    by_name = {"rig": "consumer", "tap": ("sink:a",), "device": "sink:b", "channels": (9,)}
+    by_name = {
+        "rig": "consumer",
+        "tap": ("sink:a",),
+        "device": "sink:b",
+        "channels": (9,),
+        "match": "a",
+    }
     return (by_name | {"effects_file": Path("x.xml")}).get(key.field, ("a",))
 
 
@@ -268,11 +275,13 @@ def test_a_key_of_a_file_becomes_the_setting_of_its_field(key: Any, tmp_path: Pa
     if isinstance(value, Path):
         value = tmp_path / value
         value.touch()
-    head = {"": "", "actuator": "[[actuator]]\n"}.get(key.section, f"[{key.section}]\n")
-    needed = "channels = [0]\n" if key.section == "actuator" and key.name != "channels" else ""
+    head = "" if not key.section else f"{HEADERS[key.section]}\n"
+    first = {"actuator": "channels = [0]\n", "application": 'match = "a"\n'}
+    needed = "" if key.name in ("channels", "match") else first.get(key.section, "")
     path.write_text(f"{head}{needed}{key.name} = {json.dumps(value, default=str)}\n")
     found = config.load(path)
-    holders = (found.settings, found.live, found.settings.parameters, *found.settings.actuators)
+    holders = (found.settings, found.live, found.settings.parameters)
+    holders += (*found.settings.actuators, *found.live.application_rules)
     (holder,) = (one for one in holders if isinstance(one, key.owner))
     assert getattr(holder, key.field) == value
 
@@ -283,7 +292,10 @@ def test_a_running_daemon_does_what_the_schema_says_of_a_change(key: Any) -> Non
     settings = Settings(actuators=three if key.owner is ActuatorSettings else ())
     live = LiveSettings(device="sink:a", offset_ms=5.0)
     changed, other = {key.field: another(key)}, (settings, live)
-    if key.owner is LiveSettings:
+    if key.owner is ApplicationRule:
+        rule = ApplicationRule(**{"match": "b", **changed})
+        other = settings, replace(live, application_rules=(rule,))
+    elif key.owner is LiveSettings:
         other = settings, replace(live, **changed)
     elif key.owner is ActuatorSettings:
         other = replace(settings, actuators=(*three[:2], replace(three[2], **changed))), live

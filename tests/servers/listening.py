@@ -158,11 +158,12 @@ def playing(
     samples: Float32Array,
     *,
     name: str = "Player",
+    role: str = "music",
     rate_hz: int = RATE_HZ,
 ) -> Iterator[int]:
     """Another program that plays these samples to a sink; its process id."""
     command = [
-        *("pacat", "--playback", f"--client-name={name}", "--property=media.role=music"),
+        *("pacat", "--playback", f"--client-name={name}", f"--property=media.role={role}"),
         *_format(sink, 200, rate_hz),
     ]
     with _process(server, command, stdin=subprocess.PIPE) as process:

@@ -19,6 +19,7 @@ from device.server import AppCaptures, PulseConnection, ServerSnapshot
 from device.server.app_capture import AppCapture, EndReason
 from device.server.app_rules import app_name
 from device.server.identity import default_monitor
+from device.server.left_out import client_of, recording_clients
 from device.server.snapshot import Sink, Stream
 from device.server.tap_volume import TapVolume, muted_sink
 from device.stream import AudioPriority
@@ -145,6 +146,7 @@ class ApplicationsInput(Input):
         if config.rules is None:
             return False
         self._rules, self.address = config.rules, _address(config)
+        self._left_out = config.left_out
         self._of_default_sink = config.tap.kind == "default"
         return True
 
@@ -155,7 +157,12 @@ class ApplicationsInput(Input):
         default sink are captured. NotFoundError: no default sink can be captured.
         """
         assert snapshot is not None
-        streams = self._rules.select(snapshot, device)
+        recording = recording_clients(snapshot)
+        streams = tuple(
+            stream
+            for stream in self._rules.select(snapshot, device)
+            if not self._left_out.why(stream, records=client_of(stream) in recording)
+        )
         sink = ""
         if self._of_default_sink:
             sink = default_monitor(snapshot, device).monitor_of or ""

@@ -115,7 +115,7 @@ class NativeEngine:
         other errors, see `Chain`.
         """
         self._faded_s = math.inf
-        tap = tap_of(found, self._config.rules)
+        tap = tap_of(found, self._config.rules, self._config.left_out)
         self._note_moves(tap)
         if self.watch.lost:
             raise LostError("the connection to PipeWire's graph was lost")

@@ -95,7 +95,9 @@ class NativeRun:
             self._began_s = None
             self._states.enter(DaemonState.WAITING_FOR_SERVER, now_s, engine.waits_for)
             return
-        self._note_unseen(engine, tap_of(source, self._config.rules), device, now_s)
+        self._note_unseen(
+            engine, tap_of(source, self._config.rules, self._config.left_out), device, now_s
+        )
         self._note_start(engine, plays, now_s)
         if players or engine.is_fed:
             self._played_s = now_s

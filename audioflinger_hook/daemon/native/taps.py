@@ -15,6 +15,7 @@ from audioflinger_hook.daemon.inputs.applications import Applications
 from device.layouts import layout
 from device.server import AppRules
 from device.server.graph import Graph, Link, LinkPair, Node
+from device.server.left_out import ROLES_ONLY, LeftOut
 from device.server.snapshot import Source, Stream
 
 # Prefixes of port names.
@@ -28,6 +29,7 @@ _SIDE = {"BL": "SL", "BR": "SR", "BC": "RC"}  # if surround channels exist only 
 class Tap:
     """The sound that chains tap. name: for messages. rules: select streams, None for all.
 
+    left_out: streams that are not tapped although `rules` select them.
     positions: channels in the mixer's order, such as ("FL", "FR"). sink: node to which tapped
     streams play, "" for all sinks except the device.
     """
@@ -36,6 +38,7 @@ class Tap:
     positions: tuple[str, ...]
     sink: str
     rules: AppRules | None = None
+    left_out: LeftOut = ROLES_ONLY
 
     @property
     def channels(self) -> int:
@@ -78,17 +81,34 @@ class Tap:
             return False
         if output.is_monitor and node.id == avoided:  # the monitor would cause feedback
             return False
+        # A new stream's announcement has its role and name, so its first cycles are not lost.
+        stream = stream_of(graph, node)
+        if not output.is_monitor and self.left_out.why(stream, records=_records(graph, node)):
+            return False
         if self.rules is None:
             return True
-        return graph.is_described(node.id) and self.rules.take(stream_of(graph, node))
+        return graph.is_described(node.id) and self.rules.take(stream)
 
 
-def tap_of(found: Source | Applications, rules: AppRules | None) -> Tap:
-    """Return the tap for a source from `Input.locate`. rules: select applications, None for all."""
+def tap_of(
+    found: Source | Applications, rules: AppRules | None, left_out: LeftOut = ROLES_ONLY
+) -> Tap:
+    """Return the tap for a source from `Input.locate`. For `rules` and `left_out`, see `Tap`."""
     positions = in_mixing_order(port_names(found.channel_map, found.channels))
     if isinstance(found, Source):
-        return Tap(found.name, positions, found.monitor_of or "")
-    return Tap(found.name, positions, found.sink, rules)
+        return Tap(found.name, positions, found.monitor_of or "", None, left_out)
+    return Tap(found.name, positions, found.sink, rules, left_out)
+
+
+def _records(graph: Graph, node: Node) -> bool:
+    """Whether a node's client also records, from anything except the monitor of a sink."""
+    client = node.properties.get("client.id")
+    return client is not None and any(
+        other.properties.get("client.id") == client
+        and other.properties.get("media.class") == "Stream/Input/Audio"
+        and str(other.properties.get("stream.capture.sink")).lower() != "true"
+        for other in graph.nodes.values()
+    )
 
 
 def stream_of(graph: Graph, node: Node) -> Stream:

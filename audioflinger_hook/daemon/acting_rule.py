@@ -1,0 +1,62 @@
+"""The [[application]] rule that acts: that of the application that began to play last."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from audioflinger_hook.config.applications import ApplicationRule
+from audioflinger_hook.daemon.run_config import RunConfig
+from device.drive.settings import GAIN_MIN_DB
+from device.server import AppRules, ServerSnapshot
+from device.server.left_out import client_of, recording_clients
+
+
+class ActingRule:
+    """Finds the rule that acts. Only one thread may call `update`. rule: it, None without one."""
+
+    def __init__(self) -> None:
+        self.rule: ApplicationRule | None = None
+        self._began: dict[int, int] = {}  # order in which streams began to play, by index
+        self._count = 0
+
+    def update(
+        self, snapshot: ServerSnapshot | None, config: RunConfig, haptic_sink: str | None
+    ) -> bool:
+        """Look at the streams that play; return whether another rule acts now.
+
+        haptic_sink: sink of the vibration; streams to it have no rule.
+        """
+        before, self.rule = self.rule, None
+        if snapshot is not None:
+            self.rule = self._newest(snapshot, config, haptic_sink)
+        return self.rule != before
+
+    def _newest(
+        self, snapshot: ServerSnapshot, config: RunConfig, haptic_sink: str | None
+    ) -> ApplicationRule | None:
+        selected = (config.rules or AppRules()).select(snapshot, haptic_sink)
+        playing = {one.index: one for one in selected if not (one.corked or one.mute)}
+        self._began = {index: self._began[index] for index in self._began if index in playing}
+        for index in sorted(playing.keys() - self._began.keys()):
+            self._count += 1
+            self._began[index] = self._count
+        recording = recording_clients(snapshot)
+        for index in sorted(self._began, key=self._began.__getitem__, reverse=True):
+            stream = playing[index]
+            if config.left_out.why(stream, records=client_of(stream) in recording):
+                continue
+            for rule in config.live.application_rules:
+                if rule.rule.matches(stream):
+                    return rule
+        return None
+
+
+def with_rule(config: RunConfig, rule: ApplicationRule | None) -> RunConfig:
+    """Return a config with the rule's profile, and its gain added to the user's gain."""
+    if rule is None:
+        return config
+    settings = config.settings
+    if rule.profile is not None:
+        settings = settings.choosing(profile=rule.profile)
+    gain_db = max(GAIN_MIN_DB, settings.gain_db + rule.gain_db)
+    return replace(config, settings=settings.choosing(gain_db=gain_db))

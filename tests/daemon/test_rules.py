@@ -1,0 +1,154 @@
+"""Which streams are left out, and which [[application]] rule acts; without a server."""
+
+from dataclasses import replace
+
+import pytest
+
+from audioflinger_hook.config.applications import ApplicationRule
+from audioflinger_hook.config.settings import LiveSettings, Settings
+from audioflinger_hook.daemon.acting_rule import ActingRule, with_rule
+from audioflinger_hook.daemon.applications import applications_in, not_left_out
+from audioflinger_hook.daemon.native.taps import Tap
+from audioflinger_hook.daemon.run_config import RunConfig
+from audioflinger_hook.sources import parse_tap
+from device.address import parse_device
+from device.server.left_out import LeftOut
+from device.server.snapshot import ServerSnapshot, Source, Stream
+from tests.support.graphs import desktop, node, play
+
+INPUTS = (41, 42)
+GAME = ApplicationRule(match="super*", profile="game", gain_db=-6.0)
+MUSIC = ApplicationRule(match="mpv", profile="music")
+SOURCE = Source(2, "desk.monitor", "", "desk", 48_000, 2, {})
+
+
+def config_of(*rules, **live):
+    return RunConfig(
+        parse_tap("default"),
+        parse_device("sink:dac"),
+        Settings(),
+        LiveSettings(application_rules=rules, **live),
+    )
+
+
+def stream(index, application="", *, binary="", role="", corked=False, client="", sink="desk"):
+    known = {"client.id": client} if client else {}
+    return Stream(index, 1, sink, application, binary, role, "", None, corked, False, known)
+
+
+def seen(*playing, recording=()):
+    return ServerSnapshot("PipeWire", "1", "desk", "", (), (SOURCE,), playing, tuple(recording), 0)
+
+
+def tapped(graph, left_out=LeftOut()):  # noqa: B008 - immutable
+    tap = Tap("desk.monitor", ("FL", "FR"), "desk", None, left_out)
+    return {output for output, _ in tap.mirrored(graph, "dac", INPUTS)}
+
+
+@pytest.mark.parametrize(
+    "properties",
+    [
+        {"media.role": "Communication"},
+        {"media.role": "phone"},
+        {"media.role": "Notification"},
+        {"media.role": "event"},
+        {"media.role": "Accessibility"},
+        {"application.name": "WEBRTC VoiceEngine"},
+        {"application.process.binary": "Discord"},
+        {"application.name": "Mumble"},
+        {"application.process.binary": "teams-for-linux"},
+    ],
+)
+def test_calls_and_alerts_are_not_linked_unless_the_switch_is_on(properties):
+    graph = desktop()
+    play(graph, 60, "film", 10, **{"media.role": "Movie"})
+    play(graph, 70, "other", 10, **properties)
+    assert tapped(graph) == {61, 62}
+    assert tapped(graph, LeftOut(calls_and_alerts=True)) == {61, 62, 71, 72}
+
+
+def test_a_browsers_call_is_left_out_while_its_film_is_felt():
+    graph = desktop()
+    play(graph, 60, "film", 10, **{"client.id": 5})
+    play(graph, 70, "call", 10, **{"client.id": 6})
+    graph.apply([node(80, "microphone", "Stream/Input/Audio", **{"client.id": 6})])
+    assert tapped(graph) == {61, 62}
+    graph.apply([{"id": 80, "info": None}])
+    assert tapped(graph) == {61, 62, 71, 72}
+
+
+def test_a_client_that_records_only_what_a_sink_plays_makes_no_call():
+    graph = desktop()
+    play(graph, 60, "recorder", 10, **{"client.id": 5})
+    recorder = {"client.id": 5, "stream.capture.sink": True}
+    graph.apply([node(80, "tape", "Stream/Input/Audio", **recorder)])
+    assert tapped(graph) == {61, 62}
+
+
+def test_what_the_config_leaves_out_is_not_linked_even_with_the_switch():
+    graph = desktop()
+    play(graph, 60, "a", 10, **{"application.name": "Game"})
+    play(graph, 70, "b", 10, **{"application.process.binary": "mpv"})
+    config = config_of(ApplicationRule(match="mp?", feel=False), feel_calls_and_alerts=True)
+    assert tapped(graph, config.left_out) == {61, 62}
+
+
+def test_the_rule_of_the_newest_playing_application_acts_and_ends_with_it():
+    config, acting = config_of(MUSIC, GAME), ActingRule()
+    music, game = stream(9, "mpv"), stream(4, "SuperTux")  # a game with an older stream
+    paused = replace(game, corked=True)
+    steps = [(seen(music, paused), MUSIC), (seen(music, game), GAME), (seen(music, paused), MUSIC)]
+    for snapshot, rule in steps:
+        assert acting.update(snapshot, config, "dac")
+        assert acting.rule == rule
+        assert not acting.update(snapshot, config, "dac")
+    acting.update(seen(), config, "dac")
+    assert acting.rule is None
+
+
+def test_streams_to_the_device_and_left_out_streams_have_no_rule():
+    config, acting = config_of(MUSIC, GAME), ActingRule()
+    call = stream(3, "supercall", role="phone")
+    assert not acting.update(seen(stream(1, "mpv", sink="dac"), call), config, "dac")
+
+
+def test_a_rule_changes_profile_and_gain_and_nothing_else():
+    config = config_of(MUSIC, GAME)
+    config = replace(config, settings=config.settings.choosing(gain_db=-3.0))
+    acted = with_rule(config, GAME)
+    assert (acted.settings.profile, acted.settings.gain_db) == ("game", -9.0)
+    assert acted.settings.parameters == Settings(profile="game").parameters
+    assert acted.live == config.live
+    assert with_rule(config, None) is config
+    low = with_rule(config, replace(GAME, gain_db=-60.0))
+    assert low.settings.gain_db == -60.0
+
+
+def test_the_status_says_which_rule_acts_and_why_an_application_is_left_out():
+    config = config_of(GAME, ApplicationRule(match="radio", feel=False))
+    record = replace(stream(9, client="7"), device_index=8, device_name="microphone")
+    snapshot = seen(
+        stream(1, "SuperTux"),
+        stream(2, "Radio"),
+        stream(3, "chime", role="event"),
+        stream(4, "Browser", client="7"),
+        stream(5, "Player"),
+        recording=[record],
+    )
+    shown = applications_in(snapshot, config, SOURCE, "dac", GAME)
+    felt = {one.name: (one.is_felt, one.rule) for one in shown}
+    assert felt == {
+        "SuperTux": (True, 'rule "super*"'),
+        "Radio": (False, "left out in the config"),
+        "chime": (False, "alert"),
+        "Browser": (False, "call"),
+        "Player": (True, ""),
+    }
+    assert not_left_out(shown) == ""
+
+
+def test_the_status_says_what_a_tap_of_the_mixed_sound_cannot_leave_out():
+    snapshot = seen(stream(1, "mpv"), stream(3, "chime", role="event"))
+    shown = applications_in(snapshot, config_of(), SOURCE, "dac", is_mixed=True)
+    assert {one.name for one in shown if one.is_felt} == {"mpv", "chime"}
+    assert "mixed sound is tapped: chime (alert)" in not_left_out(shown)
