@@ -99,7 +99,7 @@ test-usb:
 	@sh tools/setup.sh test
 	@sh tools/fetch_servers.sh
 	@sh tools/fetch_usb_vm.sh
-	.venv/bin/python -m pytest -m "usbvm and not soak" -n 2 $(PYTEST_ARGS) tests/usbvm
+	.venv/bin/python -m pytest -m "usbvm and not soak" -n 2 --dist worksteal $(PYTEST_ARGS) tests/usbvm
 
 soak:
 	@sh tools/setup.sh test

@@ -20,6 +20,7 @@ Model = Callable[[FloatArray, FloatArray], Response]
 
 MOST_MISFIT = 0.1
 _NORMAL_95 = 1.959964
+_ROUGH, _FINE = 1e-6, 1e-10  # tolerances of all fits but the last, and of the last
 _WEIGHTINGS = 4  # number of repeated fits, each with the noise spectrum of the previous fit
 _SMOOTH_BINS = 101
 _LEFT_OUT = 1e-4  # standard deviation that resampling and converters add to each parameter
@@ -144,20 +145,19 @@ def fit(
         more = [known.slopes(len(p)) / math.sqrt(2.0)] if known else []
         return np.concatenate([measured_slopes(p), *more])
 
-    def solved(start: FloatArray) -> tuple[float, FloatArray, bool]:
+    def solved(start: FloatArray, tolerance: float) -> tuple[float, FloatArray, bool]:
         inside = np.clip(start, low + 1e-6, high - 1e-6)
-        found = least_squares(
-            stacked, inside, jacobian, (low, high), "trf", 1e-10, 1e-10, 1e-10, max_nfev=200
-        )
+        ends = tolerance, tolerance, tolerance
+        found = least_squares(stacked, inside, jacobian, (low, high), "trf", *ends, max_nfev=200)
         lost = bool(np.any(np.abs(found.x) > 0.99 * _FAR))
         return float(found.cost), np.asarray(found.x), bool(found.success) and not lost
 
     ranked = sorted(starts, key=lambda start: float(np.sum(np.abs(left(start)) ** 2)))
-    _, logs, converged = min(map(solved, ranked[:2]), key=lambda one: one[0])
-    for _ in range(_WEIGHTINGS):
+    _, logs, converged = min((solved(one, _ROUGH) for one in ranked[:2]), key=lambda one: one[0])
+    for tolerance in (*(_WEIGHTINGS - 1) * [_ROUGH], _FINE):
         power = box_mean(np.abs(left(logs)) ** 2, min(_SMOOTH_BINS, len(f)))
         deviation = deviation * np.sqrt(np.maximum(power, 1e-12 * float(power.max()) + 1e-300))
-        _, logs, converged = solved(logs)
+        _, logs, converged = solved(logs, tolerance)
     e = left(logs)
     slopes = measured_slopes(logs)
     # Model errors correlate neighbouring bins; the noise of neighbouring bins is independent.

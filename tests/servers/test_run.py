@@ -100,7 +100,7 @@ def take(server: SoundServer, sound: Float32Array, folder: Path) -> tuple[Float3
 def test_what_plays_is_felt_as_a_file_of_it_is_rendered(server, scene, tmp_path):
     """A take counts only if no core was taken away for 20 ms, which no stream outlasts."""
     sound, vibration = scene
-    shown, verdict = False, Verdict("felt as rendered", needed=1, stray=0)
+    shown, verdict = False, Verdict("felt as rendered", needed=1)
     while not shown:
         heard, status, away_s = take(server, sound, tmp_path)
         alike = likeness(envelope(heard), envelope(vibration))

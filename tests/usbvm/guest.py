@@ -170,7 +170,7 @@ def bits(folder: Path) -> dict[str, Any]:
     settings = mixed(chosen["hw"][0])
     for device in (chosen, other):
         full_volume(device["hw"][0])
-    run = Run("scene:demo", "--device", chosen["device"], "--seconds", "6")
+    run = Run(sound(20.0), "--device", chosen["device"], "--seconds", "4")
     _, told = run.process.communicate()
     assert run.process.returncode == 0, told
     return {"names": [chosen["device"], other["device"]], "mixed": settings}
@@ -326,12 +326,12 @@ def choose_configuration(value: int) -> None:
 SCENES: dict[str, Callable[[Path], dict[str, Any]]] = {
     "bits": bits,
     "pulled": pulled,
-    "fast": lambda folder: software(folder, 1, 200.0, 40.0),
+    "fast": lambda folder: software(folder, 1, 200.0, 26.0),
     "slow": lambda folder: software(folder, 1, -200.0, 40.0),
     "unsettable": unsettable,
     "shapes": shapes,
     "configurations": configurations,
-    "feedback": lambda folder: software(folder, 2, 150.0, 30.0),
+    "feedback": lambda folder: software(folder, 2, 150.0, 20.0),
 }
 
 

@@ -20,7 +20,7 @@ from tests.usbvm.machine import BUFFER_FRAMES, Machine, why_not
 pytestmark = [pytest.mark.usbvm, pytest.mark.skipif(bool(why_not()), reason=why_not() or "-")]
 
 RATE_HZ = 48_000
-LIMIT_S = 900.0
+LIMIT_S = 1_500.0
 PLAYS_AGAIN_S = 3.0
 CUT_FRAMES = BUFFER_FRAMES + 3 * 256
 """What is dropped when a stream ends: the buffer of QEMU's card, and the kernel's, three blocks."""
@@ -75,40 +75,6 @@ def assert_all_heard(played: Samples, wanted: Samples, cut: int) -> None:
     assert len(played) > RATE_HZ
     assert len(wanted) - cut <= len(played) <= len(wanted)
     assert np.array_equal(played, wanted[: len(played)])
-
-
-def test_the_chosen_one_of_two_cards_gets_every_bit_and_the_other_nothing(tmp_path):
-    result = done(tmp_path, "bits", ("one", "two"))
-    assert result["names"][0] != result["names"][1]
-    (piece,) = sent(tmp_path, 16)
-    cards = [heard(tmp_path / f"{name}.wav") for name in ("one", "two")]
-    loud = [bool(samples.any()) for samples in cards]
-    assert sorted(loud) == [False, True]
-    assert_all_heard(cards[loud.index(True)], piece, CUT_FRAMES)
-    (mixed,) = result["mixed"]
-    assert mixed["range_db"] == pytest.approx(mixed["alsa_range_db"], abs=0.01)
-    assert mixed["highest_db"] > 0.0  # louder than may be set
-    assert -1.0 < mixed["set_db"] <= 0.0
-    assert mixed["steps"] == mixed["alsa_steps"]
-    assert mixed["muted"] == [[True], [False]]
-
-
-def test_a_card_that_is_pulled_out_while_it_plays_is_waited_for_in_any_port(tmp_path):
-    result = done(tmp_path, "pulled", ("dac",))
-    states = [state for _, state in result["states"]]
-    assert "waiting-for-device" in states
-    assert states[-1] == "running"
-    assert result["again_s"] < PLAYS_AGAIN_S
-    assert result["ports"][0] != result["ports"][1]
-    assert result["real_time_threads"] == [1, 1]
-    assert not [line for line in result["last"]["warnings"] if "without a break" in line]
-    pieces = sent(tmp_path, 16)
-    assert len(pieces) >= 2
-    before, after = heard(tmp_path / "dac.wav"), heard(tmp_path / "dac-again.wav")
-    first = sounding(before)
-    assert len(first) > RATE_HZ
-    assert np.array_equal(first, sounding(pieces[0])[: len(first)])
-    assert_all_heard(after, pieces[-1], CUT_FRAMES)
 
 
 def assert_followed(result: dict[str, Any], ppm: float) -> None:
@@ -170,6 +136,40 @@ def test_a_muted_dac_whose_volume_cannot_be_set_stays_muted_and_is_not_played_to
     # One kernel drops what the device refuses, another returns the refusal.
     told = result["kept"][0][1]
     assert "was set to -30 dB and is -1 dB" in told or "refuses the value" in told
+
+
+def test_the_chosen_one_of_two_cards_gets_every_bit_and_the_other_nothing(tmp_path):
+    result = done(tmp_path, "bits", ("one", "two"))
+    assert result["names"][0] != result["names"][1]
+    (piece,) = sent(tmp_path, 16)
+    cards = [heard(tmp_path / f"{name}.wav") for name in ("one", "two")]
+    loud = [bool(samples.any()) for samples in cards]
+    assert sorted(loud) == [False, True]
+    assert_all_heard(cards[loud.index(True)], piece, CUT_FRAMES)
+    (mixed,) = result["mixed"]
+    assert mixed["range_db"] == pytest.approx(mixed["alsa_range_db"], abs=0.01)
+    assert mixed["highest_db"] > 0.0  # louder than may be set
+    assert -1.0 < mixed["set_db"] <= 0.0
+    assert mixed["steps"] == mixed["alsa_steps"]
+    assert mixed["muted"] == [[True], [False]]
+
+
+def test_a_card_that_is_pulled_out_while_it_plays_is_waited_for_in_any_port(tmp_path):
+    result = done(tmp_path, "pulled", ("dac",))
+    states = [state for _, state in result["states"]]
+    assert "waiting-for-device" in states
+    assert states[-1] == "running"
+    assert result["again_s"] < PLAYS_AGAIN_S
+    assert result["ports"][0] != result["ports"][1]
+    assert result["real_time_threads"] == [1, 1]
+    assert not [line for line in result["last"]["warnings"] if "without a break" in line]
+    pieces = sent(tmp_path, 16)
+    assert len(pieces) >= 2
+    before, after = heard(tmp_path / "dac.wav"), heard(tmp_path / "dac-again.wav")
+    first = sounding(before)
+    assert len(first) > RATE_HZ
+    assert np.array_equal(first, sounding(pieces[0])[: len(first)])
+    assert_all_heard(after, pieces[-1], CUT_FRAMES)
 
 
 def test_a_pad_vibrates_on_its_coils_alone_and_odd_formats_are_played_or_refused(tmp_path):
