@@ -13,8 +13,11 @@ from typing import NamedTuple
 from device.server.snapshot import ServerSnapshot, default_name
 
 AFTER_S, AT_MOST_S = 1.0, 5.0  # a check is due 1 s after the last change, or 5 s after the first
-RENEW_AGAIN_S = 30.0  # shortest time between two detections
+RENEW_AGAIN_S, RENEW_AT_MOST_S = 2.0, 30.0
+"""Shortest time between two detections; it doubles up to the second value until a check agrees."""
+
 AGAIN_S = 0.5  # time between two queries, in which a change in progress ends
+TRIES = 5  # pairs of queries in a check, until two new connections agree
 
 
 class Defaults(NamedTuple):
@@ -34,6 +37,7 @@ class DefaultsCheck:
     def __init__(self, disagreed: Callable[[Defaults], None]) -> None:
         self._disagreed = disagreed
         self._not_before_s = -math.inf
+        self._renew_again_s = RENEW_AGAIN_S
         self._changed_s: float | None = None  # the first change since the last check
         self.due_s: float | None = None
 
@@ -53,16 +57,26 @@ class DefaultsCheck:
         self.due_s = self._changed_s = None
         known = Defaults(snapshot.default_sink, snapshot.default_source)
 
-        def check() -> None:
+        threading.Thread(
+            target=self.check, args=(known,), name="defaults-check", daemon=True
+        ).start()
+
+    def check(self, known: Defaults) -> None:
+        """Ask new connections until two agree, and report a disagreement with the known defaults.
+
+        known: the connection's defaults. This blocks for a few seconds at most.
+        """
+        for _ in range(TRIES):
             first = fetch_defaults()
-            if first in (None, known):
+            if first == known:
+                self._renew_again_s = RENEW_AGAIN_S
                 return
             time.sleep(AGAIN_S)
-            if fetch_defaults() == first:
-                self._not_before_s = time.monotonic() + RENEW_AGAIN_S
+            if first is not None and fetch_defaults() == first:
+                self._not_before_s = time.monotonic() + self._renew_again_s
+                self._renew_again_s = min(2.0 * self._renew_again_s, RENEW_AT_MOST_S)
                 self._disagreed(known)
-
-        threading.Thread(target=check, name="defaults-check", daemon=True).start()
+                return
 
 
 def fetch_defaults() -> Defaults | None:

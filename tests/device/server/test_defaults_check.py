@@ -1,8 +1,19 @@
 """When a connection's default devices are compared with those that a new connection reports."""
 
-import numpy as np
+import time
 
-from device.server.defaults_check import AFTER_S, AT_MOST_S, DefaultsCheck
+import numpy as np
+import pytest
+
+from device.server import defaults_check
+from device.server.defaults_check import (
+    AFTER_S,
+    AT_MOST_S,
+    RENEW_AGAIN_S,
+    RENEW_AT_MOST_S,
+    Defaults,
+    DefaultsCheck,
+)
 from tests.support.snapshots import snapshot
 
 
@@ -20,3 +31,44 @@ def test_the_check_waits_for_calm_but_not_for_ever():
 
 def test_pulseaudio_needs_no_check():
     assert due_s(10.0, kind="PulseAudio") is None
+
+
+KNOWN, NEW, NEWER = Defaults("desktop", ""), Defaults("speakers", ""), Defaults("hdmi", "")
+
+
+@pytest.fixture
+def checked(monkeypatch):
+    """Checks against these answers of new connections, and what was reported."""
+    monkeypatch.setattr(defaults_check, "AGAIN_S", 0.0)
+    reported: list[Defaults] = []
+    check = DefaultsCheck(reported.append)
+
+    def run(*answers: Defaults | None) -> tuple[int, float]:
+        """How often outdated defaults were reported, and in how many s they may be again."""
+        left = iter(answers)
+        monkeypatch.setattr(defaults_check, "fetch_defaults", lambda: next(left))
+        check.check(KNOWN)
+        check.note_change(now_s := time.monotonic(), snapshot(kind="PipeWire"))
+        assert check.due_s is not None
+        again_s, check.due_s = check.due_s - now_s, None
+        return len(reported), again_s
+
+    return run
+
+
+def test_two_new_connections_that_agree_outdate_the_known_defaults(checked):
+    assert checked(KNOWN)[0] == 0
+    assert checked(NEW, NEW)[0] == 1
+
+
+def test_a_change_in_progress_or_a_server_without_an_answer_is_asked_again(checked):
+    assert checked(None, NEW, NEWER, NEWER, NEWER)[0] == 1
+    assert checked(NEW, None, KNOWN)[0] == 1  # none more
+
+
+def test_outdated_defaults_are_reported_soon_but_ever_less_often_where_that_does_not_help(checked):
+    waits_s = [checked(NEW, NEW)[1] for _ in range(6)]
+    wanted_s = [min(RENEW_AGAIN_S * 2.0**number, RENEW_AT_MOST_S) for number in range(6)]
+    assert waits_s == pytest.approx(wanted_s, abs=0.5)
+    checked(KNOWN)
+    assert checked(NEW, NEW)[1] == pytest.approx(RENEW_AGAIN_S, abs=0.5)
