@@ -36,6 +36,10 @@ class LostError(CushionError):
     exit_code = 4
 
 
+class BrokenStreamError(LostError):
+    """A stream broke off, for example because a block was late; a measurement may be repeated."""
+
+
 class InternalError(CushionError):
     """The program failed at run time, for example because a file cannot be written."""
 

@@ -13,7 +13,14 @@ from audioflinger_hook.cli.terminal import warn
 from audioflinger_hook.cli.test_tone import free_card
 from device.address import DeviceAddress
 from device.alsa import find_capture, find_playback
-from device.errors import CushionError, InternalError, LostError, NotFoundError, UsageError
+from device.errors import (
+    BrokenStreamError,
+    CushionError,
+    InternalError,
+    LostError,
+    NotFoundError,
+    UsageError,
+)
 from device.identification.calibration import Calibration, calibrate
 from device.identification.live.exchange import Exchange
 from device.identification.live.laboratory import UNUSED, Devices, Inputs, LiveLaboratory
@@ -22,7 +29,7 @@ from device.identification.recording import Sweep
 from device.identification.simulated_laboratory import LARGEST_SHARE, sweep_at_excursion
 from device.rig import Rig
 from device.server import PulseConnection, ServerSnapshot
-from device.server.guard import FallbackSink, StreamGuard
+from device.server.guard import FallbackSink, Hold, StreamGuard
 from device.server.identity import find_source, is_cushion_stream
 from device.stream import PcmConfig, filter_stderr
 from device.stream.pcms import ServerDevice, Target
@@ -131,6 +138,9 @@ class _Watch:
     def problem(self, now_s: float) -> CushionError | None:
         """Return the error that ends the measurement, or None."""
         for guard in self.guards:
+            if guard.hold is Hold.NO_STREAM:  # for a moment after a late block, too
+                why = f"{guard.hold.value}; plug the device in"
+                return BrokenStreamError(f"the sweep ended: {why}, and repeat")
             if not guard.hold.audible:
                 return LostError(f"the sweep ended: {guard.hold.value}; plug it in, and repeat")
         each = zip(self.streams, self.names, self._before, self._counts(), strict=True)
@@ -139,7 +149,7 @@ class _Watch:
                 return LostError(f"{name} went away during the sweep; plug it in again, and repeat")
             if now[0] > before[0] or now[1] > before[1]:
                 late = "a block came too late during the sweep"
-                return LostError(f"{name}: {late}; close other programs, and repeat")
+                return BrokenStreamError(f"{name}: {late}; close other programs, and repeat")
             if now[2] > before[2]:
                 kinds = ", ".join(stream.errors)
                 return InternalError(f"{name}: {kinds} in a callback; please report it")

@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from device.errors import UsageError
+from device.errors import BrokenStreamError, UsageError
 from device.identification.live.exchange import Exchange
 from device.identification.live.two_clocks import (
     Drift,
@@ -183,7 +183,7 @@ class LiveLaboratory:
         "drive" is the loop-back if there is one, else the played signal with an unknown delay.
         """
         for _ in range(MOST_TRIES - 1):
-            with suppress(DropoutError):
+            with suppress(BrokenStreamError, DropoutError):
                 return self._measure_once(sweep, pairs)
             self.repeated += 1
         return self._measure_once(sweep, pairs)

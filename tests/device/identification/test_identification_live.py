@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from device.errors import LostError, UsageError
+from device.errors import BrokenStreamError, LostError, UsageError
 from device.identification import IdentificationError, acceleration, calibration
 from device.identification.calibration import STEPS, calibrate
 from device.identification.live.exchange import Exchange
@@ -377,6 +377,24 @@ def test_a_sweep_that_lost_frames_once_is_repeated_at_the_same_level():
     found = calibrated(devices)
     assert devices.levels == pytest.approx([0.01, 0.01, 0.02, 0.04], rel=0.01)
     assert found.driven.f0_hz.value == pytest.approx(truth(PAPER, False).f0_hz, rel=0.005)
+
+
+@pytest.mark.parametrize("breaks", [1, MOST_TRIES])
+def test_a_stream_that_breaks_off_once_is_started_again_at_the_same_level(breaks):
+    devices = SimulatedDevices(PAPER, ALONE)
+
+    def break_off(exchange, number):
+        if devices.runs <= breaks and number == 200:
+            exchange.abort(BrokenStreamError("a block came too late"))
+
+    devices.on_block = break_off
+    laboratory = LiveLaboratory(devices, ALONE, 0, PAPER.amplifier)
+    if breaks == MOST_TRIES:
+        with pytest.raises(BrokenStreamError, match="too late"):
+            laboratory.measure(SHORT, ALONE.pairs)
+    else:
+        assert laboratory.measure(SHORT, ALONE.pairs)
+    assert (devices.runs, laboratory.repeated) == (min(breaks + 1, MOST_TRIES), min(breaks, 2))
 
 
 @pytest.mark.sweep
