@@ -31,7 +31,7 @@ from device.units import Float32Array
 
 LOST_AFTER_S = 0.5  # a stream without a callback for this long is lost
 
-BEGUN_AFTER_S, BEGINS_WITHIN_S = 0.25, 2.5
+BEGUN_AFTER_S, BEGINS_WITHIN_S = 0.05, 2.5
 """For new streams: on an idle sink without norewinds, PulseAudio renders up to 2 s ahead.
 A playback stream then gets its first callbacks at once, and the next up to 2 s later. A capture
 stream gets its first callback up to 2 s later."""

@@ -67,12 +67,13 @@ def test_the_tool_finds_a_plausible_lag_and_no_error_of_its_own(kind, tmp_path):
     assert [each.name for each in read_records(kept)] == [record.name]
 
 
-def test_a_daemon_that_already_runs_is_measured_where_it_is(server):
-    done = latency("--here", environ=environment(server))
+@pytest.mark.servers
+def test_a_daemon_that_already_runs_is_measured_where_it_is(pipewire):
+    done = latency("--here", environ=environment(pipewire))
     assert done.returncode == 1
     assert done.stderr == "latency: error: no daemon plays here; start one with `cushion run`\n"
-    with running(server):
-        record = measured(["--here", "--play", "--seconds", "6"], environment(server))
+    with running(pipewire):
+        record = measured(["--here", "--play", "--seconds", "6"], environment(pipewire))
     assert record.block_frames is None
     assert 20.0 < record.lag_median_ms < 150.0
     assert abs(record.check_median_ms or 0.0) <= TRUSTED_MS

@@ -256,7 +256,7 @@ def test_bursts_are_felt_soon_by_streams_and_a_cycle_later_by_the_monitor(timed_
     assert monitor.half_median_ms - streams.half_median_ms == pytest.approx(cycle_ms, abs=1.0)
 
 
-@pytest.mark.parametrize("player", ["pw-play", "paplay"])
+@pytest.mark.parametrize("player", ["pw-play", pytest.param("paplay", marks=pytest.mark.soak)])
 def test_the_beginning_of_a_new_stream_is_felt(timed_pipewire, player, tmp_path):
     with running(timed_pipewire, engine="native"):
         lost = lost_cycles(player, 8, tmp_path, timed_pipewire.environment)

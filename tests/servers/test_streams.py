@@ -29,6 +29,7 @@ from tests.servers.listening import (
     steady,
     wait_for,
 )
+from tests.servers.witness import Verdict
 from tests.support.commands import open_files
 from tests.support.memory import resident_bytes
 from tests.support.programs import printed
@@ -147,20 +148,23 @@ def test_a_sink_that_has_played_2_s_ahead_is_waited_for(server, pcms):
         pytest.skip("PipeWire plays nothing ahead")
     server.pactl("load-module", "module-null-sink", "sink_name=ahead", "rate=48000", "channels=2")
     wait_for(lambda: "ahead" in server.names("sinks"), "the sink")
-    lost, waited_s = [], []
-    for open_stream in (
-        lambda: output(pcms, "ahead"),
-        lambda: open_tap(pcms, Collector(), "ahead.monitor"),
-    ):
-        stream: PlaybackStream | CaptureStream = open_stream()
-        longest_s = 0.0
-        while (now_s := time.monotonic()) < stream.opened_s + 3.0:
-            lost.append(stream.is_lost(now_s))
-            longest_s = max(longest_s, now_s - stream.last_callback_s)
-            threading.Event().wait(0.01)
-        assert stream.close()
-        waited_s.append(longest_s)
-    assert not any(lost)
+    # on a busy machine the first callbacks may come so late that the stream counts as begun
+    verdict, shown = Verdict("a stream that waits", needed=1), False
+    while not shown:
+        lost, waited_s = [], []
+        for open_stream in (
+            lambda: output(pcms, "ahead"),
+            lambda: open_tap(pcms, Collector(), "ahead.monitor"),
+        ):
+            stream: PlaybackStream | CaptureStream = open_stream()
+            longest_s = 0.0
+            while (now_s := time.monotonic()) < stream.opened_s + 3.0:
+                lost.append(stream.is_lost(now_s))
+                longest_s = max(longest_s, now_s - stream.last_callback_s)
+                threading.Event().wait(0.01)
+            assert stream.close()
+            waited_s.append(longest_s)
+        shown = verdict.add(waited_s, good=not any(lost), witness_torn=False)
     assert min(waited_s) > LOST_AFTER_S  # there was something to wait for
 
 
