@@ -78,7 +78,7 @@ def test_one_core_that_is_taken_away_is_a_pause_only_of_that_core() -> None:
             pass
         os.kill(pid, signal.SIGCONT)
         deadline_s = time.monotonic() + 5.0
-        while len(witness._seen[0]) == 0 or witness._seen[0][-1].seconds < 0.05:
+        while not any(one.seconds >= 0.05 for one in witness._seen[0]):
             witness.pauses()
             assert time.monotonic() < deadline_s
         whole = [one for one in witness.pauses() if one.seconds > 0.05]
