@@ -239,7 +239,7 @@ def test_a_direct_link_has_no_delay(timed_pipewire, tmp_path):
 def test_bursts_are_felt_soon_by_streams_and_a_cycle_later_by_the_monitor(timed_pipewire, tmp_path):
     found = {}
     for tap, variables in (("streams", {}), ("monitor", refusing_pw_cli(tmp_path))):
-        # of some 150 runs, PipeWire let one monitor be read another cycle later, to its end
+        # of some 150 runs, one was another cycle late to its end; the cause is not known
         verdict, shown = Verdict(f"the delay of {tap}", needed=1), False
         while not shown:
             with running(timed_pipewire, engine="native", variables=variables):

@@ -37,7 +37,7 @@ SENTENCES = {
         "reaches half of its peak {burst_ms} ms after the start of the burst (median). "
         "For 95 % of bursts, this time is at most {burst_p95_ms} ms",
         "The native engine takes {cpu_least} to {cpu_most} % of a core.",
-        "then reaches half of its peak {monitor_ms} ms after the start of the burst",
+        "then reaches half of its peak {monitor_ms} ms after the burst begins",
         "its vibration lags {python_least_ms} to {python_most_ms} ms behind the sound, "
         "and the engine takes {python_cpu_least} to {python_cpu_most} % of a core",
         "vibration comes about {pulse_ms} ms after its sound on PulseAudio, "
