@@ -67,7 +67,7 @@ test-exhaustive:
 	@sh tools/fetch_usb_mock.sh
 	.venv/bin/python -m pytest \
 	    -m "exhaustive and not soak and not servers and not usbvm and not browser and not s3" \
-	    -n auto --dist loadfile $(PYTEST_ARGS)
+	    -n auto --dist worksteal $(PYTEST_ARGS)
 
 test-servers:
 	@sh tools/setup.sh test

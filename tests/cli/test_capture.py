@@ -194,7 +194,10 @@ def test_an_interrupted_replay_leaves_nothing(tmp_path):
     written(tmp_path / "cap", *[(part, RATE, False) for part in np.split(frames, 100)])
     before = listing(tmp_path)
     with start("replay", tmp_path / "cap", tmp_path / "out.wav", "--speed", "1") as process:
-        until(lambda: bool(held_back(process, tmp_path / "cap")), process)  # it reads a segment
+        reads = tmp_path / "cap"  # a segment of it, and writes elsewhere
+        until(
+            lambda: len(held_back(process, tmp_path)) > len(held_back(process, reads)) > 0, process
+        )
         process.send_signal(signal.SIGINT)
         stdout, stderr = process.communicate(timeout=10)
     assert (process.returncode, stdout, stderr) == (130, "", "cushion: interrupted\n")

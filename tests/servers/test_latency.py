@@ -50,7 +50,7 @@ def measured(arguments: list[str], environ: dict[str, str] | None = None) -> Any
 
 
 @pytest.mark.servers
-@pytest.mark.parametrize("kind", sorted(PROGRAMS))
+@pytest.mark.parametrize("kind", ["pipewire", pytest.param("pulse", marks=pytest.mark.soak)])
 def test_the_tool_finds_a_plausible_lag_and_no_error_of_its_own(kind, tmp_path):
     need(missing_programs(kind))
     kept = tmp_path / "live.json"

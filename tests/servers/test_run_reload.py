@@ -241,14 +241,14 @@ def test_another_offset_moves_the_delay_by_that_much(server, config, tmp_path):
         wait_for(lambda: felt_now(felt), "vibration")
         daemon.wait(lambda s: s.delay_line.state == "locked", "a lock", 30.0)
         lags, targets = [], []
-        for turn in range(5):
+        for turn in range(3):
             if turn:
                 config(f"offset_ms = {150 if turn % 2 else 0}")
                 assert "changed: the offset" in reload(daemon)
             lags.append(lag_ms())
             targets.append(daemon.wait_state(DaemonState.RUNNING).delay_line.target_ms)
-    moved = np.diff(lags) * (1, -1, 1, -1)
-    provided = np.diff(targets) * (1, -1, 1, -1)
+    moved = np.diff(lags) * (1, -1)
+    provided = np.diff(targets) * (1, -1)
     # lateness that is provided for may change meanwhile, and what is recorded may have holes
     assert abs(np.mean(moved) - 150.0) < 40.0
     assert abs(np.median(provided) - 150.0) < 20.0
