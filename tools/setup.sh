@@ -1,10 +1,10 @@
 #!/bin/sh
-# Everything that Haptic Cushion needs on this machine: tools/setup.sh run|test|s3|docs
+# Everything that Haptic Cushion needs on this machine: tools/setup.sh run|test|docs|s3
 #
 #   run    a .venv with the program and the extras `figures`, `live` and `page`
 #   test   the extra `dev` as well
+#   docs   the extra `docs`, too
 #   s3     what the tests of S3 storages need, too
-#   docs   the extra `docs` instead
 #
 # PyAudio, the core and the simulated rig's library are compiled during the installation.
 # Where the compiler or a header for that is missing, the system's package manager installs it (Debian,
@@ -19,11 +19,11 @@ set -eu
 
 case ${1-} in
     run) wanted=figures,live,page ;;
-    test) wanted=figures,live,page,films,remote,cluster,dev ;;
-    s3) wanted=figures,live,page,films,remote,cluster,dev,s3,dev-s3 ;;
-    docs) wanted=figures,live,page,films,remote,cluster,dev,docs ;;
+    test) wanted=figures,live,page,tray,films,remote,cluster,dev ;;
+    docs) wanted=figures,live,page,tray,films,remote,cluster,dev,docs ;;
+    s3) wanted=figures,live,page,tray,films,remote,cluster,dev,docs,s3,dev-s3 ;; # docs: one set-up for both
     *)
-        echo 'usage: tools/setup.sh run|test|s3|docs' >&2
+        echo 'usage: tools/setup.sh run|test|docs|s3' >&2
         exit 2
         ;;
 esac

@@ -54,7 +54,7 @@ async def _serve() -> None:
     bus = await show(menu, TIMEOUT_S)
     following = asyncio.ensure_future(link.run())
     try:
-        await bus.wait_for_disconnect()
+        await bus.wait_for_disconnect()  # type: ignore[no-untyped-call]
     finally:
         following.cancel()
         bus.disconnect()

@@ -161,7 +161,7 @@ async def show(menu: Menu, timeout_s: float) -> MessageBus:
     )
     async with asyncio.timeout(timeout_s):
         answer = await bus.call(call)
-    if answer is None or answer.message_type is MessageType.ERROR:
+    if answer.message_type is MessageType.ERROR:
         bus.disconnect()
         raise NotFoundError(NO_HOST)
     return bus

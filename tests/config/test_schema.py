@@ -23,7 +23,7 @@ from audioflinger_hook.transform import TransformParameters
 from device.address import parse_device
 from device.drive import ActuatorSettings
 from device.errors import UsageError
-from device.values import Choice, Number, Switch
+from device.values import Choice, Described, Number, Switch
 from tests.support.commands import call, refused
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -280,7 +280,7 @@ def test_a_key_of_a_file_becomes_the_setting_of_its_field(key: Any, tmp_path: Pa
     needed = "" if key.name in ("channels", "match") else first.get(key.section, "")
     path.write_text(f"{head}{needed}{key.name} = {json.dumps(value, default=str)}\n")
     found = config.load(path)
-    holders = (found.settings, found.live, found.settings.parameters)
+    holders: tuple[Described, ...] = (found.settings, found.live, found.settings.parameters)
     holders += (*found.settings.actuators, *found.live.application_rules)
     (holder,) = (one for one in holders if isinstance(one, key.owner))
     assert getattr(holder, key.field) == value

@@ -178,6 +178,7 @@ def test_the_rig_of_a_new_chain_has_cooled_by_the_hour_of_a_suspend(tmp_path):
     true.coil_k, true.magnet_k = 119.0 - ambient_c, 60.0 - ambient_c
     true.heat(0.0, 3_600.0)
     state = state_of(after)
+    assert state.coil_c is not None
     assert ambient_c + true.coil_k <= state.coil_c + 1e-9
     assert state.coil_c < ambient_c + true.coil_k + 1.0
     assert state.dose.squares >= dose.squares

@@ -3,6 +3,7 @@
 import asyncio
 import shutil
 import subprocess
+from collections.abc import Mapping
 
 import pytest
 
@@ -64,7 +65,7 @@ def test_the_tray_shows_the_menu_and_a_click_asks_the_daemon(bus_address):
         watcher = Watcher()
         desktop.export("/StatusNotifierWatcher", watcher)
         await desktop.request_name(WATCHER)
-        requests = []
+        requests: list[Mapping[str, object]] = []
         menu = Menu(requests.append)
         menu.show(entries(SETTINGS))
         bus = await show(menu, 5.0)
