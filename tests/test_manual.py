@@ -38,8 +38,9 @@ def test_each_file_names_the_command_and_each_of_its_options(command: manual.Com
 
 def test_the_wheel_installs_each_file() -> None:
     installed = PROJECT["tool"]["setuptools"]["data-files"]
+    menu = {"applications/haptic-cushion.desktop", "icons/hicolor/scalable/apps/haptic-cushion.svg"}
     assert {(folder, path) for folder, paths in installed.items() for path in paths} == {
-        (f"share/{name.parent}", f"share/{name}") for name in FILES
+        (f"share/{name.parent}", f"share/{name}") for name in [*FILES, *map(Path, menu)]
     }
 
 

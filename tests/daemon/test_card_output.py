@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -27,7 +28,7 @@ from audioflinger_hook.sources import TapAddress
 from device.address import DeviceAddress, parse_device
 from device.drive import ActuatorSettings
 from device.errors import LostError, NotFoundError, UsageError
-from device.stream import portaudio
+from device.stream import portaudio, streams
 from device.stream.pcms import CardDevice, PcmConfig, Target
 from device.units import Float32Array
 from tests.support.alsa_files import BLOCK_S, ToFile, portaudio_with, until
@@ -304,6 +305,9 @@ class DaemonRig:
                 super().maintain(connection, paced.fill, now_s)
 
         monkeypatch.setattr(endpoints, "CardOutput", FileCard)
+        # a stream tells by the same clock when it was called
+        shifted = SimpleNamespace(**{**vars(time), "monotonic": clock})
+        monkeypatch.setattr(streams, "time", shifted)
         source = sound(folder / "in.wav", noise(20 * FILE_RATE, 2), FILE_RATE)
         # without real-time priority: a file that takes all at once must not keep others waiting
         live = LiveSettings(realtime=False)
