@@ -117,7 +117,7 @@ def _take_back(record: Record, earlier: list[Record]) -> tuple[list[str], tuple[
         restored = service.restore(record.unit)
         what = "removed" if restored.changed and record.unit is None else "as it was before"
         done.append(f"{restored.path}: {what}")
-        commands = restored.commands if restored.changed else ()
+        commands = restored.commands
     _save(earlier)
     _remove_backup(record)
     return done, commands

@@ -12,7 +12,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from tests.monitor.stand_in import Page, ask
+from tests.monitor.stand_in import ask, page
 from tests.servers.listening import wait_for
 
 USER = "listener"
@@ -34,6 +34,7 @@ def prepare() -> None:
     subprocess.run(["useradd", "--create-home", "--shell", "/bin/sh", USER], check=True)
     for path, text in (
         ("/etc/pipewire/pipewire.conf.d/sinks.conf", SINKS),
+        ("/etc/systemd/system/user@.service.d/often.conf", "[Unit]\nStartLimitIntervalSec=0\n"),
         ("/etc/environment.d/project.conf", f"PYTHONPATH={os.environ['PYTHONPATH']}\n"),
     ):
         Path(path).parent.mkdir(parents=True, exist_ok=True)
@@ -56,7 +57,7 @@ def typed(command: str) -> str:
         text=True,
         timeout=LIMIT_S,
     )
-    print(f"$ {command}", done.stdout, done.stderr, sep="\n", flush=True)
+    print(f"$ {command}", done.stdout[:1_000], done.stderr, sep="\n", flush=True)
     return done.stdout
 
 
@@ -70,10 +71,14 @@ def typed_as_told(told: str) -> list[str]:
 
 def log_out() -> None:
     """End the user's sessions and, with them, the user's services."""
-    service = f"user@{pwd.getpwnam(USER).pw_uid}.service"
+    uid = pwd.getpwnam(USER).pw_uid
     subprocess.run(["loginctl", "terminate-user", USER], check=True)
-    ended = ["systemctl", "is-active", "--quiet", service]
-    wait_for(lambda: subprocess.run(ended).returncode != 0, "end of the sessions", LIMIT_S)
+    last = ["systemctl", "show", "-P", "ActiveState", f"user-{uid}.slice"]
+    wait_for(
+        lambda: subprocess.run(last, stdout=subprocess.PIPE).stdout == b"inactive\n",
+        "end of the sessions",
+        LIMIT_S,
+    )
 
 
 def seen() -> dict[str, Any]:
@@ -101,9 +106,8 @@ def seen() -> dict[str, Any]:
 def scene() -> dict[str, Any]:
     """Each login's services, by what was done before it."""
     prepare()
-    found: dict[str, Any] = {"before": seen()}
-    told = typed(f"{CUSHION} setup --yes --no-test --device sink:haptic")
-    typed_as_told(told)
+    found: dict[str, Any] = {"page before": json.loads(typed(f"{PAGE} on")), "before": seen()}
+    found["told"] = typed_as_told(typed(f"{CUSHION} setup --yes --no-test --device sink:haptic"))
     found["set up"] = seen()
     log_out()
     found["after setup"] = seen()
@@ -117,8 +121,9 @@ def scene() -> dict[str, Any]:
     found["switched on"] = seen()
     log_out()
     found["after on"] = seen()
-    for _ in range(2):
-        typed_as_told(typed(f"{CUSHION} setup --undo"))
+    typed_as_told(typed(f"{CUSHION} setup --undo"))
+    found["undone once"] = seen()
+    typed_as_told(typed(f"{CUSHION} setup --undo"))
     found["undone"] = seen()
     log_out()
     found["after undo"] = seen()
@@ -128,7 +133,7 @@ def scene() -> dict[str, Any]:
 def main() -> int:
     what, *rest = sys.argv[1:]
     if what == "page":
-        with Page(Path(os.environ["XDG_RUNTIME_DIR"])) as page, page.live() as live:
+        with page(Path(os.environ["XDG_RUNTIME_DIR"])) as opened, opened.live() as live:
             answer = ask(live, 1, autostart={"on": True, "off": False}[rest[0]])
         print(json.dumps(answer))
         return 0

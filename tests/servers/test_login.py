@@ -21,5 +21,43 @@ def logins(tmp_path_factory):
     return json.loads((folder / "result.json").read_text())
 
 
-def test_x(logins):
-    print(json.dumps(logins, indent=1))
+def test_what_setup_prints_starts_the_daemon_now(logins):
+    assert logins["before"]["activestate"] == "inactive"
+    assert logins["told"] == ["systemctl --user restart cushion.service"]
+    assert_plays(logins["set up"], "cinema")
+
+
+def test_what_setup_or_the_page_switched_on_starts_by_itself_at_the_next_login(logins):
+    assert_plays(logins["after setup"], "cinema")
+    assert logins["after setup"]["mainpid"] != logins["set up"]["mainpid"]
+    assert logins["page says on"] == {"done": True, "autostart": True}
+    assert logins["switched on"]["activestate"] == "inactive"
+    assert_plays(logins["after on"], "game")
+
+
+def test_another_setup_is_felt_at_once(logins):
+    assert_plays(logins["set up again"], "game")
+
+
+def test_what_the_page_switched_off_runs_until_the_end_of_the_session_and_not_again(logins):
+    assert logins["page says off"] == {"done": True, "autostart": False}
+    now, later = logins["switched off"], logins["after off"]
+    assert (now["activestate"], now["unitfilestate"]) == ("active", "disabled")
+    assert (later["activestate"], later["unitfilestate"]) == ("inactive", "disabled")
+
+
+def test_undone_setups_leave_nothing_that_runs(logins):
+    assert_plays(logins["undone once"], "cinema")
+    for which in ("undone", "after undo"):
+        assert (logins[which]["activestate"], logins[which]["unitfilestate"]) == ("inactive", "")
+
+
+def test_the_page_starts_no_daemon_that_would_have_no_device(logins):
+    assert "names no device" in logins["page before"]["error"]
+    assert logins["before"]["unitfilestate"] == ""
+
+
+def assert_plays(seen, profile):
+    assert (seen["activestate"], seen["unitfilestate"]) == ("active", "enabled")
+    assert (seen["nrestarts"], seen["status"]["profile"]) == ("0", profile)
+    assert seen["status"]["device"]["name"] == "haptic"
