@@ -18,7 +18,8 @@ from tests.servers.listening import wait_for
 
 ROOT = Path(__file__).resolve().parents[2]
 INIT = Path("/lib/systemd/systemd")
-PROGRAMS = ("unshare", "pivot_root", "loginctl", "runuser", "useradd")
+PROGRAMS = ("unshare", "loginctl", "runuser", "useradd")
+MNT_DETACH = 2
 NO_CONTAINER = 97  # exit code: the kernel, or a container around this, refused
 
 # Arguments: the container's cgroup, its script and that script's arguments.
@@ -26,6 +27,18 @@ _ENTER = """
 echo 0 >"$1"/cgroup.procs || exit 97
 shift
 exec unshare --cgroup --mount --uts --ipc --net --propagation private /bin/sh -ec "$@"
+"""
+
+# Without setns, a `chroot` around this would remain, in which users may make no namespaces.
+_PIVOT = f"""
+import ctypes, os
+libc, here, own = ctypes.CDLL(None), os.open(".", 0), os.open("/proc/self/ns/mnt", 0)
+if libc.setns(own, 0) or os.fchdir(here) or libc.pivot_root(b".", b"old"):
+    os._exit({NO_CONTAINER})
+os.chdir("/")
+libc.umount2(b"/old", {MNT_DETACH})
+environ = dict(container="cushion", PATH="/usr/sbin:/usr/bin:/sbin:/bin")
+os.execve("{INIT}", ["{INIT}", "--unit=booted.service"], environ)
 """
 
 # Arguments: a folder for the layer, the shared folder, then folders to read from.
@@ -69,10 +82,8 @@ rm -rf etc/systemd/system/*.wants etc/systemd/system/*.requires
 : >etc/fstab
 cp "$shared"/booted.service etc/systemd/system/
 mkdir old
-pivot_root . old
-umount -l /old
 trap - EXIT
-exec env -i container=cushion PATH=/usr/sbin:/usr/bin:/sbin:/bin {INIT} --unit=booted.service
+exec {sys.executable} -c '{_PIVOT}'
 """
 
 _SERVICE = """
@@ -122,7 +133,8 @@ def run(shared: Path, command: Sequence[str], limit_s: float) -> None:
     words = " ".join(f'"{word}"' for word in command)
     text = _SERVICE.format(root=ROOT, command=words, shared=shared)
     (shared / "booted.service").write_text(text)
-    needed = sorted({ROOT, Path(sys.prefix).resolve(), Path(sys.base_prefix).resolve()})
+    found = {ROOT, Path(sys.prefix).resolve(), Path(sys.base_prefix).resolve()}
+    needed = [each for each in sorted(found) if not found.intersection(each.parents)]
     try:
         cgroup.mkdir()
     except OSError as error:
