@@ -9,7 +9,12 @@ from typing import Any
 
 from audioflinger_hook.config.applications import ApplicationRule, rule_refusals
 from audioflinger_hook.config.edits import Edits, apply_edits
-from audioflinger_hook.config.profiles import LIVE_DEFAULT, OFFLINE_DEFAULT, parameters_of, values_of
+from audioflinger_hook.config.profiles import (
+    LIVE_DEFAULT,
+    OFFLINE_DEFAULT,
+    parameters_of,
+    values_of,
+)
 from audioflinger_hook.config.schema import (
     ACTUATOR,
     APPLICATION,

@@ -172,12 +172,9 @@ def own_command(argv0: str = sys.argv[0], python: str = sys.executable) -> tuple
 def systemd_version() -> int:
     """Return the version of systemd, or 0 if `systemctl` does not report the version."""
     try:
-        told = subprocess.check_output(
-            ["systemctl", "--version"],
-            stdin=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            timeout=SYSTEMCTL_S,
-        )
+        told = subprocess.run(
+            ["systemctl", "--version"], capture_output=True, timeout=SYSTEMCTL_S, check=True
+        ).stdout
     except (OSError, subprocess.SubprocessError):
         return 0
     found = re.match(rb"systemd (\d{1,6})\b", told)

@@ -113,6 +113,9 @@ def scene() -> dict[str, Any]:
     found["after setup"] = seen()
     typed_as_told(typed(f"{CUSHION} setup --yes --no-test --device sink:haptic --profile game"))
     found["set up again"] = seen()
+    config = "~/.config/cushion/config.toml"
+    typed(f"sed -i s/game/music/ {config} && systemctl --user reload cushion")
+    found["reloaded"] = seen()
     found["page says off"] = json.loads(typed(f"{PAGE} off"))
     found["switched off"] = seen()
     log_out()

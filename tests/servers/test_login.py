@@ -32,11 +32,13 @@ def test_what_setup_or_the_page_switched_on_starts_by_itself_at_the_next_login(l
     assert logins["after setup"]["mainpid"] != logins["set up"]["mainpid"]
     assert logins["page says on"] == {"done": True, "autostart": True}
     assert logins["switched on"]["activestate"] == "inactive"
-    assert_plays(logins["after on"], "game")
+    assert_plays(logins["after on"], "music")
 
 
-def test_another_setup_is_felt_at_once(logins):
+def test_another_setup_or_an_edit_that_is_reloaded_acts_at_once(logins):
     assert_plays(logins["set up again"], "game")
+    assert_plays(logins["reloaded"], "music")
+    assert logins["reloaded"]["mainpid"] == logins["set up again"]["mainpid"]
 
 
 def test_what_the_page_switched_off_runs_until_the_end_of_the_session_and_not_again(logins):
