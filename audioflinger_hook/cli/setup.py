@@ -285,10 +285,10 @@ def _tell(path: Path, text: str, has_service: bool) -> None:
         f"{settings.profile} at {settings.gain_db:g} dB."
     )
     print("next, type:")
-    begin = [(command, "") for command in service.START]
     by_systemd = has_service and autostart.has_systemd()
+    plays = (as_typed("run"), "plays the vibration; Ctrl+C ends it")
     rows = [
-        *(begin if by_systemd else [(as_typed("run"), "plays the vibration; Ctrl+C ends it")]),
+        (service.START[-1], "") if by_systemd else plays,  # the service is enabled already
         (as_typed("monitor --open"), "opens a page that shows and adjusts the vibration"),
         (as_typed("status"), "shows the state of the daemon"),
         (as_typed("setup --undo"), "restores the config and the service as before"),

@@ -78,9 +78,7 @@ def write(path: Path, before: str | None, text: str, *, with_service: bool) -> s
             autostart.set_on(True)
             install_page_entry(service.own_command())
     except BaseException:
-        with suppress(
-            CushionError
-        ):  # after an error here, `cushion setup --undo` can restore the files
+        with suppress(CushionError):  # `cushion setup --undo` can then restore the files
             if record in _records():
                 _take_back(record, earlier)
             else:
@@ -106,10 +104,8 @@ def undo() -> tuple[list[str], tuple[str, ...]]:
 
 
 def _take_back(record: Record, earlier: list[Record]) -> tuple[list[str], tuple[str, ...]]:
-    done: list[str] = []
+    done = [] if record.written is None else _restore_config(record)
     commands: tuple[str, ...] = ()
-    if record.written is not None:
-        done += _restore_config(record)
     if record.unit_changed:
         if not record.started:
             autostart.set_on(False)
@@ -117,7 +113,7 @@ def _take_back(record: Record, earlier: list[Record]) -> tuple[list[str], tuple[
         restored = service.restore(record.unit)
         what = "removed" if restored.changed and record.unit is None else "as it was before"
         done.append(f"{restored.path}: {what}")
-        commands = restored.commands if restored.changed else ()
+        commands = restored.commands
     _save(earlier)
     _remove_backup(record)
     return done, commands

@@ -9,7 +9,12 @@ from typing import Any
 
 from audioflinger_hook.config.applications import ApplicationRule, rule_refusals
 from audioflinger_hook.config.edits import Edits, apply_edits
-from audioflinger_hook.config.profiles import OFFLINE_DEFAULT, parameters_of, values_of
+from audioflinger_hook.config.profiles import (
+    LIVE_DEFAULT,
+    OFFLINE_DEFAULT,
+    parameters_of,
+    values_of,
+)
 from audioflinger_hook.config.schema import (
     ACTUATOR,
     APPLICATION,
@@ -40,6 +45,12 @@ def default_path() -> Path:
     """Return the path of the user's config, in $XDG_CONFIG_HOME or ~/.config."""
     base = os.environ.get("XDG_CONFIG_HOME") or "~/.config"
     return Path(base).expanduser() / "cushion" / "config.toml"
+
+
+def names_a_device() -> bool:
+    """Return whether the user's config names a device. UsageError: the file has mistakes."""
+    path = default_path()
+    return path.exists() and load(path, LIVE_DEFAULT).live.device is not None
 
 
 def load(path: Path, default_profile: str = OFFLINE_DEFAULT, edits: Edits | None = None) -> Config:

@@ -19,12 +19,13 @@ from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
+from audioflinger_hook.config.file import names_a_device
 from audioflinger_hook.monitor.access import Access, Listen
 from audioflinger_hook.monitor.clients import CLIENTS_MAX, Client, Clients
 from audioflinger_hook.monitor.daemon_link import DaemonLink
 from audioflinger_hook.monitor.figures import CONTENT_TYPE, metrics_text
 from audioflinger_hook.monitor.frames import Frames
-from audioflinger_hook.service import autostart
+from audioflinger_hook.service import autostart, install
 from audioflinger_hook.service.one_line import one_line
 from device.errors import CushionError, InternalError, UsageError
 
@@ -204,6 +205,9 @@ class PageServer:
             return {"error": "autostart takes true, false or null"}
         try:
             if on is not None:
+                unit = install.installed_text(self._environ) or ""
+                if on and '"--device"' not in unit and not names_a_device():
+                    raise UsageError("the config names no device; run `cushion setup` first")
                 autostart.set_on(on, self._environ)
             return {"done": True, "autostart": autostart.is_on(self._environ)}
         except CushionError as error:

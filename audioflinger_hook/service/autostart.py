@@ -59,13 +59,10 @@ def set_on(
     if on and not has_systemd():
         write_entry(_entry(environ), daemon_entry(program))
         return
-    if on:
-        if install.installed_text(environ) is None:
-            install.install(["--wait"], program, environ, install.systemd_version())
-        _enable(_link(environ))
-    else:
-        install.installed_text(environ)  # refuses a unit of another program
-        _disable(_link(environ))
+    unit = install.installed_text(environ)  # refuses a unit of another program
+    if on and unit is None:
+        install.install(["--wait"], program, environ, install.systemd_version())
+    (_enable if on else _disable)(_link(environ))
     remove_entry(_entry(environ))  # so that the daemon does not start twice
     if has_systemd():
         _reload(environ)
@@ -93,24 +90,20 @@ def _enable(link: Path) -> None:
 
 def _disable(link: Path) -> None:
     try:
-        link.unlink(missing_ok=True)
-    except NotADirectoryError:
-        return
+        with suppress(NotADirectoryError):
+            link.unlink(missing_ok=True)
     except OSError as error:
         raise UsageError(f"cannot remove {link}: {error.strerror}; remove it yourself") from error
 
 
 def _reload(environ: Mapping[str, str]) -> None:
     """Let a running user manager read the units. At the next login it reads them in any case."""
-    command = ["systemctl", "--user", "daemon-reload"]
-    nothing = subprocess.DEVNULL
     with suppress(OSError, subprocess.SubprocessError):
         subprocess.run(
-            command,
+            install.RELOAD.split(),
             env=dict(environ),
-            stdin=nothing,
-            stdout=nothing,
-            stderr=nothing,
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
             timeout=install.SYSTEMCTL_S,
             check=False,
         )

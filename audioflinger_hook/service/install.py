@@ -10,7 +10,7 @@ import subprocess
 import sys
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from audioflinger_hook.service.one_line import one_line
@@ -140,8 +140,10 @@ UDEV_COMMAND = (  # shell command, which requires root
 
 UNIT_BYTES_MAX = 1 << 16
 SYSTEMCTL_S = 5.0
-START = ("systemctl --user daemon-reload", "systemctl --user enable --now cushion.service")
-FORGET = ("systemctl --user daemon-reload",)
+RELOAD = "systemctl --user daemon-reload"
+START = ("systemctl --user enable cushion.service", "systemctl --user restart cushion.service")
+RESTART = (RELOAD, "systemctl --user try-restart cushion.service")  # if it is running
+FORGET = ("systemctl --user stop cushion.service", RELOAD)
 
 
 @dataclass(frozen=True)
@@ -170,12 +172,9 @@ def own_command(argv0: str = sys.argv[0], python: str = sys.executable) -> tuple
 def systemd_version() -> int:
     """Return the version of systemd, or 0 if `systemctl` does not report the version."""
     try:
-        told = subprocess.check_output(
-            ["systemctl", "--version"],
-            stdin=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            timeout=SYSTEMCTL_S,
-        )
+        told = subprocess.run(
+            ["systemctl", "--version"], capture_output=True, timeout=SYSTEMCTL_S, check=True
+        ).stdout
     except (OSError, subprocess.SubprocessError):
         return 0
     found = re.match(rb"systemd (\d{1,6})\b", told)
@@ -203,7 +202,7 @@ def install(
     state = state_folder(environ)
     text = unit_text([*(command or own_command()), "run", *arguments], state, systemd)
     make_private_folder(state)
-    return restore(text, environ)
+    return replace(restore(text, environ), commands=START)
 
 
 def installed_text(environ: Mapping[str, str] = os.environ) -> str | None:
@@ -233,7 +232,7 @@ def restore(text: str | None, environ: Mapping[str, str] = os.environ) -> Instal
     if changed:
         make_private_folder(path.parent)
         write_bytes_atomically(path, text.encode())
-    return Installed(path, changed, START)
+    return Installed(path, changed, RESTART)
 
 
 def state_folder(environ: Mapping[str, str] = os.environ) -> Path:

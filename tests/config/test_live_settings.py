@@ -116,3 +116,9 @@ def test_the_service_takes_the_device_of_the_config(
         assert call("install-service", *arguments).code == 0
         (line,) = [one for one in unit.read_text().splitlines() if one.startswith("ExecStart=")]
         assert line.endswith(f" {started}")
+    link = unit.parent / "default.target.wants" / unit.name
+    link.parent.mkdir()
+    link.symlink_to(unit)
+    assert f"systemctl --user stop {unit.name}" in call("install-service", "--remove").stdout
+    assert not link.is_symlink(), "another unit of this name would start by itself"
+    assert not unit.exists()
