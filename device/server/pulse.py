@@ -35,6 +35,7 @@ _GATHER_S = 0.02  # time from the first event of a group to the snapshot; events
 _BUSY_POLLS, _BUSY_S = 50, 1.0  # after 50 polls in 1 s, each event waits for further events
 _REST_RATIO = 100.0  # pause after a snapshot / duration of the snapshot: about 1 % of a core
 _REST_MAX_S = 2.0  # longest such pause; only snapshots for events about streams wait for its end
+_SAVED_S = 10.0  # this much unused pause allows snapshots in quick succession: a game starts
 _VOLUME_LOOKS, _VOLUME_LOOK_S = 25, 0.02
 _VOLUME_ROUNDING = 1e-4  # between six and seven of the server's 65 536 volume steps
 
@@ -58,7 +59,7 @@ class PulseConnection(ConnectionThread):
         self._pulse: Any = None
         self._events = 0
         self._changed: set[str] = set()
-        self._rested_s = 0.0
+        self._rested_s = -_SAVED_S
         self._due_s: float | None = None
         self._default_due_s: float | None = None
         self._default_seen = self._default_reported = ""
@@ -215,7 +216,8 @@ class PulseConnection(ConnectionThread):
         with self._deadline():
             self.latest = snapshot = take_snapshot(self._pulse, self._events, known)
         now_s = time.monotonic()
-        self._rested_s = now_s + min(_REST_MAX_S, _REST_RATIO * (now_s - began_s))
+        rest_s = _REST_RATIO * (now_s - began_s)
+        self._rested_s = min(max(self._rested_s, now_s - _SAVED_S) + rest_s, now_s + _REST_MAX_S)
         if self._due_s is not None and self._due_s > now_s and self._changed <= STREAMS:
             self._due_s = max(self._due_s, self._rested_s)  # events came during the query
         for listener in tuple(self._listeners):

@@ -63,6 +63,7 @@ def test_a_game_over_music_brings_its_profile_within_half_a_second_and_back(pipe
         wait_for(lambda: felt_now(felt), "vibration")
         process = daemon.wait(lambda status: status.engine_pid, "the engine").engine_pid
         assert daemon.status().profile == "cinema"
+        more(felt, 3.0)  # a player is opened a while before the game
         began_s = time.monotonic()
         with playing(pipewire, "desktop", tone(80.0, 30.0), name="SuperTux"):
             status = daemon.wait(lambda status: status.profile == "game", "the game's profile")
