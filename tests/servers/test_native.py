@@ -180,7 +180,9 @@ def test_a_new_level_profile_or_delay_takes_effect(pipewire, tmp_path):
             daemon.process.send_signal(signal.SIGHUP)
             change = np.abs(more(felt, 1.5)[-RATE_HZ // 4 :]).max() / level
             assert least < change < most, text
-            assert daemon.status().latency.offset_ms == offset_ms
+            status = daemon.status()
+            assert status is not None
+            assert status.latency.offset_ms == offset_ms
 
 
 @pytest.mark.parametrize("engine", ["python", "native"])
