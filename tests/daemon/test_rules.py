@@ -14,18 +14,10 @@ from audioflinger_hook.sources import parse_tap
 from device.address import parse_device
 from device.server.left_out import LeftOut
 from device.server.snapshot import ServerSnapshot, Source, Stream
-from tests.support.browser_streams import PLAYING, RECORDING, SCENES, properties
+from tests.support.browser_streams import PLAYING, RECORDING, felt, properties, scenes
 from tests.support.graphs import desktop, link, node, play, port
 
 INPUTS = (41, 42)
-# By browser and scene: which of the playing streams are felt. With echo cancellation, Chromium
-# plays film and call in one stream some seconds after the call begins.
-BROWSER_SCENES = [
-    *((browser, "film", [0]) for browser in SCENES),
-    *((browser, "web audio", [0]) for browser in SCENES),
-    *((browser, "call", []) for browser in SCENES),
-    *((browser, "web audio call", []) for browser in SCENES),
-]
 GAME = ApplicationRule(match="super*", profile="game", gain_db=-6.0)
 MUSIC = ApplicationRule(match="mpv", profile="music")
 SOURCE = Source(2, "desk.monitor", "", "desk", 48_000, 2, {})
@@ -76,17 +68,19 @@ def test_calls_and_alerts_are_not_linked_unless_the_switch_is_on(properties):
     assert tapped(graph, LeftOut(calls_and_alerts=True)) == {61, 62, 71, 72}
 
 
-@pytest.mark.parametrize(("browser", "scene", "felt"), BROWSER_SCENES)
-def test_a_browsers_call_is_left_out_while_its_film_is_felt(browser, scene, felt):
+@pytest.mark.parametrize(("browser", "server", "scene"), scenes("pipewire"))
+def test_a_browsers_call_is_left_out_while_its_film_is_felt(browser, server, scene):
     graph = desktop()
     for nodes, what in ((60, PLAYING), (90, RECORDING)):
-        for at, known in enumerate(properties(browser, "pipewire", scene, what)):
+        for at, known in enumerate(properties(browser, server, scene, what)):
             if what == PLAYING:
                 play(graph, nodes + 10 * at, "browser", 10, **known)
             else:
                 graph.apply([node(nodes, "microphone", "Stream/Input/Audio", **known)])
-    assert tapped(graph) == {61 + 10 * at + side for at in felt for side in (0, 1)}
-    if graph.nodes.get(90):
+    assert tapped(graph) == {
+        61 + 10 * at + side for at in felt(browser, server, scene) for side in (0, 1)
+    }
+    if 60 in graph.nodes:
         graph.apply([{"id": 90, "info": None}])
         assert 61 in tapped(graph)  # with the microphone, the call has ended
 
@@ -105,8 +99,10 @@ def test_a_client_that_records_only_what_a_sink_plays_makes_no_call():
 def test_a_stream_is_not_linked_before_its_properties_are_known():
     graph = desktop()
     announced = node(60, "player", "Stream/Output/Audio")
-    graph.announce([announced, port(61, 60, "output_FL")])
-    graph.announce([link(63, 61, 11, graph)])
+    output = port(61, 60, "output_FL")
+    output["info"]["props"]["object.serial"] = 61
+    graph.announce([announced, output])
+    graph.apply([link(63, 61, 11, graph)])
     assert tapped(graph) == set()
     binary = {"application.process.binary": "vesktop"}
     assert graph.apply([node(60, "player", "Stream/Output/Audio", **binary)])

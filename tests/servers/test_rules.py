@@ -17,11 +17,11 @@ SOON_S = 0.5  # a rule acts within this time
 
 
 @contextmanager
-def daemon_with(server, folder, text, engine="native"):
+def daemon_with(server, folder, text, engine="native", **options):
     config = folder / "config.toml"
     config.write_text(text)
     with (
-        running(server, "--config", str(config), engine=engine) as daemon,
+        running(server, "--config", str(config), engine=engine, **options) as daemon,
         recording(server, "haptic.monitor", folder / "felt") as felt,
     ):
         yield daemon, felt
@@ -64,7 +64,7 @@ def test_a_browsers_call_is_left_out_while_its_film_is_felt(server, recorder, tm
     server.add_microphone("microphone")
     with (
         recording(server, "microphone", tmp_path / "voice", properties=voice),
-        daemon_with(server, tmp_path, text, engine=engine) as (daemon, felt),
+        daemon_with(server, tmp_path, text, engine=engine, ready=is_pipewire) as (daemon, felt),
         playing(
             server,
             "desktop",
