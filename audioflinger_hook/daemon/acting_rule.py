@@ -8,7 +8,7 @@ from audioflinger_hook.config.applications import ApplicationRule
 from audioflinger_hook.daemon.run_config import RunConfig
 from device.drive.settings import GAIN_MIN_DB
 from device.server import AppRules, ServerSnapshot
-from device.server.left_out import client_of, recording_clients
+from device.server.left_out import microphones_of
 
 
 class ActingRule:
@@ -40,10 +40,10 @@ class ActingRule:
         for index in sorted(playing.keys() - self._began.keys()):
             self._count += 1
             self._began[index] = self._count
-        recording = recording_clients(snapshot)
+        microphones = microphones_of(snapshot)
         for index in sorted(self._began, key=self._began.__getitem__, reverse=True):
             stream = playing[index]
-            if config.left_out.why(stream, records=client_of(stream) in recording):
+            if config.left_out.why(stream, microphones):
                 continue
             for rule in config.live.application_rules:
                 if rule.rule.matches(stream):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 from audioflinger_hook.config.applications import ApplicationRule
@@ -9,7 +10,7 @@ from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.service.status import Application
 from device.server import AppRules, ServerSnapshot
 from device.server.app_rules import app_name
-from device.server.left_out import client_of, recording_clients
+from device.server.left_out import REASONS, microphones_of
 
 APPLICATIONS_MAX = 32  # the status shows at most this number of applications
 
@@ -38,12 +39,12 @@ def applications_in(
     else:
         sink = getattr(source, "monitor_of", None)
         felt = {stream.index for stream in everyone if stream.device_name == sink}
-    recording = recording_clients(snapshot)
+    microphones = microphones_of(snapshot)
     found: dict[str, Application] = {}
     for stream in everyone:
         name = app_name(stream)
         before = found.get(name, Application(name, plays=False, is_felt=False))
-        why = config.left_out.why(stream, records=client_of(stream) in recording)
+        why = config.left_out.why(stream, microphones)
         takes = stream.index in felt and (is_mixed or not why)
         if not why and acting is not None and acting.rule.matches(stream):
             why = f'rule "{acting.match}"'
@@ -53,7 +54,12 @@ def applications_in(
             is_felt=before.is_felt or takes,
             rule=why or before.rule,
         )
-    return tuple(found.values())[:APPLICATIONS_MAX]
+    return tuple(
+        replace(one, rule=f"part left out: {one.rule}")
+        if one.is_felt and one.rule in REASONS and not is_mixed
+        else one
+        for one in found.values()
+    )[:APPLICATIONS_MAX]
 
 
 def not_left_out(applications: tuple[Application, ...]) -> str:
@@ -61,7 +67,7 @@ def not_left_out(applications: tuple[Application, ...]) -> str:
     names = [
         f"{one.name} ({one.rule})"
         for one in applications
-        if one.plays and one.is_felt and one.rule and not one.rule.startswith("rule ")
+        if one.plays and one.is_felt and one.rule in REASONS
     ]
     if not names:
         return ""

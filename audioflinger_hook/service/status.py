@@ -71,7 +71,7 @@ class Application:
     plays: bool = figure("whether the application plays sound")
     is_felt: bool = figure("whether the application's sound causes vibration")
     rule: str = figure(
-        'why it is left out ("call", "alert", "left out in the config"), or the rule that acts', ""
+        'why all or part of it is left out, such as "call" or "alert", or the rule that acts', ""
     )
 
 

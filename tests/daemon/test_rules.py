@@ -14,7 +14,8 @@ from audioflinger_hook.sources import parse_tap
 from device.address import parse_device
 from device.server.left_out import LeftOut
 from device.server.snapshot import ServerSnapshot, Source, Stream
-from tests.support.graphs import desktop, node, play
+from tests.support.browser_streams import PLAYING, RECORDING, felt, properties, scenes
+from tests.support.graphs import desktop, link, node, play, port
 
 INPUTS = (41, 42)
 GAME = ApplicationRule(match="super*", profile="game", gain_db=-6.0)
@@ -31,8 +32,8 @@ def config_of(*rules, **live):
     )
 
 
-def stream(index, application="", *, binary="", role="", corked=False, client="", sink="desk"):
-    known = {"client.id": client} if client else {}
+def stream(index, application="", *, binary="", role="", corked=False, latency="", sink="desk"):
+    known = {"node.latency": latency} if latency else {}
     return Stream(index, 1, sink, application, binary, role, "", None, corked, False, known)
 
 
@@ -67,22 +68,48 @@ def test_calls_and_alerts_are_not_linked_unless_the_switch_is_on(properties):
     assert tapped(graph, LeftOut(calls_and_alerts=True)) == {61, 62, 71, 72}
 
 
-def test_a_browsers_call_is_left_out_while_its_film_is_felt():
+@pytest.mark.parametrize(("browser", "server", "scene"), scenes("pipewire"))
+def test_a_browsers_call_is_left_out_while_its_film_is_felt(browser, server, scene):
     graph = desktop()
-    play(graph, 60, "film", 10, **{"client.id": 5})
-    play(graph, 70, "call", 10, **{"client.id": 6})
-    graph.apply([node(80, "microphone", "Stream/Input/Audio", **{"client.id": 6})])
-    assert tapped(graph) == {61, 62}
-    graph.apply([{"id": 80, "info": None}])
-    assert tapped(graph) == {61, 62, 71, 72}
+    for nodes, what in ((60, PLAYING), (90, RECORDING)):
+        for at, known in enumerate(properties(browser, server, scene, what)):
+            if what == PLAYING:
+                play(graph, nodes + 10 * at, "browser", 10, **known)
+            else:
+                graph.apply([node(nodes, "microphone", "Stream/Input/Audio", **known)])
+    assert tapped(graph) == {
+        61 + 10 * at + side for at in felt(browser, server, scene) for side in (0, 1)
+    }
+    if 60 in graph.nodes:
+        graph.apply([{"id": 90, "info": None}])
+        assert 61 in tapped(graph)  # with the microphone, the call has ended
 
 
 def test_a_client_that_records_only_what_a_sink_plays_makes_no_call():
     graph = desktop()
-    play(graph, 60, "recorder", 10, **{"client.id": 5})
-    recorder = {"client.id": 5, "stream.capture.sink": True}
+    one = {"application.name": "Recorder", "media.name": "take 1"}
+    play(graph, 60, "recorder", 10, **one)
+    recorder = {**one, "stream.capture.sink": True}
     graph.apply([node(80, "tape", "Stream/Input/Audio", **recorder)])
     assert tapped(graph) == {61, 62}
+    graph.apply([node(81, "microphone", "Stream/Input/Audio", **one)])
+    assert tapped(graph) == set()
+
+
+def test_a_stream_is_not_linked_before_its_properties_are_known():
+    graph = desktop()
+    announced = node(60, "player", "Stream/Output/Audio")
+    output = port(61, 60, "output_FL")
+    output["info"]["props"]["object.serial"] = 61
+    graph.announce([announced, output])
+    graph.apply([link(63, 61, 11, graph)])
+    assert tapped(graph) == set()
+    binary = {"application.process.binary": "vesktop"}
+    assert graph.apply([node(60, "player", "Stream/Output/Audio", **binary)])
+    assert tapped(graph) == set()
+    assert tapped(graph, LeftOut(calls_and_alerts=True)) == {61}
+    graph.apply([announced])
+    assert tapped(graph) == {61}
 
 
 def test_what_the_config_leaves_out_is_not_linked_even_with_the_switch():
@@ -126,12 +153,12 @@ def test_a_rule_changes_profile_and_gain_and_nothing_else():
 
 def test_the_status_says_which_rule_acts_and_why_an_application_is_left_out():
     config = config_of(GAME, ApplicationRule(match="radio", feel=False))
-    record = replace(stream(9, client="7"), device_index=8, device_name="microphone")
+    record = replace(stream(9, "Browser"), device_index=8, device_name="microphone")
     snapshot = seen(
         stream(1, "SuperTux"),
         stream(2, "Radio"),
         stream(3, "chime", role="event"),
-        stream(4, "Browser", client="7"),
+        stream(4, "Browser"),
         stream(5, "Player"),
         recording=[record],
     )
@@ -144,6 +171,16 @@ def test_the_status_says_which_rule_acts_and_why_an_application_is_left_out():
         "Browser": (False, "call"),
         "Player": (True, ""),
     }
+    assert not_left_out(shown) == ""
+    shown = applications_in(
+        replace(
+            snapshot, sink_inputs=(stream(4, "Browser", latency="1024/48000"), stream(5, "Browser"))
+        ),
+        config,
+        SOURCE,
+        "dac",
+    )
+    assert [(one.is_felt, one.rule) for one in shown] == [(True, "part left out: call")]
     assert not_left_out(shown) == ""
 
 

@@ -4,9 +4,10 @@ import os
 import subprocess
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, TypeVar
 
 import numpy as np
@@ -160,11 +161,15 @@ def playing(
     name: str = "Player",
     role: str = "music",
     rate_hz: int = RATE_HZ,
+    latency_ms: int = 200,
+    properties: Mapping[str, str] = MappingProxyType({}),
 ) -> Iterator[int]:
-    """Another program that plays these samples to a sink; its process id."""
+    """Another program that plays these samples to a sink; its process id. role: "" for none."""
+    told = {**({"media.role": role} if role else {}), **properties}
     command = [
-        *("pacat", "--playback", f"--client-name={name}", f"--property=media.role={role}"),
-        *_format(sink, 200, rate_hz),
+        *("pacat", "--playback", f"--client-name={name}"),
+        *(f"--property={key}={value}" for key, value in told.items()),
+        *_format(sink, latency_ms, rate_hz),
     ]
     with _process(server, command, stdin=subprocess.PIPE) as process:
         feeder = threading.Thread(target=_feed, args=(process, samples.tobytes()), daemon=True)
@@ -175,7 +180,13 @@ def playing(
 
 @contextmanager
 def recording(
-    server: SoundServer, source: str, path: Path, *, stays: bool = False, rate_hz: int = RATE_HZ
+    server: SoundServer,
+    source: str,
+    path: Path,
+    *,
+    stays: bool = False,
+    rate_hz: int = RATE_HZ,
+    properties: Mapping[str, str] = MappingProxyType({}),
 ) -> Iterator[Callable[[], Float32Array]]:
     """Another program that records a source; a function that gives what it has so far.
 
@@ -191,6 +202,7 @@ def recording(
         options = [
             *_format(source, 20, rate_hz),
             *(["--property=node.dont-reconnect=true"] if stays else []),
+            *(f"--property={key}={value}" for key, value in properties.items()),
         ]
         for left in reversed(range(ATTEMPTS)):  # PipeWire may leave a new recorder without data
             with _process(server, ["parec", *options], stdout=file.fileno()):

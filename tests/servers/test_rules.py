@@ -17,11 +17,11 @@ SOON_S = 0.5  # a rule acts within this time
 
 
 @contextmanager
-def daemon_with(server, folder, text, engine="native"):
+def daemon_with(server, folder, text, engine="native", **options):
     config = folder / "config.toml"
     config.write_text(text)
     with (
-        running(server, "--config", str(config), engine=engine) as daemon,
+        running(server, "--config", str(config), engine=engine, **options) as daemon,
         recording(server, "haptic.monitor", folder / "felt") as felt,
     ):
         yield daemon, felt
@@ -45,6 +45,51 @@ def test_a_call_or_alert_is_never_felt_while_music_is(pipewire, role, why, tmp_p
             assert (shown.is_felt, shown.rule) == (False, why)
         with playing(pipewire, "desktop", tone(110.0, 20.0)):
             wait_for(lambda: felt_now(felt), "vibration of music")
+
+
+@pytest.mark.parametrize("recorder", ["Chromium", "Firefox"])
+def test_a_browsers_call_is_left_out_while_its_film_is_felt(server, recorder, tmp_path):
+    """With the names, process and latencies of tests/device/server/browser_streams.json.
+
+    On PulseAudio, the film of Chromium cannot be told from its call.
+    """
+    process = {"application.process.id": "4711", "application.process.binary": recorder.lower()}
+    titles = {"Chromium": ("Playback", "Playback", "RecordStream"), "Firefox": ("A", "B", "B")}
+    film, call, voice = ({**process, "media.name": title} for title in titles[recorder])
+    voice["application.name"] = "Chromium input" if recorder == "Chromium" else recorder
+    is_pipewire = server.kind == "pipewire"
+    text, engine = (
+        ("", "native") if is_pipewire else ('[applications]\ninclude = ["*"]\n', "python")
+    )
+    server.add_microphone("microphone")
+    with (
+        recording(server, "microphone", tmp_path / "voice", properties=voice),
+        daemon_with(server, tmp_path, text, engine=engine, ready=is_pipewire) as (daemon, felt),
+        playing(
+            server,
+            "desktop",
+            tone(110.0, 60.0),
+            name=recorder,
+            role="",
+            latency_ms=15,
+            properties=call,
+        ),
+    ):
+        status = daemon.wait(lambda status: application(status, recorder), "the call")
+        shown = application(status, recorder)
+        assert not shown.is_felt
+        assert shown.rule.startswith("call")
+        more(felt, 1.0)
+        assert not np.any(np.abs(felt()) > 1e-4)
+        with playing(server, "desktop", tone(110.0, 60.0), name=recorder, role="", properties=film):
+            if not is_pipewire and recorder == "Chromium":
+                more(felt, 1.0)
+                assert not np.any(np.abs(felt()) > 1e-4)
+                return
+            wait_for(lambda: felt_now(felt), "vibration of the film")
+            status = daemon.wait(lambda status: application(status, recorder).is_felt, "the film")
+            assert application(status, recorder).rule.startswith("part left out: call")
+        wait_for(lambda: not felt_now(felt), "the end of the vibration")
 
 
 def test_a_call_is_felt_with_the_switch(pipewire, tmp_path):

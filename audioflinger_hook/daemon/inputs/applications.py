@@ -19,7 +19,7 @@ from device.server import AppCaptures, PulseConnection, ServerSnapshot
 from device.server.app_capture import AppCapture, EndReason
 from device.server.app_rules import app_name
 from device.server.identity import default_monitor
-from device.server.left_out import client_of, recording_clients
+from device.server.left_out import microphones_of
 from device.server.snapshot import Sink, Stream
 from device.server.tap_volume import TapVolume, muted_sink
 from device.stream import AudioPriority
@@ -157,11 +157,11 @@ class ApplicationsInput(Input):
         default sink are captured. NotFoundError: no default sink can be captured.
         """
         assert snapshot is not None
-        recording = recording_clients(snapshot)
+        microphones = microphones_of(snapshot)
         streams = tuple(
             stream
             for stream in self._rules.select(snapshot, device)
-            if not self._left_out.why(stream, records=client_of(stream) in recording)
+            if not self._left_out.why(stream, microphones)
         )
         sink = ""
         if self._of_default_sink:

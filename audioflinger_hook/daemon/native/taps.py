@@ -60,11 +60,12 @@ class Tap:
         """Yield the links from tapped streams to sinks. device: sink to leave out."""
         haptic = graph.sink(device)
         avoided = haptic.id if haptic else None
+        microphones = microphones_in(graph)
         for sink in graph.nodes_named(self.sink) if self.sink else graph.sinks():
             if sink.id == avoided or not graph.is_sink(sink.id):
                 continue
             for link in graph.links_of(sink.id):
-                if link.input_node_id == sink.id and self._takes(graph, link, avoided):
+                if link.input_node_id == sink.id and self._takes(graph, link, avoided, microphones):
                     yield link
 
     def monitored(self, graph: Graph, inputs: tuple[int, ...]) -> Iterator[LinkPair]:
@@ -75,19 +76,21 @@ class Tap:
             if position in ports:
                 yield ports[position], port
 
-    def _takes(self, graph: Graph, link: Link, avoided: int | None) -> bool:
+    def _takes(
+        self, graph: Graph, link: Link, avoided: int | None, microphones: tuple[Stream, ...]
+    ) -> bool:
         output, node = graph.ports.get(link.output_id), graph.nodes.get(link.output_node_id)
         if output is None or node is None or link.input_id not in graph.ports:
             return False
+        # An announcement lacks process, title and latency. The description precedes the link.
+        if not graph.is_described(node.id):
+            return False
         if output.is_monitor and node.id == avoided:  # the monitor would cause feedback
             return False
-        # A new stream's announcement has its role and name, so its first cycles are not lost.
         stream = stream_of(graph, node)
-        if not output.is_monitor and self.left_out.why(stream, records=_records(graph, node)):
+        if not output.is_monitor and self.left_out.why(stream, microphones):
             return False
-        if self.rules is None:
-            return True
-        return graph.is_described(node.id) and self.rules.take(stream)
+        return self.rules is None or self.rules.take(stream)
 
 
 def tap_of(
@@ -100,14 +103,13 @@ def tap_of(
     return Tap(found.name, positions, found.sink, rules, left_out)
 
 
-def _records(graph: Graph, node: Node) -> bool:
-    """Whether a node's client also records, from anything except the monitor of a sink."""
-    client = node.properties.get("client.id")
-    return client is not None and any(
-        other.properties.get("client.id") == client
-        and other.properties.get("media.class") == "Stream/Input/Audio"
-        and str(other.properties.get("stream.capture.sink")).lower() != "true"
-        for other in graph.nodes.values()
+def microphones_in(graph: Graph) -> tuple[Stream, ...]:
+    """Return the streams that record from anything except the monitor of a sink."""
+    return tuple(
+        stream_of(graph, node)
+        for node in graph.nodes.values()
+        if node.properties.get("media.class") == "Stream/Input/Audio"
+        and str(node.properties.get("stream.capture.sink")).lower() != "true"
     )
 
 
