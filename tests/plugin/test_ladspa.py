@@ -389,13 +389,32 @@ def test_a_coil_stays_hot_in_another_process_and_a_new_day_begins_meanwhile(daem
     assert state.coil_c == pytest.approx(90.0, abs=0.1)
     assert state.dose.time_s == pytest.approx(0.01, abs=1e-3)
     instance.close()
-    rig.keep()  # a host may open the plugin again on the same page
+    rig.keep(0.0)  # a host may open the plugin again on the same page
     again = Instance("haptic_cushion_daemon", RATE_HZ)
     again.run(padded(SOUND[:480]))
     (state,) = rig.safety_states()
     assert state.coil_c == pytest.approx(90.0, abs=0.2)
     assert state.dose.time_s == pytest.approx(0.02, abs=1e-3)
     again.close()
+
+
+def test_coils_cool_while_the_graph_is_idle(daemon: Daemon) -> None:
+    drives = several_drives(RATE_HZ)
+    page, instance = daemon(driven_design(RATE_HZ, 2, (), drives), 2, 1, [0, 0, 0])
+    rig = driven_rigs(drives, page.controls, page.readings, 1)[1]
+    assert rig
+    rig.restore([SafetyState(90.0, 50.0, DoseSums(60.0, 5.0, 25.0))])
+    instance.run(padded(SOUND[:480]))
+    rig.keep(0.0)
+    rig.keep(3_600.0)
+    for _ in range(2):
+        (state,) = rig.safety_states()
+        assert state.coil_c is not None
+        assert 20.0 <= state.coil_c < 25.0
+        assert state.dose.time_s >= 60.01 - 1e-3
+        assert state.dose.squares >= 5.0
+        instance.run(padded(SOUND[:480]))
+        rig.keep(3_600.1)
 
 
 def test_the_daemons_transform_mixes_as_the_python_engine_does(daemon: Daemon) -> None:
