@@ -435,11 +435,13 @@ def tried(*cases: dict[str, str], label: str = "haptic_cushion_paper") -> list[t
 
     In another process, which it must not crash.
     """
+    inputs = 8 if label == "haptic_cushion_daemon" else 2
     code = (
         "from tests.plugin.hosting import Instance; import json, numpy, os, sys\n"
         "for variables in json.loads(sys.argv[1]):\n"
         "    os.environ.update(variables)\n"
-        f"    one, sound = Instance('{label}', {RATE_HZ}), numpy.ones((9_999, 2), numpy.float32)\n"
+        f"    one = Instance('{label}', {RATE_HZ})\n"
+        f"    sound = numpy.ones((9_999, {inputs}), numpy.float32)\n"
         "    print('refused' if not one.made else 'played' if one.run(sound).any() else 'silent')\n"
         "    os.write(2, b'--\\n')\n"
     )
@@ -491,6 +493,12 @@ def test_a_design_for_other_channels_gives_silence_and_another_page_nothing(tmp_
     ((did, said),) = tried(paths, label="haptic_cushion_daemon")
     assert did == "refused"
     assert "the daemon's page cannot be used: it is of another version" in said
+
+
+def test_an_empty_name_of_the_page_is_no_page(tmp_path: Path) -> None:
+    write_design(tmp_path / "cushion", "paper", RATE_HZ)
+    cases = [{"XDG_DATA_HOME": str(tmp_path / "cushion"), "HAPTIC_CUSHION_PAGE": ""}]
+    assert tried(*cases, label="haptic_cushion_daemon") == [("played", "")]
 
 
 def test_the_variants_are_those_that_hosts_and_the_daemon_ask_for() -> None:
