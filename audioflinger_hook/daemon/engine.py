@@ -194,10 +194,6 @@ class Engine:
         self.delay_line.flush()
         self.drive.flush()
         self._drop_ahead()
-        self.clear_levels()
-
-    def clear_levels(self) -> None:
-        """Clear all levels. Call it only while no stream runs."""
         for gathered in (self.sound, self.vibration, *self.driven):
             gathered.reset()
 

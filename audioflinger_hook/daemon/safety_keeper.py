@@ -71,8 +71,7 @@ class SafetyKeeper:
         if self._folder is None or not any(rigs):
             return
         now, device = self._moment(), self._device
-        known, unread = self._read(now)
-        trouble = unread
+        known, trouble = self._read(now)
         records = known.get("actuators", {})
         self._day = now.day
         self.since = known["since"] if known.get("day") == now.day else now.local
@@ -86,7 +85,7 @@ class SafetyKeeper:
             bounds, states = processor.design.bounds(), []
             for channel in range(processor.channels):
                 record = records.get(_key(device, index, channel))
-                if unread:
+                if trouble and not known:
                     state = bounds.warmest
                 elif record is None:
                     state = SafetyState(dose=dose) if today else SafetyState()

@@ -367,7 +367,7 @@ class Supervisor:
                 self.states.recover(Cause.DEVICE_LOST, now_s, str(error))
             self._endpoints.close()  # vibration that is not felt heats no coil, and is no dose
             if self.engines.python:
-                self.engines.python.clear_levels()
+                self.engines.python.rest()
             self.priority.restore()
             self.engines.native.lose_links(Cause.DEVICE_LOST, now_s, str(error))
             self._found = (None, None)

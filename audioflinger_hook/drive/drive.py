@@ -86,12 +86,8 @@ class DrivenRig:
         """Return each channel's state, which the next run of the program restores."""
         return tuple(self._safety(channel) for channel in range(self.channels))
 
-    def restore(self, states: Sequence[SafetyState]) -> None:
-        """Set the initial state of each channel. The core reads it before the first block."""
-        self._store(states, 1)
-        self._kept_frames = -1
-
-    def _store(self, states: Sequence[SafetyState], restores: int) -> None:
+    def restore(self, states: Sequence[SafetyState], restores: int = 1) -> None:
+        """Set the initial state of each channel, for the first block. restores: see core.h."""
         ambient_c = self.rig.thermal.ambient_c if self.rig.thermal else 0.0
         for controls, state in zip(self._controls, states, strict=False):
             safety, dose = controls.safety, state.dose
@@ -99,7 +95,8 @@ class DrivenRig:
             safety.magnet_c = ambient_c if state.magnet_c is None else state.magnet_c
             safety.time_s, safety.squares = dose.time_s, dose.squares
             safety.fourths, safety.above = dose.fourths, dose.high
-            controls.restores = restores  # written last: see core.h
+            controls.restores = restores  # written last, since the core may run
+        self._kept_frames = -1
 
     def keep(self, now_s: float, slept_s: float = 0.0) -> None:
         """Store the present state as the initial state, in case the core is opened again.
@@ -109,22 +106,19 @@ class DrivenRig:
         now_s, slept_s: time without suspends, and total time in suspend. One thread calls it.
         """
         frames, awake_s = self._core_readings.frames, now_s - self._now_s
-        passed_s = slept_s - self._slept_s
-        self._now_s, self._slept_s = now_s, slept_s
         is_new, has_run = self._kept_frames < 0, frames != self._kept_frames
-        if not has_run:
-            passed_s, awake_s = passed_s + awake_s, 0.0
+        passed_s = slept_s - self._slept_s + (0.0 if has_run else awake_s)
         if is_new or passed_s > LONGEST_REST_S:
             passed_s = 0.0
         self._rest_s = passed_s + (-UNPLAYED_S if has_run else self._rest_s)
         if frames != self._day_began_at:
             self._day_began_at = -1
         if self._rest_s >= REST_STEP_S:
-            self._store(self._cooled(awake_s), frames + 1)
+            self.restore(self._cooled(awake_s if has_run else 0.0), frames + 1)
             self._rest_s = 0.0
         elif has_run:
-            self._store(self.safety_states(), 1)
-        self._kept_frames = frames
+            self.restore(self.safety_states())
+        self._kept_frames, self._now_s, self._slept_s = frames, now_s, slept_s
 
     def _cooled(self, played_s: float) -> list[SafetyState]:
         """Return the states after a rest since the last `keep`, and then any vibration."""

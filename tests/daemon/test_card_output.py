@@ -445,7 +445,8 @@ def test_coils_of_a_card_that_is_away_for_an_hour_cool(live, is_suspend):
     live.cards.unplug(30)
     live.until(DaemonState.WAITING_FOR_DEVICE)
     live.run(0.1)
-    rig._store([SafetyState(100.0, 60.0)] * rig.channels, rig._core_readings.frames + 1)
+    rig.restore([SafetyState(100.0, 60.0)] * rig.channels, rig._core_readings.frames + 1)
+    rig._kept_frames = rig._core_readings.frames
     live.run(0.1)
     assert coil_c() == 100.0
     if is_suspend:
