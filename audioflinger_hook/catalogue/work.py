@@ -105,36 +105,34 @@ def status_of(recipe: Recipe, items: Iterable[Item], timing: Timing) -> Iterator
     for item in items:
         name = recipe.name(item)
         try:
-            key, record = timing.repeated(lambda: _record_of(recipe, item, storage))  # noqa: B023
+            key = timing.repeated(lambda: _key(recipe, item))  # noqa: B023
         except CushionError as error:
             yield ItemStatus("unreadable", str(error))
             continue
-        if record:
-            yield ItemStatus("done")
-        elif key is None or storage.stamp(name) or storage.stamp(name + RECORD):
-            yield ItemStatus("outdated")
-        else:
-            yield ItemStatus("missing")
+        try:
+            yield timing.repeated(lambda: _status_with(storage, name, key))  # noqa: B023
+        except OSError as error:
+            raise UsageError(f"{recipe.out}/{name} cannot be read ({error.strerror})") from error
 
 
-def _record_of(recipe: Recipe, item: Item, storage: Storage) -> tuple[str | None, dict[str, Any]]:
-    """Return the key of a valid result of the item, and the record of that result.
-
-    The key is None if known only after a download. The record is empty without a valid result.
-    """
-    key = _key(recipe, item)
-    return key, {} if key is None else _right_record(storage, recipe.name(item), key)
+def _status_with(storage: Storage, name: str, key: str | None) -> ItemStatus:
+    """Return the status of an item whose sound is readable. key: see `_key`."""
+    if key is not None and _right_record(storage, name, key):
+        return ItemStatus("done")
+    if key is None or storage.stamp(name) or storage.stamp(name + RECORD):
+        return ItemStatus("outdated")
+    return ItemStatus("missing")
 
 
 def _do(recipe: Recipe, item: Item, timing: Timing) -> tuple[State, dict[str, Any]]:
     storage = _cached_storage(recipe.out)
-    key, record = _record_of(recipe, item, storage)
-    if record:
+    key, name = _key(recipe, item), recipe.name(item)
+    if key is not None and (record := _right_record(storage, name, key)):
         return "skipped", record
     with local_copy(item.audio) as path:
         if key is None:
             key = recipe.key(item, {"sha256": _sha256_of(path)})
-            if record := _right_record(storage, recipe.name(item), key):
+            if record := _right_record(storage, name, key):
                 return "skipped", record
         return "rendered", _render(recipe, item, storage, path, key, timing)
 
@@ -214,6 +212,7 @@ def _open(path: Path, item: Item, recipe: Recipe) -> tuple[SteadyTap, int]:
 
 
 def _key(recipe: Recipe, item: Item) -> str | None:
+    """Return the key of the item's present result; None if known only after a download."""
     if recipe.verify:
         if is_url(item.audio):
             return None

@@ -175,7 +175,7 @@ def _run(command: Parser) -> None:
 
 @_command("status", "show the state of the running daemon", "--watch")
 def _status(command: Parser) -> None:
-    command.add_switch("--watch", "repeat until interrupted")
+    command.add_switch("--watch", "repeat until interrupted; with --json, a line each second")
     command.add_json()
 
 

@@ -269,7 +269,7 @@ def run(options: argparse.Namespace) -> int:
         raise UsageError(f"hz={options.hz:.12g} is out of range; allowed: 20 to 220 Hz")
     if not 0.0 < options.level <= 1.0:
         raise UsageError(f"level={options.level:.12g} is out of range; allowed: above 0, up to 1")
-    if not FADE_S * 2 < options.seconds <= 60.0:
+    if not FADE_S * 2 <= options.seconds <= 60.0:
         raise UsageError(f"seconds={options.seconds:.12g} is out of range; allowed: 0.2 to 60 s")
     device = parse_device(options.device)
     if device.kind not in ("sink", "usb"):

@@ -114,7 +114,7 @@ class Engines:
     def record(self, now_s: float) -> None:
         """Record coil temperatures and vibration doses, at most once per `safety_keeper.SAVE_S`."""
         for rig in filter(None, self.rigs):
-            rig.keep()
+            rig.keep(now_s, self._clocks.slept_s())
         self.safety.update(self.rigs, now_s)
 
     @property

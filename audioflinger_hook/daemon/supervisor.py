@@ -365,11 +365,11 @@ class Supervisor:
         except NotFoundError as error:
             if self.output.is_open:
                 self.states.recover(Cause.DEVICE_LOST, now_s, str(error))
-            self.output.close()
+            self._endpoints.close()  # vibration that is not felt heats no coil, and is no dose
+            if self.engines.python:
+                self.engines.python.rest()
             self.priority.restore()
             self.engines.native.lose_links(Cause.DEVICE_LOST, now_s, str(error))
-            if not self.input.needs_server:  # a file pauses until the device is available
-                self.input.close()
             self._found = (None, None)
             self._resting.end(now_s)
             self.states.enter(DaemonState.WAITING_FOR_DEVICE, now_s, str(error))

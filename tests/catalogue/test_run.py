@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from audioflinger_hook.catalogue import recipe as recipes
 from audioflinger_hook.catalogue import storage, work
+from audioflinger_hook.catalogue.timing import StorageError
 from audioflinger_hook.exports.options import FORMATS
 from tests.support.catalogues import LOW_RATE, library, manifest, record, results, rows
 from tests.support.commands import call, noise, refused, sound, start, vibration
@@ -354,6 +355,18 @@ def test_status_counts_what_is_done_outdated_missing_and_unreadable(sounds, tmp_
     found = json.loads(done.stdout)
     assert found == {"items": 8, "done": 5, "outdated": 1, "missing": 1, "unreadable": 1}
     assert results(out) == before
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [(PermissionError(errno.EACCES, "Permission denied"), 2), (StorageError("it is down"), 5)],
+)
+def test_status_says_that_results_cannot_be_read(sounds, tmp_path, monkeypatch, error, code):
+    monkeypatch.setattr(storage.LocalStorage, "read", Mock(side_effect=error))
+    monkeypatch.setattr("time.sleep", lambda _: None)
+    done = call("catalogue", "status", sounds, "--out", tmp_path / "out")
+    said = refused(done, code)
+    assert "cannot be read (Permission denied)" in said or "it is down" in said
 
 
 def test_the_report_is_one_page_with_a_picture_of_each_item(tmp_path):

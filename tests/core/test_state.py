@@ -148,6 +148,12 @@ def test_a_block_that_does_not_fit_is_refused(frames: np.ndarray) -> None:
     assert core.vibrate(np.zeros((0, 2))).shape == (0, 2)
 
 
+@pytest.mark.parametrize("name", ["fft_length", "short_length"])
+def test_a_length_that_no_fft_has_is_named(name: str) -> None:
+    with pytest.raises(InternalError, match=f": {name}: has other factors than 2, 3 and 5"):
+        made(transform={**TRANSFORM, name: 7 * 2**10})
+
+
 def test_a_core_that_is_let_go_of_gives_its_memory_back() -> None:
     def cores(count: int) -> int:
         for _ in range(count):

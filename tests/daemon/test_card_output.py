@@ -27,6 +27,7 @@ from audioflinger_hook.service.state import Cause, DaemonState, StateKeeper
 from audioflinger_hook.sources import TapAddress
 from device.address import DeviceAddress, parse_device
 from device.drive import ActuatorSettings
+from device.drive.safety import SafetyState
 from device.errors import LostError, NotFoundError, UsageError
 from device.stream import portaudio, streams
 from device.stream.pcms import CardDevice, PcmConfig, Target
@@ -305,9 +306,6 @@ class DaemonRig:
                 super().maintain(connection, paced.fill, now_s)
 
         monkeypatch.setattr(endpoints, "CardOutput", FileCard)
-        # a stream tells by the same clock when it was called
-        shifted = SimpleNamespace(**{**vars(time), "monotonic": clock})
-        monkeypatch.setattr(streams, "time", shifted)
         source = sound(folder / "in.wav", noise(20 * FILE_RATE, 2), FILE_RATE)
         # without real-time priority: a file that takes all at once must not keep others waiting
         live = LiveSettings(realtime=False)
@@ -316,8 +314,10 @@ class DaemonRig:
         )
         self.wake = Wake()
         self.jumped_s = self.slept_s = 0.0
-        clocks = Clocks(self.now_s, time.thread_time, lambda: self.slept_s)
-        self.supervisor = Supervisor(self.order, clocks, self.wake)
+        # a stream tells by the same clock when it was called
+        monkeypatch.setattr(streams, "time", SimpleNamespace(monotonic=clock))
+        self.clocks = Clocks(self.now_s, time.thread_time, lambda: self.slept_s)
+        self.supervisor = Supervisor(self.order, self.clocks, self.wake)
 
     def now_s(self) -> float:
         return time.monotonic() + self.jumped_s
@@ -427,6 +427,40 @@ def test_a_card_that_is_away_for_an_hour_plays_on_within_3_s_and_no_other_does(l
     assert not (live.folder / "29.raw").exists()
     recoveries = live.supervisor.states.report(live.now_s()).recoveries
     assert recoveries[Cause.RESUMED] == is_suspend
+
+
+@pytest.mark.parametrize("is_suspend", [True, False], ids=["suspend", "away"])
+def test_coils_of_a_card_that_is_away_for_an_hour_cool(live, is_suspend):
+    live.cards.plug(30, "DAC", stream=ASYNC)
+    protected = replace(live.order, settings=Settings(protection="on"))
+    live.supervisor = Supervisor(protected, live.clocks, live.wake)
+    live.until(DaemonState.RUNNING)
+    (rig,) = live.supervisor.engines.rigs
+    live.run(1.5)
+    assert rig.has_run
+
+    def coil_c() -> float:
+        return max(state.coil_c for state in rig.safety_states())
+
+    dose_s = rig.safety_states()[0].dose.time_s
+    live.cards.unplug(30)
+    live.until(DaemonState.WAITING_FOR_DEVICE)
+    live.run(0.1)
+    rig.restore([SafetyState(100.0, 60.0)] * rig.channels, rig._core_readings.frames + 1)
+    rig._kept_frames = rig._core_readings.frames
+    live.run(0.1)
+    assert coil_c() == 100.0
+    if is_suspend:
+        live.slept_s += HOUR_S
+    else:
+        live.jumped_s += HOUR_S
+    live.run(0.1)
+    assert coil_c() < 50.0
+    live.cards.plug(31, "DAC", stream=ASYNC)
+    live.until(DaemonState.RUNNING)
+    live.run(1.5)
+    assert rig._readings[0].coil_c < 50.0
+    assert rig.safety_states()[0].dose.time_s > dose_s
 
 
 @pytest.mark.parametrize("text", ["hw:0", "hw:DAC,1", "hw:CARD=DAC,DEV=0"])

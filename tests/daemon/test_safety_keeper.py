@@ -11,8 +11,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from audioflinger_hook.daemon.safety_keeper import FILE, MARK, SAVE_S, Moment, SafetyKeeper
-from audioflinger_hook.drive.drive import Drive
-from device.drive.exposure import worst_second
+from audioflinger_hook.drive.drive import UNPLAYED_S, Drive, DrivenRig
+from device.drive.exposure import DoseSums, worst_second
 from device.drive.protection.limits import limits_of
 from device.drive.safety import SafetyBounds, SafetyState, power_to_limit_w
 from device.rig import CONSUMER, PAPER
@@ -183,6 +183,168 @@ def test_the_rig_of_a_new_chain_has_cooled_by_the_hour_of_a_suspend(tmp_path):
     assert state.coil_c < ambient_c + true.coil_k + 1.0
     assert state.dose.squares >= dose.squares
     assert keeper.warning == ""
+
+
+AMBIENT_C, HOUR_S, YEARS_S = 20.0, 3_600.0, 20.0 * 365.0 * 86_400.0
+
+
+def rested(coil_c: float, magnet_c: float, seconds: float) -> SafetyState:
+    """The true temperatures after a rest."""
+    assert PAPER.thermal
+    true = Temperatures(PAPER.thermal)
+    true.coil_k, true.magnet_k = coil_c - AMBIENT_C, magnet_c - AMBIENT_C
+    true.heat(0.0, seconds)
+    return SafetyState(AMBIENT_C + true.coil_k, AMBIENT_C + true.magnet_k)
+
+
+def hot() -> tuple[Drive, DrivenRig]:
+    """A drive that has just played, with its coil at 119 °C and its magnet at 60 °C."""
+    drive = driven()
+    rig = drive.processors[0]
+    assert rig
+    rig.restore([SafetyState(119.0, 60.0)])
+    drive.process(np.zeros((1, 1)))
+    rig.keep(100.0, 7.0)
+    assert state_of(drive).coil_c == pytest.approx(119.0)
+    return drive, rig
+
+
+@pytest.mark.parametrize("passed_s", [5.0, 40.0, HOUR_S])
+@pytest.mark.parametrize("asleep", [0.0, 0.5, 1.0], ids=["away", "both", "suspended"])
+@pytest.mark.parametrize("ticks", [1, 7])
+def test_coils_that_are_not_driven_cool_by_the_time_that_passes(passed_s, asleep, ticks):
+    drive, rig = hot()
+    dose = state_of(drive).dose
+    for tick in range(1, ticks + 1):
+        share = passed_s * tick / ticks
+        rig.keep(100.0 + (1.0 - asleep) * share, 7.0 + asleep * share)
+    for _ in range(2):  # before and after the next block
+        true, late = rested(119.0, 60.0, passed_s), rested(119.0, 60.0, passed_s - UNPLAYED_S - 1.1)
+        state = state_of(drive)
+        assert true.coil_c <= state.coil_c + 1e-9
+        assert true.magnet_c <= state.magnet_c + 0.05  # for some seconds, a hot coil warms it
+        assert state.coil_c <= late.coil_c
+        assert state.dose.time_s == pytest.approx(dose.time_s, abs=0.11)
+        drive.process(np.zeros((1, 1)))
+    rig.keep(100.1 + (1.0 - asleep) * passed_s, 7.0 + asleep * passed_s)
+    assert state_of(drive).coil_c == pytest.approx(state.coil_c, abs=1e-6)
+
+
+def test_coils_that_play_just_after_a_suspend_have_cooled_by_it_and_warmed_since():
+    drive, rig = hot()
+    played(drive, 0.5)  # the sound server goes on before the daemon does
+    true = Temperatures(PAPER.thermal)
+    true.coil_k, true.magnet_k = (
+        rested(119.0, 60.0, HOUR_S).coil_c - AMBIENT_C,
+        rested(119.0, 60.0, HOUR_S).magnet_c - AMBIENT_C,
+    )
+    before = state_of(drive)
+    rig.keep(100.5, 7.0 + HOUR_S)
+    state = state_of(drive)
+    assert AMBIENT_C + true.coil_k <= state.coil_c < AMBIENT_C + true.coil_k + 15.0 < before.coil_c
+    assert state.dose == before.dose
+    drive.process(np.zeros((1, 1)))
+    assert state_of(drive).coil_c == pytest.approx(state.coil_c, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    "times_s",
+    [
+        [(40.0, 7.0)],
+        [(100.0, -3_600.0)],
+        [(-3_500.0, 7.0), (100.0, 7.0), (100.5, 7.0)],
+        [(100.0 + YEARS_S, 7.0)],
+        [(100.0, YEARS_S)],
+        [(101.0, 8.9)],
+    ],
+    ids=["back", "less sleep", "back and forth", "far", "far asleep", "still playing out"],
+)
+def test_a_clock_that_cannot_be_right_cools_nothing(times_s):
+    drive, rig = hot()
+    for now_s, slept_s in times_s:
+        rig.keep(now_s, slept_s)
+    drive.process(np.zeros((1, 1)))
+    assert state_of(drive).coil_c == pytest.approx(119.0)
+
+
+def test_a_core_that_has_run_again_keeps_its_own_temperatures():
+    drive, rig = hot()
+    rig.keep(100.0, 7.0 + HOUR_S)
+    assert state_of(drive).coil_c < 40.0
+    drive, rig = hot()
+    controls = rig._controls[0]
+    drive.process(np.zeros((1, 1)))
+    controls.safety.coil_c, controls.restores = 20.0, 2  # what `keep` found one frame ago
+    drive.process(np.zeros((1, 1)))
+    assert state_of(drive).coil_c == pytest.approx(119.0)
+
+
+def test_a_restored_rig_that_waits_for_sound_cools_and_does_not_warm():
+    drive = driven()
+    rig = drive.processors[0]
+    rig.restore([SafetyState(119.0, 60.0, DoseSums(5.0, 1.0, 1.0, 1.0))])
+    keeper = SafetyKeeper()
+    for tick in range(61):
+        rig.keep(float(tick))
+        keeper.carry_over((rig,), (rig,))  # as for a chain whose graph is idle
+    assert state_of(drive).dose == DoseSums(5.0, 1.0, 1.0, 1.0)
+    assert state_of(drive).coil_c <= 119.0
+    for tick in range(61, 122):
+        rig.keep(float(tick))
+    assert state_of(drive).coil_c < 60.0
+
+
+def test_what_is_not_recorded_is_known_to_the_next_rig():
+    keeper, drive = SafetyKeeper(), driven()
+    played(drive, 2.0)
+    keeper.update(drive.processors, 0.0)  # then the engine ends, as after a suspend
+    after = driven()
+    keeper.carry_over((), after.processors)
+    assert state_of(after).dose.squares >= state_of(drive).dose.squares > 0.0
+    assert state_of(after).coil_c >= state_of(drive).coil_c > AMBIENT_C
+
+
+def test_a_coil_that_only_cools_is_not_recorded_again_and_is_restored_as_cool(tmp_path):
+    time = Time()
+    keeper, drive = begun(tmp_path, time)
+    rig = drive.processors[0]
+    played(drive, 1.0)
+    set_state(drive, 119.0, 60.0)
+    rig.keep(0.0)
+    keeper.update(drive.processors, 0.0)
+    record = (tmp_path / FILE).read_bytes()
+    for tick in range(1, 60):
+        time.go(1.0)
+        rig.keep(float(tick))
+        keeper.update(drive.processors, float(tick))
+    assert (tmp_path / FILE).read_bytes() == record
+    assert rested(119.0, 60.0, 59.0).coil_c <= restored(tmp_path, time)[0].coil_c < 80.0
+
+
+def test_one_channel_with_an_unknown_time_leaves_the_other_as_recorded(tmp_path):
+    time = Time()
+
+    def two() -> Drive:
+        return Drive((), RATE, 2, rig="paper", protection="on")
+
+    keeper, drive = SafetyKeeper(tmp_path, time), two()
+    keeper.restore(drive.processors)
+    drive.process(np.ones((RATE, 2)) * 0.5)
+    for readings in drive.processors[0]._readings:
+        readings.coil_c = 80.0
+    keeper.close(drive.processors)
+    path = tmp_path / FILE
+    record = json.loads(path.read_text())
+    first, second = record["actuators"].values()
+    first["boot_s"] += 5.0
+    path.write_text(json.dumps(record))
+    after, keeper = two(), SafetyKeeper(tmp_path, time)
+    keeper.restore(after.processors)
+    states = after.processors[0].safety_states()
+    assert [state.coil_c for state in states] == [LIMIT_C, pytest.approx(80.0)]
+    assert [state.dose.squares for state in states] == [first["dose"]["squares"]] * 2
+    assert states[1].dose.squares == second["dose"]["squares"] > 0.0
+    assert "time that has passed" in keeper.warning
 
 
 @pytest.mark.parametrize(

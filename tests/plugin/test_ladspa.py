@@ -389,13 +389,32 @@ def test_a_coil_stays_hot_in_another_process_and_a_new_day_begins_meanwhile(daem
     assert state.coil_c == pytest.approx(90.0, abs=0.1)
     assert state.dose.time_s == pytest.approx(0.01, abs=1e-3)
     instance.close()
-    rig.keep()  # a host may open the plugin again on the same page
+    rig.keep(0.0)  # a host may open the plugin again on the same page
     again = Instance("haptic_cushion_daemon", RATE_HZ)
     again.run(padded(SOUND[:480]))
     (state,) = rig.safety_states()
     assert state.coil_c == pytest.approx(90.0, abs=0.2)
     assert state.dose.time_s == pytest.approx(0.02, abs=1e-3)
     again.close()
+
+
+def test_coils_cool_while_the_graph_is_idle(daemon: Daemon) -> None:
+    drives = several_drives(RATE_HZ)
+    page, instance = daemon(driven_design(RATE_HZ, 2, (), drives), 2, 1, [0, 0, 0])
+    rig = driven_rigs(drives, page.controls, page.readings, 1)[1]
+    assert rig
+    rig.restore([SafetyState(90.0, 50.0, DoseSums(60.0, 5.0, 25.0))])
+    instance.run(padded(SOUND[:480]))
+    rig.keep(0.0)
+    rig.keep(3_600.0)
+    for _ in range(2):
+        (state,) = rig.safety_states()
+        assert state.coil_c is not None
+        assert 20.0 <= state.coil_c < 25.0
+        assert state.dose.time_s >= 60.01 - 1e-3
+        assert state.dose.squares >= 5.0
+        instance.run(padded(SOUND[:480]))
+        rig.keep(3_600.1)
 
 
 def test_the_daemons_transform_mixes_as_the_python_engine_does(daemon: Daemon) -> None:
@@ -416,11 +435,13 @@ def tried(*cases: dict[str, str], label: str = "haptic_cushion_paper") -> list[t
 
     In another process, which it must not crash.
     """
+    inputs = 8 if label == "haptic_cushion_daemon" else 2
     code = (
         "from tests.plugin.hosting import Instance; import json, numpy, os, sys\n"
         "for variables in json.loads(sys.argv[1]):\n"
         "    os.environ.update(variables)\n"
-        f"    one, sound = Instance('{label}', {RATE_HZ}), numpy.ones((9_999, 2), numpy.float32)\n"
+        f"    one = Instance('{label}', {RATE_HZ})\n"
+        f"    sound = numpy.ones((9_999, {inputs}), numpy.float32)\n"
         "    print('refused' if not one.made else 'played' if one.run(sound).any() else 'silent')\n"
         "    os.write(2, b'--\\n')\n"
     )
@@ -472,6 +493,12 @@ def test_a_design_for_other_channels_gives_silence_and_another_page_nothing(tmp_
     ((did, said),) = tried(paths, label="haptic_cushion_daemon")
     assert did == "refused"
     assert "the daemon's page cannot be used: it is of another version" in said
+
+
+def test_an_empty_name_of_the_page_is_no_page(tmp_path: Path) -> None:
+    write_design(tmp_path / "cushion", "paper", RATE_HZ)
+    cases = [{"XDG_DATA_HOME": str(tmp_path / "cushion"), "HAPTIC_CUSHION_PAGE": ""}]
+    assert tried(*cases, label="haptic_cushion_daemon") == [("played", "")]
 
 
 def test_the_variants_are_those_that_hosts_and_the_daemon_ask_for() -> None:

@@ -267,13 +267,20 @@ void actuator_report(const Actuator *a, ActuatorReadings *r)
 
 static double usable_sum(double sum) { return sum >= 0.0 && sum < DOSE_MAX ? sum : DOSE_MAX; }
 
-void actuator_set_safety(Actuator *a, const ActuatorSafety *safety)
+void actuator_set_temperatures(Actuator *a, const ActuatorSafety *safety)
 {
     if (!a->protection)
         return;
     const double ambient_c = a->design->protection.ambient_c;
     protection_set_temperatures(a->protection, safety->coil_c - ambient_c,
                                 safety->magnet_c - ambient_c);
+}
+
+void actuator_set_safety(Actuator *a, const ActuatorSafety *safety)
+{
+    if (!a->protection)
+        return;
+    actuator_set_temperatures(a, safety);
     const CoreDose dose = safety->dose, sums = {usable_sum(dose.time_s), usable_sum(dose.squares),
                                                 usable_sum(dose.fourths), usable_sum(dose.above)};
     exposure_set_sums(&a->exposure, sums);

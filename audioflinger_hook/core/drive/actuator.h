@@ -96,6 +96,9 @@ void actuator_process(Actuator *actuator, const History *history, float *out, si
 
 void actuator_report(const Actuator *actuator, ActuatorReadings *readings);
 
+/* Set the temperatures, such as after a rest. */
+void actuator_set_temperatures(Actuator *actuator, const ActuatorSafety *safety);
+
 /* Restore saved temperatures and doses. */
 void actuator_set_safety(Actuator *actuator, const ActuatorSafety *safety);
 

@@ -27,12 +27,11 @@ struct DaemonCore {
     float signals[PIECE_FRAMES * CORE_ACTUATORS], next_signals[PIECE_FRAMES * CORE_ACTUATORS];
 };
 
-/* Map the file that HAPTIC_CUSHION_PAGE names. Return NULL without this variable or a usable file. */
-static Page *page_open(void)
+/* Map the file at `path`. Return NULL without a path or a usable file. */
+static Page *page_open(const char *path)
 {
-    const char *path = getenv("HAPTIC_CUSHION_PAGE");
     struct stat facts;
-    if (!path || !*path)
+    if (!path)
         return NULL;
     const int file = open(path, O_RDWR | O_CLOEXEC);
     if (file < 0)
@@ -79,8 +78,9 @@ DaemonCore *daemon_core_open(unsigned long samplerate)
         return NULL;
     daemon->core = calloc(1, sizeof *daemon->core);
     daemon->samplerate = (double)samplerate;
-    daemon->page = page_open();
-    const int is_refused = !daemon->page && getenv("HAPTIC_CUSHION_PAGE");
+    const char *set = getenv("HAPTIC_CUSHION_PAGE"), *path = set && *set ? set : NULL; /* empty: unset */
+    daemon->page = page_open(path);
+    const int is_refused = !daemon->page && path;
     if (is_refused)
         fprintf(stderr, "haptic_cushion: the daemon's page cannot be used: it is of another version\n");
     daemon->controls.sound_gain = 1.0;

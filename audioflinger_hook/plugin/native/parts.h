@@ -102,7 +102,7 @@ void design_loader_return(DesignLoader *loader, NumberedCore *core);
 /* Computes all actuators' signals from captured sound, as the page's controls specify. */
 typedef struct DaemonCore DaemonCore;
 
-/* Create the daemon's core. Return NULL if HAPTIC_CUSHION_PAGE is set but the page is unusable, if core_find
+/* Create the daemon's core. Return NULL if HAPTIC_CUSHION_PAGE is set and not empty, but the page is unusable, if core_find
  * is needed and finds no core, or if memory runs out. Allocates. */
 DaemonCore *daemon_core_open(unsigned long samplerate);
 void daemon_core_close(DaemonCore *daemon);

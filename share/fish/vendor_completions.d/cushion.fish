@@ -138,7 +138,7 @@ complete -c cushion -n __fish_use_subcommand -f -a status -d 'show the state of 
 complete -c cushion -n '__fish_seen_subcommand_from status' -s h -d 'show this help message and exit'
 complete -c cushion -n '__fish_seen_subcommand_from status' -l help -d 'show this help message and exit'
 complete -c cushion -n '__fish_seen_subcommand_from status' -l debug -d 'show tracebacks'
-complete -c cushion -n '__fish_seen_subcommand_from status' -l watch -d 'repeat until interrupted'
+complete -c cushion -n '__fish_seen_subcommand_from status' -l watch -d 'repeat until interrupted; with --json, a line each second'
 complete -c cushion -n '__fish_seen_subcommand_from status' -l json -d 'print one JSON document on stdout'
 complete -c cushion -n __fish_use_subcommand -f -a monitor -d 'serve the live page of the running daemon'
 complete -c cushion -n '__fish_seen_subcommand_from monitor' -s h -d 'show this help message and exit'
