@@ -440,7 +440,7 @@ def test_coils_of_a_card_that_is_away_for_an_hour_cool(live, is_suspend):
     assert rig.has_run
 
     def coil_c() -> float:
-        return max(state.coil_c for state in rig.safety_states())
+        return max(float(state.coil_c or 0.0) for state in rig.safety_states())
 
     dose_s = rig.safety_states()[0].dose.time_s
     live.cards.unplug(30)

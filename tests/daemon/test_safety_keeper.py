@@ -4,6 +4,7 @@ import json
 from dataclasses import replace
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -49,7 +50,7 @@ def driven(exposure_cap: str = "off") -> Drive:
     return Drive((), RATE, 1, rig="paper", protection="on", exposure_cap=exposure_cap)
 
 
-def state_of(drive: Drive) -> SafetyState:
+def state_of(drive: Drive) -> Any:
     processor = drive.processors[0]
     assert processor
     return processor.safety_states()[0]
@@ -188,7 +189,7 @@ def test_the_rig_of_a_new_chain_has_cooled_by_the_hour_of_a_suspend(tmp_path):
 AMBIENT_C, HOUR_S, YEARS_S = 20.0, 3_600.0, 20.0 * 365.0 * 86_400.0
 
 
-def rested(coil_c: float, magnet_c: float, seconds: float) -> SafetyState:
+def rested(coil_c: float, magnet_c: float, seconds: float) -> Any:
     """The true temperatures after a rest."""
     assert PAPER.thermal
     true = Temperatures(PAPER.thermal)
@@ -200,7 +201,7 @@ def rested(coil_c: float, magnet_c: float, seconds: float) -> SafetyState:
 def hot() -> tuple[Drive, DrivenRig]:
     """A drive that has just played, with its coil at 119 °C and its magnet at 60 °C."""
     drive = driven()
-    rig = drive.processors[0]
+    rig: Any = drive.processors[0]
     assert rig
     rig.restore([SafetyState(119.0, 60.0)])
     drive.process(np.zeros((1, 1)))
@@ -233,6 +234,7 @@ def test_coils_that_are_not_driven_cool_by_the_time_that_passes(passed_s, asleep
 def test_coils_that_play_just_after_a_suspend_have_cooled_by_it_and_warmed_since():
     drive, rig = hot()
     played(drive, 0.5)  # the sound server goes on before the daemon does
+    assert PAPER.thermal
     true = Temperatures(PAPER.thermal)
     true.coil_k, true.magnet_k = (
         rested(119.0, 60.0, HOUR_S).coil_c - AMBIENT_C,
@@ -281,7 +283,7 @@ def test_a_core_that_has_run_again_keeps_its_own_temperatures():
 
 def test_a_restored_rig_that_waits_for_sound_cools_and_does_not_warm():
     drive = driven()
-    rig = drive.processors[0]
+    rig: Any = drive.processors[0]
     rig.restore([SafetyState(119.0, 60.0, DoseSums(5.0, 1.0, 1.0, 1.0))])
     keeper = SafetyKeeper()
     for tick in range(61):
@@ -307,7 +309,7 @@ def test_what_is_not_recorded_is_known_to_the_next_rig():
 def test_a_coil_that_only_cools_is_not_recorded_again_and_is_restored_as_cool(tmp_path):
     time = Time()
     keeper, drive = begun(tmp_path, time)
-    rig = drive.processors[0]
+    rig: Any = drive.processors[0]
     played(drive, 1.0)
     set_state(drive, 119.0, 60.0)
     rig.keep(0.0)
@@ -330,7 +332,8 @@ def test_one_channel_with_an_unknown_time_leaves_the_other_as_recorded(tmp_path)
     keeper, drive = SafetyKeeper(tmp_path, time), two()
     keeper.restore(drive.processors)
     drive.process(np.ones((RATE, 2)) * 0.5)
-    for readings in drive.processors[0]._readings:
+    rig: Any = drive.processors[0]
+    for readings in rig._readings:
         readings.coil_c = 80.0
     keeper.close(drive.processors)
     path = tmp_path / FILE
@@ -340,7 +343,8 @@ def test_one_channel_with_an_unknown_time_leaves_the_other_as_recorded(tmp_path)
     path.write_text(json.dumps(record))
     after, keeper = two(), SafetyKeeper(tmp_path, time)
     keeper.restore(after.processors)
-    states = after.processors[0].safety_states()
+    restored_rig: Any = after.processors[0]
+    states = restored_rig.safety_states()
     assert [state.coil_c for state in states] == [LIMIT_C, pytest.approx(80.0)]
     assert [state.dose.squares for state in states] == [first["dose"]["squares"]] * 2
     assert states[1].dose.squares == second["dose"]["squares"] > 0.0

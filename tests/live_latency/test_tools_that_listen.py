@@ -1,6 +1,7 @@
 """What the tools say when a daemon or a player did not do as expected: one line, no traceback."""
 
 from contextlib import nullcontext
+from typing import Any
 
 import numpy as np
 import pytest
@@ -28,7 +29,7 @@ def test_the_cpu_time_of_a_daemon_that_has_ended_is_an_error_and_none_is_0(
 ):
     used = ProcessUse()
     used._samples = [(float(count), 5.0, 100.0) for count in range(samples)]
-    server = type("Server", (), {"environment": {}, "folder": tmp_path})
+    server: Any = type("Server", (), {"environment": {}, "folder": tmp_path})
     for name in ("_many_nodes", "running_daemon", "recorded_together"):
         monkeypatch.setattr(churn, name, lambda *_, **__: nullcontext(tmp_path / "steady.wav"))
     for name in ("spawn", "end", "status_of_daemon"):
