@@ -47,7 +47,20 @@ class ApplicationRule(Described):
         float,
         Number("added to the level while it plays", GAIN_MIN_DB, GAIN_MAX_DB, "dB"),
     ] = 0.0
-    feel: Annotated[bool, Switch("whether the application's sound is felt")] = True
+    feel: Annotated[
+        bool | None,
+        Switch("whether its sound is felt; default: unless it is a call, an alert or excluded"),
+    ] = None
+
+    @property
+    def chosen(self) -> dict[str, Any]:
+        """The values that differ from the defaults, by key."""
+        return {n: v for n, v in vars(self).items() if v != self.defaults().get(n)}
+
+    @property
+    def changes_vibration(self) -> bool:
+        """Whether profile or level change while the application plays."""
+        return self.profile is not None or self.gain_db != 0.0
 
     @property
     def rule(self) -> Rule:

@@ -1,6 +1,7 @@
 """Applies edits (new values of config keys) to a parsed config, its text, or a new config.
 
 Edits are keyed by the name of a config key: `key` or `section.key`. The value None removes the key.
+An edit of an [[application]] rule is keyed by `rule_key`. Its value has all keys except `match`.
 """
 
 from __future__ import annotations
@@ -12,8 +13,8 @@ from collections.abc import Mapping, MutableMapping
 from pathlib import Path
 from typing import Any
 
-from audioflinger_hook.config.schema import ARRAYS, KEYS, Key, keys_of
-from audioflinger_hook.config.toml_text import text_of
+from audioflinger_hook.config.schema import APPLICATION, ARRAYS, KEYS, Key, keys_of
+from audioflinger_hook.config.toml_text import lines_of_keys, text_of
 from device.atomic_file import make_private_folder, write_bytes_atomically
 from device.errors import InternalError, UsageError
 from device.values import Text, nearest
@@ -39,9 +40,22 @@ def editable(name: str) -> Key:
     return EDITABLE[name]
 
 
+def rule_key(match: str) -> str:
+    """Return the key of an edit of the [[application]] rule for `match`."""
+    return f"{APPLICATION}[{match.strip()}]"
+
+
+def rule_match(name: str) -> str:
+    """Return the `match` of an edit's key from `rule_key`; "" for other keys."""
+    return name[len(APPLICATION) + 1 : -1] if name.startswith(f"{APPLICATION}[") else ""
+
+
 def apply_edits(document: MutableMapping[str, Any], edits: Edits) -> None:
     """Change a parsed config in place."""
     for name, value in edits.items():
+        if match := rule_match(name):
+            _apply_rule(document, match, value)
+            continue
         section, _, key = name.rpartition(".")
         table = document
         if section:
@@ -56,6 +70,58 @@ def apply_edits(document: MutableMapping[str, Any], edits: Edits) -> None:
             table[key] = list(value) if isinstance(value, tuple) else value
 
 
+def _apply_rule(document: MutableMapping[str, Any], match: str, rule: Edits | None) -> None:
+    rules = document.get(APPLICATION, [])
+    index = _rule_index(document, match)
+    if index is not None and rule is None:
+        del rules[index]
+        if not rules:
+            del document[APPLICATION]
+    elif index is not None and rule is not None:
+        for name in {**rules[index], **rule}:
+            if name not in rule and name != "match":
+                del rules[index][name]
+            elif name in rule and rules[index].get(name) != rule[name]:
+                rules[index][name] = rule[name]
+    elif rule is not None and isinstance(rules, list):  # else `check` reports it
+        document[APPLICATION] = [*rules, {"match": match, **rule}]
+
+
+def _rule_index(document: Mapping[str, Any], match: str) -> int | None:
+    rules = document.get(APPLICATION, [])
+    for index, rule in enumerate(rules if isinstance(rules, list) else []):
+        own = rule.get("match") if isinstance(rule, Mapping) else None
+        if isinstance(own, str) and own.strip().casefold() == match.casefold():
+            return index
+    return None
+
+
+def _with_rules(text: str, edits: Edits) -> str:
+    """Add and remove lines of [[application]] tables, so that all comments stay in place."""
+    for match, rule in ((rule_match(name), rule) for name, rule in edits.items()):
+        document, places = tomllib.loads(text), lines_of_keys(text)
+        index = _rule_index(document, match) if match else None
+        prefix = f"{APPLICATION}[" if index is None else f"{APPLICATION}[{index + 1}]"
+        own = [line for key, line in places.items() if key.startswith(prefix)]
+        if match and rule is not None:
+            text = text and text.rstrip("\n") + "\n"
+            known = {} if index is None else document[APPLICATION][index]
+            added = [_line(key, value) for key, value in rule.items() if key not in known]
+            if index is None:
+                added = ["", f"[[{APPLICATION}]]", _line("match", match), *added]
+            lines = text.split("\n")
+            at = max(own, default=len(lines) - 1)
+            lines[at:at] = added
+            text = "\n".join(lines).lstrip("\n")
+        elif index is not None and own:
+            lines = text.split("\n")
+            first = min(own) - 1
+            first -= first > 0 and not lines[first - 1].strip()
+            del lines[first : max(own)]
+            text = "\n".join(lines)
+    return text
+
+
 def edited_text(text: str, edits: Edits) -> str:
     """Return the edited text of a config. Its comments and the order of keys do not change.
 
@@ -65,8 +131,8 @@ def edited_text(text: str, edits: Edits) -> str:
     from tomlkit.exceptions import TOMLKitError
 
     try:
-        document = tomlkit.parse(text)
         expected = tomllib.loads(text)
+        document = tomlkit.parse(_with_rules(text, edits))
         apply_edits(document, edits)
     except (TOMLKitError, ValueError) as error:
         raise UsageError(
@@ -189,6 +255,10 @@ class LiveEdits:
 
 
 def _value(document: dict[str, Any], name: str) -> Any:
+    if match := rule_match(name):
+        index = _rule_index(document, match)
+        rule = {} if index is None else document[APPLICATION][index]
+        return {key: value for key, value in rule.items() if key != "match"} if rule else None
     section, _, key = name.rpartition(".")
     table = document.get(section, {}) if section else document
     return table.get(key) if isinstance(table, dict) else None

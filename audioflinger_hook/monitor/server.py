@@ -67,7 +67,7 @@ SECURITY = {
     "X-Frame-Options": "DENY",
 }
 
-_REQUESTS = ("set", "application", "felt", "mute", "tone", "sync", "undo", "save")
+_REQUESTS = ("set", "application", "mute", "tone", "sync", "undo", "save")
 
 
 class PageServer:
@@ -173,6 +173,8 @@ class PageServer:
             sending.cancel()
             with suppress(asyncio.CancelledError, ConnectionClosed):
                 await sending
+            if client.tries:
+                await self._link.control({"sync": {"try_ms": None}})
 
     async def _take(self, client: Client, message: str | bytes) -> bool:
         """Process a browser's message; return whether the message is valid."""
@@ -191,6 +193,8 @@ class PageServer:
             answer = await asyncio.to_thread(self._start_at_login, asked["autostart"])
         else:
             answer = await self._link.control(request)
+            if isinstance(sync := request.get("sync"), dict):
+                client.tries = sync.get("try_ms") is not None
         client.answer(json.dumps({"id": asked["id"], "answer": answer}))
         await asyncio.sleep(CONTROL_PAUSE_S)
         return True
