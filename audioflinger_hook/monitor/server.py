@@ -39,6 +39,7 @@ SCRIPTS = (
     "page",
     "connection",
     "drawing",
+    "elements",
     "meters",
     "mapping",
     "waterfall",
