@@ -71,16 +71,20 @@ class Control {
     if (first) this.simplify(ends);
     this.send = newest(async (value) => {
       const { error = "" } = await ask({ set: { [key.key]: value } });
+      await new Promise((resume) => setTimeout(resume, PAUSE_MS));
       this.error.textContent = error;
       this.box.dataset.bad = Boolean(error);
-      await new Promise((resume) => setTimeout(resume, PAUSE_MS));
+      if (!error) this.exact?.onblur(); // a refused number stays until it is corrected
       if (error || value === null) this.display();
     });
   }
 
   button(text, label, value) {
     const button = element("button", { type: "button", "aria-label": label }, text);
-    button.onclick = () => this.set(value());
+    button.onclick = () => {
+      if (value() !== null) this.put(value());
+      this.set(value());
+    };
     return button;
   }
 
@@ -126,10 +130,12 @@ class Control {
     this.limit(schema);
     const exact = this.exact = element("input", { type: "number", step: "any", "aria-labelledby": `${id}-label`, "aria-describedby": `${id}-error` });
     slider.oninput = () => { exact.value = slider.value; fill(slider); this.set(Number(slider.value)); };
+    exact.oninput = () => { exact.dataset.typed = true; };
+    exact.onblur = () => { delete exact.dataset.typed; };
     exact.onchange = () => this.set(exact.value === "" ? null : Number(exact.value));
     this.put = (value) => { // a word such as "auto" stands for a number that the daemon chooses
       const isNumber = typeof value === "number";
-      if (document.activeElement !== exact) exact.value = isNumber ? value : "";
+      if (!exact.dataset.typed) exact.value = isNumber ? value : "";
       slider.value = isNumber ? value : value === null ? slider.max : 0;
       slider.dataset.unset = !isNumber;
       fill(slider);
