@@ -246,9 +246,7 @@ def _wait_vibration(clicks: Clicks, heard: str) -> None:
     )
 
 
-def _answer_to(
-    clicks: Clicks, keys: Keys, trials: SyncTrials, offset_ms: float
-) -> Answer | None:
+def _answer_to(clicks: Clicks, keys: Keys, trials: SyncTrials, offset_ms: float) -> Answer | None:
     """Play a click until it is answered; None if the time is up before."""
     while (left_s := trials.left_s(time.monotonic())) > 0.0:
         clicks.play()

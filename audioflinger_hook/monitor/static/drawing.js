@@ -39,14 +39,10 @@ export function colours() {
 }
 
 /** Share of a logarithmic range, 0 to 1. */
-export function share(hz, low, high) {
-  return Math.min(1, Math.max(0, Math.log(hz / low) / Math.log(high / low)));
-}
+export const share = (hz, low, high) => Math.min(1, Math.max(0, Math.log(hz / low) / Math.log(high / low)));
 
 /** How strong an amplitude is shown, 0 to 1: -54 dBFS and below is nothing. */
-export function strength(amplitude) {
-  return amplitude > 0 ? Math.min(1, Math.max(0, 1 + (20 * Math.log10(amplitude)) / 54)) : 0;
-}
+export const strength = (amplitude) => (amplitude > 0 ? Math.min(1, Math.max(0, 1 + (20 * Math.log10(amplitude)) / 54)) : 0);
 
 export function hertz(hz) {
   return hz >= 1000 ? `${(hz / 1000).toFixed(hz >= 10000 ? 1 : 2)} kHz` : `${Math.round(hz)} Hz`;
