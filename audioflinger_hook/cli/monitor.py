@@ -12,7 +12,6 @@ import sys
 import webbrowser
 from collections.abc import Coroutine
 from contextlib import ExitStack, suppress
-from pathlib import Path
 from typing import Any
 
 from audioflinger_hook.cli.terminal import warn
@@ -24,8 +23,6 @@ OPENER = "page.html"
 """A file, readable only by the user, that redirects a browser to the page. The browser's arguments
 name this file instead of the address with the token, because other users can read the arguments.
 """
-
-SERVED = "page.{}"  # file that a running page locks, by its port; it holds the page's address
 
 
 def run(options: argparse.Namespace) -> int:
@@ -42,15 +39,6 @@ def run(options: argparse.Namespace) -> int:
         token = load_token(folder)
         server = PageServer(listen, token, options.rate, os.environ)
 
-        def begin(address: str) -> None:
-            port = address.partition("/#")[0].rpartition(":")[2]
-            with suppress(OSError):  # a second page on another host, or a full disk
-                file = stack.enter_context((folder.path / SERVED.format(port)).open("a"))
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                file.truncate(0)
-                print(address, end="", file=file, flush=True)
-            tell(address)
-
         def tell(address: str) -> None:
             print(f"cushion: the live page: {address}", file=sys.stderr, flush=True)
             if listen.host not in LOOPBACK:
@@ -64,25 +52,16 @@ def run(options: argparse.Namespace) -> int:
                 if not webbrowser.open(path.as_uri()):
                     warn("no browser could be started; open this address in one")
 
-        place = f"http://{listen.shown_host}:{listen.port}/"
-        address = _served(folder.path / SERVED.format(listen.port))
-        if address.startswith(place):
-            tell(address)
-        else:
-            asyncio.run(_until_signal(server.run(begin)))
+        name = f"{listen.shown_host}:{listen.port}"
+        try:  # as long as a page is served at this address, its process locks a file
+            lock = stack.enter_context((folder.path / f"page.{name}").open("w"))
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:  # other errors: a second page does not find this one
+            if isinstance(error, BlockingIOError) and listen.port:
+                tell(f"http://{name}/#{token}")
+                return 0
+        asyncio.run(_until_signal(server.run(tell)))
     return 0
-
-
-def _served(path: Path) -> str:
-    """Return the address that a running page has written to its locked file, else ""."""
-    try:
-        with path.open() as file:
-            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return path.read_text()
-    except OSError:  # no page has written it
-        pass
-    return ""
 
 
 async def _until_signal(serving: Coroutine[Any, Any, None]) -> None:

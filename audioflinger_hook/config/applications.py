@@ -58,11 +58,6 @@ class ApplicationRule(Described):
         return {n: v for n, v in vars(self).items() if v != self.defaults().get(n)}
 
     @property
-    def changes_vibration(self) -> bool:
-        """Whether profile or level change while the application plays."""
-        return self.profile is not None or self.gain_db != 0.0
-
-    @property
     def rule(self) -> Rule:
         """The parsed pattern."""
         return Rule.parse(self.match)

@@ -71,25 +71,23 @@ def apply_edits(document: MutableMapping[str, Any], edits: Edits) -> None:
 
 
 def _apply_rule(document: MutableMapping[str, Any], match: str, rule: Edits | None) -> None:
-    rules = document.get(APPLICATION, [])
-    index = _rule_index(document, match)
-    if index is not None and rule is None:
+    rules, index = document.get(APPLICATION, []), _rule_index(document, match)
+    if index is None:
+        if rule is not None and isinstance(rules, list):  # else `check` reports it
+            document[APPLICATION] = [*rules, {"match": match, **rule}]
+    elif rule is None:
         del rules[index]
         if not rules:
             del document[APPLICATION]
-    elif index is not None and rule is not None:
-        for name in {**rules[index], **rule}:
-            if name not in rule and name != "match":
-                del rules[index][name]
-            elif name in rule and rules[index].get(name) != rule[name]:
-                rules[index][name] = rule[name]
-    elif rule is not None and isinstance(rules, list):  # else `check` reports it
-        document[APPLICATION] = [*rules, {"match": match, **rule}]
+    else:
+        for name in rules[index].keys() - rule.keys() - {"match"}:
+            del rules[index][name]
+        rules[index].update({n: v for n, v in rule.items() if rules[index].get(n) != v})
 
 
 def _rule_index(document: Mapping[str, Any], match: str) -> int | None:
-    rules = document.get(APPLICATION, [])
-    for index, rule in enumerate(rules if isinstance(rules, list) else []):
+    found = document.get(APPLICATION)
+    for index, rule in enumerate(found if isinstance(found, list) else ()):
         own = rule.get("match") if isinstance(rule, Mapping) else None
         if isinstance(own, str) and own.strip().casefold() == match.casefold():
             return index
@@ -99,26 +97,21 @@ def _rule_index(document: Mapping[str, Any], match: str) -> int | None:
 def _with_rules(text: str, edits: Edits) -> str:
     """Add and remove lines of [[application]] tables, so that all comments stay in place."""
     for match, rule in ((rule_match(name), rule) for name, rule in edits.items()):
-        document, places = tomllib.loads(text), lines_of_keys(text)
-        index = _rule_index(document, match) if match else None
+        if not match:
+            continue
+        document, lines = tomllib.loads(text), (text and text.rstrip("\n") + "\n").split("\n")
+        index = _rule_index(document, match)
         prefix = f"{APPLICATION}[" if index is None else f"{APPLICATION}[{index + 1}]"
-        own = [line for key, line in places.items() if key.startswith(prefix)]
-        if match and rule is not None:
-            text = text and text.rstrip("\n") + "\n"
+        own = [at for key, at in lines_of_keys(text).items() if key.startswith(prefix)]
+        if rule is not None:
             known = {} if index is None else document[APPLICATION][index]
-            added = [_line(key, value) for key, value in rule.items() if key not in known]
-            if index is None:
-                added = ["", f"[[{APPLICATION}]]", _line("match", match), *added]
-            lines = text.split("\n")
+            head = [] if known else ["", f"[[{APPLICATION}]]", _line("match", match)]
             at = max(own, default=len(lines) - 1)
-            lines[at:at] = added
-            text = "\n".join(lines).lstrip("\n")
+            lines[at:at] = head + [_line(n, value) for n, value in rule.items() if n not in known]
         elif index is not None and own:
-            lines = text.split("\n")
             first = min(own) - 1
-            first -= first > 0 and not lines[first - 1].strip()
-            del lines[first : max(own)]
-            text = "\n".join(lines)
+            del lines[first - (not lines[first - 1].strip()) : max(own)]
+        text = "\n".join(lines).lstrip("\n")
     return text
 
 

@@ -127,10 +127,8 @@ class Supervisor:
         """The applications that have a stream. Any thread may read this."""
         source, device = self._found
         haptic = device.name if device and self.output.needs_server else None
-        rule, is_mixed = self._acting.rule, self.is_mixed
-        return applications_in(
-            self._link.latest, self.config, source, haptic, rule, is_mixed=is_mixed
-        )
+        seen, acting = self._link.latest, self._acting.rule
+        return applications_in(seen, self.config, source, haptic, acting, is_mixed=self.is_mixed)
 
     @property
     def is_mixed(self) -> bool:

@@ -36,17 +36,8 @@ WRITE_BYTES = 16_384  # limit of a connection's write buffers, in this process a
 CONTROL_PAUSE_S = 0.02  # pause after each request that is forwarded to the daemon
 
 SCRIPTS = (
-    "page",
-    "connection",
-    "drawing",
-    "elements",
-    "meters",
-    "mapping",
-    "waterfall",
-    "controls",
-    "figures",
-    "applications",
-    "sync",
+    *("page", "connection", "elements", "drawing", "meters", "mapping", "waterfall", "controls"),
+    *("figures", "applications", "sync"),
 )
 FILES = {  # URL path: (file, content type)
     "/": ("index.html", "text/html; charset=utf-8"),

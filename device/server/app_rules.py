@@ -22,6 +22,9 @@ _SERVER_ROLES = ("abstract", "filter")
 _SERVER_PROPERTIES = ("node.link-group", "pulse.module.id")
 
 
+_T = TypeVar("_T")
+
+
 @dataclass(frozen=True)
 class Rule:
     """A rule. kind: "application", "binary", "role"; "" if not given. name: NAME, casefolded."""
@@ -55,9 +58,6 @@ class Rule:
         return any(value == self.name or fnmatchcase(value, self.name) for value in known)
 
 
-_T = TypeVar("_T")
-
-
 def first_match(rules: Iterable[tuple[Rule, _T]], stream: Stream) -> _T | None:
     """Return what belongs to the first rule that matches; None without one.
 
@@ -68,6 +68,10 @@ def first_match(rules: Iterable[tuple[Rule, _T]], stream: Stream) -> _T | None:
     return min(found, key=lambda one: one[0].name != own)[1] if found else None
 
 
+Names = tuple[str, ...]
+Feels = tuple[tuple[Rule, bool], ...]
+
+
 class AppRules:
     """Selects the applications to capture. Immutable: any thread may use it.
 
@@ -76,12 +80,7 @@ class AppRules:
     the stream is selected. UsageError: see `Rule.parse`.
     """
 
-    def __init__(
-        self,
-        include: tuple[str, ...] = (),
-        exclude: tuple[str, ...] = (),
-        feels: tuple[tuple[Rule, bool], ...] = (),
-    ) -> None:
+    def __init__(self, include: Names = (), exclude: Names = (), feels: Feels = ()) -> None:
         self.feels = feels
         self.include = tuple(map(Rule.parse, include))
         self.exclude = tuple(map(Rule.parse, exclude))

@@ -184,7 +184,9 @@ def test_a_page_that_is_served_already_is_shown_and_one_that_has_ended_is_served
     browser.write_text(f'#!/bin/sh\ncp "${{1#file://}}" {shown}\n')
     browser.chmod(0o700)
     monkeypatch.setenv("BROWSER", f"{browser} %s")
-    with page(tmp_path) as served:
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    with page(tmp_path, "--listen", f"127.0.0.1:{port}") as served:
         second = Page(tmp_path, "--listen", served.host, "--open")
         assert second.process.wait(LIMIT_S) == 0
         second.close()
