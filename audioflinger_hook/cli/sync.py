@@ -185,7 +185,7 @@ def _ask_person(random: np.random.Generator, say: Say) -> tuple[SyncTrials, floa
             while keys(0.0):  # pressed before the click
                 pass
             say(f"click {trials.count + 1}: ", end="")
-            answer = _answer_to(clicks, keys, trials)
+            answer = _answer_to(clicks, keys, trials, offset_ms)
             say(answer.value if answer else "the time is up")
             if answer:
                 trials.add(offset_ms, answer)
@@ -246,7 +246,7 @@ def _wait_vibration(clicks: Clicks, heard: str) -> None:
     )
 
 
-def _answer_to(clicks: Clicks, keys: Keys, trials: SyncTrials) -> Answer | None:
+def _answer_to(clicks: Clicks, keys: Keys, trials: SyncTrials, offset_ms: float) -> Answer | None:
     """Play a click until it is answered; None if the time is up before."""
     while (left_s := trials.left_s(time.monotonic())) > 0.0:
         clicks.play()
@@ -256,4 +256,5 @@ def _answer_to(clicks: Clicks, keys: Keys, trials: SyncTrials) -> Answer | None:
             for key, answer in KEYS.items():
                 if pressed.startswith(key):
                     return answer
+        _sync(try_ms=offset_ms)  # else the daemon would end the trial
     return None

@@ -47,7 +47,15 @@ class ApplicationRule(Described):
         float,
         Number("added to the level while it plays", GAIN_MIN_DB, GAIN_MAX_DB, "dB"),
     ] = 0.0
-    feel: Annotated[bool, Switch("whether the application's sound is felt")] = True
+    feel: Annotated[
+        bool | None,
+        Switch("whether its sound is felt; default: unless it is a call, an alert or excluded"),
+    ] = None
+
+    @property
+    def chosen(self) -> dict[str, Any]:
+        """The values that differ from the defaults, by key."""
+        return {n: v for n, v in vars(self).items() if v != self.defaults().get(n)}
 
     @property
     def rule(self) -> Rule:

@@ -1,6 +1,7 @@
 """Applies edits (new values of config keys) to a parsed config, its text, or a new config.
 
 Edits are keyed by the name of a config key: `key` or `section.key`. The value None removes the key.
+An edit of an [[application]] rule is keyed by `rule_key`. Its value has all keys except `match`.
 """
 
 from __future__ import annotations
@@ -12,8 +13,8 @@ from collections.abc import Mapping, MutableMapping
 from pathlib import Path
 from typing import Any
 
-from audioflinger_hook.config.schema import ARRAYS, KEYS, Key, keys_of
-from audioflinger_hook.config.toml_text import text_of
+from audioflinger_hook.config.schema import APPLICATION, ARRAYS, KEYS, Key, keys_of
+from audioflinger_hook.config.toml_text import lines_of_keys, text_of
 from device.atomic_file import make_private_folder, write_bytes_atomically
 from device.errors import InternalError, UsageError
 from device.values import Text, nearest
@@ -39,9 +40,22 @@ def editable(name: str) -> Key:
     return EDITABLE[name]
 
 
+def rule_key(match: str) -> str:
+    """Return the key of an edit of the [[application]] rule for `match`."""
+    return f"{APPLICATION}[{match.strip()}]"
+
+
+def rule_match(name: str) -> str:
+    """Return the `match` of an edit's key from `rule_key`; "" for other keys."""
+    return name[len(APPLICATION) + 1 : -1] if name.startswith(f"{APPLICATION}[") else ""
+
+
 def apply_edits(document: MutableMapping[str, Any], edits: Edits) -> None:
     """Change a parsed config in place."""
     for name, value in edits.items():
+        if match := rule_match(name):
+            _apply_rule(document, match, value)
+            continue
         section, _, key = name.rpartition(".")
         table = document
         if section:
@@ -56,6 +70,51 @@ def apply_edits(document: MutableMapping[str, Any], edits: Edits) -> None:
             table[key] = list(value) if isinstance(value, tuple) else value
 
 
+def _apply_rule(document: MutableMapping[str, Any], match: str, rule: Edits | None) -> None:
+    rules, index = document.get(APPLICATION, []), _rule_index(document, match)
+    if index is None:
+        if rule is not None and isinstance(rules, list):  # else `check` reports it
+            document[APPLICATION] = [*rules, {"match": match, **rule}]
+    elif rule is None:
+        del rules[index]
+        if not rules:
+            del document[APPLICATION]
+    else:
+        for name in rules[index].keys() - rule.keys() - {"match"}:
+            del rules[index][name]
+        rules[index].update({n: v for n, v in rule.items() if rules[index].get(n) != v})
+
+
+def _rule_index(document: Mapping[str, Any], match: str) -> int | None:
+    found = document.get(APPLICATION)
+    for index, rule in enumerate(found if isinstance(found, list) else ()):
+        own = rule.get("match") if isinstance(rule, Mapping) else None
+        if isinstance(own, str) and own.strip().casefold() == match.casefold():
+            return index
+    return None
+
+
+def _with_rules(text: str, edits: Edits) -> str:
+    """Add and remove lines of [[application]] tables, so that all comments stay in place."""
+    for match, rule in ((rule_match(name), rule) for name, rule in edits.items()):
+        if not match:
+            continue
+        document, lines = tomllib.loads(text), (text and text.rstrip("\n") + "\n").split("\n")
+        index = _rule_index(document, match)
+        prefix = f"{APPLICATION}[" if index is None else f"{APPLICATION}[{index + 1}]"
+        own = [at for key, at in lines_of_keys(text).items() if key.startswith(prefix)]
+        if rule is not None:
+            known = {} if index is None else document[APPLICATION][index]
+            head = [] if known else ["", f"[[{APPLICATION}]]", _line("match", match)]
+            at = max(own, default=len(lines) - 1)
+            lines[at:at] = head + [_line(n, value) for n, value in rule.items() if n not in known]
+        elif index is not None and own:
+            first = min(own) - 1
+            del lines[first - (not lines[first - 1].strip()) : max(own)]
+        text = "\n".join(lines).lstrip("\n")
+    return text
+
+
 def edited_text(text: str, edits: Edits) -> str:
     """Return the edited text of a config. Its comments and the order of keys do not change.
 
@@ -65,8 +124,8 @@ def edited_text(text: str, edits: Edits) -> str:
     from tomlkit.exceptions import TOMLKitError
 
     try:
-        document = tomlkit.parse(text)
         expected = tomllib.loads(text)
+        document = tomlkit.parse(_with_rules(text, edits))
         apply_edits(document, edits)
     except (TOMLKitError, ValueError) as error:
         raise UsageError(
@@ -189,6 +248,10 @@ class LiveEdits:
 
 
 def _value(document: dict[str, Any], name: str) -> Any:
+    if match := rule_match(name):
+        index = _rule_index(document, match)
+        rule = {} if index is None else document[APPLICATION][index]
+        return {key: value for key, value in rule.items() if key != "match"} if rule else None
     section, _, key = name.rpartition(".")
     table = document.get(section, {}) if section else document
     return table.get(key) if isinstance(table, dict) else None

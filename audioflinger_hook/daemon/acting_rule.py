@@ -8,6 +8,7 @@ from audioflinger_hook.config.applications import ApplicationRule
 from audioflinger_hook.daemon.run_config import RunConfig
 from device.drive.settings import GAIN_MIN_DB
 from device.server import AppRules, ServerSnapshot
+from device.server.app_rules import first_match
 from device.server.left_out import microphones_of
 
 
@@ -41,13 +42,15 @@ class ActingRule:
             self._count += 1
             self._began[index] = self._count
         microphones = microphones_of(snapshot)
+        rules = [
+            (one.rule, one) for one in config.live.application_rules if one.profile or one.gain_db
+        ]
         for index in sorted(self._began, key=self._began.__getitem__, reverse=True):
             stream = playing[index]
             if config.left_out.why(stream, microphones):
                 continue
-            for rule in config.live.application_rules:
-                if rule.rule.matches(stream):
-                    return rule
+            if rule := first_match(rules, stream):
+                return rule
         return None
 
 

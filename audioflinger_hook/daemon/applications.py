@@ -1,4 +1,4 @@
-"""Lists the applications that have a stream, and changes the rules that select applications."""
+"""Lists the applications that have a stream."""
 
 from __future__ import annotations
 
@@ -75,20 +75,3 @@ def not_left_out(applications: tuple[Application, ...]) -> str:
         f"cannot be left out, because the mixed sound is tapped: {', '.join(names)}; "
         "name them under exclude in [applications] to leave them out"
     )
-
-
-def choosing(
-    name: str, is_felt: bool, include: tuple[str, ...], exclude: tuple[str, ...]
-) -> dict[str, tuple[str, ...]]:
-    """Return the new rules, keyed by config key. is_felt: True includes, False excludes `name`."""
-    rule = f"application:{name}" if ":" in name else name
-    own = {name.casefold(), rule.casefold()}
-    excluded = tuple(one for one in exclude if one.casefold() not in own)
-    included = tuple(one for one in include if one.casefold() not in own)
-    if is_felt:
-        # Without include rules, all applications are included.
-        included = (*included, rule) if include else ()
-    else:
-        excluded = (*excluded, rule)
-        included = included if included or not include else include
-    return {"applications.include": included, "applications.exclude": excluded}

@@ -3,7 +3,9 @@
 Values are checked like values of the config file. A request has one of these forms:
 
     "set": {"gain_db": -6.0}                   change keys of the config; null sets the default
-    "application": "Firefox", "felt": false    choose whether an application causes vibration
+    "application": {"match": "Firefox", "feel": false}
+                                               change the [[application]] rule of this name:
+                                               feel, profile or gain_db; null removes a value
     "mute": true                               mute the vibration; false ends the mute
     "tone": {"hz": 60, "level": 0.2}           start the test tone; null stops the tone
     "sync": {"try_ms": 120}                    play an offset on trial; null ends the trial
@@ -25,11 +27,10 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from audioflinger_hook.config.allowed_now import allowed_now
-from audioflinger_hook.config.edits import EDITABLE, LiveEdits, editable
+from audioflinger_hook.config.edits import EDITABLE, LiveEdits, editable, rule_key, rule_match
 from audioflinger_hook.config.profiles import LIVE_DEFAULT
 from audioflinger_hook.config.schema import CHANGES, Key
 from audioflinger_hook.config.settings import LiveSettings, Settings
-from audioflinger_hook.daemon.applications import choosing
 from audioflinger_hook.daemon.page_frames import frame_of
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.daemon.supervisor import Supervisor
@@ -134,7 +135,7 @@ class LiveControl:
     def _carry_out(self, asked: dict[str, Any]) -> dict[str, Any]:
         actions: dict[str, Callable[[Any], None]] = {
             "set": self._set,
-            "application": lambda name: self._choose(name, asked.get("felt")),
+            "application": self._rule,
             "mute": self._mute,
             "tone": self._play_tone,
             "sync": self._sync,
@@ -165,17 +166,31 @@ class LiveControl:
             if refusal:
                 raise _Refused(name, f"{one_line(str(value), 60)} {refusal}")
             typed[name] = None if value is None else described.typed(value)
-        try:
-            self._apply({**self._edits.values, **typed}, self._config.muted)
-        except CushionError as error:
-            raise _Refused(next(iter(typed)), one_line(str(error), 400)) from error
-        self._edits.accept(typed)
+        self._edit(typed)
 
-    def _choose(self, name: object, is_felt: object) -> None:
-        if not isinstance(name, str) or not name.strip() or not isinstance(is_felt, bool):
-            raise UsageError('give the name of an application, and "felt" as true or false')
-        live = self._config.live
-        self._set({k: [*v] for k, v in choosing(name, is_felt, live.include, live.exclude).items()})
+    def _edit(self, changes: Mapping[str, Any]) -> None:
+        try:
+            self._apply({**self._edits.values, **changes}, self._config.muted)
+        except CushionError as error:
+            raise _Refused(next(iter(changes)), one_line(str(error), 400)) from error
+        self._edits.accept(changes)
+
+    def _rule(self, given: object) -> None:
+        if not isinstance(given, dict) or not isinstance(given.get("match"), str) or len(given) < 2:
+            raise UsageError('application takes {"match": NAME} with feel, profile or gain_db')
+        match, live = given["match"].strip(), self._config.live
+        if given.get("feel") is False and self._supervisor.is_mixed:
+            # Only captures of single applications can leave out one of them.
+            self._set({"applications.exclude": [*live.exclude, match]})
+            return
+        present: dict[str, Any] = {}
+        for one in live.application_rules:
+            if one.match.strip().casefold() == match.casefold():
+                match, present = one.match, one.chosen
+        if False in (given.get("feel"), present.get("feel")):  # contradicts the other keys
+            present = {}
+        rule = {n: v for n, v in {**present, **given}.items() if v is not None and n != "match"}
+        self._edit({rule_key(match): rule or None})
 
     def _mute(self, muted: object) -> None:
         if not isinstance(muted, bool):
@@ -241,6 +256,8 @@ class LiveControl:
                 | {"unsaved": name in filed, "file": filed.get(name)}
                 for name, key in EDITABLE.items()
             ],
+            "rules": [one.chosen for one in config.live.application_rules],
+            "unsaved_rules": [match for match in map(rule_match, filed) if match],
             "unsaved": len(filed),
             "undo": self._edits.undo_count,
             "muted": config.muted,

@@ -18,7 +18,7 @@ SET, UNKNOWN = "set in the config", "not known"
 
 FOLLOWED_S = 0.005  # smaller changes of a delay are not followed
 LONGEST_S = 2.0  # longest delay that is believed and played
-TRIAL_S = 120.0  # a trial ends after this time, in case its program was killed
+TRIAL_S = 30.0  # a trial that is not repeated ends after this time, as its program was killed
 
 # In drop-in mode, every change of the sound's delay is heard. The sound is therefore delayed a
 # little more than necessary, and the vibration makes up for later changes.

@@ -74,11 +74,12 @@ class RunConfig:
         """Rules that select applications, None for all. UsageError: the rules are invalid."""
         include, exclude = self.live.include, self.live.exclude
         if self.tap.kind == "app":
-            return AppRules((*(parse_tap(tap).name for tap in self.live.tap), *include), exclude)
+            named = (parse_tap(tap).name for tap in self.live.tap)
+            return AppRules((*named, *include), exclude, self.left_out.rules)
         if not include and not exclude:
             return None
         if self.tap.kind == "default":
-            return AppRules(include, exclude)
+            return AppRules(include, exclude, self.left_out.rules)
         raise UsageError(
             f"applications cannot be chosen from the tap {str(self.tap)!r}; to use include or "
             "exclude in [applications], set tap to default or app:NAME"
@@ -87,8 +88,9 @@ class RunConfig:
     @property
     def left_out(self) -> LeftOut:
         """Which streams cause no vibration, apart from `rules`."""
-        rules = tuple(one.rule for one in self.live.application_rules if not one.feel)
-        return LeftOut(rules, self.live.feel_calls_and_alerts)
+        rules = self.live.application_rules
+        feels = tuple((one.rule, one.feel) for one in rules if one.feel is not None)
+        return LeftOut(feels, self.live.feel_calls_and_alerts)
 
 
 @dataclass(frozen=True)

@@ -127,17 +127,16 @@ class Supervisor:
         """The applications that have a stream. Any thread may read this."""
         source, device = self._found
         haptic = device.name if device and self.output.needs_server else None
+        seen, acting = self._link.latest, self._acting.rule
+        return applications_in(seen, self.config, source, haptic, acting, is_mixed=self.is_mixed)
+
+    @property
+    def is_mixed(self) -> bool:
+        """Whether the mixed sound is tapped, so that no stream can be left out. For any thread."""
         native = self.engines.native.engine
-        is_native = native is not None and native.audible
-        by_monitor = native.monitor_reason if is_native and native else self.config.rules is None
-        return applications_in(
-            self._link.latest,
-            self.config,
-            source,
-            haptic,
-            self._acting.rule,
-            is_mixed=bool(by_monitor),
-        )
+        if native is not None and native.audible:
+            return bool(native.monitor_reason)
+        return self.engines.playing[0] == "python" and self.config.rules is None
 
     @property
     def rule(self) -> str:

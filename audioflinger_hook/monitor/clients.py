@@ -21,6 +21,7 @@ class Client:
     """The queue of one browser. Only the event loop's thread may use it."""
 
     def __init__(self) -> None:
+        self.tries = False  # whether it plays an offset on trial
         self.overwritten = 0  # number of queued frames that a newer frame replaced
         self._newest: dict[str, str] = {}
         self._frame: str | None = None

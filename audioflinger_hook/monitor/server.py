@@ -37,16 +37,8 @@ WRITE_BYTES = 16_384  # limit of a connection's write buffers, in this process a
 CONTROL_PAUSE_S = 0.02  # pause after each request that is forwarded to the daemon
 
 SCRIPTS = (
-    "page",
-    "connection",
-    "drawing",
-    "meters",
-    "mapping",
-    "waterfall",
-    "controls",
-    "figures",
-    "applications",
-    "sync",
+    *("page", "connection", "elements", "drawing", "meters", "mapping", "waterfall", "controls"),
+    *("figures", "applications", "sync"),
 )
 FILES = {  # URL path: (file, content type)
     "/": ("index.html", "text/html; charset=utf-8"),
@@ -68,7 +60,7 @@ SECURITY = {
     "X-Frame-Options": "DENY",
 }
 
-_REQUESTS = ("set", "application", "felt", "mute", "tone", "sync", "undo", "save")
+_REQUESTS = ("set", "application", "mute", "tone", "sync", "undo", "save")
 
 
 class PageServer:
@@ -174,6 +166,8 @@ class PageServer:
             sending.cancel()
             with suppress(asyncio.CancelledError, ConnectionClosed):
                 await sending
+            if client.tries:
+                await self._link.control({"sync": {"try_ms": None}})
 
     async def _take(self, client: Client, message: str | bytes) -> bool:
         """Process a browser's message; return whether the message is valid."""
@@ -192,6 +186,8 @@ class PageServer:
             answer = await asyncio.to_thread(self._start_at_login, asked["autostart"])
         else:
             answer = await self._link.control(request)
+            if isinstance(sync := request.get("sync"), dict):
+                client.tries = sync.get("try_ms") is not None
         client.answer(json.dumps({"id": asked["id"], "answer": answer}))
         await asyncio.sleep(CONTROL_PAUSE_S)
         return True

@@ -8,8 +8,10 @@
 Case is ignored. NAME must match a whole name, id or role; `*`, `?` and `[...]` match as in a shell.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from typing import TypeVar
 
 from device.errors import UsageError
 from device.server.identity import is_ours
@@ -18,6 +20,9 @@ from device.server.snapshot import ServerSnapshot, Stream
 # roles (PulseAudio) and properties (PipeWire) of loopbacks and virtual sinks
 _SERVER_ROLES = ("abstract", "filter")
 _SERVER_PROPERTIES = ("node.link-group", "pulse.module.id")
+
+
+_T = TypeVar("_T")
 
 
 @dataclass(frozen=True)
@@ -53,19 +58,38 @@ class Rule:
         return any(value == self.name or fnmatchcase(value, self.name) for value in known)
 
 
+def first_match(rules: Iterable[tuple[Rule, _T]], stream: Stream) -> _T | None:
+    """Return what belongs to the first rule that matches; None without one.
+
+    A rule with exactly the application's name comes before all others.
+    """
+    found = [one for one in rules if one[0].matches(stream)]
+    own = app_name(stream).strip().casefold()
+    return min(found, key=lambda one: one[0].name != own)[1] if found else None
+
+
+Names = tuple[str, ...]
+Feels = tuple[tuple[Rule, bool], ...]
+
+
 class AppRules:
     """Selects the applications to capture. Immutable: any thread may use it.
 
     include: a stream must match at least one of these rules; () selects all applications. exclude:
-    a stream must match none of these rules. UsageError: see `Rule.parse`.
+    a stream must match none of these rules. feels: rules that stand above both, each with whether
+    the stream is selected. UsageError: see `Rule.parse`.
     """
 
-    def __init__(self, include: tuple[str, ...] = (), exclude: tuple[str, ...] = ()) -> None:
+    def __init__(self, include: Names = (), exclude: Names = (), feels: Feels = ()) -> None:
+        self.feels = feels
         self.include = tuple(map(Rule.parse, include))
         self.exclude = tuple(map(Rule.parse, exclude))
 
     def take(self, stream: Stream) -> bool:
         """Whether the rules select a stream, whatever made it and wherever it plays."""
+        feel = first_match(self.feels, stream)
+        if feel is not None:
+            return feel
         included = not self.include or any(rule.matches(stream) for rule in self.include)
         return included and not any(rule.matches(stream) for rule in self.exclude)
 

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 
-from device.server.app_rules import Rule
+from device.server.app_rules import Rule, first_match
 from device.server.snapshot import ServerSnapshot, Stream
 
 CALL, ALERT, IN_CONFIG = "call", "alert", "left out in the config"
@@ -33,10 +33,11 @@ _VOICE_PROGRAMS = (
 class LeftOut:
     """Decides which streams cause no vibration.
 
-    rules: streams that the user leaves out. calls_and_alerts: whether calls and alerts are felt.
+    rules: rules of the user, each with whether its streams are felt. calls_and_alerts: whether
+    other calls and alerts are felt.
     """
 
-    rules: tuple[Rule, ...] = ()
+    rules: tuple[tuple[Rule, bool], ...] = ()
     calls_and_alerts: bool = False
 
     def why(self, stream: Stream, microphones: Iterable[Stream]) -> str:
@@ -44,9 +45,10 @@ class LeftOut:
 
         microphones: all streams that record from microphones.
         """
-        if any(rule.matches(stream) for rule in self.rules):
+        feel = first_match(self.rules, stream)
+        if feel is False:
             return IN_CONFIG
-        if self.calls_and_alerts:
+        if feel or self.calls_and_alerts:
             return ""
         if role := _ROLES.get(stream.role.casefold()):
             return role

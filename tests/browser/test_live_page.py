@@ -214,10 +214,38 @@ def test_an_application_is_left_out_and_included_again(room, page):
     with playing(room.server, "desktop", tone(TONE_HZ, 60.0), name="Film"):
         page.get_by_role("button", name="Leave out Film").click()
         page.get_by_role("button", name="Include Film").wait_for()
+        says(page, "#applications", "left out (left out in the config), not saved")
+        says(page, "#unsaved", "Not saved: Film")
         wait_for(lambda: not shown(page), "no vibration")
+        page.click("#save")
+        says(page, "#unsaved", "All is saved")
+        rule = '\n[[application]]\nmatch = "Film"\nfeel = false\n'
+        assert room.config.read_text() == CONFIG + rule
         page.get_by_role("button", name="Include Film").click()
         page.get_by_role("button", name="Leave out Film").wait_for()
         wait_for(lambda: shown(page), "vibration", 30.0)
+        page.click("#undo")
+        page.get_by_role("button", name="Include Film").wait_for()
+        page.click("#undo")
+        page.get_by_role("button", name="Leave out Film").wait_for()
+        page.click("#save")
+        wait_for(lambda: room.config.read_text() == CONFIG, "the first file")
+
+
+def test_the_menu_gives_an_application_its_profile_and_takes_it_back(room, page):
+    with playing(room.server, "desktop", tone(TONE_HZ, 60.0), name="Film"):
+        menu = page.get_by_role("combobox", name="Profile of Film")
+        menu.select_option("music")
+        says(page, "#applications", 'felt (rule "Film"), not saved')
+        says(page, "#engine", "Profile music", 30.0)
+        page.reload()
+        says(page, "#unsaved", "Not saved: Film")
+        wait_for(lambda: menu.input_value() == "music", "the rule after a reload")
+        page.evaluate("document.getElementById('details').open = true")
+        menu.select_option("Usual profile")
+        says(page, "#engine", "Profile cinema", 30.0)
+        says(page, "#unsaved", "All is saved")
+        assert room.config.read_text() == CONFIG
 
 
 def test_a_test_tone_starts_and_stops(room, page, tmp_path):

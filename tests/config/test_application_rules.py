@@ -19,7 +19,7 @@ def test_rules_keep_their_order_and_values():
     assert not mistakes
     assert config.live.feel_calls_and_alerts
     first, second = config.live.application_rules
-    assert (first.match, first.profile, first.gain_db, first.feel) == ("super*", "game", -6.0, True)
+    assert (first.match, first.profile, first.gain_db, first.feel) == ("super*", "game", -6.0, None)
     assert (second.match, second.profile, second.gain_db, second.feel) == ("mpv", None, 0.0, False)
 
 

@@ -9,8 +9,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from audioflinger_hook.config import file as config
-from audioflinger_hook.config.edits import EDITABLE, LiveEdits, editable, edited_text
-from device.errors import UsageError, WriteError
+from audioflinger_hook.config.edits import (
+    EDITABLE,
+    LiveEdits,
+    editable,
+    edited_text,
+    rule_key,
+    rule_match,
+)
+from device.errors import InternalError, UsageError, WriteError
 
 TEXT = """# My cushion.
 device = "haptic" # the one under the seat
@@ -45,6 +52,67 @@ def test_new_keys_and_sections_are_added_where_they_belong() -> None:
     assert [line for line in TEXT.splitlines() if line not in changed.splitlines()] == []
 
 
+RULES = """# Rules.
+
+[applications] # of all
+exclude = ["Chat"]
+
+# The game.
+[[application]] # by its name
+match = "super*" # all versions
+profile = "game" # early
+
+# Of the live run.
+[live]
+feel_calls_and_alerts = true
+"""
+FIREFOX = rule_key("Firefox")
+TABLE = '\n[[application]]\nmatch = "Firefox"\nprofile = "music"\n'
+
+
+@pytest.mark.parametrize(
+    ("edits", "before", "after"),
+    [
+        ({FIREFOX: {"profile": "music"}}, "# early\n", f"# early\n{TABLE}"),
+        ({rule_key("SUPER*"): {"profile": "music"}}, '"game"', '"music"'),
+        (
+            {rule_key(" super* "): {"profile": "game", "gain_db": -3.0}},
+            "# early\n",
+            "# early\ngain_db = -3.0\n",
+        ),
+        ({rule_key("super*"): {"feel": False}}, 'profile = "game" # early', "feel = false"),
+        (
+            {rule_key("super*"): None},
+            '\n[[application]] # by its name\nmatch = "super*" # all versions\n'
+            'profile = "game" # early\n',
+            "\n",
+        ),
+        ({FIREFOX: None}, "", ""),
+    ],
+)
+def test_rules_are_added_changed_and_removed_and_every_comment_stays(edits, before, after):
+    assert edited_text(RULES, edits) == (RULES.replace(before, after) if before else RULES)
+
+
+@pytest.mark.parametrize("text", ["", "gain_db = -3.0\n", TEXT, RULES])
+def test_a_rule_that_is_added_and_removed_leaves_the_file_as_it_was(text):
+    added = edited_text(text, {FIREFOX: {"profile": "music"}})
+    assert TABLE.lstrip() in added
+    assert edited_text(added, {FIREFOX: None}) == text
+
+
+def test_rules_without_a_table_of_their_own_are_left_to_the_user():
+    with pytest.raises((InternalError, UsageError)):
+        edited_text('application = [{match = "a"}]\n', {FIREFOX: {"feel": False}})
+
+
+@pytest.mark.parametrize("match", ["Firefox", "a.b", "a]", "application:Radio: live", '"\\'])
+def test_any_name_of_an_application_becomes_a_rule(match):
+    assert rule_match(rule_key(match)) == match
+    text = edited_text(TEXT, {rule_key(match): {"feel": False}})
+    assert tomllib.loads(text)["application"] == [{"match": match, "feel": False}]
+
+
 def test_a_removed_key_takes_its_default_again(path: Path) -> None:
     edits = LiveEdits(path)
     edits.accept({"gain_db": None})
@@ -59,6 +127,8 @@ VALUES: dict[str, st.SearchStrategy[Any]] = {
     "profile": st.sampled_from(["paper", "cinema", "game", None]),
     "applications.exclude": st.lists(st.text(min_size=1).filter(str.strip), max_size=3),
     "transform.threshold_hz": st.one_of(st.none(), st.floats(4.0, 12.0)),
+    FIREFOX: st.sampled_from([None, {"feel": False}, {"profile": "game"}, {"feel": True}]),
+    rule_key("mpv"): st.sampled_from([None, {"profile": "music", "gain_db": -3.0}]),
 }
 CHANGES = st.sampled_from(sorted(VALUES)).flatmap(
     lambda name: VALUES[name].map(lambda value: {name: value})

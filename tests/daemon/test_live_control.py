@@ -151,9 +151,17 @@ def test_what_the_config_refuses_is_refused_in_its_words(daemon, changes, words)
         {},
         {"set": {"gain_db": 0}, "undo": True},
         {"mute": 1},
-        {"application": 5, "felt": True},
-        {"application": "x", "felt": None},
-        {"application": " ", "felt": True},
+        {"application": "x", "felt": True},
+        {"application": {"match": "x"}},
+        {"application": {"match": 5, "feel": True}},
+        {"application": {"match": " ", "feel": True}},
+        {"application": {"match": "x", "feel": 1}},
+        {"application": {"match": "x", "feel": False, "profile": "game"}},
+        {"application": {"match": "x", "profile": "nix"}},
+        {"application": {"match": "x", "gain_db": 3}},
+        {"application": {"match": "x", "level": 3}},
+        {"application": {"match": "x", "profile": [["game"]]}},
+        {"application": {"match": "x", "feel": {"a": 1}}},
         {"tone": {"hz": 5}},
         {"tone": {"hz": 60, "level": 2}},
         {"tone": {"hz": 60}},  # the simulated cushion plays none
@@ -173,6 +181,57 @@ def test_a_request_that_is_none_changes_nothing(daemon, request_):
     before = daemon.settings()
     assert daemon.ask(**request_)["error"]
     assert daemon.settings() == before
+
+
+def test_a_rule_of_an_application_applies_is_undone_and_goes_to_the_file_only_by_save(daemon):
+    def rule(**values):
+        return daemon.ask(application={"match": "Film", **values})
+
+    def rules():
+        settings = daemon.settings()
+        return settings["rules"], settings["unsaved_rules"]
+
+    assert rules() == ([], [])
+    assert rule(profile="game") == {"done": True}
+    assert rules() == ([{"match": "Film", "profile": "game"}], ["Film"])
+    assert rule(gain_db=-3) == {"done": True}
+    assert rules()[0] == [{"match": "Film", "profile": "game", "gain_db": -3.0}]
+    assert daemon.config.read_text() == CONFIG
+    assert daemon.ask(save=True) == {"done": True}
+    saved = f'{CONFIG}\n[[application]]\nmatch = "Film"\nprofile = "game"\ngain_db = -3\n'
+    assert daemon.config.read_text() == saved
+    assert rules()[1] == []
+    assert daemon.ask(application={"match": "film ", "feel": False}) == {"done": True}
+    assert rules() == ([{"match": "Film", "feel": False}], ["Film"])
+    assert daemon.settings()["unsaved"] == 1
+    assert rule(feel=True) == {"done": True}
+    assert rules()[0] == [{"match": "Film", "feel": True}]
+    assert rule(feel=None) == {"done": True}
+    assert rules() == ([], ["Film"])
+    for _ in range(3):
+        assert daemon.ask(undo=True) == {"done": True}
+    assert rules()[1] == []
+    for _ in range(2):
+        assert daemon.ask(undo=True) == {"done": True}
+    assert rules() == ([], ["Film"])
+    assert daemon.ask(save=True) == {"done": True}
+    assert daemon.config.read_text() == CONFIG
+
+
+def test_what_the_config_says_of_a_rule_is_said_of_a_rule_of_the_page(daemon):
+    answer = daemon.ask(application={"match": "x", "profile": "cinma"})
+    assert answer["key"] == "application[x]"
+    assert 'application[1].profile = "cinma" is not known' in answer["error"]
+    assert "did you mean cinema?" in answer["error"]
+
+
+def test_the_mixed_sound_leaves_an_application_out_by_a_capture_of_the_others(control):
+    control._supervisor.is_mixed = True
+    asked = control._carry_out({"application": {"match": "Film", "feel": False}})
+    assert (asked, control._edits.values) == ({"done": True}, {"applications.exclude": ("Film",)})
+    control._supervisor.is_mixed = False
+    control._carry_out({"application": {"match": "Film", "feel": True}})
+    assert control._edits.values["application[Film]"] == {"feel": True}
 
 
 def test_an_offset_on_trial_plays_and_is_none_of_the_config(daemon):

@@ -120,6 +120,44 @@ def test_what_the_config_leaves_out_is_not_linked_even_with_the_switch():
     assert tapped(graph, config.left_out) == {61, 62}
 
 
+FIREFOX = {"application": "Firefox", "binary": "firefox-bin"}
+
+
+@pytest.mark.parametrize(
+    ("others", "live", "stream_of"),
+    [
+        ((ApplicationRule(match="fire*", feel=False),), {}, {}),
+        ((ApplicationRule(match="firefox-bin", feel=False),), {}, {}),
+        ((), {}, {"role": "phone"}),
+        ((), {"exclude": ("fire*",)}, {}),
+        ((), {"include": ("mpv",)}, {}),
+    ],
+)
+def test_feel_true_undoes_whatever_leaves_an_application_out(others, live, stream_of):
+    playing = seen(stream(1, **FIREFOX, **stream_of))
+    for own, is_felt in ((ApplicationRule(match="Firefox", feel=True), True), (None, False)):
+        config = config_of(*others, *filter(None, [own]), **live)
+        (shown,) = applications_in(playing, config, SOURCE, "dac")
+        assert shown.is_felt == is_felt
+        if config.rules is not None:
+            assert bool(config.rules.select(playing, "dac")) == is_felt
+
+
+def test_feel_false_leaves_out_what_a_pattern_or_a_list_includes():
+    rules = ApplicationRule(match="*", feel=True), ApplicationRule(match="Firefox", feel=False)
+    config = config_of(*rules, include=("firefox",))
+    shown = applications_in(seen(stream(1, **FIREFOX), stream(2, "mpv")), config, SOURCE, "dac")
+    assert [(one.name, one.is_felt) for one in shown] == [("Firefox", False), ("mpv", True)]
+
+
+def test_the_rule_of_an_applications_own_name_acts_before_patterns_unless_it_changes_nothing():
+    own = ApplicationRule(match="SuperTux", profile="music")
+    for rules, rule in (((GAME, own), own), ((GAME, replace(own, profile=None, feel=True)), GAME)):
+        acting = ActingRule()
+        acting.update(seen(stream(4, "SuperTux")), config_of(*rules), "dac")
+        assert acting.rule == rule
+
+
 def test_the_rule_of_the_newest_playing_application_acts_and_ends_with_it():
     config, acting = config_of(MUSIC, GAME), ActingRule()
     music, game = stream(9, "mpv"), stream(4, "SuperTux")  # a game with an older stream

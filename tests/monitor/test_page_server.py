@@ -166,13 +166,53 @@ def _resident_kb(pid: int) -> int:
 
 
 def test_a_port_in_use_is_one_line_and_exit_code_2(tmp_path):
-    with page(tmp_path) as served:
-        second = Page(tmp_path, "--listen", served.host)
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        second = Page(tmp_path, "--listen", f"127.0.0.1:{port}")
         assert second.process.wait(LIMIT_S) == 2
         second.close()
         assert second.stderr.count("\n") == 1
-        assert f"{served.host} is in use" in second.stderr
-        assert f"--listen 127.0.0.1:{served.port + 1}" in second.stderr
+        assert f"127.0.0.1:{port} is in use" in second.stderr
+        assert f"--listen 127.0.0.1:{port + 1}" in second.stderr
+
+
+def test_a_page_that_is_served_already_is_shown_and_one_that_has_ended_is_served_anew(
+    tmp_path, monkeypatch
+):
+    shown = tmp_path / "shown"
+    browser = tmp_path / "browser"
+    browser.write_text(f'#!/bin/sh\ncp "${{1#file://}}" {shown}\n')
+    browser.chmod(0o700)
+    monkeypatch.setenv("BROWSER", f"{browser} %s")
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    with page(tmp_path, "--listen", f"127.0.0.1:{port}") as served:
+        second = Page(tmp_path, "--listen", served.host, "--open")
+        assert second.process.wait(LIMIT_S) == 0
+        second.close()
+        assert second.address == served.address
+        assert served.address in shown.read_text()
+        served.process.kill()
+        served.process.wait()
+        third = Page(tmp_path, "--listen", served.host)
+        assert third.request("/")[0] == 200
+        assert third.close() == 130
+
+
+def test_a_trial_ends_when_the_browser_that_plays_it_disappears(tmp_path):
+    tries = {"sync": {"try_ms": 120}}
+    with daemon_socket(tmp_path) as daemon, page(tmp_path) as served:
+        with served.live() as stays, served.live() as goes:
+            assert ask(stays, 1, mute=True) == {"done": True}
+            assert ask(goes, 1, **tries) == {"done": True}
+            goes.socket.shutdown(socket.SHUT_RDWR)
+            wait_for(lambda: len(daemon.requests) == 3, "end of the trial", LIMIT_S)
+            assert daemon.requests[-1]["sync"] == {"try_ms": None}
+            assert ask(stays, 2, **tries) == {"done": True}
+            assert ask(stays, 3, sync={"store_ms": 100}) == {"done": True}
+        with served.live() as other:
+            assert ask(other, 1, mute=False) == {"done": True}
+        assert [asked.get("sync") for asked in daemon.requests[-2:]] == [{"store_ms": 100}, None]
 
 
 def test_a_page_for_the_network_warns_and_still_needs_the_token(tmp_path):

@@ -1,65 +1,52 @@
 // Applications with a sound, and the rules that a person chooses for them.
 
-const element = (kind, text = "", attributes = {}) => {
-  const made = document.createElement(kind);
-  made.textContent = text;
-  for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
-  return made;
-};
-const titled = (word) => word[0].toUpperCase() + word.slice(1);
+import { element, titled } from "/elements.js";
+
+const matchOf = (name) => (name.includes(":") ? `application:${name}` : name);
+const same = (one, other) => one.trim().toLowerCase() === other.trim().toLowerCase();
 
 export class Applications {
-  /** ask: sends a request to the daemon; tell: shows its answer. */
-  constructor(place, ask, tell) {
-    this.place = place;
-    this.ask = ask;
-    this.tell = tell;
-    this.shown = "";
+  /** choose: changes the rule of an application, called with {match, feel} or {match, profile}. */
+  constructor(place, choose) {
+    Object.assign(this, { place, choose, shown: "" });
   }
 
-  /** profiles: names for a rule; none if the daemon has no rules. */
-  show(applications, profiles) {
-    const state = JSON.stringify([applications, profiles]);
+  /** rules, unsaved_rules: of the settings. profiles: names for a rule. */
+  show(applications, { rules = [], unsaved_rules: unsaved = [] }, profiles) {
+    const state = JSON.stringify([applications, rules, unsaved, profiles]);
     if (state === this.shown) return; // else a key press on a button could be lost
     const focused = document.activeElement;
     if (focused?.tagName === "SELECT" && this.place.contains(focused)) return; // its list is open
     this.shown = state;
     const held = this.place.contains(focused) ? focused.dataset.application : "";
     const order = [...applications].sort((one, other) => other.plays - one.plays);
-    this.place.replaceChildren(...order.map((one) => this.row(one, profiles)));
-    if (!order.length) this.place.append(element("li", "No application plays sound.", { class: "none" }));
+    this.place.replaceChildren(...order.map((one) => {
+      const match = matchOf(one.name), rule = rules.find((rule) => same(rule.match, match)) ?? {};
+      return this.row(one, match, rule, unsaved.some((name) => same(name, match)), profiles);
+    }));
+    if (!order.length) this.place.append(element("li", { class: "none" }, "No application plays sound."));
     if (held) this.place.querySelector(`[data-application="${CSS.escape(held)}"]`)?.focus();
   }
 
-  row(application, profiles) {
-    const { name, plays, is_felt: felt, rule } = application;
-    const row = element("li"), title = element("span", name, { class: "name" });
-    const why = rule ? ` (${rule})` : "";
-    title.append(element("small", `${plays ? "plays" : "paused"}, ${felt ? "felt" : "left out"}${why}`));
-    row.append(title);
-    if (rule !== undefined && felt && profiles.length) row.append(this.menu(name, profiles));
-    const button = element("button", felt ? "Leave out" : "Include", { type: "button", "data-application": name,
-      "aria-label": `${felt ? "Leave out" : "Include"} ${name}` });
-    button.onclick = () => this.choose(application, { feel: !felt });
+  row({ name, plays, is_felt: felt, rule: why }, match, rule, isUnsaved, profiles) {
+    const state = `${plays ? "plays" : "paused"}, ${felt ? "felt" : "left out"}${why ? ` (${why})` : ""}${isUnsaved ? ", not saved" : ""}`;
+    const row = element("li", {}, element("span", { class: "name" }, name, element("small", {}, state)));
+    if (felt && profiles.length) row.append(this.menu(name, match, rule.profile ?? "", profiles));
+    const word = felt ? "Leave out" : "Include";
+    const button = element("button", { type: "button", "data-application": name, "aria-label": `${word} ${name}` }, word);
+    button.onclick = () => this.choose({ match, feel: !felt });
     row.append(button);
     return row;
   }
 
-  menu(name, profiles) {
-    const menu = element("select", "", { "aria-label": `Profile of ${name}` });
-    menu.append(element("option", "Profile …", { value: "" }), ...profiles.map((one) => element("option", titled(one), { value: one })));
+  menu(name, match, profile, profiles) {
+    const menu = element("select", { "aria-label": `Profile of ${name}` }, element("option", { value: "" }, "Usual profile"),
+      ...profiles.map((one) => element("option", { value: one }, titled(one))));
+    menu.value = profile;
     menu.onchange = () => {
-      const profile = menu.value;
       menu.blur();
-      if (profile) this.choose({ name, rule: "" }, { profile });
+      this.choose({ match, profile: menu.value || null });
     };
     return menu;
-  }
-
-  /** Write a rule. A daemon without rules has its lists of included and excluded applications. */
-  async choose({ name, rule }, values) {
-    let answer = await this.ask({ application: { match: name, ...values } });
-    if (answer.error && rule === undefined) answer = await this.ask({ application: name, felt: values.feel });
-    this.tell(answer);
   }
 }

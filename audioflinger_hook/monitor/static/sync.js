@@ -1,9 +1,9 @@
 // The sync test: clicks of the browser are heard and felt, and a person moves the vibration until both agree.
 
+import { fill, find, newest } from "/elements.js";
+
 const EVERY_MS = 1400, CLICK_S = 0.012, CLICK_HZ = 1000;
 const FIRST_STEP_MS = 80, LAST_STEP_MS = 5;
-
-const find = (id) => document.getElementById(id);
 
 /** The next offset after an answer: steps halve whenever the direction turns. All times in ms. */
 export function stepped({ offset, step, before }, direction, longest) {
@@ -18,13 +18,15 @@ export class SyncTest {
     this.stored = stored;
     this.dialog = find("sync-dialog");
     this.slider = find("sync-ms");
-    find("sync-felt").onclick = () => this.answer(1);
-    find("sync-heard").onclick = () => this.answer(-1);
+    this.play = newest(async (ms) => this.tell(await ask({ sync: { try_ms: ms } }))); // null ends the trial
+    const answer = (direction) => this.try(stepped(this.state, direction, Number(this.slider.max)));
+    find("sync-felt").onclick = () => answer(1);
+    find("sync-heard").onclick = () => answer(-1);
     find("sync-both").onclick = () => this.store();
     find("sync-cancel").onclick = () => this.dialog.close();
     this.slider.oninput = () => this.try({ ...this.state, offset: Number(this.slider.value) });
     this.dialog.onclose = () => this.end();
-    addEventListener("pagehide", () => { if (this.dialog.open) this.end(); });
+    addEventListener("pagehide", () => this.dialog.close());
   }
 
   /** offset: delay in ms that is played first. */
@@ -43,26 +45,15 @@ export class SyncTest {
     tone.connect(gain).connect(this.sound.destination);
     tone.start(at);
     tone.stop(at + CLICK_S);
+    this.play(this.state.offset); // a trial that is not repeated ends
   }
 
-  answer(direction) {
-    this.try(stepped(this.state, direction, Number(this.slider.max)));
-  }
-
-  /** Play an offset on trial; while one request is under way, only the newest waits. */
-  async try(state) {
+  try(state) {
     this.state = state;
     this.slider.value = state.offset;
-    this.slider.style.setProperty("--fill", `${(100 * state.offset) / this.slider.max}%`);
+    fill(this.slider);
     find("sync-value").textContent = `${state.offset} ms`;
-    if (this.busy) return;
-    this.busy = true;
-    let played;
-    while (this.dialog.open && played !== this.state.offset) {
-      played = this.state.offset;
-      this.tell(await this.ask({ sync: { try_ms: played } }));
-    }
-    this.busy = false;
+    this.play(state.offset);
   }
 
   async store() {
@@ -70,17 +61,16 @@ export class SyncTest {
     this.tell(answer);
     if (answer.error) return;
     this.dialog.close();
-    this.stored(this.state.offset);
+    this.stored();
   }
 
-  tell(answer) {
-    find("sync-error").textContent = answer.error ?? "";
+  tell({ error = "" }) {
+    find("sync-error").textContent = error;
   }
 
   end() {
     clearInterval(this.timer);
-    this.sound?.close();
-    this.sound = null;
-    this.ask({ sync: { try_ms: null } });
+    this.sound.close();
+    this.play(null);
   }
 }
